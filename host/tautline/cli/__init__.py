@@ -1,0 +1,68 @@
+"""The command `taut`. Each subcommand is a module of its own, imported only when it is asked for."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+import click
+
+from tautline.errors import TautError
+
+# Name, and the line that `taut --help` shows. Module tautline.cli.NAME holds a click command called `command`.
+COMMANDS = {
+    "boards": "list the boards that are attached, with their firmware and protocol",
+    "calibrate": "measure B(q) and f_remain from a recording, or live from a board and a camera",
+    "predict": "what a model says the tip does under a recorded motor motion",
+    "diagnose": "where model and instrument part, which effect is the cause, how far the gap shrinks",
+    "flash": "load a model's tables into a board and read them back",
+    "follow": "follow a trajectory of the tip, with or without compensation",
+    "stream": "send tip set-points at 200 Hz or more, for teleoperation",
+    "record": "record motor, marker and video from a board and a camera",
+    "monitor": "watch a board's axes live",
+    "marker": "pick the marker's colour, once",
+    "simulate": "make a recording with a simulated instrument and endoscope",
+    "compare": "how B and f_remain changed between models",
+    "report": "write a model's report again",
+    "demo": "the whole job on a simulated instrument, without hardware",
+    "blindtest": "score the diagnosis on cases whose effect is withheld",
+}
+
+
+class _Commands(click.Group):
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in COMMANDS:
+            return None
+        module = importlib.import_module(f"tautline.cli.{cmd_name}")
+        command: click.Command = module.command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="tautline", prog_name="taut")
+def taut() -> None:
+    """Measures and undoes what a tendon-driven instrument loses between motor and tip."""
+
+
+def main() -> None:
+    """Exit status: 0 on success, 2 on a usage error, 1 otherwise, after one line that says what to do."""
+    try:
+        taut(standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(2 if isinstance(error, click.UsageError) else 1)
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("taut: stopped", err=True)
+        sys.exit(1)
+    except TautError as error:
+        click.echo(f"taut: {error}", err=True)
+        sys.exit(1)
+    except BrokenPipeError:
+        sys.exit(1)
