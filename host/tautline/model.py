@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import Any, Self
 
 import numpy as np
+import numpy.typing as npt
 
+from tautline import _native
+from tautline.errors import TautError
+from tautline.recording import Motor
 from tautline.rig import Rig
 
 Array = np.ndarray
+FORMAT = "model/1"
+MODEL_FILE, RIG_FILE = "model.json", "rig.toml"
+STEEPEST = 1.8  # |B'| that tables may have: p_lo and p_hi are unique while it is below 2
+_ARRAYS = ("q", "width", "width_sigma", "c_deg")
 
 
 @dataclass(frozen=True)
@@ -27,6 +37,7 @@ class Model:
 
     `q` is a grid over the actuator's range (rig.actuator.unit); width, width_sigma and c_deg are sampled on it and
     interpolated linearly between its points by everything that simulates (the board does the same with its tables).
+    Beyond the grid the width is held and f_remain goes on with the slope of its last span.
     """
 
     rig: Rig
@@ -38,3 +49,89 @@ class Model:
     measured: tuple[float, float]  # the q_mean that reversals reached
     effects: tuple[Effect, ...] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)  # onsets, notes, figures' data: what the report shows
+
+    def remaining(self, p: npt.ArrayLike) -> Array:
+        """f_remain: bending angles, deg, at centre coordinates p of any shape."""
+        return interpolate(p, self.q, self.c_deg)
+
+    def remaining_inverse(self, c_deg: npt.ArrayLike) -> Array:
+        """The centre coordinates at which f_remain is c_deg."""
+        order = slice(None) if self.c_deg[-1] > self.c_deg[0] else slice(None, None, -1)
+        return interpolate(c_deg, self.c_deg[order], self.q[order])
+
+    def simulate(self, motor: Motor, t_s: npt.ArrayLike, start_deg: float | None = None) -> Array:
+        """Bending angles (n,) deg at scene times t_s (n,) (the motor's clock: no delay in them), in any order. The tip
+        starts on the centre line, c = f_remain(q[0]), or at start_deg. q is held before and after the motor's samples.
+        Effects are not in it: see tautline.diagnose."""
+        p0 = np.nan if start_deg is None else float(self.remaining_inverse(start_deg))
+        return self.remaining(play_at(motor.t_s, motor.q, np.asarray(t_s, dtype=float), self.q, self.width, p0))
+
+    def save(self, folder: str | Path) -> None:
+        """Writes model.json and rig.toml."""
+        folder = Path(folder)
+        document: dict[str, Any] = {
+            "format": FORMAT,
+            "unit": self.rig.actuator.unit,
+            **{name: getattr(self, name).tolist() for name in _ARRAYS},
+            "delay_s": self.delay_s,
+            "measured": list(self.measured),
+            "effects": [{"id": effect.id, "parameters": dict(effect.parameters)} for effect in self.effects],
+            "extra": dict(self.extra),
+        }
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self.rig.save(folder / RIG_FILE)
+            (folder / MODEL_FILE).write_text(json.dumps(document), encoding="utf-8")
+        except OSError as error:
+            raise TautError(f"{folder}: the model cannot be written ({error.strerror}): name another --out") from error
+
+    @classmethod
+    def load(cls, folder: str | Path) -> Self:
+        folder = Path(folder)
+        path = folder / MODEL_FILE
+        try:
+            document = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError) as error:
+            raise TautError(f"{folder}: has no readable {MODEL_FILE}: make it with taut calibrate") from error
+        except json.JSONDecodeError as error:
+            raise TautError(f"{path}: not valid JSON ({error}): make the model again with taut calibrate") from error
+        if not isinstance(document, dict) or document.get("format") != FORMAT:
+            raise TautError(f'{path}: format is not "{FORMAT}": make the model again with taut calibrate')
+        try:
+            q, width, sigma, c_deg = arrays = [np.array(document[name], dtype=float) for name in _ARRAYS]
+            effects = tuple(Effect(item["id"], dict(item["parameters"])) for item in document["effects"])
+            delay_s = float(document["delay_s"])
+            low, high = (float(value) for value in document["measured"])
+            extra = dict(document["extra"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise TautError(f"{path}: {error!r} is missing or wrong: make it again with taut calibrate") from error
+        good = all(a.ndim == 1 and a.shape == q.shape and np.isfinite(a).all() for a in arrays) and len(q) >= 2
+        if not (good and is_backlash_table(q, width) and abs(np.sign(np.diff(c_deg)).sum()) == len(q) - 1):
+            raise TautError(f"{path}: its tables are not a model's: make the model again with taut calibrate")
+        return cls(Rig.load(folder / RIG_FILE), q, width, sigma, c_deg, delay_s, (low, high), effects, extra)
+
+
+def is_backlash_table(grid: Array, width: Array) -> bool:
+    """Whether the play is unique on it: grid rising, width >= 0, |width'| < 2."""
+    step = np.diff(grid)
+    return bool((step > 0).all() and (width >= 0).all() and (np.abs(np.diff(width)) < 2 * step).all())
+
+
+def interpolate(x: npt.ArrayLike, grid: Array, values: Array) -> Array:
+    """Linear between the points of a rising grid, going on beyond its ends with the slope of the last span."""
+    x = np.asarray(x, dtype=float)
+    first = (values[1] - values[0]) / (grid[1] - grid[0])
+    last = (values[-1] - values[-2]) / (grid[-1] - grid[-2])
+    beyond = first * np.minimum(x - grid[0], 0.0) + last * np.maximum(x - grid[-1], 0.0)
+    return np.asarray(np.interp(x, grid, values) + beyond)
+
+
+def play_at(t_s: Array, q: Array, at_s: Array, grid: Array, width: Array, p0: float) -> Array:
+    """The play's centre coordinate at times at_s (any order), driven by the motor samples (t_s, q) with straight lines
+    between them and q held before and after them. p0 is the state before the first sample, NaN: the centre."""
+    times = np.concatenate([t_s, at_s])
+    positions = np.concatenate([q, np.interp(at_s, t_s, q)])
+    order = np.argsort(times, kind="stable")
+    p = np.empty(len(times))
+    p[order] = _native.play_forward(positions[order], grid, width, p0)
+    return p[len(t_s) :]

@@ -1,0 +1,178 @@
+"""From the bending angle to the image and back: g, h, their Jacobian (eq. 7) and the pose (eq. 8)."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.errors import TautError
+from tautline.rig import Camera, HandEye, Kinematics, Rig
+
+Array = npt.NDArray[np.float64]
+_SMALL = 1e-3  # rad: below it the constant-curvature quotients are taken from their series (error < 1e-16)
+
+
+def tip_bend(kinematics: Kinematics, c_deg: npt.ArrayLike) -> tuple[Array, Array]:
+    """g: the marker (n, 3) mm in the section's own frame, and its derivative (n, 3) mm per deg of c."""
+    c = np.radians(np.atleast_1d(np.asarray(c_deg, dtype=float)))
+    length, tip = kinematics.bending_length_mm, kinematics.tip_length_mm
+    sin, cos = np.sin(c), np.cos(c)
+    small = np.abs(c) < _SMALL
+    safe = np.where(small, 1.0, c)
+    square = c * c
+    # sin(c)/c and (1 - cos(c))/c with their derivatives
+    sinc = np.where(small, 1 - square / 6, sin / safe)
+    versc = np.where(small, c / 2 - c * square / 24, (1 - cos) / safe)
+    d_sinc = np.where(small, -c / 3 + c * square / 30, (cos - sinc) / safe)
+    d_versc = np.where(small, 0.5 - square / 8, (sin - versc) / safe)
+    zero = np.zeros_like(c)
+    point = np.stack([length * versc + tip * sin, zero, length * sinc + tip * cos], axis=1)
+    slope = np.stack([length * d_versc + tip * cos, zero, length * d_sinc - tip * sin], axis=1)
+    return point, slope * (np.pi / 180)
+
+
+def rotation(angles_deg: tuple[float, float, float]) -> Array:
+    """Rz(rz) Ry(ry) Rx(rx) from [rx, ry, rz], (3, 3)."""
+    (sx, sy, sz), (cx, cy, cz) = np.sin(np.radians(angles_deg)), np.cos(np.radians(angles_deg))
+    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+    product: Array = about_z @ about_y @ about_x
+    return product
+
+
+def about_base_z(angle_deg: npt.ArrayLike, vector: Array) -> Array:
+    """Rz(angle) applied to (n, 3) vectors; angle (n,) or scalar, deg."""
+    a = np.radians(np.asarray(angle_deg, dtype=float))
+    sin, cos = np.sin(a), np.cos(a)
+    x, y, z = vector.T
+    return np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=1)
+
+
+def to_camera(hand_eye: HandEye, base: Array) -> Array:
+    """X_cam = R X_base + t, (n, 3) mm."""
+    product: Array = base @ rotation(hand_eye.rotation_deg).T + np.asarray(hand_eye.translation_mm)
+    return product
+
+
+def to_image(camera: Camera, point: Array, velocity: Array | None = None) -> tuple[Array, Array]:
+    """h: pinhole with OpenCV's k1 k2 p1 p2 k3. Image positions (n, 2) px of camera points (n, 3) mm, and their
+    derivative (n, 2) along `velocity` (n, 3) (zeros without it). NaN where a point is not in front of the camera."""
+    z = np.where(point[:, 2] > 1e-6, point[:, 2], np.nan)
+    x, y = point[:, 0] / z, point[:, 1] / z
+    k1, k2, p1, p2, k3 = camera.distortion
+    r2 = x * x + y * y
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    focal = np.array([camera.fx_px, camera.fy_px])
+    distorted = np.stack(
+        [
+            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+        ],
+        axis=1,
+    )
+    image = distorted * focal + np.array([camera.cx_px, camera.cy_px])
+    if velocity is None:
+        return image, np.zeros_like(image)
+    dx = (velocity[:, 0] - x * velocity[:, 2]) / z
+    dy = (velocity[:, 1] - y * velocity[:, 2]) / z
+    d_radial = (2 * x * dx + 2 * y * dy) * (k1 + r2 * (2 * k2 + 3 * r2 * k3))
+    d_r2 = 2 * (x * dx + y * dy)
+    d_xy = dx * y + x * dy
+    slope = np.stack(
+        [
+            dx * radial + x * d_radial + 2 * p1 * d_xy + p2 * (d_r2 + 4 * x * dx),
+            dy * radial + y * d_radial + p1 * (d_r2 + 4 * y * dy) + 2 * p2 * d_xy,
+        ],
+        axis=1,
+    )
+    return image, slope * focal
+
+
+def project_with_slope(
+    rig: Rig, c_deg: npt.ArrayLike, translation_mm: npt.ArrayLike = 0.0, rotation_deg: npt.ArrayLike = 0.0
+) -> tuple[Array, Array]:
+    """h(g(c)) (n, 2) px and J = d(h g)/dc (n, 2) px per deg (eq. 6, 7). The other two degrees of freedom are (n,) or
+    scalar: P_base = Rz(rotation) (P_bend(c) + [0, 0, translation])."""
+    if rig.kinematics is None or rig.camera is None or rig.hand_eye is None:
+        raise TautError("the rig needs [kinematics], [camera] and [hand_eye] to project a marker: add them to rig.toml")
+    bend, slope = tip_bend(rig.kinematics, c_deg)
+    bend[:, 2] += np.asarray(translation_mm, dtype=float)
+    base, base_slope = about_base_z(rotation_deg, bend), about_base_z(rotation_deg, slope)
+    return to_image(rig.camera, to_camera(rig.hand_eye, base), base_slope @ rotation(rig.hand_eye.rotation_deg).T)
+
+
+def project(
+    rig: Rig, c_deg: npt.ArrayLike, translation_mm: npt.ArrayLike = 0.0, rotation_deg: npt.ArrayLike = 0.0
+) -> Array:
+    """The marker's image position (n, 2) px at bending angles c (n,) deg (eq. 6)."""
+    return project_with_slope(rig, c_deg, translation_mm, rotation_deg)[0]
+
+
+def pose(
+    rig: Rig,
+    image_px: npt.ArrayLike,
+    translation_mm: npt.ArrayLike = 0.0,
+    rotation_deg: npt.ArrayLike = 0.0,
+    start_deg: npt.ArrayLike | None = None,
+    iterations: int = 60,
+) -> tuple[Array, Array]:
+    """The bending angle (n,) deg whose projection is nearest to the image positions (n, 2) px, and the distance (n,)
+    px that is left. Levenberg-Marquardt of eq. 8 for all samples at once, with the analytic Jacobian; it starts at
+    the nearest of a grid over the coarse range and half as much again unless start_deg says where. NaN stays NaN."""
+    image = np.atleast_2d(np.asarray(image_px, dtype=float))
+    count = len(image)
+    translation = np.broadcast_to(np.asarray(translation_mm, dtype=float), (count,))
+    turn = np.broadcast_to(np.asarray(rotation_deg, dtype=float), (count,))
+    if start_deg is None:
+        c = _nearest_on_grid(rig, image, translation, turn)
+    else:
+        c = np.array(np.broadcast_to(np.asarray(start_deg, dtype=float), (count,)))
+
+    damping = np.full(count, 1e-3)
+    predicted, slope = project_with_slope(rig, c, translation, turn)
+    error = image - predicted
+    cost = np.sum(error * error, axis=1)
+    for _ in range(iterations):
+        gain = np.sum(slope * slope, axis=1)
+        step = np.sum(slope * error, axis=1) / (gain * (1 + damping) + 1e-12)
+        trial = c + np.clip(np.nan_to_num(step), -20.0, 20.0)
+        predicted, trial_slope = project_with_slope(rig, trial, translation, turn)
+        trial_error = image - predicted
+        trial_cost = np.sum(trial_error * trial_error, axis=1)
+        better = trial_cost < cost
+        settled = ~(better & (np.abs(trial - c) > 1e-10))
+        c = np.where(better, trial, c)
+        cost = np.where(better, trial_cost, cost)
+        error = np.where(better[:, None], trial_error, error)
+        slope = np.where(better[:, None], trial_slope, slope)
+        damping = np.where(better, damping / 10, damping * 10)
+        if np.all(settled & ((damping > 1e3) | better | ~np.isfinite(cost))):
+            break
+    seen = np.isfinite(image).all(axis=1)
+    return np.where(seen, c, np.nan), np.where(seen, np.sqrt(cost), np.nan)
+
+
+def coarse_range_deg(rig: Rig) -> tuple[float, float]:
+    """The bending angles that f_coarse gives over the motor's range."""
+    ends = [rig.coarse.gain * q + rig.coarse.offset for q in rig.actuator.range]
+    return min(ends), max(ends)
+
+
+def _nearest_on_grid(rig: Rig, image: Array, translation: Array, turn: Array) -> Array:
+    low, high = coarse_range_deg(rig)
+    margin = 0.25 * (high - low)
+    grid = np.linspace(low - margin, high + margin, 121)
+    best = np.full(len(image), (low + high) / 2)
+    if len(image) == 0:
+        return best
+    still = np.ptp(translation) == 0.0 and np.ptp(turn) == 0.0
+    smallest = np.full(len(image), np.inf)
+    if still:
+        candidates = project(rig, grid, translation[0], turn[0])
+    for i, c in enumerate(grid):
+        at = candidates[i] if still else project(rig, np.full(len(image), c), translation, turn)
+        distance = np.sum((image - at) ** 2, axis=1)
+        closer = distance < smallest
+        best[closer], smallest[closer] = c, distance[closer]
+    return best
