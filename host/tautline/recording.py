@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import shutil
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
+from tautline.columns import Columns, read_columns
+from tautline.errors import TautError
+from tautline.folders import replaced
 from tautline.rig import Rig
 
 Array = np.ndarray
+
+MAX_MOTOR_STEP_S = 1.0  # beyond it the times are not in seconds
+MAX_MOTOR_GAP_S = 3600.0
+VIDEO_NAMES = ("video.mkv", "video.mp4")
 
 
 @dataclass(frozen=True)
@@ -23,7 +32,7 @@ class Motor:
     translation_mm: Array | None = None  # along the base z axis; None = 0
     rotation_deg: Array | None = None  # about the base z axis; None = 0
     load_mNm: Array | None = None
-    extra: Mapping[str, Array] = field(default_factory=dict)
+    extra: Mapping[str, Array] = field(default_factory=dict)  # unknown columns, kept
 
 
 @dataclass(frozen=True)
@@ -35,6 +44,7 @@ class Marker:
     v_px: Array
     valid: Array  # bool
     sigma_px: Array | None = None
+    extra: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -43,12 +53,13 @@ class Angle:
 
     t_s: Array
     c_deg: Array
+    extra: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Video:
     path: Path
-    arrival_s: Array | None  # of each frame, from frames.csv; None: the container's times
+    arrival_s: Array | None  # of each frame, from frames.csv, NaN where it is not named; None: the container's times
 
 
 @dataclass(frozen=True)
@@ -60,5 +71,252 @@ class Recording:
     marker: Marker | None = None
     angle: Angle | None = None
     video: Video | None = None
-    rig: Rig | None = None
+    rig: Rig | None = None  # the rig.toml in its folder
     warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """Several recordings on one clock: add offset_s[i] to the times of recording i. Where `known` is false, the gap
+    between recording i and the one before it is unknown (it is drawn as GAP_S)."""
+
+    offset_s: tuple[float, ...]
+    known: tuple[bool, ...]
+
+
+GAP_S = 1.0
+
+
+def load(path: str | Path, rig: Rig | None = None) -> Recording:
+    """A recording's folder. `rig` wins over a rig.toml in the folder. Raises TautError with file, line and column."""
+    folder = _folder(path)
+    warnings: list[str] = []
+    own = _own_rig(folder, rig, warnings)
+    used = rig or own
+    if used is None:
+        raise TautError(f"{folder}: no rig.toml is here: name one with --rig")
+    motor = load_motor(folder, used, warnings)
+    marker = _load_marker(folder / "marker.csv", warnings) if (folder / "marker.csv").exists() else None
+    angle = _load_angle(folder / "angle.csv", warnings) if (folder / "angle.csv").exists() else None
+    video = _find_video(folder, marker is not None, warnings)
+    if marker is None and angle is None and video is None:
+        raise TautError(f"{folder}: holds no marker.csv, angle.csv, {' or '.join(VIDEO_NAMES)}: one of them is needed")
+    if marker is not None:
+        _check_overlap(folder / "motor.csv", motor.t_s, folder / "marker.csv", marker.t_s)
+    if angle is not None:
+        _check_overlap(folder / "motor.csv", motor.t_s, folder / "angle.csv", angle.t_s)
+    if video is not None and video.arrival_s is not None and marker is None:
+        _check_overlap(
+            folder / "motor.csv", motor.t_s, folder / "frames.csv", video.arrival_s[np.isfinite(video.arrival_s)]
+        )
+    return Recording(folder.name or str(folder), motor, marker, angle, video, own, tuple(warnings))
+
+
+def load_all(paths: Sequence[str | Path], rig: Rig | None = None) -> list[Recording]:
+    """Recordings in the order given, each on its own clock; `timeline` puts them on one."""
+    return [load(path, rig) for path in paths]
+
+
+def timeline(recordings: Sequence[Recording]) -> Timeline:
+    """Recordings share one clock where their times do not overlap; else they follow each other in the order given."""
+    offsets: list[float] = []
+    known: list[bool] = []
+    group: list[tuple[float, float]] = []  # spans that share the clock of the latest recording
+    end = -np.inf  # of all so far, on the common clock
+    for recording in recordings:
+        first, last = float(recording.motor.t_s[0]), float(recording.motor.t_s[-1])
+        shared = bool(group) and all(last <= lo or first >= hi for lo, hi in group)
+        if not shared and offsets:
+            group = []
+        offset = offsets[-1] if shared else (end + GAP_S - first if offsets else 0.0)
+        group.append((first, last))
+        offsets.append(offset)
+        known.append(shared or len(offsets) == 1)
+        end = max(end, last + offset)
+    return Timeline(tuple(offsets), tuple(known))
+
+
+def load_motor(path: str | Path, rig: Rig, warnings: list[str] | None = None) -> Motor:
+    """motor.csv of a recording's folder, in the rig's unit. All that a prediction needs."""
+    warnings = [] if warnings is None else warnings
+    file = _folder(path) / "motor.csv"
+    unit = rig.actuator.unit
+    q_name, other = f"q_{unit}", "q_deg" if unit == "mm" else "q_mm"
+    expected = f"t_s,{q_name}"
+    columns = read_columns(file, ["t_s"], expected)
+    if q_name not in columns.names:
+        if other in columns.names:
+            raise TautError(f'{file}: has column {other}, but the rig\'s actuator.unit is "{unit}": expected {q_name}')
+        raise columns.missing(q_name, expected)
+    t_s = columns.rising_times()
+    if len(t_s) < 2:
+        raise TautError(f"{file}: has a single row: expected encoder samples over some time")
+    step = np.diff(t_s)
+    if np.median(step) >= MAX_MOTOR_STEP_S:
+        raise TautError(f"{file}: rows are {np.median(step):.4g} s apart: expected 100 Hz or more, t_s in seconds")
+    if step.max() > MAX_MOTOR_GAP_S:
+        row = int(step.argmax()) + 1
+        raise TautError(
+            f"{file}, line {columns.line(row)}: t_s jumps from {t_s[row - 1]:.9g} to {t_s[row]:.9g} s: "
+            "split the recording there"
+        )
+    known = {
+        "q": q_name,
+        "q_cmd": f"q_cmd_{unit}",
+        "translation_mm": "translation_mm",
+        "rotation_deg": "rotation_deg",
+        "load_mNm": "load_mNm",
+    }
+    values = {}
+    for key, name in known.items():
+        if name not in columns.names:
+            continue
+        if key != "q" and not np.isfinite(columns.raw(name)).any():
+            columns.warnings.append(f"{file}: column {name} is empty: taken as absent")
+            continue
+        values[key] = columns.finite(name)
+    warnings += columns.warnings
+    return Motor(t_s=t_s, **values, extra=_extra(columns, {"t_s", *known.values()}))
+
+
+def save(recording: Recording, folder: str | Path) -> None:
+    """Writes the folder whole or not at all. A recording that was there is replaced; other files in it are kept."""
+    if recording.rig is None:
+        raise TautError(f"{folder}: a recording is saved with its rig, which names the unit of q")
+    with replaced(Path(folder), "motor.csv") as target:
+        motor, unit = recording.motor, recording.rig.actuator.unit
+        recording.rig.save(target / "rig.toml")
+        _write(
+            target / "motor.csv",
+            {
+                "t_s": motor.t_s,
+                f"q_{unit}": motor.q,
+                f"q_cmd_{unit}": motor.q_cmd,
+                "translation_mm": motor.translation_mm,
+                "rotation_deg": motor.rotation_deg,
+                "load_mNm": motor.load_mNm,
+                **motor.extra,
+            },
+        )
+        if (marker := recording.marker) is not None:
+            _write(
+                target / "marker.csv",
+                {
+                    "t_s": marker.t_s,
+                    "u_px": marker.u_px,
+                    "v_px": marker.v_px,
+                    "valid": marker.valid.astype(int),
+                    "sigma_px": marker.sigma_px,
+                    **marker.extra,
+                },
+            )
+        if (angle := recording.angle) is not None:
+            _write(target / "angle.csv", {"t_s": angle.t_s, "c_deg": angle.c_deg, **angle.extra})
+        if (video := recording.video) is not None:
+            shutil.copyfile(video.path, target / f"video{video.path.suffix}")
+            if video.arrival_s is not None:
+                seen = np.flatnonzero(np.isfinite(video.arrival_s))
+                _write(target / "frames.csv", {"frame": seen, "t_s": video.arrival_s[seen]})
+
+
+def _folder(path: str | Path) -> Path:
+    folder = Path(path)
+    if not folder.exists():
+        raise TautError(f"{folder}: there is no such folder: a recording is a folder with motor.csv")
+    if not folder.is_dir():
+        raise TautError(f"{folder}: is a file: a recording is the folder that holds motor.csv")
+    return folder
+
+
+def _own_rig(folder: Path, rig: Rig | None, warnings: list[str]) -> Rig | None:
+    path = folder / "rig.toml"
+    if not path.exists():
+        return None
+    try:
+        return Rig.load(path)
+    except TautError as error:
+        if rig is None:
+            raise
+        warnings.append(f"{error} (ignored: another rig was named)")
+        return None
+
+
+def _load_marker(file: Path, warnings: list[str]) -> Marker:
+    expected = "t_s,u_px,v_px"
+    columns = read_columns(file, ["t_s", "u_px", "v_px"], expected)
+    t_s = columns.rising_times()
+    u_px, v_px = columns.raw("u_px"), columns.raw("v_px")
+    seen = np.isfinite(u_px) & np.isfinite(v_px)
+    valid = columns.flags("valid") if "valid" in columns.names else np.ones(len(t_s), dtype=bool)
+    if lost := int(np.sum(valid & ~seen)):
+        columns.warnings.append(f"{file}: {lost} rows without finite u_px, v_px: taken as not valid")
+        valid = valid & seen
+    sigma_px = None
+    if "sigma_px" in columns.names:
+        sigma_px = columns.raw("sigma_px")
+        if not np.all(np.isfinite(sigma_px[valid]) & (sigma_px[valid] > 0)):
+            columns.warnings.append(f"{file}: sigma_px is not above 0 in every valid row: the column is ignored")
+            sigma_px = None
+    warnings += columns.warnings
+    return Marker(
+        t_s,
+        np.where(valid, u_px, np.nan),
+        np.where(valid, v_px, np.nan),
+        valid,
+        sigma_px,
+        _extra(columns, {"t_s", "u_px", "v_px", "valid", "sigma_px"}),
+    )
+
+
+def _load_angle(file: Path, warnings: list[str]) -> Angle:
+    columns = read_columns(file, ["t_s", "c_deg"], "t_s,c_deg")
+    t_s = columns.rising_times()
+    c_deg = columns.raw("c_deg")
+    keep = np.isfinite(c_deg)
+    if not keep.any():
+        raise TautError(f"{file}: c_deg holds no number")
+    if not keep.all():
+        columns.warnings.append(f"{file}: {int(np.sum(~keep))} rows have no finite c_deg and were left out")
+    warnings += columns.warnings
+    extra = {name: values[keep] for name, values in _extra(columns, {"t_s", "c_deg"}).items()}
+    return Angle(t_s[keep], c_deg[keep], extra)
+
+
+def _find_video(folder: Path, tracked: bool, warnings: list[str]) -> Video | None:
+    path = next((folder / name for name in VIDEO_NAMES if (folder / name).exists()), None)
+    if path is None:
+        return None
+    file = folder / "frames.csv"
+    if not file.exists():
+        if not tracked:
+            warnings.append(
+                f"{path}: no frames.csv beside it: the container's times are used, with the first frame at 0"
+            )
+        return Video(path, None)
+    columns = read_columns(file, ["frame", "t_s"], "frame,t_s")
+    t_s = columns.rising_times()
+    frames = columns.finite("frame")
+    if np.any(frames != np.floor(frames)) or frames[0] < 0 or np.any(np.diff(frames) <= 0) or frames[-1] > 1e8:
+        raise TautError(f"{file}: column frame must hold rising whole numbers from 0 on")
+    arrival_s = np.full(int(frames[-1]) + 1, np.nan)
+    arrival_s[frames.astype(np.int64)] = t_s
+    warnings += columns.warnings
+    return Video(path, arrival_s)
+
+
+def _check_overlap(motor_file: Path, motor_s: Array, file: Path, t_s: Array) -> None:
+    if t_s[0] <= motor_s[-1] and t_s[-1] >= motor_s[0]:
+        return
+    raise TautError(
+        f"{file}: times {t_s[0]:.6g} to {t_s[-1]:.6g} s do not overlap {motor_file.name}'s "
+        f"{motor_s[0]:.6g} to {motor_s[-1]:.6g} s: both must be seconds of one clock"
+    )
+
+
+def _extra(columns: Columns, known: set[str]) -> dict[str, Array]:
+    return {name: columns.frame[name].to_numpy() for name in columns.names if name and name not in known}
+
+
+def _write(path: Path, columns: Mapping[str, Array | None]) -> None:
+    present = {name: values for name, values in columns.items() if values is not None}
+    pd.DataFrame(present).to_csv(path, index=False, lineterminator="\n")

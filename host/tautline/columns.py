@@ -1,0 +1,229 @@
+"""CSV files of numbers: one header line, comma-separated, decimal points. Every error names file, line and column."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from tautline.errors import TautError
+
+Array = np.ndarray
+
+MAX_REPEATED_TIMES = 0.01  # share of rows whose time repeats the row before: beyond it the clock is too coarse
+
+
+@dataclass
+class Columns:
+    """A CSV file's columns as text, turned into numbers where asked. `warnings` collects what was repaired."""
+
+    path: Path
+    frame: pd.DataFrame
+    terminated: bool  # the last line ends in a newline
+    text: str
+    warnings: list[str] = field(default_factory=list)
+
+    @property
+    def names(self) -> list[str]:
+        return [str(name) for name in self.frame.columns]
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    def line(self, row: int) -> int:
+        """The line number in the file of a row, counted from 1."""
+        numbers = [number for number, line in enumerate(_lines(self.text), 1) if line.strip()]
+        return numbers[min(int(self.frame.index[row]) + 1, len(numbers) - 1)]  # the first of them is the header
+
+    def missing(self, name: str, expected: str) -> TautError:
+        return TautError(f"{self.path}: column {name} is missing (found {', '.join(self.names)}): expected {expected}")
+
+    def raw(self, name: str) -> Array:
+        """(n,) float64, NaN where the cell is empty or NaN; an error where it is not a number."""
+        column = self.frame[name]
+        if pd.api.types.is_numeric_dtype(column) and not pd.api.types.is_bool_dtype(column):
+            return column.to_numpy(dtype=np.float64, na_value=np.nan)
+        numbers = pd.to_numeric(column.astype("string").str.strip(), errors="coerce")
+        bad = np.flatnonzero((numbers.isna() & column.notna()).to_numpy())
+        if bad.size:
+            cell = str(column.iloc[bad[0]])[:24]
+            raise TautError(f"{self.path}, line {self.line(bad[0])}: {name} is {cell!r}, expected a number")
+        return numbers.to_numpy(dtype=np.float64, na_value=np.nan)
+
+    def finite(self, name: str) -> Array:
+        """(n,) float64; an error where a cell is empty, NaN or infinite."""
+        values = self.raw(name)
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            what = "empty or NaN" if np.isnan(values[bad[0]]) else "infinite"
+            others = f" (and {bad.size - 1} more)" if bad.size > 1 else ""
+            raise TautError(
+                f"{self.path}, line {self.line(bad[0])}: {name} is {what}{others}, expected a finite number"
+            )
+        return values
+
+    def flags(self, name: str) -> Array:
+        """(n,) bool from 0/1 or true/false."""
+        column = self.frame[name]
+        if pd.api.types.is_bool_dtype(column):
+            return column.to_numpy(dtype=bool)
+        words = column.astype("string").str.strip().str.lower()
+        values = pd.to_numeric(words.replace({"true": "1", "false": "0"}), errors="coerce")
+        bad = np.flatnonzero((~values.isin([0, 1])).to_numpy())
+        if bad.size:
+            cell = str(column.iloc[bad[0]])[:24]
+            raise TautError(f"{self.path}, line {self.line(bad[0])}: {name} is {cell!r}, expected 0 or 1")
+        return values.to_numpy(dtype=bool)
+
+    def drop_truncated(self, required: Sequence[str]) -> None:
+        """Leaves out a last line that was cut while it was written, with a warning."""
+        if self.terminated or len(self) < 2:
+            return
+        *earlier, last = [line.split(",") for line in _lines(self.text[-4096:]) if line.strip()][-12:]
+        decimals = {_decimals(cells[-1]) for cells in earlier[1:]}  # one number of them: a fixed format
+        cut = len(last) < len(self.names) or (len(decimals) == 1 and _decimals(last[-1]) < min(decimals))
+        if not cut:
+            try:
+                cells = [float(self.frame[name].iloc[-1]) for name in required if name in self.frame]
+                times = self.frame["t_s"].iloc[-2:].astype(float).to_numpy()
+                cut = not np.isfinite(cells).all() or not times[1] > times[0]
+            except (ValueError, TypeError, KeyError):
+                cut = True
+        if cut:
+            self.frame = self.frame.iloc[:-1]
+            self.warnings.append(f"{self.path}: the last line is cut short and was left out")
+
+    def rising_times(self) -> Array:
+        """t_s, made strictly rising: rows that repeat the time before them are left out with a warning."""
+        t_s = self.finite("t_s")
+        step = np.diff(t_s)
+        back = np.flatnonzero(step < 0)
+        if back.size:
+            row = int(back[0]) + 1
+            raise TautError(
+                f"{self.path}, line {self.line(row)}: t_s goes back from {t_s[row - 1]:.9g} to {t_s[row]:.9g}: "
+                "times must rise, on one clock"
+            )
+        repeated = np.flatnonzero(step == 0) + 1
+        if repeated.size == 0:
+            return t_s
+        if repeated.size > max(1.0, MAX_REPEATED_TIMES * len(t_s)):
+            raise TautError(
+                f"{self.path}, line {self.line(int(repeated[0]))}: t_s repeats in {repeated.size} of {len(t_s)} rows: "
+                "write the times with more digits"
+            )
+        keep = np.ones(len(t_s), dtype=bool)
+        keep[repeated] = False
+        self.frame = self.frame[keep]
+        self.warnings.append(f"{self.path}: {repeated.size} rows that repeat the time before them were left out")
+        return t_s[keep]
+
+
+def read_columns(path: Path, required: Iterable[str], expected: str) -> Columns:
+    """`expected` is the header line that errors show. Needs `required` columns and at least one row."""
+    text, terminated = _read_text(path)
+    header = re.search(r"[^\r\n]*\S[^\r\n]*", text)
+    if header is None:
+        raise TautError(f"{path}: the file is empty: expected the header line {expected} and rows of numbers")
+    header_line = len(_lines(text[: header.start()]))
+    names = _header(path, header[0], header_line, expected)
+    body = text[header.end() :]
+    if not body.strip():
+        raise TautError(f"{path}: has a header line but no rows")
+    try:
+        frame = pd.read_csv(io.StringIO(body), header=None, low_memory=False, skipinitialspace=True)
+    except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError, OverflowError, csv.Error) as error:
+        raise _uneven(path, text, header_line, len(names)) from error
+    extra = frame.iloc[:, len(names) :]
+    if extra.notna().to_numpy().any():
+        raise _uneven(path, text, header_line, len(names))
+    frame = frame.iloc[:, : len(names)]
+    for missing in range(frame.shape[1], len(names)):
+        frame[missing] = np.nan
+    frame.columns = pd.Index(names)
+    columns = Columns(path, frame, terminated, text)
+    for name in required:
+        if name not in names:
+            raise columns.missing(name, expected)
+    columns.drop_truncated(list(required))
+    return columns
+
+
+def read_times(path: Path) -> tuple[list[str], Array]:
+    """Column t_s of any CSV file: the cells as they are written, and as numbers (n,). Any order, any other columns."""
+    columns = read_columns(path, ["t_s"], "a column t_s")
+    times = columns.finite("t_s")
+    index = columns.names.index("t_s")
+    rows = csv.reader(line for line in _lines(columns.text) if line.strip())
+    cells = [row[index].strip() for row in list(rows)[1 : len(times) + 1]]
+    return cells, times
+
+
+def _read_text(path: Path) -> tuple[str, bool]:
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError as error:
+        raise TautError(f"{path}: there is no such file") from error
+    except OSError as error:
+        raise TautError(f"{path}: cannot be read ({error.strerror})") from error
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise TautError(f"{path}: is UTF-16 text: save it as UTF-8")
+    if b"\0" in data:
+        raise TautError(f"{path}: is not a text file (byte 0 at {data.index(0)}): expected comma-separated numbers")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise TautError(
+            f"{path}: is not a UTF-8 text file (byte {error.start}): expected comma-separated numbers"
+        ) from error
+    return text, data.endswith((b"\n", b"\r"))
+
+
+def _lines(text: str) -> list[str]:
+    return re.split(r"\r\n|\n|\r", text)
+
+
+def _decimals(cell: str) -> int:
+    return len(cell.strip().partition(".")[2])
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell.replace(",", "."))
+    except ValueError:
+        return False
+    return True
+
+
+def _header(path: Path, line: str, number: int, expected: str) -> list[str]:
+    for separator, word in ((";", "semicolons"), ("\t", "tabs")):
+        if separator in line and "," not in line:
+            raise TautError(
+                f"{path}, line {number}: columns are separated by {word}: expected commas and decimal points"
+            )
+    names = [name.strip().strip('"') for name in line.split(",")]
+    if all(_is_number(name) for name in names):
+        raise TautError(f"{path}, line {number}: holds numbers where the header line {expected} is expected")
+    while names and not names[-1]:
+        names.pop()
+    for name in names:
+        if name and names.count(name) > 1:
+            raise TautError(f"{path}, line {number}: column {name[:24]} is there twice")
+    return names
+
+
+def _uneven(path: Path, text: str, header_line: int, count: int) -> TautError:
+    for number, line in enumerate(_lines(text)[header_line:], header_line + 1):
+        cells = line.rstrip(", \t").split(",")
+        if len(cells) > count:
+            hint = " (decimal commas?)" if len(cells) == 2 * count else ""
+            return TautError(
+                f"{path}, line {number}: has {len(cells)} cells, the header line has {count} columns{hint}"
+            )
+    return TautError(f"{path}: cannot be read as comma-separated numbers (an unclosed quotation mark?)")

@@ -1,0 +1,64 @@
+"""Output folders: written beside their place and renamed into it, so that a failure leaves what was there."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from tautline.errors import TautError
+
+
+def check_replaceable(folder: Path, key_file: str) -> None:
+    """Only a new or empty folder, or an earlier result (one that holds `key_file`), may be written to."""
+    if folder.is_dir():
+        if (folder / key_file).exists() or not any(folder.iterdir()):
+            return
+        raise TautError(f"{folder}: holds other files and no {key_file}: name a new folder")
+    if folder.exists():
+        raise TautError(f"{folder}: is a file: name a folder")
+
+
+@contextmanager
+def replaced(folder: Path, key_file: str) -> Iterator[Path]:
+    """A temporary folder to write into; it takes `folder`'s place when the block ends without an error. Files of an
+    earlier result that are not written again are kept."""
+    folder = folder.absolute()
+    check_replaceable(folder, key_file)
+    temporary = folder.with_name(f".{folder.name}.{os.getpid()}.new")
+    retired = temporary.with_suffix(".old")
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        temporary.mkdir()
+        yield temporary
+        if folder.exists():
+            for old in folder.iterdir():
+                if not (temporary / old.name).exists():
+                    (shutil.copytree if old.is_dir() else shutil.copy2)(old, temporary / old.name)
+            folder.rename(retired)
+        try:
+            temporary.rename(folder)
+        except OSError:
+            if retired.exists():
+                retired.rename(folder)
+            raise
+    except OSError as error:
+        raise TautError(f"{folder}: cannot be written ({error.strerror or error}): name another folder") from error
+    finally:
+        for leftover in (temporary, retired):
+            shutil.rmtree(leftover, ignore_errors=True)
+
+
+def write_file(path: Path, text: str) -> None:
+    """Text into a file, whole or not at all."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_text(text, encoding="utf-8", newline="")
+        temporary.replace(path)
+    except OSError as error:
+        with suppress(OSError):
+            temporary.unlink()
+        raise TautError(f"{path}: cannot be written ({error.strerror or error})") from error
