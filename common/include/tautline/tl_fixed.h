@@ -43,4 +43,36 @@ static inline int32_t tl_clamp(int32_t x, int32_t low, int32_t high) {
     return x < low ? low : (x > high ? high : x);
 }
 
+static inline int32_t tl_abs_sat(int32_t x) { return x == INT32_MIN ? INT32_MAX : (x < 0 ? -x : x); }
+
+/// Upper half of the 64-bit product, by four 16-bit ones: exact, about 17 cycles on a Cortex-M0+.
+static inline uint32_t tl_mul_high(uint32_t a, uint32_t b) {
+    const uint32_t a0 = a & 0xFFFFU, a1 = a >> 16, b0 = b & 0xFFFFU, b1 = b >> 16;
+    const uint32_t low = a1 * b0 + (a0 * b0 >> 16); // at most 0xFFFE0001 + 0xFFFE: no carry is lost
+    const uint32_t middle = a0 * b1 + (low & 0xFFFFU);
+    return a1 * b1 + (low >> 16) + (middle >> 16);
+}
+
+/// a + (b - a) t / 2^16, t < 2^16, rounded to nearest. Two products. b - a must not overflow.
+static inline int32_t tl_lerp(int32_t a, int32_t b, uint32_t t) {
+    const int32_t difference = b - a;
+    const uint32_t low = ((uint32_t)difference & 0xFFFFU) * t + 0x8000U;
+    return a + (difference >> 16) * (int32_t)t + (int32_t)(low >> 16);
+}
+
+/// A positive ratio numerator/denominator kept for multiplying: mantissa * 2^(shift - 32), 2^31 <= mantissa.
+typedef struct {
+    uint32_t mantissa;
+    int8_t shift;
+} tl_scale_t;
+
+/// The ratio to 2^-32 of itself. Both at least 1 and below 2^31. One 64-bit division: for load time.
+tl_scale_t tl_scale_of(uint32_t numerator, uint32_t denominator);
+
+/// x * ratio, rounded down, for x < 2^31 and a result below 2^31 (the caller sees to that). No division.
+static inline uint32_t tl_scale(uint32_t x, tl_scale_t ratio) {
+    return ratio.shift >= 0 ? tl_mul_high(x << ratio.shift, ratio.mantissa)
+                            : tl_mul_high(x, ratio.mantissa) >> -ratio.shift;
+}
+
 #endif

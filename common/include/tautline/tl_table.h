@@ -1,0 +1,139 @@
+/// The table blob: what calibration found, as it travels from host to board and lies in flash.
+///
+/// A table says, for one axis: the backlash width B(p) and the remaining function c = f(p) on one grid of
+/// motor positions p, the coarse kinematics, and the limits within which they may be used. Both functions
+/// are linear between nodes and held beyond the grid's ends, on board and host alike. Nothing derived
+/// travels: inverses, the range of c and the flat spans are worked out by tl_lookup_load(), so they cannot
+/// disagree with f. A table without nodes is the identity: B = 0 and f is the coarse kinematics.
+///
+/// Blob, format TL_TABLE_FORMAT, little-endian, integers in two's complement, no padding:
+///
+///   offset size  field
+///        0    4  magic "TLTB"
+///        4    2  format: TL_TABLE_FORMAT (the firmware has a version of its own)
+///        6    2  size of the whole blob in bytes: 92 + 8 * nodes
+///        8    1  axis, 0..3
+///        9    1  kind of axis, tl_axis_kind_t: says what c is (deg, or mm for a translation)
+///       10    1  unit of motor positions, tl_unit_t
+///       11    1  step_log2: the grid's step is 2^step_log2 Q8 counts, 0..23
+///       12    2  nodes: 0, or 2..257
+///       14    2  strength, Q15, 0..32768: the share of B that is compensated unless the host says otherwise
+///       16    4  nano-units per encoder count, unsigned, > 0 (1 um per count: 1000000 nano-mm)
+///       20    4  q0, Q8 counts: position of the first node (0 without nodes)
+///       24    4  q_min, Q8 counts: the motor is never sent below it
+///       28    4  q_max, Q8 counts: nor above it
+///       32    4  coarse c at q_min, deg Q16
+///       36    4  coarse c at q_max, deg Q16: the coarse kinematics is the line through the two
+///       40    4  speed_max, Q8 counts/s, > 0: of the motor, in all
+///       44    4  take-up speed, Q8 counts/s, > 0: added to the feed while backlash is crossed
+///       48    4  take-up acceleration, counts/s^2 (Q0), > 0
+///       52    4  reversal band, Q8 counts, >= 0: p must turn back by more than it to count as a reversal
+///       56    4  least slope of f, deg/count Q24, >= 0; flatter spans are treated as the next field says
+///       60    4  flat speed, Q8 counts/s: 0 = refuse a table with flatter spans; > 0 = cross them at this
+///                motor speed at most
+///       64    4  camera delay t_delay, us, unsigned, at most 2 s
+///       68    4  created, seconds since 1970, unsigned
+///       72    8  model id: any bytes by which the host knows the model again
+///       80    8  reserved, zero
+///       88  4*n  B, Q8 counts, n = nodes
+///   88+4*n  4*n  f, deg Q16
+///   88+8*n    4  CRC-32 (tl_crc.h) of everything before it
+///
+/// Thread model: functions touch only their arguments. Encoding, decoding and checking are for load time:
+/// O(nodes), about 60 us per 100 nodes on a 125 MHz Cortex-M0+, no division.
+#ifndef TAUTLINE_TL_TABLE_H
+#define TAUTLINE_TL_TABLE_H
+
+#include "tautline/tl_fixed.h"
+
+#include <stddef.h>
+
+#define TL_TABLE_FORMAT        1U
+#define TL_TABLE_AXES          4U
+#define TL_TABLE_NODES_MAX     257U
+#define TL_TABLE_STEP_LOG2_MAX 23U
+#define TL_TABLE_DELAY_MAX_US  2000000U
+#define TL_TABLE_HEADER_SIZE   88U
+#define TL_TABLE_SIZE(nodes)   (TL_TABLE_HEADER_SIZE + 8U * (nodes) + 4U)
+#define TL_TABLE_SIZE_MAX      TL_TABLE_SIZE(TL_TABLE_NODES_MAX) ///< 2148: a 4096-byte flash sector has room for more
+#define TL_TABLE_ANY_AXIS      0xFFU
+/// Positions, position -+ B/2 and angles stay within +-TL_TABLE_VALUE_MAX, so that differences never overflow.
+#define TL_TABLE_VALUE_MAX ((int32_t)0x3FFFFFFF)
+
+typedef enum { TL_AXIS_BENDING = 0, TL_AXIS_TRANSLATION = 1, TL_AXIS_ROTATION = 2 } tl_axis_kind_t;
+typedef enum { TL_UNIT_MM = 0, TL_UNIT_DEG = 1 } tl_unit_t;
+
+/// Why a table is refused: name, and the text that board and host show.
+#define TL_TABLE_REASONS(X)                                                                                  \
+    X(SHORT, "the blob is shorter than a table's header")                                                    \
+    X(MAGIC, "not a table: the magic number is missing")                                                     \
+    X(FORMAT, "the table has another format version: flash matching firmware or write the table again")      \
+    X(SIZE, "the size in the header is not the blob's size")                                                 \
+    X(CRC, "the CRC-32 does not match: the table was damaged on its way")                                    \
+    X(RESERVED, "reserved bytes, or the grid of a table without nodes, are not zero")                        \
+    X(AXIS, "the table is for another axis, or for none that exists")                                        \
+    X(KIND, "the kind of axis is not bending, translation or rotation")                                      \
+    X(UNIT, "the unit is not mm or deg")                                                                     \
+    X(SCALE, "the scale is zero units per count")                                                            \
+    X(NODES, "a table has no node (identity) or 2 to 257 nodes")                                             \
+    X(STEP, "the grid step is not 2^0 to 2^23 Q8 counts")                                                    \
+    X(RANGE, "the motor range is empty or reaches beyond the grid")                                          \
+    X(SATURATES, "a span saturates: a position with half its width, or an angle, is too large to compute with") \
+    X(STRENGTH, "the strength is not between 0 and 1")                                                       \
+    X(LIMITS, "a speed, acceleration, band or slope limit is out of its range")                              \
+    X(DELAY, "the camera delay is more than 2 s")                                                            \
+    X(COARSE, "the coarse kinematics is flat or falls where f rises: check the sign of its gain")            \
+    X(WIDTH_NEGATIVE, "a backlash width is negative")                                                        \
+    X(WIDTH_STEEP, "the backlash width changes by 2 or more per unit of motion (|B'| >= 2): no unique inverse") \
+    X(NOT_MONOTONE, "f_remain is not strictly rising or strictly falling")                                   \
+    X(FLAT, "f_remain is flatter somewhere than the stated least slope, and no flat speed is given to cross it")
+
+#define TL_TABLE_REASON_NAME(name, text) TL_TABLE_BAD_##name,
+typedef enum { TL_TABLE_OK = 0, TL_TABLE_REASONS(TL_TABLE_REASON_NAME) TL_TABLE_REASON_COUNT } tl_table_reason_t;
+
+/// A blob's content. 2.1 kB; fields as in the layout above.
+typedef struct {
+    uint8_t axis;
+    uint8_t kind; ///< tl_axis_kind_t
+    uint8_t unit; ///< tl_unit_t
+    uint8_t step_log2;
+    uint16_t nodes;
+    uint16_t strength_q15;
+    uint32_t nano_units_per_count;
+    tl_count_q8_t q0;
+    tl_count_q8_t q_min;
+    tl_count_q8_t q_max;
+    tl_deg_q16_t coarse_c_min; ///< at q_min
+    tl_deg_q16_t coarse_c_max; ///< at q_max
+    int32_t speed_max_q8;      ///< counts/s
+    int32_t takeup_speed_q8;   ///< counts/s
+    int32_t takeup_accel;      ///< counts/s^2
+    tl_count_q8_t band;
+    int32_t slope_min_q24;  ///< deg/count
+    int32_t flat_speed_q8;  ///< counts/s
+    uint32_t delay_us;
+    uint32_t created_s;
+    uint8_t model_id[8];
+    tl_count_q8_t width[TL_TABLE_NODES_MAX]; ///< B
+    tl_deg_q16_t angle[TL_TABLE_NODES_MAX];  ///< f
+} tl_table_t;
+
+/// The first thing found that makes a table's content unfit, or
+/// TL_TABLE_OK. `axis`: the one that it must be for, or TL_TABLE_ANY_AXIS.
+tl_table_reason_t tl_table_check(const tl_table_t *table, uint8_t axis);
+
+/// Writes the blob; returns its size, or 0 if `capacity` is too small or nodes > TL_TABLE_NODES_MAX.
+/// Content is not checked, so that tests can make bad blobs. `blob` may have any alignment.
+size_t tl_table_encode(const tl_table_t *table, uint8_t *blob, size_t capacity);
+
+/// Reads and checks a blob of `size` bytes from anywhere (flash included). On any reason but TL_TABLE_OK the
+/// content of `table` is unspecified and must not be used. Safe on any bytes.
+tl_table_reason_t tl_table_decode(const uint8_t *blob, size_t size, uint8_t axis, tl_table_t *table);
+
+/// Whether f is flatter than the stated least slope between nodes `span` and `span` + 1. O(1).
+bool tl_table_span_is_flat(const tl_table_t *table, unsigned span);
+
+/// A sentence for a person; never NULL, lives for ever.
+const char *tl_table_reason_text(tl_table_reason_t reason);
+
+#endif

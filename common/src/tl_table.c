@@ -1,0 +1,224 @@
+#include "tautline/tl_table.h"
+
+#include "tautline/tl_crc.h"
+
+#include <string.h>
+
+static const uint8_t magic[4] = {'T', 'L', 'T', 'B'};
+
+// The header's fields in their order (offset, bytes, type, name) serve writing and reading alike.
+#define HEADER_FIELDS(X)                                                                                     \
+    X(8, 1, uint8_t, axis)                                                                                   \
+    X(9, 1, uint8_t, kind)                                                                                   \
+    X(10, 1, uint8_t, unit)                                                                                  \
+    X(11, 1, uint8_t, step_log2)                                                                             \
+    X(12, 2, uint16_t, nodes)                                                                                \
+    X(14, 2, uint16_t, strength_q15)                                                                         \
+    X(16, 4, uint32_t, nano_units_per_count)                                                                 \
+    X(20, 4, int32_t, q0)                                                                                    \
+    X(24, 4, int32_t, q_min)                                                                                 \
+    X(28, 4, int32_t, q_max)                                                                                 \
+    X(32, 4, int32_t, coarse_c_min)                                                                          \
+    X(36, 4, int32_t, coarse_c_max)                                                                          \
+    X(40, 4, int32_t, speed_max_q8)                                                                          \
+    X(44, 4, int32_t, takeup_speed_q8)                                                                       \
+    X(48, 4, int32_t, takeup_accel)                                                                          \
+    X(52, 4, int32_t, band)                                                                                  \
+    X(56, 4, int32_t, slope_min_q24)                                                                         \
+    X(60, 4, int32_t, flat_speed_q8)                                                                         \
+    X(64, 4, uint32_t, delay_us)                                                                             \
+    X(68, 4, uint32_t, created_s)
+
+enum { MODEL_ID_AT = 72, RESERVED_AT = 80, RESERVED_SIZE = 8 };
+
+static void put(uint8_t *at, uint32_t value, unsigned size) {
+    for (unsigned i = 0; i < size; i++) {
+        at[i] = (uint8_t)(value >> (8U * i));
+    }
+}
+
+static uint32_t get(const uint8_t *at, unsigned size) {
+    uint32_t value = 0;
+    for (unsigned i = 0; i < size; i++) {
+        value |= (uint32_t)at[i] << (8U * i);
+    }
+    return value;
+}
+
+size_t tl_table_encode(const tl_table_t *table, uint8_t *blob, size_t capacity) {
+    if (table->nodes > TL_TABLE_NODES_MAX || capacity < TL_TABLE_SIZE(table->nodes)) {
+        return 0;
+    }
+    const size_t size = TL_TABLE_SIZE(table->nodes);
+    memcpy(blob, magic, sizeof magic);
+    put(blob + 4, TL_TABLE_FORMAT, 2);
+    put(blob + 6, (uint32_t)size, 2);
+#define PUT(offset, bytes, type, name) put(blob + (offset), (uint32_t)table->name, bytes);
+    HEADER_FIELDS(PUT)
+#undef PUT
+    memcpy(blob + MODEL_ID_AT, table->model_id, sizeof table->model_id);
+    memset(blob + RESERVED_AT, 0, RESERVED_SIZE);
+    uint8_t *at = blob + TL_TABLE_HEADER_SIZE;
+    for (unsigned i = 0; i < table->nodes; i++, at += 4) {
+        put(at, (uint32_t)table->width[i], 4);
+    }
+    for (unsigned i = 0; i < table->nodes; i++, at += 4) {
+        put(at, (uint32_t)table->angle[i], 4);
+    }
+    put(at, tl_crc32(0, blob, size - 4), 4);
+    return size;
+}
+
+tl_table_reason_t tl_table_decode(const uint8_t *blob, size_t size, uint8_t axis, tl_table_t *table) {
+    if (size < TL_TABLE_SIZE(0U)) {
+        return TL_TABLE_BAD_SHORT;
+    }
+    if (memcmp(blob, magic, sizeof magic) != 0) {
+        return TL_TABLE_BAD_MAGIC;
+    }
+    if (get(blob + 4, 2) != TL_TABLE_FORMAT) {
+        return TL_TABLE_BAD_FORMAT;
+    }
+    if (get(blob + 6, 2) != size) {
+        return TL_TABLE_BAD_SIZE;
+    }
+    if (get(blob + size - 4, 4) != tl_crc32(0, blob, size - 4)) {
+        return TL_TABLE_BAD_CRC;
+    }
+    for (unsigned i = 0; i < RESERVED_SIZE; i++) {
+        if (blob[RESERVED_AT + i] != 0) {
+            return TL_TABLE_BAD_RESERVED;
+        }
+    }
+#define GET(offset, bytes, type, name) table->name = (type)get(blob + (offset), bytes);
+    HEADER_FIELDS(GET)
+#undef GET
+    memcpy(table->model_id, blob + MODEL_ID_AT, sizeof table->model_id);
+    if (table->nodes > TL_TABLE_NODES_MAX || TL_TABLE_SIZE(table->nodes) != size) {
+        return table->nodes > TL_TABLE_NODES_MAX ? TL_TABLE_BAD_NODES : TL_TABLE_BAD_SIZE;
+    }
+    const uint8_t *at = blob + TL_TABLE_HEADER_SIZE;
+    for (unsigned i = 0; i < table->nodes; i++, at += 4) {
+        table->width[i] = (int32_t)get(at, 4);
+    }
+    for (unsigned i = 0; i < table->nodes; i++, at += 4) {
+        table->angle[i] = (int32_t)get(at, 4);
+    }
+    return tl_table_check(table, axis);
+}
+
+static bool beyond(int32_t value) {
+    return value > TL_TABLE_VALUE_MAX || value < -TL_TABLE_VALUE_MAX;
+}
+
+static bool outside(int32_t value, int32_t low, int32_t high) {
+    return value < low || value > high;
+}
+
+static tl_table_reason_t check_header(const tl_table_t *t, uint8_t axis) {
+    if (t->axis >= TL_TABLE_AXES || (axis != TL_TABLE_ANY_AXIS && axis != t->axis)) {
+        return TL_TABLE_BAD_AXIS;
+    }
+    if (t->kind > TL_AXIS_ROTATION) {
+        return TL_TABLE_BAD_KIND;
+    }
+    if (t->unit > TL_UNIT_DEG) {
+        return TL_TABLE_BAD_UNIT;
+    }
+    if (t->nano_units_per_count == 0) {
+        return TL_TABLE_BAD_SCALE;
+    }
+    if (t->nodes == 1 || t->nodes > TL_TABLE_NODES_MAX) {
+        return TL_TABLE_BAD_NODES;
+    }
+    if (t->step_log2 > TL_TABLE_STEP_LOG2_MAX) {
+        return TL_TABLE_BAD_STEP;
+    }
+    if (beyond(t->q0) || beyond(t->q_min) || beyond(t->q_max) || beyond(t->coarse_c_min) || beyond(t->coarse_c_max)) {
+        return TL_TABLE_BAD_SATURATES;
+    }
+    if (t->q_min >= t->q_max) {
+        return TL_TABLE_BAD_RANGE;
+    }
+    if (t->strength_q15 > TL_RATIO_ONE) {
+        return TL_TABLE_BAD_STRENGTH;
+    }
+    if (outside(t->speed_max_q8, 1, TL_TABLE_VALUE_MAX) || outside(t->takeup_speed_q8, 1, TL_TABLE_VALUE_MAX) ||
+        outside(t->takeup_accel, 1, INT32_MAX) || outside(t->band, 0, TL_TABLE_VALUE_MAX) ||
+        outside(t->slope_min_q24, 0, INT32_MAX) || outside(t->flat_speed_q8, 0, TL_TABLE_VALUE_MAX)) {
+        return TL_TABLE_BAD_LIMITS;
+    }
+    if (t->delay_us > TL_TABLE_DELAY_MAX_US) {
+        return TL_TABLE_BAD_DELAY;
+    }
+    if (t->coarse_c_min == t->coarse_c_max) {
+        return TL_TABLE_BAD_COARSE;
+    }
+    return TL_TABLE_OK;
+}
+
+bool tl_table_span_is_flat(const tl_table_t *table, unsigned span) {
+    // deg Q16 per step, times 2^16 / step, is deg per count in Q24.
+    const int32_t rise = table->angle[span + 1U] - table->angle[span];
+    const uint64_t magnitude = (uint32_t)(rise < 0 ? -rise : rise);
+    return magnitude << 16 < (uint64_t)(uint32_t)table->slope_min_q24 << table->step_log2;
+}
+
+static tl_table_reason_t check_nodes(const tl_table_t *t) {
+    const int64_t grid_end = t->q0 + ((int64_t)(t->nodes - 1) << t->step_log2);
+    if (t->q_min < t->q0 || t->q_max > grid_end) {
+        return TL_TABLE_BAD_RANGE;
+    }
+    const bool rises = t->angle[1] > t->angle[0];
+    if (rises != (t->coarse_c_max > t->coarse_c_min)) {
+        return TL_TABLE_BAD_COARSE;
+    }
+    const int32_t steep = (int32_t)2 << t->step_log2;
+    for (unsigned i = 0; i < t->nodes; i++) {
+        const int64_t p = t->q0 + ((int64_t)i << t->step_log2);
+        if (t->width[i] < 0) {
+            return TL_TABLE_BAD_WIDTH_NEGATIVE;
+        }
+        const int64_t half = t->width[i] - (t->width[i] >> 1);
+        if (beyond(t->angle[i]) || p + half > TL_TABLE_VALUE_MAX || p - half < -TL_TABLE_VALUE_MAX) {
+            return TL_TABLE_BAD_SATURATES;
+        }
+        if (i > 0) {
+            const int32_t slope = t->width[i] - t->width[i - 1U]; // neither is negative: no overflow
+            if (slope >= steep || slope <= -steep) {
+                return TL_TABLE_BAD_WIDTH_STEEP;
+            }
+            if (t->angle[i] == t->angle[i - 1U] || (t->angle[i] > t->angle[i - 1U]) != rises) {
+                return TL_TABLE_BAD_NOT_MONOTONE;
+            }
+        }
+    }
+    for (unsigned i = 0; i + 1U < t->nodes && t->flat_speed_q8 == 0; i++) {
+        if (tl_table_span_is_flat(t, i)) {
+            return TL_TABLE_BAD_FLAT;
+        }
+    }
+    return TL_TABLE_OK;
+}
+
+tl_table_reason_t tl_table_check(const tl_table_t *table, uint8_t axis) {
+    const tl_table_reason_t reason = check_header(table, axis);
+    if (reason != TL_TABLE_OK) {
+        return reason;
+    }
+    if (table->nodes == 0) {
+        return table->q0 != 0 || table->step_log2 != 0 ? TL_TABLE_BAD_RESERVED : TL_TABLE_OK;
+    }
+    return check_nodes(table);
+}
+
+const char *tl_table_reason_text(tl_table_reason_t reason) {
+    static const char *const text[] = {
+        "valid",
+#define TEXT(name, words) words,
+        TL_TABLE_REASONS(TEXT)
+#undef TEXT
+    };
+    const unsigned index = (unsigned)reason;
+    return index < TL_TABLE_REASON_COUNT ? text[index] : "unknown reason";
+}
