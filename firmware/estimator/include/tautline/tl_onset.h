@@ -1,0 +1,148 @@
+/// Onset detector of one axis: the width of the backlash at each reversal, from marker samples and the encoder history.
+///
+/// After a reversal at motor position q1 the image stands still until the backlash is crossed at q2; the width there is
+/// B((q1 + q2) / 2) = |q2 - q1| (paper, eq. 1). Both edges are knots of the image position as a function of the motor
+/// position at scene time (arrival - t_delay), not of time, so the motion needs no constant speed:
+///   image stop   the line of the approach meets the level; beyond q1 by what t_delay is wrong times the speed
+///   image start  level, then level + slope (q - q2): the least-squares hinge, a fraction of a frame fine
+/// The slope is a vector in the image; nothing is assumed about its direction. Noise is estimated in place, from the
+/// stated sigma of the samples at first and more and more from the still image itself.
+///
+/// An onset is confirmed when the generalised likelihood ratio of hinge against standstill, its noise unknown, passes
+/// `threshold` (false alarms: see there), and then as soon as its sigma is `sigma_wanted`, or `frames_max` frames were
+/// seen, or more frames would cost more by the curvature of the image's path than they gain.
+///
+/// Use: tl_onset_sample() for every frame, also for those without a marker; tl_onset_poll() at 10 Hz or faster, for
+/// time-outs when no frames come. Each returns true when a reversal is finished and `*onset` was written. Thread model:
+/// all calls for one detector from one thread, below the control loop; the control loop only pushes the history.
+/// Memory: 1.3 kB for each axis. Cost: bounded for every call: it walks the history entries since the last sample (at
+/// most 500) and scans the window once, TL_ONSET_WINDOW candidate knots with one 64-bit division each.
+/// Errors: a reason in the result. No call fails.
+#ifndef TAUTLINE_TL_ONSET_H
+#define TAUTLINE_TL_ONSET_H
+
+#include "tautline/tl_history.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#ifndef TL_ONSET_WINDOW
+#define TL_ONSET_WINDOW 64 ///< samples after a turn that may still hold the knot; older ones are merged into the level
+#endif
+#if TL_ONSET_WINDOW < 16 || TL_ONSET_WINDOW > 64
+#error "TL_ONSET_WINDOW must be 16 to 64: fewer hide slow onsets, more overflow the 64-bit sums"
+#endif
+#define TL_ONSET_APPROACH 16 ///< samples before a turn that the line of the approach is made of, at most
+
+#define TL_ONSET_UNKNOWN INT32_MAX ///< in tl_onset_t: not measured
+
+typedef enum {
+    TL_ONSET_USED = 0,
+    TL_ONSET_NOT_ON_ENVELOPE, ///< the image did not move before the turn: the backlash was not entered from its edge
+    TL_ONSET_NO_START,        ///< the stroke ended before the image moved: width is a lower bound
+    TL_ONSET_OTHER_MOTION,    ///< another degree of freedom moved during the reversal
+    TL_ONSET_MARKER_LOST,     ///< the marker was away for longer than lost_us during the reversal
+    TL_ONSET_TIMED_OUT,       ///< neither an onset nor a turn within timeout_us
+    TL_ONSET_TOO_FEW_SAMPLES, ///< the level or the motion after it rests on fewer than frames_min frames
+    TL_ONSET_SLOPE_TOO_SMALL, ///< the image moves too little for its noise (near the straight pose): sigma > sigma_usable
+} tl_onset_reason_t;
+
+/// One reversal. Positions and widths in Q8 counts; a sigma is one standard deviation.
+typedef struct {
+    tl_us_t turn_us;          ///< when the motor turned
+    tl_us_t start_us;         ///< scene time of the image start; turn_us without one
+    tl_count_q8_t q1;         ///< where the motor turned
+    tl_count_q8_t q2;         ///< image start, TL_ONSET_UNKNOWN without one
+    tl_count_q8_t width;      ///< |q2 - q1|; with TL_ONSET_NO_START the lower bound; else TL_ONSET_UNKNOWN
+    tl_count_q8_t sigma;      ///< of width, TL_ONSET_UNKNOWN without an image start
+    tl_count_q8_t stop;       ///< how far beyond q1, along the approach, the image stopped; TL_ONSET_UNKNOWN
+    tl_count_q8_t sigma_stop; ///< of stop, TL_ONSET_UNKNOWN
+    int32_t speed_stop;       ///< |dq/dt| on the approach, Q8 counts/s: stop / speed_stop is true - nominal t_delay
+    int32_t speed_start;      ///< |dq/dt| across the image start, Q8 counts/s
+    int32_t slope;            ///< |d(image)/dq| after the start, px Q12 for 256 counts
+    tl_px_q12_t noise;        ///< of the marker, each coordinate, as measured so far
+    int8_t direction;         ///< sign of dq after the turn
+    uint8_t reason;           ///< tl_onset_reason_t; TL_ONSET_USED: it counts
+    uint16_t frames;          ///< valid samples between the turn and the end of the reversal
+} tl_onset_t;
+
+/// One frame's marker.
+typedef struct {
+    tl_us_t arrival_us; ///< when the frame arrived, board time; must rise, else the sample is ignored
+    tl_px_q12_t u, v;   ///< image position, within +-4096 px
+    tl_px_q12_t sigma;  ///< its stated standard deviation, each coordinate; 0: not stated, noise_px is taken
+    bool valid;         ///< false: the frame came, the marker was not found
+    bool other_motion;  ///< translation or rotation moved, or the scene did: this reversal does not count
+} tl_marker_t;
+
+/// tl_onset_defaults() fills it in; speeds and lengths there suit the reference rig (0.001 mm a count, 25 Hz).
+typedef struct {
+    uint32_t delay_us;          ///< nominal t_delay, 0 to 400000; 80000
+    uint32_t guard_us;          ///< t_delay's uncertainty: frames this close after a turn are in neither line; 20000
+    uint32_t lost_us;           ///< a marker away for longer spoils the reversal; 400000
+    uint32_t timeout_us;        ///< longest time from a turn to its onset; 30000000
+    tl_count_q8_t turn;         ///< a retreat from the extreme by this much is a turn; 4 counts
+    tl_count_q8_t sigma_wanted; ///< an onset as good as this is finished; 1.5 counts
+    tl_count_q8_t sigma_usable; ///< one worse than this is not used; 25 counts
+    tl_px_q12_t noise_px;       ///< marker noise to begin with where a sample states none; 0.1 px
+    uint32_t curvature;         ///< relative change of slope along the path, 1/2^20 for a count; 400 is 0.38/mm at 1 um
+    uint16_t threshold;         ///< likelihood ratio (2 ln) that confirms, Q4; 36: 1e-4 false alarms a reversal of 200 frames
+    uint8_t frames_min;         ///< fewest frames on the level and after the knot, 3 or more; 3
+    uint8_t frames_max;         ///< frames after the knot that end a reversal in any case, < TL_ONSET_WINDOW; 32
+} tl_onset_config_t;
+
+/// A sample as the sums need it. Q4 counts and Q8 pixels relative to a reference keep 64-bit sums from overflowing.
+typedef struct {
+    int32_t x;      ///< motor travel from the turn, Q4 counts
+    int32_t u, v;   ///< image position from the reference, Q8 px
+    uint32_t t_us;  ///< scene time, low word
+    int32_t weight; ///< (noise_px / sigma)^2, Q4, 1 to 64
+} tl_onset_sample_t;
+
+/// Fields are the module's own, but `ignored`, `lost` and `missed` may be read as counters.
+typedef struct {
+    tl_onset_config_t config;
+    tl_us_t scanned_us;      ///< history seen up to here
+    tl_us_t extreme_us;      ///< when the motor was farthest along its direction
+    tl_us_t turn_us;
+    tl_us_t seen_us;         ///< scene time of the last valid sample
+    tl_us_t arrival_us;      ///< arrival of the last sample
+    tl_count_q8_t extreme;
+    tl_count_q8_t turn_q;
+    tl_px_q12_t ref_u, ref_v;
+    int8_t direction;        ///< of the motor; 0 until it moved
+    uint8_t phase;
+    bool on_envelope;        ///< an onset was seen since the last turn: the tip follows
+    bool spoilt;             ///< other motion since the turn
+    uint16_t frames;
+    uint8_t used, first;     ///< window: samples held, index of the oldest
+    tl_onset_sample_t window[TL_ONSET_WINDOW];
+    int64_t level_w, level_u, level_v, level_uu; ///< weighted sums of samples merged into the level
+    int32_t level_n;
+    int64_t noise_sum;       ///< weighted squared residuals, Q8 px squared, of noise_dof degrees of freedom
+    int32_t noise_dof;
+    tl_onset_t partial;      ///< of the reversal under way: what the turn and the approach gave
+    int32_t approach_slope;
+    uint32_t ignored;        ///< samples whose time did not rise
+    uint32_t lost;           ///< frames without a marker, or whose scene time the history did not hold
+    uint32_t missed;         ///< reversals that began and ended between two frames
+} tl_onset_detector_t;
+
+tl_onset_config_t tl_onset_defaults(void);
+
+/// Forgets everything; false, and the detector is unusable, if a field of `config` is out of its range.
+bool tl_onset_init(tl_onset_detector_t *detector, const tl_onset_config_t *config);
+
+/// Takes in one frame. True: a reversal is finished, `*onset` says how.
+bool tl_onset_sample(tl_onset_detector_t *detector, const tl_history_t *history, const tl_marker_t *marker,
+                     tl_onset_t *onset);
+
+/// Ends a reversal whose time is out or whose frames no longer come. True as above.
+bool tl_onset_poll(tl_onset_detector_t *detector, const tl_history_t *history, tl_us_t now_us, tl_onset_t *onset);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif
