@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 
 import click
@@ -52,7 +53,8 @@ def taut() -> None:
 
 
 def main() -> None:
-    """Exit status: 0 on success, 2 on a usage error, 1 otherwise, after one line that says what to do."""
+    """Exit status: 0 on success, 2 on a usage error, 1 otherwise, after one line that says what to do.
+    TAUT_TRACEBACK=1 shows where an error that nobody foresaw comes from."""
     try:
         taut(standalone_mode=False)
     except click.ClickException as error:
@@ -65,4 +67,10 @@ def main() -> None:
         click.echo(f"taut: {error}", err=True)
         sys.exit(1)
     except BrokenPipeError:
+        sys.exit(1)
+    except Exception as error:
+        if os.environ.get("TAUT_TRACEBACK"):
+            raise
+        what = " ".join(str(error).split())
+        click.echo(f"taut: internal error, {type(error).__name__}: {what} (TAUT_TRACEBACK=1 shows where)", err=True)
         sys.exit(1)

@@ -1,0 +1,113 @@
+"""What the commands share: --json, --rig, progress on stderr, warnings.
+
+A command ends with `emit(result, as_json, text)`. The core's `progress(fraction, text)` comes from `progress_bar`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from tautline.errors import TautError
+from tautline.recording import Recording, load_all
+from tautline.rig import Rig
+
+Progress = Callable[[float, str], None]
+
+json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object on stdout.")
+rig_option = click.option(
+    "--rig",
+    "rig_path",
+    type=click.Path(path_type=Path),
+    help="The rig file; wins over a rig.toml in a recording.",
+)
+
+
+def folder_option(name: str, help: str, required: bool = True) -> Callable[[Any], Any]:
+    """An option that names an output folder, such as --out."""
+    return click.option(name, type=click.Path(path_type=Path), required=required, help=help)
+
+
+@contextmanager
+def progress_bar(title: str) -> Iterator[Progress]:
+    """A bar on stderr, fed with (fraction 0 to 1, what is being done); silent where stderr is no terminal."""
+    if not sys.stderr.isatty():
+        yield lambda fraction, text: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+
+    columns = (
+        TextColumn("[bold]{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[text]}"),
+    )
+    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(title, total=1.0, text="")
+        yield lambda fraction, text: bar.update(task, completed=min(max(fraction, 0.0), 1.0), text=text)
+
+
+def log(text: str) -> None:
+    click.echo(text, err=True)
+
+
+def warn(text: str) -> None:
+    click.echo(f"taut: warning: {text}", err=True)
+
+
+def emit(result: Mapping[str, Any], as_json: bool, text: str) -> None:
+    """The command's result on stdout: one JSON object, or text for a person."""
+    click.echo(json.dumps(plain(result), allow_nan=False) if as_json else text)
+
+
+def plain(value: Any) -> Any:
+    """Arrays, paths and numpy scalars as JSON has them; NaN and infinities become null."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Path):
+        return str(value)
+    return value
+
+
+def read_recordings(paths: Sequence[Path], rig_path: Path | None) -> tuple[list[Recording], Rig]:
+    """Recordings and the rig that holds for them: --rig, else the one beside the first recording that has one.
+    Prints their warnings."""
+    if rig_path is not None:
+        rig = Rig.load(rig_path)
+        recordings = load_all(paths, rig)
+    else:
+        rig = _own_rig(paths)
+        recordings = load_all(paths, rig)
+        for recording in recordings:
+            if recording.rig is not None and recording.rig != rig:
+                raise TautError(
+                    f"{recording.name}: its rig.toml differs from the one used for the others: say which with --rig"
+                )
+    for recording in recordings:
+        for warning in recording.warnings:
+            warn(warning)
+    return recordings, rig
+
+
+def _own_rig(paths: Sequence[Path]) -> Rig:
+    for path in paths:
+        if (path / "rig.toml").exists():
+            return Rig.load(path / "rig.toml")
+    raise TautError(f"{paths[0]}: no rig.toml is in it: name one with --rig")
