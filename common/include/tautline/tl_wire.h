@@ -1,0 +1,440 @@
+/// Every message between board and host, and the frame it travels in.
+///
+/// Each message is one field list below. The C structs, their encoding, and (through the native module) the host's
+/// Python view come from these lists; nothing about a message is written down anywhere else.
+///
+/// A frame on the bulk pipe, little-endian, no padding:
+///
+///     magic u16 | type u8 | header check u8 | payload length u16 | sequence u16 | payload | CRC-32 u32
+///
+/// The header check (see tl_wire_frame) lets a receiver drop a false header at once; the CRC covers header and payload.
+/// Frames are length-prefixed and may start anywhere in a packet: short packets and zero-length packets mean nothing.
+/// A receiver that finds garbage looks for the next magic number and loses nothing that was whole.
+///
+/// Requests carry a sequence of the host's; the reply carries the same one. What a board sends unasked counts in a
+/// sequence of its own, so that a gap shows. A request is answered by the reply that its comment names, or by `error`.
+/// `set_point` and `marker` are answered only when refused.
+///
+/// A newer minor version adds messages and appends fields: a receiver takes a longer payload than it knows and ignores
+/// the rest, and refuses a shorter one. Anything else raises the major version (also in USB's bcdDevice).
+#ifndef TAUTLINE_TL_WIRE_H
+#define TAUTLINE_TL_WIRE_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#define TL_WIRE_MAJOR       1
+#define TL_WIRE_MINOR       0
+#define TL_WIRE_USB_VENDOR  0x1209U ///< pid.codes
+#define TL_WIRE_USB_PRODUCT 0x0001U ///< its test product: for development, never to be sold under
+#define TL_WIRE_USB_MANUFACTURER "tautline"
+#define TL_WIRE_USB_PACKET  64U ///< of both bulk endpoints, 0x01 and 0x81, of interface 0; interface 1 is DFU
+
+#define TL_WIRE_MAGIC       0x7E54U
+#define TL_WIRE_HEADER_SIZE 8U
+#define TL_WIRE_CRC_SIZE    4U
+#define TL_WIRE_PAYLOAD_MAX 256U
+#define TL_WIRE_FRAME_MAX   (TL_WIRE_HEADER_SIZE + TL_WIRE_PAYLOAD_MAX + TL_WIRE_CRC_SIZE)
+
+#define TL_WIRE_AXES_MAX 4U
+#define TL_WIRE_ALL_AXES 0xFFU ///< accepted as `axis` by enable (off only), safe_stop, clear_fault, telemetry
+#define TL_WIRE_BATCH_SAMPLES 8U ///< telemetry samples in a frame
+#define TL_WIRE_KEY      0x74617574U ///< what reboot asks for, so that no stray byte restarts a board
+
+// Field lists: F(kind, name, doc) is one value, A(kind, name, count, doc) an array. Kinds: u8 u16 u32 u64 i8 i16 i32, and
+// text (count bytes, padded with 0). Suffixes as in tl_fixed.h; _q8 counts, _q16 deg, _q12 px, _q15 ratio or duty.
+
+// -- host to board ----------------------------------------------------------------------------------------------
+
+#define TL_WIRE_FIELDS_HELLO(F, A)                                                                                     \
+    F(u16, protocol_major, "the host's")                                                                               \
+    F(u16, protocol_minor, "the host's")
+
+#define TL_WIRE_FIELDS_PING(F, A) F(u64, host_us, "host's clock, echoed")
+
+#define TL_WIRE_FIELDS_GET_STATUS(F, A) F(u8, axis, "")
+
+#define TL_WIRE_FIELDS_GET_COUNTERS(F, A) F(u8, clear, "1: back to 0 after this reading")
+
+#define TL_WIRE_FIELDS_ENABLE(F, A)                                                                                    \
+    F(u8, axis, "or all (off only)")                                                                                   \
+    F(u8, on, "1: hold where it is; 0: motor off. An axis that moves is brought to rest within its limits first")
+
+#define TL_WIRE_FIELDS_FOLLOW(F, A)                                                                                    \
+    F(u8, axis, "enabled, at rest")                                                                                    \
+    F(u8, target, "what set_point's value is: 0 motor position, 1 configuration, through the tables")                  \
+    F(u32, silence_us, "without a set_point for so long the axis comes to rest and holds; 0: the default, 100 ms")
+
+#define TL_WIRE_FIELDS_SET_POINT(F, A)                                                                                 \
+    F(u8, axis, "following")                                                                                           \
+    F(i32, value, "counts Q8 or deg Q16, as follow said")                                                              \
+    F(u64, at_us, "board time at which it holds; reached in a straight line from the one before. 0: at once")
+
+#define TL_WIRE_FIELDS_MOVE(F, A)                                                                                      \
+    F(u8, axis, "enabled, not calibrating")                                                                            \
+    F(i32, q_q8, "counts: go there within speed and acceleration, then hold")                                          \
+    F(i32, speed_q8_s, "counts/s; 0: the limit")
+
+#define TL_WIRE_FIELDS_STRENGTH(F, A)                                                                                  \
+    F(u8, axis, "")                                                                                                    \
+    F(i32, strength_q15, "0: no compensation of the lost motion, 32768: all of it")
+
+#define TL_WIRE_FIELDS_SET_POSITION(F, A)                                                                              \
+    F(u8, axis, "motor off")                                                                                           \
+    F(i32, q_q8, "counts: what the present position is from now on")
+
+#define TL_WIRE_FIELDS_LIMITS(F, A)                                                                                    \
+    F(u8, axis, "")                                                                                                    \
+    F(i32, q_low_q8, "counts")                                                                                         \
+    F(i32, q_high_q8, "counts")                                                                                        \
+    F(i32, speed_q8_s, "counts/s")                                                                                     \
+    F(i32, acceleration_q8_s2, "counts/s2")                                                                            \
+    F(i32, take_up_speed_q8_s, "counts/s across the backlash")                                                         \
+    F(i32, take_up_acceleration_q8_s2, "counts/s2 across the backlash")                                                \
+    F(i32, duty_q15, "most drive, 0 to 32768")                                                                         \
+    F(i32, current_ma, "mean over 20 ms above which the axis faults; 0: not watched")                                  \
+    F(i32, following_error_q8, "counts between reference and position above which the axis faults")
+
+#define TL_WIRE_FIELDS_GET_LIMITS(F, A) F(u8, axis, "")
+
+#define TL_WIRE_FIELDS_SERVO(F, A)                                                                                     \
+    F(u8, axis, "motor off")                                                                                           \
+    F(i32, proportional, "duty Q15 per count")                                                                         \
+    F(i32, integral, "duty Q15 per count and second")                                                                  \
+    F(i32, derivative, "duty Q15 per 1000 counts/s")                                                                   \
+    F(i32, feed_forward, "duty Q15 per 1000 counts/s of the reference")                                                \
+    F(i32, friction_q15, "duty in the direction of the reference's motion: the dead band")
+
+#define TL_WIRE_FIELDS_GET_SERVO(F, A) F(u8, axis, "")
+
+#define TL_WIRE_FIELDS_TELEMETRY(F, A)                                                                                 \
+    F(u8, axis, "or all")                                                                                              \
+    F(u8, divider, "1: 1 kHz, n: 1 kHz / n, 0: off. Off after a reset of board or bus")
+
+#define TL_WIRE_FIELDS_MARKER(F, A)                                                                                    \
+    F(u8, valid, "0: the frame shows no marker")                                                                       \
+    F(u64, t_us, "board time at which the frame arrived")                                                              \
+    F(i32, u_q12, "px")                                                                                                \
+    F(i32, v_q12, "px")                                                                                                \
+    F(i32, sigma_q12, "px, one standard deviation per coordinate; 0: unknown")
+
+#define TL_WIRE_FIELDS_MOTION_START(F, A)                                                                              \
+    F(u8, axis, "enabled, at rest")                                                                                    \
+    F(i32, low_q8, "counts: the range to visit")                                                                       \
+    F(i32, high_q8, "counts")                                                                                          \
+    F(i32, step_q8, "counts between neighbouring reversals of one direction")                                          \
+    F(i32, stroke_q8, "counts: longest back-stroke")                                                                   \
+    A(i32, speed_q8_s, 4, "counts/s of the passes; 0 ends the list")                                                   \
+    F(u32, delay_us, "nominal time from scene to arrival of a frame")                                                  \
+    F(u32, frame_us, "nominal frame period")
+
+#define TL_WIRE_FIELDS_MOTION_STOP(F, A) F(u8, axis, "")
+#define TL_WIRE_FIELDS_SAFE_STOP(F, A)   F(u8, axis, "or all: motor off at once, compensation off, from any state")
+#define TL_WIRE_FIELDS_CLEAR_FAULT(F, A) F(u8, axis, "or all")
+
+#define TL_WIRE_FIELDS_CLEAR_TABLE(F, A) F(u8, axis, "all motors off; both slots are erased, the axis is identity")
+
+#define TL_WIRE_FIELDS_REBOOT(F, A)                                                                                    \
+    F(u32, key, "TL_WIRE_KEY")                                                                                         \
+    F(u8, bootloader, "1: into the chip's boot loader, to be given new firmware")
+
+// -- board to host ----------------------------------------------------------------------------------------------
+
+#define TL_WIRE_FIELDS_IDENTITY(F, A)                                                                                  \
+    F(u16, protocol_major, "")                                                                                         \
+    F(u16, protocol_minor, "")                                                                                         \
+    A(u8, firmware, 3, "version: major, minor, patch")                                                                 \
+    F(u8, axes, "1 to 4")                                                                                              \
+    F(u16, table_version, "format of the table blob that it reads")                                                    \
+    F(u16, table_nodes_max, "")                                                                                        \
+    F(u32, control_hz, "")                                                                                             \
+    F(u64, t_us, "board time")                                                                                         \
+    F(u8, boot, "why it started: TL_WIRE_BOOTS")                                                                       \
+    A(text, port, 16, "which board: desktop, rp2040")                                                                  \
+    A(text, serial, 32, "")                                                                                            \
+    A(text, build, 32, "")
+
+#define TL_WIRE_FIELDS_PONG(F, A)                                                                                      \
+    F(u64, host_us, "as the ping's")                                                                                   \
+    F(u64, t_us, "board time")
+
+#define TL_WIRE_FIELDS_STATUS(F, A)                                                                                    \
+    F(u8, axis, "")                                                                                                    \
+    F(u8, mode, "TL_WIRE_MODES")                                                                                       \
+    F(u8, fault, "TL_WIRE_FAULTS; stays until cleared")                                                                \
+    F(u8, table, "TL_WIRE_TABLES")                                                                                     \
+    F(u8, table_reason, "why the last table was refused: tl_table.h's reason, 0 none")                                 \
+    F(u16, flags, "TL_WIRE_FLAGS")                                                                                     \
+    F(u32, table_sequence, "rises by one with each table stored; 0: none")                                             \
+    F(u32, table_crc, "CRC-32 of the blob in use")                                                                     \
+    F(u64, t_us, "")                                                                                                   \
+    F(u64, fault_us, "when the fault came")                                                                            \
+    F(i32, q_q8, "counts, measured")                                                                                   \
+    F(i32, q_ref_q8, "counts, reference")                                                                              \
+    F(i32, c_ref_q16, "deg, demanded")                                                                                 \
+    F(i32, c_est_q16, "deg, estimated from q by the play operator and f_remain")                                       \
+    F(i32, duty_q15, "")                                                                                               \
+    F(i32, current_ma, "")                                                                                             \
+    F(i32, strength_q15, "")
+
+#define TL_WIRE_FIELDS_COUNTERS(F, A)                                                                                  \
+    F(u64, t_us, "")                                                                                                   \
+    F(u32, frames_in, "whole frames received")                                                                         \
+    F(u32, bytes_bad, "received bytes that belong to no whole frame")                                                  \
+    F(u32, requests_refused, "answered by error")                                                                      \
+    F(u32, frames_out, "handed to USB")                                                                                \
+    F(u32, replies_dropped, "no room: the host did not read")                                                          \
+    F(u32, telemetry_dropped, "samples that found no room")                                                            \
+    F(u32, onsets_dropped, "no room")                                                                                  \
+    F(u32, events_dropped, "no room")                                                                                  \
+    F(u32, set_points, "accepted")                                                                                     \
+    F(u32, set_points_late, "their time had passed: taken at once")                                                    \
+    F(u32, set_points_dropped, "queue full, or refused")                                                               \
+    F(u32, markers, "accepted")                                                                                        \
+    F(u32, markers_dropped, "out of order, from the future or older than the encoder history")                         \
+    F(u32, silences, "senders that went silent")                                                                       \
+    F(u32, overruns, "control steps that were late")                                                                   \
+    F(u32, bus_resets, "")                                                                                             \
+    F(u32, flash_erases, "")                                                                                           \
+    F(u32, flash_programs, "")
+
+#define TL_WIRE_FIELDS_BATCH(F, A)                                                                                     \
+    F(u8, axis, "")                                                                                                    \
+    F(u8, count, "samples filled, the others are 0")                                                                   \
+    F(u16, period_us, "")                                                                                              \
+    F(u64, t_us, "of the first sample")                                                                                \
+    A(i32, q_q8, 8, "counts")                                                                                          \
+    A(i32, q_ref_q8, 8, "counts")                                                                                      \
+    A(i32, p_q8, 8, "counts: the play's centre coordinate, estimated")                                                 \
+    A(i32, c_ref_q16, 8, "deg")                                                                                        \
+    A(i32, c_est_q16, 8, "deg")                                                                                        \
+    A(i16, duty_q15, 8, "32768 is shown as 32767")                                                                     \
+    A(u16, flags, 8, "TL_WIRE_FLAGS")
+
+#define TL_WIRE_FIELDS_ONSET(F, A)                                                                                     \
+    F(u8, axis, "")                                                                                                    \
+    F(i8, direction, "sign of dq after the reversal")                                                                  \
+    F(u8, verdict, "0: used; else tl_onset.h's reason why it does not count")                                          \
+    F(u16, index, "counts reversals from the motion's start")                                                          \
+    F(i32, q1_q8, "counts: where the motor turned")                                                                    \
+    F(i32, q2_q8, "counts: where the image began to move; width = |q2 - q1|")                                          \
+    F(i32, width_q8, "counts")                                                                                         \
+    F(i32, sigma_q8, "counts, of the width")                                                                           \
+    F(u64, stop_us, "scene time at which the image stopped; 0: not seen")                                              \
+    F(u64, start_us, "scene time at which it started")                                                                 \
+    F(u32, stop_sigma_us, "")                                                                                          \
+    F(i32, noise_q12, "px, measured while still")
+
+#define TL_WIRE_FIELDS_PROGRESS(F, A)                                                                                  \
+    F(u8, axis, "")                                                                                                    \
+    F(u8, state, "TL_WIRE_MOTIONS")                                                                                    \
+    F(u16, done, "reversals made")                                                                                     \
+    F(u16, total, "reversals planned")                                                                                 \
+    F(u64, t_us, "")
+
+#define TL_WIRE_FIELDS_EVENT(F, A)                                                                                     \
+    F(u8, axis, "")                                                                                                    \
+    F(u8, event, "TL_WIRE_EVENTS")                                                                                     \
+    F(u8, fault, "TL_WIRE_FAULTS")                                                                                     \
+    F(u8, mode, "TL_WIRE_MODES, after it")                                                                             \
+    F(u64, t_us, "")
+
+#define TL_WIRE_FIELDS_ACK(F, A) F(u8, request, "type of the request that was done")
+
+#define TL_WIRE_FIELDS_ERROR(F, A)                                                                                     \
+    F(u8, request, "type of the request that was refused")                                                             \
+    F(u8, reason, "TL_WIRE_REASONS")
+
+// -- M(code, NAME, name, doc) -----------------------------------------------------------------------------------
+
+#define TL_WIRE_MESSAGES(M)                                                                                            \
+    M(0x01, HELLO, hello, "-> identity; answered whatever the version")                                                \
+    M(0x02, PING, ping, "-> pong")                                                                                     \
+    M(0x03, GET_STATUS, get_status, "-> status")                                                                       \
+    M(0x04, GET_COUNTERS, get_counters, "-> counters")                                                                 \
+    M(0x05, ENABLE, enable, "-> ack")                                                                                  \
+    M(0x06, FOLLOW, follow, "-> ack")                                                                                  \
+    M(0x07, SET_POINT, set_point, "no answer unless refused")                                                          \
+    M(0x08, MOVE, move, "-> ack; an event when it is there")                                                           \
+    M(0x09, STRENGTH, strength, "-> ack")                                                                              \
+    M(0x0A, SET_POSITION, set_position, "-> ack")                                                                      \
+    M(0x0B, LIMITS, limits, "-> ack; as an answer: get_limits'")                                                       \
+    M(0x0C, GET_LIMITS, get_limits, "-> limits")                                                                       \
+    M(0x0D, SERVO, servo, "-> ack; as an answer: get_servo's")                                                         \
+    M(0x0E, GET_SERVO, get_servo, "-> servo")                                                                          \
+    M(0x0F, TELEMETRY, telemetry, "-> ack, then batch")                                                                \
+    M(0x10, MARKER, marker, "no answer unless refused")                                                                \
+    M(0x11, MOTION_START, motion_start, "-> ack, then onset and progress")                                             \
+    M(0x12, MOTION_STOP, motion_stop, "-> ack; comes to rest within limits, then holds")                               \
+    M(0x13, SAFE_STOP, safe_stop, "-> ack")                                                                            \
+    M(0x14, CLEAR_FAULT, clear_fault, "-> ack")                                                                        \
+    M(0x15, CLEAR_TABLE, clear_table, "-> ack")                                                                        \
+    M(0x16, REBOOT, reboot, "-> ack, then the board is gone from the bus")                                             \
+    M(0x80, ACK, ack, "")                                                                                              \
+    M(0x81, ERROR, error, "")                                                                                          \
+    M(0x82, IDENTITY, identity, "")                                                                                    \
+    M(0x83, PONG, pong, "")                                                                                            \
+    M(0x84, STATUS, status, "")                                                                                        \
+    M(0x85, COUNTERS, counters, "")                                                                                    \
+    M(0x90, BATCH, batch, "unasked: telemetry of one axis")                                                            \
+    M(0x91, ONSET, onset, "unasked: one reversal, during a calibration motion")                                        \
+    M(0x92, PROGRESS, progress, "unasked: after each reversal and at the motion's end")                                \
+    M(0x93, EVENT, event, "unasked")
+
+// -- codes: C(code, NAME, text) ---------------------------------------------------------------------------------
+
+#define TL_WIRE_REASONS(C)                                                                                             \
+    C(1, UNKNOWN_TYPE, "this firmware does not know the message: flash newer firmware")                                \
+    C(2, SHORT, "the message is too short: host and board speak different versions")                                   \
+    C(3, AXIS, "the board has no such axis")                                                                           \
+    C(4, RANGE, "a value is out of its range")                                                                         \
+    C(5, FAULT, "the axis has a fault: read its status, then clear the fault")                                         \
+    C(6, OFF, "the axis is off: enable it first")                                                                      \
+    C(7, NOT_OFF, "the axis is enabled: switch it off first")                                                          \
+    C(8, BUSY, "the axis is moving: wait until it rests, or stop it")                                                  \
+    C(9, NOT_FOLLOWING, "the axis does not follow set-points: send follow first")                                      \
+    C(10, QUEUE_FULL, "more set-points ahead of time than the board holds")                                            \
+    C(11, NO_TABLE, "the axis has no table: flash one first")                                                          \
+    C(12, FLASH, "the flash could not be written")                                                                     \
+    C(13, KEY, "wrong key")                                                                                            \
+    C(14, MOTION, "the calibration motion does not fit: check range, step, stroke and speeds")
+
+#define TL_WIRE_FAULTS(C)                                                                                              \
+    C(0, NONE, "none")                                                                                                 \
+    C(1, FOLLOWING, "the motor did not follow: blocked, unpowered, or encoder disconnected")                           \
+    C(2, CURRENT, "motor current over its limit")                                                                      \
+    C(3, POSITION, "position beyond its limits")                                                                       \
+    C(4, HOST_LOST, "the host was lost during a calibration motion")                                                   \
+    C(5, TABLE, "no valid table in either slot, though one was stored")                                                \
+    C(6, OVERRUN, "control steps came late")                                                                           \
+    C(7, WATCHDOG, "the firmware hung and was restarted by the watchdog")                                              \
+    C(8, STOPPED, "stopped by safe_stop")                                                                              \
+    C(9, ENCODER, "the encoder jumped")
+
+#define TL_WIRE_MODES(C)                                                                                               \
+    C(0, OFF, "motor off")                                                                                             \
+    C(1, HOLD, "holds its position")                                                                                   \
+    C(2, MOVE, "moves to a position")                                                                                  \
+    C(3, FOLLOW_MOTOR, "follows motor positions")                                                                      \
+    C(4, FOLLOW_TIP, "follows configurations through the tables")                                                      \
+    C(5, CALIBRATE, "calibration motion")                                                                              \
+    C(6, STOPPING, "comes to rest, then holds")                                                                        \
+    C(7, STOPPING_OFF, "comes to rest, then switches off")
+
+#define TL_WIRE_TABLES(C)                                                                                              \
+    C(0, NONE, "none: identity")                                                                                       \
+    C(1, NEWEST, "the newest stored one")                                                                              \
+    C(2, OLDER, "the one before: the newest is damaged")                                                               \
+    C(3, BAD, "none of those stored is valid")
+
+#define TL_WIRE_FLAGS(C)                                                                                               \
+    C(0x0001, ENABLED, "the motor is driven")                                                                          \
+    C(0x0002, AT_REST, "the reference rests")                                                                          \
+    C(0x0004, FAULT, "faulted")                                                                                        \
+    C(0x0008, SATURATED_RANGE, "the command is beyond the tables or the position limits: held at the end")             \
+    C(0x0010, SATURATED_SPEED, "the command is faster than the limits")                                                \
+    C(0x0020, SATURATED_DUTY, "the drive is at its limit")                                                             \
+    C(0x0040, TAKE_UP, "crossing the backlash")                                                                        \
+    C(0x0080, COMPENSATING, "tables in use")                                                                           \
+    C(0x0100, SILENT, "the last sender went silent")
+
+#define TL_WIRE_MOTIONS(C)                                                                                             \
+    C(0, RUNNING, "running")                                                                                           \
+    C(1, DONE, "complete")                                                                                             \
+    C(2, STOPPED, "stopped by the host")                                                                               \
+    C(3, FAILED, "ended by a fault")
+
+#define TL_WIRE_EVENTS(C)                                                                                              \
+    C(1, FAULT, "a fault came")                                                                                        \
+    C(2, ARRIVED, "a move has arrived")                                                                                \
+    C(3, SILENT, "the sender went silent: the axis comes to rest")                                                     \
+    C(4, RESTED, "the axis has come to rest")                                                                          \
+    C(5, TABLE, "a new table is in use")
+
+#define TL_WIRE_BOOTS(C)                                                                                               \
+    C(0, POWER, "power on")                                                                                            \
+    C(1, REQUEST, "asked to")                                                                                          \
+    C(2, WATCHDOG, "watchdog")
+
+// -- what follows from the lists --------------------------------------------------------------------------------
+
+typedef uint8_t tl_wire_u8_t;
+typedef uint16_t tl_wire_u16_t;
+typedef uint32_t tl_wire_u32_t;
+typedef uint64_t tl_wire_u64_t;
+typedef int8_t tl_wire_i8_t;
+typedef int16_t tl_wire_i16_t;
+typedef int32_t tl_wire_i32_t;
+typedef char tl_wire_text_t;
+
+#define TL_WIRE_F_(kind, name, doc)        tl_wire_##kind##_t name;
+#define TL_WIRE_A_(kind, name, count, doc) tl_wire_##kind##_t name[count];
+#define TL_WIRE_STRUCT_(code, NAME, name, doc)                                                                         \
+    typedef struct {                                                                                                   \
+        TL_WIRE_FIELDS_##NAME(TL_WIRE_F_, TL_WIRE_A_)                                                                  \
+    } tl_wire_##name##_t;
+TL_WIRE_MESSAGES(TL_WIRE_STRUCT_)
+
+#define TL_WIRE_MEMBER_(code, NAME, name, doc) tl_wire_##name##_t name;
+typedef union {
+    TL_WIRE_MESSAGES(TL_WIRE_MEMBER_)
+} tl_wire_message_t;
+
+#define TL_WIRE_TYPE_(code, NAME, name, doc) TL_WIRE_##NAME = (code),
+typedef enum { TL_WIRE_MESSAGES(TL_WIRE_TYPE_) } tl_wire_type_t;
+
+#define TL_WIRE_SIZE_F_(kind, name, doc)        +sizeof(tl_wire_##kind##_t)
+#define TL_WIRE_SIZE_A_(kind, name, count, doc) +(count) * sizeof(tl_wire_##kind##_t)
+#define TL_WIRE_SIZE_(code, NAME, name, doc)                                                                           \
+    TL_WIRE_SIZE_##NAME = 0U TL_WIRE_FIELDS_##NAME(TL_WIRE_SIZE_F_, TL_WIRE_SIZE_A_),
+enum { TL_WIRE_MESSAGES(TL_WIRE_SIZE_) }; ///< bytes of payload
+
+#define TL_WIRE_REASON_(code, NAME, text) TL_REASON_##NAME = (code),
+typedef enum { TL_WIRE_REASONS(TL_WIRE_REASON_) TL_REASON_NONE = 0 } tl_reason_t;
+#define TL_WIRE_FAULT_(code, NAME, text) TL_FAULT_##NAME = (code),
+typedef enum { TL_WIRE_FAULTS(TL_WIRE_FAULT_) } tl_fault_t;
+#define TL_WIRE_MODE_(code, NAME, text) TL_MODE_##NAME = (code),
+typedef enum { TL_WIRE_MODES(TL_WIRE_MODE_) } tl_mode_t;
+#define TL_WIRE_TABLE_(code, NAME, text) TL_TABLES_##NAME = (code),
+typedef enum { TL_WIRE_TABLES(TL_WIRE_TABLE_) } tl_tables_t;
+#define TL_WIRE_FLAG_(code, NAME, text) TL_FLAG_##NAME = (code),
+typedef enum { TL_WIRE_FLAGS(TL_WIRE_FLAG_) } tl_flag_t;
+#define TL_WIRE_MOTION_(code, NAME, text) TL_MOTION_STATE_##NAME = (code),
+typedef enum { TL_WIRE_MOTIONS(TL_WIRE_MOTION_) } tl_motion_state_t;
+#define TL_WIRE_EVENT_(code, NAME, text) TL_EVENT_##NAME = (code),
+typedef enum { TL_WIRE_EVENTS(TL_WIRE_EVENT_) } tl_event_t;
+#define TL_WIRE_BOOT_(code, NAME, text) TL_BOOT_##NAME = (code),
+typedef enum { TL_WIRE_BOOTS(TL_WIRE_BOOT_) } tl_boot_t;
+
+/// Bytes of payload of a message of this type, 0 where the type is unknown. O(1).
+size_t tl_wire_size(uint8_t type);
+
+/// Writes a whole frame into `out` (room for TL_WIRE_FRAME_MAX) and returns its size; `message` is the struct of `type`.
+/// Returns 0, having written nothing, where the type is unknown. O(size), about 25 cycles a byte on a Cortex-M0+.
+size_t tl_wire_frame(uint8_t *out, uint8_t type, uint16_t sequence, const void *message);
+
+/// Reads a payload of `size` bytes into the struct of `type`; false (nothing written) where it is unknown or too short.
+bool tl_wire_decode(uint8_t type, const uint8_t *payload, size_t size, void *message);
+
+typedef struct {
+    uint8_t type;
+    uint16_t sequence;
+    uint16_t size;          ///< of the payload
+    const uint8_t *payload; ///< in the parser's buffer: valid until the next call
+} tl_wire_frame_t;
+
+/// Finds frames in a stream of bytes. All zero is a parser that has seen nothing.
+typedef struct {
+    uint16_t fill;
+    uint16_t consumed; ///< bytes of the frame returned last, dropped on the next call
+    uint32_t bytes_bad; ///< bytes that belonged to no whole frame, wraps
+    uint8_t buffer[TL_WIRE_FRAME_MAX];
+} tl_wire_parser_t;
+
+/// Takes bytes from *data (advancing it and *size) until a frame is whole: true and *frame, else false and *size is 0.
+/// Call until it returns false. Unknown types and longer payloads than known are returned too. O(size) plus at most
+/// TL_WIRE_FRAME_MAX bytes of rescanning per false frame.
+bool tl_wire_parse(tl_wire_parser_t *parser, const uint8_t **data, size_t *size, tl_wire_frame_t *frame);
+
+#endif
