@@ -1,0 +1,189 @@
+"""The simulated instrument: a known B(p) and f_remain(p) behind a motor, so that every estimate has a truth beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.special import erf
+
+from tautline import _native
+from tautline.errors import TautError
+from tautline.rig import Actuator, Camera, Coarse, HandEye, Kinematics, Rig
+
+Array = np.ndarray
+Law = Callable[[Array], Array]
+
+_NODES = 4097  # of the true tables: 2.7 um apart on 11 mm of cable, straight in between
+_BEYOND = 0.05  # share of the range that the true laws go on for beyond either end of it
+
+
+class Instrument:
+    """p is the play's centre coordinate (unit of q), c = f_remain(p) the bending angle in deg.
+
+    The motor drags p along inside [p_lo(q), p_hi(q)], where p_lo + B(p_lo)/2 = q and p_hi - B(p_hi)/2 = q.
+    Between the tables' nodes both laws are straight lines, so the truth is exact and not a discretised one.
+    """
+
+    def __init__(self, rig: Rig, grid: Array, width: Array, c_deg: Array, name: str = "own") -> None:
+        """`grid` rises strictly (unit of q); `width` B >= 0 with |B'| < 2; `c_deg` f_remain, strictly monotone."""
+        self.rig, self.name = rig, name
+        self.grid = np.ascontiguousarray(grid, dtype=np.float64)
+        self.width = np.ascontiguousarray(width, dtype=np.float64)
+        self.c_deg = np.ascontiguousarray(c_deg, dtype=np.float64)
+        step = np.diff(self.grid)
+        if not (len(self.grid) >= 2 and self.grid.shape == self.width.shape == self.c_deg.shape and np.all(step > 0)):
+            raise TautError("instrument: grid, width and c_deg need one length of 2 or more, and grid must rise")
+        if np.any(self.width < 0) or np.any(np.abs(np.diff(self.width) / step) >= 2.0):
+            raise TautError(
+                "instrument: the backlash must be >= 0 with a slope within +-2, or the play has no solution"
+            )
+        rise = np.diff(self.c_deg)
+        if not (np.all(rise > 0) or np.all(rise < 0)):
+            raise TautError("instrument: f_remain must rise or fall everywhere")
+        self.p = float("nan")
+
+    @classmethod
+    def of(cls, rig: Rig, backlash: Law, remaining: Law, name: str = "own") -> Instrument:
+        """From two functions of p, sampled on a fine grid."""
+        low, high = rig.actuator.range
+        margin = _BEYOND * rig.actuator.span
+        grid = np.linspace(low - margin, high + margin, _NODES)
+        return cls(rig, grid, backlash(grid), remaining(grid), name)
+
+    def reset(self, p: float = float("nan")) -> None:
+        """Puts the play at p; NaN puts it on the centre of the first q that comes."""
+        self.p = p
+
+    def centre(self, t_s: Array, q: Array) -> Array:
+        """p at the motor positions q, true and in order of time t_s; the state carries over to the next call.
+
+        Exact as long as q is monotone between neighbours. t_s may be anything today: this play knows no rate.
+        """
+        q = np.atleast_1d(np.asarray(q, dtype=np.float64))
+        if q.shape != np.atleast_1d(t_s).shape:
+            raise ValueError("t_s and q differ in length")
+        if not len(q):
+            return q
+        p: Array = _native.play_forward(q, self.grid, self.width, self.p)
+        self.p = float(p[-1])
+        return p
+
+    def bend(self, p: Array) -> Array:
+        """c = f_remain(p), deg."""
+        return np.interp(p, self.grid, self.c_deg)
+
+    def move(self, t_s: Array, q: Array) -> Array:
+        """c in deg at the motor positions q (see `centre`)."""
+        return self.bend(self.centre(t_s, q))
+
+    def backlash(self, p: Array) -> Array:
+        """B(p), unit of q."""
+        return np.interp(p, self.grid, self.width)
+
+
+def reference_rig() -> Rig:
+    """A flexible instrument seen by the endoscope that carries it: 5 mm of cable and 60 deg to either side, PAL camera."""
+    return Rig(
+        Actuator("mm", (-5.0, 5.0), 0.001),
+        Coarse(12.0, 0.0),
+        Kinematics(bending_length_mm=18.0, tip_length_mm=6.0),
+        Camera(720, 576, 520.0, 520.0, 360.0, 288.0, (0.0, 0.0, 0.0, 0.0, 0.0), frame_rate_hz=25.0, delay_s=0.080),
+        HandEye(rotation_deg=(4.0, -3.0, 2.0), translation_mm=(-4.0, 5.0, 14.0)),
+    )
+
+
+class _Scale:
+    """Lengths of a rig: presets are shapes over x = (p - straight) / half the range, so that they fit every rig."""
+
+    def __init__(self, rig: Rig) -> None:
+        low, high = rig.actuator.range
+        self.rig, self.half = rig, 0.5 * (high - low)
+        straight = -rig.coarse.offset / rig.coarse.gain
+        self.straight = straight if low < straight < high else 0.5 * (low + high)
+
+    def instrument(self, name: str, backlash: Law, remaining: Law) -> Instrument:
+        """`backlash` and `remaining` in half ranges; remaining has slope 1 where it equals f_coarse."""
+        coarse = self.rig.coarse
+
+        def width(p: Array) -> Array:
+            return self.half * backlash((p - self.straight) / self.half)
+
+        def angle(p: Array) -> Array:
+            at_straight = coarse.gain * self.straight + coarse.offset
+            return at_straight + coarse.gain * self.half * remaining((p - self.straight) / self.half)
+
+        return Instrument.of(self.rig, width, angle, name)
+
+
+def _bump(x: Array, centre: float, spread: float) -> Array:
+    return np.exp(-0.5 * ((x - centre) / spread) ** 2)
+
+
+def _bump_integral(x: Array, centre: float, spread: float) -> Array:
+    return (
+        spread * np.sqrt(np.pi / 2) * (erf((x - centre) / (spread * np.sqrt(2))) - erf(-centre / (spread * np.sqrt(2))))
+    )
+
+
+def _sum(shape: Callable[[Array, float, float], Array], x: Array, parts: list[tuple[float, float, float]]) -> Array:
+    total: Array = np.sum([height * shape(x, centre, spread) for centre, spread, height in parts], axis=0)
+    return total
+
+
+def _reference(rig: Rig, seed: int) -> Instrument:
+    return _Scale(rig).instrument(
+        "reference",
+        lambda x: 0.07 + 0.01 * x + 0.09 * _bump(x, 0.06, 0.17),
+        lambda x: 0.85 * (x - 0.7 * _bump_integral(x, 0.0, 0.12)),
+    )
+
+
+def _constant(rig: Rig, seed: int) -> Instrument:
+    return _Scale(rig).instrument("constant", lambda x: np.full_like(x, 0.125), lambda x: x)
+
+
+def _davinci(rig: Rig, seed: int) -> Instrument:
+    return _Scale(rig).instrument(
+        "davinci", lambda x: 0.085 + 0.03 * _bump(x, 0.0, 0.5), lambda x: 0.93 * x + 0.05 * np.sin(2.0 * x)
+    )
+
+
+def _random(rig: Rig, seed: int) -> Instrument:
+    """Two to four bumps in B, one to three dead or lively zones in f; |B'| <= 1.2, f's slope 0.25 to 1.6 of coarse."""
+    rng = np.random.default_rng([seed, 0x1457])
+    bumps = [
+        (rng.uniform(-0.9, 0.9), rng.uniform(0.12, 0.5), rng.uniform(-0.6, 1.0)) for _ in range(rng.integers(2, 5))
+    ]
+    zones = [
+        (rng.uniform(-0.8, 0.8), rng.uniform(0.1, 0.4), rng.uniform(-0.25, 0.15)) for _ in range(rng.integers(1, 4))
+    ]
+    level, size, slope = rng.uniform(0.03, 0.15), rng.uniform(0.02, 0.08), rng.uniform(0.8, 1.1)
+    x = np.linspace(-2.2, 2.2, 4401)
+    size = min(size, 1.2 / np.abs(np.gradient(_sum(_bump, x, bumps), x)).max())
+    depth = min(1.0, (slope - 0.25) / max(-_sum(_bump, x, zones).min(), 1e-9))
+    return _Scale(rig).instrument(
+        f"random-{seed}",
+        lambda x: np.maximum(0.01, level + size * _sum(_bump, x, bumps)),
+        lambda x: slope * x + depth * _sum(_bump_integral, x, zones),
+    )
+
+
+_PRESETS: dict[str, Callable[[Rig, int], Instrument]] = {
+    "reference": _reference,
+    "constant": _constant,
+    "davinci": _davinci,
+    "random": _random,
+}
+PRESETS = tuple(_PRESETS)
+
+
+def preset(name: str, rig: Rig | None = None, seed: int = 0) -> Instrument:
+    """A made instrument that fits `rig` (default: `reference_rig()`); it falls with q where the rig's gain is negative.
+
+    reference: B with a bump near the straight pose, f_remain with a dead zone there and 0.85 of f_coarse's slope elsewhere.
+    constant: B an eighth of half the range, f_remain = f_coarse. davinci: a rigid cable-driven tool. random: by `seed`.
+    """
+    if name not in _PRESETS:
+        raise TautError(f"no instrument is called '{name}': choose one of {', '.join(PRESETS)}")
+    return _PRESETS[name](rig or reference_rig(), seed)

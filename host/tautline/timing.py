@@ -1,0 +1,52 @@
+"""When a simulated camera shows what: steady or jittering frames, delayed, some of them lost."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from tautline.rig import Rig
+
+
+@dataclass(frozen=True)
+class FrameTiming:
+    """Frame k shows the scene at (k + phase) / rate_hz, the middle of its exposure, and arrives delay_s later.
+
+    jitter_s (rms) is in the arrival only; frames still arrive in order. `lost` is the share of frames that never arrive.
+    phase is a share of the frame period; None takes it from the seed, so that motor and frame clock are incommensurate.
+    """
+
+    rate_hz: float
+    delay_s: float
+    jitter_s: float = 0.0
+    lost: float = 0.0
+    phase: float | None = None
+    seed: int = 0
+
+    @classmethod
+    def of(cls, rig: Rig, **changes: float | int | None) -> FrameTiming:
+        """The rig's nominal rate and delay, with changes."""
+        camera = rig.camera
+        nominal = (
+            {"rate_hz": camera.frame_rate_hz, "delay_s": camera.delay_s}
+            if camera
+            else {"rate_hz": 25.0, "delay_s": 0.0}
+        )
+        return cls(**{**nominal, **changes})  # type: ignore[arg-type]
+
+    def frames(self) -> Iterator[tuple[float, float]]:
+        """(scene time, arrival time) of every frame that arrives, without end."""
+        rng = np.random.default_rng([self.seed, 0xF3A3E])
+        phase = rng.uniform() if self.phase is None else self.phase
+        latest = -np.inf
+        k = 0
+        while True:
+            scene = (k + phase) / self.rate_hz
+            late, fate = rng.normal(0.0, self.jitter_s), rng.uniform()
+            k += 1
+            if fate < self.lost:
+                continue
+            latest = max(scene + self.delay_s + late, scene, latest + 1e-4)
+            yield scene, latest

@@ -1,0 +1,144 @@
+"""Motor trajectories: the paper's calibration and test motions, and others, sampled at 1 kHz."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tautline.errors import TautError
+from tautline.rig import Actuator
+
+Array = np.ndarray
+
+RATE_HZ = 1000.0
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """True positions of an instrument's motors. All arrays have one length; t_s starts at 0 and rises by 1 ms."""
+
+    t_s: Array
+    q: Array  # bending motor, the rig's unit
+    translation_mm: Array | None = None  # None = 0
+    rotation_deg: Array | None = None  # None = 0
+
+    @property
+    def duration_s(self) -> float:
+        return float(self.t_s[-1])
+
+    def with_sway(self, translation_mm: float, rotation_deg: float, period_s: float) -> Trajectory:
+        """The same bending with the other two degrees of freedom swaying by these amplitudes, rotation 1.618 times slower."""
+        phase = 2 * np.pi * self.t_s / period_s
+        return replace(
+            self,
+            translation_mm=translation_mm * np.sin(phase) if translation_mm else None,
+            rotation_deg=rotation_deg * np.sin(phase / 1.618) if rotation_deg else None,
+        )
+
+
+def through(
+    points: Sequence[float] | Array, speed: float | Sequence[float], acceleration: float, dwell_s: float = 0.0
+) -> Trajectory:
+    """Rest to rest through `points` at trapezoidal speed, waiting `dwell_s` at each.
+
+    speed: unit/s, one or one for each stroke; acceleration: unit/s^2.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    if len(points) < 2 or acceleration <= 0 or np.any(np.asarray(speed) <= 0) or dwell_s < 0:
+        raise TautError(
+            "a motion needs two points or more, a speed and an acceleration above 0 and a dwell of 0 or more"
+        )
+    stroke = np.diff(points)
+    reach = np.abs(stroke)
+    top = np.minimum(
+        np.broadcast_to(speed, stroke.shape), np.sqrt(acceleration * reach)
+    )  # lower where the stroke is short
+    ramp = top / acceleration
+    cruise = np.divide(reach, top, out=np.zeros_like(reach), where=top > 0) - ramp
+    # Each stroke: speed up, cruise, slow down, wait.
+    duration = np.column_stack([ramp, np.maximum(cruise, 0.0), ramp, np.full_like(ramp, dwell_s)]).ravel()
+    pull = np.column_stack([np.sign(stroke), 0 * ramp, -np.sign(stroke), 0 * ramp]).ravel() * acceleration
+    start = np.concatenate([[0.0], np.cumsum(duration)])
+    velocity = np.concatenate([[0.0], np.cumsum(pull * duration)])[:-1]
+    position = points[0] + np.concatenate([[0.0], np.cumsum((velocity + 0.5 * pull * duration) * duration)])[:-1]
+    t = np.arange(int(start[-1] * RATE_HZ) + 1) / RATE_HZ
+    phase = np.clip(np.searchsorted(start, t, side="right") - 1, 0, len(duration) - 1)
+    since = t - start[phase]
+    return Trajectory(t, position[phase] + (velocity[phase] + 0.5 * pull[phase] * since) * since)
+
+
+def back_and_forth(
+    actuator: Actuator,
+    speeds: Sequence[float],
+    stroke: float,
+    reversals: int,
+    acceleration: float,
+    dwell_s: float = 0.0,
+) -> Trajectory:
+    """The paper's calibration motion: short strokes on a ramp over the whole range, up and down again at each speed.
+
+    stroke: the longer, ramp-wise one, in the rig's unit; it must be longer than the backlash and a slow start.
+    reversals: on one way up or down.
+    """
+    low, high = actuator.range
+    pairs = max(1, reversals // 2)
+    advance = (high - low - stroke) / pairs
+    if not 0 < advance <= stroke:
+        raise TautError(
+            f"strokes of {stroke:g} {actuator.unit} with {reversals} reversals do not make a ramp over the range: "
+            f"choose a stroke from {(high - low) / (pairs + 1):.3g} to below {high - low:g} {actuator.unit}"
+        )
+    forward = low + advance * np.arange(pairs + 1) + stroke
+    back = low + advance * np.arange(1, pairs + 1)
+    up = np.empty(2 * pairs + 2)
+    up[0], up[1::2], up[2::2] = low, forward, back
+    down = low + high - up
+    points, each = [up[:1]], []
+    for speed in speeds:
+        for way in (up, down):
+            points.append(way[1:])
+            each += [speed] * (len(way) - 1)
+    return through(np.concatenate(points), each, acceleration, dwell_s)
+
+
+def trapezoids(
+    actuator: Actuator, speed: float, amplitude: float, cycles: int, acceleration: float, dwell_s: float
+) -> Trajectory:
+    """The paper's test motion (its Fig. 10): trapezoids of `amplitude` (peak to peak) on a mean that rises over the range."""
+    low, high = actuator.range
+    if not 0 < amplitude < high - low:
+        raise TautError(f"an amplitude of {amplitude:g} {actuator.unit} does not fit the range [{low:g}, {high:g}]")
+    mean = np.linspace(low + amplitude / 2, high - amplitude / 2, 2 * cycles)
+    points = mean + amplitude / 2 * np.where(np.arange(2 * cycles) % 2, 1.0, -1.0)
+    return through(points, speed, acceleration, dwell_s)
+
+
+def sines(actuator: Actuator, speed: float, duration_s: float) -> Trajectory:
+    """Two sines that never repeat together (periods 1 : 1.618, 60 and 35 % of half the range); top speed `speed`."""
+    low, high = actuator.range
+    half = 0.5 * (high - low)
+    rate = speed / (half * (0.60 + 0.35 / 1.618))
+    t = np.arange(int(duration_s * RATE_HZ) + 1) / RATE_HZ
+    return Trajectory(t, 0.5 * (low + high) + half * (0.60 * np.sin(rate * t) + 0.35 * np.sin(rate * t / 1.618)))
+
+
+def random_smooth(actuator: Actuator, speed: float, duration_s: float, seed: int) -> Trajectory:
+    """A smooth wander over the range whose reversals fall anywhere; `speed` is its greatest, within some 20 %."""
+    low, high = actuator.range
+    rng = np.random.default_rng([seed, 0x7247])
+    rates = np.exp(rng.uniform(np.log(0.4), np.log(2.5), 9))  # rad per unit of the wander's own time
+    sizes = rng.uniform(0.5, 1.0, 9) / rates
+    sizes /= np.sqrt(0.5 * np.sum(sizes**2))
+    phases = rng.uniform(0.0, 2 * np.pi, 9)
+
+    def wander(own: Array) -> Array:
+        wave = np.sum([a * np.sin(w * own + f) for a, w, f in zip(sizes, rates, phases, strict=True)], axis=0)
+        q: Array = 0.5 * (low + high) + 0.97 * 0.5 * (high - low) * np.tanh(0.75 * wave)
+        return q
+
+    sample = np.linspace(0.0, 200.0, 20001)
+    fastest = np.abs(np.gradient(wander(sample), sample)).max()
+    t = np.arange(int(duration_s * RATE_HZ) + 1) / RATE_HZ
+    return Trajectory(t, wander(t * speed / fastest))
