@@ -1,4 +1,4 @@
-"""The simulated instrument: a known B(p) and f_remain(p) behind a motor, so that every estimate has a truth beside it."""
+"""The simulated instrument: a known B(p) and f_remain(p) behind a motor: the truth beside every estimate."""
 
 from __future__ import annotations
 
@@ -71,7 +71,8 @@ class Instrument:
 
     def bend(self, p: Array) -> Array:
         """c = f_remain(p), deg."""
-        return np.interp(p, self.grid, self.c_deg)
+        c: Array = np.interp(p, self.grid, self.c_deg)
+        return c
 
     def move(self, t_s: Array, q: Array) -> Array:
         """c in deg at the motor positions q (see `centre`)."""
@@ -79,11 +80,12 @@ class Instrument:
 
     def backlash(self, p: Array) -> Array:
         """B(p), unit of q."""
-        return np.interp(p, self.grid, self.width)
+        width: Array = np.interp(p, self.grid, self.width)
+        return width
 
 
 def reference_rig() -> Rig:
-    """A flexible instrument seen by the endoscope that carries it: 5 mm of cable and 60 deg to either side, PAL camera."""
+    """A flexible instrument seen by the endoscope that carries it: 5 mm of cable, 60 deg to either side."""
     return Rig(
         Actuator("mm", (-5.0, 5.0), 0.001),
         Coarse(12.0, 0.0),
@@ -117,13 +119,15 @@ class _Scale:
 
 
 def _bump(x: Array, centre: float, spread: float) -> Array:
-    return np.exp(-0.5 * ((x - centre) / spread) ** 2)
+    height: Array = np.exp(-0.5 * ((x - centre) / spread) ** 2)
+    return height
 
 
 def _bump_integral(x: Array, centre: float, spread: float) -> Array:
-    return (
-        spread * np.sqrt(np.pi / 2) * (erf((x - centre) / (spread * np.sqrt(2))) - erf(-centre / (spread * np.sqrt(2))))
-    )
+    """From 0 to x."""
+    scale = spread * np.sqrt(2)
+    area: Array = scale * np.sqrt(np.pi) / 2 * (erf((x - centre) / scale) - erf(-centre / scale))
+    return area
 
 
 def _sum(shape: Callable[[Array, float, float], Array], x: Array, parts: list[tuple[float, float, float]]) -> Array:
@@ -152,12 +156,9 @@ def _davinci(rig: Rig, seed: int) -> Instrument:
 def _random(rig: Rig, seed: int) -> Instrument:
     """Two to four bumps in B, one to three dead or lively zones in f; |B'| <= 1.2, f's slope 0.25 to 1.6 of coarse."""
     rng = np.random.default_rng([seed, 0x1457])
-    bumps = [
-        (rng.uniform(-0.9, 0.9), rng.uniform(0.12, 0.5), rng.uniform(-0.6, 1.0)) for _ in range(rng.integers(2, 5))
-    ]
-    zones = [
-        (rng.uniform(-0.8, 0.8), rng.uniform(0.1, 0.4), rng.uniform(-0.25, 0.15)) for _ in range(rng.integers(1, 4))
-    ]
+    count = rng.integers([2, 1], [5, 4])
+    bumps = [(rng.uniform(-0.9, 0.9), rng.uniform(0.12, 0.5), rng.uniform(-0.6, 1.0)) for _ in range(count[0])]
+    zones = [(rng.uniform(-0.8, 0.8), rng.uniform(0.1, 0.4), rng.uniform(-0.25, 0.15)) for _ in range(count[1])]
     level, size, slope = rng.uniform(0.03, 0.15), rng.uniform(0.02, 0.08), rng.uniform(0.8, 1.1)
     x = np.linspace(-2.2, 2.2, 4401)
     size = min(size, 1.2 / np.abs(np.gradient(_sum(_bump, x, bumps), x)).max())
@@ -181,7 +182,7 @@ PRESETS = tuple(_PRESETS)
 def preset(name: str, rig: Rig | None = None, seed: int = 0) -> Instrument:
     """A made instrument that fits `rig` (default: `reference_rig()`); it falls with q where the rig's gain is negative.
 
-    reference: B with a bump near the straight pose, f_remain with a dead zone there and 0.85 of f_coarse's slope elsewhere.
+    reference: B with a bump near the straight pose, f_remain with a dead zone there, 0.85 of f_coarse's slope elsewhere.
     constant: B an eighth of half the range, f_remain = f_coarse. davinci: a rigid cable-driven tool. random: by `seed`.
     """
     if name not in _PRESETS:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,7 @@ class Simulation:
     delay_s: float
 
     def save_truth(self, folder: str | Path) -> None:
-        """truth.csv: t_s, c_deg, p at the motor's times. truth.json: the instrument's B and f_remain on a grid, the delay."""
+        """truth.csv: t_s, c_deg, p at the motor's times. truth.json: B and f_remain on a grid, the delay."""
         folder = Path(folder)
         table = pd.DataFrame({"t_s": self.t_s, "c_deg": self.c_deg, "p": self.p})
         table.to_csv(folder / "truth.csv", index=False, float_format="%.6f")
@@ -63,8 +63,8 @@ def run(
     seed: int = 0,
     name: str = "simulated",
 ) -> Simulation:
-    """Drives `instrument` along `trajectory` and records it as `rig` would: encoder counts at 1 kHz and marker positions
-    with white noise of `noise_px` per coordinate, without images.
+    """Drives `instrument` along `trajectory` and records it as `rig` would: encoder counts at 1 kHz and marker
+    positions with white noise of `noise_px` per coordinate, without images.
 
     timing: of the frames; default the rig's nominal rate and delay with a phase from the seed. angle_noise_deg: an
     external sensor at 250 Hz is recorded too (always on a rig without a camera). start_p: where the play starts; NaN is
@@ -82,7 +82,7 @@ def run(
     scene, arrival = frames.T
     angle_t = np.arange(0.0, end, 1 / 250.0)
 
-    # The play is run over all the times that anyone looks at, so that what a frame shows is exact between encoder samples.
+    # Over all the times that anyone looks at: what a frame shows between two encoder samples is exact too.
     every = np.unique(np.concatenate([t, scene, angle_t]))
     instrument.reset(start_p)
     p = instrument.centre(every, np.interp(every, t, trajectory.q))

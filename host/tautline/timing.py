@@ -14,8 +14,8 @@ from tautline.rig import Rig
 class FrameTiming:
     """Frame k shows the scene at (k + phase) / rate_hz, the middle of its exposure, and arrives delay_s later.
 
-    jitter_s (rms) is in the arrival only; frames still arrive in order. `lost` is the share of frames that never arrive.
-    phase is a share of the frame period; None takes it from the seed, so that motor and frame clock are incommensurate.
+    jitter_s (rms) is in the arrival only; frames still arrive in order. `lost` is the share that never arrives.
+    phase is a share of the frame period; None takes it from the seed: motor and frame clock are incommensurate.
     """
 
     rate_hz: float
@@ -28,12 +28,8 @@ class FrameTiming:
     @classmethod
     def of(cls, rig: Rig, **changes: float | int | None) -> FrameTiming:
         """The rig's nominal rate and delay, with changes."""
-        camera = rig.camera
-        nominal = (
-            {"rate_hz": camera.frame_rate_hz, "delay_s": camera.delay_s}
-            if camera
-            else {"rate_hz": 25.0, "delay_s": 0.0}
-        )
+        rate_hz = rig.camera.frame_rate_hz if rig.camera else 25.0
+        nominal = {"rate_hz": rate_hz, "delay_s": rig.delay_s}
         return cls(**{**nominal, **changes})  # type: ignore[arg-type]
 
     def frames(self) -> Iterator[tuple[float, float]]:

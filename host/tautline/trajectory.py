@@ -29,7 +29,7 @@ class Trajectory:
         return float(self.t_s[-1])
 
     def with_sway(self, translation_mm: float, rotation_deg: float, period_s: float) -> Trajectory:
-        """The same bending with the other two degrees of freedom swaying by these amplitudes, rotation 1.618 times slower."""
+        """The same bending; the other two degrees of freedom sway by these amplitudes, rotation 1.618 times slower."""
         phase = 2 * np.pi * self.t_s / period_s
         return replace(
             self,
@@ -47,14 +47,10 @@ def through(
     """
     points = np.asarray(points, dtype=np.float64)
     if len(points) < 2 or acceleration <= 0 or np.any(np.asarray(speed) <= 0) or dwell_s < 0:
-        raise TautError(
-            "a motion needs two points or more, a speed and an acceleration above 0 and a dwell of 0 or more"
-        )
+        raise TautError("a motion needs two points or more, speed and acceleration above 0 and a dwell of 0 or more")
     stroke = np.diff(points)
     reach = np.abs(stroke)
-    top = np.minimum(
-        np.broadcast_to(speed, stroke.shape), np.sqrt(acceleration * reach)
-    )  # lower where the stroke is short
+    top = np.minimum(speed, np.sqrt(acceleration * reach))  # short strokes never reach their speed
     ramp = top / acceleration
     cruise = np.divide(reach, top, out=np.zeros_like(reach), where=top > 0) - ramp
     # Each stroke: speed up, cruise, slow down, wait.
@@ -106,7 +102,7 @@ def back_and_forth(
 def trapezoids(
     actuator: Actuator, speed: float, amplitude: float, cycles: int, acceleration: float, dwell_s: float
 ) -> Trajectory:
-    """The paper's test motion (its Fig. 10): trapezoids of `amplitude` (peak to peak) on a mean that rises over the range."""
+    """The paper's test motion (Fig. 10): trapezoids of `amplitude`, peak to peak, on a mean that rises over the range."""
     low, high = actuator.range
     if not 0 < amplitude < high - low:
         raise TautError(f"an amplitude of {amplitude:g} {actuator.unit} does not fit the range [{low:g}, {high:g}]")
