@@ -33,6 +33,7 @@ static void derive_span(tl_lookup_t *lookup, unsigned i) {
     lookup->high_mantissa[i] = high.mantissa;
     lookup->high_shift[i] = high.shift;
     if (tl_table_span_is_flat(table, i)) {
+        lookup->has_flat = true;
         lookup->flat[i >> 3] = (uint8_t)(lookup->flat[i >> 3] | 1U << (i & 7U));
     }
 }
@@ -44,6 +45,7 @@ static tl_table_reason_t derive(tl_lookup_t *lookup) {
     lookup->falling = table->coarse_c_max < table->coarse_c_min;
     lookup->coarse = tl_scale_of(coarse_rise, range);
     lookup->coarse_inv = tl_scale_of(range, coarse_rise);
+    lookup->has_flat = false;
     memset(lookup->flat, 0, sizeof lookup->flat);
     for (unsigned i = 0; i + 1U < table->nodes; i++) {
         derive_span(lookup, i);

@@ -24,6 +24,7 @@ typedef struct {
     tl_deg_q16_t c_high;   ///<
     tl_scale_t coarse;     ///< |dc/dq| of the coarse kinematics
     tl_scale_t coarse_inv; ///< |dq/dc|
+    bool has_flat;
     uint8_t flat[32];      ///< bit i: span i is flatter than the stated slope
     // Per span, step over the span's rise: of |f|, of 2p + B, of 2p - B.
     uint32_t angle_mantissa[TL_TABLE_NODES_MAX - 1U];

@@ -1,0 +1,29 @@
+/// The play operator, forward: where the instrument is, given where the motor is.
+///
+///     p[k] = min(max(p[k-1], p_lo(q)), p_hi(q)),   c = f(p),   p_lo + B(p_lo)/2 = q,   p_hi - B(p_hi)/2 = q
+///
+/// p is the play's centre coordinate in motor space (the paper's eq. 3 with its inequalities put right).
+/// Call tl_play_step() on every encoder sample; samples may be any distance apart as long as the motor did not
+/// turn back between them. O(1): two look-ups at rest inside the backlash or one inverse on an envelope, about
+/// 200 cycles on a Cortex-M0+ at most; no division. 12 bytes. Not for use by two threads at once.
+#ifndef TAUTLINE_TL_PLAY_H
+#define TAUTLINE_TL_PLAY_H
+
+#include "tautline/tl_lookup.h"
+
+typedef struct {
+    const tl_lookup_t *lookup; ///< must outlive the play
+    tl_count_q8_t p;
+    uint32_t flags; ///< TL_LOOKUP_BELOW, TL_LOOKUP_ABOVE: of the last step
+} tl_play_t;
+
+/// Starts with the instrument at `p`: the motor's position if nothing better is known.
+void tl_play_start(tl_play_t *play, const tl_lookup_t *lookup, tl_count_q8_t p);
+
+/// The motor is at q: returns p.
+tl_count_q8_t tl_play_step(tl_play_t *play, tl_count_q8_t q);
+
+/// f(p) of the last step: the configuration. About 40 cycles.
+tl_deg_q16_t tl_play_angle(const tl_play_t *play);
+
+#endif
