@@ -112,7 +112,7 @@ class Server:
             text = SERIAL.encode("utf-16-le")
             answers = {0x100: DEVICE, 0x200: CONFIGURATION, 0x300: struct.pack("<BBH", 4, 3, 0x0409)}
             answers[0x303] = struct.pack("BB", 2 + len(text), 3) + text
-            return 0, answers[value][:length]
+            return (0, answers[value][:length]) if value in answers else (-errno.EPIPE, b"")
         if request == 9 and kind == 0:
             return 0, b""
         if (kind, request) == (0x02, 1):
