@@ -182,7 +182,7 @@ PRESETS = tuple(_PRESETS)
 def preset(name: str, rig: Rig | None = None, seed: int = 0) -> Instrument:
     """A made instrument that fits `rig` (default: `reference_rig()`); it falls with q where the rig's gain is negative.
 
-    reference: B with a bump near the straight pose, f_remain with a dead zone there, 0.85 of f_coarse's slope elsewhere.
+    reference: B with a bump near the straight pose, f_remain with a dead zone there, else 0.85 of f_coarse's slope.
     constant: B an eighth of half the range, f_remain = f_coarse. davinci: a rigid cable-driven tool. random: by `seed`.
     """
     if name not in _PRESETS:

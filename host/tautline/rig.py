@@ -207,7 +207,9 @@ class _Reader:
     def value(self, section: str, key: str) -> Any:
         table = self.document.get(section)
         if not isinstance(table, Mapping):
-            raise TautError(f"{self.where}: section [{section}] is missing: it holds {', '.join(sorted(_KNOWN[section]))}")
+            raise TautError(
+                f"{self.where}: section [{section}] is missing: it holds {', '.join(sorted(_KNOWN[section]))}"
+            )
         if key not in table:
             raise TautError(f"{self.where}: {section}.{key} is missing")
         return table[key]

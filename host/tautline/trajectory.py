@@ -102,7 +102,7 @@ def back_and_forth(
 def trapezoids(
     actuator: Actuator, speed: float, amplitude: float, cycles: int, acceleration: float, dwell_s: float
 ) -> Trajectory:
-    """The paper's test motion (Fig. 10): trapezoids of `amplitude`, peak to peak, on a mean that rises over the range."""
+    """The paper's test motion (Fig. 10): trapezoids of `amplitude` (peak to peak) on a mean that rises."""
     low, high = actuator.range
     if not 0 < amplitude < high - low:
         raise TautError(f"an amplitude of {amplitude:g} {actuator.unit} does not fit the range [{low:g}, {high:g}]")

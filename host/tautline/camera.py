@@ -1,0 +1,153 @@
+"""Cameras: any source that OpenCV opens, and the simulated endoscope. Each frame comes with the time of its arrival."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol, Self
+
+import cv2
+import numpy as np
+
+from tautline.endoscope import Endoscope
+from tautline.errors import TautError
+from tautline.timing import FrameTiming
+
+Array = np.ndarray
+# The instrument at the times (n,) s: c in deg, translation in mm, rotation in deg, each (n,) or a scalar.
+Scene = Callable[[Array], tuple[Array | float, Array | float, Array | float]]
+
+_EXPOSURE_SAMPLES = 5
+
+
+class Camera(Protocol):
+    clock: str  # what the arrival times count, in words
+
+    def read(self) -> tuple[Array, float] | None:
+        """The next frame, BGR (height, width, 3) uint8, and when it arrived, s. None at the end of the source."""
+
+    def close(self) -> None: ...
+
+
+class VideoCamera:
+    """A device by its index or path, a video file or a stream, through OpenCV's VideoCapture.
+
+    Arrival times: of a device and a stream, seconds of the host's monotonic clock, taken by the driver where it stamps
+    its frames with that clock, else when the frame was grabbed; of a file, the container's, the first frame at 0.
+    Use it as a context manager.
+    """
+
+    def __init__(
+        self, source: int | str | Path, *, size: tuple[int, int] | None = None, rate_hz: float | None = None
+    ) -> None:
+        """size (width, height) and rate are asked of a device, which may give others: see the first frame's shape."""
+        self.name = f"camera {source}" if isinstance(source, int) else str(source)
+        self._file = not isinstance(source, int) and Path(source).is_file()
+        if not self._file and isinstance(source, str | Path) and "://" not in str(source) and not Path(source).exists():
+            raise TautError(f"{source}: no such video file, device or stream address")
+        with _quiet_opencv():
+            self._capture = cv2.VideoCapture(source if isinstance(source, int) else str(source))
+        if not self._capture.isOpened():
+            what = "is it a video?" if self._file else "is it plugged in, and not in use by another program?"
+            raise TautError(f"{self.name}: OpenCV cannot open it: {what}")
+        if not self._file:
+            self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # no stale frames where the driver obeys
+            for key, value in zip(
+                (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FPS),
+                (*(size or (0, 0)), rate_hz),
+                strict=True,
+            ):
+                if value:
+                    self._capture.set(key, value)
+        self.clock = "the file's own" if self._file else "not known before the first frame"
+        self._first_s: float | None = None
+
+    @property
+    def frames(self) -> int | None:
+        """How many frames a file says that it holds; None for a device or a stream."""
+        count = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)) if self._file else 0
+        return count if count > 0 else None
+
+    def read(self) -> tuple[Array, float] | None:
+        if not self._capture.grab():
+            self._check_end()
+            return None
+        grabbed = time.monotonic()
+        stamp = self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+        good, picture = self._capture.retrieve()
+        if not good:
+            self._check_end()
+            return None
+        if self._file:
+            self._first_s = stamp if self._first_s is None else self._first_s
+            return picture, stamp - self._first_s
+        if 0.0 <= grabbed - stamp < 1.0:
+            self.clock = "the driver's stamps on the host's monotonic clock"
+            return picture, stamp
+        self.clock = "the host's monotonic clock when the frame was grabbed"
+        return picture, grabbed
+
+    def _check_end(self) -> None:
+        if not self._file:
+            raise TautError(f"{self.name}: no more frames: check its cable or the stream's sender")
+
+    def close(self) -> None:
+        self._capture.release()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class SimulatedCamera:
+    """The simulated endoscope in lockstep with a simulated instrument: frame by frame, in virtual time.
+
+    A frame that arrives at t shows the scene around t - delay, blurred over the exposure. `read` asks `scene` only for
+    times up to `next_scene_s` + half an exposure: whoever runs the simulation advances it that far first.
+    """
+
+    clock = "the simulation's"
+
+    def __init__(self, endoscope: Endoscope, scene: Scene, timing: FrameTiming | None = None) -> None:
+        """timing: default the rig's nominal rate and delay."""
+        self._endoscope, self._scene = endoscope, scene
+        self._frames = (timing or FrameTiming.of(endoscope.rig)).frames()
+        self._next = next(self._frames)
+        half = 0.5 * endoscope.look.exposure_s
+        self._exposure = np.linspace(-half, half, _EXPOSURE_SAMPLES) if half > 0 else np.zeros(1)
+
+    @property
+    def next_scene_s(self) -> float:
+        """The middle of the next frame's exposure."""
+        return self._next[0]
+
+    @property
+    def next_arrival_s(self) -> float:
+        return self._next[1]
+
+    def read(self) -> tuple[Array, float]:
+        scene, arrival = self._next
+        self._next = next(self._frames)
+        return self._endoscope.frame(*self._scene(scene + self._exposure)), arrival
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+class _quiet_opencv:
+    """OpenCV and its plug-ins print to stderr what we say in one line."""
+
+    def __enter__(self) -> None:
+        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+        self._level = cv2.utils.logging.getLogLevel()
+        cv2.utils.logging.setLogLevel(0)
+
+    def __exit__(self, *_: object) -> None:
+        cv2.utils.logging.setLogLevel(self._level)
