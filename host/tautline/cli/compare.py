@@ -1,0 +1,64 @@
+"""taut compare MODEL MODEL..."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+from tautline import report
+from tautline.cli._common import emit, json_option
+from tautline.errors import TautError
+from tautline.model import Model
+
+
+@click.command("compare")
+@click.argument("model_paths", metavar="MODEL MODEL...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--html", "html_path", type=click.Path(path_type=Path), help="Write a page with the picture.")
+@json_option
+def command(model_paths: tuple[Path, ...], html_path: Path | None, as_json: bool) -> None:
+    """How B and f_remain changed: each model against the first."""
+    if len(model_paths) < 2:
+        raise click.UsageError("name two models or more")
+    models = {name: Model.load(path) for name, path in zip(_names(model_paths), model_paths, strict=True)}
+    units = {model.rig.actuator.unit for model in models.values()}
+    if len(units) > 1:
+        raise TautError("the models' motors have different units, mm and deg: they are not of one instrument")
+    rows = report.comparison(models)
+    if html_path is not None:
+        report.write_comparison(models, html_path)
+    emit({"unit": units.pop(), "models": rows, "html": html_path}, as_json, _table(rows, next(iter(models.values()))))
+
+
+def _names(paths: tuple[Path, ...]) -> list[str]:
+    """Folder names, or whole paths where those are not different."""
+    names = [path.absolute().name for path in paths]
+    if len(set(names)) < len(names):
+        names = [str(path) for path in paths]
+    if len(set(names)) < len(names):
+        raise TautError("a model is named twice")
+    return names
+
+
+def _table(rows: list[dict[str, object]], first: Model) -> str:
+    unit = first.rig.actuator.unit
+    table = Table(box=None, pad_edge=False)
+    columns = {
+        "model": "model",
+        f"B mean ({unit})": "width_mean",
+        "change": "width_change_mean",
+        "largest": "width_change_max",
+        f"at q ({unit})": "width_change_max_at",
+        "in sigma": "width_change_sigmas",
+        "f_remain (deg rms)": "remaining_change_rms_deg",
+    }
+    for title in columns:
+        table.add_column(title, justify="left" if title == "model" else "right", no_wrap=True)
+    for row in rows:
+        table.add_row(*[value if isinstance(value := row[key], str) else f"{value:.4g}" for key in columns.values()])
+    console = Console(width=120, color_system=None)
+    with console.capture() as captured:
+        console.print(table)
+    return captured.get().rstrip()

@@ -1,0 +1,131 @@
+"""What a report shows of the recordings behind a model: every frame beside what three models say of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from tautline.errors import TautError
+from tautline.geometry import pose, project
+from tautline.model import Model
+from tautline.recording import Motor, Recording, timeline
+
+Array = np.ndarray
+
+FILE = "evidence.npz"
+STAGES = ("f_coarse", "f_coarse + B", "f_remain + B")  # the models of the paper's Table I
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """All arrays have one row per frame (or sensor sample) in which the tip was seen, of all recordings in turn."""
+
+    recording: Array  # (n,) int: which one
+    t_s: Array  # (n,) scene times on the recordings' common clock
+    q: Array  # (n,) motor position at that time, the rig's unit
+    path: Array  # (n,) how far the motor had travelled by then, the rig's unit, rising
+    seen: Array  # (n, d) px (d = 2) with a camera, else deg (d = 1)
+    c_deg: Array  # (n,) from the pose of each frame alone, or from the sensor
+    error: Array  # (3, n, d) seen minus what each of STAGES says
+    settled: Array  # (n,) bool: the tip had been driven through a full backlash both ways
+    offset_s: Array  # (recordings,) from each recording's clock to the common one
+
+    @property
+    def unit(self) -> str:
+        return "px" if self.seen.shape[1] == 2 else "deg"
+
+    def rms(self) -> list[float]:
+        """Of each of STAGES, per coordinate, where the tip was settled; NaN where it never was."""
+        error = self.error[:, self.settled]
+        if error.shape[1] == 0:
+            return [float("nan")] * len(STAGES)
+        return [float(np.sqrt(np.nanmean(stage**2))) for stage in error]
+
+    def save(self, folder: Path) -> None:
+        np.savez_compressed(folder / FILE, **{field.name: getattr(self, field.name) for field in fields(self)})
+
+    @classmethod
+    def load(cls, folder: Path) -> Self | None:
+        """None where the model has none."""
+        if not (folder / FILE).exists():
+            return None
+        try:
+            with np.load(folder / FILE) as data:
+                return cls(**{field.name: data[field.name] for field in fields(cls)})
+        except (OSError, ValueError, KeyError, EOFError) as error:
+            raise TautError(f"{folder / FILE}: cannot be read ({error}): make it again with taut calibrate") from error
+
+
+def collect(model: Model, recordings: Sequence[Recording]) -> Evidence:
+    """Recordings with a marker (or, without a camera, an angle); those with neither are left out."""
+    line = timeline(recordings)
+    parts = [
+        _collect_one(model, recording, index, line.offset_s[index])
+        for index, recording in enumerate(recordings)
+        if recording.marker is not None or recording.angle is not None
+    ]
+    if not parts:
+        raise TautError("no recording has a marker or an angle: there is nothing to report")
+    joined = {}
+    for field in fields(Evidence):
+        if field.name != "offset_s":
+            axis = 1 if field.name == "error" else 0
+            joined[field.name] = np.concatenate([getattr(part, field.name) for part in parts], axis=axis)
+    return Evidence(**joined, offset_s=np.array(line.offset_s))
+
+
+def _collect_one(model: Model, recording: Recording, index: int, offset_s: float) -> Evidence:
+    motor, rig = recording.motor, model.rig
+    marker = recording.marker if rig.has_camera else None
+    if marker is not None:
+        t_s = marker.t_s[marker.valid] - model.delay_s
+        seen = np.column_stack([marker.u_px, marker.v_px])[marker.valid]
+    elif recording.angle is not None:
+        t_s, seen = recording.angle.t_s, recording.angle.c_deg[:, None]
+    else:
+        raise TautError(f"{recording.name}: the rig has no camera and the recording no angle.csv: add one of them")
+    inside = (t_s >= motor.t_s[0]) & (t_s <= motor.t_s[-1])
+    t_s, seen = t_s[inside], seen[inside]
+    q = np.interp(t_s, motor.t_s, motor.q)
+    travelled = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(motor.q)))])
+    others = [
+        np.zeros_like(t_s) if column is None else np.interp(t_s, motor.t_s, column)
+        for column in (motor.translation_mm, motor.rotation_deg)
+    ]
+    coarse_deg = rig.coarse.gain * model.q + rig.coarse.offset
+    models = (
+        replace(model, width=np.zeros_like(model.width), c_deg=coarse_deg),
+        replace(model, c_deg=coarse_deg),
+        model,
+    )
+    angles = [stage.simulate(motor, t_s) for stage in models]
+    if marker is not None:
+        predicted = [project(rig, angle, *others) for angle in angles]
+        c_deg = pose(rig, seen, *others)[0]
+    else:
+        predicted = [angle[:, None] for angle in angles]
+        c_deg = seen[:, 0]
+    return Evidence(
+        recording=np.full(len(t_s), index),
+        t_s=t_s + offset_s,
+        q=q,
+        path=np.interp(t_s, motor.t_s, travelled),
+        seen=seen,
+        c_deg=c_deg,
+        error=np.array([seen - stage for stage in predicted]).reshape(len(STAGES), len(t_s), seen.shape[1]),
+        settled=settled(model, motor, t_s),
+        offset_s=np.array([offset_s]),
+    )
+
+
+def settled(model: Model, motor: Motor, t_s: Array) -> Array:
+    """(n,) bool: from when on the tip's place no longer depends on where in its backlash it started."""
+    reach = 0.5 * float(model.width.max())
+    ends = [model.simulate(motor, t_s, float(model.remaining(motor.q[0] + side * reach))) for side in (-1.0, 1.0)]
+    apart = np.abs(ends[0] - ends[1]) > 1e-9
+    latest = t_s[apart].max() if apart.any() else -np.inf
+    return np.asarray(t_s > latest)

@@ -1,0 +1,324 @@
+"""The pictures of a report. Each function draws into new axes and returns a matplotlib Figure; no window is opened."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from tautline.evidence import STAGES, Evidence
+from tautline.model import Model
+
+Array = np.ndarray
+Onset = Mapping[str, Any]
+
+INK, GREY, PALE = "#22303c", "#7b8794", "#e4e7eb"
+UP, DOWN, MODEL, BAND = "#1f6fb2", "#d9772b", "#b3202c", "#f3c9cc"
+STAGE_COLOURS = (INK, "#2f9e5b", "#d9a400")  # black, green, yellow: the paper's Figs. 10 and 11
+SERIES = ("#1f6fb2", "#d9772b", "#2f9e5b", "#8e4ec6", "#b3202c", "#0f8b8d", "#7b8794")
+
+STYLE: Any = {  # matplotlib's own names
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "axes.edgecolor": GREY,
+    "axes.labelcolor": INK,
+    "axes.titlesize": 10,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": PALE,
+    "grid.linewidth": 0.7,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "svg.hashsalt": "tautline",
+}
+MANY = 3000  # samples from which a scatter is drawn as pixels inside the vector picture
+
+
+def figure(width: float, height: float, rows: int = 1, columns: int = 1, **options: Any) -> tuple[Figure, Array]:
+    """A figure of this size in inches and its axes (rows, columns), in the current style."""
+    made = Figure(figsize=(width, height), layout="constrained")
+    return made, made.subplots(rows, columns, squeeze=False, **options)
+
+
+def data_uri(made: Figure) -> str:
+    """The figure as an SVG image inside a page."""
+    out = io.BytesIO()
+    with mpl.rc_context(STYLE):
+        made.savefig(out, format="svg", dpi=120, metadata={"Date": None, "Creator": None})
+    return "data:image/svg+xml;base64," + base64.b64encode(out.getvalue()).decode()
+
+
+def split_onsets(onsets: Sequence[Onset]) -> tuple[list[Onset], list[Onset]]:
+    return [o for o in onsets if o["used"]], [o for o in onsets if not o["used"]]
+
+
+def q_mean(onset: Onset) -> float:
+    return 0.5 * (float(onset["q1"]) + float(onset["q2"]))
+
+
+def draw_backlash(axes: Axes, model: Model, onsets: Sequence[Onset], knots: Array | None = None) -> None:
+    """B(q) with its band and every width that was measured (the paper's Fig. 8)."""
+    unit, (low, high) = model.rig.actuator.unit, model.measured
+    inside = (model.q >= low) & (model.q <= high)
+    used, _ = split_onsets(onsets)
+    widths = [float(o["width"]) for o in used]
+    top = 1.25 * max([*widths, float(model.width[inside].max()) if inside.any() else 0.0, 1e-9])
+    axes.fill_between(
+        model.q,
+        np.maximum(model.width - 2 * model.width_sigma, 0),
+        np.minimum(model.width + 2 * model.width_sigma, 2 * top),
+        color=BAND,
+        lw=0,
+        label="± 2 sigma",
+    )
+    axes.plot(model.q, model.width, color=MODEL, lw=1.0, ls=":")
+    axes.plot(model.q[inside], model.width[inside], color=MODEL, lw=1.8, label="B(q)")
+    for direction, colour, marker, name in ((1, UP, "^", "rising"), (-1, DOWN, "v", "falling")):
+        chosen = [o for o in used if np.sign(o["direction"]) == direction]
+        if chosen:
+            axes.errorbar(
+                [q_mean(o) for o in chosen],
+                [o["width"] for o in chosen],
+                yerr=[2 * float(o["sigma"]) for o in chosen],
+                fmt=marker,
+                ms=4,
+                color=colour,
+                elinewidth=0.8,
+                lw=0,
+                label=f"onset, {name}",
+            )
+    if knots is not None:
+        for knot in np.unique(knots):
+            axes.axvline(knot, color=UP, lw=0.7, alpha=0.5)
+    for left, right in ((model.q[0], low), (high, model.q[-1])):
+        if right > left:
+            axes.axvspan(left, right, color=PALE, alpha=0.6, lw=0)
+    axes.set(xlabel=f"q ({unit})", ylabel=f"backlash width ({unit})", xlim=(model.q[0], model.q[-1]), ylim=(0, top))
+    axes.set_title("Backlash width B(q)")
+    axes.legend(loc="upper right", ncols=2)
+
+
+def draw_characteristic(axes: Axes, model: Model, evidence: Evidence | None) -> None:
+    """Both passes, f_coarse and f_remain over the motor position (the paper's Fig. 9)."""
+    unit = model.rig.actuator.unit
+    if evidence is not None and len(evidence.q):
+        rising = np.gradient(evidence.q) >= 0
+        for chosen, colour, name in ((rising, UP, "q rising"), (~rising, DOWN, "q falling")):
+            axes.plot(
+                evidence.q[chosen],
+                evidence.c_deg[chosen],
+                ".",
+                ms=2,
+                color=colour,
+                alpha=0.5,
+                label=name,
+                rasterized=len(evidence.q) > MANY,
+            )
+    coarse = model.rig.coarse
+    axes.plot(model.q, coarse.gain * model.q + coarse.offset, color=GREY, lw=1.0, ls="--", label="f_coarse")
+    axes.plot(model.q, model.c_deg, color=MODEL, lw=1.8, label="f_remain")
+    axes.set(xlabel=f"q ({unit})", ylabel="bending c (deg)", xlim=(model.q[0], model.q[-1]))
+    axes.set_title("Characteristic")
+    axes.legend(loc="best", markerscale=3)
+
+
+@mpl.rc_context(STYLE)
+def hero(model: Model, onsets: Sequence[Onset], evidence: Evidence | None, knots: Array | None = None) -> Figure:
+    made, axes = figure(11, 3.9, 1, 2)
+    draw_backlash(axes[0, 0], model, onsets, knots)
+    draw_characteristic(axes[0, 1], model, evidence)
+    return made
+
+
+@mpl.rc_context(STYLE)
+def gain(evidence: Evidence) -> Figure:
+    """How far off each model is over time (the paper's Fig. 11)."""
+    made, axes = figure(11, 3.0)
+    ax = axes[0, 0]
+    scored = evidence.settled
+    for stage, colour, error in zip(STAGES, STAGE_COLOURS, evidence.error, strict=True):
+        distance = np.linalg.norm(error[scored], axis=1)
+        ax.semilogy(
+            evidence.t_s[scored],
+            np.maximum(distance, 1e-4),
+            ".",
+            ms=2,
+            color=colour,
+            label=stage,
+            rasterized=len(distance) > MANY,
+        )
+    ax.set(xlabel="time (s)", ylabel=f"distance ({evidence.unit})")
+    ax.set_title("How far each model is from what was seen")
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, markerscale=4, borderaxespad=0.1)
+    return made
+
+
+def main_axis(evidence: Evidence) -> tuple[Array, str]:
+    """(n,) the seen positions along the direction in which they spread most, and its name."""
+    if evidence.seen.shape[1] == 1:
+        return evidence.seen[:, 0], "c (deg)"
+    centred = evidence.seen - evidence.seen.mean(axis=0)
+    along = np.linalg.svd(np.cov(centred.T))[0][:, 0]
+    along = along * np.sign(along[np.argmax(np.abs(along))])
+    return centred @ along, "marker along its path (px)"
+
+
+@mpl.rc_context(STYLE)
+def track(evidence: Evidence, onsets: Sequence[Onset]) -> Figure:
+    """Motor and marker over time with every reversal."""
+    made, axes = figure(11, 4.0, 2, 1, sharex=True)
+    position, name = main_axis(evidence)
+    for ax, values, colour, label in ((axes[0, 0], evidence.q, UP, "q"), (axes[1, 0], position, INK, name)):
+        for index in np.unique(evidence.recording):
+            chosen = evidence.recording == index
+            ax.plot(evidence.t_s[chosen], values[chosen], color=colour, lw=0.9, rasterized=len(values) > MANY)
+        ax.set_ylabel(label)
+    for used, colour in ((True, "#2f9e5b"), (False, MODEL)):
+        chosen_onsets = [o for o in onsets if bool(o["used"]) == used]
+        times = [float(o["t_s"]) + _offset(evidence, o) for o in chosen_onsets]
+        for ax, values in ((axes[0, 0], evidence.q), (axes[1, 0], position)):
+            ax.plot(
+                times,
+                np.interp(times, evidence.t_s, values),
+                "o",
+                ms=3.5,
+                color=colour,
+                label=f"onset {'used' if used else 'not used'} ({len(times)})",
+            )
+    axes[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.1)
+    axes[0, 0].set_title("What was recorded")
+    axes[1, 0].set_xlabel("time (s)")
+    return made
+
+
+@mpl.rc_context(STYLE)
+def onsets_closely(model: Model, evidence: Evidence, onsets: Sequence[Onset], count: int = 3) -> Figure | None:
+    """Some onsets from low to high q: what was seen over the motor's way since it turned, with the hinge."""
+    used = sorted(split_onsets(onsets)[0], key=q_mean)
+    if not used:
+        return None
+    picked = [used[round(i)] for i in np.linspace(0, len(used) - 1, min(count, len(used)))]
+    unit = model.rig.actuator.unit
+    made, axes = figure(11, 2.9, 1, len(picked))
+    for ax, onset in zip(axes[0], picked, strict=True):
+        _one_onset(ax, evidence, onset, unit)
+    axes[0, 0].set_ylabel("moved since (px)" if evidence.unit == "px" else "moved since (deg)")
+    return made
+
+
+def _one_onset(ax: Axes, evidence: Evidence, onset: Onset, unit: str) -> None:
+    width = max(float(onset["width"]), 1e-9)
+    t2 = float(onset["t_s"]) + _offset(evidence, onset)
+    same = evidence.recording == int(onset.get("recording", 0))
+    path = evidence.path[same] - np.interp(t2, evidence.t_s[same], evidence.path[same]) + width
+    near = (path > -0.8 * width) & (path < 1.8 * width)
+    path, seen = path[near], evidence.seen[same][near]
+    still = (path > 0.1 * width) & (path < 0.95 * width)
+    moving = path > 1.05 * width
+    ax.set_title(f"q = {q_mean(onset):.3g} {unit}, {'rising' if onset['direction'] > 0 else 'falling'}")
+    ax.set_xlabel(f"motor's way since it turned ({unit})")
+    if still.sum() < 1 or moving.sum() < 2:
+        return
+    level = seen[still].mean(axis=0)
+    towards = seen[moving].mean(axis=0) - level
+    towards = towards / max(float(np.linalg.norm(towards)), 1e-12)
+    moved = (seen - level) @ towards
+    reach = path[moving] - width
+    slope = float(reach @ moved[moving] / (reach @ reach))
+    ax.axvspan(0, width, color=PALE, alpha=0.7, lw=0)
+    ax.plot(path, moved, ".", color=INK, ms=4)
+    ax.plot([0, width, path.max()], [0, 0, slope * (path.max() - width)], color=MODEL, lw=1.4)
+    ax.axvspan(width - 2 * float(onset["sigma"]), width + 2 * float(onset["sigma"]), color=MODEL, alpha=0.25, lw=0)
+    ax.annotate(
+        f"B = {width:.4g} ± {2 * float(onset['sigma']):.2g}",
+        (0.5 * width, 0.98),
+        xycoords=("data", "axes fraction"),
+        ha="center",
+        va="top",
+        color=MODEL,
+        fontsize=8,
+    )
+
+
+@mpl.rc_context(STYLE)
+def residuals(evidence: Evidence) -> Figure:
+    """Seen minus predicted by the whole model, over time and over q."""
+    made, axes = figure(11, 2.9, 1, 2, sharey=True, width_ratios=[2, 1])
+    names = ("u", "v") if evidence.unit == "px" else ("c",)
+    for i, (name, colour) in enumerate(zip(names, (UP, DOWN), strict=False)):
+        values = evidence.error[2][evidence.settled, i]
+        for ax, x in ((axes[0, 0], evidence.t_s), (axes[0, 1], evidence.q)):
+            ax.plot(x[evidence.settled], values, ".", ms=1.6, color=colour, label=name, rasterized=len(values) > MANY)
+    axes[0, 0].set(xlabel="time (s)", ylabel=f"seen - predicted ({evidence.unit})")
+    axes[0, 0].set_title("Residuals of f_remain + B")
+    axes[0, 1].set_xlabel("q")
+    if len(names) > 1:
+        axes[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, markerscale=5, borderaxespad=0.1)
+    return made
+
+
+@mpl.rc_context(STYLE)
+def cross_check(model: Model, q: Array, width: Array) -> Figure:
+    """B from the onsets beside B from the distance of the two passes."""
+    unit = model.rig.actuator.unit
+    made, axes = figure(5.4, 2.9)
+    ax = axes[0, 0]
+    ax.plot(model.q, model.width, color=MODEL, lw=1.8, label="from the onsets")
+    ax.plot(q, width, ".", ms=3, color=UP, label="from the two passes")
+    finite = width[np.isfinite(width)]
+    top = 1.3 * max(float(model.width.max()), float(np.percentile(finite, 98)) if finite.size else 0.0, 1e-9)
+    ax.set(xlabel=f"q ({unit})", ylabel=f"width ({unit})", ylim=(0, top), xlim=(model.q[0], model.q[-1]))
+    ax.set_title("B measured twice")
+    ax.legend(loc="upper right")
+    return made
+
+
+@mpl.rc_context(STYLE)
+def compared(models: Mapping[str, Model]) -> Figure:
+    """B and f_remain of several models (the paper's Fig. 2)."""
+    first = next(iter(models.values()))
+    unit = first.rig.actuator.unit
+    made, axes = figure(11, 4.0, 1, 2)
+    for (name, model), colour in zip(models.items(), _colours(len(models)), strict=True):
+        low, high = model.measured
+        inside = (model.q >= low) & (model.q <= high)
+        axes[0, 0].fill_between(
+            model.q[inside],
+            np.maximum(model.width - 2 * model.width_sigma, 0)[inside],
+            (model.width + 2 * model.width_sigma)[inside],
+            color=colour,
+            alpha=0.15,
+            lw=0,
+        )
+        axes[0, 0].plot(model.q[inside], model.width[inside], color=colour, lw=1.6, label=name)
+        for side in (-0.5, 0.5):
+            axes[0, 1].plot(model.q + side * model.width, model.c_deg, color=colour, lw=0.8, alpha=0.7)
+        axes[0, 1].plot(model.q, model.c_deg, color=colour, lw=1.6, label=name)
+    axes[0, 0].set(xlabel=f"q ({unit})", ylabel=f"backlash width ({unit})", ylim=(0, None))
+    axes[0, 0].set_title("Backlash width B(q), ± 2 sigma")
+    axes[0, 1].set(xlabel=f"q ({unit})", ylabel="bending c (deg)")
+    axes[0, 1].set_title("f_remain (thick) and the envelopes that B makes of it")
+    axes[0, 0].legend(loc="best")
+    return made
+
+
+def _colours(count: int) -> list[Any]:
+    if count <= len(SERIES):
+        return list(SERIES[:count])
+    return list(mpl.colormaps["viridis"](np.linspace(0, 0.9, count)))
+
+
+def _offset(evidence: Evidence, onset: Onset) -> float:
+    index = int(onset.get("recording", 0))
+    return float(evidence.offset_s[index]) if index < len(evidence.offset_s) else 0.0

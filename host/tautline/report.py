@@ -1,0 +1,328 @@
+"""A model's report and the comparison of models, as pages that stand alone: no network, no other file."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+from matplotlib.figure import Figure
+
+from tautline import __version__, figures
+from tautline.evidence import STAGES, Evidence
+from tautline.folders import write_file
+from tautline.model import Model
+
+Array = np.ndarray
+
+FILE = "report.html"
+
+
+@dataclass(frozen=True)
+class Picture:
+    uri: str
+    title: str
+    caption: str
+
+
+@dataclass(frozen=True)
+class Number:
+    name: str
+    value: str
+    detail: str
+
+
+def write(model: Model, folder: Path, evidence: Evidence | None) -> Path:
+    """MODEL/report.html: what was measured, how good it is, what it gains. `evidence` None: the tables alone."""
+    onsets = sorted(model.extra.get("onsets", []), key=lambda onset: (onset.get("recording", 0), onset["t_s"]))
+    used, unused = figures.split_onsets(onsets)
+    check = model.extra.get("cross_check")
+    page: dict[str, Any] = {
+        "title": f"What {folder.absolute().name} loses between motor and tip",
+        "source": _source(model, evidence),
+        "result": _result(model, used, evidence),
+        "numbers": _numbers(model, used, unused, evidence),
+        "notes": list(model.extra.get("notes", [])),
+        "motor_unit": model.rig.actuator.unit,
+        "unit": evidence.unit if evidence else "",
+        "hero": _picture(
+            figures.hero(model, onsets, evidence, _knots(model)),
+            "Backlash width and characteristic",
+            "Left: every measured width with 2 sigma, the curve through them, its band; grey: not reached. "
+            "Right: bending angle over motor position on the way up and down, and the central line f_remain.",
+        ),
+        "stages": _stages(evidence),
+        "gain": None,
+        "runs": [],
+        "onset_count": len(onsets),
+        "onsets": [_onset_row(onset) for onset in onsets],
+        "closely": None,
+        "track": None,
+        "residuals": None,
+        "cross_check": None,
+    }
+    if evidence is not None:
+        page |= {
+            "gain": _picture(
+                figures.gain(evidence),
+                "Distance between prediction and measurement",
+                "f_coarse knows neither backlash nor the real law; B alone gets the moments of motion right.",
+            ),
+            "track": _picture(
+                figures.track(evidence, onsets), "Motor and marker over time", "Dots: where the tip began to move."
+            ),
+            "residuals": _picture(
+                figures.residuals(evidence),
+                "Residuals of the whole model",
+                "White and small: nothing is left unmodelled. A pattern over q or time: taut diagnose says what it is.",
+            ),
+        }
+        closely = figures.onsets_closely(model, evidence, onsets)
+        if closely is not None:
+            page["closely"] = _picture(
+                closely,
+                "Some onsets closely",
+                "Dots: frames. Grey: the motor turns, the tip rests. Red: the hinge; the backlash ends where it bends.",
+            )
+    if check:
+        page["cross_check"] = _picture(
+            figures.cross_check(model, np.array(check["q"], float), np.array(check["width"], float)),
+            "B from the onsets and from the two passes",
+            "The distance of the two passes at equal image position measures B again, without any pose. "
+            "Where they part, the onset is smooth, or the registration changes with direction.",
+        )
+    for name, title, caption in RUNS:
+        if (folder / name).exists():
+            page["runs"].append(Picture(_svg_uri(folder / name), title, caption))
+    path = folder / FILE
+    write_file(path, _render("model.html", page))
+    return path
+
+
+def write_comparison(models: Mapping[str, Model], path: Path) -> None:
+    """How B and f_remain differ between models (the paper's Fig. 2)."""
+    rows = comparison(models)
+    names = list(models)
+    unit = models[names[0]].rig.actuator.unit
+    page = {
+        "title": "How backlash and f_remain changed",
+        "result": _comparison_sentences(rows, unit),
+        "picture": _picture(
+            figures.compared(models),
+            "B and f_remain of all models",
+            f"Against {names[0]}. Where bands do not touch, the change is larger than the uncertainty.",
+        ),
+        "columns": [
+            f"B mean ({unit})",
+            f"B least to most ({unit})",
+            f"change of B ({unit})",
+            "largest change",
+            "in sigma (rms)",
+            "change of f_remain (deg)",
+            "delay (ms)",
+        ],
+        "rows": [
+            {
+                "name": row["model"],
+                "cells": [
+                    _digits(row["width_mean"]),
+                    f"{_digits(row['width_min'])} to {_digits(row['width_max'])}",
+                    _digits(row["width_change_mean"], sign=True),
+                    _digits(row["width_change_max"], sign=True),
+                    _digits(row["width_change_sigmas"], 2),
+                    _digits(row["remaining_change_rms_deg"], 2),
+                    f"{1e3 * row['delay_s']:.1f}",
+                ],
+            }
+            for row in rows
+        ],
+    }
+    write_file(path, _render("compare.html", page))
+
+
+def comparison(models: Mapping[str, Model]) -> list[dict[str, Any]]:
+    """Each model against the first, over the q that both have measured. The change of f_remain is counted after its
+    mean is taken off (the zero of the motor is not the instrument's); the mean is beside it."""
+    names = list(models)
+    first = models[names[0]]
+    rows = []
+    for name in names:
+        model = models[name]
+        low, high = max(first.measured[0], model.measured[0]), min(first.measured[1], model.measured[1])
+        q = np.linspace(low, high, 201) if high > low else np.empty(0)
+        width, base = (np.interp(q, m.q, m.width) for m in (model, first))
+        sigma = np.hypot(*(np.interp(q, m.q, m.width_sigma) for m in (model, first)))
+        change = width - base
+        angle = model.remaining(q) - first.remaining(q)
+        some = len(q) > 0
+        worst = int(np.argmax(np.abs(change))) if some else 0
+        rows.append(
+            {
+                "model": name,
+                "q_from": low if some else None,
+                "q_to": high if some else None,
+                "width_mean": width.mean() if some else np.nan,
+                "width_min": width.min() if some else np.nan,
+                "width_max": width.max() if some else np.nan,
+                "width_change_mean": change.mean() if some else np.nan,
+                "width_change_rms": np.sqrt(np.mean(change**2)) if some else np.nan,
+                "width_change_max": change[worst] if some else np.nan,
+                "width_change_max_at": q[worst] if some else np.nan,
+                "width_change_sigmas": np.sqrt(np.mean((change / np.maximum(sigma, 1e-12)) ** 2)) if some else np.nan,
+                "remaining_change_mean_deg": angle.mean() if some else np.nan,
+                "remaining_change_rms_deg": angle.std() if some else np.nan,
+                "delay_s": model.delay_s,
+            }
+        )
+    return rows
+
+
+# Pictures that other commands leave in a MODEL folder.
+RUNS = (
+    (
+        "follow.svg",
+        "A trajectory followed with and without compensation",
+        "The same trajectory of the tip, open loop: with the board's tables, and with f_coarse alone.",
+    ),
+)
+
+
+def _svg_uri(path: Path) -> str:
+    return "data:image/svg+xml;base64," + base64.b64encode(path.read_bytes()).decode()
+
+
+def _render(template: str, page: Mapping[str, Any]) -> str:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("tautline"), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True
+    )
+    footer = f"tautline {__version__}, {datetime.now().astimezone():%Y-%m-%d %H:%M %z}"
+    return environment.get_template(template).render(footer=footer, **page)
+
+
+def _picture(made: Figure, title: str, caption: str) -> Picture:
+    return Picture(figures.data_uri(made), title, caption)
+
+
+def _knots(model: Model) -> Array | None:
+    knots = model.extra.get("knots")
+    return None if not knots else np.array(knots, dtype=float)
+
+
+def _digits(value: float, digits: int = 3, sign: bool = False) -> str:
+    """A number with so many significant digits and no exponent."""
+    if value is None or not np.isfinite(value):
+        return "not measured"
+    if value == 0:
+        return "0"
+    places = max(0, digits - 1 - int(np.floor(np.log10(abs(value)))))
+    return f"{value:{'+' if sign else ''}.{min(places, 6)}f}"
+
+
+def _inside(model: Model) -> Array:
+    return (model.q >= model.measured[0]) & (model.q <= model.measured[1])
+
+
+def _source(model: Model, evidence: Evidence | None) -> str:
+    names = model.extra.get("recordings", [])
+    made = f"from {', '.join(names)}; " if names else ""
+    low, high = model.rig.actuator.range
+    length = f"{len(evidence.t_s)} {'frames' if evidence.unit == 'px' else 'samples'}; " if evidence else ""
+    return f"{made}{length}motor range {low:g} to {high:g} {model.rig.actuator.unit}"
+
+
+def _result(model: Model, used: Sequence[Any], evidence: Evidence | None) -> list[str]:
+    unit, inside = model.rig.actuator.unit, _inside(model)
+    sentences = []
+    if inside.any():
+        width, sigma = model.width[inside], model.width_sigma[inside]
+        sentences.append(
+            f"After every change of direction the motor turns {_digits(width.min())} to {_digits(width.max())} {unit} "
+            f"before the tip moves, known to ± {_digits(2 * float(np.median(sigma)), 2)} {unit}."
+        )
+    else:
+        sentences.append("No width could be measured: no reversal reached the end of the backlash.")
+    if evidence is not None:
+        coarse, _, whole = evidence.rms()
+        if np.isfinite(whole):
+            sentences.append(
+                f"With these tables the tip is where the model says within {_digits(whole, 2)} {evidence.unit}; "
+                f"f_coarse alone is off by {_digits(coarse, 2)} {evidence.unit}, {_times(coarse, whole)} times as much."
+            )
+        else:
+            sentences.append("The tip was never driven through a full backlash both ways, so nothing can be scored.")
+    return sentences
+
+
+def _times(worse: float, better: float) -> str:
+    return _digits(worse / max(better, 1e-12), 2)
+
+
+def _numbers(model: Model, used: Sequence[Any], unused: Sequence[Any], evidence: Evidence | None) -> list[Number]:
+    unit, inside = model.rig.actuator.unit, _inside(model)
+    numbers = []
+    if inside.any():
+        width, at = model.width[inside], model.q[inside]
+        numbers += [
+            Number("widest backlash", f"{_digits(width.max())} {unit}", f"at {_digits(at[width.argmax()], 2)} {unit}"),
+            Number("narrowest", f"{_digits(width.min())} {unit}", f"at {_digits(at[width.argmin()], 2)} {unit}"),
+            Number("measured from, to", f"{_digits(model.measured[0], 3)}, {_digits(model.measured[1], 3)}", unit),
+        ]
+    numbers.append(Number("reversals used", str(len(used)), f"of {len(used) + len(unused)}"))
+    if model.rig.has_camera:
+        sigma = model.extra.get("delay_sigma_s")
+        spread = f"± {2e3 * sigma:.1f}" if sigma else "nominal"
+        numbers.append(Number("delay of the image", f"{1e3 * model.delay_s:.1f} ms", spread))
+    if evidence is not None and np.isfinite(evidence.rms()[2]):
+        numbers.append(Number("prediction", f"{_digits(evidence.rms()[2], 2)} {evidence.unit}", "rms per coordinate"))
+    return numbers
+
+
+def _stages(evidence: Evidence | None) -> list[dict[str, str]]:
+    if evidence is None or not evidence.settled.any():
+        return []
+    rms = evidence.rms()
+    rows = []
+    for name, error, value in zip(STAGES, evidence.error, rms, strict=True):
+        distance = np.linalg.norm(error[evidence.settled], axis=1)
+        rows.append(
+            {
+                "name": name,
+                "rms": _digits(value),
+                "mean": f"{_digits(float(np.nanmean(distance)))} ± {_digits(float(np.nanstd(distance)), 2)}",
+                "worst": _digits(float(np.nanmax(distance))),
+                "better": _times(rms[0], value),
+            }
+        )
+    return rows
+
+
+def _onset_row(onset: Mapping[str, Any]) -> dict[str, Any]:
+    reason = str(onset.get("reason") or "")
+    return {
+        "used": onset["used"],
+        "t_s": f"{onset['t_s']:.3f}",
+        "direction": "rises" if onset["direction"] > 0 else "falls",
+        **{key: "" if onset[key] is None else f"{onset[key]:.4f}" for key in ("q1", "q2", "width")},
+        "sigma": "" if onset["sigma"] is None else f"{2 * onset['sigma']:.4f}",
+        "verdict": "yes" if onset["used"] else reason or "no",
+    }
+
+
+def _comparison_sentences(rows: Sequence[Mapping[str, Any]], unit: str) -> list[str]:
+    sentences = []
+    for row in rows[1:]:
+        if not np.isfinite(row["width_mean"]):
+            sentences.append(f"{row['model']} has measured no q that {rows[0]['model']} has.")
+            continue
+        certain = "more than its uncertainty" if row["width_change_sigmas"] > 2 else "within the uncertainty"
+        sentences.append(
+            f"{row['model']}: B changed by {_digits(row['width_change_mean'], sign=True)} {unit} on average and "
+            f"{_digits(row['width_change_max'], sign=True)} {unit} at most, {certain}; "
+            f"f_remain by {_digits(row['remaining_change_rms_deg'], 2)} deg rms."
+        )
+    return sentences
