@@ -1,0 +1,69 @@
+"""The board's clock as the host's: from round trips, with an error that is a bound and not a hope."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+STEADY = 200e-6  # two quartz clocks differ by less than this ratio, whatever is known of them
+_KEPT = 512
+_LINE_S = 5.0  # round trips over so long show the drift better than STEADY bounds it
+
+
+class Clock:
+    """board time = host time + offset(host time). A round trip says that the board's stamp fell between its two ends."""
+
+    def __init__(self) -> None:
+        self._trips: deque[tuple[float, float, float]] = deque(maxlen=_KEPT)  # middle, offset, half the round trip; s
+
+    def add(self, sent_s: float, received_s: float, board_us: int) -> None:
+        """One round trip: host times before and after, and the board's time in between."""
+        middle = 0.5 * (sent_s + received_s)
+        self._trips.append((middle, board_us * 1e-6 - middle, 0.5 * (received_s - sent_s)))
+
+    def _line(self) -> tuple[float, float, float, np.ndarray, np.ndarray] | None:
+        """Through the shortest round trips: mean time, offset there, drift; and their times and half lengths."""
+        trips = np.array(self._trips)
+        if len(trips) < 8:
+            return None
+        trips = trips[trips[:, 2] <= 1.5 * trips[:, 2].min()]
+        t, offset, half = trips.T
+        if len(t) < 4 or np.ptp(t) < _LINE_S:
+            return None
+        mean = t.mean()
+        drift = float(((t - mean) * (offset - offset.mean())).sum() / ((t - mean) ** 2).sum())
+        return float(mean), float(offset.mean()), drift, t, half
+
+    def offset(self, host_s: float) -> tuple[float, float]:
+        """Board time minus host time at `host_s`, and the error that it cannot exceed while both clocks run evenly; s."""
+        if not self._trips:
+            return 0.0, float("inf")
+        trips = np.array(self._trips)
+        bound = trips[:, 2] + STEADY * np.abs(host_s - trips[:, 0])
+        best = int(np.argmin(bound))
+        answer = float(trips[best, 1]), float(bound[best])
+        line = self._line()
+        if line is not None:
+            mean, level, drift, t, half = line
+            share = 1.0 / len(t) + (host_s - mean) * (t - mean) / ((t - mean) ** 2).sum()  # of each trip in the line's value
+            error = float(np.abs(share) @ half)
+            if error < answer[1]:
+                answer = level + drift * (host_s - mean), error
+        return answer
+
+    @property
+    def drift(self) -> float:
+        """By how much the board's clock runs faster; 0 until round trips span 5 s."""
+        line = self._line()
+        return line[2] if line else 0.0
+
+    def board_us(self, host_s: float) -> int:
+        return max(round((host_s + self.offset(host_s)[0]) * 1e6), 0)
+
+    def host_s(self, board_us: int) -> float:
+        board = board_us * 1e-6
+        host = board - (self._trips[-1][1] if self._trips else 0.0)
+        for _ in range(3):  # the offset changes by less than STEADY of the step
+            host = board - self.offset(host)[0]
+        return host

@@ -1,0 +1,143 @@
+"""USB DFU 1.1 over PyUSB: what dfu-util does, for the tables of a board. Interface 1, alternate setting = axis."""
+
+from __future__ import annotations
+
+import struct
+import time
+from collections.abc import Callable
+from typing import Any
+
+import usb.core
+import usb.util
+
+from tautline.errors import TautError
+
+_OUT, _IN = 0x21, 0xA1  # class requests to an interface
+_DNLOAD, _UPLOAD, _GETSTATUS, _CLRSTATUS, _ABORT = 1, 2, 3, 4, 6
+_IDLE, _DNLOAD_SYNC, _DNBUSY, _DNLOAD_IDLE, _MANIFEST_SYNC, _MANIFEST, _WAIT_RESET, _UPLOAD_IDLE, _ERROR = range(2, 11)
+_FUNCTIONAL = 0x21
+_TIMEOUT_MS = 2000
+_BUSY_S = 10.0
+_STATUS = {  # DFU 1.1, table in 6.1.2, as a board uses them for tables
+    0x01: "the board has no such axis",
+    0x02: "the table does not fit this board or axis",
+    0x03: "the flash could not be written",
+    0x04: "the flash could not be erased",
+    0x05: "the flash is not blank after erasing",
+    0x06: "the flash could not be programmed",
+    0x07: "the flash does not hold what was written",
+    0x08: "the table is longer than the board takes",
+    0x09: "the download ended early",
+    0x0A: "the table is damaged",
+    0x0B: "a motor is on: tables are loaded with every motor off",
+    0x0E: "the board met an unknown error",
+    0x0F: "the board stalled an unexpected request",
+}
+
+
+class DfuError(TautError):
+    """The board refused a download or upload. `status` is DFU's bStatus."""
+
+    def __init__(self, text: str, status: int = 0) -> None:
+        super().__init__(text)
+        self.status = status
+
+
+class Dfu:
+    """The DFU interface of an open device, on one alternate setting. Leaves the board idle, also after a failure."""
+
+    def __init__(self, device: usb.core.Device, interface: int, alternate: int) -> None:
+        self._device, self._interface = device, interface
+        settings = [i for i in device.get_active_configuration() if i.bInterfaceNumber == interface]
+        if alternate not in [i.bAlternateSetting for i in settings]:
+            raise DfuError(f"the board has no axis {alternate}: its axes are 0 to {len(settings) - 1}")
+        extra = next((bytes(i.extra_descriptors) for i in settings if i.extra_descriptors), b"")
+        if len(extra) < 9 or extra[1] != _FUNCTIONAL:
+            raise DfuError("the board has no DFU interface: its firmware is not tautline's")
+        self._block = struct.unpack_from("<H", extra, 5)[0]
+        usb.util.claim_interface(device, interface)
+        device.set_interface_altsetting(interface, alternate)
+
+    def __enter__(self) -> Dfu:
+        self._make_idle()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        try:
+            self._make_idle()
+        except usb.core.USBError:
+            pass  # gone: nothing to leave in order
+        finally:
+            usb.util.release_interface(self._device, self._interface)
+
+    def download(self, blob: bytes, progress: Callable[[float, str], None] | None = None) -> None:
+        """Writes `blob` and waits until the board has checked and stored it."""
+        for number, start in enumerate(range(0, len(blob), self._block)):
+            self._send(_DNLOAD, number, blob[start : start + self._block])
+            self._settle(_DNLOAD_IDLE)
+            if progress:
+                progress(min((start + self._block) / len(blob), 1.0), "loading")
+        self._send(_DNLOAD, -(-len(blob) // self._block), b"")
+        self._settle(_IDLE)
+
+    def upload(self) -> bytes:
+        """What the board has stored."""
+        blob = bytearray()
+        number = 0
+        while True:
+            part = bytes(self._receive(_UPLOAD, number, self._block))
+            blob += part
+            number += 1
+            if len(part) < self._block:
+                return bytes(blob)
+
+    def _send(self, request: int, value: int, data: bytes) -> None:
+        self._control(_OUT, request, value, data)
+
+    def _receive(self, request: int, value: int, length: int) -> Any:
+        return self._control(_IN, request, value, length)
+
+    def _control(self, kind: int, request: int, value: int, what: bytes | int) -> Any:
+        try:
+            return self._device.ctrl_transfer(kind, request, value, self._interface, what, _TIMEOUT_MS)
+        except usb.core.USBError as error:
+            if error.errno == 32 and request in (_DNLOAD, _UPLOAD):  # a stall: the status says why
+                status, _, _ = self._status()
+                raise self._refusal(status) from error
+            raise
+
+    def _status(self) -> tuple[int, float, int]:
+        """bStatus, seconds to wait before the next question, bState."""
+        answer = bytes(self._receive(_GETSTATUS, 0, 6))
+        if len(answer) != 6:
+            raise DfuError("the board's DFU status is too short: its firmware is not tautline's")
+        return answer[0], int.from_bytes(answer[1:4], "little") / 1000.0, answer[4]
+
+    def _settle(self, wanted: int) -> None:
+        deadline = time.monotonic() + _BUSY_S
+        while True:
+            status, pause, state = self._status()
+            if status or state == _ERROR:
+                raise self._refusal(status)
+            if state == wanted:
+                return
+            if time.monotonic() > deadline:
+                raise DfuError(f"the board stays in DFU state {state}: switch it off and on, then load again")
+            time.sleep(pause)
+
+    def _make_idle(self) -> None:
+        for _ in range(4):
+            _, pause, state = self._status()
+            if state == _IDLE:
+                return
+            if state == _ERROR:
+                self._send(_CLRSTATUS, 0, b"")
+            elif state in (_DNBUSY, _MANIFEST, _MANIFEST_SYNC):
+                time.sleep(pause)
+            else:
+                self._send(_ABORT, 0, b"")
+        raise DfuError("the board's DFU interface does not come to rest: switch the board off and on")
+
+    @staticmethod
+    def _refusal(status: int) -> DfuError:
+        return DfuError(f"the board refused the table: {_STATUS.get(status, f'DFU status {status:#04x}')}", status)

@@ -1,0 +1,113 @@
+"""Messages between host and board as physical values. Layouts, scales and codes come from tl_wire.h alone.
+
+A field such as `speed_q8_s` is a fixed-point number: here it is `speed_s`, a float (counts/s), and is converted on the way.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tautline import _native
+
+wire = _native.wire
+_SCALE = re.compile(r"_q(\d+)(?=_|$)")
+
+
+@dataclass(frozen=True)
+class _Field:
+    raw: str
+    name: str
+    scale: int  # 2**Q, 0 for an integer as it is
+
+    @classmethod
+    def of(cls, raw: str) -> _Field:
+        found = _SCALE.search(raw)
+        return cls(raw, _SCALE.sub("", raw), 1 << int(found[1])) if found else cls(raw, raw, 0)
+
+
+_FIELDS = {
+    name: tuple(_Field.of(field[0]) for field in message["fields"]) for name, message in wire.MESSAGES.items()
+}
+
+
+@dataclass(frozen=True)
+class Message:
+    """One that came from a board. Fixed-point arrays are float arrays."""
+
+    name: str
+    sequence: int
+    values: Mapping[str, Any]
+
+    def __getattr__(self, name: str) -> Any:
+        try:
+            return self.values[name]
+        except KeyError:
+            raise AttributeError(f"{self.name} has no field {name}") from None
+
+
+def encode(name: str, sequence: int, **values: Any) -> bytes:
+    """The frame of a message; fixed-point fields are rounded to their grid and held within 32 bits."""
+    fields = {}
+    for field in _FIELDS[name]:
+        value = values.pop(field.name)
+        if field.scale:
+            scaled = np.clip(np.rint(np.asarray(value, dtype=np.float64) * field.scale), -(2**31), 2**31 - 1)
+            value = tuple(int(v) for v in scaled) if scaled.ndim else int(scaled)
+        fields[field.raw] = value
+    if values:
+        raise TypeError(f"{name} has no field {', '.join(values)}")
+    frame: bytes = wire.encode(name, sequence, fields)
+    return frame
+
+
+class Decoder:
+    """Messages out of a stream of bytes. What is no message, or of a newer version, is skipped and counted."""
+
+    def __init__(self) -> None:
+        self._parser = wire.Parser()
+        self.unknown = 0
+
+    @property
+    def bytes_bad(self) -> int:
+        return int(self._parser.bytes_bad)
+
+    def feed(self, data: bytes) -> Iterator[Message]:
+        for name, _, sequence, fields in self._parser.feed(data):
+            if name is None or fields is None:
+                self.unknown += 1
+            else:
+                yield Message(name, sequence, {f.name: self._value(fields[f.raw], f.scale) for f in _FIELDS[name]})
+
+    @staticmethod
+    def _value(raw: Any, scale: int) -> Any:
+        if not scale:
+            return np.array(raw) if isinstance(raw, tuple) else raw
+        return np.array(raw) / scale if isinstance(raw, tuple) else raw / scale
+
+
+def code(codes: str, name: str) -> int:
+    """The number of a name in one of tl_wire.h's lists, such as code("MODES", "HOLD")."""
+    return int(getattr(wire, codes)[name][0])
+
+
+def text(codes: str, number: int) -> str:
+    """What tl_wire.h says of a number in one of its lists."""
+    for value, says in getattr(wire, codes).values():
+        if value == number:
+            return str(says)
+    return f"code {number}, unknown to this version of tautline"
+
+
+def flags(number: int) -> list[str]:
+    return [name.lower() for name, (bit, _) in wire.FLAGS.items() if number & bit]
+
+
+def table_reason(number: int) -> str:
+    """Why a board refused a table (tl_table.h), from the number in its status."""
+    reasons = list(_native.TABLE_REASONS.values())
+    return str(reasons[number - 1]) if 0 < number <= len(reasons) else f"reason {number}"
