@@ -122,7 +122,8 @@ def open_board(where: str | None = None) -> Board:
         looked = f"no board '{where}' was found" if where else "no board was found"
         raise TautError(f"{looked}: plug it in, name one with --board usbip:HOST:PORT, or use --simulate")
     if len(found) > 1:
-        raise TautError(f"{len(found)} boards were found: say which with --board {' or --board '.join(f.where for f in found)}")
+        choices = " or ".join(f"--board {board.where}" for board in found)
+        raise TautError(f"{len(found)} boards were found: say which with {choices}")
     return Board(found[0])
 
 
@@ -136,16 +137,15 @@ def check_protocol(found: Found) -> None:
         raise TautError(f"{speaks}: run 'pip install --upgrade tautline'")
     if found.where.startswith("usbip:"):
         raise TautError(f"{speaks}: run 'cmake --build --preset gcc' and start the board again")
-    raise TautError(
-        f"{speaks}: hold BOOTSEL while plugging the board in, then run 'cp build/rp2040/tautline.uf2 /media/$USER/RPI-RP2/'"
-    )
+    mend = "cp build/rp2040/tautline.uf2 /media/$USER/RPI-RP2/"
+    raise TautError(f"{speaks}: hold BOOTSEL while plugging the board in, then run '{mend}'")
 
 
 class Board:
-    """An open board. Messages take and give physical values (wire.py): counts, deg, px, seconds where a name ends in _s.
+    """An open board. Messages take and give physical values (wire.py): counts, counts/s, deg, px.
 
-    One thread may use it alone (`poll` takes in what came); with `reading()` a thread of its own does, and listeners are
-    then called on that thread.
+    One thread may use it alone (`poll` takes in what came); with `reading()` a thread of its own does, and listeners
+    are then called on that thread.
     """
 
     def __init__(self, found: Found) -> None:
@@ -224,9 +224,8 @@ class Board:
         if error.errno == errno.EBUSY:
             return TautError(f"{self.where}: another program uses the board: close that program first")
         if error.errno == errno.EACCES:
-            return TautError(
-                f"{self.where}: no permission: run 'sudo cp tools/70-tautline.rules /etc/udev/rules.d/' and plug it in again"
-            )
+            mend = "sudo cp tools/70-tautline.rules /etc/udev/rules.d/"
+            return TautError(f"{self.where}: no permission: run '{mend}' and plug the board in again")
         if error.errno == errno.ETIMEDOUT:
             return TautError(f"{self.where}: the board does not take data: switch it off and on")
         return TautError(f"{self.where}: USB failed ({error}): unplug the board and plug it in again")
@@ -348,7 +347,7 @@ class Board:
         except DfuError as error:
             raise self._refusal(axis, error) from error
         if stored != blob:
-            raise TautError(f"axis {axis}: the board holds another table than was sent ({len(stored)} bytes): flash again")
+            raise TautError(f"axis {axis}: the board holds another table than was sent: flash it again")
 
     def read_table(self, axis: int) -> bytes:
         """The table in use, b"" where the axis has none."""

@@ -12,7 +12,7 @@ _LINE_S = 5.0  # round trips over so long show the drift better than STEADY boun
 
 
 class Clock:
-    """board time = host time + offset(host time). A round trip says that the board's stamp fell between its two ends."""
+    """board time = host time + offset(host time); in a round trip the board's stamp fell between its two ends."""
 
     def __init__(self) -> None:
         self._trips: deque[tuple[float, float, float]] = deque(maxlen=_KEPT)  # middle, offset, half the round trip; s
@@ -36,7 +36,7 @@ class Clock:
         return float(mean), float(offset.mean()), drift, t, half
 
     def offset(self, host_s: float) -> tuple[float, float]:
-        """Board time minus host time at `host_s`, and the error that it cannot exceed while both clocks run evenly; s."""
+        """Board time minus host time at `host_s`, and what its error cannot exceed while both clocks run evenly; s."""
         if not self._trips:
             return 0.0, float("inf")
         trips = np.array(self._trips)
@@ -46,7 +46,7 @@ class Clock:
         line = self._line()
         if line is not None:
             mean, level, drift, t, half = line
-            share = 1.0 / len(t) + (host_s - mean) * (t - mean) / ((t - mean) ** 2).sum()  # of each trip in the line's value
+            share = 1.0 / len(t) + (host_s - mean) * (t - mean) / ((t - mean) ** 2).sum()  # of each trip in the value
             error = float(np.abs(share) @ half)
             if error < answer[1]:
                 answer = level + drift * (host_s - mean), error

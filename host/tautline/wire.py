@@ -1,6 +1,6 @@
 """Messages between host and board as physical values. Layouts, scales and codes come from tl_wire.h alone.
 
-A field such as `speed_q8_s` is a fixed-point number: here it is `speed_s`, a float (counts/s), and is converted on the way.
+A field such as `speed_q8_s` is a fixed-point number: here it is `speed_s`, a float (counts/s), converted on the way.
 """
 
 from __future__ import annotations
@@ -30,9 +30,7 @@ class _Field:
         return cls(raw, _SCALE.sub("", raw), 1 << int(found[1])) if found else cls(raw, raw, 0)
 
 
-_FIELDS = {
-    name: tuple(_Field.of(field[0]) for field in message["fields"]) for name, message in wire.MESSAGES.items()
-}
+_FIELDS = {name: tuple(_Field.of(field[0]) for field in message["fields"]) for name, message in wire.MESSAGES.items()}
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,158 @@
+"""The desktop board as a process, its sim link, and the simulated instrument and endoscope in lockstep with it.
+
+Only simulation comes through here: a board's own data takes USB. Time is virtual: it stands still between `advance`s.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import socket
+import subprocess
+import tempfile
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from tautline.errors import TautError
+from tautline.instrument import Instrument
+
+Array = np.ndarray
+PROGRAM = "TAUTLINE_DESKTOP_BOARD"  # environment: the program, where it is not built in the usual place
+_BUILT = Path(__file__).resolve().parents[2] / "build" / "gcc" / "firmware" / "port" / "desktop" / "tautline-board"
+_START_S = 10.0
+_ANSWER_S = 60.0
+_Q8 = 256.0
+
+
+class SimLink:
+    """One text request a line, one JSON object a line back; see `tautline-board`."""
+
+    def __init__(self, port: int, host: str = "127.0.0.1") -> None:
+        try:
+            self._socket = socket.create_connection((host, port), timeout=_START_S)
+        except OSError as error:
+            raise TautError(f"no simulated board answers at {host}:{port}: start it, or use --simulate") from error
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket.settimeout(_ANSWER_S)
+        self._lines = self._socket.makefile("rb")
+
+    def ask(self, request: str) -> dict[str, Any]:
+        try:
+            self._socket.sendall(request.encode() + b"\n")
+            line = self._lines.readline()
+        except OSError as error:
+            raise TautError("the simulated board has stopped: start it again") from error
+        if not line:
+            raise TautError("the simulated board has stopped: start it again")
+        answer: dict[str, Any] = json.loads(line)
+        if "error" in answer:
+            raise TautError(f"the simulated board refused '{request}': {answer['error']}")
+        return answer
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):
+            self._lines.close()
+            self._socket.close()
+
+
+def program() -> Path:
+    """The desktop board's executable."""
+    named = os.environ.get(PROGRAM)
+    for candidate in (named, shutil.which("tautline-board"), _BUILT):
+        if candidate and Path(candidate).is_file():
+            return Path(candidate)
+    raise TautError("the desktop board is not built: run 'cmake --preset gcc && cmake --build --preset gcc'")
+
+
+class DesktopBoard:
+    """A desktop board of our own, for as long as the block lasts. Its flash is a file that outlives it where named."""
+
+    def __init__(
+        self,
+        axes: int = 1,
+        flash: Path | None = None,
+        serial: str = "DESKTOP",
+        realtime: bool = False,
+        rate_hz: int = 5000,
+    ) -> None:
+        self._folder = None if flash else tempfile.TemporaryDirectory(prefix="tautline-")
+        self.flash = flash or Path(self._folder.name if self._folder else ".") / "flash.bin"
+        command = [str(program()), "--usbip", "0", "--sim", "0", "--flash", str(self.flash), "--axes", str(axes)]
+        command += ["--rate", str(rate_hz), "--serial", serial] + (["--realtime"] if realtime else [])
+        self.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE)
+        assert self.process.stdout is not None
+        line = self.process.stdout.readline()
+        if not line:
+            self.close()
+            raise TautError(f"the desktop board did not start (exit status {self.process.returncode})")
+        self.ports: dict[str, Any] = json.loads(line)
+        self.where = f"usbip:127.0.0.1:{self.ports['usbip']}"
+
+    def link(self) -> SimLink:
+        return SimLink(self.ports["sim"])
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        if self.process.stdout is not None:
+            self.process.stdout.close()
+        if self._folder is not None:
+            self._folder.cleanup()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class Plant:
+    """A simulated instrument on one axis of a simulated board. The truth: q, p and c at each millisecond."""
+
+    def __init__(self, link: SimLink, instrument: Instrument, axis: int = 0, start: float | None = None) -> None:
+        """start: p at the beginning, default the middle of the range. The board's position 0 is q = 0."""
+        self.link, self.instrument, self.axis = link, instrument, axis
+        self.resolution = instrument.rig.actuator.encoder_resolution
+        self._t: list[Array] = []
+        self._q: list[Array] = []
+        self._c: list[Array] = []
+        if start is not None:
+            instrument.reset(start)
+        state = link.ask("state")
+        self._append(np.array([state["t_us"] * 1e-6]), np.array([state["q"][axis]]) * self.resolution / _Q8)
+
+    def _append(self, t_s: Array, q: Array) -> None:
+        self._t.append(t_s)
+        self._q.append(q)
+        self._c.append(self.instrument.move(t_s, q))
+
+    @property
+    def now_s(self) -> float:
+        return float(self._t[-1][-1])
+
+    def advance_to(self, t_s: float) -> None:
+        """Runs board and instrument until the first millisecond at or after t_s."""
+        behind_us = int(np.ceil((t_s - self.now_s) * 1e3 - 1e-6)) * 1000
+        if behind_us <= 0:
+            return
+        answer = self.link.ask(f"advance {behind_us}")
+        q = np.asarray(answer["q"][self.axis], dtype=np.float64) * self.resolution / _Q8
+        step = answer["dt_us"]
+        self._append((answer["t_us"] + step * np.arange(1 - len(q), 1)) * 1e-6, q)
+
+    def truth(self) -> tuple[Array, Array, Array]:
+        """t_s, q (the rig's unit) and c in deg, one per millisecond."""
+        return np.concatenate(self._t), np.concatenate(self._q), np.concatenate(self._c)
+
+    def scene(self, t_s: Array) -> tuple[Array, float, float]:
+        """What a simulated camera asks for: c at times in the last second, translation, rotation."""
+        recent = 1 + next((i for i in range(1, len(self._t)) if self._t[-i][0] < self.now_s - 1.0), len(self._t) - 1)
+        t, c = np.concatenate(self._t[-recent:]), np.concatenate(self._c[-recent:])
+        return np.interp(t_s, t, c), 0.0, 0.0
