@@ -63,6 +63,12 @@ def split_onsets(onsets: Sequence[Onset]) -> tuple[list[Onset], list[Onset]]:
     return [o for o in onsets if o["used"]], [o for o in onsets if not o["used"]]
 
 
+def knots_of(model: Model) -> Array | None:
+    """Where the spline of B has its knots, if the model names them."""
+    knots = model.extra.get("knots")
+    return np.array(knots, dtype=float) if knots else None
+
+
 def q_mean(onset: Onset) -> float:
     return 0.5 * (float(onset["q1"]) + float(onset["q2"]))
 

@@ -14,9 +14,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from tautline import __version__, figures
-from tautline.evidence import STAGES, Evidence
-from tautline.folders import write_file
-from tautline.model import Model
+from tautline.evidence import STAGES, Evidence, collect
+from tautline.folders import replaced, write_file
+from tautline.model import MODEL_FILE, Model
+from tautline.recording import Recording
 
 Array = np.ndarray
 
@@ -37,21 +38,31 @@ class Number:
     detail: str
 
 
-def write(model: Model, folder: Path, evidence: Evidence | None) -> Path:
+def save_model(model: Model, recordings: Sequence[Recording], folder: Path) -> list[str]:
+    """The whole MODEL folder with its report, or nothing. Returns the result in sentences."""
+    with replaced(folder, MODEL_FILE) as target:
+        evidence = collect(model, recordings)
+        model.save(target)
+        evidence.save(target)
+        write(model, target, evidence, folder.absolute().name)
+    return sentences(model, evidence)
+
+
+def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "") -> Path:
     """MODEL/report.html: what was measured, how good it is, what it gains. `evidence` None: the tables alone."""
     onsets = sorted(model.extra.get("onsets", []), key=lambda onset: (onset.get("recording", 0), onset["t_s"]))
     used, unused = figures.split_onsets(onsets)
     check = model.extra.get("cross_check")
     page: dict[str, Any] = {
-        "title": f"What {folder.absolute().name} loses between motor and tip",
+        "title": f"What {name or folder.absolute().name} loses between motor and tip",
         "source": _source(model, evidence),
-        "result": _result(model, used, evidence),
+        "result": sentences(model, evidence),
         "numbers": _numbers(model, used, unused, evidence),
         "notes": list(model.extra.get("notes", [])),
         "motor_unit": model.rig.actuator.unit,
         "unit": evidence.unit if evidence else "",
         "hero": _picture(
-            figures.hero(model, onsets, evidence, _knots(model)),
+            figures.hero(model, onsets, evidence, figures.knots_of(model)),
             "Backlash width and characteristic",
             "Left: every measured width with 2 sigma, the curve through them, its band; grey: not reached. "
             "Right: bending angle over motor position on the way up and down, and the central line f_remain.",
@@ -208,11 +219,6 @@ def _picture(made: Figure, title: str, caption: str) -> Picture:
     return Picture(figures.data_uri(made), title, caption)
 
 
-def _knots(model: Model) -> Array | None:
-    knots = model.extra.get("knots")
-    return None if not knots else np.array(knots, dtype=float)
-
-
 def _digits(value: float, digits: int = 3, sign: bool = False) -> str:
     """A number with so many significant digits and no exponent."""
     if value is None or not np.isfinite(value):
@@ -235,27 +241,28 @@ def _source(model: Model, evidence: Evidence | None) -> str:
     return f"{made}{length}motor range {low:g} to {high:g} {model.rig.actuator.unit}"
 
 
-def _result(model: Model, used: Sequence[Any], evidence: Evidence | None) -> list[str]:
+def sentences(model: Model, evidence: Evidence | None) -> list[str]:
+    """The result for a person, in one line each."""
     unit, inside = model.rig.actuator.unit, _inside(model)
-    sentences = []
+    said = []
     if inside.any():
         width, sigma = model.width[inside], model.width_sigma[inside]
-        sentences.append(
+        said.append(
             f"After every change of direction the motor turns {_digits(width.min())} to {_digits(width.max())} {unit} "
             f"before the tip moves, known to ± {_digits(2 * float(np.median(sigma)), 2)} {unit}."
         )
     else:
-        sentences.append("No width could be measured: no reversal reached the end of the backlash.")
+        said.append("No width could be measured: no reversal reached the end of the backlash.")
     if evidence is not None:
         coarse, _, whole = evidence.rms()
         if np.isfinite(whole):
-            sentences.append(
+            said.append(
                 f"With these tables the tip is where the model says within {_digits(whole, 2)} {evidence.unit}; "
                 f"f_coarse alone is off by {_digits(coarse, 2)} {evidence.unit}, {_times(coarse, whole)} times as much."
             )
         else:
-            sentences.append("The tip was never driven through a full backlash both ways, so nothing can be scored.")
-    return sentences
+            said.append("The tip was never driven through a full backlash both ways, so nothing can be scored.")
+    return said
 
 
 def _times(worse: float, better: float) -> str:
