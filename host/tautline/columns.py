@@ -137,7 +137,7 @@ def read_columns(path: Path, required: Iterable[str], expected: str) -> Columns:
     if not body.strip():
         raise TautError(f"{path}: has a header line but no rows")
     try:
-        frame = pd.read_csv(io.StringIO(body), header=None, low_memory=False, skipinitialspace=True)
+        frame = pd.read_csv(io.BytesIO(body.encode()), header=None, low_memory=False, skipinitialspace=True)
     except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError, OverflowError, csv.Error) as error:
         raise _uneven(path, text, header_line, len(names)) from error
     extra = frame.iloc[:, len(names) :]

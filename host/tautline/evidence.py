@@ -8,8 +8,11 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
+import pandas as pd
 
+from tautline.columns import read_columns
 from tautline.errors import TautError
+from tautline.folders import write_file
 from tautline.geometry import pose, project
 from tautline.model import Model
 from tautline.recording import Motor, Recording, timeline
@@ -17,6 +20,7 @@ from tautline.recording import Motor, Recording, timeline
 Array = np.ndarray
 
 FILE = "evidence.npz"
+COMPENSATIONS = ("off", "backlash", "full")
 STAGES = ("f_coarse", "f_coarse + B", "f_remain + B")  # the models of the paper's Table I
 
 
@@ -129,3 +133,37 @@ def settled(model: Model, motor: Motor, t_s: Array) -> Array:
     apart = np.abs(ends[0] - ends[1]) > 1e-9
     latest = t_s[apart].max() if apart.any() else -np.inf
     return np.asarray(t_s > latest)
+
+
+@dataclass(frozen=True)
+class Run:
+    """A trajectory of the tip followed open loop; `counted` where it is scored."""
+
+    t_s: Array  # (n,)
+    goal_deg: Array
+    tip_deg: Array
+    counted: Array  # bool
+
+    @property
+    def rms_deg(self) -> float:
+        error = (self.tip_deg - self.goal_deg)[self.counted]
+        return float(np.sqrt(np.mean(error**2))) if len(error) else float("nan")
+
+    def save(self, folder: Path, compensation: str) -> None:
+        """Beside a model, for its report; `compensation` is one of COMPENSATIONS."""
+        columns = {"t_s": self.t_s, "goal_deg": self.goal_deg, "tip_deg": self.tip_deg, "counted": self.counted}
+        table = pd.DataFrame({name: values.astype(float) for name, values in columns.items()})
+        write_file(folder / f"follow-{compensation}.csv", table.to_csv(index=False, float_format="%.6g"))
+
+    @classmethod
+    def load_all(cls, folder: Path) -> dict[str, Self]:
+        """The runs beside a model, by compensation."""
+        runs = {}
+        for compensation in COMPENSATIONS:
+            path = folder / f"follow-{compensation}.csv"
+            if path.exists():
+                names = ("t_s", "goal_deg", "tip_deg", "counted")
+                columns = read_columns(path, names, ",".join(names))
+                t_s, goal, tip = (columns.finite(name) for name in names[:3])
+                runs[compensation] = cls(t_s, goal, tip, columns.flags("counted"))
+        return runs

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from tautline.evidence import STAGES, Evidence
+from tautline.evidence import STAGES, Evidence, Run
 from tautline.model import Model
 
 Array = np.ndarray
@@ -287,6 +287,28 @@ def cross_check(model: Model, q: Array, width: Array) -> Figure:
     ax.set(xlabel=f"q ({unit})", ylabel=f"width ({unit})", ylim=(0, top), xlim=(model.q[0], model.q[-1]))
     ax.set_title("B measured twice")
     ax.legend(loc="upper right")
+    return made
+
+
+@mpl.rc_context(STYLE)
+def followed(runs: Mapping[str, Run]) -> Figure:
+    """What was asked of the tip, where it was without and with compensation, and the difference."""
+    made, axes = figure(11, 4.6, 2, 1)
+    top, bottom = axes[:, 0]
+    names = {"off": "without compensation", "backlash": "with f_coarse and B", "full": "with f_remain and B"}
+    for (compensation, run), colour in zip(runs.items(), _colours(len(runs)), strict=True):
+        t = run.t_s - run.t_s[0]
+        if run is next(iter(runs.values())):
+            top.plot(t, run.goal_deg, color=INK, lw=2.4, alpha=0.35, label="asked for")
+        top.plot(t, run.tip_deg, color=colour, lw=1.1, label=names[compensation])
+        error = np.where(run.counted, run.tip_deg - run.goal_deg, np.nan)
+        bottom.plot(t, error, color=colour, lw=1.1, label=f"{names[compensation]}: rms {run.rms_deg:.2g} deg")
+    top.set(ylabel="tip c (deg)")
+    top.set_title("The tip")
+    bottom.set(xlabel="time (s)", ylabel="off by (deg)")
+    bottom.set_title("Tracking error")
+    for ax in (top, bottom):
+        ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.1)
     return made
 
 

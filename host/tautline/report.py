@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -14,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from tautline import __version__, figures
-from tautline.evidence import STAGES, Evidence, collect
+from tautline.evidence import STAGES, Evidence, Run, collect
 from tautline.folders import replaced, write_file
 from tautline.model import MODEL_FILE, Model
 from tautline.recording import Recording
@@ -69,7 +68,7 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
         ),
         "stages": _stages(evidence),
         "gain": None,
-        "runs": [],
+        "runs": None,
         "onset_count": len(onsets),
         "onsets": [_onset_row(onset) for onset in onsets],
         "closely": None,
@@ -107,9 +106,12 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
             "The distance of the two passes at equal image position measures B again, without any pose. "
             "Where they part, the onset is smooth, or the registration changes with direction.",
         )
-    for name, title, caption in RUNS:
-        if (folder / name).exists():
-            page["runs"].append(Picture(_svg_uri(folder / name), title, caption))
+    if runs := Run.load_all(folder):
+        page["runs"] = _picture(
+            figures.followed(runs),
+            "A trajectory followed open loop",
+            _run_caption(runs),
+        )
     path = folder / FILE
     write_file(path, _render("model.html", page))
     return path
@@ -191,20 +193,6 @@ def comparison(models: Mapping[str, Model]) -> list[dict[str, Any]]:
             }
         )
     return rows
-
-
-# Pictures that other commands leave in a MODEL folder.
-RUNS = (
-    (
-        "follow.svg",
-        "A trajectory followed with and without compensation",
-        "The same trajectory of the tip, open loop: with the board's tables, and with f_coarse alone.",
-    ),
-)
-
-
-def _svg_uri(path: Path) -> str:
-    return "data:image/svg+xml;base64," + base64.b64encode(path.read_bytes()).decode()
 
 
 def _render(template: str, page: Mapping[str, Any]) -> str:
@@ -318,6 +306,13 @@ def _onset_row(onset: Mapping[str, Any]) -> dict[str, Any]:
         "sigma": "" if onset["sigma"] is None else f"{2 * onset['sigma']:.4f}",
         "verdict": "yes" if onset["used"] else reason or "no",
     }
+
+
+def _run_caption(runs: Mapping[str, Run]) -> str:
+    said = [f"{name}: {_digits(run.rms_deg, 2)} deg rms" for name, run in runs.items()]
+    if {"off", "full"} <= runs.keys():
+        said.append(f"with the tables {_times(runs['off'].rms_deg, runs['full'].rms_deg)} times smaller")
+    return "Compensation " + "; ".join(said) + "."
 
 
 def _comparison_sentences(rows: Sequence[Mapping[str, Any]], unit: str) -> list[str]:

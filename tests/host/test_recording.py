@@ -314,7 +314,7 @@ def test_round_trip(recording: Recording, tmp_path_factory: pytest.TempPathFacto
     assert_same(recording, back)
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     file=st.sampled_from(["motor.csv", "marker.csv", "angle.csv", "frames.csv", "rig.toml"]),
     damage=st.lists(

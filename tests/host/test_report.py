@@ -134,6 +134,16 @@ def test_a_model_that_measured_nothing_says_so(measured: tuple[Model, Recording]
     assert "No width could be measured" in read(report.write(model, tmp_path, None)).text
 
 
+def test_runs_beside_a_model_are_shown(measured: tuple[Model, Recording], tmp_path: Path) -> None:
+    t = np.linspace(0, 10, 101)
+    for name, size in (("off", 4.0), ("full", 0.2)):
+        run = evidence.Run(t, np.sin(t), np.sin(t) + np.where(t > 1, size, 99.0), t > 1)
+        run.save(tmp_path, name)
+    assert evidence.Run.load_all(tmp_path)["full"].rms_deg == pytest.approx(0.2, rel=1e-4)
+    text = read(report.write(measured[0], tmp_path, None)).text
+    assert "off: 4.0 deg rms; full: 0.20 deg rms; with the tables 20 times smaller" in text
+
+
 def test_report_is_written_again(measured: tuple[Model, Recording], tmp_path: Path) -> None:
     model, recording = measured
     model.save(tmp_path)
