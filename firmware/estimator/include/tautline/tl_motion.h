@@ -1,22 +1,23 @@
-/// Calibration motion of one axis: back and forth on a ramp over the whole range (paper, III-B), every speed up and down.
+/// Calibration motion of one axis: back and forth on a ramp over the whole range (paper, III-B), every speed out and back.
 ///
-/// One pass goes from one end of the range to the other. At each of `cycles` turning points it goes back until the onset
-/// of that reversal is confirmed, turns again, and goes on until the onset of this one is confirmed. Between an onset and
-/// the last `approach` before the next turning point it may travel at `transit`; everything else is at the pass's
-/// measuring speed, so that image stop and image start are both seen at that speed. After an onset the axis goes on by
-/// at least `approach`, so every reversal begins on an envelope. Turning points of the pass back lie half-way between
-/// those of the pass out. A reversal with no onset ends at `stroke_max`; the motion goes on.
+/// A pass goes from one end of the range to the other, with `cycles` turning points on the way. At each it goes back until
+/// the onset of that reversal is confirmed, turns again and goes on until the onset of this one is confirmed too; then it
+/// travels to the next turning point, at `transit` speed but for the last `approach` before the turn. All else is at the
+/// pass's measuring speed, so image stop and image start are seen at the same speed. After each onset the axis goes on by
+/// `approach` or more, so every reversal begins on an envelope; before the first one it makes sure of that by a stroke of
+/// `stroke_max`. Turning points of the pass back lie half-way between those of the pass out, none nearer to the start of
+/// its pass than `stroke_max`. A reversal with no onset ends after `stroke_max` and the motion goes on.
 ///
-/// Reversals: 4 cycles for each speed. Time, reference rig (10 mm, 0.35 mm/s, width 0.7 mm): about 2.6 s a reversal.
+/// Reversals: 4 cycles + 2 for each speed. Time, reference rig (10 mm, 0.35 mm/s, width 0.7 mm): about 2.6 s a reversal.
 ///
 /// Use: tl_motion_start(), then tl_motion_tick() on every control tick; its output is the servo's reference.
-/// tl_motion_onset() when the detector has finished a reversal, tl_motion_frame() for every frame that the host sent;
-/// without frames for `host_timeout_us` the axis comes to rest and says TL_MOTION_HOST_LOST. tl_motion_stop() at any time.
-/// Position is always within the range (or between start and range), speed never above `transit` (or the measuring speed
-/// of a pass), its change never above `acceleration`; from any state it comes to rest within v^2 / 2a.
+/// tl_motion_onset() when a reversal of the detector has `started`, tl_motion_frame() for every frame that the host sent; without frames
+/// for `host_timeout_us` the axis comes to rest and the state says TL_MOTION_HOST_LOST. tl_motion_stop() at any time.
+/// The position never leaves the range (or, begun outside it, what lies between start and range); the speed is never
+/// above `transit`, its change never above `acceleration`; from any state the axis comes to rest within v^2 / 2a.
 ///
-/// Thread model: none of its own: calls for one motion must not interrupt each other (take them all in the control loop,
-/// or mask it). Cost of a tick: bounded, some ten 64-bit additions and at most six 32 x 32 products; no division.
+/// Thread model: calls for one motion must not interrupt each other: make them all in the control loop, or mask it.
+/// Cost of a tick: bounded; some ten 64-bit additions and six 64-bit products at most; no division.
 /// Memory: 200 bytes. Errors: tl_motion_start() refuses with a reason.
 #ifndef TAUTLINE_TL_MOTION_H
 #define TAUTLINE_TL_MOTION_H
@@ -40,61 +41,64 @@ typedef enum {
 
 typedef enum {
     TL_MOTION_OK = 0,
-    TL_MOTION_BAD_RANGE,        ///< low + stroke_max + 2 approach must be below high; both within +-4 M counts
-    TL_MOTION_BAD_SPEED,        ///< 1 to TL_MOTION_SPEEDS speeds, each 1/4 count/s or more and at most transit
-    TL_MOTION_BAD_ACCELERATION, ///< too small to stop from transit within the range, or below resolution
-    TL_MOTION_BAD_STROKE,       ///< approach >= 1 count, stroke_max > approach
+    TL_MOTION_BAD_RANGE,        ///< high - low must exceed 2 stroke_max; both, and the start, within +-4 M counts
+    TL_MOTION_BAD_SPEED,        ///< 1 to TL_MOTION_SPEEDS speeds, each at least 1/4 count/s and at most transit
+    TL_MOTION_BAD_ACCELERATION, ///< below resolution, or too small to stop from transit within stroke_max
+    TL_MOTION_BAD_STROKE,       ///< approach at least 1 count, stroke_max at least 2 approach
     TL_MOTION_BAD_CYCLES,       ///< 1 to 100
-    TL_MOTION_BAD_RATE,         ///< 1000 to 10000 Hz, transit below 100 counts a tick
+    TL_MOTION_BAD_RATE,         ///< 1000 to 10000 Hz, transit at most 100 counts a tick
 } tl_motion_error_t;
 
 /// Lengths Q8 counts, speeds Q8 counts/s, acceleration Q8 counts/s^2.
 typedef struct {
-    tl_count_q8_t low, high;          ///< range to cover
-    int32_t speed[TL_MOTION_SPEEDS];  ///< measuring speeds, one pass up and one down each
+    tl_count_q8_t low, high;         ///< range to cover
+    int32_t speed[TL_MOTION_SPEEDS]; ///< measuring speeds, a pass out and one back each
     uint8_t speed_count;
-    uint8_t cycles;                   ///< turning points of a pass
-    int32_t transit;                  ///< speed of moves that measure nothing
+    uint8_t cycles;           ///< turning points of a pass
+    int32_t transit;          ///< speed of moves that measure nothing
     int32_t acceleration;
-    tl_count_q8_t approach;           ///< travelled at measuring speed on the envelope before each turn
-    tl_count_q8_t stroke_max;         ///< a reversal without onset ends here; more than any backlash
-    uint32_t host_timeout_us;         ///< 0: never
-    uint32_t rate_hz;                 ///< of tl_motion_tick()
+    tl_count_q8_t approach;   ///< travelled at measuring speed on the envelope before each turn
+    tl_count_q8_t stroke_max; ///< a reversal without onset ends here; more than any backlash
+    uint32_t host_timeout_us; ///< 0: never
+    uint32_t rate_hz;         ///< of tl_motion_tick()
 } tl_motion_config_t;
 
-/// Fields are the module's own.
+/// All zero: idle. Fields are the module's own. Positions counts Q32, speeds counts/tick Q32, all speeds without sign.
 typedef struct {
     tl_motion_config_t config;
-    int64_t position;      ///< counts Q32
-    int64_t velocity;      ///< counts/tick Q32
-    int64_t target;        ///< counts Q32, where this leg ends
-    int64_t acceleration;  ///< counts/tick^2 Q32
-    int64_t transit;       ///< counts/tick Q32
+    int64_t position;
+    int64_t target; ///< end of this leg
+    int64_t began;  ///< where this leg began
+    int64_t speed;  ///< along `direction`
+    int64_t acceleration; ///< counts/tick^2 Q32
+    int64_t transit;
     int64_t measuring[TL_MOTION_SPEEDS];
-    int64_t turned;        ///< counts Q32, where this leg began
-    uint32_t quiet_ticks;  ///< since the last frame
+    int64_t half_step;        ///< half the distance of a pass's turning points
+    uint32_t steps;           ///< ticks that braking takes: (steps - 1) acceleration < speed <= steps acceleration
+    uint32_t measuring_steps[TL_MOTION_SPEEDS]; ///< the same at each measuring speed
+    uint32_t quiet_ticks;     ///< since the last frame
     uint32_t timeout_ticks;
-    uint16_t leg, legs;
-    uint8_t state, ends_as; ///< tl_motion_state_t, now and once at rest
+    uint8_t pass, leg;      ///< legs of a pass begin with a reversal; even ones go forward
+    int8_t direction;       ///< of this leg
     uint8_t phase;
+    uint8_t state, ends_as; ///< tl_motion_state_t, now and once at rest
 } tl_motion_t;
 
 /// The servo's reference of one tick.
 typedef struct {
-    tl_count_q8_t q;     ///< position, rounded; the generator itself keeps 32 fractional bits
-    int32_t velocity;    ///< feed-forward, Q8 counts/s
-    int8_t acceleration; ///< sign of the change of speed in this tick, for a friction or inertia feed-forward
+    tl_count_q8_t q;  ///< position, rounded; the generator itself keeps 32 fractional bits
+    int32_t velocity; ///< feed-forward, Q8 counts/s
 } tl_motion_reference_t;
 
 /// Begins at rest at `q`, wherever that is; the first leg leads to the low end. On an error nothing changes.
 /// The only call with 64-bit divisions.
 tl_motion_error_t tl_motion_start(tl_motion_t *motion, const tl_motion_config_t *config, tl_count_q8_t q);
 
-/// One control tick on. Also valid when not running: the reference rests.
+/// One control tick on. Also valid when not running: the reference rests. Before any start it is 0.
 tl_motion_reference_t tl_motion_tick(tl_motion_t *motion);
 
-/// The reversal after which the motor moves in `direction` is finished (confirmed, or given up by the detector).
-/// Ignored unless that is the reversal under way: a late message does no harm.
+/// The image has started after the reversal into `direction` (sign of dq). Ignored unless that is the reversal under way:
+/// a late message does no harm.
 void tl_motion_onset(tl_motion_t *motion, int8_t direction);
 
 /// The host has sent a frame, with or without a marker.
@@ -105,11 +109,8 @@ void tl_motion_stop(tl_motion_t *motion);
 
 tl_motion_state_t tl_motion_state(const tl_motion_t *motion);
 
-/// 0 to 1000, never falls while running; 1000 only when complete.
+/// 0 to 1000, never falls between two starts; 1000 only when complete.
 uint16_t tl_motion_progress(const tl_motion_t *motion);
-
-/// Measuring speed of the pass under way, Q8 counts/s.
-int32_t tl_motion_speed(const tl_motion_t *motion);
 
 #ifdef __cplusplus
 }

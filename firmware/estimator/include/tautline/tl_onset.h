@@ -64,6 +64,7 @@ typedef struct {
     tl_px_q12_t noise;        ///< of the marker, each coordinate, as measured so far
     int8_t direction;         ///< sign of dq after the turn
     uint8_t reason;           ///< tl_onset_reason_t; TL_ONSET_USED: it counts
+    bool started;             ///< the image was seen to start: the tip follows again, the stroke may end
     uint16_t frames;          ///< valid samples between the turn and the end of the reversal
 } tl_onset_t;
 
@@ -92,41 +93,46 @@ typedef struct {
     uint8_t frames_max;         ///< frames after the knot that end a reversal in any case, < TL_ONSET_WINDOW; 32
 } tl_onset_config_t;
 
-/// A sample as the sums need it. Q4 counts and Q8 pixels relative to a reference keep 64-bit sums from overflowing.
 typedef struct {
-    int32_t x;      ///< motor travel from the turn, Q4 counts
-    int32_t u, v;   ///< image position from the reference, Q8 px
+    tl_count_q8_t q; ///< at scene time
+    tl_px_q12_t u, v;
     uint32_t t_us;  ///< scene time, low word
-    int32_t weight; ///< (noise_px / sigma)^2, Q4, 1 to 64
+    int32_t weight; ///< 16 (noise_px / sigma)^2, 1 to 64
 } tl_onset_sample_t;
+
+/// Weighted sums of a straight line, image position over motor position. Positions from the reversal's references.
+typedef struct {
+    int64_t w, x, xx, u, v, xu, xv, yy;
+    int32_t n;
+} tl_onset_sums_t;
 
 /// Fields are the module's own, but `ignored`, `lost` and `missed` may be read as counters.
 typedef struct {
     tl_onset_config_t config;
-    tl_us_t scanned_us;      ///< history seen up to here
-    tl_us_t extreme_us;      ///< when the motor was farthest along its direction
-    tl_us_t turn_us;
-    tl_us_t seen_us;         ///< scene time of the last valid sample
-    tl_us_t arrival_us;      ///< arrival of the last sample
-    tl_count_q8_t extreme;
-    tl_count_q8_t turn_q;
-    tl_px_q12_t ref_u, ref_v;
-    int8_t direction;        ///< of the motor; 0 until it moved
+    tl_us_t arrival_us; ///< of the last frame
+    tl_us_t scanned_us; ///< the motor's turns are known up to here
+    tl_us_t seen_us;    ///< scene time of the last valid sample
+    tl_us_t extreme_us; ///< when the motor was last at `extreme`
+    tl_count_q8_t extreme; ///< farthest position along `direction`
+    tl_count_q8_t opposite; ///< before the first direction is known: the other end of where the motor was
+    int8_t direction;   ///< of the motor, 0 until it has moved
     uint8_t phase;
-    bool on_envelope;        ///< an onset was seen since the last turn: the tip follows
-    bool spoilt;             ///< other motion since the turn
-    uint16_t frames;
-    uint8_t used, first;     ///< window: samples held, index of the oldest
+    bool placed;        ///< `extreme` and `opposite` hold a position
+    bool on_envelope;   ///< an image start was seen since the last turn: the tip follows
+    bool entered;       ///< the reversal under way began on an envelope
+    uint8_t oldest, held; ///< ring of samples
     tl_onset_sample_t window[TL_ONSET_WINDOW];
-    int64_t level_w, level_u, level_v, level_uu; ///< weighted sums of samples merged into the level
-    int32_t level_n;
-    int64_t noise_sum;       ///< weighted squared residuals, Q8 px squared, of noise_dof degrees of freedom
+    tl_px_q12_t reference_u, reference_v;
+    tl_onset_sums_t level;    ///< samples of this reversal that no longer fit into the window
+    tl_onset_sums_t approach; ///< the line before the turn, x in 2^approach_scale Q8 counts from q1
+    int32_t approach_scale;
+    tl_count_q8_t approach_span;
+    int64_t noise_sum;        ///< weighted squared residuals, Q16 px^2
     int32_t noise_dof;
-    tl_onset_t partial;      ///< of the reversal under way: what the turn and the approach gave
-    int32_t approach_slope;
-    uint32_t ignored;        ///< samples whose time did not rise
-    uint32_t lost;           ///< frames without a marker, or whose scene time the history did not hold
-    uint32_t missed;         ///< reversals that began and ended between two frames
+    tl_onset_t reversal; ///< the one under way: what the turn and the approach gave
+    uint32_t ignored;    ///< frames whose time did not rise
+    uint32_t lost;       ///< frames without a marker, or older than the history
+    uint32_t missed;     ///< reversals too short to be seen at all
 } tl_onset_detector_t;
 
 tl_onset_config_t tl_onset_defaults(void);

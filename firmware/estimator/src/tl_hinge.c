@@ -1,0 +1,262 @@
+#include "tl_hinge.h"
+
+#define TRAVEL_MAX (((int32_t)1 << 17) - 1) ///< of a point, units of x
+#define IMAGE_MAX  (((int32_t)1 << 18) - 1) ///< of a point, Q8 px: 1024 px from the reference
+
+static const tl_onset_sample_t *sample_at(const tl_onset_detector_t *d, int32_t i) {
+    return &d->window[((uint32_t)d->oldest + (uint32_t)i) % TL_ONSET_WINDOW];
+}
+
+static int32_t travel(const tl_onset_detector_t *d, int32_t i, tl_count_q8_t origin) {
+    const int32_t q = sample_at(d, i)->q;
+    return d->direction < 0 ? tl_sub_sat(origin, q) : tl_sub_sat(q, origin);
+}
+
+tl_hinge_point_t tl_hinge_point(const tl_onset_detector_t *d, int32_t i, tl_count_q8_t origin, int32_t scale) {
+    const tl_onset_sample_t *s = sample_at(d, i);
+    return (tl_hinge_point_t){
+        .x = tl_clamp(travel(d, i, origin) / ((int32_t)1 << scale), -TRAVEL_MAX, TRAVEL_MAX),
+        .u = tl_clamp(tl_sub_sat(s->u, d->reference_u) / 16, -IMAGE_MAX, IMAGE_MAX),
+        .v = tl_clamp(tl_sub_sat(s->v, d->reference_v) / 16, -IMAGE_MAX, IMAGE_MAX),
+        .w = s->weight,
+    };
+}
+
+int32_t tl_hinge_scale(const tl_onset_detector_t *d, int32_t i, tl_count_q8_t origin) {
+    int32_t farthest = 0;
+    for (; i < d->held; i++) {
+        const int32_t x = travel(d, i, origin);
+        const int32_t distance = x < 0 ? -(x + 1) : x;
+        farthest = distance > farthest ? distance : farthest;
+    }
+    int32_t scale = 0;
+    while (farthest >> scale > TRAVEL_MAX) {
+        scale++;
+    }
+    return scale;
+}
+
+void tl_hinge_add(tl_onset_sums_t *sums, tl_hinge_point_t point) {
+    const int64_t wx = (int64_t)point.w * point.x;
+    const int64_t wu = (int64_t)point.w * point.u;
+    const int64_t wv = (int64_t)point.w * point.v;
+    sums->n++;
+    sums->w += point.w;
+    sums->x += wx;
+    sums->xx += wx * point.x;
+    sums->u += wu;
+    sums->v += wv;
+    sums->xu += wu * point.x;
+    sums->xv += wv * point.x;
+    sums->yy += wu * point.u + wv * point.v;
+}
+
+/// Moves the origin of x back by `delta`: every x grows by it.
+static void shift(tl_onset_sums_t *sums, int64_t delta) {
+    sums->xx += delta * (2 * sums->x + delta * sums->w);
+    sums->x += delta * sums->w;
+    sums->xu += delta * sums->u;
+    sums->xv += delta * sums->v;
+}
+
+static tl_real_t square_sum(int64_t a, int64_t b) {
+    const tl_real_t ra = tl_real(a, 0);
+    const tl_real_t rb = tl_real(b, 0);
+    return tl_real_add(tl_real_mul(ra, ra), tl_real_mul(rb, rb));
+}
+
+tl_real_t tl_hinge_scatter(const tl_onset_sums_t *sums) {
+    const tl_real_t mean = tl_real_div(square_sum(sums->u, sums->v), tl_real(sums->w, 0));
+    const tl_real_t scatter = tl_real_add(tl_real(sums->yy, 0), tl_real_neg(mean));
+    return scatter.m > 0 ? scatter : tl_real(0, 0);
+}
+
+bool tl_hinge_meet(const tl_onset_sums_t *line, const tl_onset_sums_t *level, int32_t scale,
+                   tl_hinge_meeting_t *meeting) {
+    const int64_t determinant = line->w * line->xx - line->x * line->x;
+    const int64_t cu = line->w * line->xu - line->x * line->u;
+    const int64_t cv = line->w * line->xv - line->x * line->v;
+    const tl_real_t c2 = square_sum(cu, cv);
+    if (level->n < 1 || line->n < 2 || determinant <= 0 || c2.m == 0) {
+        return false;
+    }
+    const tl_real_t d = tl_real(determinant, 0);
+    const tl_real_t line_w = tl_real(line->w, 0);
+    const tl_real_t level_w = tl_real(level->w, 0);
+    // The line at its mean (x_m, y_m): x = x_m + b (level - y_m) / |b|^2 with b = c / d.
+    const tl_real_t gap_u = tl_real_add(tl_real_div(tl_real(level->u, 0), level_w),
+                                        tl_real_neg(tl_real_div(tl_real(line->u, 0), line_w)));
+    const tl_real_t gap_v = tl_real_add(tl_real_div(tl_real(level->v, 0), level_w),
+                                        tl_real_neg(tl_real_div(tl_real(line->v, 0), line_w)));
+    const tl_real_t along = tl_real_add(tl_real_mul(tl_real(cu, 0), gap_u), tl_real_mul(tl_real(cv, 0), gap_v));
+    const tl_real_t from_mean = tl_real_div(tl_real_mul(along, d), c2);
+    const tl_real_t mean_x = tl_real_div(tl_real(line->x, 0), line_w);
+    const tl_real_t b2 = tl_real_div(c2, tl_real_mul(d, d));
+    // var = (1/W_level + 1/W + (x - x_m)^2 W / d) / |b|^2
+    tl_real_t var = tl_real_div(tl_real_mul(tl_real_mul(from_mean, from_mean), line_w), d);
+    var = tl_real_add(var, tl_real_div(tl_real(1, 0), line_w));
+    var = tl_real_add(var, tl_real_div(tl_real(1, 0), level_w));
+    *meeting = (tl_hinge_meeting_t){
+        .x = tl_real_mul(tl_real_add(mean_x, from_mean), tl_real(1, scale)),
+        .variance = tl_real_mul(tl_real_div(var, b2), tl_real(1, 2 * scale)),
+        .slope = tl_real_mul(tl_real_sqrt(b2), tl_real(1, -scale)),
+        .gain = tl_real_div(c2, tl_real_mul(d, line_w)),
+    };
+    return true;
+}
+
+/// T as numerator and denominator, so that trying a knot needs no division.
+typedef struct {
+    tl_real_t numerator;
+    tl_real_t denominator; ///< C_xx > 0; 0: no knot tried yet
+} gain_t;
+
+static gain_t gain_at(const tl_onset_sums_t *beyond, const tl_onset_sums_t *all) {
+    const int64_t cu = all->w * beyond->xu - beyond->x * all->u;
+    const int64_t cv = all->w * beyond->xv - beyond->x * all->v;
+    const int64_t cxx = all->w * beyond->xx - beyond->x * beyond->x;
+    return (gain_t){square_sum(cu, cv), tl_real(cxx > 0 ? cxx : 0, 0)};
+}
+
+static bool is_better(gain_t a, gain_t b) {
+    if (a.denominator.m == 0 || b.denominator.m == 0) {
+        return a.denominator.m != 0;
+    }
+    return tl_real_less(tl_real_mul(b.numerator, a.denominator), tl_real_mul(a.numerator, b.denominator));
+}
+
+/// Moves the knot of `beyond` to where its line meets the level, if that lies between `low` and `high`.
+/// Returns the travel of the knot; 0 leaves it.
+static int32_t refine(tl_onset_sums_t *beyond, const tl_onset_sums_t *level, int32_t low, int32_t high) {
+    tl_hinge_meeting_t meeting;
+    if (!tl_hinge_meet(beyond, level, 0, &meeting)) {
+        return 0;
+    }
+    const int32_t x = tl_real_to_q(meeting.x, 0);
+    if (x < low || x > high) {
+        return 0;
+    }
+    shift(beyond, -(int64_t)x);
+    return x;
+}
+
+static tl_onset_sums_t difference(const tl_onset_sums_t *all, const tl_onset_sums_t *beyond) {
+    return (tl_onset_sums_t){
+        .w = all->w - beyond->w,
+        .u = all->u - beyond->u,
+        .v = all->v - beyond->v,
+        .yy = all->yy - beyond->yy,
+        .n = all->n - beyond->n,
+    };
+}
+
+bool tl_hinge_fit(const tl_onset_detector_t *d, tl_hinge_t *fit) {
+    const int32_t held = d->held;
+    if (held < 2 || held + d->level.n < 3) {
+        return false;
+    }
+    const tl_count_q8_t origin = sample_at(d, 0)->q;
+    const int32_t scale = tl_hinge_scale(d, 0, origin);
+    tl_onset_sums_t all = d->level;
+    for (int32_t i = 0; i < held; i++) {
+        tl_hinge_add(&all, tl_hinge_point(d, i, origin, scale));
+    }
+
+    // Knots at the samples, from the last but one backwards.
+    tl_onset_sums_t beyond = {0};
+    tl_onset_sums_t best_beyond = {0};
+    gain_t best = {{0, 0}, {0, 0}};
+    int32_t at = 0;
+    tl_hinge_point_t next = tl_hinge_point(d, held - 1, origin, scale);
+    for (int32_t k = held - 2; k >= 0; k--) {
+        const tl_hinge_point_t here = tl_hinge_point(d, k, origin, scale);
+        const int32_t step = next.x - here.x;
+        next.x = 0;
+        tl_hinge_add(&beyond, next);
+        shift(&beyond, step);
+        const gain_t gain = gain_at(&beyond, &all);
+        if (is_better(gain, best)) {
+            best = gain;
+            best_beyond = beyond;
+            at = k;
+        }
+        next = here;
+    }
+    if (best.denominator.m == 0) {
+        return false;
+    }
+
+    // Between the best sample and its neighbours the optimum is a meeting point of line and level.
+    const tl_hinge_point_t here = tl_hinge_point(d, at, origin, scale);
+    int32_t knot = here.x;
+    const tl_onset_sums_t on_sample = best_beyond;
+    tl_onset_sums_t trial = on_sample;
+    tl_onset_sums_t level = difference(&all, &trial);
+    int32_t moved = refine(&trial, &level, 0, tl_hinge_point(d, at + 1, origin, scale).x - here.x);
+    gain_t gain = gain_at(&trial, &all);
+    if (moved != 0 && is_better(gain, best)) {
+        best = gain;
+        best_beyond = trial;
+        knot = here.x + moved;
+    }
+    if (at > 0) {
+        trial = on_sample;
+        tl_hinge_point_t corner = here;
+        corner.x = 0;
+        tl_hinge_add(&trial, corner);
+        level = difference(&all, &trial);
+        moved = refine(&trial, &level, tl_hinge_point(d, at - 1, origin, scale).x - here.x, 0);
+        gain = gain_at(&trial, &all);
+        if (moved != 0 && is_better(gain, best)) {
+            best = gain;
+            best_beyond = trial;
+            knot = here.x + moved;
+        }
+    }
+
+    level = difference(&all, &best_beyond);
+    const tl_real_t all_w = tl_real(all.w, 0);
+    const tl_real_t slope = tl_real_div(tl_real_sqrt(best.numerator), best.denominator);
+    const int64_t determinant = best_beyond.w * best_beyond.xx - best_beyond.x * best_beyond.x;
+    tl_real_t variance = tl_real_div(tl_real(best_beyond.xx, 0), tl_real(determinant > 0 ? determinant : 0, 0));
+    variance = tl_real_add(variance, tl_real_div(tl_real(1, 0), tl_real(level.w, 0)));
+    variance = tl_real_div(variance, tl_real_mul(slope, slope));
+
+    fit->gain = tl_real_div(tl_real_div(best.numerator, best.denominator), all_w);
+    fit->residual = tl_real_add(tl_hinge_scatter(&all), tl_real_neg(fit->gain));
+    fit->residual = fit->residual.m > 0 ? fit->residual : tl_real(0, 0);
+    fit->knot = tl_real_add(tl_real(knot, scale), tl_real(travel(d, 0, d->reversal.q1), 0));
+    fit->variance = tl_real_mul(variance, tl_real(1, 2 * scale));
+    fit->slope = tl_real_mul(slope, tl_real(1, -scale));
+    fit->span = tl_real((int64_t)tl_hinge_point(d, held - 1, origin, scale).x - knot, scale);
+    fit->level = level;
+    fit->beyond = best_beyond.n;
+    return true;
+}
+
+tl_real_t tl_hinge_blind(const tl_onset_detector_t *d, tl_real_t slope, tl_real_t gain) {
+    const tl_count_q8_t origin = sample_at(d, 0)->q;
+    const int32_t scale = tl_hinge_scale(d, 0, origin);
+    int64_t all_w = d->level.w;
+    for (int32_t i = 0; i < d->held; i++) {
+        all_w += sample_at(d, i)->weight;
+    }
+    // slope^2 C_xx / W >= gain
+    const tl_real_t unit_slope = tl_real_mul(slope, tl_real(1, scale));
+    const tl_real_t needed = tl_real_div(tl_real_mul(gain, tl_real(all_w, 0)), tl_real_mul(unit_slope, unit_slope));
+    tl_onset_sums_t beyond = {0};
+    tl_hinge_point_t next = tl_hinge_point(d, d->held - 1, origin, scale);
+    for (int32_t k = d->held - 2; k >= 0; k--) {
+        const tl_hinge_point_t here = tl_hinge_point(d, k, origin, scale);
+        const int32_t step = next.x - here.x;
+        next.x = 0;
+        tl_hinge_add(&beyond, next);
+        shift(&beyond, step);
+        next = here;
+        if (!tl_real_less(tl_real(all_w * beyond.xx - beyond.x * beyond.x, 0), needed)) {
+            const int32_t seen = travel(d, k, d->reversal.q1);
+            return tl_real(seen > 0 ? seen : 0, 0);
+        }
+    }
+    return tl_real(0, 0);
+}

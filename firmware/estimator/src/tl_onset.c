@@ -1,0 +1,521 @@
+#include "tautline/tl_onset.h"
+
+#include <string.h>
+
+#include "tl_hinge.h"
+
+#define PRIOR_DOF    8   ///< degrees of freedom that the stated noise is worth
+#define DOF_MAX      512 ///< of remembered noise: about four reversals
+#define NOISE_FLOOR  26  ///< (0.005 px)^2, Q16, weight 16: below it the image's own resolution
+#define UNIT_WEIGHT  16
+#define POLL_LAG_US  60000U ///< frames this late still find their turn unscanned
+#define JITTER_TURNS 8      ///< strokes shorter than this many turn thresholds are no reversals if hardly a frame saw them
+
+enum { FOLLOWING, CROSSING }; // phase: no reversal under way, or one
+
+tl_onset_config_t tl_onset_defaults(void) {
+    return (tl_onset_config_t){
+        .delay_us = 80000,
+        .guard_us = 20000,
+        .lost_us = 400000,
+        .timeout_us = 30000000,
+        .turn = 4 * TL_COUNT_ONE,
+        .sigma_wanted = 3 * TL_COUNT_ONE / 2,
+        .sigma_usable = 25 * TL_COUNT_ONE,
+        .noise_px = TL_PX_ONE / 10,
+        .curvature = 400,
+        .threshold = 36 * 16,
+        .frames_min = 3,
+        .frames_max = 32,
+    };
+}
+
+bool tl_onset_init(tl_onset_detector_t *detector, const tl_onset_config_t *config) {
+    memset(detector, 0, sizeof *detector);
+    const bool valid = config->delay_us <= 400000 && config->guard_us <= 400000 && config->timeout_us > 0 &&
+                       config->timeout_us <= 600000000 && config->lost_us > 0 && config->lost_us <= 10000000 &&
+                       config->turn > 0 && config->sigma_wanted > 0 && config->sigma_usable >= config->sigma_wanted &&
+                       config->noise_px > 0 && config->noise_px <= 8 * TL_PX_ONE && config->curvature < 1U << 20 &&
+                       config->threshold > 0 && config->frames_min >= 3 && config->frames_max >= config->frames_min &&
+                       config->frames_max < TL_ONSET_WINDOW;
+    if (!valid) {
+        return false;
+    }
+    detector->config = *config;
+    const int64_t noise_q8 = (config->noise_px + 8) / 16;
+    detector->noise_sum = PRIOR_DOF * UNIT_WEIGHT * noise_q8 * noise_q8;
+    detector->noise_dof = PRIOR_DOF;
+    return true;
+}
+
+static tl_onset_sample_t *sample_at(tl_onset_detector_t *d, int32_t i) {
+    return &d->window[((uint32_t)d->oldest + (uint32_t)i) % TL_ONSET_WINDOW];
+}
+
+static void drop_oldest(tl_onset_detector_t *d, int32_t n) {
+    d->oldest = (uint8_t)(((uint32_t)d->oldest + (uint32_t)n) % TL_ONSET_WINDOW);
+    d->held = (uint8_t)(d->held - n);
+}
+
+static tl_count_q8_t magnitude(tl_count_q8_t x) { return x < 0 ? tl_sub_sat(0, x) : x; }
+
+static tl_real_t square(tl_real_t a) { return tl_real_mul(a, a); }
+
+/// nu (e^(threshold / nu) - 1): what the gain over the residual variance must pass when the variance itself rests on nu
+/// degrees of freedom; the likelihood ratio with unknown noise, nu ln(1 + F / nu) > threshold.
+static tl_real_t required_ratio(const tl_onset_config_t *config, int32_t nu) {
+    // e^x = (1 + x / 256)^256; x is at most 4095 / 8
+    tl_real_t power = tl_real_add(tl_real(1, 0), tl_real_div(tl_real(config->threshold, -12), tl_real(nu, 0)));
+    for (int32_t i = 0; i < 8; i++) {
+        power = square(power);
+    }
+    return tl_real_mul(tl_real_add(power, tl_real(-1, 0)), tl_real(nu, 0));
+}
+
+/// Variance of a sample of unit weight, from memory and `residual` with `dof` degrees of freedom.
+static tl_real_t unit_variance(const tl_onset_detector_t *d, tl_real_t residual, int32_t dof) {
+    const tl_real_t sum = tl_real_add(tl_real(d->noise_sum, 0), residual);
+    const tl_real_t variance = tl_real_div(sum, tl_real(d->noise_dof + dof, 0));
+    return tl_real_less(variance, tl_real(NOISE_FLOOR, 0)) ? tl_real(NOISE_FLOOR, 0) : variance;
+}
+
+static void remember_noise(tl_onset_detector_t *d, tl_real_t residual, int32_t dof) {
+    if (dof > 0) {
+        d->noise_sum += tl_real_to_q(residual, 0);
+        d->noise_dof += dof;
+    }
+    while (d->noise_dof > DOF_MAX) {
+        d->noise_sum /= 2;
+        d->noise_dof /= 2;
+    }
+}
+
+/// Squared bias of a knot by the curvature of a line of length `span` that ends there: (curvature span^2 / 12)^2.
+static tl_real_t curvature_bias2(const tl_onset_config_t *config, tl_real_t span) {
+    // curvature in 1/2^20 a count, span in Q8 counts
+    return square(tl_real_div(tl_real_mul(tl_real(config->curvature, -28), square(span)), tl_real(12, 0)));
+}
+
+/// Statistical variance, encoder steps (two positions within 1/12 count^2 each) and curvature, Q8 counts squared.
+static tl_real_t knot_variance(const tl_onset_config_t *config, tl_real_t variance, tl_real_t unit, tl_real_t span) {
+    const tl_real_t steps = tl_real_div(tl_real(TL_COUNT_ONE * TL_COUNT_ONE, 0), tl_real(6, 0));
+    return tl_real_add(tl_real_add(tl_real_mul(variance, unit), steps), curvature_bias2(config, span));
+}
+
+/// Q8 counts/s over samples i to k.
+static int32_t speed_between(tl_onset_detector_t *d, int32_t i, int32_t k) {
+    const uint32_t us = sample_at(d, k)->t_us - sample_at(d, i)->t_us;
+    const tl_count_q8_t way = magnitude(tl_sub_sat(sample_at(d, k)->q, sample_at(d, i)->q));
+    return us == 0 ? 0 : tl_real_to_q(tl_real_div(tl_real((int64_t)way * 1000000, 0), tl_real(us, 0)), 0);
+}
+
+static void measure_stop(tl_onset_detector_t *d, const tl_onset_sums_t *level, tl_real_t unit) {
+    tl_hinge_meeting_t meeting;
+    if (!d->entered || d->approach.n < 3 || level->n < d->config.frames_min ||
+        !tl_hinge_meet(&d->approach, level, d->approach_scale, &meeting)) {
+        return;
+    }
+    const tl_real_t variance = knot_variance(&d->config, meeting.variance, unit, tl_real(d->approach_span, 0));
+    d->reversal.stop = tl_real_to_q(tl_real_neg(meeting.x), 0);
+    d->reversal.sigma_stop = tl_real_to_q(tl_real_sqrt(variance), 0);
+}
+
+/// The reversal under way is over; the tip follows the motor or not, as far as is known.
+static void end_reversal(tl_onset_detector_t *d, tl_onset_reason_t reason, bool follows, tl_onset_t *onset) {
+    d->reversal.reason = (uint8_t)reason;
+    *onset = d->reversal;
+    d->phase = FOLLOWING;
+    d->on_envelope = follows;
+}
+
+static void clear_window(tl_onset_detector_t *d) { d->held = 0; }
+
+typedef struct {
+    tl_hinge_t hinge;
+    tl_real_t unit;     ///< variance of a sample of unit weight
+    tl_real_t required; ///< gain that confirms
+    tl_real_t variance; ///< of the knot, Q8 counts squared
+    int32_t dof;
+    bool confirmed;
+} evaluation_t;
+
+static bool evaluate(const tl_onset_detector_t *d, evaluation_t *e) {
+    if (!tl_hinge_fit(d, &e->hinge)) {
+        return false;
+    }
+    e->dof = 2 * (d->level.n + d->held) - 5;
+    e->unit = unit_variance(d, e->hinge.residual, e->dof);
+    e->required = tl_real_mul(required_ratio(&d->config, d->noise_dof + e->dof), e->unit);
+    e->variance = knot_variance(&d->config, e->hinge.variance, e->unit, e->hinge.span);
+    e->confirmed = e->hinge.beyond >= 2 && tl_real_less(e->required, e->hinge.gain);
+    return true;
+}
+
+/// More frames are worth waiting for.
+static bool may_improve(const tl_onset_detector_t *d, const evaluation_t *e) {
+    const tl_onset_config_t *config = &d->config;
+    const tl_real_t statistical = tl_real_mul(e->hinge.variance, e->unit);
+    const tl_real_t bias2 = curvature_bias2(config, e->hinge.span);
+    return e->hinge.beyond < config->frames_min ||
+           (e->hinge.beyond < config->frames_max && tl_real_less(square(tl_real(config->sigma_wanted, 0)), e->variance) &&
+            tl_real_less(tl_real_mul(bias2, tl_real(4, 0)), statistical));
+}
+
+/// The image has started: writes the onset and goes on following with the samples beyond the knot.
+static void finish_started(tl_onset_detector_t *d, const evaluation_t *e, tl_onset_t *onset) {
+    const tl_onset_config_t *config = &d->config;
+    tl_onset_t *r = &d->reversal;
+    const int32_t first = d->held - e->hinge.beyond;
+    const int32_t knot = tl_real_to_q(e->hinge.knot, 0);
+    const int32_t sigma = tl_real_to_q(tl_real_sqrt(e->variance), 0);
+    const tl_count_q8_t q2 = r->direction > 0 ? tl_add_sat(r->q1, knot) : tl_sub_sat(r->q1, knot);
+
+    // Time of the knot, linear between the frames around it.
+    const tl_onset_sample_t *after = sample_at(d, first);
+    const tl_onset_sample_t *before = sample_at(d, first > 0 ? first - 1 : 0);
+    const int64_t gap = magnitude(tl_sub_sat(after->q, before->q));
+    const int64_t way = gap - magnitude(tl_sub_sat(after->q, q2));
+    const uint32_t gap_us = after->t_us - before->t_us;
+    const uint32_t way_us = gap > 0 && way > 0 ? (uint32_t)((int64_t)gap_us * way / gap) : 0;
+    r->start_us = d->seen_us - ((uint32_t)d->seen_us - before->t_us - way_us);
+    r->started = true;
+
+    r->noise = tl_real_to_q(tl_real_sqrt(tl_real_div(e->unit, tl_real(UNIT_WEIGHT, 0))), 4);
+    r->slope = tl_real_to_q(e->hinge.slope, 12);
+    r->speed_start = speed_between(d, first > 0 ? first - 1 : 0, d->held - 1);
+    measure_stop(d, &e->hinge.level, e->unit);
+
+    tl_onset_reason_t reason = TL_ONSET_USED;
+    if (!d->entered) {
+        reason = TL_ONSET_NOT_ON_ENVELOPE;
+    } else if (e->hinge.level.n < config->frames_min || e->hinge.beyond < config->frames_min) {
+        reason = TL_ONSET_TOO_FEW_SAMPLES;
+    } else {
+        reason = sigma > config->sigma_usable ? TL_ONSET_SLOPE_TOO_SMALL : TL_ONSET_USED;
+        r->width = knot > 0 ? knot : 0;
+        r->sigma = sigma;
+        r->q2 = q2;
+    }
+    remember_noise(d, tl_hinge_scatter(&e->hinge.level), 2 * (e->hinge.level.n - 1));
+    drop_oldest(d, first);
+    end_reversal(d, reason, true, onset);
+}
+
+/// The stroke ended and the image had not (yet) moved.
+static void finish_unstarted(tl_onset_detector_t *d, const evaluation_t *e, tl_onset_t *onset) {
+    tl_onset_reason_t reason = TL_ONSET_TOO_FEW_SAMPLES;
+    tl_hinge_meeting_t approach;
+    if (!d->entered) {
+        reason = TL_ONSET_NOT_ON_ENVELOPE;
+    } else if (e != NULL && d->reversal.frames >= 2U * d->config.frames_min && d->approach.n >= 3) {
+        tl_onset_sums_t level = d->level;
+        const int32_t scale = tl_hinge_scale(d, 0, d->reversal.q1);
+        for (int32_t i = 0; i < d->held; i++) {
+            tl_hinge_add(&level, tl_hinge_point(d, i, d->reversal.q1, scale));
+        }
+        reason = TL_ONSET_SLOPE_TOO_SMALL;
+        if (tl_hinge_meet(&d->approach, &level, d->approach_scale, &approach)) {
+            // Twice the gain that confirms is confirmed with a probability of 0.98.
+            const tl_real_t seen = tl_hinge_blind(d, approach.slope, tl_real_mul(e->required, tl_real(2, 0)));
+            if (seen.m > 0) {
+                reason = TL_ONSET_NO_START;
+                d->reversal.width = tl_real_to_q(seen, 0);
+                measure_stop(d, &level, e->unit);
+            }
+        }
+        d->reversal.noise = tl_real_to_q(tl_real_sqrt(tl_real_div(e->unit, tl_real(UNIT_WEIGHT, 0))), 4);
+        remember_noise(d, e->hinge.residual, e->dof);
+    }
+    end_reversal(d, reason, false, onset);
+}
+
+/// Whether the motor lost an eighth of its speed at sample i; the turn follows on the last one before it.
+static bool slows_down(tl_onset_detector_t *d, int32_t i, int32_t before) {
+    const bool last = i + 1 == before;
+    const tl_count_q8_t q = last ? d->reversal.q1 : sample_at(d, i + 1)->q;
+    const uint32_t us = (last ? (uint32_t)d->reversal.turn_us : sample_at(d, i + 1)->t_us) - sample_at(d, i)->t_us;
+    const int64_t way = magnitude(tl_sub_sat(q, sample_at(d, i)->q));
+    return way * 8000000 < (int64_t)speed_between(d, i - 1, i) * us * 7;
+}
+
+/// The line of the approach, from the samples up to the turn: as many as curvature allows, without those that saw the
+/// motor slow down (a wrong t_delay shifts them less than the others).
+static void measure_approach(tl_onset_detector_t *d, int32_t before) {
+    const tl_onset_config_t *config = &d->config;
+    const tl_count_q8_t q1 = d->reversal.q1;
+    memset(&d->approach, 0, sizeof d->approach);
+    int32_t end = before; // one past the newest sample that is taken
+    while (end > 4 && slows_down(d, end - 1, before)) {
+        end--;
+    }
+    int32_t begin = end;
+    const tl_real_t wanted2 = square(tl_real(config->sigma_wanted, -1));
+    while (begin > 0 && end - begin < TL_ONSET_APPROACH) {
+        const tl_onset_sample_t *s = sample_at(d, begin - 1);
+        const tl_real_t span = tl_real((int64_t)magnitude(tl_sub_sat(s->q, q1)), 0);
+        const bool apart = begin < before && sample_at(d, begin)->t_us - s->t_us > config->lost_us;
+        if (apart || (end - begin >= 4 && tl_real_less(wanted2, curvature_bias2(config, span)))) {
+            break;
+        }
+        begin--;
+    }
+    if (begin == end) {
+        return;
+    }
+    d->approach_scale = tl_hinge_scale(d, begin, q1);
+    for (int32_t i = begin; i < end; i++) {
+        tl_hinge_add(&d->approach, tl_hinge_point(d, i, q1, d->approach_scale));
+    }
+    d->approach_span = magnitude(tl_sub_sat(sample_at(d, begin)->q, q1));
+    d->reversal.speed_stop = speed_between(d, begin, end - 1);
+}
+
+/// Whether the image moved on the approach beyond noise.
+static bool approach_moves(const tl_onset_detector_t *d) {
+    tl_hinge_meeting_t meeting;
+    const tl_onset_sums_t any_level = {.w = 1, .n = 1};
+    if (d->approach.n < 3 || !tl_hinge_meet(&d->approach, &any_level, d->approach_scale, &meeting)) {
+        return false;
+    }
+    const int32_t dof = 2 * d->approach.n - 4;
+    tl_real_t residual = tl_real_add(tl_hinge_scatter(&d->approach), tl_real_neg(meeting.gain));
+    residual = residual.m > 0 ? residual : tl_real(0, 0);
+    const tl_real_t unit = unit_variance(d, residual, dof);
+    return tl_real_less(tl_real_mul(required_ratio(&d->config, d->noise_dof + dof), unit), meeting.gain);
+}
+
+static void begin_reversal(tl_onset_detector_t *d, int8_t direction) {
+    const uint32_t turn_us = (uint32_t)d->extreme_us;
+    d->direction = direction;
+    d->phase = CROSSING;
+    d->reversal = (tl_onset_t){
+        .turn_us = d->extreme_us,
+        .start_us = d->extreme_us,
+        .q1 = d->extreme,
+        .q2 = TL_ONSET_UNKNOWN,
+        .width = TL_ONSET_UNKNOWN,
+        .sigma = TL_ONSET_UNKNOWN,
+        .stop = TL_ONSET_UNKNOWN,
+        .sigma_stop = TL_ONSET_UNKNOWN,
+        .direction = direction,
+    };
+    memset(&d->level, 0, sizeof d->level);
+    int32_t before = d->held;
+    while (before > 0 && (int32_t)(sample_at(d, before - 1)->t_us - turn_us) > 0) {
+        before--;
+    }
+    int32_t after = before;
+    while (after < d->held && (int32_t)(sample_at(d, after)->t_us - turn_us) < (int32_t)d->config.guard_us) {
+        after++;
+    }
+    if (d->held > 0) {
+        const tl_onset_sample_t *s = sample_at(d, before > 0 ? before - 1 : 0);
+        d->reference_u = s->u;
+        d->reference_v = s->v;
+    }
+    measure_approach(d, before);
+    d->entered = d->on_envelope || approach_moves(d);
+    d->on_envelope = false;
+    drop_oldest(d, after);
+    d->reversal.frames = d->held;
+}
+
+/// Follows the motor to `q`; true if that ended a reversal which is worth telling.
+static bool follow_motor(tl_onset_detector_t *d, tl_us_t t_us, tl_count_q8_t q, tl_onset_t *onset) {
+    const tl_count_q8_t turn = d->config.turn;
+    if (d->direction == 0) {
+        if (!d->placed) {
+            d->extreme = q;
+            d->opposite = q;
+            d->placed = true;
+        }
+        d->extreme = q > d->extreme ? q : d->extreme;
+        d->opposite = q < d->opposite ? q : d->opposite;
+        if (tl_sub_sat(d->extreme, d->opposite) >= turn) {
+            d->direction = q == d->extreme ? 1 : -1;
+            d->extreme = q;
+            d->extreme_us = t_us;
+        }
+        return false;
+    }
+    const tl_count_q8_t retreat = d->direction > 0 ? tl_sub_sat(d->extreme, q) : tl_sub_sat(q, d->extreme);
+    if (retreat <= 0) {
+        d->extreme = q;
+        d->extreme_us = t_us;
+        return false;
+    }
+    if (retreat < turn) {
+        return false;
+    }
+    bool told = false;
+    if (d->phase == CROSSING) {
+        evaluation_t e;
+        const bool fitted = evaluate(d, &e);
+        const tl_count_q8_t stroke = magnitude(tl_sub_sat(d->extreme, d->reversal.q1));
+        if (fitted && e.confirmed) {
+            finish_started(d, &e, onset);
+            told = true;
+        } else {
+            told = d->reversal.frames >= d->config.frames_min || stroke / JITTER_TURNS >= turn;
+            tl_onset_t untold;
+            finish_unstarted(d, fitted ? &e : NULL, told ? onset : &untold);
+        }
+    }
+    begin_reversal(d, (int8_t)-d->direction);
+    d->extreme = q;
+    d->extreme_us = t_us;
+    return told;
+}
+
+/// Follows the motor through the history up to `until_us`.
+static bool scan(tl_onset_detector_t *d, const tl_history_t *history, tl_us_t until_us, tl_onset_t *onset) {
+    const tl_us_t span_us = TL_HISTORY_SPAN_MS * 1000U;
+    bool told = false;
+    if (until_us > d->scanned_us + span_us) {
+        d->scanned_us = until_us - span_us;
+    }
+    while (d->scanned_us + TL_HISTORY_STEP_US <= until_us) {
+        const tl_us_t t_us = d->scanned_us + TL_HISTORY_STEP_US;
+        tl_count_q8_t q;
+        const tl_history_status_t status = tl_history_at(history, t_us, &q);
+        if (status == TL_HISTORY_NOT_YET) {
+            break;
+        }
+        if (status == TL_HISTORY_OK) {
+            tl_onset_t found;
+            if (follow_motor(d, t_us, q, &found)) {
+                if (told) {
+                    d->missed++;
+                } else {
+                    *onset = found;
+                    told = true;
+                }
+            }
+        }
+        d->scanned_us = t_us;
+    }
+    return told;
+}
+
+/// The marker was away, or the crossing lasts, for too long.
+static bool check_time(tl_onset_detector_t *d, tl_us_t scene_us, tl_onset_t *onset) {
+    if (d->phase != CROSSING) {
+        return false;
+    }
+    const tl_us_t known_us = d->seen_us > d->reversal.turn_us ? d->seen_us : d->reversal.turn_us;
+    if (scene_us > known_us + d->config.lost_us) {
+        clear_window(d);
+        end_reversal(d, TL_ONSET_MARKER_LOST, false, onset);
+        return true;
+    }
+    if (scene_us > d->reversal.turn_us + d->config.timeout_us) {
+        end_reversal(d, TL_ONSET_TIMED_OUT, false, onset);
+        return true;
+    }
+    return false;
+}
+
+static int32_t weight_of(const tl_onset_config_t *config, tl_px_q12_t sigma) {
+    if (sigma <= 0) {
+        return UNIT_WEIGHT;
+    }
+    const int64_t noise2 = (int64_t)config->noise_px * config->noise_px;
+    const int64_t sigma2 = (int64_t)sigma * sigma;
+    const int64_t weight = (UNIT_WEIGHT * noise2 + sigma2 / 2) / sigma2;
+    return weight < 1 ? 1 : (weight > 64 ? 64 : (int32_t)weight);
+}
+
+static void halve(tl_onset_sums_t *sums) {
+    sums->w /= 2;
+    sums->u /= 2;
+    sums->v /= 2;
+    sums->yy /= 2;
+    sums->n /= 2;
+}
+
+static void take(tl_onset_detector_t *d, const tl_onset_sample_t *sample) {
+    if (d->held == TL_ONSET_WINDOW) {
+        if (d->phase == CROSSING) {
+            tl_hinge_point_t oldest = tl_hinge_point(d, 0, sample_at(d, 0)->q, 0);
+            oldest.x = 0;
+            tl_hinge_add(&d->level, oldest);
+            if (d->level.n >= TL_ONSET_WINDOW) {
+                halve(&d->level);
+            }
+        }
+        drop_oldest(d, 1);
+    }
+    *sample_at(d, d->held) = *sample;
+    d->held++;
+}
+
+bool tl_onset_sample(tl_onset_detector_t *detector, const tl_history_t *history, const tl_marker_t *marker,
+                     tl_onset_t *onset) {
+    tl_onset_detector_t *d = detector;
+    if (marker->arrival_us <= d->arrival_us) {
+        d->ignored++;
+        return false;
+    }
+    d->arrival_us = marker->arrival_us;
+    if (marker->arrival_us < d->config.delay_us) {
+        d->lost++;
+        return false;
+    }
+    const tl_us_t scene_us = marker->arrival_us - d->config.delay_us;
+    tl_onset_t found;
+    bool told = scan(d, history, scene_us, onset);
+    if (check_time(d, scene_us, &found)) {
+        d->missed += told ? 1 : 0;
+        *onset = told ? *onset : found;
+        told = true;
+    }
+    if (marker->other_motion) {
+        clear_window(d);
+        d->on_envelope = false;
+        if (d->phase == CROSSING && !told) {
+            end_reversal(d, TL_ONSET_OTHER_MOTION, false, onset);
+            return true;
+        }
+        return told;
+    }
+    tl_count_q8_t q;
+    if (!marker->valid || tl_history_at(history, scene_us, &q) != TL_HISTORY_OK) {
+        d->lost++;
+        return told;
+    }
+    d->seen_us = scene_us;
+    const tl_onset_sample_t sample = {q, marker->u, marker->v, (uint32_t)scene_us, weight_of(&d->config, marker->sigma)};
+    if (d->phase == FOLLOWING) {
+        take(d, &sample);
+        return told;
+    }
+    if (scene_us < d->reversal.turn_us + d->config.guard_us) {
+        return told;
+    }
+    if (d->approach.n == 0 && d->held == 0 && d->level.n == 0) {
+        d->reference_u = sample.u;
+        d->reference_v = sample.v;
+    }
+    take(d, &sample);
+    if (d->reversal.frames < UINT16_MAX) {
+        d->reversal.frames++;
+    }
+    evaluation_t e;
+    if (told || !evaluate(d, &e) || !e.confirmed || may_improve(d, &e)) {
+        return told;
+    }
+    finish_started(d, &e, onset);
+    return true;
+}
+
+bool tl_onset_poll(tl_onset_detector_t *detector, const tl_history_t *history, tl_us_t now_us, tl_onset_t *onset) {
+    tl_onset_detector_t *d = detector;
+    if (now_us < (tl_us_t)d->config.delay_us + POLL_LAG_US) {
+        return false;
+    }
+    const tl_us_t scene_us = now_us - d->config.delay_us - POLL_LAG_US;
+    if (scan(d, history, scene_us, onset)) {
+        return true;
+    }
+    return check_time(d, scene_us, onset);
+}

@@ -1,0 +1,33 @@
+/// Numbers with a wide range for the few statistics of an onset: mantissa times a power of two, 31 significant bits.
+/// For once-a-frame work only: an operation is some tens of cycles, a division one 64-bit division. Private.
+#ifndef TAUTLINE_TL_REAL_H
+#define TAUTLINE_TL_REAL_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+/// m 2^e with 2^30 <= |m| < 2^31, or m = 0.
+typedef struct {
+    int32_t m;
+    int32_t e;
+} tl_real_t;
+
+/// value 2^e; |value| < 2^63.
+tl_real_t tl_real(int64_t value, int32_t e);
+
+tl_real_t tl_real_add(tl_real_t a, tl_real_t b);
+tl_real_t tl_real_neg(tl_real_t a);
+tl_real_t tl_real_mul(tl_real_t a, tl_real_t b);
+
+/// b = 0 gives a number larger than any other here.
+tl_real_t tl_real_div(tl_real_t a, tl_real_t b);
+
+/// 0 for a negative number.
+tl_real_t tl_real_sqrt(tl_real_t a);
+
+bool tl_real_less(tl_real_t a, tl_real_t b);
+
+/// Rounded a 2^bits, saturated.
+int32_t tl_real_to_q(tl_real_t a, int32_t bits);
+
+#endif
