@@ -98,10 +98,11 @@ static void advance(tl_compensator_t *k, tl_count_q8_t goal) {
         const tl_count_q8_t next = k->p + tl_clamp(goal - k->p, -step, step);
         if (tl_lookup_is_flat(k->lookup, k->p)) {
             limit = k->feed_flat_q36;
+            goal = next;
         } else if (tl_lookup_is_flat(k->lookup, next)) {
             const tl_count_q8_t edge = node_at_or_below(table, next) + (goal > k->p ? 0 : step);
             limit = edge == k->p ? k->feed_flat_q36 : limit;
-            goal = edge == k->p ? goal : edge;
+            goal = edge == k->p ? next : edge;
         } else {
             goal = next;
         }
@@ -150,12 +151,18 @@ tl_count_q8_t tl_compensator_step(tl_compensator_t *k, tl_deg_q16_t c) {
     k->flags |= k->p != goal ? TL_COMPENSATOR_LIMITED : 0;
     follow_direction(k, &k->flags);
     take_up(k);
-    const tl_count_q8_t wanted = tl_sub_sat(feed(k, &k->flags), tl_compensator_rest(k));
+    const tl_count_q8_t fed = feed(k, &k->flags);
+    const tl_count_q8_t wanted = tl_sub_sat(fed, tl_compensator_rest(k));
     // A start from outside the range may only lead inwards.
     const tl_count_q8_t low = k->q < table->q_min ? k->q : table->q_min;
     const tl_count_q8_t high = k->q > table->q_max ? k->q : table->q_max;
     k->q = tl_clamp(wanted, low, high);
-    k->flags |= k->q != wanted ? TL_COMPENSATOR_CLIPPED : 0;
+    if (k->q != wanted) { // stopped at the end of the range: the take-up begins again from here
+        k->flags |= TL_COMPENSATOR_CLIPPED;
+        k->rest_q36 = q36(fed) - q36(k->q);
+        k->speed_q36 = k->stop_q36 = 0;
+        k->heading = 0;
+    }
     k->flags |= k->rest_q36 != 0 || k->heading != 0 ? TL_COMPENSATOR_TAKE_UP : 0;
     k->flags |= k->side == 0 ? TL_COMPENSATOR_NO_SIDE : 0;
     return k->q;

@@ -74,8 +74,8 @@ tl_table_reason_t tl_lookup_derive(tl_lookup_t *lookup, const tl_table_t *table,
     return derive(lookup);
 }
 
-// Where p lies in the grid: span and position in it, Q16. False beyond the ends, *span then the nearest node.
-static bool locate(const tl_table_t *table, tl_count_q8_t p, unsigned *span, uint32_t *t, uint32_t *flags) {
+// Where p lies in the grid: span and rest in it, Q8 counts. False beyond the ends, *span then the nearest node.
+static bool locate(const tl_table_t *table, tl_count_q8_t p, unsigned *span, uint32_t *rest, uint32_t *flags) {
     const unsigned last = table->nodes - 1U;
     if (p < table->q0) {
         *flags |= TL_LOOKUP_BELOW;
@@ -91,36 +91,49 @@ static bool locate(const tl_table_t *table, tl_count_q8_t p, unsigned *span, uin
         *span = last;
         return false;
     }
-    const uint32_t rest = offset - (index << table->step_log2);
     *span = index;
-    *t = table->step_log2 <= 16 ? rest << (16U - table->step_log2) : rest >> (table->step_log2 - 16U);
+    *rest = offset - (index << table->step_log2);
     return true;
+}
+
+// a + (b - a) rest / 2^log2, rounded to nearest: tl_lerp(), with a third product where a step has more than 16 bits.
+static int32_t between(int32_t a, int32_t b, uint32_t rest, unsigned log2) {
+    if (log2 <= 16) {
+        return tl_lerp(a, b, rest << (16U - log2));
+    }
+    const unsigned extra = log2 - 16U; // at most 7
+    const int32_t difference = b - a;
+    const uint32_t t = rest >> extra;
+    const int32_t fine = (int32_t)(rest & ((1U << extra) - 1U));
+    const uint64_t fine_part = (uint64_t)(int64_t)((difference >> 8) * fine) << (8U - extra);
+    const uint64_t low = ((uint32_t)difference & 0xFFFFU) * t + fine_part + 0x8000U;
+    return a + (difference >> 16) * (int32_t)t + (int32_t)((int64_t)low >> 16);
 }
 
 tl_count_q8_t tl_lookup_width(const tl_lookup_t *lookup, tl_count_q8_t p, uint32_t *flags) {
     const tl_table_t *table = &lookup->table;
     unsigned span;
-    uint32_t t;
+    uint32_t rest;
     if (table->nodes == 0) {
         return 0;
     }
-    if (!locate(table, p, &span, &t, flags)) {
+    if (!locate(table, p, &span, &rest, flags)) {
         return table->width[span];
     }
-    return tl_lerp(table->width[span], table->width[span + 1U], t);
+    return between(table->width[span], table->width[span + 1U], rest, table->step_log2);
 }
 
 tl_deg_q16_t tl_lookup_angle(const tl_lookup_t *lookup, tl_count_q8_t p, uint32_t *flags) {
     const tl_table_t *table = &lookup->table;
     unsigned span;
-    uint32_t t;
+    uint32_t rest;
     if (table->nodes == 0) {
         return tl_lookup_coarse(lookup, p, flags);
     }
-    if (!locate(table, p, &span, &t, flags)) {
+    if (!locate(table, p, &span, &rest, flags)) {
         return table->angle[span];
     }
-    return tl_lerp(table->angle[span], table->angle[span + 1U], t);
+    return between(table->angle[span], table->angle[span + 1U], rest, table->step_log2);
 }
 
 // Node `span` plus x times the kept reciprocal, within the span.
@@ -233,8 +246,8 @@ tl_count_q8_t tl_lookup_coarse_inverse(const tl_lookup_t *lookup, tl_deg_q16_t c
 bool tl_lookup_is_flat(const tl_lookup_t *lookup, tl_count_q8_t p) {
     const tl_table_t *table = &lookup->table;
     unsigned span;
-    uint32_t t, flags = 0;
-    if (table->nodes == 0 || !locate(table, p, &span, &t, &flags)) {
+    uint32_t rest, flags = 0;
+    if (table->nodes == 0 || !locate(table, p, &span, &rest, &flags)) {
         return false;
     }
     return (lookup->flat[span >> 3] >> (span & 7U) & 1U) != 0;

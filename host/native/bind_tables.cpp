@@ -1,0 +1,153 @@
+// tautline._native: table blobs and loaded tables (common/tl_table.h, firmware/estimator/tl_lookup.h).
+#include "arrays.h"
+#include "fixed_table.h"
+
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+#include <string>
+#include <vector>
+
+namespace nb = nanobind;
+
+namespace {
+
+// One list of names serves both directions between a table and a Python dict.
+#define TABLE_FIELDS(X)                                                                                      \
+    X(axis)                                                                                                  \
+    X(kind)                                                                                                  \
+    X(unit)                                                                                                  \
+    X(step_log2)                                                                                             \
+    X(strength_q15)                                                                                          \
+    X(nano_units_per_count)                                                                                  \
+    X(q0)                                                                                                    \
+    X(q_min)                                                                                                 \
+    X(q_max)                                                                                                 \
+    X(coarse_c_min)                                                                                          \
+    X(coarse_c_max)                                                                                          \
+    X(speed_max_q8)                                                                                          \
+    X(takeup_speed_q8)                                                                                       \
+    X(takeup_accel)                                                                                          \
+    X(band)                                                                                                  \
+    X(slope_min_q24)                                                                                         \
+    X(flat_speed_q8)                                                                                         \
+    X(delay_us)                                                                                              \
+    X(created_s)
+
+std::string reason_name(tl_table_reason_t reason) {
+    static const char *const names[] = {
+        "OK",
+#define NAME(name, text) #name,
+        TL_TABLE_REASONS(NAME)
+#undef NAME
+    };
+    return names[reason];
+}
+
+template <typename Field> void read_field(const nb::dict &fields, const char *name, Field &field) {
+    if (!fields.contains(name)) {
+        throw nb::key_error(name);
+    }
+    field = nb::cast<Field>(fields[name]);
+}
+
+nb::bytes encode(const nb::dict &fields, ArrayIn<int32_t> width, ArrayIn<int32_t> angle, const nb::bytes &model_id) {
+    tl_table_t table{};
+    if (width.shape(0) != angle.shape(0) || width.shape(0) > TL_TABLE_NODES_MAX) {
+        throw nb::value_error("width and angle need the same number of nodes, at most 257");
+    }
+    if (model_id.size() != sizeof table.model_id) {
+        throw nb::value_error("a model id has 8 bytes");
+    }
+#define READ(name) read_field(fields, #name, table.name);
+    TABLE_FIELDS(READ)
+#undef READ
+    table.nodes = static_cast<uint16_t>(width.shape(0));
+    memcpy(table.model_id, model_id.c_str(), sizeof table.model_id);
+    std::copy(width.data(), width.data() + table.nodes, table.width);
+    std::copy(angle.data(), angle.data() + table.nodes, table.angle);
+    std::vector<uint8_t> blob(TL_TABLE_SIZE_MAX);
+    const size_t size = tl_table_encode(&table, blob.data(), blob.size());
+    return nb::bytes(blob.data(), size);
+}
+
+nb::tuple check(const nb::bytes &blob, uint8_t axis) {
+    tl_table_t table;
+    const auto reason = tl_table_decode(reinterpret_cast<const uint8_t *>(blob.c_str()), blob.size(), axis, &table);
+    return nb::make_tuple(reason_name(reason), tl_table_reason_text(reason));
+}
+
+nb::dict fields_of(const FixedTable &self) {
+    const tl_table_t &table = self.lookup.table;
+    nb::dict fields;
+#define WRITE(name) fields[#name] = table.name;
+    TABLE_FIELDS(WRITE)
+#undef WRITE
+    fields["model_id"] = nb::bytes(table.model_id, sizeof table.model_id);
+    auto width = new_array<int32_t>(table.nodes), angle = new_array<int32_t>(table.nodes);
+    std::copy(table.width, table.width + table.nodes, width.data());
+    std::copy(table.angle, table.angle + table.nodes, angle.data());
+    fields["width"] = width;
+    fields["angle"] = angle;
+    return fields;
+}
+
+using Lookup = int32_t (*)(const tl_lookup_t *, int32_t, uint32_t *);
+
+template <Lookup function> nb::tuple batch(const FixedTable &self, ArrayIn<int32_t> x) {
+    auto y = new_array<int32_t>(x.shape(0));
+    auto flags = new_array<uint32_t>(x.shape(0));
+    for (size_t i = 0; i < x.shape(0); i++) {
+        flags.data()[i] = 0;
+        y.data()[i] = function(&self.lookup, x.data()[i], &flags.data()[i]);
+    }
+    return nb::make_tuple(y, flags);
+}
+
+} // namespace
+
+void bind_tables(nb::module_ &m) {
+    m.def("table_encode", &encode, nb::arg("fields"), nb::arg("width"), nb::arg("angle"), nb::arg("model_id"),
+          "The blob of a table (fields as in tl_table.h, raw fixed-point values); its content is not checked.");
+    m.def("table_check", &check, nb::arg("blob"), nb::arg("axis") = TL_TABLE_ANY_AXIS,
+          "(name, text) of the reason why the board would refuse the blob; name is 'OK' where it would not.");
+    nb::dict reasons;
+#define REASON(name, text) reasons[#name] = text;
+    TL_TABLE_REASONS(REASON)
+#undef REASON
+    m.attr("TABLE_REASONS") = reasons;
+    m.attr("TABLE_FORMAT") = TL_TABLE_FORMAT;
+    m.attr("TABLE_AXES") = TL_TABLE_AXES;
+    m.attr("TABLE_ANY_AXIS") = TL_TABLE_ANY_AXIS;
+    m.attr("TABLE_NODES_MAX") = TL_TABLE_NODES_MAX;
+    m.attr("TABLE_STEP_LOG2_MAX") = TL_TABLE_STEP_LOG2_MAX;
+    m.attr("TABLE_SIZE_MAX") = TL_TABLE_SIZE_MAX;
+    m.attr("TABLE_VALUE_MAX") = TL_TABLE_VALUE_MAX;
+    m.attr("TABLE_DELAY_MAX_US") = TL_TABLE_DELAY_MAX_US;
+    m.attr("COUNT_ONE") = TL_COUNT_ONE;
+    m.attr("DEG_ONE") = TL_DEG_ONE;
+    m.attr("RATIO_ONE") = TL_RATIO_ONE;
+
+    nb::class_<FixedTable>(m, "FixedTable", "A table as the board loads it; every function takes and returns int32 arrays.")
+        .def(
+            "__init__",
+            [](FixedTable *self, const nb::bytes &blob, uint8_t axis) {
+                new (self) FixedTable{};
+                const auto reason =
+                    tl_lookup_load(&self->lookup, reinterpret_cast<const uint8_t *>(blob.c_str()), blob.size(), axis);
+                if (reason != TL_TABLE_OK) {
+                    throw nb::value_error(tl_table_reason_text(reason));
+                }
+            },
+            nb::arg("blob"), nb::arg("axis") = TL_TABLE_ANY_AXIS)
+        .def_prop_ro("fields", &fields_of, "what the blob holds, raw")
+        .def_prop_ro("c_low", [](const FixedTable &self) { return self.lookup.c_low; })
+        .def_prop_ro("c_high", [](const FixedTable &self) { return self.lookup.c_high; })
+        .def_prop_ro("has_flat", [](const FixedTable &self) { return self.lookup.has_flat; })
+        .def("width", &batch<tl_lookup_width>, nb::arg("p"), "B(p) and flags")
+        .def("angle", &batch<tl_lookup_angle>, nb::arg("p"), "f(p) and flags")
+        .def("angle_inverse", &batch<tl_lookup_angle_inverse>, nb::arg("c"), "p with f(p) = c, and flags")
+        .def("p_low", &batch<tl_lookup_p_low>, nb::arg("q"), "p with p + B(p)/2 = q, and flags")
+        .def("p_high", &batch<tl_lookup_p_high>, nb::arg("q"), "p with p - B(p)/2 = q, and flags")
+        .def("coarse", &batch<tl_lookup_coarse>, nb::arg("q"), "the coarse kinematics and flags")
+        .def("coarse_inverse", &batch<tl_lookup_coarse_inverse>, nb::arg("c"), "its inverse and flags");
+}
