@@ -64,6 +64,7 @@
 #define TL_WIRE_FIELDS_FOLLOW(F, A)                                                                                    \
     F(u8, axis, "enabled, at rest")                                                                                    \
     F(u8, target, "what set_point's value is: 0 motor position, 1 configuration, through the tables")                  \
+    F(u8, compensation, "of a configuration: 0 coarse kinematics alone, 1 and backlash, 2 f_remain and backlash") \
     F(u32, silence_us, "without a set_point for so long the axis comes to rest and holds; 0: the default, 100 ms")
 
 #define TL_WIRE_FIELDS_SET_POINT(F, A)                                                                                 \
@@ -90,8 +91,6 @@
     F(i32, q_high_q8, "counts")                                                                                        \
     F(i32, speed_q8_s, "counts/s")                                                                                     \
     F(i32, acceleration_q8_s2, "counts/s2")                                                                            \
-    F(i32, take_up_speed_q8_s, "counts/s across the backlash")                                                         \
-    F(i32, take_up_acceleration_q8_s2, "counts/s2 across the backlash")                                                \
     F(i32, duty_q15, "most drive, 0 to 32768")                                                                         \
     F(i32, current_ma, "mean over 20 ms above which the axis faults; 0: not watched")                                  \
     F(i32, following_error_q8, "counts between reference and position above which the axis faults")
@@ -114,20 +113,35 @@
 
 #define TL_WIRE_FIELDS_MARKER(F, A)                                                                                    \
     F(u8, valid, "0: the frame shows no marker")                                                                       \
-    F(u64, t_us, "board time at which the frame arrived")                                                              \
+    F(u8, other_motion, "1: translation, rotation or the scene moved: the reversal does not count")                    \
+    F(u64, arrival_us, "board time at which the frame arrived")                                                        \
     F(i32, u_q12, "px")                                                                                                \
     F(i32, v_q12, "px")                                                                                                \
     F(i32, sigma_q12, "px, one standard deviation per coordinate; 0: unknown")
 
 #define TL_WIRE_FIELDS_MOTION_START(F, A)                                                                              \
     F(u8, axis, "enabled, at rest")                                                                                    \
-    F(i32, low_q8, "counts: the range to visit")                                                                       \
+    F(u8, cycles, "turning points of a pass, 1 to 100")                                                                \
+    F(i32, low_q8, "counts: the range to cover")                                                                       \
     F(i32, high_q8, "counts")                                                                                          \
-    F(i32, step_q8, "counts between neighbouring reversals of one direction")                                          \
-    F(i32, stroke_q8, "counts: longest back-stroke")                                                                   \
-    A(i32, speed_q8_s, 4, "counts/s of the passes; 0 ends the list")                                                   \
+    A(i32, speed_q8_s, 4, "counts/s, measuring speeds, one pass up and one down each; 0 ends the list")                \
+    F(i32, transit_q8_s, "counts/s of moves that measure nothing")                                                     \
+    F(i32, acceleration_q8_s2, "counts/s2")                                                                            \
+    F(i32, approach_q8, "counts at measuring speed on the envelope before each turn")                                  \
+    F(i32, stroke_max_q8, "counts: a reversal without an onset ends here; more than any backlash")                     \
+    F(u32, host_timeout_us, "without a marker message for so long the host is lost; not 0")                            \
     F(u32, delay_us, "nominal time from scene to arrival of a frame")                                                  \
-    F(u32, frame_us, "nominal frame period")
+    F(u32, guard_us, "its uncertainty; this and the following: 0 is tl_onset.h's default")                             \
+    F(u32, lost_us, "a marker away for longer spoils the reversal")                                                    \
+    F(u32, timeout_us, "longest time from a turn to its onset")                                                        \
+    F(i32, turn_q8, "counts of retreat that are a turn")                                                               \
+    F(i32, sigma_wanted_q8, "counts: an onset as good as this is finished")                                            \
+    F(i32, sigma_usable_q8, "counts: one worse than this is not used")                                                 \
+    F(i32, noise_q12, "px of marker noise where a sample states none")                                                 \
+    F(u32, curvature, "relative change of the image's slope, 1/2^20 for a count")                                      \
+    F(u16, threshold_q4, "likelihood ratio that confirms")                                                             \
+    F(u8, frames_min, "fewest on the level and after the knot")                                                        \
+    F(u8, frames_max, "after the knot that end a reversal in any case")
 
 #define TL_WIRE_FIELDS_MOTION_STOP(F, A) F(u8, axis, "")
 #define TL_WIRE_FIELDS_SAFE_STOP(F, A)   F(u8, axis, "or all: motor off at once, compensation off, from any state")
@@ -195,9 +209,7 @@
     F(u32, markers_dropped, "out of order, from the future or older than the encoder history")                         \
     F(u32, silences, "senders that went silent")                                                                       \
     F(u32, overruns, "control steps that were late")                                                                   \
-    F(u32, bus_resets, "")                                                                                             \
-    F(u32, flash_erases, "")                                                                                           \
-    F(u32, flash_programs, "")
+    F(u32, bus_losses, "times that a host left the bus, or was lost")
 
 #define TL_WIRE_FIELDS_BATCH(F, A)                                                                                     \
     F(u8, axis, "")                                                                                                    \
@@ -214,23 +226,28 @@
 
 #define TL_WIRE_FIELDS_ONSET(F, A)                                                                                     \
     F(u8, axis, "")                                                                                                    \
-    F(i8, direction, "sign of dq after the reversal")                                                                  \
-    F(u8, verdict, "0: used; else tl_onset.h's reason why it does not count")                                          \
+    F(i8, direction, "sign of dq after the turn")                                                                      \
+    F(u8, reason, "tl_onset_reason_t; 0: it counts")                                                                   \
     F(u16, index, "counts reversals from the motion's start")                                                          \
-    F(i32, q1_q8, "counts: where the motor turned")                                                                    \
-    F(i32, q2_q8, "counts: where the image began to move; width = |q2 - q1|")                                          \
-    F(i32, width_q8, "counts")                                                                                         \
+    F(u16, frames, "valid samples between the turn and the end of the reversal")                                       \
+    F(u64, turn_us, "when the motor turned")                                                                           \
+    F(u64, start_us, "scene time at which the image began to move; turn_us where it did not")                          \
+    F(i32, q1_q8, "counts: where the motor turned. This and the following: 2147483647 is not measured")                \
+    F(i32, q2_q8, "counts: where the image began to move")                                                             \
+    F(i32, width_q8, "counts, |q2 - q1|; a lower bound where no start was seen")                                       \
     F(i32, sigma_q8, "counts, of the width")                                                                           \
-    F(u64, stop_us, "scene time at which the image stopped; 0: not seen")                                              \
-    F(u64, start_us, "scene time at which it started")                                                                 \
-    F(u32, stop_sigma_us, "")                                                                                          \
-    F(i32, noise_q12, "px, measured while still")
+    F(i32, stop_q8, "counts beyond q1, along the approach, at which the image stopped")                                \
+    F(i32, sigma_stop_q8, "counts")                                                                                    \
+    F(i32, speed_stop_q8_s, "counts/s on the approach")                                                                \
+    F(i32, speed_start_q8_s, "counts/s across the start")                                                              \
+    F(i32, slope_q12, "px for 256 counts of motor, after the start")                                                   \
+    F(i32, noise_q12, "px, as measured so far")
 
 #define TL_WIRE_FIELDS_PROGRESS(F, A)                                                                                  \
     F(u8, axis, "")                                                                                                    \
     F(u8, state, "TL_WIRE_MOTIONS")                                                                                    \
-    F(u16, done, "reversals made")                                                                                     \
-    F(u16, total, "reversals planned")                                                                                 \
+    F(u16, permille, "1000: complete")                                                                                 \
+    F(u16, reversals, "finished so far")                                                                               \
     F(u64, t_us, "")
 
 #define TL_WIRE_FIELDS_EVENT(F, A)                                                                                     \
@@ -279,7 +296,7 @@
     M(0x85, COUNTERS, counters, "")                                                                                    \
     M(0x90, BATCH, batch, "unasked: telemetry of one axis")                                                            \
     M(0x91, ONSET, onset, "unasked: one reversal, during a calibration motion")                                        \
-    M(0x92, PROGRESS, progress, "unasked: after each reversal and at the motion's end")                                \
+    M(0x92, PROGRESS, progress, "unasked: after each reversal and at the end of the motion")                                \
     M(0x93, EVENT, event, "unasked")
 
 // -- codes: C(code, NAME, text) ---------------------------------------------------------------------------------
@@ -298,7 +315,14 @@
     C(11, NO_TABLE, "the axis has no table: flash one first")                                                          \
     C(12, FLASH, "the flash could not be written")                                                                     \
     C(13, KEY, "wrong key")                                                                                            \
-    C(14, MOTION, "the calibration motion does not fit: check range, step, stroke and speeds")
+    C(14, MOTION_RANGE, "calibration motion: low + stroke_max + 2 approach must be below high")                        \
+    C(15, MOTION_SPEED, "calibration motion: 1 to 4 speeds, each 1/4 count/s or more and at most transit")             \
+    C(16, MOTION_ACCELERATION, "calibration motion: the acceleration is too small to stop within the range")           \
+    C(17, MOTION_STROKE, "calibration motion: approach must be a count or more, stroke_max above it")                  \
+    C(18, MOTION_CYCLES, "calibration motion: 1 to 100 cycles")                                                        \
+    C(19, MOTION_RATE, "calibration motion: transit is too fast for the control rate")                                 \
+    C(20, ONSET, "calibration motion: a setting of the onset detector is out of its range")                            \
+    C(21, NOT_CALIBRATING, "no calibration motion is under way")
 
 #define TL_WIRE_FAULTS(C)                                                                                              \
     C(0, NONE, "none")                                                                                                 \
@@ -340,10 +364,13 @@
     C(0x0100, SILENT, "the last sender went silent")
 
 #define TL_WIRE_MOTIONS(C)                                                                                             \
-    C(0, RUNNING, "running")                                                                                           \
-    C(1, DONE, "complete")                                                                                             \
-    C(2, STOPPED, "stopped by the host")                                                                               \
-    C(3, FAILED, "ended by a fault")
+    C(0, IDLE, "never started")                                                                                        \
+    C(1, RUNNING, "running")                                                                                           \
+    C(2, STOPPING, "on its way to rest")                                                                               \
+    C(3, COMPLETE, "complete")                                                                                         \
+    C(4, STOPPED, "stopped by the host")                                                                               \
+    C(5, HOST_LOST, "ended: no frames came")                                                                           \
+    C(6, FAILED, "ended by a fault")
 
 #define TL_WIRE_EVENTS(C)                                                                                              \
     C(1, FAULT, "a fault came")                                                                                        \
@@ -390,22 +417,23 @@ typedef enum { TL_WIRE_MESSAGES(TL_WIRE_TYPE_) } tl_wire_type_t;
     TL_WIRE_SIZE_##NAME = 0U TL_WIRE_FIELDS_##NAME(TL_WIRE_SIZE_F_, TL_WIRE_SIZE_A_),
 enum { TL_WIRE_MESSAGES(TL_WIRE_SIZE_) }; ///< bytes of payload
 
-#define TL_WIRE_REASON_(code, NAME, text) TL_REASON_##NAME = (code),
-typedef enum { TL_WIRE_REASONS(TL_WIRE_REASON_) TL_REASON_NONE = 0 } tl_reason_t;
-#define TL_WIRE_FAULT_(code, NAME, text) TL_FAULT_##NAME = (code),
-typedef enum { TL_WIRE_FAULTS(TL_WIRE_FAULT_) } tl_fault_t;
-#define TL_WIRE_MODE_(code, NAME, text) TL_MODE_##NAME = (code),
-typedef enum { TL_WIRE_MODES(TL_WIRE_MODE_) } tl_mode_t;
-#define TL_WIRE_TABLE_(code, NAME, text) TL_TABLES_##NAME = (code),
-typedef enum { TL_WIRE_TABLES(TL_WIRE_TABLE_) } tl_tables_t;
-#define TL_WIRE_FLAG_(code, NAME, text) TL_FLAG_##NAME = (code),
-typedef enum { TL_WIRE_FLAGS(TL_WIRE_FLAG_) } tl_flag_t;
-#define TL_WIRE_MOTION_(code, NAME, text) TL_MOTION_STATE_##NAME = (code),
-typedef enum { TL_WIRE_MOTIONS(TL_WIRE_MOTION_) } tl_motion_state_t;
-#define TL_WIRE_EVENT_(code, NAME, text) TL_EVENT_##NAME = (code),
-typedef enum { TL_WIRE_EVENTS(TL_WIRE_EVENT_) } tl_event_t;
-#define TL_WIRE_BOOT_(code, NAME, text) TL_BOOT_##NAME = (code),
-typedef enum { TL_WIRE_BOOTS(TL_WIRE_BOOT_) } tl_boot_t;
+#define TL_WIRE_CODES_(LIST, list, CODE) typedef enum { TL_WIRE_##LIST(CODE) } tl_wire_##list##_t;
+#define TL_WIRE_REASON_(code, NAME, text) TL_WIRE_REASON_##NAME = (code),
+#define TL_WIRE_FAULT_(code, NAME, text)  TL_WIRE_FAULT_##NAME = (code),
+#define TL_WIRE_MODE_(code, NAME, text)   TL_WIRE_MODE_##NAME = (code),
+#define TL_WIRE_TABLE_(code, NAME, text)  TL_WIRE_TABLE_##NAME = (code),
+#define TL_WIRE_FLAG_(code, NAME, text)   TL_WIRE_FLAG_##NAME = (code),
+#define TL_WIRE_MOTION_(code, NAME, text) TL_WIRE_MOTION_##NAME = (code),
+#define TL_WIRE_EVENT_(code, NAME, text)  TL_WIRE_EVENT_##NAME = (code),
+#define TL_WIRE_BOOT_(code, NAME, text)   TL_WIRE_BOOT_##NAME = (code),
+TL_WIRE_CODES_(REASONS, reason, TL_WIRE_REASON_)
+TL_WIRE_CODES_(FAULTS, fault, TL_WIRE_FAULT_)
+TL_WIRE_CODES_(MODES, mode, TL_WIRE_MODE_)
+TL_WIRE_CODES_(TABLES, table, TL_WIRE_TABLE_)
+TL_WIRE_CODES_(FLAGS, flag, TL_WIRE_FLAG_)
+TL_WIRE_CODES_(MOTIONS, motion, TL_WIRE_MOTION_)
+TL_WIRE_CODES_(EVENTS, event_code, TL_WIRE_EVENT_)
+TL_WIRE_CODES_(BOOTS, boot, TL_WIRE_BOOT_)
 
 /// Bytes of payload of a message of this type, 0 where the type is unknown. O(1).
 size_t tl_wire_size(uint8_t type);

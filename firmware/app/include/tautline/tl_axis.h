@@ -1,0 +1,113 @@
+/// One axis: where its motor is, where it should be, what drives it there, and what is wrong.
+///
+/// tl_axis_step() is the control step; everything else belongs to the task and must be called under the port's lock.
+/// Any fault puts the axis into its safe state: motor off, compensation off, until the fault is cleared.
+#ifndef TAUTLINE_TL_AXIS_H
+#define TAUTLINE_TL_AXIS_H
+
+#include "tautline/tl_compensator.h"
+#include "tautline/tl_history.h"
+#include "tautline/tl_motion.h"
+#include "tautline/tl_play.h"
+#include "tautline/tl_port.h"
+#include "tautline/tl_reference.h"
+#include "tautline/tl_servo.h"
+
+#define TL_AXIS_QUEUE      32U      ///< set-points ahead of time
+#define TL_AXIS_SAMPLES    32U      ///< telemetry samples waiting for the task, a power of two
+#define TL_AXIS_SILENCE_US 100000U  ///< default
+#define TL_AXIS_AHEAD_US   10000000U ///< a set-point may lie this far ahead
+#define TL_AXIS_RANGE_MAX  (4000000 * TL_COUNT_ONE)
+
+typedef struct {
+    uint32_t ticks;
+    int32_t end;   ///< value at its end
+    int64_t slope; ///< value per tick, 24 more bits
+} tl_segment_t;
+
+typedef struct {
+    tl_us_t t_us;
+    tl_count_q8_t q, q_ref, p;
+    tl_deg_q16_t c_ref, c_est;
+    int16_t duty;
+    uint16_t flags;
+} tl_sample_t;
+
+typedef struct {
+    const tl_port_t *port;
+    uint8_t index;
+    uint8_t mode;   ///< tl_wire_mode_t
+    uint8_t fault;  ///< tl_wire_fault_t
+    uint8_t events; ///< bit n: tl_wire_event_code_t n came; the task clears it
+    uint16_t flags; ///< tl_wire_flag_t
+    tl_us_t fault_us;
+
+    tl_wire_limits_t limits; ///< as set; the table's are respected, too
+    tl_reference_limits_t travel;
+    tl_reference_limits_t move; ///< `travel` with the speed of the move under way
+    tl_count_q8_t low, high;    ///< position limits in force
+    tl_count_q8_t move_target;
+
+    int32_t encoder;  ///< as read last, counts
+    int32_t position; ///< counts
+    tl_count_q8_t q;
+    tl_duty_q15_t duty;
+    int32_t current_ma;
+    int32_t current_mean_q8;
+    tl_reference_t reference;
+    tl_servo_t servo;
+
+    bool has_table;
+    int32_t strength_q15;
+    tl_lookup_t lookup;
+    tl_play_t play;
+    tl_compensator_t compensator;
+    tl_deg_q16_t c_ref;
+
+    tl_segment_t queue[TL_AXIS_QUEUE];
+    uint8_t queue_first, queue_used;
+    uint32_t segment_ticks; ///< left of the first segment
+    int64_t value;          ///< of the set-point stream now, 24 more bits
+    tl_us_t queue_end_us;
+    int32_t queue_end;
+    tl_us_t heard_us; ///< last set-point, or the time it is for
+    uint32_t silence_us;
+
+    tl_motion_t *motion;   ///< while calibrating, else NULL
+    tl_history_t *history; ///< likewise
+
+    uint8_t divider; ///< of 1 kHz telemetry; 0 off
+    uint8_t skipped;
+    uint32_t sample_phase;
+    volatile uint32_t sample_head, sample_tail; ///< written, taken
+    uint32_t samples_dropped;
+    tl_sample_t samples[TL_AXIS_SAMPLES];
+} tl_axis_t;
+
+/// Off, at position 0, without a table, with default limits and gains.
+void tl_axis_init(tl_axis_t *axis, const tl_port_t *port, uint8_t index);
+
+/// The control step at `now_us`: reads the encoder, drives the motor.
+void tl_axis_step(tl_axis_t *axis, tl_us_t now_us);
+
+/// Takes the content of axis->lookup into use, or none. The motor must be off.
+void tl_axis_use_table(tl_axis_t *axis, bool has_table);
+
+/// Motor off at once, compensation off; the first fault stays the one that is reported.
+void tl_axis_fail(tl_axis_t *axis, tl_wire_fault_t fault, tl_us_t now_us);
+
+/// Comes to rest within limits; then holds, or switches off.
+void tl_axis_stop(tl_axis_t *axis, bool then_off);
+
+/// A reason, or 0 when done. Preconditions that the axis itself knows are checked here.
+uint8_t tl_axis_enable(tl_axis_t *axis);
+uint8_t tl_axis_move(tl_axis_t *axis, tl_count_q8_t target, int32_t speed_q8_s);
+uint8_t tl_axis_follow(tl_axis_t *axis, bool tip, uint8_t compensation, uint32_t silence_us, tl_us_t now_us);
+uint8_t tl_axis_set_point(tl_axis_t *axis, int32_t value, tl_us_t at_us, tl_us_t now_us, bool *late);
+uint8_t tl_axis_calibrate(tl_axis_t *axis, tl_motion_t *motion, tl_history_t *history);
+uint8_t tl_axis_set_limits(tl_axis_t *axis, const tl_wire_limits_t *limits);
+uint8_t tl_axis_set_servo(tl_axis_t *axis, const tl_servo_gains_t *gains);
+uint8_t tl_axis_set_position(tl_axis_t *axis, tl_count_q8_t q);
+void tl_axis_set_strength(tl_axis_t *axis, int32_t strength_q15);
+
+#endif

@@ -1,0 +1,48 @@
+/// What the app needs of a board: one const table of functions and a context that each gets back.
+///
+/// The app is two threads of execution. The *control step*, tl_app_control(), runs at `control_hz` from a timer
+/// interrupt; the *task*, tl_app_task() with tl_usb_task(), runs in the main loop and is interrupted by it. A port with
+/// one thread (the desktop) calls both in turn. Functions say who calls them.
+#ifndef TAUTLINE_TL_PORT_H
+#define TAUTLINE_TL_PORT_H
+
+#include "tautline/tl_fixed.h"
+#include "tautline/tl_wire.h"
+
+#define TL_PORT_FLASH_SECTOR 4096U ///< bytes that an erase sets to 0xFF
+#define TL_PORT_FLASH_PAGE   256U  ///< bytes that a program writes; it only clears bits
+
+typedef struct {
+    void *context;
+    const char *name;    ///< "desktop", "rp2040"; at most 15 characters, lives for ever
+    const char *serial;  ///< USB serial number, at most 31 characters of A-Z a-z 0-9 -, lives for ever
+    uint8_t axes;        ///< 1 to TL_WIRE_AXES_MAX
+    uint8_t boot;        ///< tl_boot_t: why it started
+    uint32_t control_hz; ///< 1000 to 10000, a divisor of 1000000
+
+    /// Microseconds since the start, never falls. Both threads.
+    tl_us_t (*time_us)(void *context);
+    /// Quadrature counts since the start, wraps; control step.
+    int32_t (*encoder)(void *context, uint8_t axis);
+    /// Drive of the H-bridge, held until the next call: 0 shorts the motor (it brakes). Both threads, under the lock.
+    void (*drive)(void *context, uint8_t axis, tl_duty_q15_t duty);
+    /// Motor current, mA, the latest sample (a port may sample one axis a step); control step.
+    int32_t (*current_ma)(void *context, uint8_t axis);
+
+    /// The table region, mapped for reading: 2 * axes sectors.
+    const uint8_t *flash;
+    /// `offset` from the region's start, a multiple of the sector or page. Task, with every motor off; may take 0.4 s,
+    /// during which the control step may stand still. False: not done, the content is undefined.
+    bool (*flash_erase)(void *context, uint32_t offset);
+    bool (*flash_program)(void *context, uint32_t offset, const uint8_t *page);
+
+    /// To be called by the task at least every 0.2 s (0.6 s around a flash operation), or the board restarts.
+    void (*watchdog_feed)(void *context);
+    /// Keeps the control step out, until unlock gets what lock returned. Task.
+    uint32_t (*lock)(void *context);
+    void (*unlock)(void *context, uint32_t state);
+    /// Restarts the board soon after the call, into the chip's boot loader where asked. Task.
+    void (*reboot)(void *context, bool bootloader);
+} tl_port_t;
+
+#endif

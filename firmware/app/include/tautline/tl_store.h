@@ -1,0 +1,37 @@
+/// Table store: two slots of one flash sector each per axis; the newer whole one counts.
+///
+/// A write goes to the slot that is not in use: erase, the blob's pages, and last the page with the slot's header
+/// (sequence number, size, CRC-32 of header and blob). Power lost at any moment therefore leaves the old table or the
+/// new one. All functions are for the task; the motors must be off while one writes.
+#ifndef TAUTLINE_TL_STORE_H
+#define TAUTLINE_TL_STORE_H
+
+#include "tautline/tl_port.h"
+#include "tautline/tl_table.h"
+
+#define TL_STORE_SLOTS 2U
+
+/// One slot as found in flash.
+typedef struct {
+    bool blank;          ///< nothing was ever written, or it was cleared
+    bool whole;          ///< header and blob are as they were written
+    uint32_t sequence;   ///< rises by one with each write; of a whole slot
+    uint32_t crc;        ///< of the blob
+    uint16_t size;       ///< of the blob
+    const uint8_t *blob; ///< in flash
+} tl_slot_t;
+
+/// Looks at a slot: O(size), about 0.5 ms.
+tl_slot_t tl_store_slot(const tl_port_t *port, uint8_t axis, uint8_t slot);
+
+/// Both slots, the one to be tried first in `order[0]`: whole before damaged, newer before older.
+void tl_store_order(const tl_port_t *port, uint8_t axis, tl_slot_t order[TL_STORE_SLOTS]);
+
+/// Writes a blob of at most TL_TABLE_SIZE_MAX bytes as the newest table and reads it back. False: flash failed, the
+/// table before is still there. One erase and up to ten programs.
+bool tl_store_write(const tl_port_t *port, uint8_t axis, const uint8_t *blob, uint16_t size);
+
+/// Erases both slots, the older first.
+bool tl_store_clear(const tl_port_t *port, uint8_t axis);
+
+#endif

@@ -1,0 +1,445 @@
+#include "tautline/tl_axis.h"
+
+#include <string.h>
+
+#define ENCODER_JUMP 2000 // counts in one step: above any motor's speed, below a glitch's
+
+static const tl_servo_gains_t default_gains = {
+    .proportional = 900, .integral = 12000, .derivative = 600, .feed_forward = 1600, .friction = 1300};
+
+static void event(tl_axis_t *axis, tl_wire_event_code_t code) { axis->events = (uint8_t)(axis->events | (1U << code)); }
+
+static void drive(tl_axis_t *axis, tl_duty_q15_t duty) {
+    axis->duty = duty;
+    axis->port->drive(axis->port->context, axis->index, duty);
+}
+
+static bool is_following(const tl_axis_t *axis) {
+    return axis->mode == TL_WIRE_MODE_FOLLOW_MOTOR || axis->mode == TL_WIRE_MODE_FOLLOW_TIP;
+}
+
+// -- settings ---------------------------------------------------------------------------------------------------
+
+static void apply_limits(tl_axis_t *axis) {
+    int32_t speed = axis->limits.speed_q8_s;
+    axis->low = axis->limits.q_low_q8;
+    axis->high = axis->limits.q_high_q8;
+    if (axis->has_table) {
+        const tl_table_t *table = &axis->lookup.table;
+        speed = table->speed_max_q8 < speed ? table->speed_max_q8 : speed;
+        axis->low = table->q_min > axis->low ? table->q_min : axis->low;
+        axis->high = table->q_max < axis->high ? table->q_max : axis->high;
+        if (axis->low > axis->high) { // the two do not meet: the host's limits hold
+            axis->low = axis->limits.q_low_q8;
+            axis->high = axis->limits.q_high_q8;
+        }
+    }
+    axis->travel = tl_reference_limits(speed, axis->limits.acceleration_q8_s2, axis->port->control_hz);
+}
+
+uint8_t tl_axis_set_limits(tl_axis_t *axis, const tl_wire_limits_t *limits) {
+    if (limits->q_low_q8 >= limits->q_high_q8 || limits->q_low_q8 < -TL_AXIS_RANGE_MAX ||
+        limits->q_high_q8 > TL_AXIS_RANGE_MAX || limits->speed_q8_s < 1 ||
+        limits->speed_q8_s > TL_REFERENCE_SPEED_MAX || limits->acceleration_q8_s2 < TL_REFERENCE_ACCELERATION_MIN ||
+        limits->acceleration_q8_s2 > TL_REFERENCE_ACCELERATION_MAX || limits->duty_q15 < 0 ||
+        limits->duty_q15 > TL_RATIO_ONE || limits->current_ma < 0 || limits->current_ma > 100000 ||
+        limits->following_error_q8 < TL_COUNT_ONE || limits->following_error_q8 > TL_AXIS_RANGE_MAX) {
+        return TL_WIRE_REASON_RANGE;
+    }
+    if (axis->mode != TL_WIRE_MODE_OFF && axis->mode != TL_WIRE_MODE_HOLD) {
+        return TL_WIRE_REASON_BUSY;
+    }
+    axis->limits = *limits;
+    apply_limits(axis);
+    return 0;
+}
+
+uint8_t tl_axis_set_servo(tl_axis_t *axis, const tl_servo_gains_t *gains) {
+    if (axis->mode != TL_WIRE_MODE_OFF) {
+        return TL_WIRE_REASON_NOT_OFF;
+    }
+    return tl_servo_configure(&axis->servo, gains, axis->port->control_hz) ? 0 : TL_WIRE_REASON_RANGE;
+}
+
+uint8_t tl_axis_set_position(tl_axis_t *axis, tl_count_q8_t q) {
+    if (axis->mode != TL_WIRE_MODE_OFF) {
+        return TL_WIRE_REASON_NOT_OFF;
+    }
+    if (q < -TL_AXIS_RANGE_MAX || q > TL_AXIS_RANGE_MAX) {
+        return TL_WIRE_REASON_RANGE;
+    }
+    axis->position = q / TL_COUNT_ONE;
+    axis->q = axis->position * TL_COUNT_ONE;
+    tl_servo_reset(&axis->servo, axis->q);
+    tl_reference_set(&axis->reference, axis->q);
+    if (axis->has_table) {
+        tl_play_start(&axis->play, &axis->lookup, axis->q);
+    }
+    return 0;
+}
+
+void tl_axis_set_strength(tl_axis_t *axis, int32_t strength_q15) {
+    axis->strength_q15 = tl_clamp(strength_q15, 0, TL_RATIO_ONE);
+    if (axis->mode == TL_WIRE_MODE_FOLLOW_TIP) {
+        tl_compensator_set_strength(&axis->compensator, axis->strength_q15);
+    }
+}
+
+void tl_axis_use_table(tl_axis_t *axis, bool has_table) {
+    axis->has_table = has_table;
+    if (has_table) {
+        axis->strength_q15 = axis->lookup.table.strength_q15;
+        tl_play_start(&axis->play, &axis->lookup, axis->q);
+    }
+    apply_limits(axis);
+}
+
+void tl_axis_init(tl_axis_t *axis, const tl_port_t *port, uint8_t index) {
+    memset(axis, 0, sizeof(*axis));
+    axis->port = port;
+    axis->index = index;
+    axis->encoder = port->encoder(port->context, index);
+    axis->limits = (tl_wire_limits_t){
+        .axis = index,
+        .q_low_q8 = -TL_AXIS_RANGE_MAX,
+        .q_high_q8 = TL_AXIS_RANGE_MAX,
+        .speed_q8_s = 8000 * TL_COUNT_ONE,
+        .acceleration_q8_s2 = 60000 * TL_COUNT_ONE,
+        .duty_q15 = TL_RATIO_ONE,
+        .current_ma = 1000,
+        .following_error_q8 = 300 * TL_COUNT_ONE,
+    };
+    axis->strength_q15 = TL_RATIO_ONE;
+    apply_limits(axis);
+    tl_servo_configure(&axis->servo, &default_gains, port->control_hz);
+    drive(axis, 0);
+}
+
+// -- what a host asks for ---------------------------------------------------------------------------------------
+
+void tl_axis_fail(tl_axis_t *axis, tl_wire_fault_t fault, tl_us_t now_us) {
+    drive(axis, 0);
+    axis->mode = TL_WIRE_MODE_OFF;
+    axis->queue_used = 0;
+    axis->motion = NULL;
+    if (axis->fault == TL_WIRE_FAULT_NONE) {
+        axis->fault = (uint8_t)fault;
+        axis->fault_us = now_us;
+        event(axis, TL_WIRE_EVENT_FAULT);
+    }
+}
+
+void tl_axis_stop(tl_axis_t *axis, bool then_off) {
+    if (axis->mode == TL_WIRE_MODE_OFF || (axis->mode == TL_WIRE_MODE_HOLD && !then_off)) {
+        return;
+    }
+    axis->queue_used = 0;
+    axis->motion = NULL;
+    axis->mode = then_off ? TL_WIRE_MODE_STOPPING_OFF : TL_WIRE_MODE_STOPPING;
+}
+
+static uint8_t ready(const tl_axis_t *axis) {
+    if (axis->fault != TL_WIRE_FAULT_NONE) {
+        return TL_WIRE_REASON_FAULT;
+    }
+    return axis->mode == TL_WIRE_MODE_OFF ? TL_WIRE_REASON_OFF : 0;
+}
+
+uint8_t tl_axis_enable(tl_axis_t *axis) {
+    if (axis->fault != TL_WIRE_FAULT_NONE) {
+        return TL_WIRE_REASON_FAULT;
+    }
+    if (axis->mode == TL_WIRE_MODE_OFF) {
+        tl_reference_set(&axis->reference, axis->q);
+        tl_servo_reset(&axis->servo, axis->q);
+        axis->current_mean_q8 = 0;
+        axis->flags = (uint16_t)(axis->flags & ~TL_WIRE_FLAG_SILENT);
+        axis->mode = TL_WIRE_MODE_HOLD;
+    } else if (axis->mode == TL_WIRE_MODE_STOPPING_OFF) {
+        axis->mode = TL_WIRE_MODE_STOPPING;
+    }
+    return 0;
+}
+
+uint8_t tl_axis_move(tl_axis_t *axis, tl_count_q8_t target, int32_t speed_q8_s) {
+    const uint8_t reason = ready(axis);
+    if (reason != 0) {
+        return reason;
+    }
+    if (axis->mode == TL_WIRE_MODE_CALIBRATE) {
+        return TL_WIRE_REASON_BUSY;
+    }
+    if (target < axis->low || target > axis->high || speed_q8_s < 0) {
+        return TL_WIRE_REASON_RANGE;
+    }
+    axis->move = axis->travel;
+    if (speed_q8_s > 0) {
+        const tl_reference_limits_t asked =
+            tl_reference_limits(speed_q8_s, axis->limits.acceleration_q8_s2, axis->port->control_hz);
+        axis->move.speed = asked.speed < axis->travel.speed ? asked.speed : axis->travel.speed;
+    }
+    axis->queue_used = 0;
+    axis->move_target = target;
+    axis->mode = TL_WIRE_MODE_MOVE;
+    return 0;
+}
+
+uint8_t tl_axis_follow(tl_axis_t *axis, bool tip, uint8_t compensation, uint32_t silence_us, tl_us_t now_us) {
+    const uint8_t reason = ready(axis);
+    if (reason != 0) {
+        return reason;
+    }
+    if (axis->mode != TL_WIRE_MODE_HOLD) {
+        return TL_WIRE_REASON_BUSY;
+    }
+    if (compensation > (uint8_t)TL_MODE_FULL) {
+        return TL_WIRE_REASON_RANGE;
+    }
+    if (tip && !axis->has_table) {
+        return TL_WIRE_REASON_NO_TABLE;
+    }
+    const tl_count_q8_t q = tl_reference_q(&axis->reference);
+    int32_t value = q;
+    if (tip) {
+        value = axis->c_ref = tl_play_angle(&axis->play);
+        tl_compensator_start(&axis->compensator, &axis->lookup, axis->port->control_hz, (tl_mode_t)compensation, q,
+                             axis->c_ref);
+        tl_compensator_set_strength(&axis->compensator, axis->strength_q15);
+    }
+    axis->queue_used = 0;
+    axis->queue_end = value;
+    axis->queue_end_us = now_us;
+    axis->value = (int64_t)value * (1 << 24);
+    axis->heard_us = now_us;
+    axis->silence_us = silence_us > 0 ? silence_us : TL_AXIS_SILENCE_US;
+    axis->flags = (uint16_t)(axis->flags & ~TL_WIRE_FLAG_SILENT);
+    axis->mode = tip ? TL_WIRE_MODE_FOLLOW_TIP : TL_WIRE_MODE_FOLLOW_MOTOR;
+    return 0;
+}
+
+uint8_t tl_axis_set_point(tl_axis_t *axis, int32_t value, tl_us_t at_us, tl_us_t now_us, bool *late) {
+    if (!is_following(axis)) {
+        const uint8_t reason = ready(axis);
+        return reason != 0 ? reason : TL_WIRE_REASON_NOT_FOLLOWING;
+    }
+    if (at_us > now_us + TL_AXIS_AHEAD_US) {
+        return TL_WIRE_REASON_RANGE;
+    }
+    if (axis->queue_used == TL_AXIS_QUEUE) {
+        return TL_WIRE_REASON_QUEUE_FULL;
+    }
+    const uint32_t period_us = 1000000U / axis->port->control_hz;
+    const tl_us_t start_us = axis->queue_end_us > now_us ? axis->queue_end_us : now_us;
+    *late = at_us != 0 && at_us <= start_us;
+    const uint32_t ticks = at_us > start_us + period_us ? (uint32_t)(at_us - start_us) / period_us : 1U;
+    axis->queue[(axis->queue_first + axis->queue_used) % TL_AXIS_QUEUE] = (tl_segment_t){
+        .ticks = ticks,
+        .end = value,
+        .slope = ((int64_t)value - axis->queue_end) * (1 << 24) / (int64_t)ticks,
+    };
+    if (axis->queue_used++ == 0) {
+        axis->segment_ticks = ticks;
+    }
+    axis->queue_end = value;
+    axis->queue_end_us = start_us + (tl_us_t)ticks * period_us;
+    axis->heard_us = axis->queue_end_us;
+    return 0;
+}
+
+uint8_t tl_axis_calibrate(tl_axis_t *axis, tl_motion_t *motion, tl_history_t *history) {
+    const uint8_t reason = ready(axis);
+    if (reason != 0) {
+        return reason;
+    }
+    if (axis->mode != TL_WIRE_MODE_HOLD) {
+        return TL_WIRE_REASON_BUSY;
+    }
+    axis->motion = motion;
+    axis->history = history;
+    axis->mode = TL_WIRE_MODE_CALIBRATE;
+    return 0;
+}
+
+// -- the control step -------------------------------------------------------------------------------------------
+
+static void measure(tl_axis_t *axis, tl_us_t now_us) {
+    const int32_t encoder = axis->port->encoder(axis->port->context, axis->index);
+    const int32_t moved = (int32_t)((uint32_t)encoder - (uint32_t)axis->encoder);
+    axis->encoder = encoder;
+    axis->position = tl_clamp(axis->position + tl_clamp(moved, -ENCODER_JUMP, ENCODER_JUMP),
+                              INT32_MIN / TL_COUNT_ONE, INT32_MAX / TL_COUNT_ONE);
+    axis->q = axis->position * TL_COUNT_ONE;
+    if (moved > ENCODER_JUMP || moved < -ENCODER_JUMP) {
+        tl_axis_fail(axis, TL_WIRE_FAULT_ENCODER, now_us);
+    }
+    axis->current_ma = tl_clamp(axis->port->current_ma(axis->port->context, axis->index), -100000, 100000);
+    // First-order mean over 20 ms.
+    const int32_t share = 32768 / ((int32_t)axis->port->control_hz / 50);
+    const int32_t magnitude = axis->current_ma < 0 ? -axis->current_ma : axis->current_ma;
+    const int32_t difference = tl_clamp(magnitude * 256 - axis->current_mean_q8, -(1 << 20), 1 << 20);
+    axis->current_mean_q8 += (difference * share) >> 15;
+    if (axis->history != NULL) {
+        tl_history_push(axis->history, now_us, axis->q);
+    }
+    if (axis->has_table) {
+        tl_play_step(&axis->play, axis->q);
+    }
+}
+
+static int32_t next_value(tl_axis_t *axis) {
+    if (axis->queue_used > 0) {
+        const tl_segment_t *segment = &axis->queue[axis->queue_first];
+        axis->value += segment->slope;
+        if (--axis->segment_ticks == 0) {
+            axis->value = (int64_t)segment->end * (1 << 24);
+            axis->queue_first = (uint8_t)((axis->queue_first + 1U) % TL_AXIS_QUEUE);
+            axis->queue_used--;
+            axis->segment_ticks = axis->queue_used > 0 ? axis->queue[axis->queue_first].ticks : 0;
+        }
+    }
+    return (int32_t)(axis->value / (1 << 24));
+}
+
+static uint16_t flags_of(uint32_t lookup) {
+    uint32_t flags = TL_WIRE_FLAG_COMPENSATING;
+    flags |= (lookup & (TL_COMPENSATOR_BELOW | TL_COMPENSATOR_ABOVE | TL_COMPENSATOR_CLIPPED)) != 0
+                 ? TL_WIRE_FLAG_SATURATED_RANGE
+                 : 0U;
+    flags |= (lookup & (TL_COMPENSATOR_LIMITED | TL_COMPENSATOR_FLAT)) != 0 ? TL_WIRE_FLAG_SATURATED_SPEED : 0U;
+    flags |= (lookup & TL_COMPENSATOR_TAKE_UP) != 0 ? TL_WIRE_FLAG_TAKE_UP : 0U;
+    return (uint16_t)flags;
+}
+
+// The reference of this tick. Returns flags.
+static uint16_t refer(tl_axis_t *axis, tl_us_t now_us) {
+    tl_count_q8_t target = axis->q;
+    uint16_t flags = 0;
+    const tl_reference_limits_t *limits = &axis->travel;
+    if (is_following(axis) && now_us > axis->heard_us + axis->silence_us) {
+        tl_axis_stop(axis, false);
+        axis->flags |= TL_WIRE_FLAG_SILENT;
+        event(axis, TL_WIRE_EVENT_SILENT);
+    }
+    switch (axis->mode) {
+    case TL_WIRE_MODE_FOLLOW_MOTOR:
+        target = next_value(axis);
+        break;
+    case TL_WIRE_MODE_FOLLOW_TIP:
+        axis->c_ref = next_value(axis);
+        target = tl_compensator_step(&axis->compensator, axis->c_ref);
+        flags = flags_of(axis->compensator.flags);
+        break;
+    case TL_WIRE_MODE_CALIBRATE:
+        target = tl_motion_tick(axis->motion).q;
+        break;
+    case TL_WIRE_MODE_MOVE:
+        target = axis->move_target;
+        limits = &axis->move;
+        break;
+    case TL_WIRE_MODE_HOLD:
+        target = tl_reference_q(&axis->reference);
+        break;
+    case TL_WIRE_MODE_STOPPING:
+    case TL_WIRE_MODE_STOPPING_OFF:
+        if (tl_reference_brake(&axis->reference, limits)) {
+            tl_reference_set(&axis->reference, tl_reference_q(&axis->reference));
+            axis->mode = axis->mode == TL_WIRE_MODE_STOPPING ? TL_WIRE_MODE_HOLD : TL_WIRE_MODE_OFF;
+            event(axis, TL_WIRE_EVENT_RESTED);
+        }
+        return 0;
+    default: // off: wherever the motor is
+        tl_reference_set(&axis->reference, axis->q);
+        return 0;
+    }
+    if (target < axis->low || target > axis->high) {
+        // An axis that stands outside may stay or come back, not go farther out.
+        const tl_count_q8_t here = tl_reference_q(&axis->reference);
+        const tl_count_q8_t low = here < axis->low ? here : axis->low;
+        const tl_count_q8_t high = here > axis->high ? here : axis->high;
+        const tl_count_q8_t within = tl_clamp(target, low, high);
+        flags = within != target ? (uint16_t)(flags | TL_WIRE_FLAG_SATURATED_RANGE) : flags;
+        target = within;
+    }
+    tl_reference_step(&axis->reference, target, limits);
+    if (axis->mode == TL_WIRE_MODE_MOVE && axis->reference.position == axis->reference.target &&
+        axis->reference.velocity == 0) {
+        axis->mode = TL_WIRE_MODE_HOLD;
+        event(axis, TL_WIRE_EVENT_ARRIVED);
+    }
+    if (axis->reference.behind && axis->mode != TL_WIRE_MODE_MOVE) {
+        flags |= TL_WIRE_FLAG_SATURATED_SPEED;
+    }
+    return flags;
+}
+
+// What must not be, while the motor is driven.
+static tl_wire_fault_t check(const tl_axis_t *axis) {
+    const int32_t error = tl_sub_sat(tl_reference_q(&axis->reference), axis->q);
+    const int32_t most = axis->limits.following_error_q8;
+    if (error > most || error < -most) {
+        return TL_WIRE_FAULT_FOLLOWING;
+    }
+    if (axis->limits.current_ma > 0 && axis->current_mean_q8 / 256 > axis->limits.current_ma) {
+        return TL_WIRE_FAULT_CURRENT;
+    }
+    // Driven outwards beyond the limits by more than the servo may err.
+    const tl_count_q8_t q = axis->q;
+    if ((q > tl_add_sat(axis->limits.q_high_q8, most) && axis->duty > 0) ||
+        (q < tl_sub_sat(axis->limits.q_low_q8, most) && axis->duty < 0)) {
+        return TL_WIRE_FAULT_POSITION;
+    }
+    return TL_WIRE_FAULT_NONE;
+}
+
+static void sample(tl_axis_t *axis, tl_us_t now_us) {
+    axis->sample_phase += 1000U;
+    if (axis->sample_phase < axis->port->control_hz) {
+        return;
+    }
+    axis->sample_phase -= axis->port->control_hz;
+    if (axis->divider == 0 || ++axis->skipped < axis->divider) {
+        return;
+    }
+    axis->skipped = 0;
+    if (axis->sample_head - axis->sample_tail == TL_AXIS_SAMPLES) {
+        axis->samples_dropped++;
+        return;
+    }
+    axis->samples[axis->sample_head % TL_AXIS_SAMPLES] = (tl_sample_t){
+        .t_us = now_us,
+        .q = axis->q,
+        .q_ref = tl_reference_q(&axis->reference),
+        .p = axis->has_table ? axis->play.p : axis->q,
+        .c_ref = axis->c_ref,
+        .c_est = axis->has_table ? tl_play_angle(&axis->play) : 0,
+        .duty = (int16_t)tl_clamp(axis->duty, INT16_MIN, INT16_MAX),
+        .flags = axis->flags,
+    };
+    axis->sample_head = axis->sample_head + 1U;
+}
+
+void tl_axis_step(tl_axis_t *axis, tl_us_t now_us) {
+    measure(axis, now_us);
+    uint16_t flags = refer(axis, now_us);
+    if (axis->mode != TL_WIRE_MODE_OFF) {
+        const bool at_rest = axis->reference.velocity == 0;
+        const tl_duty_q15_t duty =
+            tl_servo_step(&axis->servo, axis->q, tl_reference_q(&axis->reference),
+                          tl_reference_speed(&axis->reference, axis->port->control_hz), at_rest, axis->limits.duty_q15);
+        const tl_wire_fault_t fault = check(axis);
+        if (fault != TL_WIRE_FAULT_NONE) {
+            tl_axis_fail(axis, fault, now_us);
+        } else {
+            drive(axis, duty);
+            flags |= TL_WIRE_FLAG_ENABLED;
+            flags |= axis->servo.saturated ? TL_WIRE_FLAG_SATURATED_DUTY : 0U;
+        }
+    } else {
+        tl_servo_watch(&axis->servo, axis->q);
+        drive(axis, 0);
+    }
+    flags |= axis->reference.velocity == 0 ? TL_WIRE_FLAG_AT_REST : 0U;
+    flags |= axis->fault != TL_WIRE_FAULT_NONE ? TL_WIRE_FLAG_FAULT : 0U;
+    axis->flags = (uint16_t)(flags | (axis->flags & TL_WIRE_FLAG_SILENT));
+    sample(axis, now_us);
+}

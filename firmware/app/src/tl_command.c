@@ -1,0 +1,276 @@
+#include <string.h>
+
+#include "tautline/tl_app.h"
+
+// A handler's answer: a message to send back (type), an acknowledgement, nothing, or a reason to refuse.
+typedef struct {
+    uint8_t type; // of `message`; TL_WIRE_ACK, or 0: no answer unless refused
+    uint8_t reason;
+} answer_t;
+
+static answer_t refuse(uint8_t reason) { return (answer_t){.reason = reason}; }
+static answer_t done(uint8_t reason) { return (answer_t){.type = TL_WIRE_ACK, .reason = reason}; }
+static answer_t with(uint8_t type) { return (answer_t){.type = type}; }
+
+static void copy_text(char *out, size_t room, const char *text) {
+    for (size_t i = 0; i < room && text[i] != '\0'; i++) {
+        out[i] = text[i];
+    }
+}
+
+static void identity(const tl_app_t *app, tl_us_t now_us, tl_wire_identity_t *out) {
+    static const uint8_t version[3] = TL_APP_VERSION;
+    *out = (tl_wire_identity_t){
+        .protocol_major = TL_WIRE_MAJOR,
+        .protocol_minor = TL_WIRE_MINOR,
+        .axes = app->port->axes,
+        .table_version = TL_TABLE_FORMAT,
+        .table_nodes_max = TL_TABLE_NODES_MAX,
+        .control_hz = app->port->control_hz,
+        .t_us = now_us,
+        .boot = app->port->boot,
+    };
+    memcpy(out->firmware, version, sizeof(version));
+    copy_text(out->port, sizeof(out->port), app->port->name);
+    copy_text(out->serial, sizeof(out->serial), app->port->serial);
+    copy_text(out->build, sizeof(out->build), TL_APP_BUILD);
+}
+
+static void status(const tl_app_t *app, uint8_t index, tl_us_t now_us, tl_wire_status_t *out) {
+    const tl_axis_t *axis = &app->axes[index];
+    const tl_table_in_use_t *table = &app->tables[index];
+    *out = (tl_wire_status_t){
+        .axis = index,
+        .mode = axis->mode,
+        .fault = axis->fault,
+        .table = table->state,
+        .table_reason = table->reason,
+        .flags = axis->flags,
+        .table_sequence = table->sequence,
+        .table_crc = table->crc,
+        .t_us = now_us,
+        .fault_us = axis->fault_us,
+        .q_q8 = axis->q,
+        .q_ref_q8 = tl_reference_q(&axis->reference),
+        .c_ref_q16 = axis->c_ref,
+        .c_est_q16 = axis->has_table ? tl_play_angle(&axis->play) : 0,
+        .duty_q15 = axis->duty,
+        .current_ma = axis->current_ma,
+        .strength_q15 = axis->strength_q15,
+    };
+}
+
+static void counters(tl_app_t *app, bool clear, tl_us_t now_us, tl_wire_counters_t *out) {
+    *out = app->counters;
+    out->t_us = now_us;
+    for (uint8_t i = 0; i < app->port->axes; i++) {
+        out->telemetry_dropped += app->axes[i].samples_dropped;
+    }
+    if (clear) {
+        memset(&app->counters, 0, sizeof(app->counters));
+        app->parser.bytes_bad = 0;
+        for (uint8_t i = 0; i < app->port->axes; i++) {
+            app->axes[i].samples_dropped = 0;
+        }
+    }
+}
+
+static uint8_t set_point(tl_app_t *app, const tl_wire_set_point_t *request, tl_us_t now_us) {
+    bool late = false;
+    const uint8_t reason =
+        tl_axis_set_point(&app->axes[request->axis], request->value, request->at_us, now_us, &late);
+    app->counters.set_points += reason == 0 ? 1U : 0U;
+    app->counters.set_points_dropped += reason == 0 ? 0U : 1U;
+    app->counters.set_points_late += late ? 1U : 0U;
+    return reason;
+}
+
+static uint8_t servo(tl_axis_t *axis, const tl_wire_servo_t *request) {
+    const tl_servo_gains_t gains = {
+        .proportional = request->proportional,
+        .integral = request->integral,
+        .derivative = request->derivative,
+        .feed_forward = request->feed_forward,
+        .friction = request->friction_q15,
+    };
+    return tl_axis_set_servo(axis, &gains);
+}
+
+static void get_servo(const tl_axis_t *axis, tl_wire_servo_t *out) {
+    const tl_servo_gains_t *gains = &axis->servo.gains;
+    *out = (tl_wire_servo_t){
+        .axis = axis->index,
+        .proportional = gains->proportional,
+        .integral = gains->integral,
+        .derivative = gains->derivative,
+        .feed_forward = gains->feed_forward,
+        .friction_q15 = gains->friction,
+    };
+}
+
+static uint8_t enable(tl_axis_t *axis, uint8_t on) {
+    if (on > 1U) {
+        return TL_WIRE_REASON_RANGE;
+    }
+    if (on == 1U) {
+        return tl_axis_enable(axis);
+    }
+    tl_axis_stop(axis, true);
+    return 0;
+}
+
+static uint8_t clear_fault(tl_axis_t *axis) {
+    axis->fault = TL_WIRE_FAULT_NONE;
+    axis->fault_us = 0;
+    return 0;
+}
+
+static uint8_t telemetry(tl_axis_t *axis, uint8_t divider) {
+    axis->divider = divider;
+    axis->skipped = 0;
+    axis->sample_tail = axis->sample_head; // a batch holds samples of one period
+    return 0;
+}
+
+// Requests that name one axis or all. `of` is the request, known to be decoded.
+static uint8_t for_axis(tl_app_t *app, uint8_t type, const tl_wire_message_t *of, tl_axis_t *axis, tl_us_t now_us) {
+    switch (type) {
+    case TL_WIRE_ENABLE:
+        return enable(axis, of->enable.on);
+    case TL_WIRE_TELEMETRY:
+        return telemetry(axis, of->telemetry.divider);
+    case TL_WIRE_SAFE_STOP:
+        tl_axis_fail(axis, TL_WIRE_FAULT_STOPPED, now_us);
+        return 0;
+    case TL_WIRE_CLEAR_FAULT:
+        return clear_fault(axis);
+    case TL_WIRE_FOLLOW:
+        return of->follow.target > 1U ? TL_WIRE_REASON_RANGE
+                                      : tl_axis_follow(axis, of->follow.target == 1U, of->follow.compensation,
+                                                       of->follow.silence_us, now_us);
+    case TL_WIRE_MOVE:
+        return tl_axis_move(axis, of->move.q_q8, of->move.speed_q8_s);
+    case TL_WIRE_STRENGTH:
+        if (of->strength.strength_q15 < 0 || of->strength.strength_q15 > TL_RATIO_ONE) {
+            return TL_WIRE_REASON_RANGE;
+        }
+        tl_axis_set_strength(axis, of->strength.strength_q15);
+        return 0;
+    case TL_WIRE_SET_POSITION:
+        return tl_axis_set_position(axis, of->set_position.q_q8);
+    case TL_WIRE_LIMITS:
+        return tl_axis_set_limits(axis, &of->limits);
+    case TL_WIRE_SERVO:
+        return servo(axis, &of->servo);
+    case TL_WIRE_SET_POINT:
+        return set_point(app, &of->set_point, now_us);
+    case TL_WIRE_MOTION_START:
+        return tl_calibration_start(&app->calibration, axis, &of->motion_start);
+    case TL_WIRE_MOTION_STOP:
+    default:
+        if (app->calibration.axis != axis) {
+            return TL_WIRE_REASON_NOT_CALIBRATING;
+        }
+        tl_calibration_stop(&app->calibration, false);
+        return 0;
+    }
+}
+
+static bool takes_all(uint8_t type, const tl_wire_message_t *of) {
+    return (type == TL_WIRE_ENABLE && of->enable.on == 0U) || type == TL_WIRE_TELEMETRY || type == TL_WIRE_SAFE_STOP ||
+           type == TL_WIRE_CLEAR_FAULT;
+}
+
+static answer_t handle_axis(tl_app_t *app, uint8_t type, const tl_wire_message_t *of, tl_us_t now_us) {
+    const uint8_t index = of->get_status.axis; // every such request begins with it
+    const bool all = index == TL_WIRE_ALL_AXES && takes_all(type, of);
+    if (!all && index >= app->port->axes) {
+        return refuse(TL_WIRE_REASON_AXIS);
+    }
+    uint8_t reason = 0;
+    for (uint8_t i = 0; i < app->port->axes; i++) {
+        if (all || i == index) {
+            const uint32_t state = app->port->lock(app->port->context);
+            const uint8_t one = for_axis(app, type, of, &app->axes[i], now_us);
+            app->port->unlock(app->port->context, state);
+            reason = reason == 0 ? one : reason;
+        }
+    }
+    return (answer_t){.type = type == TL_WIRE_SET_POINT ? 0U : TL_WIRE_ACK, .reason = reason};
+}
+
+static answer_t handle(tl_app_t *app, uint8_t type, const tl_wire_message_t *of, tl_us_t now_us,
+                       tl_wire_message_t *out) {
+    switch (type) {
+    case TL_WIRE_HELLO:
+        identity(app, now_us, &out->identity);
+        return with(TL_WIRE_IDENTITY);
+    case TL_WIRE_PING:
+        out->pong = (tl_wire_pong_t){.host_us = of->ping.host_us, .t_us = now_us};
+        return with(TL_WIRE_PONG);
+    case TL_WIRE_GET_COUNTERS:
+        counters(app, of->get_counters.clear != 0U, now_us, &out->counters);
+        return with(TL_WIRE_COUNTERS);
+    case TL_WIRE_MARKER:
+        return refuse(tl_app_marker(app, &of->marker, now_us));
+    case TL_WIRE_REBOOT:
+        if (of->reboot.key != TL_WIRE_KEY) {
+            return refuse(TL_WIRE_REASON_KEY);
+        }
+        for (uint8_t i = 0; i < app->port->axes; i++) {
+            const uint32_t state = app->port->lock(app->port->context);
+            tl_axis_stop(&app->axes[i], true);
+            app->port->unlock(app->port->context, state);
+        }
+        app->reboot = of->reboot.bootloader != 0U ? 2U : 1U;
+        app->reboot_us = now_us;
+        return done(0);
+    case TL_WIRE_GET_STATUS:
+    case TL_WIRE_GET_LIMITS:
+    case TL_WIRE_GET_SERVO:
+    case TL_WIRE_CLEAR_TABLE: {
+        const uint8_t index = of->get_status.axis;
+        if (index >= app->port->axes) {
+            return refuse(TL_WIRE_REASON_AXIS);
+        }
+        if (type == TL_WIRE_CLEAR_TABLE) {
+            return done(tl_app_table_clear(app, index));
+        }
+        if (type == TL_WIRE_GET_LIMITS) {
+            out->limits = app->axes[index].limits;
+            out->limits.axis = index;
+            return with(TL_WIRE_LIMITS);
+        }
+        if (type == TL_WIRE_GET_SERVO) {
+            get_servo(&app->axes[index], &out->servo);
+            return with(TL_WIRE_SERVO);
+        }
+        status(app, index, now_us, &out->status);
+        return with(TL_WIRE_STATUS);
+    }
+    default:
+        return handle_axis(app, type, of, now_us);
+    }
+}
+
+void tl_command(tl_app_t *app, const tl_wire_frame_t *frame) {
+    const tl_us_t now_us = app->port->time_us(app->port->context);
+    tl_wire_message_t request;
+    tl_wire_message_t out;
+    answer_t answer = refuse(TL_WIRE_REASON_UNKNOWN_TYPE);
+    if (frame->type < TL_WIRE_ACK && tl_wire_size(frame->type) != 0U) {
+        answer = tl_wire_decode(frame->type, frame->payload, frame->size, &request)
+                     ? handle(app, frame->type, &request, now_us, &out)
+                     : refuse(TL_WIRE_REASON_SHORT);
+    }
+    if (answer.reason != 0) {
+        app->counters.requests_refused++;
+        out.error = (tl_wire_error_t){.request = frame->type, .reason = answer.reason};
+        answer.type = TL_WIRE_ERROR;
+    } else if (answer.type == TL_WIRE_ACK) {
+        out.ack.request = frame->type;
+    }
+    if (answer.type != 0U && !tl_app_send(app, answer.type, frame->sequence, &out)) {
+        app->counters.replies_dropped++;
+    }
+}

@@ -1,0 +1,68 @@
+#include "tautline/tl_servo.h"
+
+#define ERROR_MAX (128 * TL_COUNT_ONE) // beyond it proportional drive is saturated at any useful gain
+#define REST_BAND TL_COUNT_ONE
+
+static bool in_range(int32_t value) { return value >= 0 && value <= TL_SERVO_GAIN_MAX; }
+
+bool tl_servo_configure(tl_servo_t *servo, const tl_servo_gains_t *gains, uint32_t rate_hz) {
+    if (!in_range(gains->proportional) || !in_range(gains->integral) || !in_range(gains->derivative) ||
+        !in_range(gains->feed_forward) || !in_range(gains->friction)) {
+        return false;
+    }
+    const int32_t rate = (int32_t)rate_hz;
+    servo->gains = *gains;
+    servo->integral_step = gains->integral * 256 / rate; // Q31 - Q15 - Q8 of the error = 2^8
+    servo->derivative = gains->derivative * 128 / 125;
+    servo->feed_forward = gains->feed_forward * 128 / 125;
+    const int32_t omega = TL_SERVO_FILTER_HZ * 6283 / 1000; // rad/s
+    servo->alpha = 2 * omega * 32768 / rate;
+    servo->beta = (omega * omega / rate) * 128; // Q7: omega^2 / rate is of the order of 50
+    servo->rate_inverse = (1 << 24) / rate;
+    return true;
+}
+
+void tl_servo_reset(tl_servo_t *servo, tl_count_q8_t q) {
+    servo->integral = 0;
+    servo->predicted = q;
+    servo->velocity = 0;
+    servo->saturated = false;
+}
+
+// x * factor / 2^shift for |x| and factor below 2^15 or a product below 2^31.
+static int32_t scale(int32_t x, int32_t factor, unsigned shift) { return (x * factor) >> shift; }
+
+void tl_servo_watch(tl_servo_t *servo, tl_count_q8_t q) {
+    // Speed below 2^23 (Q8), rate_inverse below 2^15: the product of speed / 2^7 fits.
+    servo->predicted = tl_add_sat(servo->predicted, scale(servo->velocity / 128, servo->rate_inverse, 17));
+    const int32_t residual = tl_sub_sat(q, servo->predicted);
+    if (residual > ERROR_MAX || residual < -ERROR_MAX) { // set to another position, or lost: start again
+        servo->predicted = q;
+        servo->velocity = 0;
+        return;
+    }
+    servo->predicted += scale(residual, servo->alpha, 15);
+    servo->velocity = tl_clamp(servo->velocity + scale(residual, servo->beta, 7), -TL_SERVO_SPEED_MAX, TL_SERVO_SPEED_MAX);
+}
+
+tl_duty_q15_t tl_servo_step(tl_servo_t *servo, tl_count_q8_t q, tl_count_q8_t reference, int32_t velocity, bool at_rest,
+                            tl_duty_q15_t limit) {
+    tl_servo_watch(servo, q);
+    const int32_t error = tl_clamp(tl_sub_sat(reference, q), -ERROR_MAX, ERROR_MAX);
+    const int32_t wanted = tl_clamp(velocity, -TL_SERVO_SPEED_MAX, TL_SERVO_SPEED_MAX) / 256;
+    const int32_t lag = tl_clamp(wanted - servo->velocity / 256, -32767, 32767);
+    int32_t duty = scale(error, servo->gains.proportional, 8) + scale(lag, servo->derivative, 10) +
+                   scale(wanted, servo->feed_forward, 10);
+    duty += velocity > 0 ? servo->gains.friction : (velocity < 0 ? -servo->gains.friction : 0);
+    const int32_t sum = duty + (int32_t)(servo->integral >> 16);
+    const tl_duty_q15_t driven = tl_clamp(sum, -limit, limit);
+    servo->saturated = driven != sum;
+    const bool winding = (sum > limit && error > 0) || (sum < -limit && error < 0);
+    const bool resting = at_rest && error <= REST_BAND && error >= -REST_BAND;
+    if (!winding && !resting) {
+        const int64_t most = (int64_t)limit << 16;
+        servo->integral += (int64_t)error * servo->integral_step;
+        servo->integral = servo->integral > most ? most : (servo->integral < -most ? -most : servo->integral);
+    }
+    return driven;
+}

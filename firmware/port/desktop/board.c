@@ -1,0 +1,213 @@
+#include "board.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+#include <tusb.h>
+
+#include "flash.h"
+#include "motor.h"
+#include "tautline/tl_usb.h"
+
+#define WATCHDOG_US 1000000U
+
+static tl_app_t app;
+static tl_port_t port;
+static board_state_t state = {.powered = true};
+static motor_t motors[TL_WIRE_AXES_MAX];
+static int32_t encoder_zero[TL_WIRE_AXES_MAX]; // counters begin at 0 with each start
+static int32_t log_q8[BOARD_LOG][TL_WIRE_AXES_MAX];
+static tl_us_t next_control_us;
+static tl_us_t fed_us;
+static int restart; // asked for: 0 no, 1 restart, 2 boot loader
+
+// -- the port ---------------------------------------------------------------------------------------------------
+
+static tl_us_t port_time(void *context) {
+    (void)context;
+    return state.t_us - state.boot_us;
+}
+
+static int32_t port_encoder(void *context, uint8_t axis) {
+    (void)context;
+    return (int32_t)((uint32_t)motor_counts(&motors[axis]) - (uint32_t)encoder_zero[axis]);
+}
+
+static void port_drive(void *context, uint8_t axis, tl_duty_q15_t duty) {
+    (void)context;
+    motors[axis].duty = duty / 32768.0;
+}
+
+static int32_t port_current(void *context, uint8_t axis) {
+    (void)context;
+    return (int32_t)lround(motors[axis].current);
+}
+
+// Counts an operation; false when the power is cut in it.
+static bool operate(void) {
+    state.flash_operations++;
+    return state.cut_in == 0U || --state.cut_in > 0U;
+}
+
+static void lose_power(void) {
+    state.powered = false;
+    for (uint8_t i = 0; i < port.axes; i++) {
+        motors[i].duty = 0.0;
+    }
+}
+
+static bool port_erase(void *context, uint32_t offset) {
+    (void)context;
+    if (!state.powered) {
+        return false;
+    }
+    const bool whole = operate();
+    const bool done = flash_do_erase(offset, whole);
+    if (!whole) {
+        lose_power();
+    }
+    return done && whole;
+}
+
+static bool port_program(void *context, uint32_t offset, const uint8_t *page) {
+    (void)context;
+    if (!state.powered) {
+        return false;
+    }
+    const bool whole = operate();
+    const bool done = flash_do_program(offset, page, whole);
+    if (!whole) {
+        lose_power();
+    }
+    return done && whole;
+}
+
+static void port_feed(void *context) {
+    (void)context;
+    fed_us = state.t_us;
+}
+
+// One thread: nothing to keep out.
+static uint32_t port_lock(void *context) {
+    (void)context;
+    return 0;
+}
+
+static void port_unlock(void *context, uint32_t locked) {
+    (void)context;
+    (void)locked;
+}
+
+static void port_reboot(void *context, bool bootloader) {
+    (void)context;
+    restart = bootloader ? 2 : 1;
+}
+
+uint32_t tusb_time_millis_api(void) { return (uint32_t)(state.t_us / 1000U); }
+
+// -- power and time ---------------------------------------------------------------------------------------------
+
+bool board_open(const board_options_t *options) {
+    if (!flash_open(options->flash_file)) {
+        fprintf(stderr, "tautline-board: %s cannot be used as the flash: name a file that can be written\n",
+                options->flash_file);
+        return false;
+    }
+    port = (tl_port_t){
+        .name = "desktop",
+        .serial = options->serial,
+        .axes = options->axes,
+        .control_hz = options->control_hz,
+        .time_us = port_time,
+        .encoder = port_encoder,
+        .drive = port_drive,
+        .current_ma = port_current,
+        .flash = flash_bytes,
+        .flash_erase = port_erase,
+        .flash_program = port_program,
+        .watchdog_feed = port_feed,
+        .lock = port_lock,
+        .unlock = port_unlock,
+        .reboot = port_reboot,
+    };
+    board_start(TL_WIRE_BOOT_POWER);
+    return true;
+}
+
+const board_state_t *board_state(void) { return &state; }
+const tl_app_t *board_app(void) { return &app; }
+bool board_on_bus(void) { return state.powered && !state.bootloader; }
+
+void board_start(tl_wire_boot_t reason) {
+    port.boot = (uint8_t)reason;
+    state.boot_us = state.t_us;
+    state.powered = true;
+    state.bootloader = false;
+    state.hung = false;
+    state.cut_in = 0;
+    state.starts++;
+    restart = 0;
+    fed_us = state.t_us;
+    next_control_us = state.t_us;
+    for (uint8_t i = 0; i < port.axes; i++) {
+        encoder_zero[i] = motor_counts(&motors[i]);
+        motors[i].duty = 0.0;
+    }
+    tl_app_init(&app, &port);
+    if (tud_inited()) {
+        tud_deinit(0);
+    }
+    tl_usb_init(&app);
+}
+
+void board_cut(uint32_t operations) { state.cut_in = operations; }
+void board_hang(void) { state.hung = true; }
+
+void board_task(void) {
+    if (!state.powered || state.bootloader || state.hung) {
+        return;
+    }
+    tl_usb_task();
+    tl_app_task(&app);
+    tl_usb_task();
+    if (restart == 1) {
+        board_start(TL_WIRE_BOOT_REQUEST);
+    } else if (restart == 2) {
+        state.bootloader = true;
+        lose_power();
+        state.powered = true; // only the motors
+    }
+}
+
+void board_step(void) {
+    const bool runs = state.powered && !state.bootloader;
+    if (runs && state.t_us >= next_control_us) {
+        next_control_us += 1000000U / port.control_hz;
+        tl_app_control(&app);
+        board_task();
+        if (state.t_us - fed_us > WATCHDOG_US) {
+            board_start(TL_WIRE_BOOT_WATCHDOG);
+        }
+    }
+    for (uint8_t i = 0; i < port.axes; i++) {
+        motor_step(&motors[i]);
+    }
+    state.t_us += MOTOR_STEP_US;
+    if (state.t_us % 1000U == 0U) {
+        for (uint8_t i = 0; i < port.axes; i++) {
+            log_q8[state.log_end % BOARD_LOG][i] = board_true_q8(i);
+        }
+        state.log_end++;
+    }
+}
+
+int32_t board_log(uint64_t index, uint8_t axis) { return log_q8[(index - 1U) % BOARD_LOG][axis]; }
+
+int32_t board_true_q8(uint8_t axis) { return (int32_t)(uint32_t)(uint64_t)llround(motors[axis].position * 256.0); }
+
+void board_place(uint8_t axis, int32_t q_q8) {
+    const int32_t before = motor_counts(&motors[axis]);
+    motors[axis].position = q_q8 / 256.0;
+    motors[axis].speed = 0.0;
+    encoder_zero[axis] = (int32_t)((uint32_t)encoder_zero[axis] + (uint32_t)motor_counts(&motors[axis]) - (uint32_t)before);
+}

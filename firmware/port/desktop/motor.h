@@ -1,0 +1,21 @@
+// A geared DC motor with a quadrature encoder, in encoder counts: no backlash of its own, but friction.
+#ifndef MOTOR_H
+#define MOTOR_H
+
+#include <stdint.h>
+
+#define MOTOR_STEP_US 25
+
+typedef struct {
+    double position; // counts
+    double speed;    // counts/s
+    double duty;     // -1 to 1
+    double current;  // mA
+} motor_t;
+
+// MOTOR_STEP_US on.
+void motor_step(motor_t *motor);
+// What the encoder's counter would show had it begun at 0 there.
+int32_t motor_counts(const motor_t *motor);
+
+#endif
