@@ -59,6 +59,22 @@ def data_uri(made: Figure) -> str:
     return "data:image/svg+xml;base64," + base64.b64encode(out.getvalue()).decode()
 
 
+def onsets_of(model: Model) -> list[Onset]:
+    """The model's reversals in order of time; what could not be measured of them is NaN."""
+    numbers = ("t_s", "turn_s", "direction", "q1", "q2", "width", "sigma")
+    onsets = []
+    for given in model.extra.get("onsets", []):
+        values = {name: np.nan if given.get(name) is None else float(given[name]) for name in numbers}
+        recording = int(given.get("recording", 0))
+        onsets.append(values | {"recording": recording, "used": given["used"], "reason": str(given.get("reason", ""))})
+    return sorted(onsets, key=lambda onset: (onset["recording"], _when(onset)))
+
+
+def _when(onset: Onset) -> float:
+    """When the tip moved again, or where it did not, when the motor turned."""
+    return float(onset["turn_s"] if np.isnan(onset["t_s"]) else onset["t_s"])
+
+
 def split_onsets(onsets: Sequence[Onset]) -> tuple[list[Onset], list[Onset]]:
     return [o for o in onsets if o["used"]], [o for o in onsets if not o["used"]]
 
@@ -70,7 +86,7 @@ def knots_of(model: Model) -> Array | None:
 
 
 def q_mean(onset: Onset) -> float:
-    return 0.5 * (float(onset["q1"]) + float(onset["q2"]))
+    return 0.5 * float(onset["q1"] + onset["q2"])
 
 
 def draw_backlash(axes: Axes, model: Model, onsets: Sequence[Onset], knots: Array | None = None) -> None:
@@ -78,7 +94,7 @@ def draw_backlash(axes: Axes, model: Model, onsets: Sequence[Onset], knots: Arra
     unit, (low, high) = model.rig.actuator.unit, model.measured
     inside = (model.q >= low) & (model.q <= high)
     used, _ = split_onsets(onsets)
-    widths = [float(o["width"]) for o in used]
+    widths = [o["width"] for o in used]
     top = 1.25 * max([*widths, float(model.width[inside].max()) if inside.any() else 0.0, 1e-9])
     axes.fill_between(
         model.q,
@@ -96,7 +112,7 @@ def draw_backlash(axes: Axes, model: Model, onsets: Sequence[Onset], knots: Arra
             axes.errorbar(
                 [q_mean(o) for o in chosen],
                 [o["width"] for o in chosen],
-                yerr=[2 * float(o["sigma"]) for o in chosen],
+                yerr=[2 * o["sigma"] for o in chosen],
                 fmt=marker,
                 ms=4,
                 color=colour,
@@ -191,8 +207,8 @@ def track(evidence: Evidence, onsets: Sequence[Onset]) -> Figure:
             ax.plot(evidence.t_s[chosen], values[chosen], color=colour, lw=0.9, rasterized=len(values) > MANY)
         ax.set_ylabel(label)
     for used, colour in ((True, "#2f9e5b"), (False, MODEL)):
-        chosen_onsets = [o for o in onsets if bool(o["used"]) == used]
-        times = [float(o["t_s"]) + _offset(evidence, o) for o in chosen_onsets]
+        chosen_onsets = [o for o in onsets if o["used"] == used]
+        times = [_when(o) + _offset(evidence, o) for o in chosen_onsets]
         for ax, values in ((axes[0, 0], evidence.q), (axes[1, 0], position)):
             ax.plot(
                 times,
@@ -224,9 +240,9 @@ def onsets_closely(model: Model, evidence: Evidence, onsets: Sequence[Onset], co
 
 
 def _one_onset(ax: Axes, evidence: Evidence, onset: Onset, unit: str) -> None:
-    width = max(float(onset["width"]), 1e-9)
-    t2 = float(onset["t_s"]) + _offset(evidence, onset)
-    same = evidence.recording == int(onset.get("recording", 0))
+    width = max(onset["width"], 1e-9)
+    t2 = onset["t_s"] + _offset(evidence, onset)
+    same = evidence.recording == onset["recording"]
     path = evidence.path[same] - np.interp(t2, evidence.t_s[same], evidence.path[same]) + width
     near = (path > -0.8 * width) & (path < 1.8 * width)
     path, seen = path[near], evidence.seen[same][near]
@@ -245,7 +261,7 @@ def _one_onset(ax: Axes, evidence: Evidence, onset: Onset, unit: str) -> None:
     ax.axvspan(0, width, color=PALE, alpha=0.7, lw=0)
     ax.plot(path, moved, ".", color=INK, ms=4)
     ax.plot([0, width, path.max()], [0, 0, slope * (path.max() - width)], color=MODEL, lw=1.4)
-    ax.axvspan(width - 2 * float(onset["sigma"]), width + 2 * float(onset["sigma"]), color=MODEL, alpha=0.25, lw=0)
+    ax.axvspan(width - 2 * onset["sigma"], width + 2 * onset["sigma"], color=MODEL, alpha=0.25, lw=0)
     ax.annotate(
         f"B = {width:.4g} ± {2 * float(onset['sigma']):.2g}",
         (0.5 * width, 0.98),
@@ -348,5 +364,5 @@ def _colours(count: int) -> list[Any]:
 
 
 def _offset(evidence: Evidence, onset: Onset) -> float:
-    index = int(onset.get("recording", 0))
+    index = onset["recording"]
     return float(evidence.offset_s[index]) if index < len(evidence.offset_s) else 0.0

@@ -49,7 +49,7 @@ def save_model(model: Model, recordings: Sequence[Recording], folder: Path) -> l
 
 def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "") -> Path:
     """MODEL/report.html: what was measured, how good it is, what it gains. `evidence` None: the tables alone."""
-    onsets = sorted(model.extra.get("onsets", []), key=lambda onset: (onset.get("recording", 0), onset["t_s"]))
+    onsets = figures.onsets_of(model)
     used, unused = figures.split_onsets(onsets)
     check = model.extra.get("cross_check")
     page: dict[str, Any] = {
@@ -296,15 +296,21 @@ def _stages(evidence: Evidence | None) -> list[dict[str, str]]:
     return rows
 
 
-def _onset_row(onset: Mapping[str, Any]) -> dict[str, Any]:
-    reason = str(onset.get("reason") or "")
+def _onset_row(onset: figures.Onset) -> dict[str, Any]:
     return {
         "used": onset["used"],
-        "t_s": f"{onset['t_s']:.3f}",
         "direction": "rises" if onset["direction"] > 0 else "falls",
-        **{key: "" if onset[key] is None else f"{onset[key]:.4f}" for key in ("q1", "q2", "width")},
-        "sigma": "" if onset["sigma"] is None else f"{2 * onset['sigma']:.4f}",
-        "verdict": "yes" if onset["used"] else reason or "no",
+        "verdict": "yes" if onset["used"] else onset["reason"] or "no",
+        **{
+            name: "" if np.isnan(value) else f"{value:.{places}f}"
+            for name, value, places in (
+                ("t_s", onset["t_s"], 3),
+                ("q1", onset["q1"], 4),
+                ("q2", onset["q2"], 4),
+                ("width", onset["width"], 4),
+                ("sigma", 2 * onset["sigma"], 4),
+            )
+        },
     }
 
 

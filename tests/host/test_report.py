@@ -40,10 +40,11 @@ def an_onset(plant: instrument.Instrument, t_s: float, q1: float, direction: int
     width = float(plant.backlash(np.array([q1]))[0])
     return {
         "recording": 0,
-        "t_s": t_s,
+        "t_s": t_s if used else None,
+        "turn_s": t_s - 0.2,
         "direction": direction,
         "q1": q1,
-        "q2": q1 + direction * width,
+        "q2": q1 + direction * width if used else None,
         "width": width,
         "sigma": 0.004,
         "used": used,
