@@ -24,7 +24,7 @@ static const uint8_t magic[4] = {'T', 'L', 'T', 'B'};
     X(44, 4, int32_t, takeup_speed_q8)                                                                       \
     X(48, 4, int32_t, takeup_accel)                                                                          \
     X(52, 4, int32_t, band)                                                                                  \
-    X(56, 4, int32_t, slope_min_q24)                                                                         \
+    X(56, 4, int32_t, slope_min_q28)                                                                         \
     X(60, 4, int32_t, flat_speed_q8)                                                                         \
     X(64, 4, uint32_t, delay_us)                                                                             \
     X(68, 4, uint32_t, created_s)
@@ -145,7 +145,7 @@ static tl_table_reason_t check_header(const tl_table_t *t, uint8_t axis) {
     }
     if (outside(t->speed_max_q8, 1, TL_TABLE_VALUE_MAX) || outside(t->takeup_speed_q8, 1, TL_TABLE_VALUE_MAX) ||
         outside(t->takeup_accel, 1, INT32_MAX) || outside(t->band, 0, TL_TABLE_VALUE_MAX) ||
-        outside(t->slope_min_q24, 0, INT32_MAX) || outside(t->flat_speed_q8, 0, TL_TABLE_VALUE_MAX)) {
+        outside(t->slope_min_q28, 0, INT32_MAX) || outside(t->flat_speed_q8, 0, TL_TABLE_VALUE_MAX)) {
         return TL_TABLE_BAD_LIMITS;
     }
     if (t->delay_us > TL_TABLE_DELAY_MAX_US) {
@@ -158,10 +158,10 @@ static tl_table_reason_t check_header(const tl_table_t *t, uint8_t axis) {
 }
 
 bool tl_table_span_is_flat(const tl_table_t *table, unsigned span) {
-    // deg Q16 per step, times 2^16 / step, is deg per count in Q24.
+    // deg Q16 per step of Q8 counts, times 2^20 / step, is deg per count in Q28.
     const int32_t rise = table->angle[span + 1U] - table->angle[span];
     const uint64_t magnitude = (uint32_t)(rise < 0 ? -rise : rise);
-    return magnitude << 16 < (uint64_t)(uint32_t)table->slope_min_q24 << table->step_log2;
+    return magnitude << 20 < (uint64_t)(uint32_t)table->slope_min_q28 << table->step_log2;
 }
 
 static tl_table_reason_t check_nodes(const tl_table_t *t) {
@@ -170,9 +170,6 @@ static tl_table_reason_t check_nodes(const tl_table_t *t) {
         return TL_TABLE_BAD_RANGE;
     }
     const bool rises = t->angle[1] > t->angle[0];
-    if (rises != (t->coarse_c_max > t->coarse_c_min)) {
-        return TL_TABLE_BAD_COARSE;
-    }
     const int32_t steep = (int32_t)2 << t->step_log2;
     for (unsigned i = 0; i < t->nodes; i++) {
         const int64_t p = t->q0 + ((int64_t)i << t->step_log2);
@@ -192,6 +189,9 @@ static tl_table_reason_t check_nodes(const tl_table_t *t) {
                 return TL_TABLE_BAD_NOT_MONOTONE;
             }
         }
+    }
+    if (rises != (t->coarse_c_max > t->coarse_c_min)) {
+        return TL_TABLE_BAD_COARSE;
     }
     for (unsigned i = 0; i + 1U < t->nodes && t->flat_speed_q8 == 0; i++) {
         if (tl_table_span_is_flat(t, i)) {

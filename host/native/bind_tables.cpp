@@ -28,7 +28,7 @@ namespace {
     X(takeup_speed_q8)                                                                                       \
     X(takeup_accel)                                                                                          \
     X(band)                                                                                                  \
-    X(slope_min_q24)                                                                                         \
+    X(slope_min_q28)                                                                                         \
     X(flat_speed_q8)                                                                                         \
     X(delay_us)                                                                                              \
     X(created_s)
@@ -115,6 +115,14 @@ void bind_tables(nb::module_ &m) {
     TL_TABLE_REASONS(REASON)
 #undef REASON
     m.attr("TABLE_REASONS") = reasons;
+    nb::dict kinds, units; // names as the host writes them
+    kinds["bending"] = static_cast<int>(TL_AXIS_BENDING);
+    kinds["translation"] = static_cast<int>(TL_AXIS_TRANSLATION);
+    kinds["rotation"] = static_cast<int>(TL_AXIS_ROTATION);
+    units["mm"] = static_cast<int>(TL_UNIT_MM);
+    units["deg"] = static_cast<int>(TL_UNIT_DEG);
+    m.attr("AXIS_KINDS") = kinds;
+    m.attr("AXIS_UNITS") = units;
     m.attr("TABLE_FORMAT") = TL_TABLE_FORMAT;
     m.attr("TABLE_AXES") = TL_TABLE_AXES;
     m.attr("TABLE_ANY_AXIS") = TL_TABLE_ANY_AXIS;

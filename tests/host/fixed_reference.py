@@ -79,7 +79,7 @@ FIELDS = {
     "takeup_speed_q8": 1 << 22,
     "takeup_accel": 1 << 17,
     "band": 512,
-    "slope_min_q24": 0,
+    "slope_min_q28": 0,
     "flat_speed_q8": 0,
     "delay_us": 80_000,
     "created_s": 1_760_000_000,

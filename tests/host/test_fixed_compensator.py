@@ -234,7 +234,7 @@ def test_the_take_up_takes_no_longer_than_its_limits_ask() -> None:
 
 def test_a_slow_feed_is_exact_over_time() -> None:
     """0.1 count/s at 10 kHz: 0.0026 of the last bit a tick."""
-    steep = simple(flat_speed_q8=26, slope_min_q24=int(0.02 * 2**24))  # f is flat everywhere by this measure
+    steep = simple(flat_speed_q8=26, slope_min_q28=int(0.02 * 2**28))  # f is flat everywhere by this measure
     k = _native.FixedCompensator(table_of(steep), 10_000, FULL, 0, 0)
     assert table_of(steep).has_flat
     p, flags = k.run(np.full(300_000, 65536, np.int32))[1::2]
@@ -247,10 +247,10 @@ def test_a_slow_feed_is_exact_over_time() -> None:
 @settings(deadline=None, max_examples=80)
 def test_flat_spans_are_crossed_at_the_flat_speed_and_only_those(reference: Reference, seed: int, speed: float) -> None:
     rate, step = 1000, 1 << reference.fields["step_log2"]
-    slopes = np.abs(np.diff(reference.angle)) * 65536 / step  # deg/count Q24
+    slopes = np.abs(np.diff(reference.angle)) * 2**20 / step  # deg/count Q28
     least = int(min(np.median(slopes), 2**31 - 1))
     flat_speed = int(10**speed)
-    table = table_of(reference, slope_min_q24=least, flat_speed_q8=flat_speed)
+    table = table_of(reference, slope_min_q28=least, flat_speed_q8=flat_speed)
     flat = np.concatenate([slopes < least, [False]])
     rng = np.random.default_rng(seed)
     low, high = reference.q_range

@@ -28,7 +28,7 @@
 ///       44    4  take-up speed, Q8 counts/s, > 0: added to the feed while backlash is crossed
 ///       48    4  take-up acceleration, counts/s^2 (Q0), > 0
 ///       52    4  reversal band, Q8 counts, >= 0: p must turn back by more than it to count as a reversal
-///       56    4  least slope of f, deg/count Q24, >= 0; flatter spans are treated as the next field says
+///       56    4  least slope of f, deg/count Q28, >= 0; flatter spans are treated as the next field says
 ///       60    4  flat speed, Q8 counts/s: 0 = refuse a table with flatter spans; > 0 = cross them at this
 ///                motor speed at most
 ///       64    4  camera delay t_delay, us, unsigned, at most 2 s
@@ -109,7 +109,7 @@ typedef struct {
     int32_t takeup_speed_q8;   ///< counts/s
     int32_t takeup_accel;      ///< counts/s^2
     tl_count_q8_t band;
-    int32_t slope_min_q24;  ///< deg/count
+    int32_t slope_min_q28;  ///< deg/count
     int32_t flat_speed_q8;  ///< counts/s
     uint32_t delay_us;
     uint32_t created_s;

@@ -1,0 +1,230 @@
+"""A model as the board's table, and back. The blob's layout and its rules are C's (common/tl_table.h)."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from tautline import _native
+from tautline.errors import TautError
+from tautline.model import Array, Model
+from tautline.rig import Rig
+
+KINDS: dict[str, int] = _native.AXIS_KINDS
+_KIND_NAMES = {value: name for name, value in KINDS.items()}
+_UNIT_NAMES = {value: name for name, value in _native.AXIS_UNITS.items()}
+_COUNT = float(_native.COUNT_ONE)  # Q8
+_DEG = float(_native.DEG_ONE)  # Q16
+_SLOPE = 2.0**28  # deg per count, Q28
+_NANO = 1e-9
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the compensator may do, in the rig's unit."""
+
+    speed_max: float  # unit/s, of the motor
+    takeup_speed: float  # unit/s, added to the feed while backlash is crossed
+    takeup_accel: float  # unit/s^2
+    band: float  # unit; p must turn back by more to count as a reversal
+    slope_min: float = 0.0  # deg/unit; spans of f that are flatter are refused, or crossed at flat_speed
+    flat_speed: float = 0.0  # unit/s; 0 refuses
+    strength: float = 1.0  # share of B that is compensated, 0..1
+
+    @classmethod
+    def of(cls, rig: Rig) -> Limits:
+        """Moderate ones: the range in half a second, a take-up at half of that speed, reached within 0.1 s."""
+        actuator = rig.actuator
+        return cls(
+            speed_max=2.0 * actuator.span,
+            takeup_speed=actuator.span,
+            takeup_accel=10.0 * actuator.span,
+            band=2.0 * actuator.encoder_resolution,
+            slope_min=0.02 * abs(rig.coarse.gain),
+            flat_speed=actuator.span,
+        )
+
+
+@dataclass(frozen=True)
+class Table:
+    """What a blob says, in the rig's unit and degrees."""
+
+    axis: int
+    kind: str  # bending, translation or rotation
+    unit: str
+    encoder_resolution: float  # unit per count
+    q_range: tuple[float, float]
+    coarse_gain: float  # deg per unit
+    coarse_offset: float
+    limits: Limits
+    delay_s: float
+    created_s: int  # since 1970
+    model_id: bytes
+    q: Array  # (n,) nodes; empty for the identity
+    width: Array  # (n,) B
+    c_deg: Array  # (n,) f
+
+
+def model_id(model: Model) -> bytes:
+    """8 bytes that are the same for the same B, f, delay and actuator, and hardly ever else."""
+    actuator = model.rig.actuator
+    digest = hashlib.sha256(repr((actuator.unit, actuator.range, actuator.encoder_resolution, model.delay_s)).encode())
+    for values in (model.q, model.width, model.c_deg):
+        digest.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
+    return digest.digest()[:8]
+
+
+def encode(
+    model: Model,
+    axis: int = 0,
+    limits: Limits | None = None,
+    kind: str = "bending",
+    created_s: int | None = None,
+) -> bytes:
+    """The model's blob for `axis`, or a TautError that says why a board would refuse it.
+
+    B and f are sampled on a grid of 2^k Q8 counts from the lower end of the range, with at most 257 nodes; the last
+    node may lie beyond the range: there B is held and f goes on with its last slope.
+    """
+    rig = model.rig
+    q_min, q_max = (_counts(q, rig, "actuator.range") for q in rig.actuator.range)
+    span = q_max - q_min
+    if span < 1:
+        raise TautError("actuator.range holds less than one encoder step: check actuator.encoder_resolution")
+    step_log2 = next(k for k in range(32) if -(-span >> k) <= _native.TABLE_NODES_MAX - 1)
+    q_raw = q_min + (np.arange(-(-span >> step_log2) + 1, dtype=np.int64) << step_log2)
+    q = q_raw * (rig.actuator.encoder_resolution / _COUNT)
+    width = np.interp(q, model.q, model.width)
+    c_deg = _extended(q, np.asarray(model.q, float), np.asarray(model.c_deg, float))
+    fields = _fields(rig, axis, limits or Limits.of(rig), kind, model.delay_s, created_s)
+    fields |= {"q0": q_min, "step_log2": step_log2}
+    blob: bytes = _native.table_encode(
+        fields,
+        _raw(width / rig.actuator.encoder_resolution * _COUNT, "a backlash width"),
+        _raw(c_deg * _DEG, "f_remain"),
+        model_id(model),
+    )
+    return _checked(blob, axis)
+
+
+def encode_identity(
+    rig: Rig, axis: int = 0, limits: Limits | None = None, kind: str = "bending", created_s: int | None = None
+) -> bytes:
+    """The blob without backlash whose f is the coarse kinematics: an axis that is not calibrated."""
+    fields = _fields(rig, axis, limits or Limits.of(rig), kind, rig.delay_s, created_s)
+    empty = np.empty(0, np.int32)
+    return _checked(_native.table_encode(fields | {"q0": 0, "step_log2": 0}, empty, empty, bytes(8)), axis)
+
+
+def decode(blob: bytes, axis: int | None = None) -> Table:
+    """The blob in physical units; a TautError with the reason where a board would refuse it (for `axis`)."""
+    try:
+        fields = _native.FixedTable(blob, _native.TABLE_ANY_AXIS if axis is None else axis).fields
+    except ValueError as error:
+        raise TautError(f"the table is refused: {error}") from error
+    resolution = fields["nano_units_per_count"] * _NANO
+    unit = resolution / _COUNT
+    q_range = (fields["q_min"] * unit, fields["q_max"] * unit)
+    c_min, c_max = fields["coarse_c_min"] / _DEG, fields["coarse_c_max"] / _DEG
+    gain = (c_max - c_min) / (q_range[1] - q_range[0])
+    nodes = np.arange(len(fields["width"]), dtype=np.int64)
+    return Table(
+        axis=fields["axis"],
+        kind=_KIND_NAMES[fields["kind"]],
+        unit=_UNIT_NAMES[fields["unit"]],
+        encoder_resolution=resolution,
+        q_range=q_range,
+        coarse_gain=gain,
+        coarse_offset=c_min - gain * q_range[0],
+        limits=Limits(
+            speed_max=fields["speed_max_q8"] * unit,
+            takeup_speed=fields["takeup_speed_q8"] * unit,
+            takeup_accel=fields["takeup_accel"] * resolution,
+            band=fields["band"] * unit,
+            slope_min=fields["slope_min_q28"] / _SLOPE / resolution,
+            flat_speed=fields["flat_speed_q8"] * unit,
+            strength=fields["strength_q15"] / _native.RATIO_ONE,
+        ),
+        delay_s=fields["delay_us"] * 1e-6,
+        created_s=fields["created_s"],
+        model_id=fields["model_id"],
+        q=(fields["q0"] + (nodes << fields["step_log2"])) * unit,
+        width=fields["width"] * unit,
+        c_deg=fields["angle"] / _DEG,
+    )
+
+
+def _fields(rig: Rig, axis: int, limits: Limits, kind: str, delay_s: float, created_s: int | None) -> dict[str, int]:
+    if kind not in KINDS:
+        raise TautError(f"{kind!r} is not a kind of axis: {', '.join(KINDS)}")
+    if not 0 <= axis < _native.TABLE_AXES:
+        raise TautError(f"axis {axis} does not exist: a board has axes 0 to {_native.TABLE_AXES - 1}")
+    resolution = rig.actuator.encoder_resolution
+    coarse = [_angle(rig.coarse.gain * q + rig.coarse.offset, "the coarse kinematics") for q in rig.actuator.range]
+    return {
+        "axis": axis,
+        "kind": KINDS[kind],
+        "unit": _native.AXIS_UNITS[rig.actuator.unit],
+        "strength_q15": _whole(limits.strength * _native.RATIO_ONE, "limits.strength", 0, 65535),
+        "nano_units_per_count": _whole(resolution / _NANO, "actuator.encoder_resolution", 1, 2**32 - 1),
+        "q_min": _counts(rig.actuator.range[0], rig, "actuator.range"),
+        "q_max": _counts(rig.actuator.range[1], rig, "actuator.range"),
+        "coarse_c_min": coarse[0],
+        "coarse_c_max": coarse[1],
+        "speed_max_q8": _counts(limits.speed_max, rig, "limits.speed_max"),
+        "takeup_speed_q8": _counts(limits.takeup_speed, rig, "limits.takeup_speed"),
+        "takeup_accel": _whole(limits.takeup_accel / resolution, "limits.takeup_accel", 0, 2**31 - 1),
+        "band": _counts(limits.band, rig, "limits.band"),
+        "slope_min_q28": _whole(limits.slope_min * resolution * _SLOPE, "limits.slope_min", 0, 2**31 - 1),
+        "flat_speed_q8": _counts(limits.flat_speed, rig, "limits.flat_speed"),
+        "delay_us": _whole(delay_s * 1e6, "delay_s", 0, 2**32 - 1),
+        "created_s": int(time.time()) if created_s is None else created_s,
+    }
+
+
+def _extended(x: Array, grid: Array, values: Array) -> Array:
+    """Linear between the grid's points and, with the outermost slopes, beyond them."""
+    inside: Array = np.interp(x, grid, values)
+    if len(grid) < 2:
+        return inside
+    first = (values[1] - values[0]) / (grid[1] - grid[0])
+    last = (values[-1] - values[-2]) / (grid[-1] - grid[-2])
+    result: Array = inside + first * np.minimum(x - grid[0], 0.0) + last * np.maximum(x - grid[-1], 0.0)
+    return result
+
+
+def _counts(value: float, rig: Rig, name: str) -> int:
+    """Q8 counts."""
+    limit: int = _native.TABLE_VALUE_MAX
+    return _whole(value / rig.actuator.encoder_resolution * _COUNT, name, -limit, limit)
+
+
+def _angle(value: float, name: str) -> int:
+    limit: int = _native.TABLE_VALUE_MAX
+    return _whole(value * _DEG, name, -limit, limit)
+
+
+def _whole(value: float, name: str, low: int, high: int) -> int:
+    if not np.isfinite(value) or not low <= round(value) <= high:
+        raise TautError(
+            f"{name} is too large or too small for the board's numbers: check it and the encoder resolution"
+        )
+    return round(value)
+
+
+def _raw(values: Array, name: str) -> Array:
+    limit = float(_native.TABLE_VALUE_MAX)
+    if not np.all(np.isfinite(values)) or np.abs(values).max() > limit:
+        raise TautError(f"{name} is too large for the board's numbers or not finite: check the model and its units")
+    raw: Array = np.rint(values).astype(np.int32)
+    return raw
+
+
+def _checked(blob: bytes, axis: int) -> bytes:
+    name, text = _native.table_check(blob, axis)
+    if name != "OK":
+        raise TautError(f"the model cannot be loaded into a board: {text}")
+    return blob
