@@ -1,0 +1,177 @@
+"""The marker's colour, picked once: the direction in colour space along which the marker differs most from what is
+around it, and tissue's own colours, its brightness and white glare differ least."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import cv2
+import numpy as np
+import tomli_w
+
+from tautline.errors import TautError
+
+Array = np.ndarray
+
+FORMAT = "marker/1"
+SMALLEST_PX, LARGEST_PX = 5.0, 200.0  # diameters that can be tracked
+
+_GLARE = 60.0  # rms of the grey light that may lie on anything, levels
+_NOISE = 5.0  # rms that each channel is trusted to, levels
+_DISTINCT = 6.0  # a picked marker stands out by this many standard deviations of its surroundings
+
+
+@dataclass(frozen=True)
+class MarkerColour:
+    """Membership of a pixel: weights . (B, G, R) + offset, 1 on the marker as it was picked, about 0 around it."""
+
+    weights: tuple[float, float, float]  # per level of B, G, R
+    offset: float
+    colour: tuple[float, float, float]  # the marker's B, G, R as it was picked
+    diameter_px: float  # of the disc with the marker's area
+    at: tuple[float, float] = (float("nan"), float("nan"))  # where it was picked, px
+
+    def membership(self, picture: Array) -> Array:
+        """Float32 (height, width) of a BGR picture uint8."""
+        row = np.array([[*self.weights, self.offset]], dtype=np.float32)
+        return np.asarray(cv2.transform(picture.astype(np.float32), row))
+
+    def save(self, path: str | Path) -> None:
+        document = {
+            "format": FORMAT,
+            "weights_bgr": list(self.weights),
+            "offset": self.offset,
+            "colour_bgr": list(self.colour),
+            "diameter_px": self.diameter_px,
+            "at_px": list(self.at),
+        }
+        Path(path).write_text(tomli_w.dumps(document), encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        path = Path(path)
+        try:
+            document = tomllib.loads(path.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            raise TautError(f"{path}: cannot be read as a marker's colour ({error}): make one with 'taut marker'") from error
+        if document.get("format") != FORMAT:
+            raise TautError(f'{path}: format is {document.get("format")!r}, expected "{FORMAT}": run taut marker again')
+        weights, colour = _three(document, "weights_bgr", path), _three(document, "colour_bgr", path)
+        offset, diameter = _number(document, "offset", path), _number(document, "diameter_px", path)
+        if not (np.isfinite([*weights, *colour, offset]).all() and SMALLEST_PX <= diameter <= LARGEST_PX):
+            raise TautError(f"{path}: a number in it is out of range: run 'taut marker' again")
+        return cls(weights, offset, colour, diameter)
+
+
+def _number(document: dict[str, Any], key: str, path: Path) -> float:
+    value = document.get(key)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TautError(f"{path}: {key} is {value!r}, expected a number: run 'taut marker' again")
+    return float(value)
+
+
+def _three(document: dict[str, Any], key: str, path: Path) -> tuple[float, float, float]:
+    value = document.get(key)
+    if not isinstance(value, list) or len(value) != 3:
+        raise TautError(f"{path}: {key} is {value!r}, expected three numbers: run 'taut marker' again")
+    return tuple(_number({key: x}, key, path) for x in value)  # type: ignore[return-value]
+
+
+def pick(picture: Array, at: tuple[float, float] | None = None) -> MarkerColour:
+    """The colour of the blob at (u, v) px of a BGR picture, or of the most salient saturated blob in it."""
+    if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
+        raise TautError("a marker is picked from a BGR picture of 8 bits: (height, width, 3) uint8")
+    height, width = picture.shape[:2]
+    around = _surroundings(picture)
+    if at is not None:
+        if not (0 <= at[0] < width and 0 <= at[1] < height):
+            raise TautError(f"({at[0]:g}, {at[1]:g}) is outside of the picture of {width} x {height} px")
+        found = _pick_at(picture, at, around)
+        if found is None:
+            raise TautError(
+                f"no blob of one colour stands out at ({at[0]:g}, {at[1]:g}): point at the middle of a marker "
+                f"of {SMALLEST_PX:g} to {LARGEST_PX:g} px whose colour nothing else has"
+            )
+        return found[0]
+    best = max(
+        (found for spot in _salient(picture, around) if (found := _pick_at(picture, spot, around))),
+        key=lambda found: found[1],
+        default=None,
+    )
+    if best is None:
+        raise TautError("no marker stands out from its surroundings by its colour: show where it is with --at U,V")
+    return best[0]
+
+
+def _surroundings(picture: Array) -> tuple[Array, Array]:
+    """Mean (3,) and covariance (3, 3) of the picture's colours, with glare and noise allowed for."""
+    step = max(1, int(np.sqrt(picture.shape[0] * picture.shape[1] / 40_000)))
+    sample = picture[::step, ::step].reshape(-1, 3).astype(np.float64)
+    covariance = np.cov(sample.T) + _GLARE**2 * np.ones((3, 3)) + _NOISE**2 * np.eye(3)
+    return sample.mean(axis=0), covariance
+
+
+def _salient(picture: Array, around: tuple[Array, Array], count: int = 12) -> list[tuple[float, float]]:
+    """Places whose colour, smoothed over a small marker, is farthest from the picture's own (Mahalanobis)."""
+    mean, covariance = around
+    root = np.linalg.cholesky(np.linalg.inv(covariance)).T
+    row = np.column_stack([root, -root @ mean]).astype(np.float32)
+    smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), 2.5)
+    distance = np.linalg.norm(cv2.transform(smooth, row), axis=2)
+    places = []
+    for _ in range(count):
+        _, _, _, place = cv2.minMaxLoc(distance)
+        places.append((float(place[0]), float(place[1])))
+        cv2.circle(distance, place, 12, 0.0, -1)
+    return places
+
+
+def _pick_at(
+    picture: Array, at: tuple[float, float], around: tuple[Array, Array]
+) -> tuple[MarkerColour, float] | None:
+    """Fisher's direction between the blob at `at` and its surroundings, and a score: distinctness, for compact blobs."""
+    height, width = picture.shape[:2]
+    column, row = int(at[0]), int(at[1])
+    patch = picture[max(0, row - 2) : row + 3, max(0, column - 2) : column + 3].reshape(-1, 3)
+    colour = np.median(patch, axis=0)
+    mean, covariance = around
+    found = None
+    for _ in range(3):
+        weights = np.linalg.solve(covariance, colour - mean)
+        separation = float(weights @ (colour - mean))
+        if separation < _DISTINCT:
+            return None
+        weights /= separation
+        candidate = MarkerColour(tuple(weights), float(-weights @ mean), tuple(colour), SMALLEST_PX, at)
+        # The spread of the blob's whole neighbourhood would hide a marker that is a good part of it: take the blob out.
+        inside = (candidate.membership(picture) > 0.5).astype(np.uint8)
+        _, labels, stats, centroids = cv2.connectedComponentsWithStats(inside, connectivity=8)
+        near = labels[max(0, row - 2) : row + 3, max(0, column - 2) : column + 3]
+        near = near[near > 0]
+        if not len(near):
+            return None
+        label = np.bincount(near).argmax()
+        area = int(stats[label, cv2.CC_STAT_AREA])
+        diameter = float(np.sqrt(4.0 * area / np.pi))
+        if not SMALLEST_PX <= diameter <= LARGEST_PX or area > 0.1 * height * width:
+            return None
+        blob = labels == label
+        colour = np.median(picture[blob], axis=0)
+        box = max(int(stats[label, cv2.CC_STAT_WIDTH]), int(stats[label, cv2.CC_STAT_HEIGHT]))
+        compact = min(1.0, 1.3 * area / (0.785 * box * box))
+        alone = area / np.count_nonzero(inside)
+        score = np.sqrt(separation) * compact * alone * min(1.0, diameter / 15.0)
+        found = (
+            MarkerColour(
+                tuple(float(w) for w in weights),
+                float(-weights @ mean),
+                tuple(float(x) for x in colour),
+                diameter,
+                (float(centroids[label, 0]), float(centroids[label, 1])),
+            ),
+            float(score),
+        )
+    return found
