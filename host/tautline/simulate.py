@@ -94,7 +94,7 @@ def run(
         translation, rotation = (0.0 if x is None else np.interp(scene, t, x) for x in others)
         image = project(instrument.rig, c[at], translation, rotation) + rng.normal(0.0, noise_px, (len(at), 2))
         camera = rig.camera
-        assert camera is not None
+        assert camera is not None  # has_camera
         inside = np.all((image >= 0) & (image <= [camera.width_px - 1, camera.height_px - 1]), axis=1)
         seen = np.where(inside[:, None], image, np.nan)
         marker = Marker(arrival, seen[:, 0], seen[:, 1], inside, np.full(len(at), noise_px))

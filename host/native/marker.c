@@ -1,0 +1,381 @@
+#include "marker.h"
+
+#include <math.h>
+#include <string.h>
+
+#define ORDER 3
+#define TERMS (2 * ORDER + 1)
+#define STEP 0.5          /* px between samples along a ray */
+#define WINDOW 3.0        /* px to either side of the half-way crossing in which an edge is measured */
+#define BEYOND 3.0        /* px beyond the crossing where the surroundings begin ... */
+#define BEYOND_TO 5.5     /* ... and end */
+#define LOW 0.2           /* share of the contrast below which a sample is all surroundings */
+#define HIGH 0.8          /* and above which it is all marker */
+#define CORRELATION 1.6   /* by which neighbouring rays, which share pixels, say less than independent ones; measured */
+#define SMALLEST 12       /* px, area */
+#define PI 3.14159265358979323846
+
+typedef struct {
+    int x, y; /* first row's first pixel that the flood reached: where to flood again */
+    int area, clipped, cut_off;
+    double sum_x, sum_y;
+} blob_t;
+
+size_t marker_scratch_size(size_t pixels) { return pixels * (sizeof(float) + sizeof(int32_t) + sizeof(float) + 1) + 64; }
+
+/* The k-th smallest, in place. */
+static float kth(float *x, int n, int k) {
+    int low = 0, high = n - 1;
+    while (low < high) {
+        const float pivot = x[(low + high) / 2];
+        int i = low, j = high;
+        while (i <= j) {
+            while (x[i] < pivot) {
+                i++;
+            }
+            while (x[j] > pivot) {
+                j--;
+            }
+            if (i <= j) {
+                const float t = x[i];
+                x[i++] = x[j];
+                x[j--] = t;
+            }
+        }
+        if (k <= j) {
+            high = j;
+        } else if (k >= i) {
+            low = i;
+        } else {
+            break;
+        }
+    }
+    return x[k];
+}
+
+/* Marks the region of `from` (4-connected) in `mark` that holds start with `to`. */
+static blob_t flood(const marker_view_t *view, uint8_t *mark, int32_t *stack, int start, uint8_t from, uint8_t to) {
+    const int columns = view->x1 - view->x0, rows = view->y1 - view->y0;
+    blob_t blob = {start % columns, start / columns, 0, 0, 0, 0.0, 0.0};
+    int top = 0;
+    stack[top++] = start;
+    mark[start] = to;
+    while (top > 0) {
+        const int at = stack[--top], x = at % columns, y = at / columns;
+        blob.area++;
+        blob.sum_x += x;
+        blob.sum_y += y;
+        if (x == 0 || y == 0 || x == columns - 1 || y == rows - 1) {
+            const int u = x + view->x0, v = y + view->y0;
+            if (u == 0 || v == 0 || u == view->width - 1 || v == view->height - 1) {
+                blob.cut_off = 1;
+            } else {
+                blob.clipped = 1;
+            }
+        }
+        if (x > 0 && mark[at - 1] == from) {
+            mark[at - 1] = to;
+            stack[top++] = at - 1;
+        }
+        if (x < columns - 1 && mark[at + 1] == from) {
+            mark[at + 1] = to;
+            stack[top++] = at + 1;
+        }
+        if (y > 0 && mark[at - columns] == from) {
+            mark[at - columns] = to;
+            stack[top++] = at - columns;
+        }
+        if (y < rows - 1 && mark[at + columns] == from) {
+            mark[at + columns] = to;
+            stack[top++] = at + columns;
+        }
+    }
+    return blob;
+}
+
+/* Bilinear; held beyond the region's rim. */
+static double sample(const float *y, int columns, int rows, double px, double py) {
+    px = px < 0.0 ? 0.0 : px > columns - 1.001 ? columns - 1.001 : px;
+    py = py < 0.0 ? 0.0 : py > rows - 1.001 ? rows - 1.001 : py;
+    const int ix = (int)px, iy = (int)py;
+    const double fx = px - ix, fy = py - iy;
+    const float *at = y + (ptrdiff_t)iy * columns + ix;
+    const double upper = (double)at[0] + fx * (double)(at[1] - at[0]);
+    const double lower = (double)at[columns] + fx * (double)(at[columns + 1] - at[columns]);
+    return upper + fy * (lower - upper);
+}
+
+/* Cholesky of the leading terms, in place; 0: the matrix is singular (too few rays are left). */
+static int solve(double a[TERMS][TERMS], double b[TERMS], int terms) {
+    for (int i = 0; i < terms; i++) {
+        for (int j = 0; j <= i; j++) {
+            double s = a[i][j];
+            for (int k = 0; k < j; k++) {
+                s -= a[i][k] * a[j][k];
+            }
+            if (i == j) {
+                if (s <= 1e-9) {
+                    return 0;
+                }
+                a[i][i] = sqrt(s);
+            } else {
+                a[i][j] = s / a[j][j];
+            }
+        }
+        for (int k = 0; k < i; k++) {
+            b[i] -= a[i][k] * b[k];
+        }
+        b[i] /= a[i][i];
+    }
+    for (int i = terms - 1; i >= 0; i--) {
+        for (int k = i + 1; k < terms; k++) {
+            b[i] -= a[k][i] * b[k];
+        }
+        b[i] /= a[i][i];
+    }
+    return 1;
+}
+
+typedef struct {
+    int count;
+    double basis[MARKER_RAYS_MAX][TERMS]; /* 1, cos t, sin t, cos 2t, ... */
+    double crossing[MARKER_RAYS_MAX], around[MARKER_RAYS_MAX], edge[MARKER_RAYS_MAX], fit[MARKER_RAYS_MAX];
+    int keep[MARKER_RAYS_MAX];
+} rays_t;
+
+static void aim(rays_t *rays, double radius) {
+    int count = 8 * (int)lround(2.0 * PI * radius / 8.0);
+    rays->count = count = count < 24 ? 24 : count > MARKER_RAYS_MAX ? MARKER_RAYS_MAX : count;
+    for (int i = 0; i < count; i++) {
+        const double t = 2.0 * PI * i / count;
+        double *b = rays->basis[i];
+        b[0] = 1.0;
+        b[1] = cos(t);
+        b[2] = sin(t);
+        for (int k = 2; k <= ORDER; k++) {
+            b[2 * k - 1] = b[2 * k - 3] * b[1] - b[2 * k - 2] * b[2];
+            b[2 * k] = b[2 * k - 2] * b[1] + b[2 * k - 3] * b[2];
+        }
+    }
+}
+
+/* The last pixel of the blob on every ray, and the level of what is beyond it. Returns the mean of the latter. */
+static double look_beyond(rays_t *rays, const float *y, const uint8_t *mark, uint8_t own, int columns, int rows, double cx,
+                          double cy, double reach) {
+    double sum = 0.0;
+    for (int i = 0; i < rays->count; i++) {
+        const double dx = rays->basis[i][1], dy = rays->basis[i][2];
+        double last = 0.0;
+        double px = cx + 0.5, py = cy + 0.5; /* truncated, the nearest pixel */
+        for (double r = 0.0; r <= reach && px >= 0.0 && py >= 0.0 && px < columns && py < rows; r += STEP) {
+            if (mark[(ptrdiff_t)py * columns + (ptrdiff_t)px] == own) {
+                last = r;
+            }
+            px += STEP * dx;
+            py += STEP * dy;
+        }
+        rays->crossing[i] = last;
+        double level = 0.0;
+        int count = 0;
+        for (double r = last + BEYOND; r <= last + BEYOND_TO; r += STEP, count++) {
+            level += sample(y, columns, rows, cx + r * dx, cy + r * dy);
+        }
+        rays->edge[i] = level / count;
+        sum += rays->edge[i];
+    }
+    for (int i = 0; i < rays->count; i++) { /* of three neighbours */
+        const int before = (i + rays->count - 1) % rays->count, after = (i + 1) % rays->count;
+        rays->around[i] = (rays->edge[before] + rays->edge[i] + rays->edge[after]) / 3.0;
+    }
+    return sum / rays->count;
+}
+
+static void find_edges(rays_t *rays, const float *y, int columns, int rows, double cx, double cy, double within) {
+    const int samples = (int)(2.0 * WINDOW / STEP);
+    for (int i = 0; i < rays->count; i++) {
+        const double dx = rays->basis[i][1], dy = rays->basis[i][2];
+        const double from = rays->crossing[i] > WINDOW ? rays->crossing[i] - WINDOW : 0.0;
+        const double contrast = within - rays->around[i];
+        rays->keep[i] = contrast > 0.0;
+        double edge = from - 0.5 * STEP; /* what lies before the window counts in full, and a sample for the STEP around it */
+        for (int k = 0; k <= samples && contrast > 0.0; k++) {
+            const double r = from + STEP * k;
+            double share = (sample(y, columns, rows, cx + r * dx, cy + r * dy) - rays->around[i]) / contrast;
+            share = (share - LOW) / (HIGH - LOW);
+            edge += STEP * (share < 0.0 ? 0.0 : share > 1.0 ? 1.0 : share);
+        }
+        rays->edge[i] = edge;
+    }
+}
+
+/* Least squares for the first `terms` of the outline, with `weight` a ray. 0: too few rays. */
+static int fit_weighted(rays_t *rays, const double *weight, int terms) {
+    double a[TERMS][TERMS] = {{0.0}}, b[TERMS] = {0.0};
+    for (int i = 0; i < rays->count; i++) {
+        for (int j = 0; j < terms; j++) {
+            const double w = weight[i] * rays->basis[i][j];
+            b[j] += w * rays->edge[i];
+            for (int k = 0; k <= j; k++) {
+                a[j][k] += w * rays->basis[i][k];
+            }
+        }
+    }
+    if (!solve(a, b, terms)) {
+        return 0;
+    }
+    for (int i = 0; i < rays->count; i++) {
+        rays->fit[i] = 0.0;
+        for (int j = 0; j < terms; j++) {
+            rays->fit[i] += b[j] * rays->basis[i][j];
+        }
+    }
+    return 1;
+}
+
+/* 1.4826 times the median distance of the edges from the outline: the sigma of those that fit. */
+static double spread(const rays_t *rays) {
+    float size[MARKER_RAYS_MAX];
+    for (int i = 0; i < rays->count; i++) {
+        size[i] = (float)fabs(rays->edge[i] - rays->fit[i]);
+    }
+    return fmax(1.4826 * (double)kth(size, rays->count, rays->count / 2), 0.02);
+}
+
+/* The outline through the edges that agree. What touches the marker on one side must not bend it: it starts as a circle of
+ * median radius, becomes an ellipse with Cauchy's weights, and takes its last order when the strays are out (3 sigma).
+ * Returns how many edges it keeps, 0: no fit. */
+static int fit_outline(rays_t *rays, double *scatter) {
+    double weight[MARKER_RAYS_MAX];
+    float sorted[MARKER_RAYS_MAX];
+    for (int i = 0; i < rays->count; i++) {
+        sorted[i] = (float)rays->edge[i];
+    }
+    const double median = kth(sorted, rays->count, rays->count / 2);
+    for (int i = 0; i < rays->count; i++) {
+        rays->fit[i] = median;
+    }
+    for (int pass = 0; pass < 6; pass++) {
+        const double scale = 2.0 * spread(rays);
+        for (int i = 0; i < rays->count; i++) {
+            const double x = (rays->edge[i] - rays->fit[i]) / scale;
+            weight[i] = rays->keep[i] ? 1.0 / (1.0 + x * x) : 0.0;
+        }
+        if (!fit_weighted(rays, weight, TERMS - 2)) {
+            return 0;
+        }
+    }
+    int kept = 0;
+    for (int pass = 0; pass < 2; pass++) {
+        const double limit = 3.0 * spread(rays);
+        kept = 0;
+        for (int i = 0; i < rays->count; i++) {
+            rays->keep[i] = rays->keep[i] && fabs(rays->edge[i] - rays->fit[i]) < limit;
+            weight[i] = rays->keep[i];
+            kept += rays->keep[i];
+        }
+        if (kept < 2 * TERMS || !fit_weighted(rays, weight, TERMS)) {
+            return 0;
+        }
+    }
+    double square = 0.0;
+    for (int i = 0; i < rays->count; i++) {
+        const double residual = rays->edge[i] - rays->fit[i];
+        square += weight[i] * residual * residual;
+    }
+    *scatter = sqrt(square / (kept - TERMS));
+    return kept;
+}
+
+static int search(const marker_view_t *view, uint8_t *mark, int32_t *stack, double u, double v, double diameter, blob_t *best) {
+    const int columns = view->x1 - view->x0, pixels = columns * (view->y1 - view->y0);
+    double best_score = 0.0;
+    memset(best, 0, sizeof *best);
+    for (int i = 0; i < pixels; i++) {
+        if (mark[i] != 1) {
+            continue;
+        }
+        const blob_t blob = flood(view, mark, stack, i, 1, 2);
+        const double dx = view->x0 + blob.sum_x / blob.area - u, dy = view->y0 + blob.sum_y / blob.area - v;
+        const double score = blob.area / (1.0 + (dx * dx + dy * dy) / (diameter * diameter));
+        if (blob.area >= SMALLEST && score > best_score) {
+            best_score = score;
+            *best = blob;
+        }
+    }
+    return best_score > 0.0;
+}
+
+int marker_measure(const marker_view_t *view, const float weights[4], double cut, double u, double v, double diameter,
+                   void *scratch, marker_outline_t *out) {
+    const int columns = view->x1 - view->x0, rows = view->y1 - view->y0;
+    const size_t pixels = (size_t)columns * (size_t)rows;
+    float *y = scratch;
+    float *core = y + pixels;
+    int32_t *stack = (int32_t *)(core + pixels);
+    uint8_t *mark = (uint8_t *)(stack + pixels);
+    memset(out, 0, sizeof *out);
+
+    for (int row = 0; row < rows; row++) {
+        const uint8_t *p = view->bgr + (view->y0 + row) * view->stride + 3 * view->x0;
+        for (int column = 0; column < columns; column++, p += 3) {
+            const float m = weights[0] * p[0] + weights[1] * p[1] + weights[2] * p[2] + weights[3];
+            y[row * columns + column] = m;
+            mark[row * columns + column] = m > (float)cut;
+        }
+    }
+    blob_t blob;
+    if (!search(view, mark, stack, u, v, diameter, &blob)) {
+        return MARKER_NONE;
+    }
+    (void)flood(view, mark, stack, blob.y * columns + blob.x, 2, 3);
+    const double area = blob.area;
+    double cx = blob.sum_x / area, cy = blob.sum_y / area;
+    const double radius = sqrt(area / PI);
+
+    int count = 0;
+    for (int row = 0; row < rows; row++) {
+        for (int column = 0; column < columns; column++) {
+            const double dx = column - cx, dy = row - cy;
+            if (mark[row * columns + column] == 3 && dx * dx + dy * dy < 0.5 * radius * radius) {
+                core[count++] = y[row * columns + column];
+            }
+        }
+    }
+    out->u = view->x0 + cx;
+    out->v = view->y0 + cy;
+    out->diameter = 2.0 * radius;
+    if (count == 0) { /* a ring, a crescent: no marker has its middle outside of itself */
+        return MARKER_NONE;
+    }
+    out->within = kth(core, count, count / 2);
+    if (blob.cut_off || blob.clipped) {
+        return blob.cut_off ? MARKER_CUT_OFF : MARKER_CLIPPED;
+    }
+
+    rays_t rays;
+    aim(&rays, radius);
+    out->around = look_beyond(&rays, y, mark, 3, columns, rows, cx, cy, 2.5 * radius + 2.0);
+    if (!(out->within > out->around)) {
+        return MARKER_NONE;
+    }
+    find_edges(&rays, y, columns, rows, cx, cy, out->within);
+    const int kept = fit_outline(&rays, &out->scatter);
+    out->kept = (double)kept / rays.count;
+    if (kept == 0) {
+        return MARKER_NONE;
+    }
+    /* The outline r(t): area 1/2 r^2 dt, moments 1/3 r^3 (cos t, sin t) dt. */
+    double twice_area = 0.0, mx = 0.0, my = 0.0;
+    for (int i = 0; i < rays.count; i++) {
+        const double r = rays.fit[i];
+        twice_area += r * r;
+        mx += r * r * r * rays.basis[i][1];
+        my += r * r * r * rays.basis[i][2];
+    }
+    out->u += 2.0 / 3.0 * mx / twice_area;
+    out->v += 2.0 / 3.0 * my / twice_area;
+    out->diameter = 2.0 * sqrt(twice_area / rays.count);
+    /* The centroid is the outline's first harmonic, whose variance is 2/n that of an edge. */
+    out->sigma = out->scatter * sqrt(2.0 / kept * CORRELATION);
+    return MARKER_FOUND;
+}

@@ -1,0 +1,56 @@
+/* The outline of a blob of one colour, to a few hundredths of a pixel: the inner loop of the marker tracker.
+ *
+ * Membership of a pixel is weights . (B, G, R) + offset, 1 on the marker as its colour was picked and about 0 around it.
+ * The blob is the largest connected region above `cut` near the expected place. From its middle, rays go out; on each the
+ * edge is where membership passes from the blob's own level to the level of what is around it *on that ray*, so an uneven
+ * background does not pull it. A Fourier outline of order 3 is fitted to the edges without those that do not fit (glare on
+ * the rim, something in front), and the answer is that outline's centroid.
+ */
+#ifndef TAUTLINE_MARKER_H
+#define TAUTLINE_MARKER_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum {
+    MARKER_RAYS_MAX = 256,
+    MARKER_FOUND = 0,
+    MARKER_NONE,    /* nothing above `cut`, or too small, or no contrast */
+    MARKER_CLIPPED, /* it goes on beyond the region: try a larger one; every field of the answer is rough */
+    MARKER_CUT_OFF, /* it goes on beyond the picture: its middle cannot be told; every field of the answer is rough */
+};
+
+/* A BGR picture, 8 bits a channel; `stride` bytes from row to row. The region is [x0, x1) x [y0, y1), inside of it. */
+typedef struct {
+    const uint8_t *bgr;
+    ptrdiff_t stride;
+    int width, height;
+    int x0, y0, x1, y1;
+} marker_view_t;
+
+typedef struct {
+    double u, v;      /* px, centroid of the outline; integers are the middles of pixels */
+    double sigma;     /* px per coordinate, from the scatter of the edges about the outline */
+    double diameter;  /* px, of the disc with the outline's area */
+    double within;    /* membership of the blob, median of its core */
+    double around;    /* membership around it, mean over the rays */
+    double scatter;   /* px, rms of the kept edges about the outline */
+    double kept;      /* share of the rays whose edge fitted */
+} marker_outline_t;
+
+/* Bytes of scratch memory for a region of so many pixels. */
+size_t marker_scratch_size(size_t pixels);
+
+/* weights[3] per level of B, G, R and weights[3 + 1] = offset. (u, v) expected place, diameter expected, px.
+ * Returns one of MARKER_*. O(pixels of the region); about 40 us for a marker of 20 px. */
+int marker_measure(const marker_view_t *view, const float weights[4], double cut, double u, double v, double diameter,
+                   void *scratch, marker_outline_t *out);
+
+#ifdef __cplusplus
+}
+#endif
+#endif
