@@ -20,7 +20,8 @@ void bind_marker(nb::module_ &m) {
         .def_ro("within", &marker_outline_t::within)
         .def_ro("around", &marker_outline_t::around)
         .def_ro("scatter", &marker_outline_t::scatter)
-        .def_ro("kept", &marker_outline_t::kept);
+        .def_ro("kept", &marker_outline_t::kept)
+        .def_prop_ro("colour", [](const marker_outline_t &o) { return nb::make_tuple(o.colour[0], o.colour[1], o.colour[2]); });
     m.attr("MARKER_FOUND") = static_cast<int>(MARKER_FOUND);
     m.attr("MARKER_NONE") = static_cast<int>(MARKER_NONE);
     m.attr("MARKER_CLIPPED") = static_cast<int>(MARKER_CLIPPED);

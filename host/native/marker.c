@@ -334,10 +334,14 @@ int marker_measure(const marker_view_t *view, const float weights[4], double cut
 
     int count = 0;
     for (int row = 0; row < rows; row++) {
+        const uint8_t *p = view->bgr + (view->y0 + row) * view->stride + 3 * view->x0;
         for (int column = 0; column < columns; column++) {
             const double dx = column - cx, dy = row - cy;
             if (mark[row * columns + column] == 3 && dx * dx + dy * dy < 0.5 * radius * radius) {
                 core[count++] = y[row * columns + column];
+                for (int k = 0; k < 3; k++) {
+                    out->colour[k] += p[3 * column + k];
+                }
             }
         }
     }
@@ -348,6 +352,9 @@ int marker_measure(const marker_view_t *view, const float weights[4], double cut
         return MARKER_NONE;
     }
     out->within = kth(core, count, count / 2);
+    for (int k = 0; k < 3; k++) {
+        out->colour[k] /= count;
+    }
     if (blob.cut_off || blob.clipped) {
         return blob.cut_off ? MARKER_CUT_OFF : MARKER_CLIPPED;
     }

@@ -40,6 +40,7 @@ typedef struct {
     double around;    /* membership around it, mean over the rays */
     double scatter;   /* px, rms of the kept edges about the outline */
     double kept;      /* share of the rays whose edge fitted */
+    double colour[3]; /* mean B, G, R of its core, levels */
 } marker_outline_t;
 
 /* Bytes of scratch memory for a region of so many pixels. */

@@ -56,9 +56,13 @@ class MarkerColour:
         try:
             document = tomllib.loads(path.read_text(encoding="utf-8"))
         except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise TautError(f"{path}: cannot be read as a marker's colour ({error}): make one with 'taut marker'") from error
+            raise TautError(
+                f"{path}: cannot be read as a marker's colour ({error}): make one with 'taut marker'"
+            ) from error
         if document.get("format") != FORMAT:
-            raise TautError(f'{path}: format is {document.get("format")!r}, expected "{FORMAT}": run taut marker again')
+            raise TautError(
+                f"{path}: format is {document.get('format')!r}, expected '{FORMAT}': run 'taut marker' again"
+            )
         weights, colour = _three(document, "weights_bgr", path), _three(document, "colour_bgr", path)
         offset, diameter = _number(document, "offset", path), _number(document, "diameter_px", path)
         if not (np.isfinite([*weights, *colour, offset]).all() and SMALLEST_PX <= diameter <= LARGEST_PX):
@@ -77,7 +81,11 @@ def _three(document: dict[str, Any], key: str, path: Path) -> tuple[float, float
     value = document.get(key)
     if not isinstance(value, list) or len(value) != 3:
         raise TautError(f"{path}: {key} is {value!r}, expected three numbers: run 'taut marker' again")
-    return tuple(_number({key: x}, key, path) for x in value)  # type: ignore[return-value]
+    return _triple(np.array([_number({key: x}, key, path) for x in value]))
+
+
+def _triple(values: Array) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])
 
 
 def pick(picture: Array, at: tuple[float, float] | None = None) -> MarkerColour:
@@ -129,10 +137,8 @@ def _salient(picture: Array, around: tuple[Array, Array], count: int = 12) -> li
     return places
 
 
-def _pick_at(
-    picture: Array, at: tuple[float, float], around: tuple[Array, Array]
-) -> tuple[MarkerColour, float] | None:
-    """Fisher's direction between the blob at `at` and its surroundings, and a score: distinctness, for compact blobs."""
+def _pick_at(picture: Array, at: tuple[float, float], around: tuple[Array, Array]) -> tuple[MarkerColour, float] | None:
+    """Fisher's direction between the blob at `at` and what is around it; a score: distinct, compact, alone, large."""
     height, width = picture.shape[:2]
     column, row = int(at[0]), int(at[1])
     patch = picture[max(0, row - 2) : row + 3, max(0, column - 2) : column + 3].reshape(-1, 3)
@@ -145,8 +151,7 @@ def _pick_at(
         if separation < _DISTINCT:
             return None
         weights /= separation
-        candidate = MarkerColour(tuple(weights), float(-weights @ mean), tuple(colour), SMALLEST_PX, at)
-        # The spread of the blob's whole neighbourhood would hide a marker that is a good part of it: take the blob out.
+        candidate = MarkerColour(_triple(weights), float(-weights @ mean), _triple(colour), SMALLEST_PX, at)
         inside = (candidate.membership(picture) > 0.5).astype(np.uint8)
         _, labels, stats, centroids = cv2.connectedComponentsWithStats(inside, connectivity=8)
         near = labels[max(0, row - 2) : row + 3, max(0, column - 2) : column + 3]
@@ -166,9 +171,9 @@ def _pick_at(
         score = np.sqrt(separation) * compact * alone * min(1.0, diameter / 15.0)
         found = (
             MarkerColour(
-                tuple(float(w) for w in weights),
+                _triple(weights),
                 float(-weights @ mean),
-                tuple(float(x) for x in colour),
+                _triple(colour),
                 diameter,
                 (float(centroids[label, 0]), float(centroids[label, 1])),
             ),

@@ -21,6 +21,7 @@ Progress = Callable[[float, str], None]
 COLOUR_FILE = "marker.toml"
 
 _FAINT = 0.3  # of the picked contrast: fainter is no marker
+_LIKE = 0.92  # cosine between its colour and the picked one: 23 deg, which leaves room for glare
 _SHRUNK, _GROWN = 0.5, 1.8  # diameter against the frame before that is still the same marker
 _SMALLER, _LARGER = 0.3, 4.0  # diameter against the picked one
 _KEPT = 0.5  # share of the outline that must be seen
@@ -56,6 +57,8 @@ class Tracker:
     def __init__(self, colour: MarkerColour) -> None:
         self.colour = colour
         self._weights = np.array([*colour.weights, colour.offset], dtype=np.float32)
+        self._colour = np.array(colour.colour) / max(float(np.linalg.norm(colour.colour)), 1.0)
+        self._smallest_px = _SMALLER * colour.diameter_px
         self.reset()
 
     def reset(self) -> None:
@@ -98,6 +101,9 @@ class Tracker:
             return _lost("cut off by the picture's border")
         if status != MARKER_FOUND or outline.within - outline.around < _FAINT:
             return _lost("no marker of this colour")
+        seen = np.array(outline.colour)
+        if float(seen @ self._colour) < _LIKE * float(np.sqrt(seen @ seen)):
+            return _lost("what is there has another colour")
         radius = 0.5 * outline.diameter
         if outline.kept < _KEPT or outline.scatter > max(_RAGGED * radius, 0.5):
             return _lost("its outline is broken")
@@ -107,33 +113,41 @@ class Tracker:
         return Sighting(outline.u, outline.v, max(outline.sigma, _SURE_PX), outline.diameter)
 
     def _search(self, picture: Array) -> Sighting:
-        """Over the whole frame, at half or a quarter of its size where the marker stays large enough."""
+        """Over the whole frame, made as small as the smallest marker allows."""
         shrink = 1
-        while shrink < 4 and self.colour.diameter_px * _SMALLER / shrink > 2.0:
+        while shrink < 4 and self._smallest_px / shrink > 2.0 and min(picture.shape[:2]) > 16 * shrink:
             shrink *= 2
-        small = cv2.resize(picture, None, fx=1 / shrink, fy=1 / shrink, interpolation=cv2.INTER_AREA) if shrink > 1 else picture
+        small = cv2.resize(picture, None, fx=1 / shrink, fy=1 / shrink, interpolation=cv2.INTER_AREA)
         y = self.colour.membership(small)
-        count, _, stats, centroids = cv2.connectedComponentsWithStats((y > _FAINT).astype(np.uint8), connectivity=4)
-        expected = 0.785 * (self.colour.diameter_px / shrink) ** 2
-        order = np.argsort(-np.minimum(stats[1:, cv2.CC_STAT_AREA], expected))[:6] + 1
-        best, best_score = _lost("no marker of this colour"), 0.0
-        for i in order:
-            area = float(stats[i, cv2.CC_STAT_AREA])
+        # Fainter only when there is none: what is around a marker may come near it where the light is poor.
+        for level in (0.5, _FAINT):
+            found = self._best_blob(picture, y, level, shrink)
+            if found.valid:
+                return found
+        self._cut = 0.5
+        return found
+
+    def _best_blob(self, picture: Array, y: Array, level: float, shrink: int) -> Sighting:
+        """The most marker-like blob above `level` in the membership y of the picture made `shrink` times smaller."""
+        _, _, stats, centroids = cv2.connectedComponentsWithStats((y > level).astype(np.uint8), connectivity=4)
+        expected = 0.25 * np.pi * (self.colour.diameter_px / shrink) ** 2
+        best, best_score, best_cut = _lost("no marker of this colour"), 0.0, 0.5
+        largest = np.argsort(-np.minimum(stats[1:, cv2.CC_STAT_AREA], expected))[:6] + 1  # 0 is what is no blob
+        for i in largest:
+            x0, y0, width, height, area = stats[i]
             if not _SMALLER**2 < area / expected < _LARGER**2:
                 continue
             u, v = (centroids[i] + 0.5) * shrink - 0.5
-            x0, y0, w, h = stats[i, :4]
-            peak = float(np.percentile(y[y0 : y0 + h, x0 : x0 + w], 90))
-            self._cut = max(0.5 * peak, 0.5 * _FAINT)
-            diameter = np.sqrt(area / 0.785) * shrink
+            self._cut = max(level, float(np.percentile(y[y0 : y0 + height, x0 : x0 + width], 90))) / 2
+            diameter = self.colour.diameter_px * float(np.sqrt(area / expected))
             found = self._measure(picture, float(u), float(v), diameter, 2.0 * shrink)
-            if found.valid:
+            if found.valid:  # again, now that its own level is known
                 found = self._measure(picture, found.u_px, found.v_px, found.diameter_px, 0.0)
             ratio = found.diameter_px / self.colour.diameter_px if found.valid else 0.0
             score = min(ratio, 1.0 / ratio) * self._cut if found.valid else 0.0
-            if score > best_score or not best_score:
-                best, best_score, cut = found, score, self._cut
-        self._cut = cut if best.valid else 0.5
+            if score > best_score or not best.valid:
+                best, best_score, best_cut = found, score, self._cut
+        self._cut = best_cut
         return best
 
 

@@ -21,7 +21,9 @@ BLACK = np.zeros((576, 720, 3), np.uint8)
 def drawn_centre(scope: Endoscope, *state: float | np.ndarray) -> np.ndarray:
     """Centroid of what the marker adds to the picture: its green over the tube's grey and the black around."""
     picture = scope.frame(*state).astype(float)
-    green = np.clip(picture[:, :, 1] - picture[:, :, 2], 0, None)  # the tube's grey is 5 levels off: below it, not marker
+    green = np.clip(
+        picture[:, :, 1] - picture[:, :, 2], 0, None
+    )  # the tube's grey is 5 levels off: below it, not marker
     green[green < 12] = 0
     y, x = np.indices(green.shape)
     return np.array([(green * x).sum(), (green * y).sum()]) / green.sum()
@@ -46,10 +48,10 @@ def test_a_distorted_camera_draws_distorted() -> None:
 
 
 def test_motion_blur_is_the_mean_over_the_exposure(bare: Endoscope) -> None:
-    path = np.linspace(10.0, 25.0, 5)
-    dense = bare.position(np.interp(np.linspace(0, 1, 999), np.linspace(0, 1, 5), path))
-    assert np.ptp(dense[:, 0]) > 30
-    assert np.abs(drawn_centre(bare, path) - dense.mean(axis=0)).max() < 0.05
+    path = np.linspace(10.0, 15.0, 5)
+    dense = bare.position(np.linspace(10.0, 15.0, 999))
+    assert np.ptp(dense[:, 0]) > 15
+    assert np.abs(drawn_centre(bare, path) - dense.mean(axis=0)).max() < 0.02
 
 
 def test_frames_differ_by_the_noise_that_was_asked_for_and_seeds_repeat() -> None:
@@ -65,7 +67,9 @@ def test_frames_differ_by_the_noise_that_was_asked_for_and_seeds_repeat() -> Non
 def test_what_is_out_of_view_is_not_drawn() -> None:
     scope = Endoscope(RIG.with_camera(width_px=200, height_px=150), QUIET)
     scope.frame(45.0)  # marker beyond the right border
-    behind = Rig.from_document({**RIG.to_document(), "hand_eye": {"rotation_deg": [0, 180, 0], "translation_mm": [0, 0, 0]}}, "")
+    behind = Rig.from_document(
+        {**RIG.to_document(), "hand_eye": {"rotation_deg": [0, 180, 0], "translation_mm": [0, 0, 0]}}, ""
+    )
     assert Endoscope(behind, QUIET).frame(0.0).shape == (576, 720, 3)
 
 
