@@ -52,4 +52,13 @@ void bind_play(nb::module_ &m) {
         },
         nb::arg("q"), nb::arg("grid_q"), nb::arg("width"), nb::arg("p0"),
         "(p, side, anchor): also the envelope (+1 rising, -1 falling, 0 none yet) and the sample that last moved p.");
+    m.def(
+        "turns",
+        [](Input q, double hysteresis) {
+            auto turns = std::make_unique<int32_t[]>(q.size() + 1);
+            const size_t found = play_turns(q.data(), q.size(), hysteresis, turns.get());
+            return owned(std::move(turns), found);
+        },
+        nb::arg("q"), nb::arg("hysteresis"),
+        "Indices (int32) of the samples at which q turns; going back by no more than the hysteresis is no turn.");
 }

@@ -70,3 +70,32 @@ void play_forward(const double *q, size_t count, const double *grid, const doubl
         }
     }
 }
+
+size_t play_turns(const double *q, size_t count, double hysteresis, int32_t *turns) {
+    size_t found = 0;
+    size_t highest = 0;
+    size_t lowest = 0;
+    int direction = 0;
+    for (size_t k = 1; k < count; k++) {
+        if (q[k] > q[highest]) {
+            highest = k;
+        }
+        if (q[k] < q[lowest]) {
+            lowest = k;
+        }
+        if (direction <= 0 && q[k] - q[lowest] > hysteresis) {
+            if (direction < 0) {
+                turns[found++] = (int32_t)lowest;
+            }
+            direction = 1;
+            highest = k;
+        } else if (direction >= 0 && q[highest] - q[k] > hysteresis) {
+            if (direction > 0) {
+                turns[found++] = (int32_t)highest;
+            }
+            direction = -1;
+            lowest = k;
+        }
+    }
+    return found;
+}

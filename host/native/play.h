@@ -29,6 +29,11 @@ int play_table_valid(const double *grid, const double *width, size_t n);
 void play_forward(const double *q, size_t count, const double *grid, const double *width, size_t n, double p0, double *p,
                   int8_t *side, int32_t *anchor);
 
+/* Indices of the samples at which q turns, into turns[0 .. count-1]; returns how many. A turn is the first sample at an
+ * extreme from which q then goes back by more than `hysteresis` (>= 0, q's unit): an encoder that dithers by less does
+ * not turn. O(count). */
+size_t play_turns(const double *q, size_t count, double hysteresis, int32_t *turns);
+
 #ifdef __cplusplus
 }
 #endif
