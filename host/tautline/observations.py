@@ -1,0 +1,143 @@
+"""What a calibration works on: motor and tip, frame by frame, from any recording."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline import _native
+from tautline.errors import TautError
+from tautline.recording import Motor, Recording
+from tautline.rig import Rig
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+_LEAST_PX, _LEAST_DEG = 1e-3, 1e-4  # noise is never taken to be less
+_STILL_MM, _STILL_DEG = 0.02, 0.05  # other degrees of freedom that stay within this do not move
+
+
+@dataclass(frozen=True)
+class Track:
+    """What one sensor saw of the tip in one recording. Frames without a marker are not in it."""
+
+    name: str
+    unit: str  # of y: "px" or "deg"
+    motor: Motor
+    t_s: Array  # (n,) when a frame arrived; rising
+    y: Array  # (n, 2) px or (n, 1) deg
+    sigma: Array  # (n,) noise of y, per coordinate
+    delayed: bool  # the scene is older than t_s by the camera's delay
+
+    def scene_s(self, delay_s: float) -> Array:
+        return self.t_s - delay_s if self.delayed else self.t_s
+
+    def motor_at(self, scene_s: Array) -> Array:
+        return np.interp(scene_s, self.motor.t_s, self.motor.q)
+
+    def others_at(self, scene_s: Array) -> tuple[Array, Array]:
+        """translation (n,) mm and rotation (n,) deg."""
+        zero = np.zeros_like(scene_s)
+        return (
+            zero if self.motor.translation_mm is None else np.interp(scene_s, self.motor.t_s, self.motor.translation_mm),
+            zero if self.motor.rotation_deg is None else np.interp(scene_s, self.motor.t_s, self.motor.rotation_deg),
+        )
+
+    def within_motor(self, scene_s: Array) -> Mask:
+        inside: Mask = (scene_s >= self.motor.t_s[0]) & (scene_s <= self.motor.t_s[-1])
+        return inside
+
+    def others_still(self, from_s: float, to_s: float) -> bool:
+        """Whether translation and rotation rest between two times."""
+        span = slice(*np.searchsorted(self.motor.t_s, [from_s, to_s]))
+        for values, limit in ((self.motor.translation_mm, _STILL_MM), (self.motor.rotation_deg, _STILL_DEG)):
+            if values is not None and len(values[span]) and np.ptp(values[span]) > limit:
+                return False
+        return True
+
+    @property
+    def others_reference(self) -> tuple[float, float]:
+        """Where translation and rotation are most of the time."""
+        return tuple(
+            0.0 if values is None else float(np.median(values))
+            for values in (self.motor.translation_mm, self.motor.rotation_deg)
+        )  # type: ignore[return-value]
+
+    def at_reference(self, scene_s: Array, reference: tuple[float, float]) -> Mask:
+        """Frames at which the other degrees of freedom are where `reference` says: one curve in the image."""
+        translation, rotation = self.others_at(scene_s)
+        still: Mask = (np.abs(translation - reference[0]) <= _STILL_MM) & (np.abs(rotation - reference[1]) <= _STILL_DEG)
+        return still
+
+
+def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
+    """One track per recording: its marker where it has one and the rig a camera, else its angle."""
+    tracks = []
+    for recording in recordings:
+        marker, angle = recording.marker, recording.angle
+        if marker is not None and rig.has_camera:
+            seen = marker.valid & np.isfinite(marker.u_px) & np.isfinite(marker.v_px)
+            y = np.column_stack([marker.u_px, marker.v_px])[seen].astype(float)
+            given = None if marker.sigma_px is None else marker.sigma_px[seen]
+            tracks.append(_track(recording, "px", marker.t_s[seen], y, given, delayed=True))
+        elif angle is not None:
+            seen = np.isfinite(angle.c_deg)
+            y = angle.c_deg[seen, None].astype(float)
+            tracks.append(_track(recording, "deg", angle.t_s[seen], y, None, delayed=False))
+        elif marker is not None:
+            raise TautError(f"{recording.name}: marker positions need a rig with [camera]: add it to rig.toml")
+        else:
+            raise TautError(f"{recording.name}: holds no marker positions and no angles: track its video first")
+    units = {track.unit for track in tracks if len(track.t_s)}
+    if len(units) > 1:
+        raise TautError("some recordings hold a marker and some an angle only: calibrate with one kind")
+    return tracks
+
+
+def _track(recording: Recording, unit: str, t: Array, y: Array, given: Array | None, *, delayed: bool) -> Track:
+    noise = noise_of(t, y, _LEAST_PX if unit == "px" else _LEAST_DEG)
+    sigma = np.full(len(t), noise)
+    if given is not None and len(t) and (np.isfinite(given) & (given > 0)).any():
+        good = np.isfinite(given) & (given > 0)
+        stated = float(np.median(given[good]))
+        # A stated noise that the data contradict keeps its ratios only.
+        scale = 1.0 if 0.6 < noise / stated < 1.6 else noise / stated
+        sigma = np.where(good, given, stated) * scale
+    return Track(recording.name, unit, recording.motor, t, y, np.maximum(sigma, 1e-9), delayed)
+
+
+def noise_of(t: Array, y: Array, least: float) -> float:
+    """Standard deviation of white noise per coordinate, from third differences (a smooth motion has next to none)
+    between frames at equal steps; never less than a quantised sensor's step / sqrt(12)."""
+    if len(t) < 8:
+        return max(least, 0.05 if y.shape[1] == 2 else 0.01)
+    step = np.diff(t)
+    even = np.abs(step - np.median(step)) < 0.25 * np.median(step)
+    runs = even[:-2] & even[1:-1] & even[2:]
+    third = np.diff(y, 3, axis=0)
+    third = third[runs] if runs.sum() >= 8 else third
+    noise = float(np.median(np.abs(third))) / 0.6745 / np.sqrt(20.0)
+    levels = np.unique(y[:, 0])
+    if len(levels) < 0.5 * len(y) and len(levels) > 1:
+        noise = max(noise, float(np.median(np.diff(levels))) / np.sqrt(12.0))
+    return max(noise, least)
+
+
+def turning_hysteresis(motor: Motor, resolution: float, span: float) -> float:
+    """Going back by no more than this is encoder dither, not a reversal (unit of q)."""
+    third = np.diff(motor.q, 3)
+    noise = float(np.median(np.abs(third))) / 0.6745 / np.sqrt(20.0) if len(third) else 0.0
+    return max(3.0 * resolution, 8.0 * noise, 1e-3 * span)
+
+
+def corners(motor: Motor) -> tuple[Array, Array]:
+    """Times and positions of every extreme of q, with the first and the last sample: all that a play needs to know."""
+    q = motor.q
+    if len(q) < 3:
+        return motor.t_s, q
+    turns = _native.turns(np.ascontiguousarray(q), 0.0)
+    keep = np.unique(np.concatenate([[0], turns, [len(q) - 1]]))
+    return motor.t_s[keep], q[keep]

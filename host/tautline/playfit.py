@@ -1,0 +1,388 @@
+"""A least-squares fit of everything smooth at once: B(p), the curve that the tip follows with p, and the delay.
+
+The tip's measured coordinates are y = h(s(p)), p the play of the motor through B. s is either the image itself (two
+channels, h = identity: no pose, no camera, no hand-eye) or the bending angle (one channel, h = the projection, or
+identity for an angle sensor). Residuals and Jacobian are exact on the linear table; every row has few entries.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse import csr_matrix
+
+from tautline import _native
+from tautline.model import STEEPEST
+from tautline.observations import Mask, Track, corners
+from tautline.splines import Basis
+
+Array = npt.NDArray[np.float64]
+# (s (n,), translation (n,), rotation (n,)) -> y (n, k) and dy/ds (n, k)
+View = Callable[[Array, Array, Array], tuple[Array, Array]]
+
+NODES = 1025  # of the tables that fits and models use
+_SLOPE_S = 0.004  # half the interval over which the motor's speed is taken
+
+
+@dataclass(frozen=True)
+class Curves:
+    """The state of a fit. Coefficients belong to the fit's two bases."""
+
+    backlash: Array  # (m_b,)
+    follow: Array  # (m_f, channels)
+    delay_s: float
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """What the model says at each frame of one track."""
+
+    p: Array
+    known: Mask  # the play has forgotten where it started, and motor samples cover the frame
+    settled: Mask  # known, and driven through a full backlash in both directions
+    side: npt.NDArray[np.int8]  # envelope that last moved p
+    moving: Mask  # p moves with q at this frame
+    speed: Array  # dq/dt, unit/s
+
+
+@dataclass(frozen=True)
+class Frozen:
+    """One track prepared for many simulations."""
+
+    track: Track
+    corner_t: Array
+    corner_q: Array
+    use: Mask  # frames that count
+
+    @classmethod
+    def of(cls, track: Track, use: Mask | None = None) -> Frozen:
+        times, positions = corners(track.motor)
+        return cls(track, times, positions, np.ones(len(track.t_s), bool) if use is None else use)
+
+    def simulate(self, grid: Array, width: Array, delay_s: float) -> Simulated:
+        track = self.track
+        scene = track.scene_s(delay_s)
+        q = track.motor_at(scene)
+        n = len(self.corner_t)
+        times = np.concatenate([self.corner_t, scene])
+        order = np.argsort(times, kind="stable")
+        positions = np.concatenate([self.corner_q, q])[order]
+        back = np.empty(len(times), dtype=np.intp)
+        back[order] = np.arange(len(times))
+        at = back[n:]
+        far = 10.0 * (abs(grid[-1] - grid[0]) + abs(positions).max(initial=1.0))
+        p, side, anchor = _native.play_trace(positions, grid, width, -far)
+        other, other_side, _ = _native.play_trace(positions, grid, width, far)
+        known = (np.abs(p - other) < 1e-9 * (grid[-1] - grid[0]))[at] & track.within_motor(scene)
+        both = np.logical_or.accumulate(side == -1) & np.logical_or.accumulate(other_side == 1)
+        period = max(_SLOPE_S, float(np.median(np.diff(track.motor.t_s))))
+        speed = (track.motor_at(scene + period) - track.motor_at(scene - period)) / (2 * period)
+        return Simulated(p[at], known, known & both[at], side[at], anchor[at] == at, speed)
+
+
+@dataclass
+class PlayFit:
+    """Fits `Curves` to tracks. `view` None: the channels are y itself."""
+
+    tracks: Sequence[Frozen]
+    backlash: Basis
+    follow: Basis
+    view: View | None = None
+    fit_backlash: bool = True
+    fit_delay: bool = True
+    settled_only: bool = True  # frames before the tip was driven both ways do not count
+    rising: float = 0.0  # +1, -1: s must rise or fall with p by `least_slope`; 0: free
+    least_slope: float = 0.0
+    smoothing: dict[str, float] = field(default_factory=lambda: {"backlash": 1e-2, "follow": 1e-6})
+    grid: Array = field(init=False)
+    simulated: list[Simulated] = field(init=False, default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.grid = np.linspace(self.backlash.low, self.backlash.high, NODES)
+
+    def width(self, curves: Curves) -> Array:
+        return table(self.backlash.value(curves.backlash, self.grid), self.grid)
+
+    def residuals(self, curves: Curves) -> tuple[list[Array], list[Mask]]:
+        """Per track: (y - model)/sigma (n, k), and which frames count."""
+        width = self.width(curves)
+        self.simulated = [track.simulate(self.grid, width, curves.delay_s) for track in self.tracks]
+        rows, masks = [], []
+        for frozen, sim in zip(self.tracks, self.simulated, strict=True):
+            s = self.follow.value(curves.follow, sim.p)
+            y, _ = self._seen(frozen.track, s, curves.delay_s)
+            rows.append((frozen.track.y - y) / frozen.track.sigma[:, None])
+            masks.append(frozen.use & (sim.settled if self.settled_only else sim.known) & np.isfinite(y).all(axis=1))
+        return rows, masks
+
+    def _seen(self, track: Track, s: Array, delay_s: float) -> tuple[Array, Array]:
+        if self.view is None:
+            return s, np.ones_like(s)
+        translation, rotation = track.others_at(track.scene_s(delay_s))
+        return self.view(s[:, 0], translation, rotation)
+
+    def normal(self, curves: Curves, rows: list[Array], weights: list[Array]) -> tuple[Array, Array]:
+        """J'WJ and J'Wr of the whitened problem, unknowns ordered follow (channel by channel), backlash, delay.
+        After `residuals` with the same curves."""
+        channels = curves.follow.shape[1]
+        mf, mb = self.follow.size, self.backlash.size
+        total = channels * mf + mb + 1
+        matrix, gradient = np.zeros((total, total)), np.zeros(total)
+        cut = channels * mf
+        for frozen, sim, r, w in zip(self.tracks, self.simulated, rows, weights, strict=True):
+            keep = w > 0
+            if not keep.any():
+                continue
+            p, track = sim.p[keep], frozen.track
+            inverse = 1.0 / track.sigma[keep]
+            follow, backlash = self.follow.design(p), self.backlash.design(p)
+            slope = self.follow.slope(curves.follow, p)
+            _, by_s = self._seen_at(track, self.follow.value(curves.follow, p), keep, curves.delay_s)
+            steep = self.backlash.slope(curves.backlash, p)
+            side = sim.side[keep].astype(float)
+            denominator = np.maximum(1.0 + 0.5 * side * steep, 0.05)
+            by_width = -0.5 * side / denominator  # dp/dB
+            by_delay = -sim.speed[keep] * sim.moving[keep] / denominator if track.delayed else np.zeros(len(p))
+            for k in range(r.shape[1]):
+                channel = 0 if self.view is not None else k
+                block = slice(channel * mf, (channel + 1) * mf)
+                h = by_s[:, k] * inverse
+                hp = h * slope[:, channel]
+                wk, rk = w[keep], r[keep, k]
+                matrix[block, block] += _gram(follow, wk * h * h, follow)
+                gradient[block] += follow.T @ (wk * h * rk)
+                if self.fit_backlash:
+                    g = hp * by_width
+                    matrix[block, cut : cut + mb] += _gram(follow, wk * h * g, backlash)
+                    matrix[cut : cut + mb, cut : cut + mb] += _gram(backlash, wk * g * g, backlash)
+                    gradient[cut : cut + mb] += backlash.T @ (wk * g * rk)
+                if self.fit_delay:
+                    e = hp * by_delay
+                    matrix[block, -1] += follow.T @ (wk * h * e)
+                    matrix[-1, -1] += float(wk @ (e * e))
+                    gradient[-1] += float(wk @ (e * rk))
+                    if self.fit_backlash:
+                        matrix[cut : cut + mb, -1] += backlash.T @ (wk * hp * by_width * e)
+        upper = np.triu(matrix)
+        return upper + np.triu(matrix, 1).T, gradient
+
+    def _seen_at(self, track: Track, s: Array, keep: Mask, delay_s: float) -> tuple[Array, Array]:
+        if self.view is None:
+            return s, np.ones_like(s)
+        translation, rotation = track.others_at(track.scene_s(delay_s)[keep])
+        return self.view(s[:, 0], translation, rotation)
+
+    # ---- the fit
+
+    def solve(self, start: Curves, iterations: int = 30, robust: bool = True, adapt: bool = True) -> Fitted:
+        """Gauss-Newton with step halving; smoothing by restricted maximum likelihood (Fellner-Schall steps)."""
+        curves = start
+        rows, masks = self.residuals(curves)
+        scale, weights = _weights(rows, masks, robust)
+        cost = self._cost(curves, rows, weights, scale)
+        covariance: Array | None = None
+        settled = 0
+        for iteration in range(iterations):
+            matrix, gradient = self.normal(curves, rows, weights)
+            penalty, pull = self._penalty(curves, scale)
+            system = matrix + penalty
+            factor = cho_factor(system + 1e-9 * np.diag(np.diag(system)) + 1e-12 * np.eye(len(system)), check_finite=False)
+            step = cho_solve(factor, gradient - pull, check_finite=False)
+            if adapt and iteration >= 2:
+                self._adapt(curves, factor, scale)
+                cost = self._cost(curves, rows, weights, scale)
+            length, taken = 1.0, False
+            for _ in range(6):
+                trial = self._moved(curves, step, length)
+                trial_rows, trial_masks = self.residuals(trial)
+                trial_weights = [np.where(m, w_, 0.0) for m, w_ in zip(trial_masks, _again(weights, masks), strict=True)]
+                trial_cost = self._cost(trial, trial_rows, trial_weights, scale)
+                if trial_cost < cost * (1 + 1e-9):
+                    taken = True
+                    break
+                length *= 0.4
+            if not taken:
+                self.residuals(curves)
+                settled += 1
+                if settled >= 2 or not adapt:
+                    break
+                continue
+            gained = cost - trial_cost
+            curves, rows, masks = trial, trial_rows, trial_masks
+            scale, weights = _weights(rows, masks, robust)
+            cost = self._cost(curves, rows, weights, scale)
+            settled = settled + 1 if gained < 1e-3 + 1e-6 * abs(cost) else 0
+            if settled >= 2:
+                break
+        rows, masks = self.residuals(curves)
+        scale, weights = _weights(rows, masks, robust)
+        matrix, _ = self.normal(curves, rows, weights)
+        penalty, _ = self._penalty(curves, scale)
+        covariance = np.linalg.inv(matrix + penalty + 1e-12 * np.eye(len(matrix))) * scale * scale
+        return Fitted(self, curves, scale, rows, masks, weights, covariance)
+
+    def _moved(self, curves: Curves, step: Array, length: float) -> Curves:
+        channels = curves.follow.shape[1]
+        cut = channels * self.follow.size
+        backlash = curves.backlash
+        if self.fit_backlash:
+            change = length * step[cut : cut + self.backlash.size]
+            limit = 0.15 * (self.backlash.high - self.backlash.low)
+            backlash = np.maximum(backlash + np.clip(change, -limit, limit), 0.0)
+        delay = curves.delay_s + float(np.clip(length * step[-1], -0.03, 0.03)) if self.fit_delay else curves.delay_s
+        follow = curves.follow + length * step[:cut].reshape(channels, self.follow.size).T
+        return replace(curves, backlash=backlash, follow=follow, delay_s=delay)
+
+    def _penalty(self, curves: Curves, scale: float) -> tuple[Array, Array]:
+        """Matrix P and gradient P theta of smoothness and of the constraints that are violated."""
+        channels = curves.follow.shape[1]
+        mf, mb = self.follow.size, self.backlash.size
+        cut = channels * mf
+        total = cut + mb + 1
+        matrix, pull = np.zeros((total, total)), np.zeros(total)
+        for k in range(channels):
+            block = slice(k * mf, (k + 1) * mf)
+            rough = self.smoothing["follow"] * self.follow.bending
+            matrix[block, block] += rough
+            pull[block] += rough @ curves.follow[:, k]
+        if self.fit_backlash:
+            block = slice(cut, cut + mb)
+            rough = self.smoothing["backlash"] * self.backlash.roughness
+            matrix[block, block] += rough
+            pull[block] += rough @ curves.backlash
+            stiff, bend = _steep(curves.backlash, STEEPEST * 0.98 * self.backlash.step)
+            weight = 1e8 * scale * scale / self.backlash.step**2
+            matrix[block, block] += weight * stiff
+            pull[block] += weight * bend
+        else:
+            matrix[cut : cut + mb, cut : cut + mb] += np.eye(mb)
+        if self.rising:
+            block = slice(0, mf)
+            stiff, bend = _monotone(curves.follow[:, 0], self.rising, self.least_slope * self.follow.step)
+            weight = 1e6 * scale * scale / self.follow.step**2
+            matrix[block, block] += weight * stiff
+            pull[block] += weight * bend
+        if not self.fit_delay:
+            matrix[-1, -1] += 1.0
+        return matrix, pull
+
+    def _adapt(self, curves: Curves, factor: tuple[Array, bool], scale: float) -> None:
+        channels = curves.follow.shape[1]
+        mf, mb = self.follow.size, self.backlash.size
+        cut = channels * mf
+        inverse = cho_solve(factor, np.eye(cut + mb + 1), check_finite=False)
+        parts: list[tuple[str, list[slice], Array, list[Array]]] = [
+            ("follow", [slice(k * mf, (k + 1) * mf) for k in range(channels)], self.follow.bending, list(curves.follow.T))
+        ]
+        if self.fit_backlash:
+            parts.append(("backlash", [slice(cut, cut + mb)], self.backlash.roughness, [curves.backlash]))
+        for name, blocks, form, values in parts:
+            now = self.smoothing[name]
+            rank = (form.shape[0] - 2) * len(blocks)
+            spent = now * sum(float(np.sum(inverse[b, b] * form)) for b in blocks)
+            rough = sum(float(v @ form @ v) for v in values)
+            ratio = scale * scale * max(rank - spent, 1e-3) / max(now * rough, 1e-12)
+            self.smoothing[name] = float(np.clip(now * np.clip(ratio, 0.05, 20.0), 1e-10, 1e8))
+
+    def _cost(self, curves: Curves, rows: list[Array], weights: list[Array], scale: float) -> float:
+        used = sum(float(np.sum(w > 0)) for w in weights)
+        if used == 0:
+            return np.inf
+        data = sum(float(np.sum(w[:, None] * np.where(w[:, None] > 0, r, 0.0) ** 2)) for r, w in zip(rows, weights, strict=True))
+        total = sum(len(w) for w in weights)
+        data *= total / used  # frames that drop out of the simulation are no gain
+        smooth = sum(self.smoothing["follow"] * float(c @ self.follow.bending @ c) for c in curves.follow.T)
+        if self.fit_backlash:
+            smooth += self.smoothing["backlash"] * float(curves.backlash @ self.backlash.roughness @ curves.backlash)
+            _, bend = _steep(curves.backlash, STEEPEST * 0.98 * self.backlash.step)
+            smooth += 1e8 * scale * scale / self.backlash.step**2 * float(curves.backlash @ bend)
+        if self.rising:
+            over = np.maximum(self.least_slope * self.follow.step - self.rising * np.diff(curves.follow[:, 0]), 0.0)
+            smooth += 1e6 * scale * scale / self.follow.step**2 * float(over @ over)
+        return data + smooth
+
+
+@dataclass(frozen=True)
+class Fitted:
+    fit: PlayFit
+    curves: Curves
+    scale: float  # rms residual over the stated noise, outliers apart: 1 where the model explains everything
+    rows: list[Array]
+    masks: list[Mask]
+    weights: list[Array]
+    covariance: Array  # of follow (channel by channel), backlash, delay
+
+    @property
+    def frames(self) -> int:
+        return int(sum(m.sum() for m in self.masks))
+
+    def width_sigma(self, p: Array) -> Array:
+        """Standard deviation of B at p from the residuals' noise."""
+        cut = self.curves.follow.size
+        design = self.fit.backlash.design(p).toarray()
+        block = self.covariance[cut : cut + self.fit.backlash.size, cut : cut + self.fit.backlash.size]
+        return np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", design, block, design), 0.0))
+
+    @property
+    def delay_sigma(self) -> float:
+        return float(np.sqrt(self.covariance[-1, -1])) if self.fit.fit_delay else 0.0
+
+
+def table(width: Array, grid: Array, steepest: float = STEEPEST) -> Array:
+    """The nearest lawful backlash table from below: width >= 0, |width'| <= steepest."""
+    step = steepest * np.diff(grid)
+    lawful = np.maximum(width, 0.0)
+    if (np.abs(np.diff(lawful)) <= step).all():
+        return lawful
+    reach = np.concatenate([[0.0], np.cumsum(step)])
+    rising: Array = reach + np.minimum.accumulate(lawful - reach)
+    both: Array = np.minimum.accumulate((rising + reach)[::-1])[::-1] - reach
+    return np.maximum(both, 0.0)
+
+
+def _gram(left: csr_matrix, weight: Array, right: csr_matrix) -> Array:
+    return np.asarray((left.multiply(weight[:, None]).T @ right).toarray())
+
+
+def _again(weights: list[Array], masks: list[Mask]) -> list[Array]:
+    """Weights with those of frames that did not count set to 1, in case they count next time."""
+    return [np.where(m, w, 1.0) for w, m in zip(weights, masks, strict=True)]
+
+
+def _weights(rows: list[Array], masks: list[Mask], robust: bool) -> tuple[float, list[Array]]:
+    """Scale of the residuals (rms, with outliers bounded) and each frame's Huber weight."""
+    used = [np.sqrt(np.mean(r[m] ** 2, axis=1)) for r, m in zip(rows, masks, strict=True)]
+    norm = np.concatenate(used) if used else np.zeros(0)
+    if len(norm) == 0:
+        return 1.0, [m.astype(float) for m in masks]
+    if not robust:
+        return max(float(np.sqrt(np.mean(norm**2))), 1e-6), [m.astype(float) for m in masks]
+    middle = float(np.sqrt(np.median(norm**2))) * (1.4826 if rows[0].shape[1] == 1 else 1.2)
+    limit = 4.0 * max(middle, 1e-9)
+    scale = max(float(np.sqrt(np.mean(np.minimum(norm, limit) ** 2))), 1e-6)
+    limit = 4.0 * scale
+    weights = []
+    for r, m in zip(rows, masks, strict=True):
+        size = np.sqrt(np.mean(np.where(m[:, None], r, 0.0) ** 2, axis=1))
+        weights.append(np.where(m, np.minimum(1.0, limit / np.maximum(size, 1e-12)), 0.0))
+    return scale, weights
+
+
+def _steep(coefficients: Array, limit: float) -> tuple[Array, Array]:
+    """Quadratic penalty where neighbours differ by more than `limit`: matrix and gradient."""
+    difference = np.diff(coefficients)
+    over = np.abs(difference) > limit
+    d = np.diff(np.eye(len(coefficients)), axis=0)[over]
+    excess = difference[over] - np.sign(difference[over]) * limit
+    return d.T @ d, d.T @ excess
+
+
+def _monotone(coefficients: Array, rising: float, least: float) -> tuple[Array, Array]:
+    difference = rising * np.diff(coefficients)
+    under = difference < least
+    d = rising * np.diff(np.eye(len(coefficients)), axis=0)[under]
+    return d.T @ d, d.T @ (difference[under] - least)

@@ -1,0 +1,66 @@
+"""Uniform cubic B-splines with a roughness penalty: the shape of B(q) and of f_remain while they are fitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import BSpline
+from scipy.sparse import csr_matrix
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Basis:
+    """`spans` equal spans over [low, high]; arguments beyond are moved to the nearer end."""
+
+    low: float
+    high: float
+    spans: int
+
+    @property
+    def size(self) -> int:
+        return self.spans + 3
+
+    @property
+    def step(self) -> float:
+        return (self.high - self.low) / self.spans
+
+    @cached_property
+    def knots(self) -> Array:
+        return self.low + self.step * np.arange(-3, self.spans + 4)
+
+    @cached_property
+    def centres(self) -> Array:
+        """(size,) where each coefficient acts."""
+        return self.low + self.step * np.arange(-1, self.spans + 2)
+
+    def clip(self, x: Array) -> Array:
+        inside: Array = np.clip(x, self.low, self.high - 1e-9 * (self.high - self.low))
+        return inside
+
+    def design(self, x: Array) -> csr_matrix:
+        """(n, size), sparse: values = design @ coefficients."""
+        return csr_matrix(BSpline.design_matrix(self.clip(x), self.knots, 3))
+
+    def value(self, coefficients: Array, x: Array) -> Array:
+        return np.asarray(BSpline(self.knots, coefficients, 3)(self.clip(x)))
+
+    def slope(self, coefficients: Array, x: Array) -> Array:
+        return np.asarray(BSpline(self.knots, coefficients, 3).derivative()(self.clip(x)))
+
+    @cached_property
+    def roughness(self) -> Array:
+        """(size, size): coefficients' second differences squared, and a thousandth of the first ones: where nothing is
+        measured the curve levels out."""
+        second, first = np.diff(np.eye(self.size), 2, axis=0), np.diff(np.eye(self.size), 1, axis=0)
+        return second.T @ second + 1e-6 * first.T @ first
+
+    @cached_property
+    def bending(self) -> Array:
+        """(size, size): second differences only: where nothing is measured the curve goes straight on."""
+        second = np.diff(np.eye(self.size), 2, axis=0)
+        return second.T @ second
