@@ -36,13 +36,15 @@ class Track:
         return self.t_s - delay_s if self.delayed else self.t_s
 
     def motor_at(self, scene_s: Array) -> Array:
-        return np.interp(scene_s, self.motor.t_s, self.motor.q)
+        return np.asarray(np.interp(scene_s, self.motor.t_s, self.motor.q))
 
     def others_at(self, scene_s: Array) -> tuple[Array, Array]:
         """translation (n,) mm and rotation (n,) deg."""
         zero = np.zeros_like(scene_s)
         return (
-            zero if self.motor.translation_mm is None else np.interp(scene_s, self.motor.t_s, self.motor.translation_mm),
+            zero
+            if self.motor.translation_mm is None
+            else np.interp(scene_s, self.motor.t_s, self.motor.translation_mm),
             zero if self.motor.rotation_deg is None else np.interp(scene_s, self.motor.t_s, self.motor.rotation_deg),
         )
 
@@ -69,7 +71,9 @@ class Track:
     def at_reference(self, scene_s: Array, reference: tuple[float, float]) -> Mask:
         """Frames at which the other degrees of freedom are where `reference` says: one curve in the image."""
         translation, rotation = self.others_at(scene_s)
-        still: Mask = (np.abs(translation - reference[0]) <= _STILL_MM) & (np.abs(rotation - reference[1]) <= _STILL_DEG)
+        still: Mask = (np.abs(translation - reference[0]) <= _STILL_MM) & (
+            np.abs(rotation - reference[1]) <= _STILL_DEG
+        )
         return still
 
 
@@ -123,14 +127,14 @@ def noise_of(t: Array, y: Array, least: float) -> float:
     levels = np.unique(y[:, 0])
     if len(levels) < 0.5 * len(y) and len(levels) > 1:
         noise = max(noise, float(np.median(np.diff(levels))) / np.sqrt(12.0))
-    return max(noise, least)
+    return float(max(noise, least))
 
 
 def turning_hysteresis(motor: Motor, resolution: float, span: float) -> float:
     """Going back by no more than this is encoder dither, not a reversal (unit of q)."""
     third = np.diff(motor.q, 3)
     noise = float(np.median(np.abs(third))) / 0.6745 / np.sqrt(20.0) if len(third) else 0.0
-    return max(3.0 * resolution, 8.0 * noise, 1e-3 * span)
+    return float(max(3.0 * resolution, 8.0 * noise, 1e-3 * span))
 
 
 def corners(motor: Motor) -> tuple[Array, Array]:

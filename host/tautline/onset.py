@@ -212,9 +212,7 @@ def _departure(z: Array) -> int | None:
     return first
 
 
-def find_onsets(
-    tracks: Sequence[Track], rig: Rig, delay_s: float, delay_sigma: float = 0.0
-) -> list[Onset]:
+def find_onsets(tracks: Sequence[Track], rig: Rig, delay_s: float, delay_sigma: float = 0.0) -> list[Onset]:
     """Every reversal of every track, in order of time, with the widths that count."""
     found = []
     for number, track in enumerate(tracks):
@@ -222,7 +220,8 @@ def find_onsets(
         for before, after in zip(strokes[:-1], strokes[1:], strict=True):
             found.append(_onset(number, track, before, after, rig, delay_s))
     found = _pooled_jumps(found)
-    return [_with_delay_error(onset, tracks[onset.track], delay_sigma) for onset in found]
+    resolution = rig.actuator.encoder_resolution
+    return [_with_clock_and_counts(onset, tracks[onset.track], delay_sigma, resolution) for onset in found]
 
 
 def _onset(number: int, track: Track, before: _Stroke, after: _Stroke, rig: Rig, delay_s: float) -> Onset:
@@ -246,7 +245,9 @@ def _onset(number: int, track: Track, before: _Stroke, after: _Stroke, rig: Rig,
     if window is None:
         return replace(nothing, reason="too few frames around the onset")
     x, y, order, hinge = window
-    jump = fit_jump(x, y, order, 0.0, max(hinge.knot * 1.5, after.travel[min(after.departure + 3, len(after.travel) - 1)]))
+    jump = fit_jump(
+        x, y, order, 0.0, max(hinge.knot * 1.5, after.travel[min(after.departure + 3, len(after.travel) - 1)])
+    )
     inflate = max(1.0, hinge.chi2 / hinge.freedom)
     gain = (hinge.chi2 - jump.chi2) / max(1.0, jump.chi2 / jump.freedom)
     width = hinge.knot
@@ -267,9 +268,7 @@ def _onset(number: int, track: Track, before: _Stroke, after: _Stroke, rig: Rig,
 def _as_bracket(onset: Onset) -> Onset:
     middle = 0.5 * (onset.low + onset.high)
     spread = (onset.high - onset.low) / np.sqrt(12.0)
-    return replace(
-        onset, kind=BRACKET, q2=onset.q1 + onset.direction * middle, sigma=max(float(spread), 1e-9)
-    )
+    return replace(onset, kind=BRACKET, q2=onset.q1 + onset.direction * middle, sigma=max(float(spread), 1e-9))
 
 
 def _pooled_jumps(onsets: list[Onset]) -> list[Onset]:
@@ -281,12 +280,16 @@ def _pooled_jumps(onsets: list[Onset]) -> list[Onset]:
     return [_as_bracket(o) if o.kind == HINGE and o.used else o for o in onsets]
 
 
-def _with_delay_error(onset: Onset, track: Track, delay_sigma: float) -> Onset:
-    if onset.kind != HINGE or delay_sigma <= 0 or not track.delayed:
+def _with_clock_and_counts(onset: Onset, track: Track, delay_sigma: float, resolution: float) -> Onset:
+    """Adds what the delay's uncertainty and two rounded encoder positions do to the width."""
+    if not np.isfinite(onset.sigma):
         return onset
-    around = np.array([onset.t_s - 0.02, onset.t_s + 0.02])
-    speed = abs(float(np.diff(track.motor_at(around))[0])) / 0.04
-    return replace(onset, sigma=float(np.hypot(onset.sigma, speed * delay_sigma)))
+    speed = 0.0
+    if track.delayed and np.isfinite(delay_sigma):
+        around = track.motor_at(np.array([onset.t_s - 0.02, onset.t_s + 0.02]))
+        speed = abs(float(around[1] - around[0])) / 0.04
+    extra = np.hypot(speed * (delay_sigma if speed else 0.0), resolution * np.sqrt(2.0 / 12.0))
+    return replace(onset, sigma=float(np.hypot(onset.sigma, extra)))
 
 
 def _fit_window(track: Track, stroke: _Stroke) -> tuple[Array, Array, int, Hinge] | None:
@@ -347,7 +350,7 @@ def find_delay(tracks: Sequence[Track], rig: Rig, nominal_s: float, passes: int 
             return Delay(nominal_s, np.inf, 0)
         grid = np.linspace(max(0.0, nominal_s - _DELAY_REACH_S), nominal_s + _DELAY_REACH_S, 61)
         for _ in range(4):
-            squares = sum(stop.squares(grid) for stop in stops)
+            squares = np.sum([stop.squares(grid) for stop in stops], axis=0)
             best = int(np.argmin(squares))
             pitch = grid[1] - grid[0]
             freedom = sum(stop.freedom for stop in stops)
@@ -376,7 +379,7 @@ class _Stop:
 
     @property
     def freedom(self) -> int:
-        return max(1, (len(self.frames) - 1 - self.order) * self.track.y.shape[1])
+        return int(max(1, (len(self.frames) - 1 - self.order) * self.track.y.shape[1]))
 
     def squares(self, delays: Array) -> Array:
         scene = self.track.t_s[self.frames][None, :] - delays[:, None]

@@ -184,13 +184,14 @@ class PlayFit:
         rows, masks = self.residuals(curves)
         scale, weights = _weights(rows, masks, robust)
         cost = self._cost(curves, rows, weights, scale)
-        covariance: Array | None = None
         settled = 0
         for iteration in range(iterations):
             matrix, gradient = self.normal(curves, rows, weights)
             penalty, pull = self._penalty(curves, scale)
             system = matrix + penalty
-            factor = cho_factor(system + 1e-9 * np.diag(np.diag(system)) + 1e-12 * np.eye(len(system)), check_finite=False)
+            factor = cho_factor(
+                system + 1e-9 * np.diag(np.diag(system)) + 1e-12 * np.eye(len(system)), check_finite=False
+            )
             step = cho_solve(factor, gradient - pull, check_finite=False)
             if adapt and iteration >= 2:
                 self._adapt(curves, factor, scale)
@@ -199,7 +200,9 @@ class PlayFit:
             for _ in range(6):
                 trial = self._moved(curves, step, length)
                 trial_rows, trial_masks = self.residuals(trial)
-                trial_weights = [np.where(m, w_, 0.0) for m, w_ in zip(trial_masks, _again(weights, masks), strict=True)]
+                trial_weights = [
+                    np.where(m, w_, 0.0) for m, w_ in zip(trial_masks, _again(weights, masks), strict=True)
+                ]
                 trial_cost = self._cost(trial, trial_rows, trial_weights, scale)
                 if trial_cost < cost * (1 + 1e-9):
                     taken = True
@@ -222,7 +225,7 @@ class PlayFit:
         scale, weights = _weights(rows, masks, robust)
         matrix, _ = self.normal(curves, rows, weights)
         penalty, _ = self._penalty(curves, scale)
-        covariance = np.linalg.inv(matrix + penalty + 1e-12 * np.eye(len(matrix))) * scale * scale
+        covariance = np.asarray(np.linalg.inv(matrix + penalty + 1e-12 * np.eye(len(matrix))) * scale * scale)
         return Fitted(self, curves, scale, rows, masks, weights, covariance)
 
     def _moved(self, curves: Curves, step: Array, length: float) -> Curves:
@@ -276,7 +279,12 @@ class PlayFit:
         cut = channels * mf
         inverse = cho_solve(factor, np.eye(cut + mb + 1), check_finite=False)
         parts: list[tuple[str, list[slice], Array, list[Array]]] = [
-            ("follow", [slice(k * mf, (k + 1) * mf) for k in range(channels)], self.follow.bending, list(curves.follow.T))
+            (
+                "follow",
+                [slice(k * mf, (k + 1) * mf) for k in range(channels)],
+                self.follow.bending,
+                list(curves.follow.T),
+            )
         ]
         if self.fit_backlash:
             parts.append(("backlash", [slice(cut, cut + mb)], self.backlash.roughness, [curves.backlash]))
@@ -292,7 +300,10 @@ class PlayFit:
         used = sum(float(np.sum(w > 0)) for w in weights)
         if used == 0:
             return np.inf
-        data = sum(float(np.sum(w[:, None] * np.where(w[:, None] > 0, r, 0.0) ** 2)) for r, w in zip(rows, weights, strict=True))
+        data = sum(
+            float(np.sum(w[:, None] * np.where(w[:, None] > 0, r, 0.0) ** 2))
+            for r, w in zip(rows, weights, strict=True)
+        )
         total = sum(len(w) for w in weights)
         data *= total / used  # frames that drop out of the simulation are no gain
         smooth = sum(self.smoothing["follow"] * float(c @ self.follow.bending @ c) for c in curves.follow.T)
@@ -325,7 +336,7 @@ class Fitted:
         cut = self.curves.follow.size
         design = self.fit.backlash.design(p).toarray()
         block = self.covariance[cut : cut + self.fit.backlash.size, cut : cut + self.fit.backlash.size]
-        return np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", design, block, design), 0.0))
+        return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", design, block, design), 0.0)))
 
     @property
     def delay_sigma(self) -> float:

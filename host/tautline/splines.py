@@ -31,12 +31,12 @@ class Basis:
 
     @cached_property
     def knots(self) -> Array:
-        return self.low + self.step * np.arange(-3, self.spans + 4)
+        return np.asarray(self.low + self.step * np.arange(-3, self.spans + 4), dtype=float)
 
     @cached_property
     def centres(self) -> Array:
         """(size,) where each coefficient acts."""
-        return self.low + self.step * np.arange(-1, self.spans + 2)
+        return np.asarray(self.low + self.step * np.arange(-1, self.spans + 2), dtype=float)
 
     def clip(self, x: Array) -> Array:
         inside: Array = np.clip(x, self.low, self.high - 1e-9 * (self.high - self.low))

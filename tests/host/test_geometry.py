@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from tautline.geometry import pose, project, project_with_slope, tip_bend
 from tautline.rig import Actuator, Camera, Coarse, HandEye, Kinematics, Rig
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from tautline.errors import TautError
 from tautline.model import Effect, Model
 from tautline.recording import Motor

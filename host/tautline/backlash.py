@@ -1,0 +1,293 @@
+"""B(q) from the widths at reversals: a penalised cubic B-spline, or the paper's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import BSpline
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import brentq
+from scipy.special import log_ndtr
+
+from tautline.model import STEEPEST
+from tautline.onset import BOUND, BRACKET, HINGE, Onset
+from tautline.playfit import table
+from tautline.splines import Basis
+
+Array = npt.NDArray[np.float64]
+
+SPANS = 64
+_SMOOTHINGS = np.logspace(-4, 9, 27)  # relative to the weight of one width
+_PAPER_UNIFORM, _PAPER_REPEATS = 8, 3  # 14 knots in all, 10 coefficients
+
+
+@dataclass(frozen=True)
+class WidthCurve:
+    """B(q) on a grid over the motor's range. Beyond the measured q_mean it is held."""
+
+    q: Array
+    width: Array
+    sigma: Array
+    measured: tuple[float, float]
+    excess: float  # scatter of the widths about the curve beyond their stated sigma, unit of q
+    notes: tuple[str, ...] = field(default=())
+
+    def at(self, p: Array) -> Array:
+        return np.asarray(np.interp(p, self.q, self.width))
+
+    def sigma_at(self, p: Array) -> Array:
+        return np.asarray(np.interp(p, self.q, self.sigma))
+
+
+def paper_knots(low: float, high: float) -> Array:
+    """8 uniform knots with both ends, 3 repeats at either end: 14 (paper, section V-D)."""
+    ends = [low] * _PAPER_REPEATS, [high] * _PAPER_REPEATS
+    return np.concatenate([ends[0], np.linspace(low, high, _PAPER_UNIFORM), ends[1]])
+
+
+def fit_paper(onsets: Sequence[Onset], grid: Array) -> WidthCurve | None:
+    """The paper's B-spline, least squares through the widths, on the grid's range."""
+    widths = [o for o in onsets if o.used and o.kind in (HINGE, BRACKET)]
+    if not widths:
+        return None
+    p, w, sigma = (np.array([getattr(o, name) for o in widths]) for name in ("q_mean", "width", "sigma"))
+    knots = paper_knots(float(grid[0]), float(grid[-1]))
+    inside = np.clip(grid, grid[0], grid[-1] - 1e-9 * (grid[-1] - grid[0]))
+    design, on_grid = (
+        BSpline.design_matrix(x, knots, 3).toarray() for x in (np.clip(p, inside[0], inside[-1]), inside)
+    )
+    bend = np.diff(np.eye(design.shape[1]), 2, axis=0)
+    weight = 1.0 / sigma**2
+    # Coefficients that no width reaches take the line through their neighbours.
+    system = design.T @ (weight[:, None] * design) + 1e-6 * float(np.median(weight)) * bend.T @ bend
+    system += 1e-12 * np.trace(system) * np.eye(len(system))
+    coefficients = np.linalg.solve(system, design.T @ (weight * w))
+    curve = on_grid @ coefficients
+    spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", on_grid, np.linalg.inv(system), on_grid), 0.0))
+    excess = float(np.sqrt(np.mean((w - design @ coefficients) ** 2)))
+    lawful = table(curve, grid)
+    notes = ("the spline was limited to B >= 0 and |B'| <= 1.8",) if np.abs(lawful - curve).max() > 1e-9 else ()
+    return WidthCurve(grid, lawful, spread, (float(p.min()), float(p.max())), excess, notes)
+
+
+def fit_widths(onsets: Sequence[Onset], grid: Array, smoothing: float | None = None) -> WidthCurve | None:
+    """Penalised spline through all used onsets: hinges weighted by their uncertainty, brackets as brackets, bounds as
+    inequalities. The smoothing is chosen by cross-validation unless it is given (relative to the weight of one width).
+    None where no width was measured."""
+    widths = [o for o in onsets if o.used and o.kind in (HINGE, BRACKET)]
+    if not widths:
+        return None
+    fit = _Fit(widths, [o for o in onsets if o.used and o.kind == BOUND], Basis(float(grid[0]), float(grid[-1]), SPANS))
+    fit.settle(smoothing)
+    low, high = float(fit.p.min()), float(fit.p.max())
+    held = np.clip(grid, low, high)
+    curve = fit.basis.value(fit.coefficients, held)
+    lawful = table(curve, grid)
+    if np.abs(lawful - curve).max() > 1e-3 * max(curve.max(), 1e-9):
+        fit.notes.append("B(q) is limited by B >= 0 or |B'| <= 1.8")
+    beyond = np.abs(grid - held)
+    sigma = np.hypot(fit.sigma(held), 0.5 * beyond)
+    return WidthCurve(grid, lawful, sigma, (low, high), fit.excess, tuple(dict.fromkeys(fit.notes)))
+
+
+class _Fit:
+    def __init__(self, widths: Sequence[Onset], bounds: Sequence[Onset], basis: Basis) -> None:
+        self.basis = basis
+        self.notes: list[str] = []
+        self.p, self.w, self.stated = (np.array([getattr(o, k) for o in widths]) for k in ("q_mean", "width", "sigma"))
+        self.direction = np.array([o.direction for o in widths], dtype=float)
+        self.boxed = np.array([o.kind == BRACKET for o in widths])
+        self.low = np.array([o.low for o in widths])
+        self.high = np.array([o.high for o in widths])
+        self.design = basis.design(self.p).toarray()
+        self.excess = 0.0
+        self.spread = self.stated.copy()
+        # Where nothing moved over a whole stroke, the play's centre is half the (unknown) width behind the turn.
+        self.bounds = [(o.q1, o.direction, o.low) for o in bounds]
+        self.bound_tolerance = float(np.median(self.stated))
+        self.coefficients = np.full(basis.size, float(np.average(self.w, weights=self.stated**-2)))
+
+    # The measured q_mean and width share one error: B' rotates it.
+    def _effective(self) -> Array:
+        slope = self.basis.slope(self.coefficients, self.p)
+        turned = np.abs(1.0 - 0.5 * self.direction * np.clip(slope, -STEEPEST, STEEPEST))
+        return np.asarray(np.maximum(np.hypot(self.stated * turned, self.excess), 1e-12))
+
+    def settle(self, smoothing: float | None) -> None:
+        for _ in range(4):
+            self.spread = self._effective()
+            weight = self.spread**-2
+            unit = float(np.median(weight))
+            chosen = smoothing if smoothing is not None else self._cross_validated(weight, unit)
+            self.roughness = chosen * unit
+            self._solve(weight)
+            self.excess = self._excess(weight)
+        if self.boxed.any():
+            self._brackets(smoothing)
+
+    def _cross_validated(self, weight: Array, unit: float) -> float:
+        """Leave one out, in closed form."""
+        if len(self.w) < 5:
+            return float(_SMOOTHINGS[-1])
+        gram = self.design.T @ (weight[:, None] * self.design)
+        best, chosen = np.inf, float(_SMOOTHINGS[-1])
+        for smoothing in _SMOOTHINGS[::-1]:
+            inverse = self._inverse(gram + smoothing * unit * self.basis.roughness)
+            hat = np.einsum("ij,jk,ik->i", self.design, inverse, self.design) * weight
+            left = self.w - self.design @ (inverse @ (self.design.T @ (weight * self.w)))
+            score = float(np.sum(weight * (left / np.maximum(1.0 - hat, 1e-3)) ** 2))
+            if score < best * 0.999:
+                best, chosen = score, float(smoothing)
+        return chosen
+
+    @staticmethod
+    def _inverse(system: Array) -> Array:
+        ridge = 1e-11 * float(np.trace(system)) / len(system)
+        return np.asarray(cho_solve(cho_factor(system + ridge * np.eye(len(system))), np.eye(len(system))))
+
+    def _solve(self, weight: Array) -> None:
+        """Weighted fit with the inequalities that are violated added until none is."""
+        self.notes.clear()
+        gram = self.design.T @ (weight[:, None] * self.design) + self.roughness * self.basis.roughness
+        right = self.design.T @ (weight * self.w)
+        coefficients = self._inverse(gram) @ right
+        for _ in range(20):
+            rows, values = self._violated(coefficients)
+            if not len(rows):
+                break
+            stiff = 1e3 * float(np.max(weight))
+            again = self._inverse(gram + stiff * rows.T @ rows) @ (right + stiff * rows.T @ values)
+            if np.abs(again - coefficients).max() < 1e-7 * max(np.abs(again).max(), 1e-9):
+                break
+            coefficients = again
+        self.coefficients = coefficients
+        self.gram = gram
+
+    def _violated(self, coefficients: Array) -> tuple[Array, Array]:
+        rows: list[Array] = []
+        values: list[float] = []
+        identity = np.eye(self.basis.size)
+        near = (self.basis.centres >= self.p.min() - self.basis.step) & (
+            self.basis.centres <= self.p.max() + self.basis.step
+        )
+        for i in np.flatnonzero((coefficients < 0) & near):
+            rows.append(identity[i])
+            values.append(0.0)
+            self.notes.append("B >= 0 limits the curve")
+        limit = STEEPEST * self.basis.step
+        for i in np.flatnonzero((np.abs(np.diff(coefficients)) > limit) & near[1:]):
+            rows.append(identity[i + 1] - identity[i])
+            values.append(float(np.sign(coefficients[i + 1] - coefficients[i])) * limit)
+            self.notes.append("|B'| <= 1.8 limits the curve")
+        for q1, direction, low in self.bounds:
+            at = np.array([q1 + direction * low / 2])
+            if float(self.basis.value(coefficients, at)[0]) < low - self.bound_tolerance:
+                rows.append(self.basis.design(at).toarray()[0])
+                values.append(low)
+                self.notes.append(f"a stroke of {low:.4g} at {at[0]:.4g} moved nothing and lifts B(q) there")
+        return np.array(rows).reshape(-1, self.basis.size), np.array(values)
+
+    def _excess(self, weight: Array) -> float:
+        inverse = self._inverse(self.gram)
+        spent = float(np.sum(np.einsum("ij,jk,ik->i", self.design, inverse, self.design) * weight))
+        freedom = len(self.w) - spent
+        left = self.w - self.design @ self.coefficients
+        if freedom < 2:
+            return self.excess
+
+        def surplus(extra: float) -> float:
+            return float(np.sum(left**2 / (self.stated**2 + extra**2))) - freedom
+
+        most = float(np.abs(left).max()) * 3 + 1e-12
+        if surplus(0.0) <= 0:
+            return 0.0
+        return float(brentq(surplus, 0.0, most)) if surplus(most) < 0 else most
+
+    def sigma(self, p: Array) -> Array:
+        design = self.basis.design(p).toarray()
+        return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", design, self._inverse(self.gram), design), 0.0)))
+
+    # ---- brackets: each says only between which two positions the onset was; many together say more
+
+    def _brackets(self, smoothing: float | None) -> None:
+        self.notes.clear()
+        unit = float(np.median(self.spread**-2))
+        everything = np.ones(len(self.w), bool)
+        start = np.full(self.basis.size, float(np.mean(self.w)))
+        best = smoothing if smoothing is not None else 1e9
+        if smoothing is None and len(self.w) >= 10:
+            folds = np.arange(len(self.w)) % 5
+            least, worse = np.inf, 0
+            warm = [start] * 5
+            for choice in 10.0 ** np.arange(9.0, -2.0, -1.0):
+                score = 0.0
+                for fold in range(5):
+                    warm[fold] = self._boxed(warm[fold], folds != fold, choice * unit, (0.3,))
+                    score += float(self._terms(warm[fold], folds == fold, 0.3)[0].sum())
+                if score < least - 0.5:
+                    least, best, worse = score, float(choice), 0
+                else:
+                    worse += 1
+                if worse == 3:
+                    break
+        self.roughness = best * unit
+        self.coefficients = self._boxed(start, everything, self.roughness, (1.0, 0.5, 0.25, 0.12, 0.06))
+        self.gram = self.design.T @ ((self.spread**-2)[:, None] * self.design) + self.roughness * self.basis.roughness
+        self.notes.append(
+            "the image jumps at the onset: each reversal brackets it between two frames, and B(q) is what all agree on"
+        )
+
+    def _terms(self, coefficients: Array, use: npt.NDArray[np.bool_], sharpness: float) -> tuple[Array, Array, Array]:
+        """-log likelihood of each width with its first two derivatives by B(p)."""
+        value = self.design[use] @ coefficients
+        size = self.high[use] - self.low[use]
+        soft = np.maximum(sharpness * size / 2, 1e-9)
+        cost, first, second = _box((value - self.low[use]) / soft, (value - self.high[use]) / soft)
+        gauss = ~self.boxed[use]
+        z = (value - self.w[use]) / self.spread[use]
+        return (
+            np.where(gauss, 0.5 * z * z, cost),
+            np.where(gauss, z / self.spread[use], first / soft),
+            np.where(gauss, self.spread[use] ** -2, second / soft**2),
+        )
+
+    def _boxed(self, start: Array, use: npt.NDArray[np.bool_], roughness: float, sharpness: Sequence[float]) -> Array:
+        """Newton's method on the penalised likelihood, with brackets whose edges sharpen step by step: it ends near the
+        middle of what they allow."""
+        coefficients = start
+        design, rough = self.design[use], roughness * self.basis.roughness
+        ridge = 1e-10 * roughness * np.eye(self.basis.size)
+        close = 1e-3 * float(np.median(np.where(self.boxed, self.high - self.low, self.spread)))
+
+        def total(at: Array, sharp: float) -> float:
+            return float(self._terms(at, use, sharp)[0].sum()) + 0.5 * float(at @ rough @ at)
+
+        for sharp in sharpness:
+            for _ in range(25):
+                _, first, second = self._terms(coefficients, use, sharp)
+                system = cho_factor(design.T @ (second[:, None] * design) + rough + ridge, check_finite=False)
+                step = cho_solve(system, design.T @ first + rough @ coefficients, check_finite=False)
+                now, length = total(coefficients, sharp), 1.0
+                while length > 1e-3 and total(coefficients - length * step, sharp) > now:
+                    length *= 0.5
+                coefficients = coefficients - length * step
+                if np.abs(length * step).max() < close:
+                    break
+        return coefficients
+
+
+def _box(a: Array, b: Array) -> tuple[Array, Array, Array]:
+    """-log(Phi(a) - Phi(b)), a > b, with derivatives when a and b move together."""
+    mirrored = a + b > 0
+    a, b = np.where(mirrored, -b, a), np.where(mirrored, -a, b)
+    upper = log_ndtr(a)
+    log_mass = upper + np.log1p(-np.exp(np.minimum(log_ndtr(b) - upper, -1e-300)))
+    log_density_a, log_density_b = (-0.5 * x * x - 0.5 * np.log(2 * np.pi) for x in (a, b))
+    at_a, at_b = np.exp(log_density_a - log_mass), np.exp(log_density_b - log_mass)
+    pull = at_a - at_b
+    first = np.where(mirrored, pull, -pull)
+    second = a * at_a - b * at_b + pull * pull
+    return -log_mass, first, np.maximum(second, 1e-12)

@@ -1,0 +1,393 @@
+"""From recordings to a model: onsets, delay, B(q), its second opinion from the passes, f_remain, and what to think of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from threadpoolctl import threadpool_limits
+
+from tautline.backlash import WidthCurve, fit_paper, fit_widths
+from tautline.errors import TautError
+from tautline.geometry import coarse_range_deg
+from tautline.model import Model
+from tautline.observations import Track, observe
+from tautline.onset import BOUND, BRACKET, HINGE, Delay, Onset, find_delay, find_onsets
+from tautline.playfit import NODES, Fitted, table
+from tautline.recording import Recording
+from tautline.remaining import Remaining, fit_remaining, morphological, pose_of
+from tautline.rig import Rig
+from tautline.smooth import Domain, fit_jointly, fit_passes, freeze
+
+Array = npt.NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+ONSETS, JOINT, PASSES, NOTHING = "onsets", "onsets and passes", "passes", "nothing"
+_AGREE = 3.0  # mean squared z of onsets against the joint fit up to which both are one evidence
+_EXPLAINED = 1.5  # residual over noise up to which a model explains its data
+
+
+@dataclass(frozen=True)
+class Options:
+    delay_s: float | None = None  # given, not estimated
+    knots: Literal["smooth", "paper"] = "smooth"  # paper: 14 knots through the onsets alone
+    remaining: Literal["direct", "morphological"] = "direct"
+
+
+@dataclass(frozen=True)
+class Calibration:
+    model: Model
+    onsets: tuple[Onset, ...]
+    delay: Delay
+    source: str  # of B: "onsets", "onsets and passes", "passes", "nothing"
+    onset_curve: WidthCurve | None  # B from the onsets alone
+    pass_width: Array | None  # B from the passes' distance alone, on model.q; NaN where it says nothing
+    pass_sigma: Array | None
+    evidence: dict[str, float]
+    notes: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
+    names: tuple[str, ...] = field(default=())  # of the recordings
+
+    def to_json(self) -> dict[str, Any]:
+        """What `taut calibrate --json` prints (formats: backlash, remaining, delay_s, onsets, and what was noted)."""
+        model = self.model
+        return {
+            "unit": model.rig.actuator.unit,
+            "backlash": {
+                "q": model.q.tolist(),
+                "width": model.width.tolist(),
+                "sigma": model.width_sigma.tolist(),
+                "measured": list(model.measured),
+                "source": self.source,
+            },
+            "remaining": {"q": model.q.tolist(), "c_deg": model.c_deg.tolist()},
+            "delay_s": model.delay_s,
+            "delay_sigma_s": _finite(self.delay.sigma_s),
+            "onsets": [onset_json(o, self.names) for o in self.onsets],
+            "evidence": {key: _finite(value) for key, value in self.evidence.items()},
+            "notes": list(self.notes),
+            "warnings": list(self.warnings),
+        }
+
+
+def onset_json(onset: Onset, names: Sequence[str]) -> dict[str, Any]:
+    timed = np.isfinite(onset.t_s)
+    return {
+        "t_s": onset.t_s if timed else onset.turn_s,
+        "direction": onset.direction,
+        "q1": onset.q1,
+        "q2": onset.q2,
+        "width": onset.width,
+        "sigma": _finite(onset.sigma),
+        "used": onset.used and onset.kind in (HINGE, BRACKET),
+        "kind": onset.kind,
+        "low": onset.low,
+        "high": _finite(onset.high),
+        "reason": onset.reason,
+        "recording": names[onset.track] if names else "",
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def calibrate(
+    recordings: Sequence[Recording], rig: Rig, options: Options | None = None, progress: Progress | None = None
+) -> Calibration:
+    """Measures B(q), f_remain and the delay from recordings of any motion. Raises TautError where nothing can be
+    measured; says in notes and warnings what could not."""
+    options = options or Options()
+    say = progress or (lambda share, what: None)
+    say(0.0, "reading frames")
+    tracks = [track for track in observe(recordings, rig) if len(track.t_s)]
+    if not tracks:
+        raise TautError("the marker was never seen: check the marker's colour (taut marker) and the camera's view")
+    with threadpool_limits(1, "blas"):  # its systems are small: threads that wait for each other cost 10 times more
+        return _Session(tracks, rig, options, say).run()
+
+
+class _Session:
+    def __init__(self, tracks: list[Track], rig: Rig, options: Options, say: Progress) -> None:
+        self.tracks, self.rig, self.options, self.say = tracks, rig, options, say
+        self.notes: list[str] = []
+        self.warnings: list[str] = []
+        self.evidence: dict[str, float] = {}
+        reached = [(float(t.motor.q.min()), float(t.motor.q.max())) for t in tracks]
+        low, high = rig.actuator.range
+        self.reached = min(r[0] for r in reached), max(r[1] for r in reached)
+        self.domain = Domain(min(low, self.reached[0]), max(high, self.reached[1]))
+        self.grid = np.linspace(self.domain.low, self.domain.high, NODES)
+        self.camera = tracks[0].unit == "px"
+        self.unit = rig.actuator.unit
+
+    def run(self) -> Calibration:
+        if self.reached[1] - self.reached[0] < max(5 * self.rig.actuator.encoder_resolution, 1e-3 * self.domain.span):
+            raise TautError(
+                f"the motor does not move (q stays within {self.reached[1] - self.reached[0]:.3g} {self.unit}): "
+                "record the calibration motion, and check the encoder and its unit"
+            )
+        self.say(0.05, "image stops")
+        delay = self._delay()
+        self.say(0.15, "onsets")
+        onsets = find_onsets(self.tracks, self.rig, delay.delay_s, delay.sigma_s)
+        curve = fit_widths(onsets, self.grid)
+        self.say(0.35, "passes")
+        joint, passes = self._smooth(delay, curve)
+        if joint is not None and self.camera and self.options.delay_s is None:
+            delay = self._better_delay(delay, joint)
+        width, sigma, source = self._choose(onsets, curve, joint, passes)
+        self.say(0.75, "f_remain")
+        settled = joint.fit.settled_only if joint is not None else False
+        remaining = self._remaining(width, delay.delay_s, settled)
+        self._comment(onsets, curve, remaining)
+        self.say(1.0, "done")
+        return self._result(onsets, delay, curve, joint, passes, width, sigma, source, remaining)
+
+    # ---- the delay
+
+    def _delay(self) -> Delay:
+        if not self.camera:
+            return Delay(0.0, 0.0, 0)
+        if self.options.delay_s is not None:
+            return Delay(self.options.delay_s, 0.0, 0)
+        return find_delay(self.tracks, self.rig, self.rig.delay_s)
+
+    def _better_delay(self, stops: Delay, joint: Fitted) -> Delay:
+        if not self._explained(joint):
+            return stops
+        return Delay(joint.curves.delay_s, joint.delay_sigma, stops.stops)
+
+    # ---- B
+
+    def _smooth(self, delay: Delay, curve: WidthCurve | None) -> tuple[Fitted | None, Fitted | None]:
+        frozen = freeze(self.tracks, delay.delay_s)
+        fit_delay = self.camera and self.options.delay_s is None
+        joint = fit_jointly(frozen, self.domain, delay.delay_s, fit_delay=fit_delay, guess=curve)
+        if joint is None:
+            return None, None
+        self.say(0.6, "passes alone")
+        margin = 0.1 * float(np.median(joint.fit.width(joint.curves))) + 0.005 * self.domain.span
+        return joint, fit_passes(joint, margin)
+
+    def _explained(self, joint: Fitted) -> bool:
+        return joint.scale < _EXPLAINED
+
+    def _choose(
+        self, onsets: Sequence[Onset], curve: WidthCurve | None, joint: Fitted | None, passes: Fitted | None
+    ) -> tuple[Array, Array, str]:
+        """The onsets' B where there are onsets. The joint fit of all frames refines it where it agrees with them; the
+        passes fill it in where no reversal was made."""
+        if self.options.knots == "paper":
+            paper = fit_paper(onsets, self.grid)
+            if paper is not None:
+                self.notes += [*paper.notes, "B(q) is the paper's spline of 14 knots through the onsets"]
+                return paper.width, paper.sigma, ONSETS
+        if joint is None and curve is None:
+            self.warnings.append(
+                "no reversal showed an onset and no two passes cover the same positions: B(q) could not be measured and "
+                "is taken as 0: move back and forth by more than the backlash"
+            )
+            return np.zeros(NODES), np.full(NODES, self.domain.span / 4), NOTHING
+        if joint is None:
+            assert curve is not None
+            self.notes += curve.notes
+            return curve.width, curve.sigma, ONSETS
+        width = joint.fit.width(joint.curves)
+        sigma = joint.width_sigma(self.grid) * 1.0
+        if curve is None:
+            self.notes.append("no reversal gave a width: B(q) is the distance between the passes")
+            return width, sigma, PASSES
+        widths = [o for o in onsets if o.used and o.kind in (HINGE, BRACKET)]
+        z = self._against(widths, curve, width, sigma)
+        self.evidence["onsets_against_joint_z2"] = float(np.mean(z**2))
+        self.evidence["joint_residual_over_noise"] = joint.scale
+        if float(np.mean(z**2)) < _AGREE or self._explained(joint):
+            return width, sigma, JOINT
+        return self._filled(widths, curve, joint, passes)
+
+    def _against(self, widths: Sequence[Onset], curve: WidthCurve, width: Array, sigma: Array) -> Array:
+        """Each onset's distance from another curve of B, over what both are uncertain by."""
+        p = np.array([o.q_mean for o in widths])
+        w = np.array([o.width for o in widths])
+        own = np.array([o.sigma for o in widths])
+        there = np.interp(p, self.grid, width)
+        slope = np.interp(p, self.grid, np.gradient(width, self.grid))
+        own = own * np.abs(1.0 - 0.5 * np.array([o.direction for o in widths]) * slope)
+        spread = np.sqrt(own**2 + np.interp(p, self.grid, sigma) ** 2 + curve.excess**2)
+        return np.asarray((w - there) / spread)
+
+    def _filled(
+        self, widths: Sequence[Onset], curve: WidthCurve, joint: Fitted, passes: Fitted | None
+    ) -> tuple[Array, Array, str]:
+        """The onsets' curve near onsets; farther off, the passes' shape shifted to meet it."""
+        p = np.sort([o.q_mean for o in widths])
+        reach = max(1.5 * float(np.median(np.diff(p))) if len(p) > 2 else 0.0, float(np.median(curve.width)))
+        distance = np.min(np.abs(self.grid[:, None] - p[None, :]), axis=1)
+        far = np.clip(distance / reach - 1.0, 0.0, 1.0)
+        if not (far > 0).any() or passes is None:
+            return curve.width, curve.sigma, ONSETS
+        other = passes.fit.width(passes.curves)
+        share = far * far * (3 - 2 * far)
+        inside = (self.grid >= p[0]) & (self.grid <= p[-1])
+        share = np.where(inside, share, 0.0)
+        width = table((1 - share) * curve.width + share * other, self.grid)
+        sigma = np.hypot((1 - share) * curve.sigma, share * passes.width_sigma(self.grid))
+        if share.max() > 0.5:
+            where = self.grid[share > 0.5]
+            self.notes.append(
+                f"no reversal between {where[0]:.3g} and {where[-1]:.3g} {self.unit}: B(q) there is the passes' distance"
+            )
+        return width, sigma, ONSETS
+
+    # ---- f_remain
+
+    def _remaining(self, width: Array, delay_s: float, settled: bool) -> Remaining | None:
+        if self.options.remaining == "morphological":
+            found = morphological(self.tracks, self.rig, self.grid, delay_s)
+            if found is not None:
+                return found
+            self.warnings.append("the characteristic shows no closed shape: f_remain was fitted directly instead")
+        return fit_remaining(self.tracks, self.rig, self.domain, self.grid, width, delay_s, settled)
+
+    # ---- what to think of it
+
+    def _comment(self, onsets: Sequence[Onset], curve: WidthCurve | None, remaining: Remaining | None) -> None:
+        if not onsets:
+            self.warnings.append("the motor never turned back: B(q) needs reversals")
+        counted = [o for o in onsets if o.used and o.kind in (HINGE, BRACKET)]
+        bounds = [o for o in onsets if o.used and o.kind == BOUND]
+        if onsets and not counted:
+            longest = max((o.low for o in bounds), default=0.0)
+            self.warnings.append(
+                f"none of {len(onsets)} reversals showed an onset"
+                + (f": {len(bounds)} strokes up to {longest:.3g} {self.unit} moved nothing, so B is wider: "
+                   "make longer strokes" if bounds else "")
+            )  # fmt: skip
+        for reason in dict.fromkeys(o.reason for o in onsets if o.reason and not o.used):
+            count = sum(o.reason == reason and not o.used for o in onsets)
+            self.notes.append(f"{count} of {len(onsets)} reversals not used: {reason}")
+        if curve is not None:
+            low, high = self.rig.actuator.range
+            if curve.measured[0] > low + 0.2 * (high - low) or curve.measured[1] < high - 0.2 * (high - low):
+                self.notes.append(
+                    f"onsets reach from {curve.measured[0]:.3g} to {curve.measured[1]:.3g} {self.unit} of the range "
+                    f"[{low:g}, {high:g}]: beyond, B(q) is held"
+                )
+        if remaining is None:
+            self.warnings.append("the tip's angle was never known: f_remain is f_coarse")
+            return
+        self.notes += remaining.notes
+        self._sanity(remaining)
+
+    def _sanity(self, remaining: Remaining) -> None:
+        """Scale and sign before anything else is blamed."""
+        p = np.clip(self.grid, *self.reached)
+        c = np.interp(p, self.grid, remaining.c_deg)
+        gain = float(np.polyfit(p, c, 1)[0]) if np.ptp(p) > 0 else self.rig.coarse.gain
+        self.evidence["gain"] = gain
+        ratio = gain / self.rig.coarse.gain
+        if ratio < 0:
+            self.warnings.append(
+                f"the tip bends {gain:.3g} deg/{self.unit} where f_coarse says {self.rig.coarse.gain:.3g}: a sign is "
+                "wrong (encoder direction, coarse.gain, hand_eye or a mirrored image)"
+            )
+        elif not 0.4 < ratio < 2.5:
+            self.warnings.append(
+                f"the tip bends {gain:.3g} deg/{self.unit} where f_coarse says {self.rig.coarse.gain:.3g}: check "
+                "actuator.unit, the encoder's scale, camera.fx_px and the marker's distance"
+            )
+        self.evidence["residual"] = remaining.residual
+        if self.camera and remaining.residual > max(5.0, 20 * float(np.median(self.tracks[0].sigma))):
+            self.warnings.append(
+                f"the marker is {remaining.residual:.3g} px (rms) off where camera, hand_eye and kinematics put it: "
+                "f_remain absorbs what it can, but check them"
+            )
+
+    # ---- the result
+
+    def _result(
+        self, onsets: Sequence[Onset], delay: Delay, curve: WidthCurve | None, joint: Fitted | None,
+        passes: Fitted | None, width: Array, sigma: Array, source: str, remaining: Remaining | None,
+    ) -> Calibration:  # fmt: skip
+        names = tuple(track.name for track in self.tracks)
+        measured = self._measured(curve, joint, source)
+        beyond = np.abs(self.grid - np.clip(self.grid, *measured))
+        sigma = np.hypot(sigma, 0.5 * beyond)
+        pass_width, pass_sigma = self._second_opinion(onsets, curve, passes)
+        if self.camera and delay.stops == 0 and self.options.delay_s is None:
+            self.notes.append(f"no image stop told the delay: the nominal {delay.delay_s * 1e3:.0f} ms is used")
+        coarse = self.rig.coarse
+        c = remaining.c_deg if remaining is not None else coarse.gain * self.grid + coarse.offset
+        notes, warnings = tuple(dict.fromkeys(self.notes)), tuple(dict.fromkeys(self.warnings))
+        extra: dict[str, Any] = {
+            "source": source,
+            "delay_sigma_s": _finite(delay.sigma_s),
+            "onsets": [onset_json(o, names) for o in onsets],
+            "evidence": {key: _finite(value) for key, value in self.evidence.items()},
+            "notes": list(notes),
+            "warnings": list(warnings),
+            "characteristic": self._characteristic(delay.delay_s),
+            "options": asdict(self.options),
+        }
+        if pass_width is not None:
+            extra["pass_width"] = [_finite(v) for v in pass_width]
+        model = Model(self.rig, self.grid, width, sigma, c, delay.delay_s, measured, (), extra)
+        return Calibration(
+            model, tuple(onsets), delay, source, curve, pass_width, pass_sigma, self.evidence, notes, warnings, names
+        )
+
+    def _measured(self, curve: WidthCurve | None, joint: Fitted | None, source: str) -> tuple[float, float]:
+        if curve is not None:
+            return curve.measured
+        if joint is not None and source == PASSES:
+            p = np.concatenate([s.p[m] for s, m in zip(joint.fit.simulated, joint.masks, strict=True)])
+            return float(p.min()), float(p.max())
+        middle = 0.5 * (self.grid[0] + self.grid[-1])
+        return middle, middle
+
+    def _second_opinion(
+        self, onsets: Sequence[Onset], curve: WidthCurve | None, passes: Fitted | None
+    ) -> tuple[Array | None, Array | None]:
+        """B from the passes alone beside the onsets': its disagreement is evidence."""
+        if passes is None:
+            return None, None
+        sides = [[], []]  # type: list[list[Array]]
+        for sim, mask in zip(passes.fit.simulated, passes.masks, strict=True):
+            for k, side in enumerate((1, -1)):
+                sides[k].append(sim.p[mask & (sim.side == side)])
+        up, down = (np.concatenate(s) for s in sides)
+        if len(up) < 5 or len(down) < 5:
+            return None, None
+        low, high = max(up.min(), down.min()), min(up.max(), down.max())
+        told = (self.grid >= low) & (self.grid <= high)
+        width = np.where(told, passes.fit.width(passes.curves), np.nan)
+        sigma = np.where(told, passes.width_sigma(self.grid), np.nan)
+        widths = [o for o in onsets if o.used and o.kind in (HINGE, BRACKET) and low <= o.q_mean <= high]
+        if curve is not None and len(widths) >= 2:
+            p = np.array([o.q_mean for o in widths])
+            difference = np.array([o.width for o in widths]) - np.interp(p, self.grid, width)
+            z = self._against(widths, curve, passes.fit.width(passes.curves), passes.width_sigma(self.grid))
+            mean = float(np.mean(difference))
+            self.evidence["onsets_minus_passes"] = mean
+            self.evidence["onsets_minus_passes_rms"] = float(np.sqrt(np.mean(difference**2)))
+            self.evidence["onsets_minus_passes_z2"] = float(np.mean(z**2))
+            share = abs(mean) / max(float(np.median([o.width for o in widths])), 1e-9)
+            if float(np.mean(z**2)) > 2 * _AGREE and share > 0.03:
+                self.warnings.append(
+                    f"the passes lie {abs(mean):.3g} {self.unit} {'less' if mean > 0 else 'more'} apart than the onsets "
+                    "say: registration that depends on direction, a smooth onset or asymmetry; the onsets' B is kept"
+                )
+        return width, sigma
+
+    def _characteristic(self, delay_s: float) -> dict[str, Any]:
+        """Up to 3000 frames of (q, c) for the report's picture."""
+        q = np.concatenate([t.motor_at(t.scene_s(delay_s)) for t in self.tracks])
+        c = np.concatenate([pose_of(t, self.rig, delay_s) for t in self.tracks])
+        low, high = coarse_range_deg(self.rig)
+        good = np.flatnonzero(np.isfinite(c) & (np.abs(c) < 10 * max(abs(low), abs(high), 1.0)))
+        good = good[:: max(1, len(good) // 3000)]
+        return {"q": np.round(q[good], 5).tolist(), "c_deg": np.round(c[good], 4).tolist()}

@@ -1,0 +1,190 @@
+"""f_remain, the central fibre of the characteristic: fitted to the image directly, or the paper's morphological way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import make_smoothing_spline
+from scipy.ndimage import binary_closing, binary_fill_holes
+from scipy.optimize import isotonic_regression
+
+from tautline.geometry import pose, project_with_slope
+from tautline.observations import Track
+from tautline.playfit import Curves, Fitted, Frozen, PlayFit, View
+from tautline.rig import Rig
+from tautline.smooth import SPANS, Domain
+from tautline.splines import Basis
+
+Array = npt.NDArray[np.float64]
+
+_LEAST_SLOPE = 2e-3  # of f_coarse's: f_remain has an inverse everywhere
+_PICTURE = (720, 1440)  # rows (c) and columns (q) of the characteristic as an image
+
+
+@dataclass(frozen=True)
+class Remaining:
+    """f_remain on a grid."""
+
+    c_deg: Array
+    sigma_deg: Array
+    residual: float  # rms per coordinate of the fit, px or deg
+    scale: float  # the same over the stated noise
+    notes: tuple[str, ...]
+
+
+def view_of(rig: Rig) -> View:
+    """The projection as a fit's view: c (n,) deg to image positions and their slope."""
+
+    def view(c: Array, translation: Array, rotation: Array) -> tuple[Array, Array]:
+        return project_with_slope(rig, c, translation, rotation)
+
+    return view
+
+
+def pose_of(track: Track, rig: Rig, delay_s: float) -> Array:
+    """Bending angle (n,) deg of each frame: by pose (eq. 8) from a marker, as it is from an angle sensor."""
+    if track.unit == "deg":
+        return track.y[:, 0]
+    return pose(rig, track.y, *track.others_at(track.scene_s(delay_s)))[0]
+
+
+def fit_remaining(
+    tracks: Sequence[Track], rig: Rig, domain: Domain, grid: Array, width: Array, delay_s: float, settled_only: bool
+) -> Remaining | None:
+    """A monotone penalised spline through image residuals (or angles), B and the delay fixed. None where nothing tells."""
+    view = view_of(rig) if tracks[0].unit == "px" else None
+    basis = Basis(domain.low, domain.high, SPANS)
+    frozen = [Frozen.of(track) for track in tracks]
+    simulated = [f.simulate(grid, width, delay_s) for f in frozen]
+    angles = [pose_of(track, rig, delay_s) for track in tracks]
+    count = [s.settled if settled_only else s.known for s in simulated]
+    p = np.concatenate([s.p[k] for s, k in zip(simulated, count, strict=True)])
+    c = np.concatenate([a[k] for a, k in zip(angles, count, strict=True)])
+    good = np.isfinite(c)
+    p, c = p[good], c[good]
+    if len(p) < 8 or np.ptp(p) < 1e-6 * domain.span:
+        return None
+    falling = float(np.polyfit(p - p.mean(), c, 1)[0]) < 0
+    fit = _FixedWidth(
+        frozen, basis, basis, view=view, fit_backlash=False, fit_delay=False, settled_only=settled_only,
+        rising=-1.0 if falling else 1.0, least_slope=_LEAST_SLOPE * abs(rig.coarse.gain),
+    )  # fmt: skip
+    fit.grid, fit.table = grid, width
+    design = basis.design(p)
+    system = (design.T @ design).toarray() + 1e-3 * basis.bending + 1e-9 * np.eye(basis.size)
+    start = np.linalg.solve(system, design.T @ c)
+    fitted = fit.solve(Curves(np.zeros(basis.size), start[:, None], delay_s))
+    curve = basis.value(fitted.curves.follow[:, 0], grid)
+    lawful = monotone(curve, grid, falling, _LEAST_SLOPE * abs(rig.coarse.gain))
+    notes = []
+    seen = (grid >= p.min()) & (grid <= p.max())
+    if np.abs(lawful - curve)[seen].max(initial=0.0) > 0.02 * np.ptp(curve) or _flat(fitted, basis, falling, rig):
+        notes.append("f_remain is not monotone where the tip hardly moves: it was made so for the inverse")
+    design_on_grid = basis.design(grid).toarray()
+    block = fitted.covariance[: basis.size, : basis.size]
+    sigma = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", design_on_grid, block, design_on_grid), 0.0))
+    return Remaining(lawful, sigma, _rms(fitted, tracks), fitted.scale, tuple(notes))
+
+
+class _FixedWidth(PlayFit):
+    """A fit of the path alone: the table is given, not a spline."""
+
+    table: Array
+
+    def width(self, curves: Curves) -> Array:
+        return self.table
+
+
+def _flat(fitted: Fitted, basis: Basis, falling: bool, rig: Rig) -> bool:
+    sign = -1.0 if falling else 1.0
+    difference = sign * np.diff(fitted.curves.follow[:, 0])
+    return bool((difference < 0.5 * _LEAST_SLOPE * abs(rig.coarse.gain) * basis.step).any())
+
+
+def _rms(fitted: Fitted, tracks: Sequence[Track]) -> float:
+    squares, number = 0.0, 0
+    for track, r, m in zip(tracks, fitted.rows, fitted.masks, strict=True):
+        squares += float(np.sum((r[m] * track.sigma[m, None]) ** 2))
+        number += r[m].size
+    return float(np.sqrt(squares / max(number, 1)))
+
+
+def monotone(curve: Array, grid: Array, falling: bool, least_slope: float) -> Array:
+    """The nearest strictly monotone curve: isotonic regression, then the least slope."""
+    tilt = least_slope * (grid - grid[0])
+    sign = -1.0 if falling else 1.0
+    rising = isotonic_regression(sign * curve - tilt).x + tilt
+    strict = rising + 1e-9 * (grid - grid[0]) * max(least_slope, 1e-6)
+    return np.asarray(sign * strict)
+
+
+# ---- the paper's way: the characteristic as an image
+
+
+@dataclass(frozen=True)
+class Characteristic:
+    """The hysteresis as an image shows it: at each angle its leftmost and rightmost motor position."""
+
+    c_deg: Array
+    left: Array
+    right: Array
+
+    @property
+    def centre(self) -> Array:
+        return 0.5 * (self.left + self.right)
+
+    @property
+    def width(self) -> Array:
+        return self.right - self.left
+
+
+def characteristic(q: Array, c_deg: Array) -> Characteristic | None:
+    """Draws (q, c), fills the holes, and reads each row's extremes (paper, section IV). None where nothing is drawn."""
+    good = np.isfinite(q) & np.isfinite(c_deg)
+    q, c = q[good], c_deg[good]
+    if len(q) < 3 or np.ptp(q) == 0 or np.ptp(c) == 0:
+        return None
+    rows, columns = _PICTURE
+    at_c = (c - c.min()) / np.ptp(c) * (rows - 1)
+    at_q = (q - q.min()) / np.ptp(q) * (columns - 1)
+    picture = np.zeros(_PICTURE, dtype=np.uint8)
+    points = np.rint(np.column_stack([at_q, at_c]) * 16).astype(np.int32)
+    cv2.polylines(picture, [points.reshape(-1, 1, 2)], False, 255, 1, cv2.LINE_8, 4)
+    filled = binary_fill_holes(binary_closing(np.pad(picture > 0, 4), np.ones((3, 3), dtype=bool)))[4:-4, 4:-4]
+    some = filled.any(axis=1)
+    # The first and last rows are where strokes ended: their extremes are not the envelope's.
+    index = np.flatnonzero(some)[2:-2]
+    left = filled[index].argmax(axis=1)
+    right = columns - 1 - filled[index, ::-1].argmax(axis=1)
+    scale = np.ptp(q) / (columns - 1)
+    return Characteristic(c.min() + index * np.ptp(c) / (rows - 1), q.min() + left * scale, q.min() + right * scale)
+
+
+def morphological(tracks: Sequence[Track], rig: Rig, grid: Array, delay_s: float) -> Remaining | None:
+    """f_remain as the median line of the filled characteristic, smoothed by a spline."""
+    shape = one_step(tracks, rig, delay_s)
+    if shape is None or len(shape.c_deg) < 10:
+        return None
+    falling = bool(np.polyfit(shape.centre, shape.c_deg, 1)[0] < 0)
+    order = np.argsort(shape.centre, kind="stable")
+    centre, first = np.unique(np.round(shape.centre[order], 9), return_index=True)
+    c = shape.c_deg[order][first]
+    spline = make_smoothing_spline(centre, c) if len(centre) >= 5 else None
+    inside = np.clip(grid, centre[0], centre[-1])
+    curve = spline(inside) if spline is not None else np.interp(inside, centre, c)
+    slope = np.polyfit(centre, c, 1)[0]
+    lawful = monotone(curve + slope * (grid - inside), grid, falling, _LEAST_SLOPE * abs(rig.coarse.gain))
+    residual = float(np.sqrt(np.mean((np.interp(centre, grid, lawful) - c) ** 2)))
+    return Remaining(lawful, np.full(len(grid), residual), residual, np.nan, ("f_remain is the paper's median line",))
+
+
+def one_step(tracks: Sequence[Track], rig: Rig, delay_s: float) -> Characteristic | None:
+    """The single-step method that the paper compares with: pose of every frame, the characteristic, its horizontal
+    width as a function of its centre. It believes the pose: a registration error becomes backlash."""
+    q = np.concatenate([track.motor_at(track.scene_s(delay_s)) for track in tracks])
+    c = np.concatenate([pose_of(track, rig, delay_s) for track in tracks])
+    return characteristic(q, c)

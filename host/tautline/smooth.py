@@ -1,0 +1,155 @@
+"""Everything smooth in one calibration: the joint fit of B, path and delay, and B from the passes' distance alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.backlash import WidthCurve
+from tautline.observations import Mask, Track
+from tautline.playfit import Curves, Fitted, Frozen, PlayFit
+from tautline.splines import Basis
+
+Array = npt.NDArray[np.float64]
+
+SPANS = 100  # of B and of the path: a bump of B 0.6 mm wide on 10 mm has six of them
+_MOST_FRAMES = 12000  # of one fit; more are thinned out evenly
+_FEWEST = 40  # frames that a joint fit is tried with
+
+
+@dataclass(frozen=True)
+class Domain:
+    """Motor positions that tables cover: the rig's range and whatever the motor reached beyond it."""
+
+    low: float
+    high: float
+
+    @property
+    def span(self) -> float:
+        return self.high - self.low
+
+
+def freeze(tracks: Sequence[Track], delay_s: float) -> list[Frozen]:
+    """Tracks for a pose-free fit: frames at which translation and rotation are where they mostly are."""
+    reference = tracks[0].others_reference
+    total = sum(len(track.t_s) for track in tracks)
+    stride = max(1, -(-total // _MOST_FRAMES))
+    frozen = []
+    for track in tracks:
+        use: Mask = track.at_reference(track.scene_s(delay_s), reference)
+        if stride > 1:
+            use &= np.arange(len(use)) % stride == 0
+        frozen.append(Frozen.of(track, use))
+    return frozen
+
+
+def fit_jointly(
+    frozen: Sequence[Frozen], domain: Domain, delay_s: float, *, fit_delay: bool, guess: WidthCurve | None = None
+) -> Fitted | None:
+    """B, the path in the sensor's own coordinates and the delay, from all frames at once. None where the tip was never
+    driven through a backlash (or next to nothing was seen)."""
+    coarse = _scan(frozen, domain, delay_s, guess)
+    if coarse is None:
+        return None
+    fit, curves = coarse
+    rough = fit.solve(curves, iterations=12)
+    fine = PlayFit(
+        frozen, Basis(domain.low, domain.high, SPANS), Basis(domain.low, domain.high, SPANS),
+        fit_delay=fit_delay, settled_only=fit.settled_only,
+    )  # fmt: skip
+    start = Curves(
+        _lift(fine.backlash, lambda x: fit.backlash.value(rough.curves.backlash, x)),
+        _lift(fine.follow, lambda x: fit.follow.value(rough.curves.follow, x)),
+        delay_s,
+    )
+    return fine.solve(start)
+
+
+def fit_passes(joint: Fitted, margin: float) -> Fitted | None:
+    """B again from the horizontal distance between the passes alone: only frames well beyond an onset, with the delay
+    as it is. margin: how far beyond, unit of q."""
+    fit = joint.fit
+    frozen = []
+    for track, sim in zip(fit.tracks, fit.simulated, strict=True):
+        beyond = _beyond_onset(sim.p, sim.side)
+        frozen.append(replace(track, use=track.use & sim.moving & (beyond > margin)))
+    again = PlayFit(
+        frozen, fit.backlash, fit.follow, fit_delay=False, settled_only=fit.settled_only,
+        smoothing=dict(fit.smoothing),
+    )  # fmt: skip
+    if sum(int((f.use).sum()) for f in frozen) < _FEWEST:
+        return None
+    return again.solve(joint.curves, iterations=8)
+
+
+def _beyond_onset(p: Array, side: npt.NDArray[np.int8]) -> Array:
+    """How far the centre has gone since the tip last began to move, per frame."""
+    gone = np.zeros(len(p))
+    start = 0
+    for k in range(1, len(p)):
+        if side[k] != side[k - 1]:
+            start = k
+        gone[k] = abs(p[k] - p[start])
+    return gone
+
+
+def _scan(
+    frozen: Sequence[Frozen], domain: Domain, delay_s: float, guess: WidthCurve | None
+) -> tuple[PlayFit, Curves] | None:
+    """The best constant width, or the guess where that is better, with a path of 16 spans; frames before the tip was
+    driven both ways are left out unless little else is there."""
+    channels = frozen[0].track.y.shape[1]
+    flat, path = Basis(domain.low, domain.high, 8), Basis(domain.low, domain.high, 16)
+    candidates = [np.full(flat.size, b) for b in domain.span * np.linspace(0.0, 0.4, 41)]
+    if guess is not None:
+        candidates.append(_lift(flat, guess.at))
+    for settled_only in (True, False):
+        best: tuple[float, PlayFit, Curves] | None = None
+        for candidate in candidates:
+            fit = PlayFit(frozen, flat, path, fit_backlash=False, fit_delay=False, settled_only=settled_only)
+            curves = Curves(candidate, np.zeros((path.size, channels)), delay_s)
+            rows, masks = fit.residuals(curves)
+            if sum(int(m.sum()) for m in masks) < max(_FEWEST, 0.25 * sum(int(f.use.sum()) for f in frozen)):
+                continue
+            if settled_only and not _both_ways(fit, masks, domain):
+                continue
+            matrix, gradient = fit.normal(curves, rows, [m.astype(float) for m in masks])
+            penalty, _ = fit._penalty(curves, 1.0)
+            system = matrix + penalty
+            step = np.linalg.solve(system + 1e-9 * np.eye(len(system)) * np.trace(system) / len(system), gradient)
+            curves = fit._moved(curves, step, 1.0)
+            rows, masks = fit.residuals(curves)
+            cost = float(np.mean(np.concatenate([np.abs(r[m]).ravel() for r, m in zip(rows, masks, strict=True)])))
+            if best is None or cost < best[0]:
+                best = (cost, fit, curves)
+        if best is not None:
+            fit = PlayFit(frozen, flat, path, fit_delay=False, settled_only=settled_only)
+            return fit, best[2]
+    return None
+
+
+def _both_ways(fit: PlayFit, masks: Sequence[Mask], domain: Domain) -> bool:
+    """Whether what is left once the tip was driven both ways still covers, in both directions, what was covered."""
+    spans = []
+    for side in (1, -1):
+        p = np.concatenate([s.p[m & (s.side == side)] for s, m in zip(fit.simulated, masks, strict=True)])
+        if len(p) < _FEWEST // 2:
+            return False
+        spans.append((p.min(), p.max()))
+    known = np.concatenate([s.p[s.known] for s in fit.simulated])
+    low, high = max(s[0] for s in spans), min(s[1] for s in spans)
+    return bool(high - low > 0.8 * np.ptp(known))
+
+
+def _lift(basis: Basis, curve: object) -> Array:
+    """Coefficients of a curve given by its values."""
+    x = np.linspace(basis.low, basis.high, 4 * basis.size)
+    values = np.asarray(curve(x))  # type: ignore[operator]
+    design = basis.design(x).toarray()
+    flat = values.reshape(len(x), -1)
+    rows = np.vstack([design, 1e-6 * np.diff(np.eye(basis.size), 2, axis=0)])
+    solved = np.linalg.lstsq(rows, np.vstack([flat, np.zeros((basis.size - 2, flat.shape[1]))]), rcond=None)[0]
+    return np.asarray(solved[:, 0] if values.ndim == 1 else solved)
