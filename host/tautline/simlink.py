@@ -83,7 +83,8 @@ class DesktopBoard:
         self._folder = None if flash else tempfile.TemporaryDirectory(prefix="tautline-")
         self.flash = flash or Path(self._folder.name if self._folder else ".") / "flash.bin"
         command = [str(program()), "--usbip", "0", "--sim", "0", "--flash", str(self.flash), "--axes", str(axes)]
-        command += ["--rate", str(rate_hz), "--serial", serial] + (["--realtime"] if realtime else [])
+        command += ["--rate", str(rate_hz), "--serial", serial, "--parent", str(os.getpid())]
+        command += ["--realtime"] if realtime else []
         self.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE)
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
@@ -114,7 +115,7 @@ class DesktopBoard:
 
 
 class Plant:
-    """A simulated instrument on one axis of a simulated board. The truth: q, p and c at each millisecond."""
+    """A simulated instrument on one axis of a simulated board: q, p and c at each millisecond of board time."""
 
     def __init__(self, link: SimLink, instrument: Instrument, axis: int = 0, start: float | None = None) -> None:
         """start: p at the beginning, default the middle of the range. The board's position 0 is q = 0."""
@@ -122,16 +123,19 @@ class Plant:
         self.resolution = instrument.rig.actuator.encoder_resolution
         self._t: list[Array] = []
         self._q: list[Array] = []
+        self._p: list[Array] = []
         self._c: list[Array] = []
         if start is not None:
             instrument.reset(start)
         state = link.ask("state")
-        self._append(np.array([state["t_us"] * 1e-6]), np.array([state["q"][axis]]) * self.resolution / _Q8)
+        self._boot_us = state["t_us"] - state["board_us"]
+        self._append(np.array([state["board_us"] * 1e-6]), np.array([state["q"][axis]]) * self.resolution / _Q8)
 
     def _append(self, t_s: Array, q: Array) -> None:
         self._t.append(t_s)
         self._q.append(q)
-        self._c.append(self.instrument.move(t_s, q))
+        self._p.append(self.instrument.centre(t_s, q))
+        self._c.append(self.instrument.bend(self._p[-1]))
 
     @property
     def now_s(self) -> float:
@@ -145,14 +149,17 @@ class Plant:
         answer = self.link.ask(f"advance {behind_us}")
         q = np.asarray(answer["q"][self.axis], dtype=np.float64) * self.resolution / _Q8
         step = answer["dt_us"]
-        self._append((answer["t_us"] + step * np.arange(1 - len(q), 1)) * 1e-6, q)
+        self._append((answer["t_us"] - self._boot_us + step * np.arange(1 - len(q), 1)) * 1e-6, q)
 
-    def truth(self) -> tuple[Array, Array, Array]:
-        """t_s, q (the rig's unit) and c in deg, one per millisecond."""
-        return np.concatenate(self._t), np.concatenate(self._q), np.concatenate(self._c)
+    def truth(self) -> tuple[Array, Array, Array, Array]:
+        """t_s, q and p (the rig's unit) and c in deg, one per millisecond."""
+        t, q, p, c = (np.concatenate(parts) for parts in (self._t, self._q, self._p, self._c))
+        return t, q, p, c
 
     def scene(self, t_s: Array) -> tuple[Array, float, float]:
-        """What a simulated camera asks for: c at times in the last second, translation, rotation."""
-        recent = 1 + next((i for i in range(1, len(self._t)) if self._t[-i][0] < self.now_s - 1.0), len(self._t) - 1)
+        """What a simulated camera asks for: c at past times, translation, rotation."""
+        recent = 1
+        while recent < len(self._t) and self._t[-recent][0] > t_s.min():
+            recent += 1
         t, c = np.concatenate(self._t[-recent:]), np.concatenate(self._c[-recent:])
         return np.interp(t_s, t, c), 0.0, 0.0

@@ -23,14 +23,16 @@ class _Field:
     raw: str
     name: str
     scale: int  # 2**Q, 0 for an integer as it is
+    zero: Any
 
     @classmethod
-    def of(cls, raw: str) -> _Field:
+    def of(cls, raw: str, kind: str, count: int) -> _Field:
         found = _SCALE.search(raw)
-        return cls(raw, _SCALE.sub("", raw), 1 << int(found[1])) if found else cls(raw, raw, 0)
+        zero: Any = "" if kind == "text" else 0 if count == 1 else (0,) * count
+        return cls(raw, _SCALE.sub("", raw), 1 << int(found[1]) if found else 0, zero)
 
 
-_FIELDS = {name: tuple(_Field.of(field[0]) for field in message["fields"]) for name, message in wire.MESSAGES.items()}
+_FIELDS = {name: tuple(_Field.of(*field[:3]) for field in message["fields"]) for name, message in wire.MESSAGES.items()}
 
 
 @dataclass(frozen=True)
@@ -49,10 +51,10 @@ class Message:
 
 
 def encode(name: str, sequence: int, **values: Any) -> bytes:
-    """The frame of a message; fixed-point fields are rounded to their grid and held within 32 bits."""
+    """The frame of a message; fields not given are 0, fixed-point ones are rounded and held within 32 bits."""
     fields = {}
     for field in _FIELDS[name]:
-        value = values.pop(field.name)
+        value = values.pop(field.name, field.zero)
         if field.scale:
             scaled = np.clip(np.rint(np.asarray(value, dtype=np.float64) * field.scale), -(2**31), 2**31 - 1)
             value = tuple(int(v) for v in scaled) if scaled.ndim else int(scaled)

@@ -1,0 +1,87 @@
+"""taut boards"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from tautline.cli._common import emit, json_option
+from tautline.cli._live import board_option
+from tautline.errors import TautError
+
+
+@click.command("boards")
+@board_option
+@json_option
+def command(board: str | None, as_json: bool) -> None:
+    """List the boards that are attached: serial number, firmware, protocol, axes and the tables in use.
+
+    A board that another program uses, or that speaks another protocol, is listed and left alone.
+    """
+    from tautline.board import find
+
+    rows = [_describe(found) for found in find(board)]
+    if board is not None and not rows:
+        raise TautError(f"no board '{board}' was found: 'taut boards' lists those that are attached")
+    emit({"boards": rows}, as_json, "\n".join(map(_text, rows)) or "no board is attached")
+
+
+def _describe(found: Any) -> dict[str, Any]:
+    from tautline.board import Board
+
+    row: dict[str, Any] = {
+        "board": found.where,
+        "serial": found.serial,
+        "protocol": f"{found.protocol[0]}.{found.protocol[1]}",
+        "busy": found.busy,
+    }
+    if found.busy:
+        return row
+    try:
+        with Board(found) as board:
+            identity = board.identity
+            row |= {
+                "firmware": ".".join(str(part) for part in identity.firmware),
+                "protocol": f"{identity.protocol_major}.{identity.protocol_minor}",
+                "build": identity.build,
+                "kind": identity.port,
+                "table_format": identity.table_version,
+                "control_hz": identity.control_hz,
+                "axes": [_axis(board, axis) for axis in range(board.axes)],
+            }
+    except TautError as error:
+        row["error"] = str(error)
+    return row
+
+
+def _axis(board: Any, axis: int) -> dict[str, Any]:
+    from tautline import tables, wire
+
+    status = board.status(axis)
+    row = {
+        "axis": axis,
+        "mode": wire.text("MODES", status.mode),
+        "fault": wire.text("FAULTS", status.fault) if status.fault else None,
+        "table": wire.text("TABLES", status.table),
+        "model_id": None,
+    }
+    blob = board.read_table(axis) if status.table_sequence else b""
+    if blob:
+        row["model_id"] = tables.decode(blob).model_id.hex()
+    return row
+
+
+def _text(row: dict[str, Any]) -> str:
+    if row.get("error"):
+        return str(row["error"])
+    if row["busy"]:
+        return f"{row['board']}: in use by another program, or no permission; protocol {row['protocol']}"
+    lines = [
+        f"{row['board']}: {row['kind']} {row['serial']}, firmware {row['firmware']}, protocol {row['protocol']}, "
+        f"{row['control_hz']} Hz"
+    ]
+    for axis in row["axes"]:
+        table = f"model {axis['model_id']}" if axis["model_id"] else "no table"
+        lines.append(f"  axis {axis['axis']}: {table}, {axis['fault'] or axis['mode']}")
+    return "\n".join(lines)

@@ -1,0 +1,103 @@
+"""taut follow"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from tautline.cli._common import emit, folder_option, json_option, log, progress_bar, rig_option
+from tautline.cli._live import live_options, opened
+
+
+@click.command("follow")
+@click.argument("model_path", metavar="[MODEL]", required=False, type=click.Path(path_type=Path))
+@live_options
+@rig_option
+@click.option(
+    "--compensation",
+    type=click.Choice(["off", "backlash", "full"]),
+    default="full",
+    show_default=True,
+    help="off: the motor follows f_coarse's inverse; backlash: f_coarse and B; full: f_remain and B.",
+)
+@click.option(
+    "--strength", type=click.FloatRange(0.0, 1.0), default=1.0, help="Share of the lost motion that is taken up."
+)
+@click.option(
+    "--trajectory",
+    metavar="FILE|SHAPE",
+    default="trapezoids",
+    show_default=True,
+    help="A CSV with columns t_s,c_deg, or a shape: trapezoids, smooth.",
+)
+@click.option("--speed", type=click.FloatRange(min=0.1), default=15.0, show_default=True, help="deg/s of a shape.")
+@click.option("--seed", type=int, default=0, help="Of the shape 'smooth', and of the simulation.")
+@folder_option("--out", "Folder for the recording of the run.", required=False)
+@json_option
+def command(
+    model_path: Path | None,
+    board: str | None,
+    axis: int,
+    camera: str | None,
+    colour: Path,
+    simulate: str | None,
+    rig_path: Path | None,
+    compensation: str,
+    strength: float,
+    trajectory: str,
+    speed: float,
+    seed: int,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Follow a trajectory of the tip's bending angle with a board, open loop, and say how far off the tip was.
+
+    With MODEL, its tables are loaded first (and its rig is used); without, those in the board are used as they are.
+    """
+    from tautline.following import follow_run
+    from tautline.model import Model
+
+    model = Model.load(model_path) if model_path is not None else None
+    if model is None and simulate is not None and compensation != "off":
+        raise click.UsageError("a simulated board starts without tables: name MODEL, or --compensation off")
+    with (
+        opened(board, axis, camera, colour, simulate, rig_path, seed, model=model) as live,
+        progress_bar("follow") as progress,
+    ):
+        result = follow_run(
+            live,
+            trajectory,
+            compensation=compensation,
+            model=model,
+            strength=strength,
+            speed_deg_s=speed,
+            seed=seed,
+            folder=out,
+            progress=progress,
+        )
+    emit(_report(result, compensation, out), as_json, _text(result, compensation, out))
+    if result.counters["telemetry_dropped"]:
+        log(f"taut: {result.counters['telemetry_dropped']} telemetry samples were dropped")
+
+
+def _report(result: Any, compensation: str, out: Path | None) -> dict[str, Any]:
+    return {
+        "compensation": compensation,
+        "seconds": float(result.t_s[-1] - result.t_s[0]),
+        "error_rms_deg": result.rms_deg,
+        "error_max_deg": result.max_deg,
+        "scored_by": result.scored_by,
+        "recording": out,
+        "counters": result.counters,
+    }
+
+
+def _text(result: Any, compensation: str, out: Path | None) -> str:
+    said = f"followed {result.t_s[-1] - result.t_s[0]:.1f} s, compensation {compensation}"
+    if result.scored_by:
+        said += f": tip off by {result.rms_deg:.3f} deg rms, {result.max_deg:.3f} at most (by {result.scored_by})"
+    else:
+        said += " (no camera: how far off the tip was is not known)"
+    return said + (f"; recorded in {out}" if out else "")

@@ -1,0 +1,79 @@
+"""taut monitor"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import click
+
+from tautline.cli._common import emit, json_option
+from tautline.cli._live import board_option
+
+
+@click.command("monitor")
+@board_option
+@click.option("--once", is_flag=True, help="Print the state once and end.")
+@json_option
+def command(board: str | None, once: bool, as_json: bool) -> None:
+    """Watch a board's axes: mode, positions, drive, faults, and everything that was dropped. Ctrl-C ends it."""
+    from tautline.board import open_board
+
+    with open_board(board) as opened:
+        if once or as_json:
+            state = _state(opened)
+            emit(state, as_json, "\n".join(_line(axis) for axis in state["axes"]))
+            return
+        from rich.live import Live
+
+        with Live(refresh_per_second=8) as view:
+            while True:
+                view.update(_table(_state(opened)))
+                time.sleep(0.1)
+
+
+def _state(board: Any) -> dict[str, Any]:
+    from tautline import wire
+
+    axes = []
+    for axis in range(board.axes):
+        values = dict(board.status(axis).values)
+        values["mode"] = wire.text("MODES", values["mode"])
+        values["fault"] = wire.text("FAULTS", values["fault"]) if values["fault"] else None
+        values["table"] = wire.text("TABLES", values["table"])
+        values["flags"] = wire.flags(values["flags"])
+        axes.append(values)
+    return {"board": board.identity.serial, "axes": axes, "counters": dict(board.counters().values)}
+
+
+def _line(axis: dict[str, Any]) -> str:
+    return (
+        f"axis {axis['axis']}: {axis['fault'] or axis['mode']}, q {axis['q']:.1f} counts (to {axis['q_ref']:.1f}), "
+        f"c {axis['c_est']:.3f} deg (to {axis['c_ref']:.3f}), drive {100 * axis['duty']:.0f} %, table {axis['table']}"
+    )
+
+
+def _table(state: dict[str, Any]) -> Any:
+    from rich.table import Table
+
+    table = Table(title=f"board {state['board']}")
+    for name in ("axis", "mode", "q counts", "to", "c deg", "to", "drive %", "mA", "flags"):
+        table.add_column(name, justify="right")
+    for axis in state["axes"]:
+        table.add_row(
+            str(axis["axis"]),
+            axis["fault"] or axis["mode"],
+            *(f"{axis[key]:.1f}" for key in ("q", "q_ref")),
+            *(f"{axis[key]:.3f}" for key in ("c_est", "c_ref")),
+            f"{100 * axis['duty']:.0f}",
+            str(axis["current_ma"]),
+            " ".join(axis["flags"]),
+        )
+    counters = state["counters"]
+    drops = {
+        name: count
+        for name, count in counters.items()
+        if count and ("drop" in name or "bad" in name or "overrun" in name)
+    }
+    table.caption = ", ".join(f"{name} {count}" for name, count in drops.items()) or "nothing dropped"
+    return table

@@ -1,0 +1,56 @@
+"""taut record"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from tautline.cli._common import emit, folder_option, json_option, progress_bar, rig_option
+from tautline.cli._live import live_options, opened
+
+
+@click.command("record")
+@folder_option("--out", "Folder for the recording.")
+@live_options
+@rig_option
+@click.option(
+    "--motion",
+    metavar="FILE|SHAPE",
+    default="none",
+    show_default=True,
+    help="What the motor does: none (off: move it yourself), a CSV with t_s and q_mm or q_deg, trapezoids, smooth.",
+)
+@click.option("--speed", type=click.FloatRange(min=0.0, min_open=True), help="Of a shape, the rig's unit per second.")
+@click.option(
+    "--duration", type=click.FloatRange(min=0.1), default=60.0, show_default=True, help="s, where nothing moves."
+)
+@click.option("--video/--no-video", default=False, help="Keep the frames too.")
+@click.option("--seed", type=int, default=0, help="Of the shape 'smooth', and of the simulation.")
+@json_option
+def command(
+    out: Path,
+    board: str | None,
+    axis: int,
+    camera: str | None,
+    colour: Path,
+    simulate: str | None,
+    rig_path: Path | None,
+    motion: str,
+    speed: float | None,
+    duration: float,
+    video: bool,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Record motor, marker and video from a board and a camera. Ctrl-C ends it early and keeps what there is."""
+    from tautline.following import record
+
+    with opened(board, axis, camera, colour, simulate, rig_path, seed) as live, progress_bar("record") as progress:
+        result = record(live, out, motion, speed=speed, duration_s=duration, video=video, seed=seed, progress=progress)
+    emit(
+        result,
+        as_json,
+        f"{out}: {result['seconds']:.1f} s, {result['motor_samples']} motor samples, {result['frames']} frames, "
+        f"the marker lost in {result['lost_frames']}, {result['telemetry_dropped']} samples dropped",
+    )

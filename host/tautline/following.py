@@ -1,0 +1,297 @@
+"""Trajectories on a board, open loop: of the tip through its tables, or of the motor alone. Recorded and scored."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tautline import trajectory, wire
+from tautline.columns import read_columns
+from tautline.errors import TautError
+from tautline.geometry import coarse_range_deg, pose
+from tautline.live import Frame, Live, Recorder
+from tautline.model import Model
+from tautline.recording import load_motor
+from tautline.rig import Actuator
+from tautline.session import driving, set_range
+
+Array = np.ndarray
+Progress = Callable[[float, str], None] | None
+
+COMPENSATIONS = {"off": 0, "backlash": 1, "full": 2}  # follow's `compensation`
+FULL = COMPENSATIONS["full"]
+SET_POINT_HZ = 250.0
+_AHEAD_S = 0.1  # set-points are sent so long before they hold
+_SILENCE_S = 0.5
+_SETTLE_S = 0.25
+_MARGIN = 0.06  # of the range of c, left free at either end by the built-in shapes
+_DEG, _COUNT = 65536.0, 256.0  # set_point's value has no scale of its own: it is what `follow` says
+
+
+@dataclass(frozen=True)
+class Followed:
+    """A followed trajectory of the tip. `scored_by`: where c is from, empty where it is not known."""
+
+    t_s: Array  # board time
+    c_ref_deg: Array
+    c_deg: Array  # NaN where it is not known
+    counted: Array  # bool: after the first full take-up in both directions
+    scored_by: str = ""
+    counters: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def error_deg(self) -> Array:
+        error: Array = (self.c_deg - self.c_ref_deg)[self.counted & np.isfinite(self.c_deg)]
+        return error
+
+    @property
+    def rms_deg(self) -> float:
+        return float(np.sqrt(np.mean(self.error_deg**2))) if len(self.error_deg) else float("nan")
+
+    @property
+    def max_deg(self) -> float:
+        return float(np.abs(self.error_deg).max()) if len(self.error_deg) else float("nan")
+
+
+def tip_trajectory(live: Live, what: str, speed_deg_s: float, seed: int, seconds: float = 60.0) -> tuple[Array, Array]:
+    """t_s and c*(t) in deg: a CSV with t_s,c_deg, or a shape (trapezoids, smooth) over the instrument's range."""
+    if what not in ("trapezoids", "smooth"):
+        if not Path(what).is_file():
+            raise TautError(f"--trajectory {what}: neither a file nor a shape (trapezoids, smooth)")
+        columns = read_columns(Path(what), ["t_s", "c_deg"], "t_s,c_deg")
+        return columns.rising_times(), columns.finite("c_deg")
+    low, high = _reach(live)
+    free = _MARGIN * (high - low)
+    tip = Actuator("deg", (low + free, high - free), 1e-3)
+    if what == "smooth":
+        planned = trajectory.random_smooth(tip, speed_deg_s, seconds, seed)
+    else:
+        planned = trajectory.trapezoids(tip, speed_deg_s, 0.35 * tip.span, 6, 8.0 * speed_deg_s, 0.3)
+    return planned.t_s, planned.q
+
+
+def _reach(live: Live) -> tuple[float, float]:
+    """The angles that the instrument can take, deg: of the tables in use, else of f_coarse."""
+    from tautline import tables
+
+    blob = live.board.read_table(live.axis)
+    if blob:
+        table = tables.decode(blob)
+        if len(table.q):
+            ends = np.interp(table.q_range, table.q, table.c_deg)
+            return float(ends.min()), float(ends.max())
+    return coarse_range_deg(live.rig)
+
+
+def follow(
+    live: Live,
+    t_s: Array,
+    value: Array,
+    *,
+    tip: bool,
+    compensation: int = FULL,
+    strength: float = 1.0,
+    seen: Callable[[Frame], None] | None = None,
+    progress: Progress = None,
+) -> tuple[float, Array, Array]:
+    """Sends the set-points of value(t): deg of the tip through the tables, or the rig's unit of the motor.
+
+    It starts with a straight move to the first value and ends at rest with the motor off. Returns the board time at
+    which the trajectory proper begins, and the times and values that were sent, board time.
+    """
+    board, axis = live.board, live.axis
+    scale = _DEG if tip else _COUNT / live.resolution
+    board.refused.clear()
+    with driving(live):
+        set_range(live, *live.rig.actuator.range)
+        board.ask("strength", axis=axis, strength=strength)
+        silence_us = round(_SILENCE_S * 1e6)
+        board.ask("follow", axis=axis, target=int(tip), compensation=compensation, silence_us=silence_us)
+        status = board.status(axis)
+        here = status.c_ref if tip else status.q_ref * live.resolution
+        speed = max(float(np.abs(np.diff(value) / np.diff(t_s)).max()), 1e-6)
+        lead = max(abs(value[0] - here) / (0.5 * speed), 0.2)
+        plan_t = np.concatenate([[0.0, lead], lead + _SETTLE_S + (t_s - t_s[0])])
+        grid = np.arange(0.0, plan_t[-1] + _SETTLE_S, 1.0 / SET_POINT_HZ)
+        plan = np.interp(grid, plan_t, np.concatenate([[here, value[0]], value]))
+        start_us = live.now_us() + round(_AHEAD_S * 1e6)
+        sent = 0
+        while sent < len(grid):
+            horizon = (live.now_us() - start_us) * 1e-6 + _AHEAD_S
+            while sent < len(grid) and grid[sent] <= horizon:
+                at_us = start_us + round(grid[sent] * 1e6)
+                board.tell("set_point", axis=axis, value=round(plan[sent] * scale), at_us=at_us)
+                sent += 1
+            _step(live, seen)
+            _check(live)
+            if progress:
+                progress(sent / len(grid), "following")
+        while live.now_us() < start_us + grid[-1] * 1e6:
+            _step(live, seen)
+    _check(live)
+    return start_us * 1e-6 + lead + _SETTLE_S, start_us * 1e-6 + grid, plan
+
+
+def _step(live: Live, seen: Callable[[Frame], None] | None) -> None:
+    if live.eye is not None and seen is not None:
+        seen(live.look())
+    else:
+        live.wait(0.02)
+
+
+def _check(live: Live) -> None:
+    """A refused set-point ends the run: with the fault that caused it, where there is one."""
+    if live.board.refused:
+        live.board.check_fault(live.axis)
+        raise live.board.refused[0]
+
+
+def follow_run(
+    live: Live,
+    what: str,
+    *,
+    compensation: str = "full",
+    model: Model | None = None,
+    strength: float = 1.0,
+    speed_deg_s: float = 15.0,
+    seed: int = 0,
+    folder: Path | None = None,
+    progress: Progress = None,
+) -> Followed:
+    """One run of `taut follow`: tables, trajectory, recording, score.
+
+    compensation: off (the motor follows f_coarse's inverse), backlash (f_coarse and B), full (f_remain and B).
+    """
+    from tautline import tables
+
+    board, axis, coarse = live.board, live.axis, live.rig.coarse
+    if model is not None:
+        board.load_table(axis, tables.encode(model, axis=axis))
+    has_tables = bool(board.read_table(axis))
+    if not has_tables and compensation != "off":
+        raise TautError(f"axis {axis} has no tables: flash a model first, or use --compensation off")
+    t_s, c_deg = tip_trajectory(live, what, speed_deg_s, seed)
+    recorder = Recorder(live, folder) if folder is not None else None
+    frames: list[Frame] = []
+
+    def seen(frame: Frame) -> None:
+        frames.append(frame)
+        if recorder is not None:
+            recorder.add(frame)
+
+    counters = board.counters(clear=True)
+    try:
+        if recorder is not None:
+            recorder.__enter__()
+        begin_s, sent_s, sent = follow(
+            live,
+            t_s,
+            c_deg if has_tables else (c_deg - coarse.offset) / coarse.gain,
+            tip=has_tables,
+            compensation=COMPENSATIONS[compensation],
+            strength=strength,
+            seen=seen,
+            progress=progress,
+        )
+        plan = sent if has_tables else coarse.gain * sent + coarse.offset
+    finally:
+        if recorder is not None:
+            recorder.__exit__()
+    counters = board.counters()
+    if folder is not None:
+        rows = np.column_stack([sent_s, plan])
+        np.savetxt(
+            folder / "trajectory.csv", rows, fmt=["%.6f", "%.5f"], delimiter=",", header="t_s,c_deg", comments=""
+        )
+    scored = _score(live, begin_s, sent_s, plan, frames)
+    return replace(scored, counters={name: int(v) for name, v in counters.values.items() if name != "t_us"})
+
+
+def _score(live: Live, begin_s: float, t_s: Array, plan: Array, frames: list[Frame]) -> Followed:
+    if live.plant is not None:
+        when, q, p, c = live.plant.truth()
+        half = 0.5 * live.plant.instrument.backlash(p)
+        keep = (when >= begin_s) & (when <= t_s[-1])
+        counted = taken_up(q[keep], p[keep], half[keep])
+        return Followed(when[keep], np.interp(when[keep], t_s, plan), c[keep], counted, "the simulated instrument")
+    good = [frame for frame in frames if frame.sighting.valid]
+    if good:
+        when = np.array([frame.t_us for frame in good]) * 1e-6 - live.rig.delay_s
+        c, _ = pose(live.rig, [(frame.sighting.u_px, frame.sighting.v_px) for frame in good])
+        inside = (when >= begin_s) & (when <= t_s[-1])
+        ref = np.interp(when, t_s, plan)
+        return Followed(when[inside], ref[inside], c[inside], np.ones(int(inside.sum()), dtype=bool), "the camera")
+    return Followed(t_s, plan, np.full(len(t_s), np.nan), np.ones(len(t_s), dtype=bool))
+
+
+def taken_up(q: Array, p: Array, half: Array) -> Array:
+    """(n,) bool: from the moment on at which the play has been driven through in both directions."""
+    up, down = q - p >= half - 1e-9, q - p <= 1e-9 - half
+    counted: Array = np.logical_or.accumulate(up) & np.logical_or.accumulate(down)
+    return counted
+
+
+def record(
+    live: Live,
+    folder: Path,
+    motion: str = "none",
+    *,
+    speed: float | None = None,
+    duration_s: float = 60.0,
+    video: bool = False,
+    seed: int = 0,
+    progress: Progress = None,
+) -> dict[str, Any]:
+    """Records motor and marker while the motor follows `motion`, or is off. Ctrl-C ends it, and is no failure."""
+    counts = {"frames": 0, "lost_frames": 0}
+    samples = [0]
+
+    def seen(frame: Frame) -> None:
+        recorder.add(frame)
+        counts["frames"] += 1
+        counts["lost_frames"] += not frame.sighting.valid
+
+    def batch(message: wire.Message) -> None:
+        samples[0] += message.count if message.axis == live.axis else 0
+
+    live.board.listen("batch", batch)
+    live.board.counters(clear=True)
+    plan = None if motion == "none" else _motor_trajectory(live, motion, speed, duration_s, seed)
+    began = live.now_us()
+    with Recorder(live, folder, video) as recorder:
+        try:
+            if plan is not None:
+                follow(live, *plan, tip=False, seen=seen, progress=progress)
+            while plan is None and (passed := (live.now_us() - began) * 1e-6) < duration_s:
+                _step(live, seen)
+                if progress:
+                    progress(passed / duration_s, "recording")
+        except KeyboardInterrupt:
+            pass
+    return {
+        "recording": folder,
+        "seconds": (live.now_us() - began) * 1e-6,
+        "motor_samples": samples[0],
+        **counts,
+        "telemetry_dropped": int(live.board.counters().telemetry_dropped),
+        "messages_missed": live.board.missed,
+    }
+
+
+def _motor_trajectory(live: Live, what: str, speed: float | None, seconds: float, seed: int) -> tuple[Array, Array]:
+    actuator = live.rig.actuator
+    if what not in ("trapezoids", "smooth"):
+        if not Path(what).is_file():
+            raise TautError(f"--motion {what}: neither a file nor a shape (none, trapezoids, smooth)")
+        motor = load_motor(Path(what), live.rig)
+        return motor.t_s, motor.q
+    speed = speed or 15.0 / abs(live.rig.coarse.gain)
+    if what == "smooth":
+        planned = trajectory.random_smooth(actuator, speed, seconds, seed)
+    else:
+        planned = trajectory.trapezoids(actuator, speed, 0.35 * actuator.span, 6, 8.0 * speed, 0.3)
+    return planned.t_s, planned.q

@@ -1,0 +1,308 @@
+"""A live set-up: a board, what its camera sees, and the recording of both. Simulated ones run in virtual time.
+
+One clock holds for all of it: the board's, in microseconds on the wire and seconds in recordings.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, Protocol
+
+import cv2
+import numpy as np
+
+from tautline import wire
+from tautline.board import Board, open_board
+from tautline.camera import Camera, SimulatedCamera, VideoCamera
+from tautline.colour import MarkerColour, pick
+from tautline.endoscope import Endoscope
+from tautline.errors import TautError
+from tautline.geometry import coarse_range_deg, project
+from tautline.instrument import preset
+from tautline.marker import Sighting, Tracker
+from tautline.rig import Rig
+from tautline.simlink import DesktopBoard, Plant
+from tautline.timing import FrameTiming
+
+Array = np.ndarray
+_STEP_S = 0.02
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What one frame showed. t_us is its arrival in board time; picture is BGR, None where none was drawn."""
+
+    t_us: int
+    sighting: Sighting
+    picture: Array | None
+
+
+class Eye(Protocol):
+    def look(self) -> Frame:
+        """Waits for the next frame. TautError at the end of the source."""
+
+    def close(self) -> None: ...
+
+
+class CameraEye:
+    """A real camera. Arrival times are of the host's monotonic clock and become board time by round trips."""
+
+    def __init__(self, board: Board, camera: Camera, tracker: Tracker) -> None:
+        self._board, self._camera, self._tracker = board, camera, tracker
+
+    def look(self) -> Frame:
+        taken = self._camera.read()
+        if taken is None:
+            raise TautError("the camera's source has ended: a live session needs a camera, not a file")
+        self._board.align(1)
+        picture, arrival_s = taken
+        return Frame(self._board.clock.board_us(arrival_s), self._tracker.track(picture), picture)
+
+    def close(self) -> None:
+        self._camera.close()
+
+
+class LockstepEye:
+    """The simulated endoscope: looking advances board and instrument to the frame's arrival."""
+
+    def __init__(self, plant: Plant, camera: SimulatedCamera, tracker: Tracker) -> None:
+        self._plant, self._camera, self._tracker = plant, camera, tracker
+
+    def look(self) -> Frame:
+        while self._camera.next_arrival_s < self._plant.now_s:  # frames that passed while nobody looked
+            self._camera.read()
+        self._plant.advance_to(self._camera.next_arrival_s)
+        picture, arrival_s = self._camera.read()
+        return Frame(round(arrival_s * 1e6), self._tracker.track(picture), picture)
+
+    def close(self) -> None:
+        self._camera.close()
+
+
+class PointEye:
+    """As LockstepEye without pictures: the marker's projection with white noise of `noise_px`. For long runs."""
+
+    def __init__(self, plant: Plant, timing: FrameTiming | None = None, noise_px: float = 0.05, seed: int = 0) -> None:
+        self._plant, self._noise = plant, noise_px
+        self._frames = (timing or FrameTiming.of(plant.instrument.rig)).frames()
+        self._rng = np.random.default_rng([seed, 0xE1E])
+
+    def look(self) -> Frame:
+        scene_s, arrival_s = next(self._frames)
+        while arrival_s < self._plant.now_s:  # frames that passed while nobody looked
+            scene_s, arrival_s = next(self._frames)
+        self._plant.advance_to(arrival_s)
+        c_deg, translation, rotation = self._plant.scene(np.array([scene_s]))
+        u, v = project(self._plant.instrument.rig, c_deg, translation, rotation)[0]
+        u, v = np.array([u, v]) + self._rng.normal(0.0, self._noise, 2)
+        return Frame(round(arrival_s * 1e6), Sighting(float(u), float(v), self._noise, 15.0), None)
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+@dataclass
+class Live:
+    """Board, axis and rig of one session; `eye` where there is a camera, `plant` where all is simulated."""
+
+    board: Board
+    rig: Rig
+    axis: int = 0
+    eye: Eye | None = None
+    plant: Plant | None = None
+    feeding: bool = False  # frames go on to the board: during its calibration motion
+
+    @property
+    def resolution(self) -> float:
+        """The rig's unit per count."""
+        return self.rig.actuator.encoder_resolution
+
+    def look(self) -> Frame:
+        """The next frame. What the board said until then has been taken in."""
+        if self.eye is None:
+            raise TautError("no camera: name one with --camera, or use --simulate")
+        frame = self.eye.look()
+        if self.feeding:
+            seen = frame.sighting
+            place = {"u": seen.u_px, "v": seen.v_px, "sigma": seen.sigma_px} if seen.valid else {}
+            self.board.tell("marker", valid=int(seen.valid), arrival_us=frame.t_us, **place)
+        self._take_in()
+        return frame
+
+    def wait(self, seconds: float) -> None:
+        """Lets the time pass: virtual time where the set-up is simulated."""
+        if self.plant is None:
+            time.sleep(seconds)
+            return
+        end = self.plant.now_s + seconds
+        while self.plant.now_s < end - 1e-9:
+            self.plant.advance_to(min(self.plant.now_s + _STEP_S, end))
+            self._take_in()
+
+    def _take_in(self) -> None:
+        if self.plant is not None:
+            self.board.sync()
+
+    def now_us(self) -> int:
+        """Board time."""
+        if self.plant is not None:
+            return round(self.plant.now_s * 1e6)
+        return self.board.clock.board_us(time.monotonic())
+
+    def rest(self, timeout_s: float = 5.0) -> wire.Message:
+        """Waits until the axis rests; TautError where it does not, or has a fault."""
+        waited = 0.0
+        while True:
+            status = self.board.status(self.axis)
+            if status.fault:
+                self.board.check_fault(self.axis)
+            if status.flags & wire.code("FLAGS", "AT_REST"):
+                return status
+            if waited >= timeout_s:
+                raise TautError(f"axis {self.axis} does not come to rest: check its limits and servo gains")
+            self.wait(_STEP_S)
+            waited += _STEP_S
+
+    def release(self) -> None:
+        """Brings the axis to rest within its limits and switches the motor off, from whatever it does."""
+        self.board.ask("enable", axis=self.axis, on=0)
+        waited = 0.0
+        while self.board.status(self.axis).mode != wire.code("MODES", "OFF") and waited < 5.0:
+            self.wait(_STEP_S)
+            waited += _STEP_S
+
+
+class Recorder:
+    """Writes a recording while it is made: whatever ends the session, what was measured is on the disk."""
+
+    def __init__(self, live: Live, folder: Path, video: bool = False) -> None:
+        self.folder, self._live = folder, live
+        unit = live.rig.actuator.unit
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            if (folder / "motor.csv").exists():
+                raise TautError(f"{folder}: holds a recording already: name another folder")
+            live.rig.save(folder / "rig.toml")
+            self._motor = (folder / "motor.csv").open("w", buffering=1 << 16)
+            self._motor.write(f"t_s,q_{unit},q_cmd_{unit}\n")
+        except OSError as error:
+            raise TautError(f"{folder}: cannot be written ({error.strerror}): name another folder") from error
+        self._marker: IO[str] | None = None
+        self._frames: IO[str] | None = None
+        self._video: Any = None
+        self._wants_video = video
+        self._count = 0
+        self._last_us = -1
+        self._paused = False
+        live.board.listen("batch", self._batch)
+
+    def __enter__(self) -> Recorder:
+        self._live.board.ask("telemetry", axis=self._live.axis, divider=1)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._paused = True
+        for file in (self._motor, self._marker, self._frames):
+            if file is not None:
+                file.close()
+        if self._video is not None:
+            self._video.release()
+
+    def _batch(self, batch: wire.Message) -> None:
+        if batch.axis != self._live.axis or self._paused:
+            return
+        resolution = self._live.resolution
+        for i in range(batch.count):
+            t_us = batch.t_us + i * batch.period_us
+            if t_us > self._last_us:
+                self._motor.write(
+                    f"{t_us * 1e-6:.6f},{batch.q[i] * resolution:.7g},{batch.q_ref[i] * resolution:.7g}\n"
+                )
+                self._last_us = t_us
+
+    def add(self, frame: Frame) -> None:
+        """One frame: marker.csv, and video where it was asked for."""
+        if self._marker is None:
+            self._marker = (self.folder / "marker.csv").open("w", buffering=1 << 13)
+            self._marker.write("t_s,u_px,v_px,valid,sigma_px\n")
+        seen, t_s = frame.sighting, frame.t_us * 1e-6
+        if seen.valid:
+            self._marker.write(f"{t_s:.6f},{seen.u_px:.4f},{seen.v_px:.4f},1,{max(seen.sigma_px, 1e-4):.4f}\n")
+        else:
+            self._marker.write(f"{t_s:.6f},,,0,\n")
+        if self._wants_video and frame.picture is not None:
+            self._add_picture(frame.picture, t_s)
+        self._count += 1
+
+    def _add_picture(self, picture: Array, t_s: float) -> None:
+        if self._video is None:
+            height, width = picture.shape[:2]
+            rate = self._live.rig.camera.frame_rate_hz if self._live.rig.camera else 25.0
+            code = cv2.VideoWriter.fourcc(*"MJPG")
+            self._video = cv2.VideoWriter(str(self.folder / "video.mkv"), code, rate, (width, height))
+            self._video.set(cv2.VIDEOWRITER_PROP_QUALITY, 95)
+            self._frames = (self.folder / "frames.csv").open("w", buffering=1 << 12)
+            self._frames.write("frame,t_s\n")
+        assert self._frames is not None
+        self._video.write(picture)
+        self._frames.write(f"{self._count},{t_s:.6f}\n")
+
+
+@contextmanager
+def open_live(
+    *,
+    board: str | None = None,
+    camera: str | int | None = None,
+    simulate: str | None = None,
+    rig: Rig | None = None,
+    axis: int = 0,
+    colour: MarkerColour | None = None,
+    pictures: bool = True,
+    seed: int = 0,
+) -> Iterator[Live]:
+    """`simulate` names an instrument preset and starts a desktop board; else `board` and `camera` are opened.
+
+    pictures: False replaces the rendered endoscope by the marker's projection (50 times faster).
+    """
+    with ExitStack() as stack:
+        if simulate is not None:
+            instrument = preset(simulate, rig, seed)
+            desktop = stack.enter_context(DesktopBoard(axes=max(axis + 1, 1)))
+            opened = stack.enter_context(open_board(desktop.where))
+            link = desktop.link()
+            stack.callback(link.close)
+            plant = Plant(link, instrument, axis)
+            live = Live(opened, instrument.rig, axis, None, plant)
+            if pictures and instrument.rig.has_camera:
+                endoscope = Endoscope(instrument.rig, seed=seed)
+                middle = 0.5 * sum(coarse_range_deg(instrument.rig))
+                place = project(instrument.rig, middle)[0]
+                seen_as = pick(endoscope.frame(middle, 0.0, 0.0), (float(place[0]), float(place[1])))
+                eye: Eye = LockstepEye(plant, SimulatedCamera(endoscope, plant.scene), Tracker(seen_as))
+            elif instrument.rig.has_camera:
+                eye = PointEye(plant, seed=seed)
+            else:
+                yield live
+                return
+            live.eye = eye
+            stack.callback(eye.close)
+            yield live
+            return
+        if rig is None:
+            raise TautError("no rig: name the set-up's file with --rig")
+        opened = stack.enter_context(open_board(board))
+        opened.check_axis(axis)
+        opened.align(16)
+        stack.enter_context(opened.reading())
+        live = Live(opened, rig, axis)
+        if camera is not None:
+            if colour is None:
+                raise TautError("the marker's colour is not known: pick it once with 'taut marker'")
+            source = int(camera) if isinstance(camera, str) and camera.isdigit() else camera
+            live.eye = CameraEye(opened, VideoCamera(source), Tracker(colour))
+            stack.callback(live.eye.close)
+        yield live

@@ -1,0 +1,275 @@
+"""Live calibration: check scale and sign, then run the board's calibration motion and record it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tautline import wire
+from tautline.calibrate import Calibration, Options, calibrate
+from tautline.errors import TautError
+from tautline.geometry import project
+from tautline.live import Live, Recorder
+from tautline.recording import load
+
+Array = np.ndarray
+Progress = Callable[[float, str], None] | None
+
+_PROBE_SHARES = (0.06, 0.12, 0.25)  # of the range, until the tip is seen to move
+_STILL_FRAMES = 8
+_ACCELERATION = 20.0  # of the calibration motion: from rest to its fastest pass in 1/20 s
+_HOST_TIMEOUT_S = 0.5
+_TOO_LITTLE, _TOO_MUCH = 0.08, 2.5  # observed motion of the marker to that of f_coarse: beyond, a scale is wrong
+
+
+@dataclass(frozen=True)
+class MotionOptions:
+    """The calibration motion. Lengths in the rig's unit; None takes what suits the rig."""
+
+    speeds: tuple[float, ...] | None = None  # unit/s, of the passes
+    cycles: int = 12  # turning points of a pass
+    approach: float | None = None  # on the envelope before each turn, at the pass's speed
+    stroke: float | None = None  # a reversal without an onset ends here: more than any backlash
+    low: float | None = None
+    high: float | None = None
+    probe: bool = True
+
+
+@dataclass
+class Motion:
+    """How the calibration motion went."""
+
+    folder: Path
+    reversals: int = 0
+    onsets: list[dict[str, Any]] = field(default_factory=list)  # as the board found them, the rig's unit
+    frames: int = 0
+    lost_frames: int = 0
+    seconds: float = 0.0
+    telemetry_missed: int = 0
+
+
+@contextmanager
+def driving(live: Live) -> Iterator[None]:
+    """The motor is on inside; whatever happens, the axis is at rest and the motor off after."""
+    live.board.check_fault(live.axis)
+    live.board.ask("enable", axis=live.axis, on=1)
+    try:
+        yield
+    finally:
+        live.release()
+
+
+def set_range(live: Live, low: float, high: float) -> None:
+    """Position limits of the axis, the rig's unit. The other limits stay."""
+    limits = dict(live.board.ask("get_limits", axis=live.axis).values)
+    limits.update(q_low=low / live.resolution, q_high=high / live.resolution)
+    live.board.ask("limits", **limits)
+
+
+def move_to(live: Live, q: float, speed: float, seen: Callable[[Any], None] | None = None) -> None:
+    """Moves the motor to q (unit) at up to `speed` (unit/s) and waits; frames meanwhile go to `seen`."""
+    start = live.board.status(live.axis).q * live.resolution
+    live.board.ask("move", axis=live.axis, q=q / live.resolution, speed_s=speed / live.resolution)
+    longest = 2.0 + 1.5 * abs(q - start) / speed
+    began = live.now_us()
+    while live.now_us() - began < longest * 1e6:
+        if seen is not None and live.eye is not None:
+            seen(live.look())
+        else:
+            live.wait(0.02)
+        status = live.board.status(live.axis)
+        if status.fault:
+            live.board.check_fault(live.axis)
+        if status.mode == wire.code("MODES", "HOLD"):
+            return
+    raise TautError(f"axis {live.axis} does not reach {q:g} {live.rig.actuator.unit}: check limits and servo gains")
+
+
+# -- scale and sign ---------------------------------------------------------------------------------------------------
+
+
+def probe(live: Live, recorder: Recorder, speed: float) -> None:
+    """A small move either way; TautError where marker and motor do not fit, said before a motion is blamed."""
+    rig, unit = live.rig, live.rig.actuator.unit
+    low, high = rig.actuator.range
+
+    def marker(frames: int) -> tuple[Array, float]:
+        """Mean position and its error, px."""
+        found = []
+        for _ in range(frames + round(rig.delay_s * (rig.camera.frame_rate_hz if rig.camera else 25.0)) + 1):
+            frame = live.look()
+            recorder.add(frame)
+            if frame.sighting.valid:
+                found.append((frame.sighting.u_px, frame.sighting.v_px))
+        found = found[-frames:]
+        if len(found) < frames / 2:
+            raise TautError(
+                "the marker is not seen while all is at rest: check the camera, or pick its colour: taut marker"
+            )
+        return np.mean(found, axis=0), float(np.std(found, axis=0).mean() / np.sqrt(len(found)) + 0.02)
+
+    start = float(live.board.status(live.axis).q) * live.resolution
+    if not low <= start <= high:
+        raise TautError(
+            f"the motor is at {start:.4g} {unit}, outside the rig's range [{low:g}, {high:g}]: "
+            "move it inside, or say where it is with --at"
+        )
+    for share in _PROBE_SHARES:
+        reach = share * rig.actuator.span
+        centre = min(max(start, low + reach), high - reach)
+        spots = []
+        for q in (centre - reach, centre + reach, centre - reach):
+            move_to(live, q, speed, recorder.add)
+            spots.append((marker(_STILL_FRAMES), live.board.status(live.axis).q * live.resolution))
+        (first, sigma), q_first = spots[1]
+        (second, _), q_second = spots[2]
+        if abs(q_second - q_first) < reach:
+            raise TautError(
+                f"the motor was sent {2 * reach:.3g} {unit}, its encoder saw {abs(q_second - q_first):.3g}: "
+                "check actuator.encoder_resolution in rig.toml and the encoder"
+            )
+        moved = second - first
+        c = rig.coarse.gain * np.array([q_first, q_second]) + rig.coarse.offset
+        expected = np.subtract(*project(rig, c)[::-1])
+        length, along = float(np.linalg.norm(expected)), float(moved @ expected / max(np.linalg.norm(expected), 1e-9))
+        distance = float(np.linalg.norm(moved))
+        if distance > _TOO_MUCH * length + 10 * sigma:
+            raise TautError(
+                f"the marker moved {distance:.3g} px where f_coarse says {length:.3g}: a scale is too large: check "
+                "actuator.unit, encoder_resolution and coarse.gain in rig.toml, and that the camera is the rig's"
+            )
+        if distance > max(_TOO_LITTLE * length, 12 * sigma):
+            if along < -0.5 * distance:
+                raise TautError(
+                    f"the marker moves against what f_coarse says ({along:.3g} px of {length:.3g}): turn the sign of "
+                    "coarse.gain in rig.toml, or check how the camera is mounted (hand_eye)"
+                )
+            return
+    raise TautError(
+        f"the motor moved {2 * reach:.3g} {unit}, the marker {distance:.2g} px of {length:.3g}: is this camera looking "
+        f"at the instrument of axis {live.axis}? Else a scale in rig.toml is too small, or the backlash larger"
+    )
+
+
+# -- calibration motion -----------------------------------------------------------------------------------------------
+
+
+def record_calibration(
+    live: Live, folder: Path, options: MotionOptions | None = None, video: bool = False, progress: Progress = None
+) -> Motion:
+    """Runs the board's calibration motion and records it in `folder`; `calibrate` takes it from there.
+
+    Stopped at any time (Ctrl-C, an error), the axis comes to rest and what was recorded so far stays.
+    """
+    options = options or MotionOptions()
+    rig, unit = live.rig, live.rig.actuator.unit
+    if rig.camera is None or rig.kinematics is None or rig.hand_eye is None:
+        raise TautError("a live calibration needs [camera], [kinematics] and [hand_eye] in rig.toml")
+    low = rig.actuator.range[0] if options.low is None else options.low
+    high = rig.actuator.range[1] if options.high is None else options.high
+    fast = 8.0 / abs(rig.coarse.gain)  # 8 deg/s of the tip
+    speeds = options.speeds or (fast, 0.5 * fast)
+    stroke = options.stroke or 0.25 * (high - low)
+    approach = options.approach or 0.03 * (high - low)
+    if not 1 <= len(speeds) <= 4 or min(speeds) <= 0:
+        raise TautError("the calibration motion takes 1 to 4 speeds above 0")
+    result = Motion(folder)
+    running = [wire.code("MOTIONS", name) for name in ("RUNNING", "STOPPING")]
+    state = {"state": running[0], "permille": 0, "reversals": 0}
+
+    def took(message: wire.Message) -> None:
+        state.update(state=message.state, permille=message.permille, reversals=message.reversals)
+
+    def onset(message: wire.Message) -> None:
+        found = {key: message.values[key] * live.resolution for key in ("q1", "q2", "width", "sigma")}
+        found |= {"direction": message.direction, "t_s": message.start_us * 1e-6, "used": message.reason == 0}
+        result.onsets.append(found)
+
+    live.board.listen("progress", took)
+    live.board.listen("onset", onset)
+    began = live.now_us()
+    with Recorder(live, folder, video) as recorder, driving(live):
+        set_range(live, low, high)
+        try:
+            if options.probe:
+                if progress:
+                    progress(0.0, "checking scale and sign")
+                probe(live, recorder, 2.0 * max(speeds))
+            live.board.ask(
+                "motion_start",
+                axis=live.axis,
+                cycles=options.cycles,
+                low=low / live.resolution,
+                high=high / live.resolution,
+                speed_s=[speed / live.resolution for speed in (*speeds, 0.0, 0.0, 0.0)[:4]],
+                transit_s=2.0 * max(speeds) / live.resolution,
+                acceleration_s2=_ACCELERATION * max(speeds) / live.resolution,
+                approach=approach / live.resolution,
+                stroke_max=stroke / live.resolution,
+                host_timeout_us=round(_HOST_TIMEOUT_S * 1e6),
+                delay_us=round(rig.camera.delay_s * 1e6),
+            )
+            live.feeding = True
+            while state["state"] in running:
+                frame = live.look()
+                recorder.add(frame)
+                result.frames += 1
+                result.lost_frames += not frame.sighting.valid
+                if progress:
+                    progress(state["permille"] / 1000.0, f"{state['reversals']} reversals")
+            if state["state"] != wire.code("MOTIONS", "COMPLETE"):
+                live.board.check_fault(live.axis)
+                how = wire.text("MOTIONS", state["state"])
+                raise TautError(f"the calibration motion is {how}: what was recorded is in {folder}")
+            live.feeding = False
+            for _ in range(_STILL_FRAMES):
+                recorder.add(live.look())
+        except BaseException as error:
+            live.feeding = False
+            _stop(live)
+            if isinstance(error, KeyboardInterrupt):
+                raise TautError(
+                    f"stopped after {state['reversals']} reversals, the axis is at rest: "
+                    f"'taut calibrate {folder}' uses what was recorded"
+                ) from None
+            raise
+    result.reversals = state["reversals"]
+    result.seconds = (live.now_us() - began) * 1e-6
+    result.telemetry_missed = live.board.missed
+    if result.lost_frames > 0.5 * result.frames:
+        raise TautError(
+            f"the marker was lost in {result.lost_frames} of {result.frames} frames: pick its colour again with 'taut "
+            f"marker', or bring it into view over all of [{low:g}, {high:g}] {unit}"
+        )
+    return result
+
+
+def calibrate_live(
+    live: Live,
+    folder: Path,
+    motion: MotionOptions | None = None,
+    options: Options | None = None,
+    video: bool = False,
+    progress: Progress = None,
+) -> tuple[Calibration, Motion]:
+    """The calibration motion, recorded in `folder`, and what comes of it."""
+
+    def part(low: float, high: float) -> Progress:
+        return (lambda share, what: progress(low + (high - low) * share, what)) if progress else None
+
+    made = record_calibration(live, folder, motion, video, part(0.0, 0.8))
+    return calibrate([load(folder, live.rig)], live.rig, options, part(0.8, 1.0)), made
+
+
+def _stop(live: Live) -> None:
+    """Comes to rest within the limits, where the board still answers."""
+    try:
+        live.board.ask("motion_stop", axis=live.axis)
+        live.rest()
+    except TautError:
+        pass  # gone or faulted: the board comes to rest by itself

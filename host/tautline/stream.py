@@ -1,0 +1,78 @@
+"""Set-points of the tip for teleoperation: paced by the wall clock, late ones counted, the end at rest."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from tautline import wire
+from tautline.board import Board
+from tautline.following import FULL
+
+_LEAD_US = 8_000  # a set-point holds so long after it was sent: the board moves there in a straight line
+_DEG = 65536.0
+
+
+class SetPoints:
+    """Sends c*, deg, to one axis through its tables. After the block the axis is at rest and off."""
+
+    def __init__(self, board: Board, axis: int, silence_s: float = 0.1) -> None:
+        """silence_s: without a set-point for so long the board brings the axis to rest by itself."""
+        board.check_axis(axis)
+        board.check_fault(axis)
+        self._board, self._axis, self._silence_s = board, axis, silence_s
+        self.start_deg = 0.0
+        self.sent = 0
+        self.late = 0  # sent later than half a period after their time
+        self._next = self._began = self._ended = 0.0
+
+    def __enter__(self) -> SetPoints:
+        self._board.ask("enable", axis=self._axis, on=1)
+        self._board.ask("follow", axis=self._axis, target=1, compensation=FULL, silence_us=round(self._silence_s * 1e6))
+        self.start_deg = float(self._board.status(self._axis).c_ref)
+        self._board.align(16)
+        self._began = self._next = time.monotonic()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended = time.monotonic()
+        self._board.ask("enable", axis=self._axis, on=0)
+        while self._board.status(self._axis).mode != wire.code("MODES", "OFF") and time.monotonic() < self._ended + 2.0:
+            time.sleep(0.01)
+
+    def send(self, c_deg: float) -> None:
+        at_us = self._board.clock.board_us(time.monotonic()) + _LEAD_US
+        self._board.tell("set_point", axis=self._axis, value=round(c_deg * _DEG), at_us=at_us)
+        self.sent += 1
+
+    def pace(self, period_s: float) -> None:
+        """Sleeps until the next set-point is due. Every half second a round trip keeps the clocks together."""
+        self._next += period_s
+        now = time.monotonic()
+        if now > self._next + 0.5 * period_s:
+            self.late += 1
+            self._next = now
+        if self.sent % max(round(0.5 / period_s), 1) == 0:
+            self._board.align(1)
+        time.sleep(max(self._next - time.monotonic(), 0.0))
+
+    @property
+    def seconds(self) -> float:
+        return (self._ended or time.monotonic()) - self._began
+
+    @property
+    def rate_hz(self) -> float:
+        return self.sent / max(self.seconds, 1e-9)
+
+    @property
+    def refused(self) -> int:
+        return len(self._board.refused)
+
+    def summary(self) -> dict[str, Any]:
+        return {
+            "sent": self.sent,
+            "seconds": self.seconds,
+            "rate_hz": self.rate_hz,
+            "late": self.late,
+            "refused": self.refused,
+        }

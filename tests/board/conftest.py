@@ -1,0 +1,95 @@
+"""One suite for every board: `--board desktop` (default, started for each test that needs one), or as `taut` takes it.
+
+Tests that need the simulation (virtual time, power cuts, unplugging) skip on a board without a sim link.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from tautline import wire
+from tautline.board import Board, find, open_board
+from tautline.simlink import DesktopBoard, SimLink
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--board", default="desktop", help="desktop, usbip:HOST:PORT or a serial number")
+    parser.addoption("--sim", type=int, help="port of the sim link of a --board usbip:... (an emulated board)")
+
+
+@dataclass
+class Bench:
+    """The board under test."""
+
+    where: str
+    link: SimLink | None
+    process: DesktopBoard | None = None
+
+    def open(self) -> Board:
+        return open_board(self.where)
+
+    def address(self) -> str:
+        """HOST:PORT of its USB/IP server."""
+        if not self.where.startswith("usbip:"):
+            pytest.skip("needs a board on USB/IP")
+        return self.where.removeprefix("usbip:")
+
+    @property
+    def sim(self) -> SimLink:
+        if self.link is None:
+            pytest.skip("needs a simulated board: no sim link here")
+        return self.link
+
+    def run(self, seconds: float) -> None:
+        """Lets board time pass."""
+        if self.link is None:
+            import time
+
+            time.sleep(seconds)
+            return
+        for _ in range(max(round(seconds / 0.02), 1)):
+            self.link.ask("advance 20000")
+
+    def until(self, board: Board, axis: int, mode: str, seconds: float = 5.0) -> wire.Message:
+        """Runs until the axis is in `mode`."""
+        for _ in range(round(seconds / 0.02)):
+            status = board.status(axis)
+            if status.mode == wire.code("MODES", mode):
+                return status
+            self.run(0.02)
+        raise AssertionError(f"axis {axis} is {wire.text('MODES', status.mode)}, not {mode}: {status}")
+
+
+@contextmanager
+def bench_of(request: pytest.FixtureRequest, axes: int = 2, flash: Path | None = None) -> Iterator[Bench]:
+    where = request.config.getoption("--board")
+    if where == "desktop":
+        with DesktopBoard(axes=axes, flash=flash, serial="TEST-1") as desktop:
+            link = desktop.link()
+            yield Bench(desktop.where, link, desktop)
+            link.close()
+        return
+    if not find(where):
+        pytest.skip(f"no board {where}")
+    port = request.config.getoption("--sim")
+    link_there = SimLink(port) if port else None
+    yield Bench(where, link_there)
+    if link_there is not None:
+        link_there.close()
+
+
+@pytest.fixture
+def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
+    with bench_of(request) as bench:
+        yield bench
+
+
+@pytest.fixture
+def board(bench: Bench) -> Iterator[Board]:
+    with bench.open() as board:
+        yield board

@@ -1,0 +1,149 @@
+"""Finding, opening and asking a board; and what it does with messages that are none."""
+
+from __future__ import annotations
+
+import errno
+
+import numpy as np
+import pytest
+import usb.core
+import usb.util
+from conftest import Bench
+
+from tautline import wire
+from tautline.board import Board, BoardGone, BoardRefused, Found, check_protocol, find, open_board
+from tautline.errors import TautError
+
+
+def test_it_is_found_named_and_left_alone(bench: Bench) -> None:
+    (found,) = find(bench.where)
+    assert found.serial and not found.busy
+    assert found.protocol == (wire.wire.MAJOR, wire.wire.MINOR)
+    with bench.open() as board:
+        identity = board.identity
+        assert identity.serial == found.serial
+        assert 1 <= identity.axes <= wire.wire.AXES_MAX
+        assert 1000 <= identity.control_hz <= 10000
+        (busy,) = find(bench.where)
+        assert busy.busy
+        assert board.status(0).fault == 0
+    (free,) = find(bench.where)
+    assert not free.busy
+
+
+def test_another_protocol_generation_is_refused_with_the_command_that_mends_it(bench: Bench) -> None:
+    (found,) = find(bench.where)
+
+    class Other:
+        def __init__(self, major: int) -> None:
+            self.bcdDevice = major << 8
+
+    with pytest.raises(TautError, match="pip install --upgrade tautline"):
+        check_protocol(Found(Other(wire.wire.MAJOR + 1), found.where, None, False))
+    with pytest.raises(TautError, match=r"run '(cmake|cp) "):
+        check_protocol(Found(Other(wire.wire.MAJOR - 1), found.where, None, False))
+
+
+def test_two_hosts(bench: Bench) -> None:
+    with bench.open() as board:
+        with pytest.raises(TautError, match="another program uses the board"):
+            bench.open()
+        assert board.sync() >= 0
+    with bench.open() as board:
+        assert board.sync() >= 0
+
+
+def test_the_clock_is_aligned_with_a_known_error(board: Board, bench: Bench) -> None:
+    before = board.sync()
+    bench.run(0.1)
+    assert 0.08e6 < board.sync() - before < 2e6
+    assert board.align(8) < 0.02
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_garbage_loses_nothing_that_is_whole(board: Board, seed: int) -> None:
+    """Random bytes, cut frames, frames of other versions between good requests: each good one is answered."""
+    rng = np.random.default_rng(seed)
+    whole = wire.encode("ping", 7, host_us=1)
+    for _ in range(30):
+        kind = rng.integers(6)
+        if kind == 0:
+            junk = rng.integers(0, 256, rng.integers(1, 700), dtype=np.uint8).tobytes()
+        elif kind == 1:
+            junk = whole[: rng.integers(1, len(whole))]
+        elif kind == 2:
+            flipped = bytearray(whole)
+            flipped[rng.integers(len(whole))] ^= 1 << rng.integers(8)
+            junk = bytes(flipped)
+        elif kind == 3:
+            junk = whole[:2] * int(rng.integers(1, 200))  # magic numbers that lead nowhere
+        elif kind == 4:
+            junk = whole[:8]  # a header whose payload never comes
+        else:
+            junk = b""
+        if junk:
+            board._device.write(0x01, junk, timeout=1000)
+        # What begins like a frame may swallow what follows, up to one frame's length; then all is well again.
+        for _ in range(10):
+            board.tell("marker", valid=0)
+        assert board.ask("ping", host_us=99).host_us == 99
+    assert board.status(0).fault == 0
+
+
+def test_unknown_short_and_refused_requests_are_named(board: Board) -> None:
+    with pytest.raises(BoardRefused) as refused:
+        board.ask("get_status", axis=9)
+    assert refused.value.reason == "AXIS"
+    with pytest.raises(BoardRefused) as refused:
+        board.ask("move", axis=0, q=0.0, speed_s=0.0)
+    assert refused.value.reason == "OFF"
+    with pytest.raises(BoardRefused) as refused:
+        board.ask("reboot", key=1, bootloader=0)
+    assert refused.value.reason == "KEY"
+    board.tell("set_point", axis=0, value=0, at_us=0)
+    board.sync()
+    assert [error.reason for error in board.refused] == ["OFF"] or [e.reason for e in board.refused] == [
+        "NOT_FOLLOWING"
+    ]
+
+
+def test_unplugged_at_any_moment(bench: Bench) -> None:
+    for moment in ("idle", "moving", "reading"):
+        with bench.open() as board:
+            board.ask("clear_fault", axis=wire.wire.ALL_AXES)
+            board.ask("telemetry", axis=0, divider=1)
+            if moment == "moving":
+                board.ask("enable", axis=0, on=1)
+                board.ask("move", axis=0, q=300.0, speed_s=0.0)
+            bench.run(0.05)
+            if moment == "reading":
+                with board.reading():
+                    bench.sim.ask("unplug")
+                    with pytest.raises(BoardGone):
+                        for _ in range(1000):
+                            board.sync()
+            else:
+                bench.sim.ask("unplug")
+                with pytest.raises(BoardGone, match="check plug and power"):
+                    board.sync()
+        with pytest.raises(TautError):
+            open_board(bench.where)
+        bench.run(1.0)
+        bench.sim.ask("plug")
+        with bench.open() as board:
+            assert board.status(0).mode in (wire.code("MODES", "HOLD"), wire.code("MODES", "OFF"))
+            board.ask("enable", axis=0, on=0)
+            bench.until(board, 0, "OFF")
+
+
+def test_a_host_that_leaves_without_a_word(bench: Bench) -> None:
+    """The device handle is dropped in the middle of a transfer: the next host finds the board in order."""
+    (found,) = find(bench.where)
+    found.device.write(0x01, wire.encode("hello", 1, protocol_major=1, protocol_minor=0)[:5])
+    with pytest.raises(usb.core.USBError) as late:
+        found.device.read(0x81, 64, timeout=20)
+    assert late.value.errno == errno.ETIMEDOUT
+    usb.util.dispose_resources(found.device)
+    with bench.open() as board:
+        assert board.sync() >= 0
+        assert board.counters().bytes_bad <= 5

@@ -1,0 +1,128 @@
+"""Moving an axis: limits, following, silence, safe stop. Positions are counts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import Bench
+from test_tables import blob
+
+from tautline import wire
+from tautline.board import Board, BoardRefused
+
+
+def telemetry(board: Board) -> list[wire.Message]:
+    batches: list[wire.Message] = []
+    board.listen("batch", batches.append)
+    board.ask("telemetry", axis=0, divider=1)
+    return batches
+
+
+def column(batches: list[wire.Message], name: str) -> np.ndarray:
+    return np.concatenate([batch.values[name][: batch.count] for batch in batches])
+
+
+def times(batches: list[wire.Message]) -> np.ndarray:
+    return np.concatenate([batch.t_us + batch.period_us * np.arange(batch.count) for batch in batches])
+
+
+def test_a_move_arrives_within_limits(board: Board, bench: Bench) -> None:
+    batches = telemetry(board)
+    arrived: list[wire.Message] = []
+    board.listen("event", arrived.append)
+    limits = dict(board.ask("get_limits", axis=0).values)
+    limits.update(speed_s=2000.0, acceleration_s2=20000.0)
+    board.ask("limits", **limits)
+    board.ask("enable", axis=0, on=1)
+    board.ask("move", axis=0, q=900.0, speed_s=0.0)
+    bench.until(board, 0, "HOLD")
+    bench.run(0.3)
+    status = board.status(0)
+    assert abs(status.q - 900.0) <= 2.0
+    assert [message.event for message in arrived] == [wire.code("EVENTS", "ARRIVED")]
+    t, reference = times(batches) * 1e-6, column(batches, "q_ref")
+    assert np.all(np.diff(t) > 0) and board.missed == 0
+    speed = np.diff(reference) / np.diff(t)
+    assert np.abs(speed).max() <= 2000.0 * 1.01
+    assert board.counters().telemetry_dropped == 0
+    board.ask("enable", axis=0, on=0)
+    bench.until(board, 0, "OFF")
+
+
+def test_telemetry_comes_at_1_khz_with_device_time(board: Board, bench: Bench) -> None:
+    batches = telemetry(board)
+    bench.run(1.0)
+    board.sync()
+    t = times(batches)
+    assert len(t) >= 900
+    assert np.all(np.diff(t) == 1000)
+
+
+def test_a_silent_sender_brings_the_axis_to_rest(board: Board, bench: Bench) -> None:
+    events: list[wire.Message] = []
+    board.listen("event", events.append)
+    board.ask("enable", axis=0, on=1)
+    board.ask("follow", axis=0, target=0, silence_us=60_000)
+    start = board.status(0).q
+    for i in range(20):
+        board.tell("set_point", axis=0, value=round((start + 10.0 * i) * 256), at_us=0)
+        bench.run(0.02)
+    assert board.status(0).mode == wire.code("MODES", "FOLLOW_MOTOR")
+    moving = board.status(0).q
+    assert moving > start + 100.0
+    bench.run(0.5)
+    status = board.status(0)
+    assert status.flags & wire.code("FLAGS", "AT_REST")
+    assert wire.code("EVENTS", "SILENT") in [event.event for event in events]
+    assert board.counters().silences == 1
+    board.ask("enable", axis=0, on=0)
+    bench.until(board, 0, "OFF")
+
+
+def test_safe_stop_from_motion_and_clearing(board: Board, bench: Bench) -> None:
+    board.ask("enable", axis=0, on=1)
+    board.ask("move", axis=0, q=2000.0, speed_s=500.0)
+    bench.run(0.5)
+    board.ask("safe_stop", axis=wire.wire.ALL_AXES)
+    bench.run(0.1)
+    status = board.status(0)
+    assert status.mode == wire.code("MODES", "OFF") and status.fault == wire.code("FAULTS", "STOPPED")
+    with pytest.raises(BoardRefused) as refused:
+        board.ask("enable", axis=0, on=1)
+    assert refused.value.reason == "FAULT"
+    board.ask("clear_fault", axis=0)
+    board.ask("enable", axis=0, on=1)
+    board.ask("enable", axis=0, on=0)
+    bench.until(board, 0, "OFF")
+
+
+def test_enabling_disabling_and_new_tables_never_make_the_axis_jump(board: Board, bench: Bench) -> None:
+    batches = telemetry(board)
+    start = board.status(0).q
+    for scale in (1.0, 0.5):
+        board.load_table(0, blob(0, scale))
+        for target in (0, 1):
+            board.ask("enable", axis=0, on=1)
+            bench.run(0.1)
+            board.ask("follow", axis=0, target=target, silence_us=0)
+            bench.run(0.1)
+            board.ask("enable", axis=0, on=0)
+            bench.until(board, 0, "OFF")
+    board.sync()
+    assert np.abs(column(batches, "q") - start).max() <= 2.0
+
+
+def test_position_limits_hold_the_axis(board: Board, bench: Bench) -> None:
+    limits = dict(board.ask("get_limits", axis=0).values)
+    limits.update(q_low=-400.0, q_high=400.0)
+    board.ask("limits", **limits)
+    assert board.ask("get_limits", axis=0).q_high == 400.0
+    board.ask("enable", axis=0, on=1)
+    try:
+        board.ask("move", axis=0, q=3000.0, speed_s=0.0)
+    except BoardRefused as refused:
+        assert refused.reason == "RANGE"
+    bench.run(2.0)
+    assert board.status(0).q <= 402.0
+    board.ask("enable", axis=0, on=0)
+    bench.until(board, 0, "OFF")

@@ -1,0 +1,114 @@
+"""Unmodified libusb, PyUSB, lsusb and dfu-util drive the board, through a mocked /dev/bus/usb (umockdev_bridge.py)."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import Bench
+from test_tables import blob
+
+from tautline import wire
+
+HERE = Path(__file__).parent
+SYSTEM_PYTHON = "/usr/bin/python3"
+
+
+def on_the_bus(bench: Bench, *command: str, check: bool = True) -> subprocess.CompletedProcess[str]:
+    """Runs a program that sees the board as a USB device."""
+    for tool in ("umockdev-wrapper", command[0]):
+        if shutil.which(tool) is None:
+            pytest.skip(f"{tool} is not installed: run 'tools/setup system'")
+    bridge = ["umockdev-wrapper", SYSTEM_PYTHON, str(HERE / "umockdev_bridge.py"), bench.address(), "--", *command]
+    done = subprocess.run(bridge, capture_output=True, text=True, timeout=60)
+    print(done.stdout + done.stderr)
+    if check:
+        assert done.returncode == 0, done.stdout + done.stderr
+    return done
+
+
+def test_lsusb_reads_the_descriptors(bench: Bench) -> None:
+    text = on_the_bus(bench, "lsusb", "-v").stdout
+    assert f"ID {wire.wire.USB_VENDOR:04x}:{wire.wire.USB_PRODUCT:04x}" in text
+    assert "bcdUSB               2.10" in text
+    assert "Device Firmware Update" in text
+    assert text.count("bAlternateSetting") >= 3
+    assert "EP 1 OUT" in text and "EP 1 IN" in text
+
+
+def test_dfu_util_lists_loads_and_reads_tables(bench: Bench, tmp_path: Path) -> None:
+    listed = on_the_bus(bench, "dfu-util", "-l").stdout
+    assert listed.count("Found DFU") >= 1 and 'name="axis 0 table"' in listed
+    with bench.open() as board:
+        serial = board.identity.serial
+        board.load_table(0, blob(0, 0.3))
+    assert f'serial="{serial}"' in listed
+
+    (tmp_path / "table.bin").write_bytes(blob())
+    on_the_bus(bench, "dfu-util", "-a", "0", "-D", str(tmp_path / "table.bin"))
+    on_the_bus(bench, "dfu-util", "-a", "0", "-U", str(tmp_path / "back.bin"))
+    assert (tmp_path / "back.bin").read_bytes() == blob()
+    with bench.open() as board:
+        assert board.read_table(0) == blob()  # the same through our own client
+
+    bad = bytearray(blob(0, 0.6))
+    bad[300] ^= 1
+    (tmp_path / "bad.bin").write_bytes(bytes(bad))
+    refused = on_the_bus(bench, "dfu-util", "-a", "0", "-D", str(tmp_path / "bad.bin"), check=False)
+    assert "dfuERROR, status(2)" in refused.stdout + refused.stderr  # errFILE; dfu-util's exit status is 0 all the same
+    with bench.open() as board:
+        assert board.read_table(0) == blob()
+
+
+@pytest.mark.parametrize("library", ["system", "package"])
+def test_our_host_code_on_libusb_is_our_host_code_on_usbip(bench: Bench, library: str) -> None:
+    """The same calls on both buses, with the system's libusb and with the one that comes as a Python package."""
+    script = f"""
+import usb.backend.libusb1
+import libusb_package
+if {library!r} == "system":
+    libusb_package.get_libusb1_backend = usb.backend.libusb1.get_backend
+from tautline.board import find, open_board, BoardRefused
+(found,) = find()
+assert found.where.startswith("usb:") and not found.busy, found
+with open_board() as board, board.reading():
+    board.load_table(0, bytes.fromhex({blob().hex()!r}))
+    try:
+        board.ask("get_status", axis=9)
+    except BoardRefused as refused:
+        print("refused", refused.reason)
+    for _ in range(50):
+        board.sync()
+    print("serial", board.identity.serial, "table", board.status(0).table)
+"""
+    environment = {key: value for key, value in os.environ.items() if key != "TAUTLINE_BOARD"}
+    assert environment
+    done = on_the_bus(bench, sys.executable, "-c", script)
+    assert "refused AXIS" in done.stdout
+    with bench.open() as board:
+        assert f"serial {board.identity.serial}" in done.stdout
+        assert board.read_table(0) == blob()
+
+
+def test_the_device_is_lost_under_libusb(bench: Bench) -> None:
+    """A pulled plug is BoardGone, as on USB/IP."""
+    port = bench.process.ports["sim"] if bench.process else pytest.skip("needs a simulated board")
+    script = f"""
+from tautline.board import open_board, BoardGone
+from tautline.simlink import SimLink
+with open_board() as board:
+    board.sync()
+    link = SimLink({port})
+    link.ask("unplug")
+    try:
+        for _ in range(100):
+            board.sync()
+    except BoardGone as gone:
+        print("gone:", gone)
+    link.ask("plug")
+"""
+    assert "gone:" in on_the_bus(bench, sys.executable, "-c", script).stdout
