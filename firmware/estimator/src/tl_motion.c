@@ -82,10 +82,14 @@ static void end_leg(tl_motion_t *m) {
     }
 }
 
+static int64_t left_to_target(const tl_motion_t *m) {
+    return m->direction > 0 ? m->target - m->position : m->position - m->target;
+}
+
 /// Takes `speed` for this tick if that leaves room to brake: to rest at the target, and to measuring speed before the
 /// approach.
 static bool take_speed(tl_motion_t *m, int64_t speed, uint32_t steps) {
-    const int64_t left = m->direction > 0 ? m->target - m->position : m->position - m->target;
+    const int64_t left = left_to_target(m);
     const int64_t needed = speed + braking_distance(m->acceleration, steps);
     if (needed > left) {
         return false;
@@ -109,21 +113,22 @@ static bool speed_up(tl_motion_t *m, int64_t cap) {
 
 static void choose_speed(tl_motion_t *m) {
     const int64_t measuring = m->measuring[m->pass / 2U];
-    if ((m->phase != MEASURING && speed_up(m, m->transit)) || speed_up(m, measuring) ||
-        (m->speed > 0 && take_speed(m, m->speed, m->steps))) {
-        return;
-    }
-    if (m->speed > measuring && m->speed - m->acceleration < measuring &&
-        take_speed(m, measuring, m->measuring_steps[m->pass / 2U])) {
-        return;
-    }
-    if (m->steps > 1) {
-        m->speed -= m->acceleration;
-        m->steps--;
-    } else { // less than one step of speed and of way is left: lands on the target
-        m->speed = m->direction > 0 ? m->target - m->position : m->position - m->target;
+    const int64_t cap = m->phase == MEASURING ? measuring : m->transit;
+    const int64_t left = left_to_target(m);
+    if (m->steps < 2 && left <= smaller(m->acceleration, measuring)) {
+        m->speed = left; // lands on the target
         m->steps = 1;
+        return;
     }
+    // As fast as may be; else as fast as costs no longer braking; else as before; else to measuring speed; else slower.
+    if (speed_up(m, cap) || speed_up(m, measuring) || speed_up(m, smaller(m->acceleration * m->steps, cap)) ||
+        (m->speed > 0 && take_speed(m, m->speed, m->steps)) ||
+        (m->speed > measuring && m->speed - m->acceleration < measuring &&
+         take_speed(m, measuring, m->measuring_steps[m->pass / 2U]))) {
+        return;
+    }
+    m->speed = larger(m->speed - m->acceleration, 0);
+    m->steps = m->steps > 0 ? m->steps - 1U : 0;
 }
 
 static void brake(tl_motion_t *m) {
