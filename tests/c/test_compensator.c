@@ -1,0 +1,257 @@
+// The inverse with take-up: B = 300 counts, f = 12 deg/mm, 10000 counts/s and 100000 counts/s^2 at 1 kHz.
+#include "table_fixture.h"
+#include "tautline/tl_compensator.h"
+#include "tautline/tl_play.h"
+
+#include <unity.h>
+
+#define COUNTS(x) ((tl_count_q8_t)((x) * TL_COUNT_ONE))
+#define RATE      1000U
+
+static tl_lookup_t rising, falling, identity, narrow;
+static tl_compensator_t k;
+
+static void load(tl_lookup_t *lookup, const tl_table_t *table) {
+    TEST_ASSERT_EQUAL_INT(TL_TABLE_OK, tl_lookup_derive(lookup, table, 0));
+}
+
+void setUp(void) {
+    tl_table_t table = table_fixture(1);
+    load(&rising, &table);
+    for (unsigned i = 0; i < table.nodes; i++) {
+        table.width[i] = COUNTS(100);
+    }
+    table.q_min = COUNTS(-1000);
+    table.q_max = COUNTS(1000);
+    table.coarse_c_min = -12 * TL_DEG_ONE;
+    table.coarse_c_max = 12 * TL_DEG_ONE;
+    load(&narrow, &table);
+    table = table_fixture(-1);
+    load(&falling, &table);
+    table = table_fixture(1);
+    table.nodes = 0;
+    table.q0 = 0;
+    table.step_log2 = 0;
+    load(&identity, &table);
+}
+void tearDown(void) {}
+
+static tl_deg_q16_t angle(const tl_lookup_t *lookup, tl_count_q8_t p) {
+    uint32_t flags = 0;
+    return tl_lookup_angle(lookup, p, &flags);
+}
+
+static tl_count_q8_t hold(tl_deg_q16_t c, int ticks) {
+    for (int i = 0; i < ticks; i++) {
+        (void)tl_compensator_step(&k, c);
+    }
+    return k.q;
+}
+
+static void start(const tl_lookup_t *lookup, tl_mode_t mode, tl_count_q8_t p) {
+    tl_compensator_start(&k, lookup, RATE, mode, p, angle(lookup, p));
+}
+
+static void test_each_side_is_half_the_width_away(void) {
+    start(&rising, TL_MODE_FULL, 0);
+    TEST_ASSERT_INT32_WITHIN(2, 0, hold(angle(&rising, 0), 10));
+    TEST_ASSERT_EQUAL_HEX32(TL_COMPENSATOR_NO_SIDE, k.flags);
+    TEST_ASSERT_INT32_WITHIN(4, COUNTS(100 + 150), hold(angle(&rising, COUNTS(100)), 400));
+    TEST_ASSERT_EQUAL_HEX32(0, k.flags);
+    TEST_ASSERT_INT32_WITHIN(4, COUNTS(50 - 150), hold(angle(&rising, COUNTS(50)), 400));
+    TEST_ASSERT_INT32_WITHIN(4, COUNTS(50 - 150), hold(angle(&rising, COUNTS(50)), 400)); // at rest: unchanged
+}
+
+// Rising and falling are those of p: with a falling f a smaller c is a larger p.
+static void test_the_side_follows_p_where_f_falls(void) {
+    start(&falling, TL_MODE_FULL, 0);
+    TEST_ASSERT_TRUE(angle(&falling, COUNTS(100)) < angle(&falling, 0));
+    TEST_ASSERT_INT32_WITHIN(4, COUNTS(100 + 150), hold(angle(&falling, COUNTS(100)), 400));
+    TEST_ASSERT_INT32_WITHIN(4, COUNTS(50 - 150), hold(angle(&falling, COUNTS(50)), 400));
+}
+
+static void test_the_tip_is_where_it_was_sent_after_every_reversal(void) {
+    tl_play_t play;
+    start(&rising, TL_MODE_FULL, 0);
+    tl_play_start(&play, &rising, 0);
+    static const int goals[] = {500, 490, 510, -2000, -1990, 3000, 0, 4000, -4800, 4800};
+    for (size_t i = 0; i < sizeof goals / sizeof goals[0]; i++) {
+        const tl_deg_q16_t c = angle(&rising, COUNTS(goals[i]));
+        for (int tick = 0; tick < 1000; tick++) {
+            (void)tl_play_step(&play, tl_compensator_step(&k, c));
+        }
+        TEST_ASSERT_INT32_WITHIN(COUNTS(2), COUNTS(goals[i]), play.p);
+        TEST_ASSERT_INT32_WITHIN(TL_DEG_ONE / 40, c, tl_play_angle(&play));
+    }
+}
+
+static void test_the_take_up_keeps_its_limits_and_does_not_overshoot(void) {
+    const int32_t speed = COUNTS(10), accel = COUNTS(100000) / 1000000; // per tick, per tick^2
+    start(&rising, TL_MODE_FULL, 0);
+    (void)hold(angle(&rising, COUNTS(1000)), 500);
+    const tl_deg_q16_t c = angle(&rising, COUNTS(990));
+    int32_t q = k.q, moved = 0, fastest = 0;
+    for (int tick = 0; tick < 500; tick++) {
+        const int32_t next = tl_compensator_step(&k, c);
+        const int32_t now = next - q - (tick == 0 ? k.p - COUNTS(1000) : 0); // the feed of the first tick apart
+        TEST_ASSERT_INT32_WITHIN(accel + 2, moved, now);
+        TEST_ASSERT_INT32_WITHIN(speed + 1, 0, now);
+        TEST_ASSERT_TRUE(now <= 1);
+        fastest = now < fastest ? now : fastest;
+        moved = now;
+        q = next;
+    }
+    TEST_ASSERT_INT32_WITHIN(4, COUNTS(990 - 150), q);
+    TEST_ASSERT_TRUE(fastest < -COUNTS(5)); // 300 counts at 0.1 count/tick^2 reach 5.5 counts/tick
+    TEST_ASSERT_EQUAL_INT32(0, tl_compensator_rest(&k));
+}
+
+static void test_turning_back_half_way_brakes_first(void) {
+    const int32_t accel = COUNTS(100000) / 1000000;
+    start(&rising, TL_MODE_FULL, 0);
+    (void)hold(angle(&rising, COUNTS(1000)), 500);
+    int32_t q = hold(angle(&rising, COUNTS(990)), 40), moved = 0;
+    TEST_ASSERT_TRUE(k.flags & TL_COMPENSATOR_TAKE_UP);
+    const tl_deg_q16_t c = angle(&rising, COUNTS(1000));
+    const int32_t p = k.p;
+    for (int tick = 0; tick < 500; tick++) {
+        const int32_t next = tl_compensator_step(&k, c);
+        const int32_t now = next - q - (tick == 0 ? k.p - p : 0);
+        if (tick > 0) {
+            TEST_ASSERT_INT32_WITHIN(accel + 2, moved, now);
+        }
+        moved = now;
+        q = next;
+    }
+    TEST_ASSERT_INT32_WITHIN(4, COUNTS(1000 + 150), q);
+}
+
+static void test_jitter_within_the_band_never_crosses(void) {
+    start(&rising, TL_MODE_FULL, 0);
+    (void)hold(angle(&rising, COUNTS(1000)), 500);
+    uint32_t seed = 3;
+    for (int tick = 0; tick < 5000; tick++) {
+        seed = seed * 1664525U + 1013904223U;
+        const int32_t jitter = (int32_t)(seed >> 16) % COUNTS(2); // less than the band of 2 counts
+        (void)tl_compensator_step(&k, angle(&rising, COUNTS(998) + 8 + jitter));
+        TEST_ASSERT_EQUAL_INT(1, k.side);
+        TEST_ASSERT_EQUAL_HEX32(0, k.flags);
+    }
+    (void)tl_compensator_step(&k, angle(&rising, COUNTS(990)));
+    TEST_ASSERT_EQUAL_INT(-1, k.side);
+}
+
+// Whatever is switched, the output does not move by it; afterwards it arrives where the new settings say.
+static void test_nothing_that_is_switched_makes_the_axis_jump(void) {
+    const int32_t most = COUNTS(100000) / 1000000 + 1; // a take-up's first tick
+    start(&rising, TL_MODE_FULL, COUNTS(-400));
+    const tl_deg_q16_t c = angle(&rising, COUNTS(500));
+    int32_t q = hold(c, 600);
+#define SWITCH(action, goal)                                                                                 \
+    action;                                                                                                  \
+    TEST_ASSERT_EQUAL_INT32(q, k.q);                                                                         \
+    TEST_ASSERT_INT32_WITHIN(most, q, tl_compensator_step(&k, c));                                           \
+    q = hold(c, 1000);                                                                                       \
+    TEST_ASSERT_INT32_WITHIN(COUNTS(1), COUNTS(goal), q);                                                    \
+    TEST_ASSERT_EQUAL_INT32(0, tl_compensator_rest(&k))
+
+    SWITCH(tl_compensator_set_strength(&k, TL_RATIO_ONE / 2), 500 + 75);
+    SWITCH(tl_compensator_set_strength(&k, 0), 500);
+    SWITCH(tl_compensator_set_strength(&k, INT32_MAX), 500 + 150);
+    SWITCH(tl_compensator_set_strength(&k, INT32_MIN), 500);
+    SWITCH(tl_compensator_set_strength(&k, TL_RATIO_ONE), 500 + 150);
+    SWITCH(tl_compensator_set_mode(&k, TL_MODE_OFF), 500);
+    SWITCH(tl_compensator_set_mode(&k, TL_MODE_BACKLASH), 500 + 150);
+    SWITCH(tl_compensator_set_table(&k, &narrow), 500 + 50);
+    SWITCH(tl_compensator_set_table(&k, &identity), 500);
+    SWITCH(tl_compensator_set_table(&k, &rising), 500 + 150);
+    SWITCH(tl_compensator_set_mode(&k, TL_MODE_FULL), 500 + 150);
+    SWITCH(tl_compensator_start(&k, &rising, RATE, TL_MODE_FULL, q, c), 500); // the side is forgotten
+}
+
+static void test_switching_on_far_from_the_command_travels_within_limits(void) {
+    tl_compensator_start(&k, &rising, RATE, TL_MODE_FULL, COUNTS(-3000), angle(&rising, COUNTS(3000)));
+    int32_t q = COUNTS(-3000), ticks = 0;
+    while (q < COUNTS(2999) && ticks < 2000) {
+        const int32_t next = tl_compensator_step(&k, angle(&rising, COUNTS(3000)));
+        TEST_ASSERT_TRUE(next >= q && next - q <= COUNTS(10) + 1);
+        q = next;
+        ticks++;
+    }
+    TEST_ASSERT_INT32_WITHIN(5, 6000 / 10 + 100, ticks);
+}
+
+static void test_commands_beyond_the_table_saturate_and_say_so(void) {
+    start(&rising, TL_MODE_FULL, 0);
+    TEST_ASSERT_EQUAL_INT32(COUNTS(5000), hold(INT32_MAX, 2000));
+    TEST_ASSERT_TRUE(k.flags & TL_COMPENSATOR_ABOVE);
+    TEST_ASSERT_TRUE(k.flags & TL_COMPENSATOR_CLIPPED); // p* + B/2 would be outside
+    TEST_ASSERT_EQUAL_INT32(COUNTS(-5000), hold(INT32_MIN, 2000));
+    TEST_ASSERT_TRUE(k.flags & TL_COMPENSATOR_BELOW);
+    (void)hold(0, 2000);
+    TEST_ASSERT_EQUAL_HEX32(0, k.flags);
+    start(&falling, TL_MODE_FULL, 0);
+    TEST_ASSERT_EQUAL_INT32(COUNTS(-5000), hold(INT32_MAX, 2000));
+    TEST_ASSERT_TRUE(k.flags & TL_COMPENSATOR_BELOW);
+}
+
+static void test_an_axis_outside_its_range_is_only_led_inwards(void) {
+    tl_compensator_start(&k, &narrow, RATE, TL_MODE_FULL, COUNTS(1500), INT32_MAX);
+    int32_t q = k.q;
+    for (int tick = 0; tick < 500; tick++) {
+        const int32_t next = tl_compensator_step(&k, INT32_MAX);
+        TEST_ASSERT_TRUE(next <= q && next >= COUNTS(1000));
+        q = next;
+    }
+    TEST_ASSERT_EQUAL_INT32(COUNTS(1000), q);
+}
+
+static void test_the_feed_is_held_back_by_the_speed_limit_alone(void) {
+    start(&rising, TL_MODE_FULL, 0);
+    (void)hold(angle(&rising, COUNTS(100)), 500);
+    int32_t q = k.q;
+    for (int tick = 0; tick < 195; tick++) { // 20 counts a tick
+        const int32_t next = tl_compensator_step(&k, angle(&rising, COUNTS(4000)));
+        TEST_ASSERT_INT32_WITHIN(2, COUNTS(20), next - q);
+        q = next;
+    }
+    TEST_ASSERT_EQUAL_HEX32(0, hold(angle(&rising, COUNTS(4000)), 10) == 0 ? 1 : k.flags);
+}
+
+static void test_extreme_settings_are_safe(void) {
+    tl_table_t table = table_fixture(1);
+    table.takeup_accel = INT32_MAX;
+    table.takeup_speed_q8 = table.speed_max_q8 = TL_TABLE_VALUE_MAX;
+    static const uint32_t rates[] = {0, 1, 16, 1000, 10000, 100000, UINT32_MAX};
+    for (size_t i = 0; i < sizeof rates / sizeof rates[0]; i++) {
+        for (int slow = 0; slow < 2; slow++) {
+            table.takeup_accel = slow ? 1 : INT32_MAX;
+            load(&rising, &table);
+            tl_compensator_start(&k, &rising, rates[i], TL_MODE_FULL, INT32_MIN, INT32_MAX);
+            for (int tick = 0; tick < 2000; tick++) {
+                const tl_deg_q16_t c = tick % 3 == 0 ? INT32_MIN : (tick % 3 == 1 ? INT32_MAX : 0);
+                (void)tl_compensator_step(&k, c);
+                tl_compensator_set_strength(&k, tick * 37);
+                tl_compensator_set_mode(&k, (tl_mode_t)(tick % 3));
+                tl_compensator_set_table(&k, tick % 5 == 0 ? &falling : &rising);
+            }
+        }
+    }
+}
+
+int main(void) {
+    UNITY_BEGIN();
+    RUN_TEST(test_each_side_is_half_the_width_away);
+    RUN_TEST(test_the_side_follows_p_where_f_falls);
+    RUN_TEST(test_the_tip_is_where_it_was_sent_after_every_reversal);
+    RUN_TEST(test_the_take_up_keeps_its_limits_and_does_not_overshoot);
+    RUN_TEST(test_turning_back_half_way_brakes_first);
+    RUN_TEST(test_jitter_within_the_band_never_crosses);
+    RUN_TEST(test_nothing_that_is_switched_makes_the_axis_jump);
+    RUN_TEST(test_switching_on_far_from_the_command_travels_within_limits);
+    RUN_TEST(test_commands_beyond_the_table_saturate_and_say_so);
+    RUN_TEST(test_an_axis_outside_its_range_is_only_led_inwards);
+    RUN_TEST(test_the_feed_is_held_back_by_the_speed_limit_alone);
+    RUN_TEST(test_extreme_settings_are_safe);
+    return UNITY_END();
+}

@@ -1,0 +1,91 @@
+// The play operator: B = 300 counts around p, f = 12 deg/mm.
+#include "table_fixture.h"
+#include "tautline/tl_play.h"
+
+#include <unity.h>
+
+static tl_lookup_t lookup;
+static tl_play_t play;
+
+void setUp(void) {
+    const tl_table_t table = table_fixture(1);
+    TEST_ASSERT_EQUAL_INT(TL_TABLE_OK, tl_lookup_derive(&lookup, &table, 0));
+    tl_play_start(&play, &lookup, 0);
+}
+void tearDown(void) {}
+
+#define COUNTS(x) ((x) * TL_COUNT_ONE)
+
+static void test_inside_the_backlash_nothing_moves(void) {
+    for (int32_t q = COUNTS(-150); q <= COUNTS(150); q += 100) {
+        TEST_ASSERT_EQUAL_INT32(0, tl_play_step(&play, q));
+    }
+    TEST_ASSERT_INT32_WITHIN(2, -TL_DEG_ONE * 60 + 5000 * 50332 / 64, tl_play_angle(&play));
+}
+
+static void test_a_loop_shows_the_whole_width(void) {
+    TEST_ASSERT_INT32_WITHIN(1, COUNTS(850), tl_play_step(&play, COUNTS(1000)));
+    TEST_ASSERT_INT32_WITHIN(1, COUNTS(850), tl_play_step(&play, COUNTS(701)));
+    TEST_ASSERT_INT32_WITHIN(1, COUNTS(849), tl_play_step(&play, COUNTS(699)));
+    TEST_ASSERT_INT32_WITHIN(1, COUNTS(-850), tl_play_step(&play, COUNTS(-1000)));
+    TEST_ASSERT_INT32_WITHIN(1, COUNTS(-850), tl_play_step(&play, COUNTS(-701)));
+    TEST_ASSERT_INT32_WITHIN(1, COUNTS(-849), tl_play_step(&play, COUNTS(-699)));
+}
+
+static void test_rest_is_rest(void) {
+    const int32_t p = tl_play_step(&play, COUNTS(1234) + 17);
+    for (int i = 0; i < 1000; i++) {
+        TEST_ASSERT_EQUAL_INT32(p, tl_play_step(&play, COUNTS(1234) + 17));
+    }
+}
+
+// One step or many along a stroke: the same place.
+static void test_only_the_turning_points_matter(void) {
+    tl_play_t fine = play;
+    static const int32_t turns[] = {0, 1000, -800, 790, -1, 4000, -4000, 3333};
+    for (size_t i = 1; i < sizeof turns / sizeof turns[0]; i++) {
+        const int32_t from = COUNTS(turns[i - 1]), to = COUNTS(turns[i]);
+        for (int k = 1; k <= 100; k++) {
+            (void)tl_play_step(&fine, from + (to - from) / 100 * k + (k == 100 ? (to - from) % 100 : 0));
+        }
+        TEST_ASSERT_INT32_WITHIN(1, tl_play_step(&play, to), fine.p);
+    }
+}
+
+static void test_beyond_the_grid_it_is_flagged_and_saturates(void) {
+    (void)tl_play_step(&play, INT32_MAX);
+    TEST_ASSERT_EQUAL_HEX32(TL_LOOKUP_ABOVE, play.flags);
+    TEST_ASSERT_EQUAL_INT32(TL_TABLE_VALUE_MAX - COUNTS(150), play.p);
+    (void)tl_play_step(&play, INT32_MIN);
+    TEST_ASSERT_TRUE(play.flags & TL_LOOKUP_BELOW);
+    TEST_ASSERT_EQUAL_INT32(-TL_TABLE_VALUE_MAX + COUNTS(150), play.p);
+    TEST_ASSERT_EQUAL_INT32(lookup.table.angle[0], tl_play_angle(&play));
+    (void)tl_play_step(&play, 0);
+    TEST_ASSERT_EQUAL_HEX32(TL_LOOKUP_BELOW, play.flags); // where it was before this step
+    (void)tl_play_step(&play, 0);
+    TEST_ASSERT_EQUAL_HEX32(0, play.flags);
+    tl_play_start(&play, &lookup, INT32_MIN);
+    (void)tl_play_step(&play, INT32_MAX);
+    TEST_ASSERT_EQUAL_INT32(TL_TABLE_VALUE_MAX - COUNTS(150), play.p);
+}
+
+static void test_without_nodes_the_instrument_follows_the_motor(void) {
+    tl_table_t table = table_fixture(1);
+    table.nodes = 0;
+    table.q0 = 0;
+    table.step_log2 = 0;
+    TEST_ASSERT_EQUAL_INT(TL_TABLE_OK, tl_lookup_derive(&lookup, &table, 0));
+    TEST_ASSERT_EQUAL_INT32(77, tl_play_step(&play, 77));
+    TEST_ASSERT_EQUAL_INT32(-5, tl_play_step(&play, -5));
+}
+
+int main(void) {
+    UNITY_BEGIN();
+    RUN_TEST(test_inside_the_backlash_nothing_moves);
+    RUN_TEST(test_a_loop_shows_the_whole_width);
+    RUN_TEST(test_rest_is_rest);
+    RUN_TEST(test_only_the_turning_points_matter);
+    RUN_TEST(test_beyond_the_grid_it_is_flagged_and_saturates);
+    RUN_TEST(test_without_nodes_the_instrument_follows_the_motor);
+    return UNITY_END();
+}
