@@ -72,7 +72,7 @@ def commands(draw: st.DrawFn, reference: Reference, within: tuple[float, float],
 
 
 @given(st.data(), tables(), st.sampled_from([BACKLASH, FULL, OFF]), st.sampled_from([0.0, 0.25, 0.7, 1.0]))
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 def test_once_taken_up_the_inverse_is_within_two_counts(
     data: st.DataObject, reference: Reference, mode: int, strength: float
 ) -> None:
@@ -91,7 +91,7 @@ def test_once_taken_up_the_inverse_is_within_two_counts(
 
 
 @given(st.data(), tables(steepest=1.99))
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 def test_forward_of_the_inverse_gives_the_command_back(data: st.DataObject, reference: Reference) -> None:
     low, high = reference.q_range
     within = (
@@ -143,7 +143,7 @@ def rides(draw: st.DrawFn) -> list[tuple[str, float]]:
     st.floats(0, 1),
     st.integers(0, 2**32 - 1),
 )
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 def test_no_jump_and_the_take_up_keeps_its_limits_at_every_tick(
     first: Reference, second: Reference, ride: list[tuple[str, float]], rate: int, speed: float, start: float, seed: int
 ) -> None:
@@ -244,7 +244,7 @@ def test_a_slow_feed_is_exact_over_time() -> None:
 
 
 @given(tables(), st.integers(0, 2**32 - 1), st.floats(2, 5))
-@settings(deadline=None, max_examples=80)
+@settings(max_examples=80)
 def test_flat_spans_are_crossed_at_the_flat_speed_and_only_those(reference: Reference, seed: int, speed: float) -> None:
     rate, step = 1000, 1 << reference.fields["step_log2"]
     slopes = np.abs(np.diff(reference.angle)) * 2**20 / step  # deg/count Q28

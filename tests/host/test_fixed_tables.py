@@ -17,7 +17,7 @@ def raw(x: np.ndarray) -> np.ndarray:
 
 
 @given(st.data(), tables())
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 def test_lookups_and_inverses_stay_within_two_counts(data: st.DataObject, reference: Reference) -> None:
     table = _native.FixedTable(reference.blob())
     q = positions(data.draw, reference, 400)
@@ -51,7 +51,7 @@ def angles(draw: st.DrawFn, reference: Reference) -> np.ndarray:
 
 
 @given(st.data(), tables())
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 def test_flags_say_which_end_was_passed(data: st.DataObject, reference: Reference) -> None:
     table = _native.FixedTable(reference.blob())
     q = positions(data.draw, reference, 200)
@@ -69,7 +69,7 @@ def test_flags_say_which_end_was_passed(data: st.DataObject, reference: Referenc
 
 
 @given(st.data(), tables())
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 def test_forward_stays_within_two_counts_over_any_path(data: st.DataObject, reference: Reference) -> None:
     rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
     q = path(rng, reference, 600)
@@ -94,7 +94,7 @@ def path(rng: np.random.Generator, reference: Reference, count: int) -> np.ndarr
 
 
 @given(tables())
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 def test_a_blob_gives_back_what_it_was_made_of(reference: Reference) -> None:
     blob = reference.blob()
     assert _native.table_check(blob)[0] == "OK"
@@ -106,7 +106,7 @@ def test_a_blob_gives_back_what_it_was_made_of(reference: Reference) -> None:
 
 
 @given(tables(), st.data())
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 def test_any_flipped_bit_is_refused(reference: Reference, data: st.DataObject) -> None:
     blob = reference.blob()
     for bit in [*range(96 * 8), *data.draw(st.lists(st.integers(0, len(blob) * 8 - 1), max_size=50))]:
@@ -116,7 +116,7 @@ def test_any_flipped_bit_is_refused(reference: Reference, data: st.DataObject) -
 
 
 @given(tables(), st.integers(0, 2**32 - 1), st.integers(1, 40), st.data())
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 def test_garbage_never_passes_for_a_table(reference: Reference, seed: int, changes: int, data: st.DataObject) -> None:
     """Random bytes, truncated and lengthened blobs; random content behind a right CRC never crashes a look-up."""
     rng = np.random.default_rng(seed)

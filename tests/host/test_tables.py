@@ -30,7 +30,7 @@ def model(low: float = -5.0, high: float = 5.0, resolution: float = 0.001, gain:
     counts=st.floats(200, 2e5),
     bend=st.floats(10, 400).flatmap(lambda b: st.sampled_from([b, -b])),
 )
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 def test_a_table_says_what_the_model_says(low: float, span: float, counts: float, bend: float) -> None:
     low *= span
     gain = bend / span

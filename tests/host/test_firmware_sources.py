@@ -1,0 +1,63 @@
+"""What must not be in the portable C: floats, the heap, recursion."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+ROOMS = ("common", "firmware/estimator", "firmware/app")
+FORBIDDEN = re.compile(r"\b(float|double|malloc|calloc|realloc|free|alloca|setjmp|longjmp|goto)\b")
+NOISE = re.compile(r'//[^\n]*|/\*.*?\*/|"(?:\\.|[^"\\\n])*"|\'(?:\\.|[^\'\\\n])+\'', re.DOTALL)
+DEFINITION = re.compile(
+    r"^(?:static |inline |const |unsigned |struct )*\w[\w ]*?[ *]+(\w+)\([^;{}]*\)\s*\{", re.MULTILINE
+)
+CALL = re.compile(r"(?<![>.\w])(\w+)\s*\(")  # not through a pointer: those lead into a port
+
+
+def sources(room: str) -> Iterator[tuple[Path, str]]:
+    for path in sorted((ROOT / room).rglob("*.[ch]")):
+        yield path, NOISE.sub(" ", path.read_text())
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_no_float_and_no_heap(room: str) -> None:
+    texts = list(sources(room))
+    found = [f"{path.relative_to(ROOT)}: {match[0]}" for path, text in texts for match in FORBIDDEN.finditer(text)]
+    assert not found
+
+
+def body_after(text: str, start: int) -> str:
+    depth = 1
+    for brace in re.finditer(r"[{}]", text[start:]):
+        depth += 1 if brace[0] == "{" else -1
+        if depth == 0:
+            return text[start : start + brace.start()]
+    return text[start:]
+
+
+def test_no_recursion() -> None:
+    calls: dict[tuple[str, str], set[str]] = {}  # (file, or "" where it is not static; name)
+    for room in ROOMS:
+        for path, text in sources(room):
+            for match in DEFINITION.finditer(text):
+                where = str(path) if match[0].startswith("static") else ""
+                calls[where, match[1]] = set(CALL.findall(body_after(text, match.end())))
+    names = {name for _, name in calls}
+    assert {"tl_compensator_step", "advance", "tl_table_decode", "tl_crc32", "tl_clamp"} <= names
+
+    def callees(caller: tuple[str, str]) -> set[tuple[str, str]]:
+        return {key for key in calls if key[1] in calls[caller] and key[0] in (caller[0], "")}
+
+    def reached(caller: tuple[str, str]) -> set[tuple[str, str]]:
+        seen: set[tuple[str, str]] = set()
+        todo = [caller]
+        while todo:
+            todo.extend(new := callees(todo.pop()) - seen)
+            seen |= new
+        return seen
+
+    assert [name for name in calls if name in reached(name)] == []
