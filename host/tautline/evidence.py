@@ -37,10 +37,15 @@ class Evidence:
     error: Array  # (3, n, d) seen minus what each of STAGES says
     settled: Array  # (n,) bool: the tip had been driven through a full backlash both ways
     offset_s: Array  # (recordings,) from each recording's clock to the common one
+    names: Array  # (recordings,) str
 
     @property
     def unit(self) -> str:
         return "px" if self.seen.shape[1] == 2 else "deg"
+
+    def index(self, name: str) -> int:
+        """Which recording has this name; the first where none has."""
+        return int(np.argmax(self.names == name))
 
     def rms(self) -> list[float]:
         """Of each of STAGES, per coordinate, where the tip was settled; NaN where it never was."""
@@ -76,10 +81,11 @@ def collect(model: Model, recordings: Sequence[Recording]) -> Evidence:
         raise TautError("no recording has a marker or an angle: there is nothing to report")
     joined = {}
     for field in fields(Evidence):
-        if field.name != "offset_s":
+        if field.name not in ("offset_s", "names"):
             axis = 1 if field.name == "error" else 0
             joined[field.name] = np.concatenate([getattr(part, field.name) for part in parts], axis=axis)
-    return Evidence(**joined, offset_s=np.array(line.offset_s))
+    names = np.array([recording.name for recording in recordings])
+    return Evidence(**joined, offset_s=np.array(line.offset_s), names=names)
 
 
 def _collect_one(model: Model, recording: Recording, index: int, offset_s: float) -> Evidence:
@@ -123,6 +129,7 @@ def _collect_one(model: Model, recording: Recording, index: int, offset_s: float
         error=np.array([seen - stage for stage in predicted]).reshape(len(STAGES), len(t_s), seen.shape[1]),
         settled=settled(model, motor, t_s),
         offset_s=np.array([offset_s]),
+        names=np.array([recording.name]),
     )
 
 

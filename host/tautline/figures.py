@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from tautline.backlash import paper_knots
 from tautline.evidence import STAGES, Evidence, Run
 from tautline.model import Model
 
@@ -61,18 +62,13 @@ def data_uri(made: Figure) -> str:
 
 def onsets_of(model: Model) -> list[Onset]:
     """The model's reversals in order of time; what could not be measured of them is NaN."""
-    numbers = ("t_s", "turn_s", "direction", "q1", "q2", "width", "sigma")
-    onsets = []
+    numbers = ("t_s", "direction", "q1", "q2", "width", "sigma")
+    onsets: list[Onset] = []
     for given in model.extra.get("onsets", []):
         values = {name: np.nan if given.get(name) is None else float(given[name]) for name in numbers}
-        recording = int(given.get("recording", 0))
-        onsets.append(values | {"recording": recording, "used": given["used"], "reason": str(given.get("reason", ""))})
-    return sorted(onsets, key=lambda onset: (onset["recording"], _when(onset)))
-
-
-def _when(onset: Onset) -> float:
-    """When the tip moved again, or where it did not, when the motor turned."""
-    return float(onset["turn_s"] if np.isnan(onset["t_s"]) else onset["t_s"])
+        words = {name: str(given.get(name, "")) for name in ("recording", "reason", "kind")}
+        onsets.append({**values, **words, "used": bool(given["used"])})
+    return sorted(onsets, key=lambda onset: onset["t_s"])
 
 
 def split_onsets(onsets: Sequence[Onset]) -> tuple[list[Onset], list[Onset]]:
@@ -80,9 +76,10 @@ def split_onsets(onsets: Sequence[Onset]) -> tuple[list[Onset], list[Onset]]:
 
 
 def knots_of(model: Model) -> Array | None:
-    """Where the spline of B has its knots, if the model names them."""
-    knots = model.extra.get("knots")
-    return np.array(knots, dtype=float) if knots else None
+    """Where the paper's spline of B has its knots, if B is that spline."""
+    if model.extra.get("options", {}).get("knots") != "paper":
+        return None
+    return paper_knots(float(model.q[0]), float(model.q[-1]))
 
 
 def q_mean(onset: Onset) -> float:
@@ -208,7 +205,7 @@ def track(evidence: Evidence, onsets: Sequence[Onset]) -> Figure:
         ax.set_ylabel(label)
     for used, colour in ((True, "#2f9e5b"), (False, MODEL)):
         chosen_onsets = [o for o in onsets if o["used"] == used]
-        times = [_when(o) + _offset(evidence, o) for o in chosen_onsets]
+        times = [o["t_s"] + _offset(evidence, o) for o in chosen_onsets]
         for ax, values in ((axes[0, 0], evidence.q), (axes[1, 0], position)):
             ax.plot(
                 times,
@@ -242,7 +239,7 @@ def onsets_closely(model: Model, evidence: Evidence, onsets: Sequence[Onset], co
 def _one_onset(ax: Axes, evidence: Evidence, onset: Onset, unit: str) -> None:
     width = max(onset["width"], 1e-9)
     t2 = onset["t_s"] + _offset(evidence, onset)
-    same = evidence.recording == onset["recording"]
+    same = evidence.recording == evidence.index(onset["recording"])
     path = evidence.path[same] - np.interp(t2, evidence.t_s[same], evidence.path[same]) + width
     near = (path > -0.8 * width) & (path < 1.8 * width)
     path, seen = path[near], evidence.seen[same][near]
@@ -291,18 +288,26 @@ def residuals(evidence: Evidence) -> Figure:
 
 
 @mpl.rc_context(STYLE)
-def cross_check(model: Model, q: Array, width: Array) -> Figure:
-    """B from the onsets beside B from the distance of the two passes."""
+def cross_check(model: Model, pass_width: Array) -> Figure:
+    """The model's B beside that of the two passes' distance, (n,) on model.q with NaN where they say nothing."""
     unit = model.rig.actuator.unit
-    made, axes = figure(5.4, 2.9)
-    ax = axes[0, 0]
-    ax.plot(model.q, model.width, color=MODEL, lw=1.8, label="from the onsets")
-    ax.plot(q, width, ".", ms=3, color=UP, label="from the two passes")
-    finite = width[np.isfinite(width)]
-    top = 1.3 * max(float(model.width.max()), float(np.percentile(finite, 98)) if finite.size else 0.0, 1e-9)
-    ax.set(xlabel=f"q ({unit})", ylabel=f"width ({unit})", ylim=(0, top), xlim=(model.q[0], model.q[-1]))
-    ax.set_title("B measured twice")
-    ax.legend(loc="upper right")
+    made, axes = figure(11, 2.9, 1, 2, width_ratios=[3, 2])
+    left, right = axes[0]
+    left.plot(model.q, model.width, color=MODEL, lw=1.8, label="the model's B")
+    left.plot(model.q, pass_width, color=UP, lw=1.4, ls="--", label="from the two passes alone")
+    widths = np.concatenate([model.width, pass_width[np.isfinite(pass_width)]])
+    left.set(xlabel=f"q ({unit})", ylabel=f"width ({unit})", ylim=(0, 1.3 * float(widths.max()) + 1e-9))
+    left.set_title("B measured twice")
+    left.legend(loc="upper right")
+    right.fill_between(model.q, -2 * model.width_sigma, 2 * model.width_sigma, color=BAND, lw=0, label="± 2 sigma")
+    difference = pass_width - model.width
+    right.plot(model.q, difference, color=UP, lw=1.2)
+    worst = np.nanmax(np.abs(difference)) if np.isfinite(difference).any() else 1.0
+    inside = (model.q >= model.measured[0]) & (model.q <= model.measured[1])
+    band = 3 * float(np.median(model.width_sigma[inside])) if inside.any() else 0.0
+    right.set(xlabel=f"q ({unit})", ylabel=f"difference ({unit})", ylim=np.array([-1.2, 1.2]) * max(worst, band, 1e-9))
+    right.set_title("Passes minus model")
+    right.legend(loc="upper right")
     return made
 
 
@@ -364,5 +369,4 @@ def _colours(count: int) -> list[Any]:
 
 
 def _offset(evidence: Evidence, onset: Onset) -> float:
-    index = onset["recording"]
-    return float(evidence.offset_s[index]) if index < len(evidence.offset_s) else 0.0
+    return float(evidence.offset_s[evidence.index(onset["recording"])])

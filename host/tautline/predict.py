@@ -8,66 +8,79 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from tautline.columns import read_times
+from tautline.errors import TautError
+from tautline.folders import write_file
 from tautline.geometry import project
 from tautline.model import Model
-from tautline.recording import Recording
+from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
 
-_PERIOD_S = 0.04  # of rows where neither frames nor a camera's rate say when
+MOST_ROWS = 10_000_000
+
+
+@dataclass(frozen=True)
+class Times:
+    """When a prediction is asked for. `cells` is how the times are written; `delayed` if they are arrival times of
+    frames, so that the scene is older by the model's delay."""
+
+    cells: list[str]
+    t_s: Array  # (n,)
+    delayed: bool
 
 
 @dataclass(frozen=True)
 class Prediction:
-    t_s: Array  # (n,) as asked for
     c_deg: Array  # (n,)
     image_px: Array | None  # (n, 2); None without a camera
 
-    def save(self, path: str | Path) -> None:
-        """t_s,c_deg,u_px,v_px; the last two are empty without a camera."""
-        image = self.image_px
-        lines = ["t_s,c_deg,u_px,v_px"]
-        for i, (t, c) in enumerate(zip(self.t_s.tolist(), self.c_deg.tolist(), strict=True)):
-            seen = "," if image is None else f"{_text(image[i, 0])},{_text(image[i, 1])}"
-            lines.append(f"{t!r},{c:.6f},{seen}")
-        Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
-
-def _text(value: float) -> str:
-    return f"{value:.4f}" if np.isfinite(value) else ""
-
-
-def row_times(model: Model, recording: Recording) -> tuple[Array, bool]:
-    """Times of a prediction's rows, and whether they are arrival times (delayed): those of marker.csv, else of
-    angle.csv, else one per frame period from motor t[0] + delay on."""
-    rig = model.rig
-    if recording.marker is not None:
-        return recording.marker.t_s, rig.has_camera
-    if recording.angle is not None:
-        return recording.angle.t_s, False
-    period = 1.0 / rig.camera.frame_rate_hz if rig.camera else _PERIOD_S
-    delay = model.delay_s if rig.has_camera else 0.0
-    first, last = recording.motor.t_s[0], recording.motor.t_s[-1]
-    count = int(np.floor((last - first) / period * (1 + 1e-12))) + 1
-    return first + delay + period * np.arange(count), rig.has_camera
-
-
-def predict(
-    model: Model, recording: Recording, times_s: npt.ArrayLike | None = None, start_deg: float | None = None
-) -> Prediction:
-    """One row per time. times_s: instead of the recording's own; arrival times where the model's rig has a camera. The
-    tip starts on the centre line, c = f_remain(q[0]), or at start_deg."""
-    if times_s is None:
-        times, delayed = row_times(model, recording)
-    else:
-        times, delayed = np.asarray(times_s, dtype=float), model.rig.has_camera
-    scene = times - model.delay_s if delayed else times
-    motor = recording.motor
+def predict(model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float | None = None) -> Prediction:
+    """At scene times (n,) on the motor's clock, in any order. The tip starts on the centre line, c = f_remain(q[0]), or
+    at start_deg; q is held before the first and after the last motor sample."""
+    scene = np.asarray(scene_s, dtype=float)
     c = model.simulate(motor, scene, start_deg)
     if not model.rig.has_camera:
-        return Prediction(times, c, None)
+        return Prediction(c, None)
     others = (
         0.0 if values is None else np.interp(scene, motor.t_s, values)
         for values in (motor.translation_mm, motor.rotation_deg)
     )
-    return Prediction(times, c, project(model.rig, c, *others))
+    return Prediction(c, project(model.rig, c, *others))
+
+
+def times_of(model: Model, folder: Path, motor: Motor, file: Path | None = None) -> Times:
+    """`file`'s column t_s; else the recording's: the rows of marker.csv, else of angle.csv, else one per frame period
+    from motor t[0] + delay on (the motor's own times where the model's rig has no camera)."""
+    rig = model.rig
+    for path, delayed in (
+        (file, rig.has_camera),
+        (folder / "marker.csv", rig.has_camera),
+        (folder / "angle.csv", False),
+    ):
+        if path is not None and (path == file or path.exists()):
+            return Times(*read_times(path), delayed)
+    if rig.camera is None:
+        t_s = motor.t_s
+    else:
+        frames = (motor.t_s[-1] - motor.t_s[0]) * rig.camera.frame_rate_hz * (1 + 1e-12)
+        if frames > MOST_ROWS:
+            raise TautError(f"{folder}: lasts for more than {MOST_ROWS} frames: name the times with --times")
+        t_s = motor.t_s[0] + model.delay_s + np.arange(int(frames) + 1) / rig.camera.frame_rate_hz
+    return Times([f"{t:.6f}" for t in t_s], t_s, rig.has_camera)
+
+
+def write_csv(path: Path, times: Times, prediction: Prediction) -> None:
+    """t_s,c_deg,u_px,v_px; t_s as it was written, the last two empty without a camera or where the marker cannot be."""
+    lines = ["t_s,c_deg,u_px,v_px"]
+    image = [("", "")] * len(times.cells)
+    if prediction.image_px is not None:
+        image = [(_text(u), _text(v)) for u, v in prediction.image_px.tolist()]
+    for cell, c, (u, v) in zip(times.cells, prediction.c_deg.tolist(), image, strict=True):
+        lines.append(f"{cell},{c:.6f},{u},{v}")
+    write_file(path, "\n".join(lines) + "\n")
+
+
+def _text(value: float) -> str:
+    return f"{value:.4f}" if np.isfinite(value) else ""

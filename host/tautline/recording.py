@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -109,12 +109,17 @@ def load(path: str | Path, rig: Rig | None = None) -> Recording:
         _check_overlap(
             folder / "motor.csv", motor.t_s, folder / "frames.csv", video.arrival_s[np.isfinite(video.arrival_s)]
         )
-    return Recording(folder.name or str(folder), motor, marker, angle, video, own, tuple(warnings))
+    return Recording(folder.resolve().name, motor, marker, angle, video, own, tuple(warnings))
 
 
 def load_all(paths: Sequence[str | Path], rig: Rig | None = None) -> list[Recording]:
-    """Recordings in the order given, each on its own clock; `timeline` puts them on one."""
-    return [load(path, rig) for path in paths]
+    """Recordings in the order given, each on its own clock (`timeline` puts them on one), with names that differ."""
+    recordings: list[Recording] = []
+    for path in paths:
+        recording = load(path, rig)
+        same = sum(Path(other).resolve().name == recording.name for other in paths[: len(recordings)])
+        recordings.append(replace(recording, name=f"{recording.name} ({same + 1})") if same else recording)
+    return recordings
 
 
 def timeline(recordings: Sequence[Recording]) -> Timeline:

@@ -78,7 +78,7 @@ def fit_remaining(
     system = (design.T @ design).toarray() + 1e-3 * basis.bending + 1e-9 * np.eye(basis.size)
     start = np.linalg.solve(system, design.T @ c)
     fitted = fit.solve(Curves(np.zeros(basis.size), start[:, None], delay_s))
-    curve = basis.value(fitted.curves.follow[:, 0], grid)
+    curve = carried_on(basis.value(fitted.curves.follow[:, 0], grid), grid, float(p.min()), float(p.max()))
     lawful = monotone(curve, grid, falling, _LEAST_SLOPE * abs(rig.coarse.gain))
     notes = []
     seen = (grid >= p.min()) & (grid <= p.max())
@@ -88,6 +88,16 @@ def fit_remaining(
     block = fitted.covariance[: basis.size, : basis.size]
     sigma = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", design_on_grid, block, design_on_grid), 0.0))
     return Remaining(lawful, sigma, _rms(fitted, tracks), fitted.scale, tuple(notes))
+
+
+def carried_on(curve: Array, grid: Array, low: float, high: float) -> Array:
+    """The curve with straight ends beyond [low, high], the positions that were reached: with its mean slope over the
+    last tenth of them, since a spline says nothing of where no data are."""
+    tenth = 0.1 * (high - low)
+    low_value, low_next, high_next, high_value = np.interp([low, low + tenth, high - tenth, high], grid, curve)
+    below = low_value + (low_next - low_value) / tenth * (grid - low)
+    above = high_value + (high_value - high_next) / tenth * (grid - high)
+    return np.where(grid < low, below, np.where(grid > high, above, curve))
 
 
 class _FixedWidth(PlayFit):

@@ -51,13 +51,13 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
     """MODEL/report.html: what was measured, how good it is, what it gains. `evidence` None: the tables alone."""
     onsets = figures.onsets_of(model)
     used, unused = figures.split_onsets(onsets)
-    check = model.extra.get("cross_check")
+    passes = model.extra.get("pass_width")
     page: dict[str, Any] = {
         "title": f"What {name or folder.absolute().name} loses between motor and tip",
         "source": _source(model, evidence),
         "result": sentences(model, evidence),
         "numbers": _numbers(model, used, unused, evidence),
-        "notes": list(model.extra.get("notes", [])),
+        "notes": [*model.extra.get("warnings", []), *model.extra.get("notes", [])],
         "motor_unit": model.rig.actuator.unit,
         "unit": evidence.unit if evidence else "",
         "hero": _picture(
@@ -99,9 +99,9 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
                 "Some onsets closely",
                 "Dots: frames. Grey: the motor turns, the tip rests. Red: the hinge; the backlash ends where it bends.",
             )
-    if check:
+    if passes is not None:
         page["cross_check"] = _picture(
-            figures.cross_check(model, np.array(check["q"], float), np.array(check["width"], float)),
+            figures.cross_check(model, np.array(passes, dtype=float)),
             "B from the onsets and from the two passes",
             "The distance of the two passes at equal image position measures B again, without any pose. "
             "Where they part, the onset is smooth, or the registration changes with direction.",
@@ -222,8 +222,7 @@ def _inside(model: Model) -> Array:
 
 
 def _source(model: Model, evidence: Evidence | None) -> str:
-    names = model.extra.get("recordings", [])
-    made = f"from {', '.join(names)}; " if names else ""
+    made = f"from {', '.join(evidence.names)}; " if evidence else ""
     low, high = model.rig.actuator.range
     length = f"{len(evidence.t_s)} {'frames' if evidence.unit == 'px' else 'samples'}; " if evidence else ""
     return f"{made}{length}motor range {low:g} to {high:g} {model.rig.actuator.unit}"

@@ -39,9 +39,8 @@ def true_model(plant: instrument.Instrument, onsets: list[dict[str, Any]], **ext
 def an_onset(plant: instrument.Instrument, t_s: float, q1: float, direction: int, used: bool = True) -> dict[str, Any]:
     width = float(plant.backlash(np.array([q1]))[0])
     return {
-        "recording": 0,
-        "t_s": t_s if used else None,
-        "turn_s": t_s - 0.2,
+        "recording": "simulated",
+        "t_s": t_s,
         "direction": direction,
         "q1": q1,
         "q2": q1 + direction * width if used else None,
@@ -58,8 +57,8 @@ def measured() -> tuple[Model, Recording]:
     plant = instrument.preset("reference", rig)
     recording = simulate.simulate(rig, plant, trajectory.back_and_forth(rig.actuator, [2.0], 2.0, 10, 20.0))
     onsets = [an_onset(plant, 2.0, -3.0, 1), an_onset(plant, 4.0, 0.0, -1), an_onset(plant, 5.0, 2.0, 1, used=False)]
-    check = {"q": [-2.0, 0.0, 2.0], "width": [0.3, None, 0.4]}
-    model = true_model(plant, onsets, notes=["B was held at 0 & more"], cross_check=check, delay_sigma_s=0.0004)
+    notes = ["B was held at 0 & more"]
+    model = true_model(plant, onsets, notes=notes, pass_width=[None] * 80 + [0.5] * 121, delay_sigma_s=0.0004)
     return model, recording
 
 

@@ -1,0 +1,180 @@
+"""Bad input, end to end: an error in one line or a result that says what could not be measured, and nothing lost."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from cli_runner import Finished, Taut
+
+from tautline import instrument, simulate, trajectory
+from tautline.model import Model
+from tautline.recording import Recording, save
+
+RIG = instrument.reference_rig()
+PLANT = instrument.preset("reference", RIG)
+
+
+@pytest.fixture
+def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
+    return Taut(monkeypatch, capsys)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    path = tmp_path / "run"
+    save(moved([-2.0, 1.0, -1.0, 2.0, -2.0], 2.0), path)
+    return path
+
+
+@pytest.fixture
+def model(tmp_path: Path) -> Path:
+    q = np.linspace(-5, 5, 101)
+    path = tmp_path / "model"
+    Model(RIG, q, PLANT.backlash(q), 0.01 + 0 * q, PLANT.bend(q), 0.08, (-4.0, 4.0)).save(path)
+    return path
+
+
+def moved(points: list[float], speed: float, **options: object) -> Recording:
+    return simulate.simulate(RIG, PLANT, trajectory.through(points, speed, 20.0), **options)
+
+
+def rows(path: Path, change: Callable[[pd.DataFrame], pd.DataFrame]) -> None:
+    change(pd.read_csv(path)).to_csv(path, index=False)
+
+
+def lines(path: Path, change: Callable[[list[str]], list[str]]) -> None:
+    path.write_text("\n".join(change(path.read_text().splitlines())) + "\n")
+
+
+DAMAGE: dict[str, tuple[str, Callable[[Path], object], str]] = {
+    "empty": ("motor.csv", lambda path: path.write_text(""), "empty"),
+    "header only": ("motor.csv", lambda path: lines(path, lambda text: text[:1]), "no rows"),
+    "one row": ("motor.csv", lambda path: lines(path, lambda text: text[:2]), "single row"),
+    "foreign": ("motor.csv", lambda path: path.write_bytes(b"\x89PNG\r\n\x1a\n\0\0"), "not a text file"),
+    "a web page": ("motor.csv", lambda path: path.write_text("<html>\n<body>no</body>\n</html>\n"), "t_s is missing"),
+    "semicolons": ("motor.csv", lambda path: path.write_text(path.read_text().replace(",", ";")), "semicolons"),
+    "NaN": ("motor.csv", lambda path: rows(path, lambda t: t.assign(q_mm=t.q_mm.where(t.index != 9))), "line 11: q_mm"),
+    "unsorted": ("motor.csv", lambda path: rows(path, lambda t: t[::-1]), "goes back"),
+    "repeated": ("motor.csv", lambda path: rows(path, lambda t: t.assign(t_s=t.t_s.round(2))), "repeats"),
+    "missing column": ("motor.csv", lambda path: rows(path, lambda t: t.drop(columns="q_mm")), "q_mm is missing"),
+    "wrong unit": (
+        "motor.csv",
+        lambda path: rows(path, lambda t: t.rename(columns={"q_mm": "q_deg"})),
+        "expected q_mm",
+    ),
+    "milliseconds": ("motor.csv", lambda path: rows(path, lambda t: t.assign(t_s=1e3 * t.t_s)), "in seconds"),
+    "marker column": ("marker.csv", lambda path: rows(path, lambda t: t.drop(columns="u_px")), "u_px is missing"),
+    "marker empty": ("marker.csv", lambda path: path.write_text(""), "empty"),
+    "marker header": ("marker.csv", lambda path: lines(path, lambda text: text[:1]), "no rows"),
+    "marker unsorted": ("marker.csv", lambda path: rows(path, lambda t: t[::-1]), "goes back"),
+    "other clock": ("marker.csv", lambda path: rows(path, lambda t: t.assign(t_s=t.t_s + 1e5)), "do not overlap"),
+    "rig": ("rig.toml", lambda path: path.write_text('format = "rig/1"\n[actuator]\n'), "actuator.unit is missing"),
+    "rig cut": ("rig.toml", lambda path: path.write_text("format = "), "TOML"),
+    "no sensor": ("marker.csv", lambda path: path.unlink(), "one of them is needed"),
+}
+
+
+@pytest.mark.parametrize("kind", DAMAGE)
+def test_a_damaged_recording_is_refused_in_one_line(taut: Taut, folder: Path, tmp_path: Path, kind: str) -> None:
+    file, damage, says = DAMAGE[kind]
+    damage(folder / file)
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    line = taut.refuses("calibrate", folder, "--out", tmp_path / "out", "--json")
+    assert says in line and str(folder) in line
+    assert not (tmp_path / "out").exists() and before == {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize("kind", [kind for kind, damage in DAMAGE.items() if damage[0] == "motor.csv"])
+def test_a_damaged_motor_is_no_base_for_a_prediction(
+    taut: Taut, folder: Path, model: Path, tmp_path: Path, kind: str
+) -> None:
+    _, damage, says = DAMAGE[kind]
+    damage(folder / "motor.csv")
+    out = tmp_path / "out.csv"
+    out.write_text("an earlier result")
+    assert says in taut.refuses("predict", model, folder, "--csv", out)
+    assert out.read_text() == "an earlier result"
+
+
+def calibrated(taut: Taut, recording: Recording, tmp_path: Path) -> Finished:
+    save(recording, tmp_path / "made")
+    return taut("calibrate", tmp_path / "made", "--out", tmp_path / "out", "--json")
+
+
+def assert_says(done: Finished, *words: str) -> None:
+    """An error in one line, or a result that has no width and says so; either names the cause."""
+    text = done.err.lower()
+    assert any(word in text for word in words), done.err
+    if done.code == 0:
+        result = json.loads(done.out)
+        assert not any(onset["used"] for onset in result["onsets"])
+        low, high = result["backlash"]["measured"]
+        assert low is None or not low < high
+    else:
+        assert done.code == 1 and done.out == "" and len(done.err.splitlines()) == 1
+
+
+def test_a_marker_that_is_never_seen(taut: Taut, folder: Path, tmp_path: Path) -> None:
+    rows(folder / "marker.csv", lambda table: table.assign(valid=0))
+    assert_says(taut("calibrate", folder, "--out", tmp_path / "out", "--json"), "marker")
+
+
+def test_a_motion_without_reversals(taut: Taut, tmp_path: Path) -> None:
+    assert_says(calibrated(taut, moved([-4.0, 4.0], 1.0), tmp_path), "revers")
+
+
+def test_a_motor_that_never_moves(taut: Taut, tmp_path: Path) -> None:
+    recording = moved([0.0, 0.004], 0.001)
+    assert_says(calibrated(taut, recording, tmp_path), "move", "revers", "motion")
+
+
+def test_strokes_shorter_than_the_backlash(taut: Taut, tmp_path: Path) -> None:
+    recording = moved([0.0, *[0.2, -0.2] * 10], 0.5)
+    assert_says(calibrated(taut, recording, tmp_path), "backlash", "stroke", "onset", "move")
+
+
+def test_an_output_folder_of_something_else_is_left_alone(taut: Taut, folder: Path, tmp_path: Path) -> None:
+    thesis = tmp_path / "thesis"
+    thesis.mkdir()
+    (thesis / "chapter1.tex").write_text("words")
+    assert "holds other files" in taut.refuses("calibrate", folder, "--out", thesis)
+    assert "is a file" in taut.refuses("calibrate", folder, "--out", thesis / "chapter1.tex")
+    assert (thesis / "chapter1.tex").read_text() == "words"
+
+
+@pytest.mark.parametrize("content", [b"", b"{}", b'{"format": "model/1"}', b"\xff\0", b"[1, 2"])
+def test_a_damaged_model(taut: Taut, folder: Path, model: Path, tmp_path: Path, content: bytes) -> None:
+    (model / "model.json").write_bytes(content)
+    assert "model" in taut.refuses("predict", model, folder, "--csv", tmp_path / "o.csv")
+    assert "model" in taut.refuses("report", model)
+    assert "model" in taut.refuses("compare", model, folder)
+
+
+def test_a_model_without_its_rig(taut: Taut, folder: Path, model: Path, tmp_path: Path) -> None:
+    (model / "rig.toml").unlink()
+    assert "rig" in taut.refuses("predict", model, folder, "--csv", tmp_path / "o.csv")
+
+
+def test_times_that_are_none(taut: Taut, folder: Path, model: Path, tmp_path: Path) -> None:
+    for text, says in (("", "empty"), ("t_s\n", "no rows"), ("t_s\nsoon\n", "line 2"), ("t\n1\n", "t_s is missing")):
+        (tmp_path / "times.csv").write_text(text)
+        line = taut.refuses("predict", model, folder, "--csv", tmp_path / "o.csv", "--times", tmp_path / "times.csv")
+        assert says in line
+
+
+def test_a_place_that_cannot_be_written(taut: Taut, folder: Path, model: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    assert "cannot be written" in taut.refuses("predict", model, folder, "--csv", tmp_path / "file" / "o.csv")
+    assert "cannot be written" in taut.refuses("calibrate", folder, "--out", tmp_path / "file" / "model")
+
+
+def test_a_video_that_is_none(taut: Taut, folder: Path, tmp_path: Path) -> None:
+    (folder / "marker.csv").unlink()
+    (folder / "video.mkv").write_bytes(b"not a video")
+    line = taut.refuses("calibrate", folder, "--out", tmp_path / "out")
+    assert "video.mkv" in line
