@@ -27,6 +27,7 @@ Progress = Callable[[float, str], None]
 
 ONSETS, JOINT, PASSES, NOTHING = "onsets", "onsets and passes", "passes", "nothing"
 _AGREE = 3.0  # mean squared z of onsets against the joint fit up to which both are one evidence
+_STANDS_OUT = 10.0  # a motion of so many sigma is one
 _EXPLAINED = 1.5  # residual over noise up to which a model explains its data
 
 
@@ -91,6 +92,15 @@ def onset_json(onset: Onset, names: Sequence[str]) -> dict[str, Any]:
     }
 
 
+def _sides(fitted: Fitted) -> tuple[Array, Array]:
+    """The play's centre at the frames of the rising and of the falling pass."""
+    both = [
+        np.concatenate([s.p[m & (s.side == side)] for s, m in zip(fitted.fit.simulated, fitted.masks, strict=True)])
+        for side in (1, -1)
+    ]
+    return both[0], both[1]
+
+
 def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
@@ -142,7 +152,7 @@ class _Session:
         width, sigma, source = self._choose(onsets, curve, joint, passes)
         self.say(0.75, "f_remain")
         settled = joint.fit.settled_only if joint is not None else False
-        remaining = self._remaining(width, delay.delay_s, settled)
+        remaining = self._remaining(width, delay.delay_s, settled) if self._moves() else None
         self._comment(onsets, curve, remaining)
         self.say(1.0, "done")
         return self._result(onsets, delay, curve, joint, passes, width, sigma, source, remaining)
@@ -186,6 +196,8 @@ class _Session:
             if paper is not None:
                 self.notes += [*paper.notes, "B(q) is the paper's spline of 14 knots through the onsets"]
                 return paper.width, paper.sigma, ONSETS
+        if joint is not None and curve is None and not self._passes_tell(joint):
+            joint = None
         if joint is None and curve is None:
             self.warnings.append(
                 "no reversal showed an onset and no two passes cover the same positions: B(q) could not be measured and "
@@ -208,6 +220,16 @@ class _Session:
         if float(np.mean(z**2)) < _AGREE or self._explained(joint):
             return width, sigma, JOINT
         return self._filled(widths, curve, joint, passes)
+
+    def _moves(self) -> bool:
+        """Whether the tip was seen to move by more than noise."""
+        return any((np.ptp(track.y, axis=0) > _STANDS_OUT * np.median(track.sigma)).any() for track in self.tracks)
+
+    def _passes_tell(self, joint: Fitted) -> bool:
+        """Whether the tip was seen to move over the same positions both ways."""
+        up, down = _sides(joint)
+        overlap = len(up) >= 5 and len(down) >= 5 and max(up.min(), down.min()) < min(up.max(), down.max())
+        return bool(overlap) and self._moves()
 
     def _against(self, widths: Sequence[Onset], curve: WidthCurve, width: Array, sigma: Array) -> Array:
         """Each onset's distance from another curve of B, over what both are uncertain by."""
@@ -278,7 +300,9 @@ class _Session:
                     f"[{low:g}, {high:g}]: beyond, B(q) is held"
                 )
         if remaining is None:
-            self.warnings.append("the tip's angle was never known: f_remain is f_coarse")
+            self.warnings.append(
+                "the tip was never seen to move: f_remain is f_coarse: move by more than the backlash, within the view"
+            )
             return
         self.notes += remaining.notes
         self._sanity(remaining)
@@ -355,11 +379,7 @@ class _Session:
         """B from the passes alone beside the onsets': its disagreement is evidence."""
         if passes is None:
             return None, None
-        sides = [[], []]  # type: list[list[Array]]
-        for sim, mask in zip(passes.fit.simulated, passes.masks, strict=True):
-            for k, side in enumerate((1, -1)):
-                sides[k].append(sim.p[mask & (sim.side == side)])
-        up, down = (np.concatenate(s) for s in sides)
+        up, down = _sides(passes)
         if len(up) < 5 or len(down) < 5:
             return None, None
         low, high = max(up.min(), down.min()), min(up.max(), down.max())

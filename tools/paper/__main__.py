@@ -24,13 +24,13 @@ def main(which: str, out: Path) -> None:
     done = all_experiments() if which == "all" else EXPERIMENTS[which]()
     console = Console(width=150)
     for experiment in done:
-        table = Table(title=experiment.title, title_justify="left", box=None, pad_edge=False, padding=(0, 3, 0, 0))
+        table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0))
         table.add_column("")
         table.add_column("paper", justify="right")
         table.add_column("ours", justify="right")
         for row in experiment.rows:
             table.add_row(row.what, row.paper, row.ours)
-        console.print(table, "")
+        console.print(experiment.title, table, "", sep="\n", highlight=False)
     path = out / "paper.html"
     write_file(path, page(done))
     console.print(str(path))
