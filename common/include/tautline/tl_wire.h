@@ -328,13 +328,12 @@
     C(0, NONE, "none")                                                                                                 \
     C(1, FOLLOWING, "the motor did not follow: blocked, unpowered, or encoder disconnected")                           \
     C(2, CURRENT, "motor current over its limit")                                                                      \
-    C(3, POSITION, "position beyond its limits")                                                                       \
-    C(4, HOST_LOST, "the host was lost during a calibration motion")                                                   \
-    C(5, TABLE, "no valid table in either slot, though one was stored")                                                \
-    C(6, OVERRUN, "control steps came late")                                                                           \
-    C(7, WATCHDOG, "the firmware hung and was restarted by the watchdog")                                              \
-    C(8, STOPPED, "stopped by safe_stop")                                                                              \
-    C(9, ENCODER, "the encoder jumped")
+    C(3, HOST_LOST, "the host was lost during a calibration motion")                                                   \
+    C(4, TABLE, "no valid table in either slot, though one was stored")                                                \
+    C(5, OVERRUN, "control steps came late")                                                                           \
+    C(6, WATCHDOG, "the firmware hung and was restarted by the watchdog")                                              \
+    C(7, STOPPED, "stopped by safe_stop")                                                                              \
+    C(8, ENCODER, "the encoder jumped")
 
 #define TL_WIRE_MODES(C)                                                                                               \
     C(0, OFF, "motor off")                                                                                             \
@@ -377,7 +376,7 @@
     C(2, ARRIVED, "a move has arrived")                                                                                \
     C(3, SILENT, "the sender went silent: the axis comes to rest")                                                     \
     C(4, RESTED, "the axis has come to rest")                                                                          \
-    C(5, TABLE, "a new table is in use")
+    C(4, TABLE, "a new table is in use")
 
 #define TL_WIRE_BOOTS(C)                                                                                               \
     C(0, POWER, "power on")                                                                                            \

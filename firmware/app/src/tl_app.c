@@ -39,9 +39,10 @@ static void load_table(tl_app_t *app, uint8_t index) {
         }
         found = reason == TL_TABLE_OK;
         if (found) {
-            // A damaged slot of unknown age beside a whole one may have been the newer.
-            const bool first = i == 0 && (slots[1].blank || slots[1].whole);
-            *table = (tl_table_in_use_t){.state = first ? TL_WIRE_TABLE_NEWEST : TL_WIRE_TABLE_OLDER,
+            // A damaged slot of unknown age may have been the newer one.
+            const tl_slot_t *other = &slots[1U - i];
+            const bool newest = other->blank || (other->dated && (int32_t)(slots[i].sequence - other->sequence) > 0);
+            *table = (tl_table_in_use_t){.state = newest ? TL_WIRE_TABLE_NEWEST : TL_WIRE_TABLE_OLDER,
                                          .reason = table->reason,
                                          .sequence = slots[i].sequence,
                                          .crc = slots[i].crc,
@@ -303,7 +304,7 @@ void tl_app_bus(tl_app_t *app, bool configured) {
             tl_axis_t *axis = &app->axes[i];
             axis->divider = 0;
             axis->sample_tail = axis->sample_head;
-            axis->silence_us = 0; // a follower's sender is gone for good
+            tl_axis_silence(axis);
         }
         if (app->calibration.axis != NULL) {
             tl_calibration_stop(&app->calibration, true);

@@ -20,6 +20,13 @@ static bool is_following(const tl_axis_t *axis) {
 
 // -- settings ---------------------------------------------------------------------------------------------------
 
+// An axis that stands outside its limits may stay there or come back, not go farther out.
+static void admit(tl_axis_t *axis) {
+    const tl_count_q8_t here = tl_reference_q(&axis->reference);
+    axis->lowest = here < axis->low ? here : axis->low;
+    axis->highest = here > axis->high ? here : axis->high;
+}
+
 static void apply_limits(tl_axis_t *axis) {
     int32_t speed = axis->limits.speed_q8_s;
     axis->low = axis->limits.q_low_q8;
@@ -35,6 +42,7 @@ static void apply_limits(tl_axis_t *axis) {
         }
     }
     axis->travel = tl_reference_limits(speed, axis->limits.acceleration_q8_s2, axis->port->control_hz);
+    admit(axis);
 }
 
 uint8_t tl_axis_set_limits(tl_axis_t *axis, const tl_wire_limits_t *limits) {
@@ -138,6 +146,14 @@ void tl_axis_stop(tl_axis_t *axis, bool then_off) {
     axis->mode = then_off ? TL_WIRE_MODE_STOPPING_OFF : TL_WIRE_MODE_STOPPING;
 }
 
+void tl_axis_silence(tl_axis_t *axis) {
+    if (is_following(axis)) {
+        tl_axis_stop(axis, false);
+        axis->flags |= TL_WIRE_FLAG_SILENT;
+        event(axis, TL_WIRE_EVENT_SILENT);
+    }
+}
+
 static uint8_t ready(const tl_axis_t *axis) {
     if (axis->fault != TL_WIRE_FAULT_NONE) {
         return TL_WIRE_REASON_FAULT;
@@ -152,6 +168,7 @@ uint8_t tl_axis_enable(tl_axis_t *axis) {
     if (axis->mode == TL_WIRE_MODE_OFF) {
         tl_reference_set(&axis->reference, axis->q);
         tl_servo_reset(&axis->servo, axis->q);
+        admit(axis);
         axis->current_mean_q8 = 0;
         axis->flags = (uint16_t)(axis->flags & ~TL_WIRE_FLAG_SILENT);
         axis->mode = TL_WIRE_MODE_HOLD;
@@ -315,10 +332,8 @@ static uint16_t refer(tl_axis_t *axis, tl_us_t now_us) {
     tl_count_q8_t target = axis->q;
     uint16_t flags = 0;
     const tl_reference_limits_t *limits = &axis->travel;
-    if (is_following(axis) && now_us > axis->heard_us + axis->silence_us) {
-        tl_axis_stop(axis, false);
-        axis->flags |= TL_WIRE_FLAG_SILENT;
-        event(axis, TL_WIRE_EVENT_SILENT);
+    if (now_us > axis->heard_us + axis->silence_us) {
+        tl_axis_silence(axis);
     }
     switch (axis->mode) {
     case TL_WIRE_MODE_FOLLOW_MOTOR:
@@ -351,16 +366,12 @@ static uint16_t refer(tl_axis_t *axis, tl_us_t now_us) {
         tl_reference_set(&axis->reference, axis->q);
         return 0;
     }
-    if (target < axis->low || target > axis->high) {
-        // An axis that stands outside may stay or come back, not go farther out.
-        const tl_count_q8_t here = tl_reference_q(&axis->reference);
-        const tl_count_q8_t low = here < axis->low ? here : axis->low;
-        const tl_count_q8_t high = here > axis->high ? here : axis->high;
-        const tl_count_q8_t within = tl_clamp(target, low, high);
-        flags = within != target ? (uint16_t)(flags | TL_WIRE_FLAG_SATURATED_RANGE) : flags;
+    const tl_count_q8_t within = tl_clamp(target, axis->lowest, axis->highest);
+    if (within != target) {
+        flags |= TL_WIRE_FLAG_SATURATED_RANGE;
         target = within;
     }
-    tl_reference_step(&axis->reference, target, limits);
+    tl_reference_step(&axis->reference, target, axis->lowest, axis->highest, limits);
     if (axis->mode == TL_WIRE_MODE_MOVE && axis->reference.position == axis->reference.target &&
         axis->reference.velocity == 0) {
         axis->mode = TL_WIRE_MODE_HOLD;
@@ -381,12 +392,6 @@ static tl_wire_fault_t check(const tl_axis_t *axis) {
     }
     if (axis->limits.current_ma > 0 && axis->current_mean_q8 / 256 > axis->limits.current_ma) {
         return TL_WIRE_FAULT_CURRENT;
-    }
-    // Driven outwards beyond the limits by more than the servo may err.
-    const tl_count_q8_t q = axis->q;
-    if ((q > tl_add_sat(axis->limits.q_high_q8, most) && axis->duty > 0) ||
-        (q < tl_sub_sat(axis->limits.q_low_q8, most) && axis->duty < 0)) {
-        return TL_WIRE_FAULT_POSITION;
     }
     return TL_WIRE_FAULT_NONE;
 }

@@ -42,6 +42,7 @@ tl_slot_t tl_store_slot(const tl_port_t *port, uint8_t axis, uint8_t slot) {
         get_word(page + 16) != tl_crc32(0U, page, HEADER_SIZE - 4U)) {
         return found;
     }
+    found.dated = true;
     found.sequence = get_word(page + 4);
     found.size = (uint16_t)size;
     found.crc = get_word(page + 12);
@@ -58,7 +59,7 @@ static bool newer(const tl_slot_t *a, const tl_slot_t *b) {
 void tl_store_order(const tl_port_t *port, uint8_t axis, tl_slot_t order[TL_STORE_SLOTS]) {
     const tl_slot_t a = tl_store_slot(port, axis, 0);
     const tl_slot_t b = tl_store_slot(port, axis, 1);
-    const bool b_first = b.whole && (!a.whole || newer(&b, &a));
+    const bool b_first = b.whole && (!a.whole || newer(&b, &a)); // of two damaged ones neither will be used
     order[0] = b_first ? b : a;
     order[1] = b_first ? a : b;
 }

@@ -46,6 +46,7 @@ typedef struct {
     tl_reference_limits_t travel;
     tl_reference_limits_t move; ///< `travel` with the speed of the move under way
     tl_count_q8_t low, high;    ///< position limits in force
+    tl_count_q8_t lowest, highest; ///< where the reference may be: wider only where the axis was enabled outside
     tl_count_q8_t move_target;
 
     int32_t encoder;  ///< as read last, counts
@@ -98,6 +99,9 @@ void tl_axis_fail(tl_axis_t *axis, tl_wire_fault_t fault, tl_us_t now_us);
 
 /// Comes to rest within limits; then holds, or switches off.
 void tl_axis_stop(tl_axis_t *axis, bool then_off);
+
+/// A follower's sender is gone: it comes to rest and holds. Nothing in any other mode.
+void tl_axis_silence(tl_axis_t *axis);
 
 /// A reason, or 0 when done. Preconditions that the axis itself knows are checked here.
 uint8_t tl_axis_enable(tl_axis_t *axis);

@@ -1,8 +1,8 @@
 /// Reference of one axis: follows a target within limits on speed and acceleration, and without lag where they allow it.
 ///
 /// Position and speed keep 32 fractional bits, so that slow motion is smooth. Approaching a target it brakes by the speed
-/// relative to the target's own, so that a moving target is caught up with, not trailed. No division in a step; two
-/// 32 x 32 -> 64 products. Control step only, but for tl_reference_limits().
+/// relative to the target's own, so that a moving target is caught up with, not trailed. No division in a step; at
+/// most nine 32 x 32 -> 64 products, none while the target is followed exactly. Control step only, but for tl_reference_limits().
 #ifndef TAUTLINE_TL_REFERENCE_H
 #define TAUTLINE_TL_REFERENCE_H
 
@@ -15,6 +15,7 @@
 typedef struct {
     int64_t speed;         ///< counts/tick Q32
     int64_t acceleration;  ///< counts/tick2 Q32
+    int64_t stop;          ///< counts Q32 within which it stops from its greatest speed
 } tl_reference_limits_t;
 
 typedef struct {
@@ -30,8 +31,10 @@ tl_reference_limits_t tl_reference_limits(int32_t speed_q8_s, int32_t accelerati
 /// At rest at `q`.
 void tl_reference_set(tl_reference_t *reference, tl_count_q8_t q);
 
-/// One tick towards `target`.
-void tl_reference_step(tl_reference_t *reference, tl_count_q8_t target, const tl_reference_limits_t *limits);
+/// One tick towards `target`, within [low, high]: also a target that runs into an end at speed is left in time to stop
+/// there. Where the limits have just been lowered, or the range, it brakes as fast as they allow.
+void tl_reference_step(tl_reference_t *reference, tl_count_q8_t target, tl_count_q8_t low, tl_count_q8_t high,
+                       const tl_reference_limits_t *limits);
 
 /// One tick of coming to rest; true once it rests.
 bool tl_reference_brake(tl_reference_t *reference, const tl_reference_limits_t *limits);

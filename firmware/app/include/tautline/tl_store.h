@@ -14,8 +14,9 @@
 /// One slot as found in flash.
 typedef struct {
     bool blank;          ///< nothing was ever written, or it was cleared
+    bool dated;          ///< its header is as it was written: the following are known
     bool whole;          ///< header and blob are as they were written
-    uint32_t sequence;   ///< rises by one with each write; of a whole slot
+    uint32_t sequence;   ///< rises by one with each write
     uint32_t crc;        ///< of the blob
     uint16_t size;       ///< of the blob
     const uint8_t *blob; ///< in flash

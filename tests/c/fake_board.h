@@ -1,0 +1,240 @@
+// A board for tests: motors that obey at once or are blocked, flash that counts and can lose power, time by hand.
+#ifndef FAKE_BOARD_H
+#define FAKE_BOARD_H
+
+#include <stdlib.h>
+#include <string.h>
+#include <unity.h>
+
+#include "tautline/tl_app.h"
+
+#define FAKE_HZ        5000U
+#define FAKE_SPEED     20000.0 // counts/s at full duty
+#define FAKE_LAG       0.02    // s
+#define FAKE_FLASH     (2U * TL_WIRE_AXES_MAX * TL_PORT_FLASH_SECTOR)
+
+typedef struct {
+    tl_us_t t_us;
+    double position[TL_WIRE_AXES_MAX]; // counts
+    double speed[TL_WIRE_AXES_MAX];
+    tl_duty_q15_t duty[TL_WIRE_AXES_MAX];
+    int32_t current_ma;
+    bool blocked;
+    uint8_t flash[FAKE_FLASH];
+    uint32_t operations;
+    uint32_t cut_at;      // the operation in which the power goes; 0 never
+    unsigned cut_pattern; // which part of it is done
+    bool dead;
+    uint32_t fed;
+    int rebooted; // 1 restart, 2 boot loader
+} fake_t;
+
+static fake_t fake;
+static tl_port_t fake_port;
+static tl_app_t app;
+
+static tl_us_t fake_time(void *context) { return ((fake_t *)context)->t_us; }
+static int32_t fake_encoder(void *context, uint8_t axis) {
+    const double position = ((fake_t *)context)->position[axis];
+    return (int32_t)(position < 0.0 ? position - 1.0 : position);
+}
+static void fake_drive(void *context, uint8_t axis, tl_duty_q15_t duty) { ((fake_t *)context)->duty[axis] = duty; }
+static int32_t fake_current(void *context, uint8_t axis) {
+    (void)axis;
+    return ((fake_t *)context)->current_ma;
+}
+
+static bool fake_operate(fake_t *f) {
+    f->operations++;
+    f->dead = f->dead || f->operations == f->cut_at;
+    return !f->dead;
+}
+
+// Whether byte i of an operation of this size was done when the power went.
+static bool fake_reached(const fake_t *f, uint32_t i, uint32_t size) {
+    switch (f->cut_pattern) {
+    case 0:
+        return i < size / 2U;
+    case 1:
+        return i >= size / 2U;
+    case 2:
+        return false;
+    default:
+        return (i * 2654435761U >> 16 & 1U) != 0U;
+    }
+}
+
+static bool fake_erase(void *context, uint32_t offset) {
+    fake_t *f = context;
+    TEST_ASSERT_EQUAL(0, offset % TL_PORT_FLASH_SECTOR);
+    TEST_ASSERT_TRUE(offset < FAKE_FLASH);
+    const bool before = f->dead;
+    const bool whole = fake_operate(f);
+    for (uint32_t i = 0; i < TL_PORT_FLASH_SECTOR && !before; i++) {
+        if (whole || fake_reached(f, i, TL_PORT_FLASH_SECTOR)) {
+            f->flash[offset + i] = 0xFF;
+        }
+    }
+    return whole;
+}
+
+static bool fake_program(void *context, uint32_t offset, const uint8_t *page) {
+    fake_t *f = context;
+    TEST_ASSERT_EQUAL(0, offset % TL_PORT_FLASH_PAGE);
+    TEST_ASSERT_TRUE(offset < FAKE_FLASH);
+    for (uint8_t i = 0; i < TL_WIRE_AXES_MAX; i++) {
+        TEST_ASSERT_EQUAL_MESSAGE(0, f->duty[i], "flash is written with every motor off");
+    }
+    const bool before = f->dead;
+    const bool whole = fake_operate(f);
+    for (uint32_t i = 0; i < TL_PORT_FLASH_PAGE && !before; i++) {
+        if (whole || fake_reached(f, i, TL_PORT_FLASH_PAGE)) {
+            f->flash[offset + i] &= page[i];
+        }
+    }
+    return whole;
+}
+
+static void fake_feed(void *context) { ((fake_t *)context)->fed++; }
+static uint32_t fake_lock(void *context) {
+    (void)context;
+    return 0;
+}
+static void fake_unlock(void *context, uint32_t state) {
+    (void)context;
+    (void)state;
+}
+static void fake_reboot(void *context, bool bootloader) { ((fake_t *)context)->rebooted = bootloader ? 2 : 1; }
+
+// Powers the board up over whatever its flash holds.
+static inline void fake_start(uint8_t axes, tl_wire_boot_t boot) {
+    fake.dead = false;
+    fake.cut_at = 0;
+    fake.operations = 0;
+    fake.rebooted = 0;
+    fake_port = (tl_port_t){.context = &fake, .name = "fake", .serial = "TEST", .axes = axes, .boot = (uint8_t)boot,
+                            .control_hz = FAKE_HZ, .time_us = fake_time, .encoder = fake_encoder, .drive = fake_drive,
+                            .current_ma = fake_current, .flash = fake.flash, .flash_erase = fake_erase,
+                            .flash_program = fake_program, .watchdog_feed = fake_feed, .lock = fake_lock,
+                            .unlock = fake_unlock, .reboot = fake_reboot};
+    tl_app_init(&app, &fake_port);
+    tl_app_bus(&app, true);
+}
+
+static inline void fake_new(uint8_t axes) {
+    memset(&fake, 0, sizeof(fake));
+    memset(fake.flash, 0xFF, sizeof(fake.flash));
+    fake_start(axes, TL_WIRE_BOOT_POWER);
+}
+
+static inline void fake_step(void) {
+    const double dt = 1.0 / FAKE_HZ;
+    fake.t_us += 1000000U / FAKE_HZ;
+    for (uint8_t i = 0; i < fake_port.axes; i++) {
+        fake.speed[i] += (fake.duty[i] / 32768.0 * FAKE_SPEED - fake.speed[i]) * dt / FAKE_LAG;
+        fake.speed[i] = fake.blocked ? 0.0 : fake.speed[i];
+        fake.position[i] += fake.speed[i] * dt;
+    }
+    tl_app_control(&app);
+    tl_app_task(&app);
+}
+
+static inline void fake_run_ms(uint32_t ms) {
+    for (uint32_t i = 0; i < ms * FAKE_HZ / 1000U; i++) {
+        fake_step();
+    }
+}
+
+// What the board sent: the last message of each type, and how many of it.
+static tl_wire_message_t heard[256];
+static uint32_t heard_count[256];
+static uint16_t heard_sequence[256];
+
+static inline void fake_listen(void) {
+    static tl_wire_parser_t parser;
+    uint8_t bytes[100];
+    size_t size;
+    while ((size = tl_app_transmit(&app, bytes, sizeof(bytes))) > 0) {
+        const uint8_t *data = bytes;
+        tl_wire_frame_t frame;
+        while (tl_wire_parse(&parser, &data, &size, &frame)) {
+            TEST_ASSERT_TRUE(tl_wire_decode(frame.type, frame.payload, frame.size, &heard[frame.type]));
+            TEST_ASSERT_EQUAL(tl_wire_size(frame.type), frame.size);
+            heard_count[frame.type]++;
+            heard_sequence[frame.type] = frame.sequence;
+        }
+    }
+}
+
+// Sends a request; returns 0 when it was done, the reason when refused, -1 without an answer.
+static inline int fake_ask(uint8_t type, const void *message) {
+    static uint16_t sequence;
+    uint8_t frame[TL_WIRE_FRAME_MAX];
+    fake_listen();
+    memset(heard_count, 0, sizeof(heard_count));
+    tl_app_receive(&app, frame, tl_wire_frame(frame, type, ++sequence, message));
+    fake_listen();
+    if (heard_count[TL_WIRE_ERROR] > 0) {
+        TEST_ASSERT_EQUAL(type, heard[TL_WIRE_ERROR].error.request);
+        TEST_ASSERT_EQUAL(sequence, heard_sequence[TL_WIRE_ERROR]);
+        return heard[TL_WIRE_ERROR].error.reason;
+    }
+    if (heard_count[TL_WIRE_ACK] > 0) {
+        TEST_ASSERT_EQUAL(type, heard[TL_WIRE_ACK].ack.request);
+        TEST_ASSERT_EQUAL(sequence, heard_sequence[TL_WIRE_ACK]);
+        return 0;
+    }
+    return -1;
+}
+
+static inline tl_wire_status_t fake_status(uint8_t axis) {
+    const tl_wire_get_status_t request = {.axis = axis};
+    fake_ask(TL_WIRE_GET_STATUS, &request);
+    TEST_ASSERT_EQUAL(1, heard_count[TL_WIRE_STATUS]);
+    return heard[TL_WIRE_STATUS].status;
+}
+
+static inline int fake_enable(uint8_t axis, uint8_t on) {
+    const tl_wire_enable_t request = {.axis = axis, .on = on};
+    return fake_ask(TL_WIRE_ENABLE, &request);
+}
+
+// A valid table for an axis over +-5000 counts with a bump of backlash; `variant` makes it another one.
+static inline uint16_t fake_table(uint8_t *blob, uint8_t axis, uint32_t variant) {
+    static tl_table_t table;
+    memset(&table, 0, sizeof(table));
+    table.axis = axis;
+    table.step_log2 = 14;
+    table.nodes = 161;
+    table.strength_q15 = 32768;
+    table.nano_units_per_count = 1000000;
+    table.q0 = -80 * 16384;
+    table.q_min = -5000 * TL_COUNT_ONE;
+    table.q_max = 5000 * TL_COUNT_ONE;
+    table.coarse_c_min = -60 * TL_DEG_ONE;
+    table.coarse_c_max = 60 * TL_DEG_ONE;
+    table.speed_max_q8 = 10000 * TL_COUNT_ONE;
+    table.takeup_speed_q8 = 5000 * TL_COUNT_ONE;
+    table.takeup_accel = 100000;
+    table.band = 2 * TL_COUNT_ONE;
+    table.flat_speed_q8 = 5000 * TL_COUNT_ONE;
+    table.created_s = variant;
+    for (unsigned i = 0; i < table.nodes; i++) {
+        table.width[i] = (int32_t)(300U + variant % 100U + (i < 80U ? i : 160U - i)) * TL_COUNT_ONE;
+        table.angle[i] = ((int32_t)i - 80) * (TL_DEG_ONE * 3 / 4);
+    }
+    return (uint16_t)tl_table_encode(&table, blob, TL_TABLE_SIZE_MAX);
+}
+
+static inline tl_upload_t fake_upload(uint8_t axis, const uint8_t *blob, uint32_t size) {
+    for (uint32_t at = 0; at < size; at += 256U) {
+        const uint32_t left = size - at;
+        const tl_upload_t result = tl_app_table_data(&app, axis, at, blob + at, left < 256U ? left : 256U);
+        if (result != TL_UPLOAD_OK) {
+            return result;
+        }
+    }
+    return tl_app_table_end(&app, axis);
+}
+
+#endif

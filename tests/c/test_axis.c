@@ -1,0 +1,453 @@
+#include "fake_board.h"
+
+#include <math.h>
+
+void setUp(void) { fake_new(2); }
+void tearDown(void) {}
+
+static const tl_wire_limits_t limits = {
+    .axis = 0,
+    .q_low_q8 = -4000 * TL_COUNT_ONE,
+    .q_high_q8 = 4000 * TL_COUNT_ONE,
+    .speed_q8_s = 8000 * TL_COUNT_ONE,
+    .acceleration_q8_s2 = 60000 * TL_COUNT_ONE,
+    .duty_q15 = 32768,
+    .current_ma = 1000,
+    .following_error_q8 = 200 * TL_COUNT_ONE,
+};
+
+static int follow(uint8_t axis, uint8_t target) {
+    const tl_wire_follow_t request = {.axis = axis, .target = target, .compensation = 2};
+    return fake_ask(TL_WIRE_FOLLOW, &request);
+}
+
+static int set_point(uint8_t axis, int32_t value, tl_us_t at_us) {
+    const tl_wire_set_point_t request = {.axis = axis, .value = value, .at_us = at_us};
+    return fake_ask(TL_WIRE_SET_POINT, &request);
+}
+
+static int move(uint8_t axis, int32_t counts) {
+    const tl_wire_move_t request = {.axis = axis, .q_q8 = counts * TL_COUNT_ONE};
+    return fake_ask(TL_WIRE_MOVE, &request);
+}
+
+static int clear_fault(uint8_t axis) {
+    const tl_wire_clear_fault_t request = {.axis = axis};
+    return fake_ask(TL_WIRE_CLEAR_FAULT, &request);
+}
+
+static tl_wire_motion_start_t calibration(void) {
+    return (tl_wire_motion_start_t){.axis = 0,
+                                    .cycles = 3,
+                                    .low_q8 = -2000 * TL_COUNT_ONE,
+                                    .high_q8 = 2000 * TL_COUNT_ONE,
+                                    .speed_q8_s = {700 * TL_COUNT_ONE},
+                                    .transit_q8_s = 2000 * TL_COUNT_ONE,
+                                    .acceleration_q8_s2 = 20000 * TL_COUNT_ONE,
+                                    .approach_q8 = 100 * TL_COUNT_ONE,
+                                    .stroke_max_q8 = 800 * TL_COUNT_ONE,
+                                    .host_timeout_us = 200000,
+                                    .delay_us = 80000};
+}
+
+// The safe state: motor off, compensation off, every request that would move it refused, until the fault is cleared.
+static void assert_safe(uint8_t axis, tl_wire_fault_t fault) {
+    const tl_wire_status_t status = fake_status(axis);
+    TEST_ASSERT_EQUAL(fault, status.fault);
+    TEST_ASSERT_EQUAL(TL_WIRE_MODE_OFF, status.mode);
+    TEST_ASSERT_EQUAL(0, status.flags & (TL_WIRE_FLAG_ENABLED | TL_WIRE_FLAG_COMPENSATING));
+    TEST_ASSERT_EQUAL(0, fake.duty[axis]);
+    TEST_ASSERT_EQUAL(TL_WIRE_REASON_FAULT, fake_enable(axis, 1));
+    TEST_ASSERT_EQUAL(TL_WIRE_REASON_FAULT, move(axis, 10));
+    TEST_ASSERT_EQUAL(TL_WIRE_REASON_FAULT, follow(axis, 0));
+    TEST_ASSERT_EQUAL(TL_WIRE_REASON_FAULT, set_point(axis, 0, 0));
+    fake_run_ms(5);
+    TEST_ASSERT_EQUAL(0, fake.duty[axis]);
+    TEST_ASSERT_EQUAL(0, clear_fault(axis));
+    TEST_ASSERT_EQUAL(TL_WIRE_FAULT_NONE, fake_status(axis).fault);
+    TEST_ASSERT_EQUAL(0, fake.duty[axis]); // clearing drives nothing
+}
+
+static void test_a_blocked_motor_faults(void) {
+    fake_enable(0, 1);
+    TEST_ASSERT_EQUAL(0, move(0, 2000));
+    fake_run_ms(20);
+    TEST_ASSERT_EQUAL(TL_WIRE_FAULT_NONE, fake_status(0).fault);
+    fake.blocked = true;
+    fake_run_ms(300);
+    fake_listen();
+    TEST_ASSERT_EQUAL(TL_WIRE_EVENT_FAULT, heard[TL_WIRE_EVENT].event.event);
+    assert_safe(0, TL_WIRE_FAULT_FOLLOWING);
+    TEST_ASSERT_EQUAL(TL_WIRE_FAULT_NONE, fake_status(1).fault);
+}
+
+static void test_too_much_current_faults_after_its_mean(void) {
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_LIMITS, &limits));
+    fake_enable(0, 1);
+    fake.current_ma = -3000;
+    fake_run_ms(3);
+    TEST_ASSERT_EQUAL(TL_WIRE_FAULT_NONE, fake_status(0).fault); // a spike is none
+    fake_run_ms(30);
+    fake.current_ma = 0;
+    assert_safe(0, TL_WIRE_FAULT_CURRENT);
+}
+
+static void test_an_encoder_that_jumps_faults_even_when_off(void) {
+    fake.position[0] += 5000.0;
+    fake_run_ms(1);
+    assert_safe(0, TL_WIRE_FAULT_ENCODER);
+}
+
+static void test_safe_stop_works_from_every_state(void) {
+    for (int state = 0; state < 4; state++) {
+        fake_new(2);
+        if (state > 0) {
+            fake_enable(0, 1);
+        }
+        if (state == 2) {
+            move(0, 3000);
+        } else if (state == 3) {
+            const tl_wire_motion_start_t start = calibration();
+            TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_MOTION_START, &start));
+        }
+        fake_run_ms(50);
+        const tl_wire_safe_stop_t stop = {.axis = TL_WIRE_ALL_AXES};
+        TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_SAFE_STOP, &stop));
+        TEST_ASSERT_EQUAL(0, fake.duty[0]);
+        fake_run_ms(2);
+        assert_safe(0, TL_WIRE_FAULT_STOPPED);
+        assert_safe(1, TL_WIRE_FAULT_STOPPED);
+    }
+}
+
+static void test_late_control_steps_fault_a_driven_axis_only(void) {
+    fake_enable(0, 1);
+    fake_run_ms(5);
+    fake.t_us += 30000;
+    fake_step();
+    TEST_ASSERT_EQUAL(TL_WIRE_FAULT_NONE, fake_status(1).fault);
+    assert_safe(0, TL_WIRE_FAULT_OVERRUN);
+}
+
+static void test_a_watchdog_restart_is_told_and_latched(void) {
+    fake_start(2, TL_WIRE_BOOT_WATCHDOG);
+    assert_safe(0, TL_WIRE_FAULT_WATCHDOG);
+    assert_safe(1, TL_WIRE_FAULT_WATCHDOG);
+}
+
+static void test_the_watchdog_is_fed_only_while_control_steps_go_on(void) {
+    fake_run_ms(10);
+    const uint32_t before = fake.fed;
+    for (int i = 0; i < 100; i++) {
+        fake.t_us += 1000;
+        tl_app_task(&app);
+    }
+    TEST_ASSERT_TRUE(before >= 9);
+    TEST_ASSERT_TRUE(fake.fed - before <= 1);
+}
+
+static void test_a_silent_sender_brings_the_axis_to_rest_and_holds(void) {
+    fake_enable(0, 1);
+    TEST_ASSERT_EQUAL(0, follow(0, 0));
+    for (int i = 1; i <= 40; i++) {
+        TEST_ASSERT_EQUAL(-1, set_point(0, 15 * i * TL_COUNT_ONE, fake.t_us + 5000));
+        fake_run_ms(5);
+    }
+    TEST_ASSERT_EQUAL(TL_WIRE_MODE_FOLLOW_MOTOR, fake_status(0).mode);
+    fake_run_ms(150);
+    const tl_wire_status_t status = fake_status(0);
+    TEST_ASSERT_EQUAL(TL_WIRE_MODE_HOLD, status.mode);
+    TEST_ASSERT_EQUAL(TL_WIRE_FAULT_NONE, status.fault);
+    TEST_ASSERT_TRUE((status.flags & TL_WIRE_FLAG_SILENT) != 0);
+    TEST_ASSERT_TRUE((status.flags & TL_WIRE_FLAG_AT_REST) != 0);
+    TEST_ASSERT_INT_WITHIN(5, 600, status.q_q8 / TL_COUNT_ONE);
+    TEST_ASSERT_EQUAL(TL_WIRE_REASON_NOT_FOLLOWING, set_point(0, 0, 0));
+    const tl_wire_get_counters_t ask = {0};
+    fake_ask(TL_WIRE_GET_COUNTERS, &ask);
+    TEST_ASSERT_EQUAL(1, heard[TL_WIRE_COUNTERS].counters.silences);
+    TEST_ASSERT_EQUAL(40, heard[TL_WIRE_COUNTERS].counters.set_points);
+    TEST_ASSERT_EQUAL(1, heard[TL_WIRE_COUNTERS].counters.set_points_dropped);
+}
+
+static void test_losing_the_bus_while_following_comes_to_rest_at_once(void) {
+    fake_enable(0, 1);
+    follow(0, 0);
+    set_point(0, 1000 * TL_COUNT_ONE, fake.t_us + 2000000);
+    fake_run_ms(50);
+    tl_app_bus(&app, false);
+    fake_run_ms(60);
+    tl_app_bus(&app, true);
+    const tl_wire_status_t status = fake_status(0);
+    TEST_ASSERT_EQUAL(TL_WIRE_MODE_HOLD, status.mode);
+    TEST_ASSERT_TRUE(status.q_q8 < 100 * TL_COUNT_ONE);
+}
+
+static void test_set_points_are_joined_by_straight_lines_in_time(void) {
+    fake_enable(0, 1);
+    follow(0, 0);
+    const tl_us_t start = fake.t_us;
+    TEST_ASSERT_EQUAL(-1, set_point(0, 100 * TL_COUNT_ONE, start + 100000));
+    TEST_ASSERT_EQUAL(-1, set_point(0, 110 * TL_COUNT_ONE, start + 150000));
+    fake_run_ms(75);
+    TEST_ASSERT_INT_WITHIN(64, 75 * TL_COUNT_ONE, fake_status(0).q_ref_q8);
+    fake_run_ms(50);
+    TEST_ASSERT_INT_WITHIN(64, 105 * TL_COUNT_ONE, fake_status(0).q_ref_q8);
+    fake_run_ms(40);
+    TEST_ASSERT_INT_WITHIN(64, 110 * TL_COUNT_ONE, fake_status(0).q_ref_q8);
+    TEST_ASSERT_EQUAL(-1, set_point(0, 40 * TL_COUNT_ONE, fake.t_us - 1000));
+    TEST_ASSERT_EQUAL(1, app.counters.set_points_late);
+    for (unsigned i = 0; i < TL_AXIS_QUEUE - 1U; i++) {
+        TEST_ASSERT_EQUAL(-1, set_point(0, 40 * TL_COUNT_ONE, fake.t_us + 10000 + 1000 * i));
+    }
+    TEST_ASSERT_EQUAL(TL_WIRE_REASON_QUEUE_FULL, set_point(0, 0, fake.t_us + 90000));
+    TEST_ASSERT_EQUAL(TL_WIRE_REASON_RANGE, set_point(0, 0, fake.t_us + 20000000));
+}
+
+static void test_enabling_and_disabling_never_jump(void) {
+    fake.speed[0] = 3000.0; // pushed by hand while off
+    fake_run_ms(100);
+    const double before = fake.position[0];
+    fake_enable(0, 1);
+    for (int i = 0; i < 500; i++) {
+        fake_step();
+        TEST_ASSERT_TRUE(fabs(fake.position[0] - before) < 12.0);
+    }
+    move(0, 1500);
+    fake_run_ms(100);
+    const double speed = fake.speed[0];
+    TEST_ASSERT_TRUE(fabs(speed) > 500.0);
+    fake_enable(0, 0); // comes to rest within its limits first
+    TEST_ASSERT_EQUAL(TL_WIRE_MODE_STOPPING_OFF, fake_status(0).mode);
+    fake_run_ms(200);
+    TEST_ASSERT_EQUAL(TL_WIRE_MODE_OFF, fake_status(0).mode);
+    TEST_ASSERT_EQUAL(0, fake.duty[0]);
+}
+
+static const tl_count_q8_t low = -4000 * TL_COUNT_ONE;
+static const tl_count_q8_t high = 4000 * TL_COUNT_ONE;
+
+// Random targets of every kind: the reference never leaves position, speed and acceleration limits, and gets there.
+static void test_the_reference_keeps_its_limits(void) {
+    const uint32_t rates[] = {1000, 5000, 10000};
+    srand(7);
+    for (int run = 0; run < 60; run++) {
+        const uint32_t rate = rates[run % 3];
+        const tl_reference_limits_t within = tl_reference_limits(
+            (500 + rand() % 20000) * TL_COUNT_ONE, (5000 + rand() % 200000) * TL_COUNT_ONE, rate);
+        tl_reference_t reference;
+        tl_reference_set(&reference, 0);
+        int32_t target = 0;
+        int32_t slope = 0;
+        for (uint32_t i = 0; i < 3U * rate; i++) {
+            if (rand() % (int)rate == 0) {
+                target = (rand() % 8000 - 4000) * TL_COUNT_ONE;
+                slope = rand() % 2 == 0 ? 0 : rand() % 400 - 200;
+            }
+            target = tl_clamp(target + slope, low, high);
+            const int64_t before = reference.velocity;
+            tl_reference_step(&reference, target, low, high, &within);
+            TEST_ASSERT_TRUE(llabs(reference.velocity) <= within.speed);
+            TEST_ASSERT_TRUE(llabs(reference.velocity - before) <= within.acceleration);
+            TEST_ASSERT_TRUE(tl_reference_q(&reference) >= low && tl_reference_q(&reference) <= high);
+        }
+        slope = 0;
+        for (uint32_t i = 0; i < 40U * rate; i++) {
+            tl_reference_step(&reference, target, low, high, &within);
+            TEST_ASSERT_TRUE(tl_reference_q(&reference) >= low && tl_reference_q(&reference) <= high);
+        }
+        TEST_ASSERT_EQUAL(target, tl_reference_q(&reference));
+        TEST_ASSERT_EQUAL_INT64(0, reference.velocity);
+        // From rest to a far target it does not overshoot by a count.
+        const int32_t far = target > 0 ? -3000 * TL_COUNT_ONE : 3000 * TL_COUNT_ONE;
+        int32_t extreme = 0;
+        for (uint32_t i = 0; i < 40U * rate; i++) {
+            tl_reference_step(&reference, far, low, high, &within);
+            const int32_t beyond = far > 0 ? tl_reference_q(&reference) - far : far - tl_reference_q(&reference);
+            extreme = beyond > extreme ? beyond : extreme;
+        }
+        TEST_ASSERT_EQUAL(far, tl_reference_q(&reference));
+        TEST_ASSERT_TRUE_MESSAGE(extreme < TL_COUNT_ONE, "overshoot");
+    }
+}
+
+// A smooth target well within the limits is followed without lag.
+static void test_the_reference_does_not_trail_a_moving_target(void) {
+    const tl_reference_limits_t within = tl_reference_limits(8000 * TL_COUNT_ONE, 60000 * TL_COUNT_ONE, FAKE_HZ);
+    tl_reference_t reference;
+    tl_reference_set(&reference, 0);
+    for (uint32_t i = 1; i < 5U * FAKE_HZ; i++) {
+        const double t = (double)i / FAKE_HZ;
+        const double ramp = t < 0.1 ? t * t / 0.2 : t - 0.05; // starts from rest
+        const int32_t target = (int32_t)lround(800.0 * sin(6.0 * ramp) * 256.0);
+        tl_reference_step(&reference, target, low, high, &within);
+        TEST_ASSERT_INT_WITHIN(256, target, tl_reference_q(&reference));
+    }
+}
+
+static void test_positions_beyond_the_limits_are_held_at_the_end(void) {
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_LIMITS, &limits));
+    fake_enable(0, 1);
+    TEST_ASSERT_EQUAL(TL_WIRE_REASON_RANGE, move(0, 4001));
+    follow(0, 0);
+    for (int i = 0; i < 100; i++) {
+        set_point(0, 5000 * TL_COUNT_ONE, fake.t_us + 10000);
+        fake_run_ms(10);
+    }
+    const tl_wire_status_t status = fake_status(0);
+    TEST_ASSERT_EQUAL(4000 * TL_COUNT_ONE, status.q_ref_q8);
+    TEST_ASSERT_TRUE((status.flags & TL_WIRE_FLAG_SATURATED_RANGE) != 0);
+    TEST_ASSERT_EQUAL(TL_WIRE_FAULT_NONE, status.fault);
+}
+
+static void test_an_axis_outside_its_limits_may_stay_and_come_back(void) {
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_LIMITS, &limits));
+    const tl_wire_set_position_t position = {.axis = 0, .q_q8 = 4300 * TL_COUNT_ONE};
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_SET_POSITION, &position));
+    fake_enable(0, 1);
+    fake_run_ms(20);
+    TEST_ASSERT_EQUAL(0, follow(0, 0));
+    set_point(0, 4350 * TL_COUNT_ONE, 0);
+    fake_run_ms(90);
+    TEST_ASSERT_INT_WITHIN(3, 4300, fake_status(0).q_q8 / TL_COUNT_ONE);
+    TEST_ASSERT_EQUAL(0, move(0, 3900));
+    fake_run_ms(500);
+    TEST_ASSERT_INT_WITHIN(3, 3900, fake_status(0).q_q8 / TL_COUNT_ONE);
+}
+
+static void test_a_calibration_without_frames_ends_in_the_safe_state(void) {
+    fake_enable(0, 1);
+    const tl_wire_motion_start_t start = calibration();
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_MOTION_START, &start));
+    fake_run_ms(100);
+    TEST_ASSERT_EQUAL(TL_WIRE_MODE_CALIBRATE, fake_status(0).mode);
+    TEST_ASSERT_TRUE(fake_status(0).q_q8 < -50 * TL_COUNT_ONE); // on its way to the low end
+    fake_run_ms(400);
+    fake_listen();
+    TEST_ASSERT_EQUAL(TL_WIRE_MOTION_HOST_LOST, heard[TL_WIRE_PROGRESS].progress.state);
+    assert_safe(0, TL_WIRE_FAULT_HOST_LOST);
+}
+
+static void run_with_frames(uint32_t ms) {
+    for (uint32_t i = 0; i < ms / 40U; i++) {
+        const tl_wire_marker_t marker = {.valid = 1, .arrival_us = fake.t_us, .u_q12 = 1000, .v_q12 = 1000};
+        fake_ask(TL_WIRE_MARKER, &marker);
+        fake_run_ms(40);
+    }
+}
+
+static void test_losing_the_bus_ends_a_calibration_in_the_safe_state(void) {
+    fake_enable(0, 1);
+    const tl_wire_motion_start_t start = calibration();
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_MOTION_START, &start));
+    run_with_frames(1000);
+    TEST_ASSERT_EQUAL(TL_WIRE_MODE_CALIBRATE, fake_status(0).mode);
+    TEST_ASSERT_EQUAL(TL_WIRE_REASON_BUSY, fake_ask(TL_WIRE_MOTION_START, &start));
+    tl_app_bus(&app, false);
+    fake_run_ms(300);
+    tl_app_bus(&app, true);
+    assert_safe(0, TL_WIRE_FAULT_HOST_LOST);
+}
+
+static void test_a_calibration_stopped_by_the_host_rests_and_holds(void) {
+    fake_enable(0, 1);
+    const tl_wire_motion_start_t start = calibration();
+    fake_ask(TL_WIRE_MOTION_START, &start);
+    run_with_frames(1000);
+    const tl_wire_motion_stop_t stop = {.axis = 0};
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_MOTION_STOP, &stop));
+    fake_run_ms(300);
+    fake_listen();
+    TEST_ASSERT_EQUAL(TL_WIRE_MOTION_STOPPED, heard[TL_WIRE_PROGRESS].progress.state);
+    const tl_wire_status_t status = fake_status(0);
+    TEST_ASSERT_EQUAL(TL_WIRE_MODE_HOLD, status.mode);
+    TEST_ASSERT_EQUAL(TL_WIRE_FAULT_NONE, status.fault);
+    TEST_ASSERT_EQUAL(TL_WIRE_REASON_NOT_CALIBRATING, fake_ask(TL_WIRE_MOTION_STOP, &stop));
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_MOTION_START, &start)); // and may begin again
+}
+
+static void test_compensation_needs_a_table_and_starts_without_a_jump(void) {
+    fake_enable(0, 1);
+    TEST_ASSERT_EQUAL(TL_WIRE_REASON_NO_TABLE, follow(0, 1));
+    fake_enable(0, 0);
+    fake_run_ms(5);
+    uint8_t blob[TL_TABLE_SIZE_MAX];
+    const uint16_t size = fake_table(blob, 0, 1);
+    TEST_ASSERT_EQUAL(TL_UPLOAD_OK, fake_upload(0, blob, size));
+    fake_run_ms(5);
+    fake_enable(0, 1);
+    fake_run_ms(5);
+    TEST_ASSERT_EQUAL(0, follow(0, 1));
+    double before = fake.position[0];
+    for (int i = 0; i < 300; i++) { // standing still, then reversals with the strength changed on the way
+        const int32_t c = (int32_t)lround(10.0 * sin(i * 0.05) * TL_DEG_ONE);
+        set_point(0, i < 20 ? 0 : c - (int32_t)lround(10.0 * sin(20 * 0.05) * TL_DEG_ONE), fake.t_us + 10000);
+        if (i % 37 == 0) {
+            const tl_wire_strength_t strength = {.axis = 0, .strength_q15 = rand() % 32769};
+            TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_STRENGTH, &strength));
+        }
+        for (int k = 0; k < 50; k++) {
+            fake_step();
+            TEST_ASSERT_TRUE(fabs(fake.position[0] - before) < 3.0); // 15 000 counts/s
+            before = fake.position[0];
+        }
+    }
+    const tl_wire_strength_t all = {.axis = 0, .strength_q15 = 32768};
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_STRENGTH, &all));
+    set_point(0, 5 * TL_DEG_ONE, fake.t_us + 500000);
+    fake_run_ms(550);
+    const tl_wire_status_t status = fake_status(0);
+    TEST_ASSERT_EQUAL(TL_WIRE_MODE_FOLLOW_TIP, status.mode);
+    TEST_ASSERT_TRUE((status.flags & TL_WIRE_FLAG_COMPENSATING) != 0);
+    TEST_ASSERT_INT_WITHIN(TL_DEG_ONE / 4, status.c_ref_q16, status.c_est_q16);
+}
+
+static void test_telemetry_is_even_and_every_drop_is_counted(void) {
+    const tl_wire_telemetry_t on = {.axis = TL_WIRE_ALL_AXES, .divider = 1};
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_TELEMETRY, &on));
+    tl_us_t next = 0;
+    uint32_t samples = 0;
+    for (int i = 0; i < 100; i++) {
+        fake_run_ms(8);
+        memset(heard_count, 0, sizeof(heard_count));
+        fake_listen();
+        TEST_ASSERT_EQUAL(2, heard_count[TL_WIRE_BATCH]);
+        const tl_wire_batch_t *batch = &heard[TL_WIRE_BATCH].batch;
+        TEST_ASSERT_TRUE(next == 0 || batch->t_us == next);
+        next = batch->t_us + 8000U;
+        samples += batch->count;
+    }
+    TEST_ASSERT_EQUAL(800, samples);
+    fake_run_ms(8000); // nobody reads
+    fake_listen();
+    const uint32_t whole = heard_count[TL_WIRE_BATCH];
+    const tl_wire_get_counters_t ask = {.clear = 1};
+    fake_ask(TL_WIRE_GET_COUNTERS, &ask);
+    const uint32_t dropped = heard[TL_WIRE_COUNTERS].counters.telemetry_dropped;
+    TEST_ASSERT_TRUE(dropped > 1000);
+    TEST_ASSERT_EQUAL(2 * (1 + 1000), whole + dropped / 8U); // the last evenly read round is still in the count
+}
+
+int main(void) {
+    UNITY_BEGIN();
+    RUN_TEST(test_a_blocked_motor_faults);
+    RUN_TEST(test_too_much_current_faults_after_its_mean);
+    RUN_TEST(test_an_encoder_that_jumps_faults_even_when_off);
+    RUN_TEST(test_safe_stop_works_from_every_state);
+    RUN_TEST(test_late_control_steps_fault_a_driven_axis_only);
+    RUN_TEST(test_a_watchdog_restart_is_told_and_latched);
+    RUN_TEST(test_the_watchdog_is_fed_only_while_control_steps_go_on);
+    RUN_TEST(test_a_silent_sender_brings_the_axis_to_rest_and_holds);
+    RUN_TEST(test_losing_the_bus_while_following_comes_to_rest_at_once);
+    RUN_TEST(test_set_points_are_joined_by_straight_lines_in_time);
+    RUN_TEST(test_enabling_and_disabling_never_jump);
+    RUN_TEST(test_the_reference_keeps_its_limits);
+    RUN_TEST(test_the_reference_does_not_trail_a_moving_target);
+    RUN_TEST(test_positions_beyond_the_limits_are_held_at_the_end);
+    RUN_TEST(test_an_axis_outside_its_limits_may_stay_and_come_back);
+    RUN_TEST(test_a_calibration_without_frames_ends_in_the_safe_state);
+    RUN_TEST(test_losing_the_bus_ends_a_calibration_in_the_safe_state);
+    RUN_TEST(test_a_calibration_stopped_by_the_host_rests_and_holds);
+    RUN_TEST(test_compensation_needs_a_table_and_starts_without_a_jump);
+    RUN_TEST(test_telemetry_is_even_and_every_drop_is_counted);
+    return UNITY_END();
+}
