@@ -106,6 +106,34 @@ class VideoCamera:
         self.close()
 
 
+class VideoFile:
+    """A video to write frames into: MJPEG, or lossless (FFV1). Use it as a context manager."""
+
+    def __init__(self, path: Path, rate_hz: float, lossless: bool = False) -> None:
+        self._path, self._rate_hz = path, rate_hz
+        self._codec = cv2.VideoWriter.fourcc(*("FFV1" if lossless else "MJPG"))
+        self._writer: cv2.VideoWriter | None = None
+
+    def write(self, picture: Array) -> None:
+        """All pictures have the first one's size."""
+        if self._writer is None:
+            height, width = picture.shape[:2]
+            with _quiet_opencv():
+                self._writer = cv2.VideoWriter(str(self._path), self._codec, self._rate_hz, (width, height))
+            if not self._writer.isOpened():
+                raise TautError(f"{self._path}: the video cannot be written: is there room, and may you write there?")
+        self._writer.write(picture)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._writer is not None:
+            self._writer.release()
+
+
 class SimulatedCamera:
     """The simulated endoscope in lockstep with a simulated instrument: frame by frame, in virtual time.
 

@@ -11,14 +11,12 @@ import numpy as np
 
 from tautline._native import MARKER_CLIPPED, MARKER_CUT_OFF, MARKER_FOUND, marker_measure
 from tautline.camera import VideoCamera
-from tautline.colour import MarkerColour, pick
+from tautline.colour import COLOUR_FILE, MarkerColour, pick
 from tautline.errors import TautError
 from tautline.recording import Marker, Video
 
 Array = np.ndarray
 Progress = Callable[[float, str], None]
-
-COLOUR_FILE = "marker.toml"
 
 _FAINT = 0.3  # of the picked contrast: fainter is no marker
 _LIKE = 0.92  # cosine between its colour and the picked one: 23 deg, which leaves room for glare

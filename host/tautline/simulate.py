@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from tautline import recording as recordings
+from tautline.camera import SimulatedCamera, VideoFile
+from tautline.colour import COLOUR_FILE, pick
+from tautline.endoscope import Endoscope
 from tautline.errors import TautError
+from tautline.folders import write_file
 from tautline.geometry import project
 from tautline.instrument import Instrument
 from tautline.recording import Angle, Marker, Motor, Recording
@@ -20,6 +26,7 @@ from tautline.timing import FrameTiming
 from tautline.trajectory import Trajectory
 
 Array = np.ndarray
+Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True)
@@ -32,11 +39,27 @@ class Simulation:
     p: Array  # (n,) play's centre, unit of q
     c_deg: Array  # (n,)
     scene_s: Array  # (m,) when each frame of marker.csv showed the scene
-    delay_s: float
+    timing: FrameTiming
 
-    def save_truth(self, folder: str | Path) -> None:
-        """truth.csv: t_s, c_deg, p at the motor's times. truth.json: B and f_remain on a grid, the delay."""
+    def save(
+        self,
+        folder: str | Path,
+        endoscope: Endoscope | None = None,
+        lossless: bool = False,
+        progress: Progress | None = None,
+    ) -> None:
+        """The recording as a folder, and the truth: truth.csv (t_s, c_deg, p at the motor's times) and truth.json (B
+        and f_remain on a grid, the delay). With an endoscope its frames as a video and the marker's colour as
+        marker.toml, in place of marker.csv. A simulation that was there is replaced.
+
+        lossless: 0.6 MB a frame instead of 0.03, and the tracker's noise 0.01 px instead of 0.04.
+        """
         folder = Path(folder)
+        _make_room(folder)
+        recording = self.recording
+        if endoscope is not None:
+            recording = replace(recording, marker=None)
+        recordings.save(recording, folder)
         table = pd.DataFrame({"t_s": self.t_s, "c_deg": self.c_deg, "p": self.p})
         table.to_csv(folder / "truth.csv", index=False, float_format="%.6f")
         low, high = self.instrument.rig.actuator.range
@@ -44,11 +67,51 @@ class Simulation:
         document = {
             "instrument": self.instrument.name,
             "unit": self.instrument.rig.actuator.unit,
-            "delay_s": self.delay_s,
+            "delay_s": self.timing.delay_s,
             "backlash": {"q": grid.tolist(), "width": self.instrument.backlash(grid).tolist()},
             "remaining": {"q": grid.tolist(), "c_deg": self.instrument.bend(grid).tolist()},
         }
-        (folder / "truth.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+        write_file(folder / "truth.json", json.dumps(document, indent=1) + "\n")
+        if endoscope is not None:
+            self._save_video(folder, endoscope, lossless, progress)
+
+    def scene(self, t_s: Array) -> tuple[Array | float, Array | float, Array | float]:
+        """The instrument at any times: c, translation, rotation."""
+        motor = self.recording.motor
+        others = (
+            0.0 if x is None else np.interp(t_s, motor.t_s, x) for x in (motor.translation_mm, motor.rotation_deg)
+        )
+        return np.interp(t_s, self.t_s, self.c_deg), *others
+
+    def _save_video(self, folder: Path, endoscope: Endoscope, lossless: bool, progress: Progress | None) -> None:
+        camera = SimulatedCamera(endoscope, self.scene, self.timing)
+        total = len(self.scene_s)
+        place = endoscope.position(*self.scene(self.scene_s[:1]))[0]
+        arrivals = []
+        with VideoFile(folder / "video.mkv", self.timing.rate_hz, lossless) as video:
+            for k in range(total):
+                picture, arrival = camera.read()
+                if k == 0:
+                    pick(picture, (float(place[0]), float(place[1]))).save(folder / COLOUR_FILE)
+                video.write(picture)
+                arrivals.append(arrival)
+                if progress and k % 25 == 0:
+                    progress(k / total, "drawing the video")
+        frames = pd.DataFrame({"frame": np.arange(total), "t_s": arrivals})
+        frames.to_csv(folder / "frames.csv", index=False, float_format="%.6f")
+
+
+_WRITTEN = ("motor.csv", "marker.csv", "angle.csv", "rig.toml", "truth.csv", "truth.json", "video.mkv", "frames.csv")
+
+
+def _make_room(folder: Path) -> None:
+    """An earlier simulation's files go, so that no marker.csv stays beside another's video."""
+    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+        return
+    if not (folder / "truth.json").is_file():
+        raise TautError(f"{folder}: exists, and is no earlier simulation: name a new folder")
+    for name in (*_WRITTEN, COLOUR_FILE):
+        (folder / name).unlink(missing_ok=True)
 
 
 def run(
@@ -106,7 +169,7 @@ def run(
     motor = Motor(t, np.round(trajectory.q / resolution) * resolution, trajectory.q, *others)
     at = np.searchsorted(every, t)
     recording = Recording(name, motor, marker, angle, rig=rig)
-    return Simulation(recording, instrument, t, p[at], c[at], scene, timing.delay_s)
+    return Simulation(recording, instrument, t, p[at], c[at], scene, timing)
 
 
 def simulate(rig: Rig, instrument: Instrument, trajectory: Trajectory, **options: Any) -> Recording:

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from click.testing import CliRunner, Result
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tautline import recording as recordings
+from tautline.cli.simulate import MOTIONS, command
+from tautline.endoscope import Endoscope
 from tautline.errors import TautError
 from tautline.geometry import project
 from tautline.instrument import PRESETS, Instrument, preset, reference_rig
+from tautline.marker import track_video
 from tautline.rig import Rig
 from tautline.simulate import run, simulate
 from tautline.timing import FrameTiming
@@ -161,15 +167,91 @@ def test_what_leaves_the_picture_is_not_valid() -> None:
     assert np.isnan(marker.u_px[~marker.valid]).all() and np.isfinite(marker.u_px[marker.valid]).all()
 
 
-def test_a_saved_simulation_loads_and_tells_the_truth(tmp_path) -> None:
+def test_a_saved_simulation_loads_and_tells_the_truth(tmp_path: Path) -> None:
     result = run(RIG, preset("random", RIG, 3), sines(ACTUATOR, 1.0, 10.0), seed=3)
-    recordings.save(result.recording, tmp_path)
-    result.save_truth(tmp_path)
-    loaded = recordings.load(tmp_path)
+    result.save(tmp_path / "a")
+    loaded = recordings.load(tmp_path / "a")
     assert loaded.warnings == () and loaded.rig == RIG
-    truth = pd.read_csv(tmp_path / "truth.csv")
+    truth = pd.read_csv(tmp_path / "a" / "truth.csv")
     assert np.allclose(truth["p"], result.p, atol=1e-6) and np.allclose(truth["t_s"], loaded.motor.t_s)
-    document = json.loads((tmp_path / "truth.json").read_text())
+    document = json.loads((tmp_path / "a" / "truth.json").read_text())
     grid = np.array(document["backlash"]["q"])
     assert np.allclose(document["backlash"]["width"], result.instrument.backlash(grid))
     assert document["delay_s"] == 0.08
+
+
+def test_a_simulated_video_is_tracked_to_the_same_places(tmp_path: Path) -> None:
+    instrument = preset("reference", RIG)
+    timing = FrameTiming.of(RIG, lost=0.1, seed=9)
+    result = run(RIG, instrument, sines(ACTUATOR, 2.0, 1.0), noise_px=0.0, timing=timing)
+    result.save(tmp_path / "a")
+    assert (tmp_path / "a" / "marker.csv").exists()
+    result.save(tmp_path / "a", Endoscope(RIG), lossless=True)
+    assert not (tmp_path / "a" / "marker.csv").exists()
+    video = recordings.load(tmp_path / "a").video
+    assert video is not None
+    tracked, expected = track_video(video), result.recording.marker
+    assert expected is not None and np.allclose(tracked.t_s, expected.t_s, atol=1e-6) and tracked.valid.all()
+    error = np.column_stack([tracked.u_px - expected.u_px, tracked.v_px - expected.v_px])
+    assert np.sqrt(np.mean(error**2, axis=0)).max() < 0.03
+
+
+def test_a_folder_of_something_else_is_not_written_to(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(TautError, match="no earlier simulation: name a new folder"):
+        run(RIG, preset("constant", RIG), sines(ACTUATOR, 1.0, 1.0)).save(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def taut(*arguments: object) -> Result:
+    return CliRunner().invoke(command, [str(argument) for argument in arguments])
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_the_command_makes_recordings_of_every_motion(motion: str, tmp_path: Path) -> None:
+    asked = [
+        "--motion",
+        motion,
+        "--seed",
+        4,
+        "--instrument",
+        "random",
+        "--speed",
+        2,
+        "--duration",
+        8,
+        "--reversals",
+        14,
+    ]
+    result = taut("--out", tmp_path / "a", *asked, "--json")
+    assert result.exit_code == 0, result.output
+    said = json.loads(result.stdout)
+    loaded = recordings.load(tmp_path / "a")
+    assert said["frames"] == len(loaded.marker.t_s) and said["duration_s"] > 5
+    again = taut("--out", tmp_path / "b", *asked)
+    assert again.exit_code == 0
+    for name in ("motor.csv", "marker.csv", "truth.csv"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_the_command_draws_a_video_over_ones_own_picture(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "b.png"), np.full((50, 60, 3), (80, 90, 160), np.uint8))
+    arguments = ["--motion", "random", "--duration", 1, "--video", "--background", tmp_path / "b.png"]
+    assert taut("--out", tmp_path / "a", *arguments).exit_code == 0
+    assert sorted(path.name for path in (tmp_path / "a").iterdir()) == [
+        "frames.csv",
+        "marker.toml",
+        "motor.csv",
+        "rig.toml",
+        "truth.csv",
+        "truth.json",
+        "video.mkv",
+    ]
+
+
+def test_the_command_says_what_does_not_fit_together(tmp_path: Path) -> None:
+    Rig(ACTUATOR, RIG.coarse).save(tmp_path / "rig.toml")
+    result = taut("--rig", tmp_path / "rig.toml", "--out", tmp_path / "a", "--video")
+    assert result.exit_code != 0 and "[camera]" in str(result.exception)
+    result = taut("--out", tmp_path / "a", "--motion", "trapezoids", "--amplitude", 11)
+    assert "does not fit the range" in str(result.exception)

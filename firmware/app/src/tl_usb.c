@@ -230,7 +230,8 @@ void tl_usb_task(void) {
     tud_task();
     uint8_t bytes[TL_WIRE_USB_PACKET];
     uint32_t count;
-    while ((count = tud_vendor_read(bytes, sizeof(bytes))) > 0U) {
+    // Reading before a host has configured the device would start a transfer on endpoint 0.
+    while (tud_vendor_mounted() && (count = tud_vendor_read(bytes, sizeof(bytes))) > 0U) {
         tl_app_receive(app, bytes, count);
     }
     // Only what fits is taken: the app's own queue holds whole frames and counts those that find no room.

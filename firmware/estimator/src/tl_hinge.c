@@ -22,6 +22,10 @@ tl_hinge_point_t tl_hinge_point(const tl_onset_detector_t *d, int32_t i, tl_coun
     };
 }
 
+tl_hinge_point_t tl_hinge_image(const tl_onset_detector_t *d, int32_t i) {
+    return tl_hinge_point(d, i, sample_at(d, i)->q, 0);
+}
+
 int32_t tl_hinge_scale(const tl_onset_detector_t *d, int32_t i, tl_count_q8_t origin) {
     int32_t farthest = 0;
     for (; i < d->held; i++) {
@@ -49,6 +53,16 @@ void tl_hinge_add(tl_onset_sums_t *sums, tl_hinge_point_t point) {
     sums->xu += wu * point.x;
     sums->xv += wv * point.x;
     sums->yy += wu * point.u + wv * point.v;
+}
+
+tl_onset_sums_t tl_hinge_without(const tl_onset_sums_t *sums, const tl_onset_sums_t *part) {
+    return (tl_onset_sums_t){
+        .w = sums->w - part->w,
+        .u = sums->u - part->u,
+        .v = sums->v - part->v,
+        .yy = sums->yy - part->yy,
+        .n = sums->n - part->n,
+    };
 }
 
 /// Moves the origin of x back by `delta`: every x grows by it.
@@ -140,58 +154,87 @@ static int32_t refine(tl_onset_sums_t *beyond, const tl_onset_sums_t *level, int
     return x;
 }
 
-static tl_onset_sums_t difference(const tl_onset_sums_t *all, const tl_onset_sums_t *beyond) {
-    return (tl_onset_sums_t){
-        .w = all->w - beyond->w,
-        .u = all->u - beyond->u,
-        .v = all->v - beyond->v,
-        .yy = all->yy - beyond->yy,
-        .n = all->n - beyond->n,
-    };
+/// Candidate knots at the window's samples, from the last but one backwards.
+typedef struct {
+    tl_count_q8_t origin; ///< of x: sample `first`
+    int32_t scale;
+    int32_t first;          ///< the last candidate
+    int32_t k;              ///< this candidate
+    tl_hinge_point_t here;  ///< sample k
+    tl_onset_sums_t beyond; ///< samples after k, x from sample k
+} walk_t;
+
+static void begin_walk(const tl_onset_detector_t *d, walk_t *walk) {
+    const int32_t span = d->config.frames_max + 2;
+    walk->first = d->held > span ? d->held - span : 0;
+    walk->origin = sample_at(d, walk->first)->q;
+    walk->scale = tl_hinge_scale(d, walk->first, walk->origin);
+    walk->k = d->held - 1;
+    walk->here = tl_hinge_point(d, walk->k, walk->origin, walk->scale);
+    walk->beyond = (tl_onset_sums_t){0};
+}
+
+static bool walk_on(const tl_onset_detector_t *d, walk_t *walk) {
+    if (walk->k == walk->first) {
+        return false;
+    }
+    tl_hinge_point_t last = walk->here;
+    walk->k--;
+    walk->here = tl_hinge_point(d, walk->k, walk->origin, walk->scale);
+    const int32_t step = last.x - walk->here.x;
+    last.x = 0;
+    tl_hinge_add(&walk->beyond, last);
+    shift(&walk->beyond, step);
+    return true;
+}
+
+tl_real_t tl_hinge_glance(const tl_onset_detector_t *d) {
+    gain_t best = {{0, 0}, {0, 0}};
+    walk_t walk;
+    int32_t next = 2;
+    begin_walk(d, &walk);
+    while (walk_on(d, &walk)) {
+        if (walk.beyond.n == next) {
+            const gain_t gain = gain_at(&walk.beyond, &d->all);
+            best = is_better(gain, best) ? gain : best;
+            next += next < 4 ? 1 : next / 3;
+        }
+    }
+    return best.denominator.m == 0
+               ? tl_real(0, 0)
+               : tl_real_div(best.numerator, tl_real_mul(best.denominator, tl_real(d->all.w, 0)));
 }
 
 bool tl_hinge_fit(const tl_onset_detector_t *d, tl_hinge_t *fit) {
-    const int32_t held = d->held;
-    if (held < 2 || held + d->level.n < 3) {
+    if (d->held < 2 || d->all.n < 3) {
         return false;
     }
-    const tl_count_q8_t origin = sample_at(d, 0)->q;
-    const int32_t scale = tl_hinge_scale(d, 0, origin);
-    tl_onset_sums_t all = d->level;
-    for (int32_t i = 0; i < held; i++) {
-        tl_hinge_add(&all, tl_hinge_point(d, i, origin, scale));
-    }
-
-    // Knots at the samples, from the last but one backwards.
-    tl_onset_sums_t beyond = {0};
+    const tl_onset_sums_t all = d->all;
+    walk_t walk;
     tl_onset_sums_t best_beyond = {0};
     gain_t best = {{0, 0}, {0, 0}};
     int32_t at = 0;
-    tl_hinge_point_t next = tl_hinge_point(d, held - 1, origin, scale);
-    for (int32_t k = held - 2; k >= 0; k--) {
-        const tl_hinge_point_t here = tl_hinge_point(d, k, origin, scale);
-        const int32_t step = next.x - here.x;
-        next.x = 0;
-        tl_hinge_add(&beyond, next);
-        shift(&beyond, step);
-        const gain_t gain = gain_at(&beyond, &all);
+    begin_walk(d, &walk);
+    while (walk_on(d, &walk)) {
+        const gain_t gain = gain_at(&walk.beyond, &all);
         if (is_better(gain, best)) {
             best = gain;
-            best_beyond = beyond;
-            at = k;
+            best_beyond = walk.beyond;
+            at = walk.k;
         }
-        next = here;
     }
     if (best.denominator.m == 0) {
         return false;
     }
+    const tl_count_q8_t origin = walk.origin;
+    const int32_t scale = walk.scale;
 
     // Between the best sample and its neighbours the optimum is a meeting point of line and level.
     const tl_hinge_point_t here = tl_hinge_point(d, at, origin, scale);
     int32_t knot = here.x;
     const tl_onset_sums_t on_sample = best_beyond;
     tl_onset_sums_t trial = on_sample;
-    tl_onset_sums_t level = difference(&all, &trial);
+    tl_onset_sums_t level = tl_hinge_without(&all, &trial);
     int32_t moved = refine(&trial, &level, 0, tl_hinge_point(d, at + 1, origin, scale).x - here.x);
     gain_t gain = gain_at(&trial, &all);
     if (moved != 0 && is_better(gain, best)) {
@@ -199,12 +242,12 @@ bool tl_hinge_fit(const tl_onset_detector_t *d, tl_hinge_t *fit) {
         best_beyond = trial;
         knot = here.x + moved;
     }
-    if (at > 0) {
+    if (at > walk.first) {
         trial = on_sample;
         tl_hinge_point_t corner = here;
         corner.x = 0;
         tl_hinge_add(&trial, corner);
-        level = difference(&all, &trial);
+        level = tl_hinge_without(&all, &trial);
         moved = refine(&trial, &level, tl_hinge_point(d, at - 1, origin, scale).x - here.x, 0);
         gain = gain_at(&trial, &all);
         if (moved != 0 && is_better(gain, best)) {
@@ -214,7 +257,7 @@ bool tl_hinge_fit(const tl_onset_detector_t *d, tl_hinge_t *fit) {
         }
     }
 
-    level = difference(&all, &best_beyond);
+    level = tl_hinge_without(&all, &best_beyond);
     const tl_real_t all_w = tl_real(all.w, 0);
     const tl_real_t slope = tl_real_div(tl_real_sqrt(best.numerator), best.denominator);
     const int64_t determinant = best_beyond.w * best_beyond.xx - best_beyond.x * best_beyond.x;
@@ -225,36 +268,67 @@ bool tl_hinge_fit(const tl_onset_detector_t *d, tl_hinge_t *fit) {
     fit->gain = tl_real_div(tl_real_div(best.numerator, best.denominator), all_w);
     fit->residual = tl_real_add(tl_hinge_scatter(&all), tl_real_neg(fit->gain));
     fit->residual = fit->residual.m > 0 ? fit->residual : tl_real(0, 0);
-    fit->knot = tl_real_add(tl_real(knot, scale), tl_real(travel(d, 0, d->reversal.q1), 0));
+    fit->knot = tl_real_add(tl_real(knot, scale), tl_real(travel(d, walk.first, d->reversal.q1), 0));
     fit->variance = tl_real_mul(variance, tl_real(1, 2 * scale));
     fit->slope = tl_real_mul(slope, tl_real(1, -scale));
-    fit->span = tl_real((int64_t)tl_hinge_point(d, held - 1, origin, scale).x - knot, scale);
+    fit->span = tl_real((int64_t)tl_hinge_point(d, d->held - 1, origin, scale).x - knot, scale);
     fit->level = level;
     fit->beyond = best_beyond.n;
     return true;
 }
 
-tl_real_t tl_hinge_blind(const tl_onset_detector_t *d, tl_real_t slope, tl_real_t gain) {
-    const tl_count_q8_t origin = sample_at(d, 0)->q;
-    const int32_t scale = tl_hinge_scale(d, 0, origin);
-    int64_t all_w = d->level.w;
-    for (int32_t i = 0; i < d->held; i++) {
-        all_w += sample_at(d, i)->weight;
+bool tl_hinge_break(const tl_onset_detector_t *d, tl_hinge_break_t *fit) {
+    bool found = false;
+    walk_t walk;
+    begin_walk(d, &walk);
+    while (walk_on(d, &walk)) {
+        const tl_onset_sums_t level = tl_hinge_without(&d->all, &walk.beyond);
+        tl_hinge_meeting_t line;
+        if (walk.beyond.n < 3 || !tl_hinge_meet(&walk.beyond, &level, walk.scale, &line)) {
+            continue;
+        }
+        const tl_real_t scatter = tl_real_add(tl_hinge_scatter(&level), tl_hinge_scatter(&walk.beyond));
+        const tl_real_t gain =
+            tl_real_add(tl_real_add(tl_hinge_scatter(&d->all), tl_real_neg(scatter)), line.gain);
+        if (!found || tl_real_less(fit->gain, gain)) {
+            fit->gain = gain;
+            fit->low = travel(d, walk.k, d->reversal.q1);
+            fit->high = travel(d, walk.k + 1, d->reversal.q1);
+            fit->level = level;
+            fit->beyond = walk.beyond.n;
+            found = true;
+        }
     }
+    return found;
+}
+
+tl_real_t tl_hinge_spread(const tl_onset_detector_t *d, const tl_hinge_t *fit, tl_real_t loss) {
+    const tl_real_t least = tl_real_add(fit->gain, tl_real_neg(loss));
+    tl_real_t spread = tl_real(0, 0);
+    walk_t walk;
+    begin_walk(d, &walk);
+    while (walk_on(d, &walk)) {
+        const gain_t gain = gain_at(&walk.beyond, &d->all);
+        const tl_real_t needed = tl_real_mul(tl_real_mul(least, tl_real(d->all.w, 0)), gain.denominator);
+        if (gain.denominator.m != 0 && !tl_real_less(gain.numerator, needed)) {
+            tl_real_t away = tl_real_add(tl_real(travel(d, walk.k, d->reversal.q1), 0), tl_real_neg(fit->knot));
+            away = away.m < 0 ? tl_real_neg(away) : away;
+            spread = tl_real_less(spread, away) ? away : spread;
+        }
+    }
+    return spread;
+}
+
+tl_real_t tl_hinge_blind(const tl_onset_detector_t *d, tl_real_t slope, tl_real_t gain) {
+    walk_t walk;
+    begin_walk(d, &walk);
     // slope^2 C_xx / W >= gain
-    const tl_real_t unit_slope = tl_real_mul(slope, tl_real(1, scale));
-    const tl_real_t needed = tl_real_div(tl_real_mul(gain, tl_real(all_w, 0)), tl_real_mul(unit_slope, unit_slope));
-    tl_onset_sums_t beyond = {0};
-    tl_hinge_point_t next = tl_hinge_point(d, d->held - 1, origin, scale);
-    for (int32_t k = d->held - 2; k >= 0; k--) {
-        const tl_hinge_point_t here = tl_hinge_point(d, k, origin, scale);
-        const int32_t step = next.x - here.x;
-        next.x = 0;
-        tl_hinge_add(&beyond, next);
-        shift(&beyond, step);
-        next = here;
-        if (!tl_real_less(tl_real(all_w * beyond.xx - beyond.x * beyond.x, 0), needed)) {
-            const int32_t seen = travel(d, k, d->reversal.q1);
+    const tl_real_t unit_slope = tl_real_mul(slope, tl_real(1, walk.scale));
+    const tl_real_t needed =
+        tl_real_div(tl_real_mul(gain, tl_real(d->all.w, 0)), tl_real_mul(unit_slope, unit_slope));
+    while (walk_on(d, &walk)) {
+        if (!tl_real_less(gain_at(&walk.beyond, &d->all).denominator, needed)) {
+            const int32_t seen = travel(d, walk.k, d->reversal.q1);
             return tl_real(seen > 0 ? seen : 0, 0);
         }
     }

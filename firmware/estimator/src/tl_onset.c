@@ -8,6 +8,7 @@
 #define DOF_MAX      512 ///< of remembered noise: about four reversals
 #define NOISE_FLOOR  26  ///< (0.005 px)^2, Q16, weight 16: below it the image's own resolution
 #define UNIT_WEIGHT  16
+#define LEVEL_MIN    2   ///< fewest frames on the level
 #define POLL_LAG_US  60000U ///< frames this late still find their turn unscanned
 #define JITTER_TURNS 8      ///< strokes shorter than this many turn thresholds are no reversals if hardly a frame saw them
 
@@ -24,8 +25,8 @@ tl_onset_config_t tl_onset_defaults(void) {
         .sigma_usable = 25 * TL_COUNT_ONE,
         .noise_px = TL_PX_ONE / 10,
         .curvature = 400,
-        .threshold = 36 * 16,
-        .frames_min = 3,
+        .threshold = 24 * 16,
+        .frames_min = 4,
         .frames_max = 32,
     };
 }
@@ -111,7 +112,7 @@ static int32_t speed_between(tl_onset_detector_t *d, int32_t i, int32_t k) {
 
 static void measure_stop(tl_onset_detector_t *d, const tl_onset_sums_t *level, tl_real_t unit) {
     tl_hinge_meeting_t meeting;
-    if (!d->entered || d->approach.n < 3 || level->n < d->config.frames_min ||
+    if (!d->entered || d->approach.n < 3 || level->n < LEVEL_MIN ||
         !tl_hinge_meet(&d->approach, level, d->approach_scale, &meeting)) {
         return;
     }
@@ -143,12 +144,24 @@ static bool evaluate(const tl_onset_detector_t *d, evaluation_t *e) {
     if (!tl_hinge_fit(d, &e->hinge)) {
         return false;
     }
-    e->dof = 2 * (d->level.n + d->held) - 5;
+    e->dof = 2 * d->all.n - 5;
     e->unit = unit_variance(d, e->hinge.residual, e->dof);
     e->required = tl_real_mul(required_ratio(&d->config, d->noise_dof + e->dof), e->unit);
     e->variance = knot_variance(&d->config, e->hinge.variance, e->unit, e->hinge.span);
     e->confirmed = e->hinge.beyond >= 2 && tl_real_less(e->required, e->hinge.gain);
     return true;
+}
+
+/// Whether a confirmation is near enough for the whole fit.
+static bool glance(const tl_onset_detector_t *d) {
+    const int32_t dof = 2 * d->all.n - 5;
+    if (d->held < d->config.frames_min || dof < 1) {
+        return false;
+    }
+    const tl_real_t gain = tl_hinge_glance(d);
+    const tl_real_t unit = unit_variance(d, tl_real_add(tl_hinge_scatter(&d->all), tl_real_neg(gain)), dof);
+    const tl_real_t required = tl_real_mul(required_ratio(&d->config, d->noise_dof + dof), unit);
+    return tl_real_less(required, tl_real_mul(gain, tl_real(2, 0)));
 }
 
 /// More frames are worth waiting for.
@@ -161,10 +174,49 @@ static bool may_improve(const tl_onset_detector_t *d, const evaluation_t *e) {
             tl_real_less(tl_real_mul(bias2, tl_real(4, 0)), statistical));
 }
 
+/// Variance of the knot. Where two sigma reach over a frame the likelihood is no longer a parabola: there two sigma are
+/// where it has fallen by a factor of e^2, if that is wider.
+static tl_real_t widened(const tl_onset_detector_t *d, const evaluation_t *e) {
+    const tl_real_t frame = tl_real_div(e->hinge.span, tl_real(e->hinge.beyond, 0));
+    if (tl_real_less(tl_real_mul(e->variance, tl_real(4, 0)), square(frame))) {
+        return e->variance;
+    }
+    const tl_real_t two_sigma = tl_hinge_spread(d, &e->hinge, tl_real_mul(e->unit, tl_real(4, 0)));
+    const tl_real_t wide = tl_real_mul(square(two_sigma), tl_real(1, -2));
+    return tl_real_less(e->variance, wide) ? wide : e->variance;
+}
+
+/// Replaces the hinge by a break where the image jumped at the onset, beyond doubt: then the two frames around it are all
+/// that is known of it.
+static bool allow_for_jump(const tl_onset_detector_t *d, evaluation_t *e) {
+    tl_hinge_break_t jump;
+    if (!tl_hinge_break(d, &jump)) {
+        return false;
+    }
+    const tl_real_t gained = tl_real_add(jump.gain, tl_real_neg(e->hinge.gain));
+    const tl_real_t unit = unit_variance(d, tl_real_add(e->hinge.residual, tl_real_neg(gained)), e->dof);
+    const tl_real_t required = tl_real_mul(required_ratio(&d->config, d->noise_dof + e->dof), unit);
+    if (!tl_real_less(required, gained)) {
+        return false;
+    }
+    const tl_real_t gap = tl_real((int64_t)jump.high - jump.low, 0);
+    const tl_real_t steps = tl_real_div(tl_real(TL_COUNT_ONE * TL_COUNT_ONE, 0), tl_real(6, 0));
+    e->hinge.knot = tl_real((int64_t)jump.low + jump.high, -1);
+    e->hinge.level = jump.level;
+    e->hinge.beyond = jump.beyond;
+    e->variance = tl_real_add(tl_real_div(square(gap), tl_real(12, 0)), steps);
+    e->unit = unit;
+    return true;
+}
+
 /// The image has started: writes the onset and goes on following with the samples beyond the knot.
-static void finish_started(tl_onset_detector_t *d, const evaluation_t *e, tl_onset_t *onset) {
+static void finish_started(tl_onset_detector_t *d, evaluation_t *e, tl_onset_t *onset) {
     const tl_onset_config_t *config = &d->config;
     tl_onset_t *r = &d->reversal;
+    const bool few = e->hinge.beyond < config->frames_min;
+    if (!allow_for_jump(d, e)) {
+        e->variance = widened(d, e);
+    }
     const int32_t first = d->held - e->hinge.beyond;
     const int32_t knot = tl_real_to_q(e->hinge.knot, 0);
     const int32_t sigma = tl_real_to_q(tl_real_sqrt(e->variance), 0);
@@ -188,7 +240,7 @@ static void finish_started(tl_onset_detector_t *d, const evaluation_t *e, tl_ons
     tl_onset_reason_t reason = TL_ONSET_USED;
     if (!d->entered) {
         reason = TL_ONSET_NOT_ON_ENVELOPE;
-    } else if (e->hinge.level.n < config->frames_min || e->hinge.beyond < config->frames_min) {
+    } else if (few || e->hinge.level.n < LEVEL_MIN) {
         reason = TL_ONSET_TOO_FEW_SAMPLES;
     } else {
         reason = sigma > config->sigma_usable ? TL_ONSET_SLOPE_TOO_SMALL : TL_ONSET_USED;
@@ -208,19 +260,14 @@ static void finish_unstarted(tl_onset_detector_t *d, const evaluation_t *e, tl_o
     if (!d->entered) {
         reason = TL_ONSET_NOT_ON_ENVELOPE;
     } else if (e != NULL && d->reversal.frames >= 2U * d->config.frames_min && d->approach.n >= 3) {
-        tl_onset_sums_t level = d->level;
-        const int32_t scale = tl_hinge_scale(d, 0, d->reversal.q1);
-        for (int32_t i = 0; i < d->held; i++) {
-            tl_hinge_add(&level, tl_hinge_point(d, i, d->reversal.q1, scale));
-        }
         reason = TL_ONSET_SLOPE_TOO_SMALL;
-        if (tl_hinge_meet(&d->approach, &level, d->approach_scale, &approach)) {
+        if (tl_hinge_meet(&d->approach, &d->all, d->approach_scale, &approach)) {
             // Twice the gain that confirms is confirmed with a probability of 0.98.
             const tl_real_t seen = tl_hinge_blind(d, approach.slope, tl_real_mul(e->required, tl_real(2, 0)));
             if (seen.m > 0) {
                 reason = TL_ONSET_NO_START;
                 d->reversal.width = tl_real_to_q(seen, 0);
-                measure_stop(d, &level, e->unit);
+                measure_stop(d, &d->all, e->unit);
             }
         }
         d->reversal.noise = tl_real_to_q(tl_real_sqrt(tl_real_div(e->unit, tl_real(UNIT_WEIGHT, 0))), 4);
@@ -284,10 +331,20 @@ static bool approach_moves(const tl_onset_detector_t *d) {
     return tl_real_less(tl_real_mul(required_ratio(&d->config, d->noise_dof + dof), unit), meeting.gain);
 }
 
+/// Of the image alone.
+static tl_onset_sums_t window_sums(const tl_onset_detector_t *d) {
+    tl_onset_sums_t sums = {0};
+    for (int32_t i = 0; i < d->held; i++) {
+        tl_hinge_add(&sums, tl_hinge_image(d, i));
+    }
+    return sums;
+}
+
 static void begin_reversal(tl_onset_detector_t *d, int8_t direction) {
     const uint32_t turn_us = (uint32_t)d->extreme_us;
     d->direction = direction;
     d->phase = CROSSING;
+    d->settled = false;
     d->reversal = (tl_onset_t){
         .turn_us = d->extreme_us,
         .start_us = d->extreme_us,
@@ -299,7 +356,6 @@ static void begin_reversal(tl_onset_detector_t *d, int8_t direction) {
         .sigma_stop = TL_ONSET_UNKNOWN,
         .direction = direction,
     };
-    memset(&d->level, 0, sizeof d->level);
     int32_t before = d->held;
     while (before > 0 && (int32_t)(sample_at(d, before - 1)->t_us - turn_us) > 0) {
         before--;
@@ -318,6 +374,7 @@ static void begin_reversal(tl_onset_detector_t *d, int8_t direction) {
     d->on_envelope = false;
     drop_oldest(d, after);
     d->reversal.frames = d->held;
+    d->all = window_sums(d);
 }
 
 /// Follows the motor to `q`; true if that ended a reversal which is worth telling.
@@ -425,24 +482,16 @@ static int32_t weight_of(const tl_onset_config_t *config, tl_px_q12_t sigma) {
     return weight < 1 ? 1 : (weight > 64 ? 64 : (int32_t)weight);
 }
 
-static void halve(tl_onset_sums_t *sums) {
-    sums->w /= 2;
-    sums->u /= 2;
-    sums->v /= 2;
-    sums->yy /= 2;
-    sums->n /= 2;
+/// Keeps the sums of a long level within their range, and lets a level that creeps be followed.
+static void fade(tl_onset_detector_t *d) {
+    const tl_onset_sums_t window = window_sums(d);
+    const tl_onset_sums_t old = tl_hinge_without(&d->all, &window);
+    const tl_onset_sums_t half = {.w = old.w / 2, .u = old.u / 2, .v = old.v / 2, .yy = old.yy / 2, .n = old.n / 2};
+    d->all = tl_hinge_without(&d->all, &half);
 }
 
 static void take(tl_onset_detector_t *d, const tl_onset_sample_t *sample) {
     if (d->held == TL_ONSET_WINDOW) {
-        if (d->phase == CROSSING) {
-            tl_hinge_point_t oldest = tl_hinge_point(d, 0, sample_at(d, 0)->q, 0);
-            oldest.x = 0;
-            tl_hinge_add(&d->level, oldest);
-            if (d->level.n >= TL_ONSET_WINDOW) {
-                halve(&d->level);
-            }
-        }
         drop_oldest(d, 1);
     }
     *sample_at(d, d->held) = *sample;
@@ -492,17 +541,28 @@ bool tl_onset_sample(tl_onset_detector_t *detector, const tl_history_t *history,
     if (scene_us < d->reversal.turn_us + d->config.guard_us) {
         return told;
     }
-    if (d->approach.n == 0 && d->held == 0 && d->level.n == 0) {
+    if (d->approach.n == 0 && d->all.n == 0) {
         d->reference_u = sample.u;
         d->reference_v = sample.v;
     }
     take(d, &sample);
+    tl_hinge_add(&d->all, tl_hinge_image(d, d->held - 1));
+    if (d->all.n >= 2 * TL_ONSET_WINDOW) {
+        fade(d);
+    }
     if (d->reversal.frames < UINT16_MAX) {
         d->reversal.frames++;
     }
     evaluation_t e;
-    if (told || !evaluate(d, &e) || !e.confirmed || may_improve(d, &e)) {
+    if (told || !glance(d) || !evaluate(d, &e)) {
+        d->settled = false;
         return told;
+    }
+    // Twice in a row: a finish on the first chance would prefer those whose knot noise has moved forward.
+    const bool before = d->settled;
+    d->settled = e.confirmed && !may_improve(d, &e);
+    if (!before || !d->settled) {
+        return false;
     }
     finish_started(d, &e, onset);
     return true;

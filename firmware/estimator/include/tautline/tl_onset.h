@@ -44,7 +44,7 @@ typedef enum {
     TL_ONSET_OTHER_MOTION,    ///< another degree of freedom moved during the reversal
     TL_ONSET_MARKER_LOST,     ///< the marker was away for longer than lost_us during the reversal
     TL_ONSET_TIMED_OUT,       ///< neither an onset nor a turn within timeout_us
-    TL_ONSET_TOO_FEW_SAMPLES, ///< the level or the motion after it rests on fewer than frames_min frames
+    TL_ONSET_TOO_FEW_SAMPLES, ///< fewer than two frames on the level, or than frames_min after the knot
     TL_ONSET_SLOPE_TOO_SMALL, ///< the image moves too little for its noise (near the straight pose): sigma > sigma_usable
 } tl_onset_reason_t;
 
@@ -89,7 +89,7 @@ typedef struct {
     tl_px_q12_t noise_px;       ///< marker noise to begin with where a sample states none; 0.1 px
     uint32_t curvature;         ///< relative change of slope along the path, 1/2^20 for a count; 400 is 0.38/mm at 1 um
     uint16_t threshold;         ///< likelihood ratio (2 ln) that confirms, Q4; 36: 1e-4 false alarms a reversal of 200 frames
-    uint8_t frames_min;         ///< fewest frames on the level and after the knot, 3 or more; 3
+    uint8_t frames_min;         ///< fewest frames after the knot, 3 or more; 4
     uint8_t frames_max;         ///< frames after the knot that end a reversal in any case, < TL_ONSET_WINDOW; 32
 } tl_onset_config_t;
 
@@ -120,10 +120,11 @@ typedef struct {
     bool placed;        ///< `extreme` and `opposite` hold a position
     bool on_envelope;   ///< an image start was seen since the last turn: the tip follows
     bool entered;       ///< the reversal under way began on an envelope
+    bool settled;       ///< the last frame had nothing to wait for
     uint8_t oldest, held; ///< ring of samples
     tl_onset_sample_t window[TL_ONSET_WINDOW];
     tl_px_q12_t reference_u, reference_v;
-    tl_onset_sums_t level;    ///< samples of this reversal that no longer fit into the window
+    tl_onset_sums_t all;      ///< image of every sample of this reversal, the oldest ones fading; no x
     tl_onset_sums_t approach; ///< the line before the turn, x in 2^approach_scale Q8 counts from q1
     int32_t approach_scale;
     tl_count_q8_t approach_span;

@@ -1,0 +1,82 @@
+#include "bridge.h"
+
+#include "hardware/adc.h"
+#include "hardware/clocks.h"
+#include "hardware/gpio.h"
+#include "hardware/pwm.h"
+#include "pico.h"
+
+enum {
+    PWM_HZ = 25000,
+    CLOCK_HZ = 125000000,
+    PERIOD = CLOCK_HZ / PWM_HZ,
+    DEAD_TIME = CLOCK_HZ / 1000000 * 450 / 1000, // DRV8833: 450 ns in which neither side conducts
+    SHUNT_MILLIOHM = 470,                        // of the Motor 2040
+    ADC_FULL_SCALE_MV = 3300,
+    ADC_SHARED_INPUT = MOTOR2040_SHARED_ADC_PIN - 26,
+};
+
+static unsigned sense_axis;
+
+static unsigned pin_p(unsigned axis) { return MOTOR2040_MOTOR_A_P_PIN + 2 * axis; }
+
+static void __not_in_flash_func(set_levels)(unsigned axis, uint32_t p, uint32_t n) {
+    // Both inputs of a bridge are the two channels of one slice: one write, so that they change in the same period.
+    pwm_hw->slice[pwm_gpio_to_slice_num(MOTOR2040_MOTOR_A_P_PIN + 2 * axis)].cc = p | n << 16;
+}
+
+static void select_sense(unsigned axis) {
+    const unsigned address = MOTOR2040_CURRENT_SENSE_A_ADDR + axis;
+    gpio_put(MOTOR2040_ADC_ADDR_0_PIN, address & 1);
+    gpio_put(MOTOR2040_ADC_ADDR_1_PIN, address >> 1 & 1);
+    gpio_put(MOTOR2040_ADC_ADDR_2_PIN, address >> 2 & 1);
+}
+
+void bridge_init(void) {
+    hard_assert(clock_get_hz(clk_sys) == CLOCK_HZ);
+    for (unsigned axis = 0; axis < MOTOR2040_NUM_MOTORS; axis++) {
+        pwm_config config = pwm_get_default_config();
+        pwm_config_set_wrap(&config, PERIOD - 1);
+        pwm_init(pwm_gpio_to_slice_num(pin_p(axis)), &config, true);
+        set_levels(axis, 0, 0);
+        gpio_set_function(pin_p(axis), GPIO_FUNC_PWM);
+        gpio_set_function(pin_p(axis) + 1, GPIO_FUNC_PWM);
+    }
+    const unsigned address_pins[] = {MOTOR2040_ADC_ADDR_0_PIN, MOTOR2040_ADC_ADDR_1_PIN,
+                                     MOTOR2040_ADC_ADDR_2_PIN};
+    for (unsigned i = 0; i < 3; i++) {
+        gpio_init(address_pins[i]);
+        gpio_set_dir(address_pins[i], GPIO_OUT);
+    }
+    adc_init();
+    adc_gpio_init(MOTOR2040_SHARED_ADC_PIN);
+    adc_select_input(ADC_SHARED_INPUT);
+    select_sense(sense_axis);
+}
+
+void __not_in_flash_func(bridge_drive)(unsigned axis, tl_duty_q15_t duty) {
+    const tl_duty_q15_t limited = tl_clamp(duty, -32768, 32768);
+    const uint32_t size = (uint32_t)(limited < 0 ? -limited : limited);
+    uint32_t on = size * PERIOD >> 15;
+    if (on > 0) {
+        on = on + DEAD_TIME < PERIOD ? on + DEAD_TIME : PERIOD;
+    }
+    // The driving side stays high, the other one goes low for the time the bridge drives.
+    if (limited >= 0) {
+        set_levels(axis, PERIOD, PERIOD - on);
+    } else {
+        set_levels(axis, PERIOD - on, PERIOD);
+    }
+}
+
+void __not_in_flash_func(bridge_coast)(unsigned axis) { set_levels(axis, 0, 0); }
+
+void __not_in_flash_func(bridge_sense_start)(void) { hw_set_bits(&adc_hw->cs, ADC_CS_START_ONCE_BITS); }
+
+int32_t __not_in_flash_func(bridge_sense_finish)(unsigned *axis) {
+    const uint32_t millivolt = (uint32_t)adc_hw->result * ADC_FULL_SCALE_MV >> 12;
+    *axis = sense_axis;
+    sense_axis = (sense_axis + 1) % MOTOR2040_NUM_MOTORS;
+    select_sense(sense_axis);
+    return (int32_t)(millivolt * ((1000u << 10) / SHUNT_MILLIOHM) >> 10);
+}

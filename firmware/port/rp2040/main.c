@@ -1,0 +1,202 @@
+// The app on a Pimoroni Motor 2040: tl_port.h on real registers, the control step on a hardware timer, the task in the main loop.
+#include <string.h>
+
+#include "bridge.h"
+#include "hardware/flash.h"
+#include "hardware/irq.h"
+#include "hardware/sync.h"
+#include "hardware/timer.h"
+#include "hardware/watchdog.h"
+#include "pico/bootrom.h"
+#include "pico/flash.h"
+#include "pico/stdlib.h"
+#include "pico/unique_id.h"
+#include "quadrature.h"
+#include "tautline/tl_app.h"
+#include "tautline/tl_usb.h"
+
+#ifndef TAUTLINE_CONTROL_HZ
+#define TAUTLINE_CONTROL_HZ 5000
+#endif
+#ifndef TAUTLINE_AXES
+#define TAUTLINE_AXES MOTOR2040_NUM_MOTORS
+#endif
+#if TAUTLINE_CONTROL_HZ < 1000 || TAUTLINE_CONTROL_HZ > 10000 || 1000000 % TAUTLINE_CONTROL_HZ != 0
+#error "TAUTLINE_CONTROL_HZ: 1000 to 10000, a divisor of 1000000"
+#endif
+#if TAUTLINE_AXES < 1 || TAUTLINE_AXES > MOTOR2040_NUM_MOTORS
+#error "TAUTLINE_AXES: 1 to 4"
+#endif
+
+enum {
+    CONTROL_PERIOD_US = 1000000 / TAUTLINE_CONTROL_HZ,
+    CONTROL_ALARM = 0,
+    TABLE_REGION = 2 * MOTOR2040_NUM_MOTORS * FLASH_SECTOR_SIZE,
+    TABLE_OFFSET = PICO_FLASH_SIZE_BYTES - TABLE_REGION,
+    WATCHDOG_MS = 250,
+    WATCHDOG_FLASH_MS = 800, // an erase takes 0.4 s at worst
+    FLASH_TIMEOUT_MS = 100,
+};
+
+static struct {
+    tl_app_t app;
+    tl_port_t port;
+    char serial[2 * PICO_UNIQUE_BOARD_ID_SIZE_BYTES + 1];
+    int32_t current_ma[MOTOR2040_NUM_MOTORS];
+} board;
+
+static const uint8_t encoder_pins[] = {MOTOR2040_ENCODER_A_A_PIN, MOTOR2040_ENCODER_B_A_PIN,
+                                       MOTOR2040_ENCODER_C_A_PIN, MOTOR2040_ENCODER_D_A_PIN};
+
+// -- tl_port.h --------------------------------------------------------------------------------------------------
+
+static tl_us_t __not_in_flash_func(port_time_us)(void *context) {
+    (void)context;
+    return time_us_64();
+}
+
+static int32_t __not_in_flash_func(port_encoder)(void *context, uint8_t axis) {
+    (void)context;
+    return quadrature_count(axis);
+}
+
+static void __not_in_flash_func(port_drive)(void *context, uint8_t axis, tl_duty_q15_t duty) {
+    (void)context;
+    bridge_drive(axis, duty);
+}
+
+static int32_t __not_in_flash_func(port_current_ma)(void *context, uint8_t axis) {
+    (void)context;
+    return board.current_ma[axis];
+}
+
+typedef struct {
+    uint32_t offset;
+    const uint8_t *page; // NULL: erase the sector
+} flash_operation_t;
+
+static void __not_in_flash_func(flash_operation)(void *parameter) {
+    const flash_operation_t *operation = parameter;
+    if (operation->page == NULL) {
+        flash_range_erase(operation->offset, FLASH_SECTOR_SIZE);
+    } else {
+        flash_range_program(operation->offset, operation->page, FLASH_PAGE_SIZE);
+    }
+}
+
+// The SDK's safe path: interrupts off, and so the control step stands still; the app has the motors off.
+static bool flash_safely(uint32_t offset, const uint8_t *page) {
+    flash_operation_t operation = {TABLE_OFFSET + offset, page};
+    watchdog_enable(WATCHDOG_FLASH_MS, true);
+    const bool done = flash_safe_execute(flash_operation, &operation, FLASH_TIMEOUT_MS) == PICO_OK;
+    watchdog_enable(WATCHDOG_MS, true);
+    return done;
+}
+
+static bool port_flash_erase(void *context, uint32_t offset) {
+    (void)context;
+    return offset < TABLE_REGION && flash_safely(offset, NULL);
+}
+
+static bool port_flash_program(void *context, uint32_t offset, const uint8_t *page) {
+    (void)context;
+    // The flash chip is out of reach while it is written: the data must be in RAM.
+    static uint8_t buffer[FLASH_PAGE_SIZE];
+    memcpy(buffer, page, sizeof(buffer));
+    return offset < TABLE_REGION && flash_safely(offset, buffer);
+}
+
+static void port_watchdog_feed(void *context) {
+    (void)context;
+    watchdog_update();
+}
+
+static uint32_t port_lock(void *context) {
+    (void)context;
+    return save_and_disable_interrupts();
+}
+
+static void port_unlock(void *context, uint32_t state) {
+    (void)context;
+    restore_interrupts(state);
+}
+
+static void port_reboot(void *context, bool bootloader) {
+    (void)context;
+    if (bootloader) {
+        rom_reset_usb_boot(0, 0);
+    }
+    watchdog_reboot(0, 0, 0);
+}
+
+// -- control step -----------------------------------------------------------------------------------------------
+
+static void __not_in_flash_func(control_interrupt)(void) {
+    hw_clear_bits(&timer_hw->intr, 1u << CONTROL_ALARM);
+    // From the time it was due, not from now: no drift. After a flash operation it may lie behind; then from now.
+    uint32_t due = timer_hw->alarm[CONTROL_ALARM] + CONTROL_PERIOD_US;
+    if ((int32_t)(due - timer_hw->timerawl) <= 0) {
+        due = timer_hw->timerawl + CONTROL_PERIOD_US;
+    }
+    timer_hw->alarm[CONTROL_ALARM] = due;
+
+    bridge_sense_start();
+    tl_app_control(&board.app);
+    unsigned axis;
+    const int32_t current = bridge_sense_finish(&axis);
+    board.current_ma[axis] = current;
+}
+
+static void start_control(void) {
+    hardware_alarm_claim(CONTROL_ALARM);
+    irq_set_exclusive_handler(TIMER_IRQ_0, control_interrupt);
+    irq_set_priority(TIMER_IRQ_0, PICO_HIGHEST_IRQ_PRIORITY);
+    hw_set_bits(&timer_hw->inte, 1u << CONTROL_ALARM);
+    irq_set_enabled(TIMER_IRQ_0, true);
+    timer_hw->alarm[CONTROL_ALARM] = timer_hw->timerawl + CONTROL_PERIOD_US;
+}
+
+// ---------------------------------------------------------------------------------------------------------------
+
+static tl_wire_boot_t boot_reason(void) {
+    if (!watchdog_caused_reboot()) {
+        return TL_WIRE_BOOT_POWER;
+    }
+    return watchdog_enable_caused_reboot() ? TL_WIRE_BOOT_WATCHDOG : TL_WIRE_BOOT_REQUEST;
+}
+
+int main(void) {
+    const tl_wire_boot_t boot = boot_reason();
+    bridge_init();
+    for (unsigned axis = 0; axis < TAUTLINE_AXES; axis++) {
+        quadrature_init(axis, encoder_pins[axis]);
+    }
+    pico_get_unique_board_id_string(board.serial, sizeof(board.serial));
+    board.port = (tl_port_t){
+        .name = "rp2040",
+        .serial = board.serial,
+        .axes = TAUTLINE_AXES,
+        .boot = (uint8_t)boot,
+        .control_hz = TAUTLINE_CONTROL_HZ,
+        .time_us = port_time_us,
+        .encoder = port_encoder,
+        .drive = port_drive,
+        .current_ma = port_current_ma,
+        .flash = (const uint8_t *)(XIP_BASE + TABLE_OFFSET),
+        .flash_erase = port_flash_erase,
+        .flash_program = port_flash_program,
+        .watchdog_feed = port_watchdog_feed,
+        .lock = port_lock,
+        .unlock = port_unlock,
+        .reboot = port_reboot,
+    };
+    tl_app_init(&board.app, &board.port);
+    tl_usb_init(&board.app);
+    watchdog_enable(WATCHDOG_MS, true);
+    start_control();
+    for (;;) {
+        tl_app_task(&board.app);
+        tl_usb_task();
+        __wfi();
+    }
+}

@@ -1,0 +1,47 @@
+#include "quadrature.h"
+
+#include "hardware/gpio.h"
+#include "hardware/pio.h"
+#include "quadrature.pio.h"
+
+void quadrature_init(unsigned axis, unsigned pin_a) {
+    static bool loaded;
+    if (!loaded) {
+        pio_add_program(pio0, &quadrature_program);
+        loaded = true;
+    }
+    for (unsigned pin = pin_a; pin <= pin_a + 1; pin++) {
+        pio_gpio_init(pio0, pin);
+        gpio_pull_up(pin);
+    }
+    pio_sm_config config = quadrature_program_get_default_config(0);
+    sm_config_set_in_pins(&config, pin_a);
+    sm_config_set_in_shift(&config, false, false, 32);
+    sm_config_set_out_shift(&config, true, false, 32);
+    pio_sm_init(pio0, axis, quadrature_offset_sample, &config);
+    pio_sm_set_consecutive_pindirs(pio0, axis, pin_a, 2, false);
+    // The state that the first round compares with is the one that is there; the count starts at 0.
+    pio_sm_exec(pio0, axis, pio_encode_in(pio_pins, 2));
+    pio_sm_exec(pio0, axis, pio_encode_mov(pio_osr, pio_isr));
+    pio_sm_exec(pio0, axis, pio_encode_set(pio_y, 0));
+    pio_sm_set_enabled(pio0, axis, true);
+}
+
+int32_t __not_in_flash_func(quadrature_count)(unsigned axis) {
+    // Changing the join empties the FIFO: what comes next is at most a round old.
+    hw_xor_bits(&pio0->sm[axis].shiftctrl, PIO_SM0_SHIFTCTRL_FJOIN_RX_BITS);
+    hw_xor_bits(&pio0->sm[axis].shiftctrl, PIO_SM0_SHIFTCTRL_FJOIN_RX_BITS);
+    const uint32_t empty = 1u << (PIO_FSTAT_RXEMPTY_LSB + axis);
+    while (pio0->fstat & empty) {
+    }
+    return (int32_t)pio0->rxf[axis];
+}
+
+bool __not_in_flash_func(quadrature_slipped)(unsigned axis) {
+    const uint32_t flag = 1u << axis;
+    if (!(pio0->irq & flag)) {
+        return false;
+    }
+    pio0->irq = flag;
+    return true;
+}

@@ -1,0 +1,131 @@
+"""taut marker SOURCE"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+import cv2
+import numpy as np
+
+from tautline.camera import VideoCamera
+from tautline.cli._common import emit, json_option, progress_bar
+from tautline.colour import COLOUR_FILE, MarkerColour, pick
+from tautline.errors import TautError
+from tautline.marker import Sighting, Tracker
+
+_STILL_FRAMES = 60  # that are tracked to say how well the marker can be seen
+_WARM_UP = 15  # frames of a device that pass while it finds its exposure
+
+
+class _Place(click.ParamType):  # type: ignore[type-arg]
+    name = "U,V"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, float]:
+        try:
+            u, v = (float(part) for part in str(value).split(","))
+        except ValueError:
+            self.fail(f"'{value}' is no place in the picture: write U,V in px, as in 312,240", param, ctx)
+        return u, v
+
+
+@click.command("marker")
+@click.argument("source")
+@click.option(
+    "--at", type=_Place(), help="Where the marker is in the first picture, px. Default: what stands out most."
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    default=Path(COLOUR_FILE),
+    show_default=True,
+    help="File for the colour. Beside a video it is used for that video.",
+)
+@json_option
+def command(source: str, at: tuple[float, float] | None, out: Path, as_json: bool) -> None:
+    """Pick the marker's colour, once.
+
+    SOURCE is a picture, a video, a camera (its number or device) or a stream's address. Beside --out goes a picture of
+    what was found, as a PNG.
+    """
+    pictures, is_video = _pictures(source)
+    colour = pick(pictures[0], at)
+    tracker = Tracker(colour)
+    with progress_bar("tracking") as progress:
+        seen = []
+        for k, picture in enumerate(pictures):
+            progress(k / len(pictures), "how well the marker is seen")
+            seen.append(tracker.track(picture))
+    if not seen[0].valid:
+        raise TautError(f"{source}: a colour was found at {_where(colour)} but no marker: {seen[0].lost}; try --at U,V")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        colour.save(out)
+    except OSError as error:
+        raise TautError(f"{out}: cannot be written ({error.strerror}): name another file with --out") from error
+    shown = out.with_suffix(".png")
+    cv2.imwrite(str(shown), _drawn(pictures[0], colour, seen[0]))
+    valid = [s for s in seen if s.valid]
+    sigma = float(np.median([s.sigma_px for s in valid]))
+    result = {
+        "file": out,
+        "picture": shown,
+        "at_px": [seen[0].u_px, seen[0].v_px],
+        "diameter_px": seen[0].diameter_px,
+        "colour_bgr": colour.colour,
+        "sigma_px": sigma,
+        "frames": len(seen),
+        "frames_seen": len(valid),
+    }
+    blue, green, red = (round(level) for level in colour.colour)
+    text = (
+        f"marker at {seen[0].u_px:.1f}, {seen[0].v_px:.1f} px, {seen[0].diameter_px:.1f} px wide, "
+        f"red {red} green {green} blue {blue}, each position good to {sigma:.3f} px"
+    )
+    if is_video:
+        text += f"; seen in {len(valid)} of the first {len(seen)} frames"
+    emit(result, as_json, f"{text}\n{out} holds its colour; look at {shown} to see that it is the right one")
+
+
+def _pictures(source: str) -> tuple[list[np.ndarray], bool]:
+    """Some pictures of the source, and whether it is more than one."""
+    if source.isdigit() and not Path(source).exists():
+        with VideoCamera(int(source)) as camera:
+            for _ in range(_WARM_UP):
+                camera.read()
+            return [read[0] for _ in range(_STILL_FRAMES) if (read := camera.read())], True
+    if Path(source).is_file() and cv2.haveImageReader(source):
+        picture = cv2.imread(source, cv2.IMREAD_COLOR)
+        if picture is None:
+            raise TautError(f"{source}: cannot be read as a picture: is it whole?")
+        return [picture], False
+    with VideoCamera(source) as camera:
+        pictures = [read[0] for _ in range(_STILL_FRAMES) if (read := camera.read())]
+    if not pictures:
+        raise TautError(f"{source}: holds no frames")
+    return pictures, True
+
+
+def _where(colour: MarkerColour) -> str:
+    return f"{colour.at[0]:.0f}, {colour.at[1]:.0f} px"
+
+
+def _drawn(picture: np.ndarray, colour: MarkerColour, sighting: Sighting) -> np.ndarray:
+    """The picture with the marker ringed, beside its membership with an enlarged cut of the marker in the corner."""
+    ringed = picture.copy()
+    centre = np.rint([sighting.u_px * 16, sighting.v_px * 16]).astype(int).tolist()
+    cv2.circle(ringed, centre, round((0.5 * sighting.diameter_px + 4) * 16), (255, 255, 255), 1, cv2.LINE_AA, 4)
+    for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        reach = np.array([0.5 * sighting.diameter_px + 6, 0.5 * sighting.diameter_px + 18]) * 16
+        near, far = ([round(centre[0] + dx * r), round(centre[1] + dy * r)] for r in reach)
+        cv2.line(ringed, near, far, (255, 255, 255), 1, cv2.LINE_AA, 4)
+    grey = np.clip(255 * colour.membership(picture), 0, 255).astype(np.uint8)
+    member = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+    size = max(8, round(2.5 * sighting.diameter_px))
+    cut = cv2.getRectSubPix(picture, (size, size), (sighting.u_px, sighting.v_px))
+    side = min(180, min(picture.shape[:2]) // 2)
+    if side >= 16:
+        enlarged = cv2.resize(cut, (side, side), interpolation=cv2.INTER_NEAREST)
+        enlarged = cv2.copyMakeBorder(enlarged[2:-2, 2:-2], 2, 2, 2, 2, cv2.BORDER_CONSTANT, value=(255, 255, 255))
+        member[:side, :side] = enlarged
+    return np.hstack([ringed, member])

@@ -1,0 +1,167 @@
+"""taut simulate --out FOLDER"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+
+from tautline.cli._common import emit, folder_option, json_option, progress_bar, rig_option
+from tautline.endoscope import Endoscope, load_background
+from tautline.errors import TautError
+from tautline.instrument import PRESETS, preset, reference_rig
+from tautline.rig import Actuator, Rig
+from tautline.simulate import run
+from tautline.timing import FrameTiming
+from tautline.trajectory import Trajectory, back_and_forth, random_smooth, sines, trapezoids
+
+
+@dataclass(frozen=True)
+class _Wish:
+    """What was asked of the motion, in the rig's unit; None is a share of the range that suits it."""
+
+    speeds: tuple[float, ...]
+    amplitude: float | None
+    reversals: int
+    dwell_s: float
+    duration_s: float
+    seed: int
+
+
+def _back_and_forth(actuator: Actuator, wish: _Wish) -> Trajectory:
+    span = actuator.span
+    speeds = wish.speeds or (0.05 * span, 0.1 * span)
+    return back_and_forth(actuator, speeds, wish.amplitude or 0.15 * span, wish.reversals, 0.5 * span, wish.dwell_s)
+
+
+def _trapezoids(actuator: Actuator, wish: _Wish) -> Trajectory:
+    span = actuator.span
+    amplitude = wish.amplitude or 0.3 * span
+    cycles = max(1, wish.reversals // 2)
+    return trapezoids(actuator, _one_speed(actuator, wish), amplitude, cycles, 0.5 * span, wish.dwell_s)
+
+
+def _sines(actuator: Actuator, wish: _Wish) -> Trajectory:
+    return sines(actuator, _one_speed(actuator, wish), wish.duration_s)
+
+
+def _random(actuator: Actuator, wish: _Wish) -> Trajectory:
+    return random_smooth(actuator, _one_speed(actuator, wish), wish.duration_s, wish.seed)
+
+
+def _one_speed(actuator: Actuator, wish: _Wish) -> float:
+    return wish.speeds[0] if wish.speeds else 0.1 * actuator.span
+
+
+_MOTIONS: dict[str, Callable[[Actuator, _Wish], Trajectory]] = {
+    "back-and-forth": _back_and_forth,
+    "trapezoids": _trapezoids,
+    "sines": _sines,
+    "random": _random,
+}
+MOTIONS = tuple(_MOTIONS)
+
+
+@click.command("simulate")
+@folder_option("--out", "Folder for the recording and the truth beside it.")
+@rig_option
+@click.option("--instrument", type=click.Choice(PRESETS), default="reference", show_default=True)
+@click.option(
+    "--motion",
+    type=click.Choice(MOTIONS),
+    default="back-and-forth",
+    show_default=True,
+    help="back-and-forth: the paper's calibration motion; trapezoids: its test motion.",
+)
+@click.option(
+    "--speed",
+    "speeds",
+    type=click.FloatRange(min=0, min_open=True),
+    multiple=True,
+    help="Top speed, rig unit/s; back-and-forth takes several. Default: 5 and 10 % of the range a second, else 10 %.",
+)
+@click.option(
+    "--amplitude",
+    type=click.FloatRange(min=0, min_open=True),
+    help="Stroke of back-and-forth (default 15 % of the range) and trapezoids (30 %), rig unit.",
+)
+@click.option("--reversals", type=click.IntRange(2, 2000), default=40, show_default=True, help="On one way up or down.")
+@click.option("--dwell", type=click.FloatRange(min=0), default=0.2, show_default=True, help="Rest at a reversal, s.")
+@click.option(
+    "--duration", type=click.FloatRange(0.1, 7200), default=60.0, show_default=True, help="Of sines and random, s."
+)
+@click.option("--sway", type=(float, float), default=(0.0, 0.0), help="Translation (mm) and rotation (deg) that sway.")
+@click.option("--noise", type=click.FloatRange(min=0), default=0.05, show_default=True, help="Of marker.csv, px rms.")
+@click.option(
+    "--delay", type=click.FloatRange(min=0), help="True delay of the frames, s. Default: the rig's nominal one."
+)
+@click.option("--jitter", type=click.FloatRange(min=0), default=0.0, help="Of the frames' arrival, s rms.")
+@click.option("--lost", type=click.FloatRange(0, 0.9), default=0.0, help="Share of the frames that never arrive.")
+@click.option("--angle-noise", type=click.FloatRange(min=0), help="Record an external angle sensor too, deg rms.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--video", is_flag=True, help="Draw the frames (MJPEG) instead of writing marker.csv.")
+@click.option("--lossless", is_flag=True, help="Draw them without loss, 0.6 MB a frame.")
+@click.option("--background", type=click.Path(path_type=Path), help="A picture to draw the instrument over.")
+@json_option
+def command(
+    out: Path,
+    rig_path: Path | None,
+    instrument: str,
+    motion: str,
+    speeds: tuple[float, ...],
+    amplitude: float | None,
+    reversals: int,
+    dwell: float,
+    duration: float,
+    sway: tuple[float, float],
+    noise: float,
+    delay: float | None,
+    jitter: float,
+    lost: float,
+    angle_noise: float | None,
+    seed: int,
+    video: bool,
+    lossless: bool,
+    background: Path | None,
+    as_json: bool,
+) -> None:
+    """Make a recording with a simulated instrument, and beside it the truth to compare results with.
+
+    truth.csv holds the bending angle c and the play's centre p at the motor's times, truth.json B(q) and f_remain(q).
+    """
+    rig = Rig.load(rig_path) if rig_path else reference_rig()
+    video = video or lossless or background is not None
+    if video and not rig.has_camera:
+        raise TautError(f"{rig_path}: has no [camera] to draw a video with: add one, or leave --video out")
+    made = preset(instrument, rig, seed)
+    trajectory = _MOTIONS[motion](rig.actuator, _Wish(speeds, amplitude, reversals, dwell, duration, seed))
+    if any(sway):
+        trajectory = trajectory.with_sway(*sway, period_s=20.0)
+    timing = FrameTiming.of(rig, jitter_s=jitter, lost=lost, seed=seed)
+    if delay is not None:
+        timing = FrameTiming.of(rig, delay_s=delay, jitter_s=jitter, lost=lost, seed=seed)
+    simulation = run(
+        rig, made, trajectory, noise_px=noise, timing=timing, angle_noise_deg=angle_noise, seed=seed, name=out.name
+    )
+    endoscope = (
+        Endoscope(rig, background=load_background(background) if background else None, seed=seed) if video else None
+    )
+    with progress_bar("simulating") as progress:
+        simulation.save(out, endoscope, lossless, progress)
+    frames = len(simulation.scene_s) if rig.has_camera else 0
+    result = {
+        "recording": out,
+        "instrument": made.name,
+        "motion": motion,
+        "duration_s": round(trajectory.duration_s, 3),
+        "frames": frames,
+        "video": video,
+    }
+    emit(
+        result,
+        as_json,
+        f"{out}: {trajectory.duration_s:.1f} s of {motion} with the {made.name} instrument, {frames} frames; "
+        "truth.csv and truth.json say what was true",
+    )
