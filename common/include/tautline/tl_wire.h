@@ -103,6 +103,7 @@
     F(i32, integral, "duty Q15 per count and second")                                                                  \
     F(i32, derivative, "duty Q15 per 1000 counts/s")                                                                   \
     F(i32, feed_forward, "duty Q15 per 1000 counts/s of the reference")                                                \
+    F(i32, inertia, "duty Q15 per 100000 counts/s2 of the reference")                                                  \
     F(i32, friction_q15, "duty in the direction of the reference's motion: the dead band")
 
 #define TL_WIRE_FIELDS_GET_SERVO(F, A) F(u8, axis, "")

@@ -91,6 +91,7 @@ static uint8_t servo(tl_axis_t *axis, const tl_wire_servo_t *request) {
         .integral = request->integral,
         .derivative = request->derivative,
         .feed_forward = request->feed_forward,
+        .inertia = request->inertia,
         .friction = request->friction_q15,
     };
     return tl_axis_set_servo(axis, &gains);
@@ -104,6 +105,7 @@ static void get_servo(const tl_axis_t *axis, tl_wire_servo_t *out) {
         .integral = gains->integral,
         .derivative = gains->derivative,
         .feed_forward = gains->feed_forward,
+        .inertia = gains->inertia,
         .friction_q15 = gains->friction,
     };
 }

@@ -7,7 +7,7 @@ static bool in_range(int32_t value) { return value >= 0 && value <= TL_SERVO_GAI
 
 bool tl_servo_configure(tl_servo_t *servo, const tl_servo_gains_t *gains, uint32_t rate_hz) {
     if (!in_range(gains->proportional) || !in_range(gains->integral) || !in_range(gains->derivative) ||
-        !in_range(gains->feed_forward) || !in_range(gains->friction)) {
+        !in_range(gains->feed_forward) || !in_range(gains->inertia) || !in_range(gains->friction)) {
         return false;
     }
     const int32_t rate = (int32_t)rate_hz;
@@ -15,6 +15,8 @@ bool tl_servo_configure(tl_servo_t *servo, const tl_servo_gains_t *gains, uint32
     servo->integral_step = gains->integral * 256 / rate; // Q31 - Q15 - Q8 of the error = 2^8
     servo->derivative = gains->derivative * 128 / 125;
     servo->feed_forward = gains->feed_forward * 128 / 125;
+    servo->inertia = gains->inertia * (rate / 10) / 625; // rate * 4096 / 256 / 100000
+    servo->change_max = INT32_MAX / (servo->inertia + 1);
     const int32_t omega = TL_SERVO_FILTER_HZ * 6283 / 1000; // rad/s
     servo->alpha = 2 * omega * 32768 / rate;
     servo->beta = (omega * omega / rate) * 128; // Q7: omega^2 / rate is of the order of 50
@@ -26,6 +28,7 @@ void tl_servo_reset(tl_servo_t *servo, tl_count_q8_t q) {
     servo->integral = 0;
     servo->predicted = q;
     servo->velocity = 0;
+    servo->wanted = 0;
     servo->saturated = false;
 }
 
@@ -49,10 +52,13 @@ tl_duty_q15_t tl_servo_step(tl_servo_t *servo, tl_count_q8_t q, tl_count_q8_t re
                             tl_duty_q15_t limit) {
     tl_servo_watch(servo, q);
     const int32_t error = tl_clamp(tl_sub_sat(reference, q), -ERROR_MAX, ERROR_MAX);
-    const int32_t wanted = tl_clamp(velocity, -TL_SERVO_SPEED_MAX, TL_SERVO_SPEED_MAX) / 256;
+    velocity = tl_clamp(velocity, -TL_SERVO_SPEED_MAX, TL_SERVO_SPEED_MAX);
+    const int32_t wanted = velocity / 256;
+    const int32_t change = tl_clamp(velocity - servo->wanted, -servo->change_max, servo->change_max);
+    servo->wanted = velocity;
     const int32_t lag = tl_clamp(wanted - servo->velocity / 256, -32767, 32767);
     int32_t duty = scale(error, servo->gains.proportional, 8) + scale(lag, servo->derivative, 10) +
-                   scale(wanted, servo->feed_forward, 10);
+                   scale(wanted, servo->feed_forward, 10) + scale(change, servo->inertia, 12);
     duty += velocity > 0 ? servo->gains.friction : (velocity < 0 ? -servo->gains.friction : 0);
     const int32_t sum = duty + (int32_t)(servo->integral >> 16);
     const tl_duty_q15_t driven = tl_clamp(sum, -limit, limit);

@@ -1,10 +1,10 @@
 /// Position servo of one axis: PI on position, D on speed, feed-forward of speed and friction; fixed point.
 ///
-///     duty = kp e + ki int(e) + kd (v_ref - v) + kff v_ref + friction sign(v_ref)
+///     duty = kp e + ki int(e) + kd (v_ref - v) + kff v_ref + inertia dv_ref/dt + friction sign(v_ref)
 ///
 /// v comes from an alpha-beta filter over the encoder (critically damped, TL_SERVO_FILTER_HZ). The integral is held while
 /// the drive is saturated, and at rest within a count of the reference, so that static friction makes no limit cycle.
-/// Cost of a step: ten 32-bit products, no division; about 200 cycles on a Cortex-M0+. Control step only.
+/// Cost of a step: eleven 32-bit products, no division; about 200 cycles on a Cortex-M0+. Control step only.
 #ifndef TAUTLINE_TL_SERVO_H
 #define TAUTLINE_TL_SERVO_H
 
@@ -20,6 +20,7 @@ typedef struct {
     int32_t integral;     ///< per count and second
     int32_t derivative;   ///< per 1000 counts/s
     int32_t feed_forward; ///< per 1000 counts/s
+    int32_t inertia;      ///< per 100000 counts/s2
     tl_duty_q15_t friction;
 } tl_servo_gains_t;
 
@@ -29,6 +30,9 @@ typedef struct {
     int32_t integral_step; ///< duty Q31 for each Q8 count and tick
     int32_t derivative;    ///< duty Q15 for 1024 counts/s
     int32_t feed_forward;
+    int32_t inertia;       ///< duty Q15 for 4096 (counts/s Q8) of change in a tick
+    int32_t change_max;    ///< that `inertia` takes without overflow
+    int32_t wanted;        ///< reference's speed in the last tick, counts/s Q8
     int32_t alpha, beta;   ///< filter, Q15; beta in (counts/s Q8) for each (count Q8)
     int32_t rate_inverse;  ///< 1 / rate, Q24
     int64_t integral;      ///< duty Q31
