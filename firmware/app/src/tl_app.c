@@ -201,9 +201,11 @@ static void send_events(tl_app_t *app, tl_axis_t *axis, tl_us_t now_us) {
 
 static void send_onset(tl_app_t *app, const tl_onset_t *onset, tl_us_t now_us) {
     tl_calibration_t *calibration = &app->calibration;
-    const uint32_t state = app->port->lock(app->port->context);
-    tl_motion_onset(&calibration->motion, onset->direction);
-    app->port->unlock(app->port->context, state);
+    if (onset->started) { // else the stroke goes on, so that the tip is on an envelope again at its end
+        const uint32_t state = app->port->lock(app->port->context);
+        tl_motion_onset(&calibration->motion, onset->direction);
+        app->port->unlock(app->port->context, state);
+    }
     tl_wire_onset_t message;
     tl_calibration_onset_message(calibration, onset, &message);
     tell(app, TL_WIRE_ONSET, &message, &app->counters.onsets_dropped, 1U);

@@ -38,7 +38,7 @@ bool tl_onset_init(tl_onset_detector_t *detector, const tl_onset_config_t *confi
                        config->turn > 0 && config->sigma_wanted > 0 && config->sigma_usable >= config->sigma_wanted &&
                        config->noise_px > 0 && config->noise_px <= 8 * TL_PX_ONE && config->curvature < 1U << 20 &&
                        config->threshold > 0 && config->frames_min >= 3 && config->frames_max >= config->frames_min &&
-                       config->frames_max < TL_ONSET_WINDOW;
+                       config->frames_max < TL_ONSET_WINDOW - 1;
     if (!valid) {
         return false;
     }

@@ -88,9 +88,9 @@ typedef struct {
     tl_count_q8_t sigma_usable; ///< one worse than this is not used; 25 counts
     tl_px_q12_t noise_px;       ///< marker noise to begin with where a sample states none; 0.1 px
     uint32_t curvature;         ///< relative change of slope along the path, 1/2^20 for a count; 400 is 0.38/mm at 1 um
-    uint16_t threshold;         ///< likelihood ratio (2 ln) that confirms, Q4; 36: 1e-4 false alarms a reversal of 200 frames
+    uint16_t threshold;         ///< likelihood ratio (2 ln) that confirms, Q4; 24: fewer than 1e-4 false alarms in 200 frames
     uint8_t frames_min;         ///< fewest frames after the knot, 3 or more; 4
-    uint8_t frames_max;         ///< frames after the knot that end a reversal in any case, < TL_ONSET_WINDOW; 32
+    uint8_t frames_max;         ///< frames after the knot that end a reversal in any case, < TL_ONSET_WINDOW - 1; 32
 } tl_onset_config_t;
 
 typedef struct {
