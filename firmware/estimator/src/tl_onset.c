@@ -10,6 +10,7 @@
 #define UNIT_WEIGHT  16
 #define LEVEL_MIN    2   ///< fewest frames on the level
 #define POLL_LAG_US  60000U ///< frames this late still find their turn unscanned
+#define DOUBT        12  ///< see fits_badly()
 #define JITTER_TURNS 8      ///< strokes shorter than this many turn thresholds are no reversals if hardly a frame saw them
 
 enum { FOLLOWING, CROSSING }; // phase: no reversal under way, or one
@@ -97,10 +98,14 @@ static tl_real_t curvature_bias2(const tl_onset_config_t *config, tl_real_t span
     return square(tl_real_div(tl_real_mul(tl_real(config->curvature, -28), square(span)), tl_real(12, 0)));
 }
 
-/// Statistical variance, encoder steps (two positions within 1/12 count^2 each) and curvature, Q8 counts squared.
+/// Of the difference of two encoder positions: 1/12 count^2 each, Q8 counts squared.
+static tl_real_t encoder_variance(void) {
+    return tl_real_div(tl_real(TL_COUNT_ONE * TL_COUNT_ONE, 0), tl_real(6, 0));
+}
+
+/// Statistical variance, encoder steps and curvature together, Q8 counts squared.
 static tl_real_t knot_variance(const tl_onset_config_t *config, tl_real_t variance, tl_real_t unit, tl_real_t span) {
-    const tl_real_t steps = tl_real_div(tl_real(TL_COUNT_ONE * TL_COUNT_ONE, 0), tl_real(6, 0));
-    return tl_real_add(tl_real_add(tl_real_mul(variance, unit), steps), curvature_bias2(config, span));
+    return tl_real_add(tl_real_add(tl_real_mul(variance, unit), encoder_variance()), curvature_bias2(config, span));
 }
 
 /// Q8 counts/s over samples i to k.
@@ -138,17 +143,50 @@ typedef struct {
     tl_real_t variance; ///< of the knot, Q8 counts squared
     int32_t dof;
     bool confirmed;
+    bool jumped; ///< the image jumped at the onset: the knot is in the middle of two frames, and no more is known
 } evaluation_t;
+
+/// Replaces the hinge by a break where the image jumped at the onset, beyond doubt.
+static void allow_for_jump(const tl_onset_detector_t *d, evaluation_t *e) {
+    tl_hinge_break_t jump;
+    if (!tl_hinge_break(d, &jump)) {
+        return;
+    }
+    const tl_real_t gained = tl_real_add(jump.gain, tl_real_neg(e->hinge.gain));
+    const tl_real_t unit = unit_variance(d, tl_real_add(e->hinge.residual, tl_real_neg(gained)), e->dof);
+    const tl_real_t required = tl_real_mul(required_ratio(&d->config, d->noise_dof + e->dof), unit);
+    if (!tl_real_less(required, gained)) {
+        return;
+    }
+    const tl_real_t gap = tl_real((int64_t)jump.high - jump.low, 0);
+    e->hinge.knot = tl_real((int64_t)jump.low + jump.high, -1);
+    e->hinge.level = jump.level;
+    e->hinge.beyond = jump.beyond;
+    e->unit = unit;
+    e->variance = tl_real_add(tl_real_div(square(gap), tl_real(12, 0)), encoder_variance());
+    e->jumped = true;
+}
+
+/// Whether what the hinge leaves is more than the noise known so far explains; DOUBT in units of its variance is half of
+/// what a jump must gain.
+static bool fits_badly(const tl_onset_detector_t *d, const evaluation_t *e) {
+    const tl_real_t known = tl_real_div(tl_real(d->noise_sum, 0), tl_real(d->noise_dof, 0));
+    return tl_real_less(tl_real_mul(known, tl_real(e->dof + DOUBT, 0)), e->hinge.residual);
+}
 
 static bool evaluate(const tl_onset_detector_t *d, evaluation_t *e) {
     if (!tl_hinge_fit(d, &e->hinge)) {
         return false;
     }
+    e->jumped = false;
     e->dof = 2 * d->all.n - 5;
     e->unit = unit_variance(d, e->hinge.residual, e->dof);
     e->required = tl_real_mul(required_ratio(&d->config, d->noise_dof + e->dof), e->unit);
     e->variance = knot_variance(&d->config, e->hinge.variance, e->unit, e->hinge.span);
     e->confirmed = e->hinge.beyond >= 2 && tl_real_less(e->required, e->hinge.gain);
+    if (e->confirmed && e->hinge.beyond >= d->config.frames_min && fits_badly(d, e)) {
+        allow_for_jump(d, e);
+    }
     return true;
 }
 
@@ -167,6 +205,9 @@ static bool glance(const tl_onset_detector_t *d) {
 /// More frames are worth waiting for.
 static bool may_improve(const tl_onset_detector_t *d, const evaluation_t *e) {
     const tl_onset_config_t *config = &d->config;
+    if (e->jumped) {
+        return false;
+    }
     const tl_real_t statistical = tl_real_mul(e->hinge.variance, e->unit);
     const tl_real_t bias2 = curvature_bias2(config, e->hinge.span);
     return e->hinge.beyond < config->frames_min ||
@@ -186,40 +227,13 @@ static tl_real_t widened(const tl_onset_detector_t *d, const evaluation_t *e) {
     return tl_real_less(e->variance, wide) ? wide : e->variance;
 }
 
-/// Replaces the hinge by a break where the image jumped at the onset, beyond doubt: then the two frames around it are all
-/// that is known of it.
-static bool allow_for_jump(const tl_onset_detector_t *d, evaluation_t *e) {
-    tl_hinge_break_t jump;
-    if (!tl_hinge_break(d, &jump)) {
-        return false;
-    }
-    const tl_real_t gained = tl_real_add(jump.gain, tl_real_neg(e->hinge.gain));
-    const tl_real_t unit = unit_variance(d, tl_real_add(e->hinge.residual, tl_real_neg(gained)), e->dof);
-    const tl_real_t required = tl_real_mul(required_ratio(&d->config, d->noise_dof + e->dof), unit);
-    if (!tl_real_less(required, gained)) {
-        return false;
-    }
-    const tl_real_t gap = tl_real((int64_t)jump.high - jump.low, 0);
-    const tl_real_t steps = tl_real_div(tl_real(TL_COUNT_ONE * TL_COUNT_ONE, 0), tl_real(6, 0));
-    e->hinge.knot = tl_real((int64_t)jump.low + jump.high, -1);
-    e->hinge.level = jump.level;
-    e->hinge.beyond = jump.beyond;
-    e->variance = tl_real_add(tl_real_div(square(gap), tl_real(12, 0)), steps);
-    e->unit = unit;
-    return true;
-}
-
 /// The image has started: writes the onset and goes on following with the samples beyond the knot.
-static void finish_started(tl_onset_detector_t *d, evaluation_t *e, tl_onset_t *onset) {
+static void finish_started(tl_onset_detector_t *d, const evaluation_t *e, tl_onset_t *onset) {
     const tl_onset_config_t *config = &d->config;
     tl_onset_t *r = &d->reversal;
-    const bool few = e->hinge.beyond < config->frames_min;
-    if (!allow_for_jump(d, e)) {
-        e->variance = widened(d, e);
-    }
     const int32_t first = d->held - e->hinge.beyond;
     const int32_t knot = tl_real_to_q(e->hinge.knot, 0);
-    const int32_t sigma = tl_real_to_q(tl_real_sqrt(e->variance), 0);
+    const int32_t sigma = tl_real_to_q(tl_real_sqrt(e->jumped ? e->variance : widened(d, e)), 0);
     const tl_count_q8_t q2 = r->direction > 0 ? tl_add_sat(r->q1, knot) : tl_sub_sat(r->q1, knot);
 
     // Time of the knot, linear between the frames around it.
@@ -240,7 +254,7 @@ static void finish_started(tl_onset_detector_t *d, evaluation_t *e, tl_onset_t *
     tl_onset_reason_t reason = TL_ONSET_USED;
     if (!d->entered) {
         reason = TL_ONSET_NOT_ON_ENVELOPE;
-    } else if (few || e->hinge.level.n < LEVEL_MIN) {
+    } else if ((e->hinge.beyond < config->frames_min && !e->jumped) || e->hinge.level.n < LEVEL_MIN) {
         reason = TL_ONSET_TOO_FEW_SAMPLES;
     } else {
         reason = sigma > config->sigma_usable ? TL_ONSET_SLOPE_TOO_SMALL : TL_ONSET_USED;
