@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import click
 
 from tautline import report
-from tautline.calibrate import Options, calibrate
+from tautline.calibrate import Calibration, Options, calibrate
 from tautline.cli._common import (
     Progress,
     emit,
@@ -21,29 +21,42 @@ from tautline.cli._common import (
     rig_option,
     warn,
 )
+from tautline.cli._live import live_options, opened
 from tautline.folders import check_replaceable
-from tautline.marker import track_video
 from tautline.model import MODEL_FILE
-from tautline.recording import Recording
+from tautline.recording import Recording, load
 from tautline.rig import Rig
 
 
 @click.command("calibrate")
-@click.argument("recording_paths", metavar="RECORDING...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("recording_paths", metavar="[RECORDING...]", nargs=-1, type=click.Path(path_type=Path))
 @rig_option
 @folder_option("--out", "The MODEL folder to write: model.json, rig.toml, report.html.")
 @click.option(
     "--knots",
     type=click.Choice(["smooth", "paper"]),
     default="smooth",
+    show_default=True,
     help="B(q): a spline smoothed as the data ask for, or the paper's 14 knots.",
 )
 @click.option(
     "--remaining",
     type=click.Choice(["direct", "morphological"]),
     default="direct",
+    show_default=True,
     help="f_remain: fitted directly, or the paper's central fibre of the characteristic as an image.",
 )
+@live_options
+@click.option(
+    "--speed",
+    "speeds",
+    type=click.FloatRange(min=0.0, min_open=True),
+    multiple=True,
+    help="Live: of a pass, the rig's unit per second; up to four times.",
+)
+@click.option("--recording", "kept", type=click.Path(path_type=Path), help="Live: kept here. Default: OUT-recording.")
+@click.option("--video", is_flag=True, help="Live: keep the frames too.")
+@click.option("--seed", type=int, default=0, help="Of a simulation.")
 @json_option
 def command(
     recording_paths: tuple[Path, ...],
@@ -52,27 +65,75 @@ def command(
     knots: Literal["smooth", "paper"],
     remaining: Literal["direct", "morphological"],
     as_json: bool,
+    kept: Path | None,
+    **live: Any,
 ) -> None:
-    """Measure B(q) and f_remain from recordings of one instrument."""
+    """Measure B(q) and f_remain: from recordings of one instrument, or live from a board and a camera.
+
+    Live (--camera with a board, or --simulate), the board runs the calibration motion; Ctrl-C brings the axis to rest.
+    """
     check_replaceable(out, MODEL_FILE)
-    recordings, rig = read_recordings(recording_paths, rig_path)
-    with progress_bar("calibrating") as progress:
-        recordings = [_tracked(recording, rig, progress) for recording in recordings]
-        found = calibrate(recordings, rig, Options(knots=knots, remaining=remaining), progress)
-        said = report.save_model(found.model, recordings, out)
+    options = Options(knots=knots, remaining=remaining)
+    if recording_paths:
+        found, said = _from_recordings(recording_paths, rig_path, out, options)
+    else:
+        if live["camera"] is None and live["simulate"] is None:
+            raise click.UsageError("name a RECORDING, or for a live calibration --camera SOURCE or --simulate")
+        kept = kept or out.absolute().with_name(f"{out.absolute().name}-recording")
+        found, said = _live(kept, rig_path, out, options, **live)
     for warning in found.warnings:
         warn(warning)
     for note in found.notes:
         log(f"taut: {note}")
-    emit(
-        {**found.to_json(), "model": out, "report": out / report.FILE},
-        as_json,
-        "\n".join([*said, f"{out / report.FILE} shows it."]),
-    )
+    result = {**found.to_json(), "model": out, "report": out / report.FILE}
+    if not recording_paths:
+        result["recording"] = kept
+    emit(result, as_json, "\n".join([*said, f"{out / report.FILE} shows it."]))
+
+
+def _from_recordings(
+    paths: tuple[Path, ...], rig_path: Path | None, out: Path, options: Options
+) -> tuple[Calibration, list[str]]:
+    recordings, rig = read_recordings(paths, rig_path)
+    with progress_bar("calibrating") as progress:
+        recordings = [_tracked(recording, rig, progress) for recording in recordings]
+        found = calibrate(recordings, rig, options, progress)
+        return found, report.save_model(found.model, recordings, out)
 
 
 def _tracked(recording: Recording, rig: Rig, progress: Progress) -> Recording:
     """With the marker's track, from the video where there is no marker.csv."""
     if recording.marker is not None or recording.video is None or not rig.has_camera:
         return recording
+    from tautline.marker import track_video
+
     return replace(recording, marker=track_video(recording.video, progress=progress))
+
+
+def _live(
+    kept: Path,
+    rig_path: Path | None,
+    out: Path,
+    options: Options,
+    *,
+    board: str | None,
+    axis: int,
+    camera: str | None,
+    colour: Path,
+    simulate: str | None,
+    speeds: tuple[float, ...],
+    video: bool,
+    seed: int,
+) -> tuple[Calibration, list[str]]:
+    from tautline.session import MotionOptions, calibrate_live
+
+    if len(speeds) > 4:
+        raise click.UsageError("--speed may be given up to four times")
+    motion = MotionOptions(speeds=speeds or None)
+    with (
+        opened(board, axis, camera, colour, simulate, rig_path, seed) as live,
+        progress_bar("calibrating") as progress,
+    ):
+        found, made = calibrate_live(live, kept, motion, options, video, progress)
+    log(f"taut: {made.reversals} reversals in {made.seconds:.0f} s, recorded in {kept}")
+    return found, report.save_model(found.model, [load(kept, found.model.rig)], out)
