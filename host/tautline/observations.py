@@ -17,6 +17,7 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 _LEAST_PX, _LEAST_DEG = 1e-3, 1e-4  # noise is never taken to be less
+_DOUBTFUL = 3.0  # frames of so many times the usual stated noise do not count
 _STILL_MM, _STILL_DEG = 0.02, 0.05  # other degrees of freedom that stay within this do not move
 
 
@@ -103,14 +104,15 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
 
 def _track(recording: Recording, unit: str, t: Array, y: Array, given: Array | None, *, delayed: bool) -> Track:
     noise = noise_of(t, y, _LEAST_PX if unit == "px" else _LEAST_DEG)
-    sigma = np.full(len(t), noise)
     if given is not None and len(t) and (np.isfinite(given) & (given > 0)).any():
         good = np.isfinite(given) & (given > 0)
         stated = float(np.median(given[good]))
-        # A stated noise that the data contradict keeps its ratios only.
-        scale = 1.0 if 0.6 < noise / stated < 1.6 else noise / stated
-        sigma = np.where(good, given, stated) * scale
-    return Track(recording.name, unit, recording.motor, t, y, np.maximum(sigma, 1e-9), delayed)
+        # One noise for all frames, so that a still marker stays level when it is divided by it.
+        keep = ~(good & (given > _DOUBTFUL * stated))
+        t, y = t[keep], y[keep]
+        noise = stated if 0.6 < noise / stated < 1.6 else noise
+    sigma = np.full(len(t), max(noise, 1e-9))
+    return Track(recording.name, unit, recording.motor, t, y, sigma, delayed)
 
 
 def noise_of(t: Array, y: Array, least: float) -> float:

@@ -14,6 +14,7 @@ import pytest
 from cli_runner import Taut
 
 from tautline import instrument, simulate, trajectory
+from tautline.calibrate import calibrate
 from tautline.geometry import project
 from tautline.model import Model
 from tautline.recording import Recording, save
@@ -76,6 +77,16 @@ def test_calibrate_prints_what_the_formats_promise(taut: Taut, folder: Path, tmp
     assert again.code == 0 and again.out.strip() == str(out / "report.html")
     spoken = taut("calibrate", folder, "--rig", folder / "rig.toml", "--out", out)
     assert spoken.code == 0 and "before the tip moves" in spoken.out
+
+
+def test_a_noise_stated_frame_by_frame_does_not_move_a_still_marker(recording: Recording) -> None:
+    marker = recording.marker
+    assert marker is not None
+    stated = 0.05 * np.random.default_rng(1).uniform(0.8, 1.2, len(marker.t_s))
+    found = calibrate([replace(recording, marker=replace(marker, sigma_px=stated))], RIG)
+    widths = [onset for onset in found.onsets if onset.used]
+    truth_mm = PLANT.backlash(np.array([onset.q_mean for onset in widths]))
+    assert len(widths) > 12 and np.abs([onset.width for onset in widths] - truth_mm).max() < 0.05
 
 
 def test_the_papers_modes(taut: Taut, folder: Path, tmp_path: Path) -> None:
