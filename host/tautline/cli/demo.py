@@ -1,0 +1,92 @@
+"""taut demo"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from tautline.cli._common import emit, folder_option, json_option, log, progress_bar
+from tautline.instrument import PRESETS
+
+
+@click.command("demo")
+@folder_option("--out", "Folder for the recording, the model and the report.  [default: tautline-demo]", required=False)
+@click.option("--instrument", type=click.Choice(PRESETS), default="reference", show_default=True)
+@click.option("--seed", type=int, default=0, help="Of the instrument 'random', the background and the noise.")
+@json_option
+def command(out: Path | None, instrument: str, seed: int, as_json: bool) -> None:
+    """The whole job without hardware: calibrate a simulated instrument through its endoscope, flash its tables into a
+    desktop board, follow a trajectory with and without them."""
+    out = out or Path("tautline-demo")
+    with progress_bar("demo") as progress:
+        result = run(out, instrument, seed, progress, log)
+    emit(result, as_json, _text(result))
+
+
+def run(
+    out: Path, instrument: str, seed: int, progress: Callable[[float, str], None], say: Callable[[str], None]
+) -> dict[str, Any]:
+    """What was measured and gained; the recording, MODEL and report are in `out`."""
+    from tautline import report, tables
+    from tautline.evidence import Evidence, Run
+    from tautline.following import follow_run
+    from tautline.folders import check_replaceable
+    from tautline.live import open_live
+    from tautline.model import MODEL_FILE, Model
+    from tautline.recording import load
+    from tautline.session import calibrate_live
+
+    model_folder, recording_folder = out / "model", out / "recording"
+    check_replaceable(model_folder, MODEL_FILE)
+
+    def part(low: float, high: float) -> Callable[[float, str], None]:
+        return lambda share, what: progress(low + (high - low) * share, what)
+
+    with open_live(simulate=instrument, seed=seed) as live:
+        board = live.board
+        say(
+            f"1  board {board.identity.serial} found over USB/IP: {board.identity.axes} axis, virtual time, "
+            f"instrument '{instrument}'"
+        )
+        calibration, motion = calibrate_live(live, recording_folder, progress=part(0.0, 0.55))
+        model = calibration.model
+        say(
+            f"2  calibration motion: {motion.reversals} reversals in {motion.seconds:.0f} s of the board's time, marker "
+            f"tracked in {motion.frames - motion.lost_frames} of {motion.frames} frames"
+        )
+        sentences = report.save_model(model, [load(recording_folder, live.rig)], model_folder)
+        say("3  " + " ".join(sentences[:2]))
+        blob = tables.encode(model, axis=live.axis)
+        board.load_table(live.axis, blob, part(0.55, 0.6))
+        say(f"4  tables flashed by DFU: {len(blob)} bytes, read back equal")
+        runs = {
+            compensation: follow_run(
+                live, "trapezoids", compensation=compensation, seed=seed, progress=part(begin, begin + 0.2)
+            )
+            for compensation, begin in (("off", 0.6), ("full", 0.8))
+        }
+    for compensation, followed in runs.items():
+        followed_run = Run(followed.t_s, followed.c_ref_deg, followed.c_deg, followed.counted)
+        followed_run.save(model_folder, compensation)
+    gain = runs["off"].rms_deg / runs["full"].rms_deg
+    say(
+        f"5  a trajectory followed open loop: off by {runs['off'].rms_deg:.2f} deg rms without, "
+        f"{runs['full'].rms_deg:.3f} with the tables, {gain:.0f} times less"
+    )
+    page = report.write(Model.load(model_folder), model_folder, Evidence.load(model_folder))
+    return {
+        "report": page,
+        "model": model_folder,
+        "recording": recording_folder,
+        "reversals": motion.reversals,
+        "result": sentences,
+        "error_rms_deg": {compensation: followed.rms_deg for compensation, followed in runs.items()},
+        "gain": gain,
+    }
+
+
+def _text(result: dict[str, Any]) -> str:
+    return f"\nopen {result['report']}"
