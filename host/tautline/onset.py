@@ -18,7 +18,6 @@ from tautline.rig import Rig
 Array = npt.NDArray[np.float64]
 
 HINGE, BRACKET, BOUND, NONE = "hinge", "bracket", "bound", "none"
-_POOR = 4.0  # times the stroke's usual sigma: such a frame is left out
 _LONGEST = 160  # frames after the onset that one hinge takes in
 _BEFORE = 24  # frames before the turn that tell when the image stopped
 _DELAY_REACH_S = 0.12  # the delay is looked for this far around the nominal one
@@ -163,13 +162,6 @@ class _Stroke:
         return float(self.travel.max(initial=0.0))
 
 
-def _whitened(track: Track, frames: npt.NDArray[np.intp]) -> Array:
-    """Positions (n, channels) in units of the noise. One unit for a whole stroke: divided by each frame's own sigma, a
-    marker that rests would seem to move."""
-    y = track.y[frames]
-    return (y - y[:1]) / float(np.median(track.sigma[frames])) if len(frames) else y
-
-
 def _strokes(track: Track, rig: Rig, delay_s: float) -> list[_Stroke]:
     motor = track.motor
     q = np.ascontiguousarray(motor.q)
@@ -188,10 +180,8 @@ def _strokes(track: Track, rig: Rig, delay_s: float) -> list[_Stroke]:
         direction = 1 if q[b] >= q1 else -1
         start, end = float(motor.t_s[a]), float(motor.t_s[b])
         frames = np.flatnonzero((scene >= start) & (scene < end) & inside)
-        if len(frames):  # a frame far worse than its neighbours would count as if it were as good
-            frames = frames[track.sigma[frames] < _POOR * np.median(track.sigma[frames])]
         travel = np.maximum(direction * (at[frames] - q1), 0.0)
-        z = _whitened(track, frames)
+        z = track.y[frames] / track.sigma[frames, None]
         strokes.append(_Stroke(start, end, q1, direction, frames, travel, _departure(z), k == 0))
     return strokes
 
@@ -308,7 +298,7 @@ def _fit_window(track: Track, stroke: _Stroke) -> tuple[Array, Array, int, Hinge
     departure = stroke.departure
     assert departure is not None
     frames, travel = stroke.frames, stroke.travel
-    z = _whitened(track, frames)
+    z = track.y[frames] / track.sigma[frames, None]
     after = min(len(frames) - departure, _LONGEST)
     while True:
         stop = departure + max(after, 4)
@@ -395,7 +385,7 @@ class _Stop:
         scene = self.track.t_s[self.frames][None, :] - delays[:, None]
         behind = np.minimum(self.direction * (self.track.motor_at(scene.ravel()).reshape(scene.shape) - self.q1), 0.0)
         behind = np.where(scene < self.turn_s, behind, 0.0)
-        z = _whitened(self.track, self.frames)
+        z = self.track.y[self.frames] / self.track.sigma[self.frames, None]
         return _profile(behind, self.order, z)[0]
 
 
