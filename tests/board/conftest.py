@@ -1,10 +1,12 @@
-"""One suite for every board: `--board desktop` (default, started for each test that needs one), or as `taut` takes it.
+"""One suite for every board: `--board desktop` (default) or `emulated`, started for each test that needs one, or as
+`taut` takes it.
 
 Tests that need the simulation (virtual time, power cuts, unplugging) skip on a board without a sim link.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -14,12 +16,19 @@ import pytest
 
 from tautline import wire
 from tautline.board import Board, find, open_board
-from tautline.simlink import DesktopBoard, SimLink
+from tautline.simlink import PROGRAM, DesktopBoard, SimLink
+
+_EMULATED = Path(__file__).resolve().parents[2] / "tools" / "emulator" / "board.js"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--board", default="desktop", help="desktop, usbip:HOST:PORT or a serial number")
+    parser.addoption("--board", default="desktop", help="desktop, emulated, usbip:HOST:PORT or a serial number")
     parser.addoption("--sim", type=int, help="port of the sim link of a --board usbip:... (an emulated board)")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if config.getoption("--board") == "emulated":  # the real image, behind the desktop board's options and ports
+        os.environ[PROGRAM] = str(_EMULATED)
 
 
 @dataclass
@@ -68,7 +77,7 @@ class Bench:
 @contextmanager
 def bench_of(request: pytest.FixtureRequest, axes: int = 2, flash: Path | None = None) -> Iterator[Bench]:
     where = request.config.getoption("--board")
-    if where == "desktop":
+    if where in ("desktop", "emulated"):
         with DesktopBoard(axes=axes, flash=flash, serial="TEST-1") as desktop:
             link = desktop.link()
             yield Bench(desktop.where, link, desktop)

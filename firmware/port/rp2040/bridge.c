@@ -7,9 +7,10 @@
 #include "pico.h"
 
 enum {
-    PWM_HZ = 25000,
+    PWM_HZ = 20000,
     CLOCK_HZ = 125000000,
     PERIOD = CLOCK_HZ / PWM_HZ,
+    SENSE_BEFORE_END = CLOCK_HZ / 1000000, // the ADC holds its sample within this time
     DEAD_TIME = CLOCK_HZ / 1000000 * 450 / 1000, // DRV8833: 450 ns in which neither side conducts
     SHUNT_MILLIOHM = 470,                        // of the Motor 2040
     ADC_FULL_SCALE_MV = 3300,
@@ -54,6 +55,18 @@ void bridge_init(void) {
     select_sense(sense_axis);
 }
 
+void bridge_align(uint32_t ticks) {
+    pwm_set_mask_enabled(0);
+    for (unsigned axis = 0; axis < MOTOR2040_NUM_MOTORS; axis++) {
+        pwm_set_counter(pwm_gpio_to_slice_num(pin_p(axis)), (uint16_t)((2 * PERIOD - SENSE_BEFORE_END - ticks % PERIOD) % PERIOD));
+    }
+    uint32_t mask = 0;
+    for (unsigned axis = 0; axis < MOTOR2040_NUM_MOTORS; axis++) {
+        mask |= 1u << pwm_gpio_to_slice_num(pin_p(axis));
+    }
+    pwm_set_mask_enabled(mask);
+}
+
 void __not_in_flash_func(bridge_drive)(unsigned axis, tl_duty_q15_t duty) {
     const tl_duty_q15_t limited = tl_clamp(duty, -32768, 32768);
     const uint32_t size = (uint32_t)(limited < 0 ? -limited : limited);
@@ -61,7 +74,7 @@ void __not_in_flash_func(bridge_drive)(unsigned axis, tl_duty_q15_t duty) {
     if (on > 0) {
         on = on + DEAD_TIME < PERIOD ? on + DEAD_TIME : PERIOD;
     }
-    // The driving side stays high, the other one goes low for the time the bridge drives.
+    // The driving side stays high, the other one goes low for the time the bridge drives, at the period's end.
     if (limited >= 0) {
         set_levels(axis, PERIOD, PERIOD - on);
     } else {

@@ -21,8 +21,8 @@
 #ifndef TAUTLINE_AXES
 #define TAUTLINE_AXES MOTOR2040_NUM_MOTORS
 #endif
-#if TAUTLINE_CONTROL_HZ < 1000 || TAUTLINE_CONTROL_HZ > 10000 || 1000000 % TAUTLINE_CONTROL_HZ != 0
-#error "TAUTLINE_CONTROL_HZ: 1000 to 10000, a divisor of 1000000"
+#if TAUTLINE_CONTROL_HZ < 1000 || TAUTLINE_CONTROL_HZ > 10000 || 20000 % TAUTLINE_CONTROL_HZ != 0
+#error "TAUTLINE_CONTROL_HZ: 1000, 2000, 2500, 4000, 5000 or 10000, so that a period is whole PWM periods"
 #endif
 #if TAUTLINE_AXES < 1 || TAUTLINE_AXES > MOTOR2040_NUM_MOTORS
 #error "TAUTLINE_AXES: 1 to 4"
@@ -31,6 +31,7 @@
 enum {
     CONTROL_PERIOD_US = 1000000 / TAUTLINE_CONTROL_HZ,
     CONTROL_ALARM = 0,
+    INTERRUPT_CYCLES = 50, // from the alarm to bridge_sense_start
     TABLE_REGION = 2 * MOTOR2040_NUM_MOTORS * FLASH_SECTOR_SIZE,
     TABLE_OFFSET = PICO_FLASH_SIZE_BYTES - TABLE_REGION,
     WATCHDOG_MS = 250,
@@ -153,7 +154,11 @@ static void start_control(void) {
     irq_set_priority(TIMER_IRQ_0, PICO_HIGHEST_IRQ_PRIORITY);
     hw_set_bits(&timer_hw->inte, 1u << CONTROL_ALARM);
     irq_set_enabled(TIMER_IRQ_0, true);
-    timer_hw->alarm[CONTROL_ALARM] = timer_hw->timerawl + CONTROL_PERIOD_US;
+    const uint32_t now = timer_hw->timerawl;
+    while (timer_hw->timerawl == now) {
+    }
+    bridge_align(CONTROL_PERIOD_US * (SYS_CLK_HZ / 1000000) + INTERRUPT_CYCLES);
+    timer_hw->alarm[CONTROL_ALARM] = now + 1 + CONTROL_PERIOD_US;
 }
 
 // ---------------------------------------------------------------------------------------------------------------

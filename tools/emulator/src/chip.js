@@ -4,7 +4,6 @@ import { Pio } from './pio.js';
 import { UsbController } from './usb.js';
 import { IoQspi, Pwm, Registers, Ssi, Timer, Watchdog } from './peripherals.js';
 
-const FLASH_BASE = 0x10000000;
 const SRAM_BASE = 0x20000000;
 const BOOT2_SIZE = 256;
 const POLL_CYCLES = 125; // of the ROM waiting for the flash chip: a microsecond
@@ -183,6 +182,11 @@ export class Chip extends RP2040 {
         }
     }
 
+    /** Level of a pin now, 0 or 1. */
+    level(pin) {
+        return this.gpio[pin].functionSelect === FUNCTION_PWM ? this.pwm.level(pin) : this.output(pin);
+    }
+
     /** Runs up to a time of its clock, or until its state changes. */
     run(until) {
         const { core, clock } = this;
@@ -194,14 +198,5 @@ export class Chip extends RP2040 {
                 clock.tick(core.executeInstruction() * this.cycleNanos);
             }
         }
-    }
-
-    /** The symbol-free way to put an image there: at an offset of flash. */
-    static program(flash, image, offset = 0) {
-        flash.bytes.set(image, offset);
-    }
-
-    static get flashBase() {
-        return FLASH_BASE;
     }
 }

@@ -159,7 +159,7 @@ export class Pwm extends RPPWM {
             channel.alarmA.enable = channel.alarmB.enable = channel.alarmBottom.enable = false;
         }
         this.slices = Array.from({ length: 8 }, () => ({
-            csr: 0, div: 16, cc: 0, top: 0xffff, start: 0, latched: { cc: 0, top: 0xffff }, writtenAt: 0,
+            csr: 0, div: 16, cc: 0, top: 0xffff, start: 0, counter: 0, latched: { cc: 0, top: 0xffff }, writtenAt: 0,
         }));
     }
 
@@ -167,6 +167,17 @@ export class Pwm extends RPPWM {
 
     #period(slice) {
         return (((slice.latched.top + 1) * (slice.div || 4096)) / 16 / this.rp2040.clkSys) * 1e9;
+    }
+
+    /** When the period began in which the counter is at slice.counter now. */
+    #startOf(slice) {
+        return this.rp2040.clock.nanos - (slice.counter / (slice.latched.top + 1)) * this.#period(slice);
+    }
+
+    #counter(slice) {
+        const period = this.#period(slice);
+        const phase = ((this.rp2040.clock.nanos - slice.start) % period) / period;
+        return Math.floor(phase * (slice.latched.top + 1));
     }
 
     /** What was written takes effect when the counter wraps. */
@@ -191,6 +202,21 @@ export class Pwm extends RPPWM {
         return slice.csr & (pin & 1 ? CSR_B_INV : CSR_A_INV) ? 1 - duty : duty;
     }
 
+    /** Level of a pin now. */
+    level(pin) {
+        const slice = this.slices[(pin >> 1) & 7];
+        const duty = this.duty(pin);
+        if (!(slice.csr & CSR_EN)) return 0;
+        const period = this.#period(slice);
+        const inverted = slice.csr & (pin & 1 ? CSR_B_INV : CSR_A_INV);
+        const phase = ((this.rp2040.clock.nanos - slice.start) % period) / period;
+        return phase < (inverted ? 1 - duty : duty) === !inverted ? 1 : 0;
+    }
+
+    frequency(pin) {
+        return 1e9 / this.#period(this.slices[(pin >> 1) & 7]);
+    }
+
     readUint32(offset) {
         if (offset === EN) {
             return this.slices.reduce((mask, slice, i) => mask | ((slice.csr & CSR_EN) << i), 0);
@@ -202,11 +228,8 @@ export class Pwm extends RPPWM {
                 return slice.csr;
             case DIV:
                 return slice.div;
-            case CTR: {
-                const period = this.#period(slice);
-                const phase = ((this.rp2040.clock.nanos - slice.start) % period) / period;
-                return slice.csr & CSR_EN ? Math.floor(phase * (slice.latched.top + 1)) : 0;
-            }
+            case CTR:
+                return slice.csr & CSR_EN ? this.#counter(slice) : slice.counter;
             case CC:
                 return slice.cc;
             default:
@@ -234,8 +257,9 @@ export class Pwm extends RPPWM {
             case DIV:
                 slice.div = value & 0xfff;
                 break;
-            case CTR:
-                slice.start = this.rp2040.clock.nanos;
+            case CTR: // while it stands, it starts from there; see #enable
+                slice.counter = value & 0xffff;
+                if (slice.csr & CSR_EN) slice.start = this.#startOf(slice);
                 break;
             case CC:
                 slice.cc = value >>> 0;
@@ -248,8 +272,10 @@ export class Pwm extends RPPWM {
 
     #enable(slice, on) {
         if (on && !(slice.csr & CSR_EN)) {
-            slice.start = this.rp2040.clock.nanos;
             slice.latched = { cc: slice.cc, top: slice.top };
+            slice.start = this.#startOf(slice);
+        } else if (!on && slice.csr & CSR_EN) {
+            slice.counter = this.#counter(slice);
         }
         slice.csr = (slice.csr & ~CSR_EN) | on;
     }

@@ -21,6 +21,8 @@ const SOF_RD = 0x48;
 const EP_ABORT = 0x60;
 const SIE_PULLUP = 1 << 16;
 const SIE_DATA_SEQ_ERROR = 1 << 31;
+const SIE_SUSPENDED = 1 << 4;
+const SIE_STATUS = 0x50;
 const SIE_BUS_RESET = 1 << 19;
 const SIE_SETUP_RECEIVED = 1 << 17;
 const INTR_SOF = 1 << 17;
@@ -62,6 +64,7 @@ export class UsbController extends RPUSBController {
     }
 
     writeUint32(offset, value) {
+        if (offset === SIE_STATUS) this.sieStatus &= ~(this.rawWriteValue & SIE_SUSPENDED);
         super.writeUint32(offset, value);
         if (offset === EP_ABORT) {
             this.epAbortDone &= value; // done as soon as asked, gone with the request
@@ -71,6 +74,12 @@ export class UsbController extends RPUSBController {
     busReset() {
         this.addrEndp = 0;
         this.sieStatus |= SIE_BUS_RESET;
+        this.sieStatusUpdated();
+    }
+
+    /** The bus has been idle for 3 ms. */
+    suspend() {
+        this.sieStatus |= SIE_SUSPENDED;
         this.sieStatusUpdated();
     }
 

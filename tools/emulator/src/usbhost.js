@@ -2,8 +2,11 @@ import { ACK, NAK, STALLED, TIMEOUT } from './usb.js';
 
 const FRAME_NANOS = 1e6;
 const SLOT_NANOS = 50e3;  // one full-speed bulk transaction of 64 bytes, tokens and gaps included
-const RESET_NANOS = 10e6;
+const RESET_NANOS = 1e6; // 10 ms and more on a real bus; nothing in the device depends on it
+const SUSPEND_NANOS = 3e6;
 const ADDRESS = 1;
+const READ_AHEAD_ENDPOINT = 1;     // as a host program that keeps reads pending; a simulated one reads once per slice of time
+const READ_AHEAD_MAX = 64 * 1024;
 
 export const OK = 0;
 export const EPIPE = -32;
@@ -15,7 +18,6 @@ export const ESHUTDOWN = -108;
 const GET_DESCRIPTOR = 6;
 const SET_ADDRESS = 5;
 const SET_CONFIGURATION = 9;
-const SET_INTERFACE = 11;
 const CLEAR_FEATURE = 1;
 const ENDPOINT_HALT = 0;
 
@@ -33,6 +35,7 @@ export class UsbHost {
     constructor(packetSize = 64) {
         this.packetSize = packetSize;
         this.connected = true; // the cable
+        this.progress = 0;     // transactions that moved something
         this.onAttached = () => {};
         this.onDetached = () => {};
         this.#forget();
@@ -47,6 +50,10 @@ export class UsbHost {
         this.deviceDescriptor = null;
         this.configDescriptor = null;
         this.enumerating = false;
+        this.suspended = false;
+        this.ahead = [];        // packets of READ_AHEAD_ENDPOINT that nobody has asked for yet
+        this.aheadBytes = 0;
+        this.configured = false;
     }
 
     /** A chip that has just started. */
@@ -57,6 +64,7 @@ export class UsbHost {
         this.frameAlarm = this.clock.createAlarm(() => this.#frame());
         this.slotAlarm = this.clock.createAlarm(() => this.#slot());
         this.resetAlarm = this.clock.createAlarm(() => this.#enumerate());
+        this.suspendAlarm = this.clock.createAlarm(() => chip.usbCtrl.suspend());
         this.frameAlarm.schedule(FRAME_NANOS);
     }
 
@@ -66,9 +74,10 @@ export class UsbHost {
         this.frameAlarm?.cancel();
         this.slotAlarm?.cancel();
         this.resetAlarm?.cancel();
+        this.suspendAlarm?.cancel();
         this.#forget();
         this.chip = null;
-        for (const transfer of pending) transfer.done(ESHUTDOWN, new Uint8Array(0));
+        for (const transfer of pending) this.#finish(transfer, ESHUTDOWN);
         if (wasReady) this.onDetached();
     }
 
@@ -76,24 +85,40 @@ export class UsbHost {
         if (connected === this.connected) return;
         this.connected = connected;
         const { chip } = this;
-        if (!connected && chip) {
-            this.detach();
-            this.chip = chip;
-        } else if (chip) {
-            this.frameAlarm.schedule(FRAME_NANOS);
-        }
+        if (chip === null) return;
+        this.detach();
+        this.attach(chip);
+        if (!connected) this.suspend();
     }
 
     get attached() {
         return this.connected && this.chip !== null && this.chip.usbCtrl.attached;
     }
 
-    get idle() {
-        return this.queues.size === 0;
+    /** Whether something is on its way to the device: data, or a control transfer. */
+    get sending() {
+        for (const key of this.queues.keys()) if (!(key & 0x80)) return true;
+        return false;
+    }
+
+    /** Starts over with the device that is there: bus reset, address, descriptors. */
+    reset() {
+        const { chip } = this;
+        this.detach();
+        this.attach(chip);
+        this.#frame();
+    }
+
+    /** No more frames: the device notices after 3 ms. Until reset(). */
+    suspend() {
+        if (this.chip === null || this.suspended) return;
+        this.suspended = true;
+        this.frameAlarm.cancel();
+        this.suspendAlarm.schedule(SUSPEND_NANOS);
     }
 
     #frame() {
-        if (!this.connected) return;
+        if (!this.connected || this.suspended) return;
         this.frameAlarm.schedule(FRAME_NANOS);
         if (this.attached && !this.enumerating) {
             this.enumerating = true;
@@ -138,14 +163,23 @@ export class UsbHost {
     }
 
     submit(transfer) {
+        transfer.moved = 0;
+        transfer.received = [];
         if (!this.attached) {
-            transfer.done(ESHUTDOWN, new Uint8Array(0));
+            this.#finish(transfer, ESHUTDOWN);
             return;
         }
         const key = transfer.setup ? 0 : transfer.endpoint | (transfer.out ? 0 : 0x80);
         transfer.stage = transfer.setup ? 'setup' : 'data';
-        transfer.moved = 0;
-        transfer.received = [];
+        while (key === (READ_AHEAD_ENDPOINT | 0x80) && this.ahead.length > 0 && !this.queues.has(key)) {
+            const packet = this.ahead.shift();
+            this.aheadBytes -= packet.length;
+            const status = this.#receive(transfer, packet);
+            if (status !== null) {
+                this.#finish(transfer, status);
+                return;
+            }
+        }
         if (!this.queues.has(key)) this.queues.set(key, []);
         this.queues.get(key).push(transfer);
         if (!this.slotAlarm.scheduled) this.slotAlarm.schedule(SLOT_NANOS);
@@ -168,14 +202,29 @@ export class UsbHost {
         this.slotAlarm.scheduled = false;
         for (const [key, queue] of [...this.queues]) {
             const transfer = queue[0];
+            const moved = transfer.moved;
+            const { stage } = transfer;
             const status = this.#transact(key, transfer);
+            if (status !== null || transfer.moved !== moved || transfer.stage !== stage) this.progress += 1;
             if (status !== null) {
                 queue.shift();
                 if (queue.length === 0) this.queues.delete(key);
                 this.#finish(transfer, status);
             }
         }
-        if (this.queues.size > 0 && !this.slotAlarm.scheduled) this.slotAlarm.schedule(SLOT_NANOS);
+        this.#readAhead();
+        if ((this.queues.size > 0 || this.configured) && !this.slotAlarm.scheduled) this.slotAlarm.schedule(SLOT_NANOS);
+    }
+
+    #readAhead() {
+        const key = READ_AHEAD_ENDPOINT | 0x80;
+        if (!this.configured || this.suspended || this.queues.has(key) || this.aheadBytes > READ_AHEAD_MAX) return;
+        const toggle = this.toggles.get(key) ?? 0;
+        const answer = this.#in(READ_AHEAD_ENDPOINT, toggle);
+        if (typeof answer === 'string') return;
+        this.toggles.set(key, toggle ^ 1);
+        this.ahead.push(answer.data);
+        this.aheadBytes += answer.data.length;
     }
 
     #finish(transfer, status) {
@@ -191,8 +240,12 @@ export class UsbHost {
 
     /** What a request changes on the host's side. */
     #sideEffects([type, request, valueLow, , indexLow]) {
-        if (type === 0 && request === SET_CONFIGURATION) this.toggles.clear();
-        if (type === 1 && request === SET_INTERFACE) this.toggles.clear();
+        if (type === 0 && request === SET_CONFIGURATION) {
+            this.toggles.clear();
+            this.ahead = [];
+            this.aheadBytes = 0;
+            this.configured = valueLow !== 0;
+        }
         if (type === 2 && request === CLEAR_FEATURE && valueLow === ENDPOINT_HALT) this.toggles.delete(indexLow);
     }
 

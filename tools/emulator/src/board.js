@@ -1,0 +1,137 @@
+import fs from 'node:fs';
+
+import { Chip } from './chip.js';
+import { Flash } from './flash.js';
+import { Plant, STEP_US } from './plant.js';
+import { SimulationClock } from './rp2040js.js';
+import { UsbHost } from './usbhost.js';
+
+export const TABLE_REGION = 8 * Flash.sectorSize; // at the end of flash, as firmware/port/rp2040/main.c has it
+const ENUMERATION_US = 500e3;                     // a board that is not on the bus by then never will be
+const BRANCH_TO_SELF = 0xe7fe;
+
+/**
+ * The emulated board: chip, flash, motors and USB host in the time of one world, which starts with the board.
+ * Everything is driven by run(); nothing happens between two calls.
+ */
+export class Board {
+    /** image, bootrom: bytes; flashFile: keeps the tables between runs, null: nothing does. */
+    constructor({ image, bootrom, motor, flashFile = null, id }) {
+        this.flash = new Flash(2 << 20, id);
+        this.flash.bytes.set(image);
+        this.bootrom = new Uint32Array(4096);
+        new Uint8Array(this.bootrom.buffer).set(bootrom);
+        this.flashFile = flashFile;
+        this.plant = new Plant(motor);
+        this.usb = new UsbHost();
+        this.starts = 0;
+        this.powered = false;
+        this.bootloader = false;
+        this.hung = false;
+        this.bootUs = 0;
+        this.onReset = () => {};
+        if (flashFile !== null && fs.existsSync(flashFile)) {
+            this.flash.bytes.set(fs.readFileSync(flashFile).subarray(0, TABLE_REGION), this.tableOffset);
+        }
+        this.flash.onChange = () => this.#save();
+        this.flash.onCut = () => { this.chip.state = 'cut'; };
+        this.#save();
+        this.start();
+    }
+
+    get tableOffset() {
+        return this.flash.bytes.length - TABLE_REGION;
+    }
+
+    get tables() {
+        return this.flash.bytes.subarray(this.tableOffset);
+    }
+
+    #save() {
+        if (this.flashFile !== null) fs.writeFileSync(this.flashFile, this.tables);
+    }
+
+    /** Time of the world, us. While the chip runs it is ahead of the plant's by less than a step. */
+    get nowUs() {
+        return this.chip === null ? this.plant.timeUs : this.bootUs + this.clock.nanos / 1000;
+    }
+
+    /** Power on or, with what a watchdog reset keeps, a restart. Motors and time go on where they are. */
+    start(kept = null) {
+        this.bootUs = this.plant.timeUs;
+        this.clock = new SimulationClock();
+        this.chip = new Chip({ clock: this.clock, flash: this.flash, bootrom: this.bootrom, kept });
+        this.powered = true;
+        this.bootloader = false;
+        this.hung = false;
+        this.starts += 1;
+        this.plant.attach(this.chip);
+        this.usb.attach(this.chip);
+    }
+
+    #stop() {
+        this.flash.powerCut();
+        this.plant.detach();
+        this.usb.detach();
+        this.chip = null;
+        this.onReset();
+    }
+
+    /** The power goes at the count-th flash operation from now; 0: it stays. */
+    cut(count) {
+        this.flash.cutAt = count > 0 ? this.flash.operations + count : 0;
+    }
+
+    /** Runs the world up to a time, us. */
+    run(untilUs) {
+        while (this.chip !== null && this.nowUs < untilUs) {
+            this.chip.run((untilUs - this.bootUs) * 1000);
+            const { state } = this.chip;
+            if (state === 'running') break;
+            const { kept } = this.chip;
+            this.#stop();
+            if (state === 'reset') this.start(kept);
+            else if (state === 'bootsel') this.bootloader = true;
+            else this.powered = false;
+        }
+        while (this.chip === null && this.plant.timeUs + STEP_US <= untilUs) this.plant.step();
+    }
+
+    /** Runs until something is so, at most some time; whether it came to be. */
+    runWhile(going, mostUs) {
+        const end = this.nowUs + mostUs;
+        while (going() && this.nowUs < end) this.run(this.nowUs + 20);
+        return !going();
+    }
+
+    waitForUsb() {
+        return this.runWhile(() => !this.usb.ready && this.chip !== null, ENUMERATION_US) && this.usb.ready;
+    }
+
+    reset() {
+        if (this.chip !== null) this.#stop();
+        this.start();
+    }
+
+    /** The main loop stands still from the next time it is interrupted by nothing; interrupts go on. */
+    hang() {
+        this.hung = true;
+        this.runWhile(() => this.chip.core.IPSR !== 0 || this.chip.core.PM, 10e3);
+        const { core } = this.chip;
+        const trap = 0x20041000; // the far end of the stack's bank
+        this.chip.writeUint16(trap, BRANCH_TO_SELF);
+        core.PC = trap;
+        core.waiting = false;
+    }
+}
+
+/** A board with the image that './run firmware' built, or another. */
+export function loadBoard(root, options = {}) {
+    const build = `${root}/build/rp2040`;
+    const file = (name) => {
+        if (!fs.existsSync(name)) throw new Error(`${name} is missing: run './run firmware'`);
+        return fs.readFileSync(name);
+    };
+    return new Board({ ...options, image: file(options.image ?? `${build}/tautline.bin`),
+        bootrom: file(`${build}/emulator/bootrom.bin`) });
+}
