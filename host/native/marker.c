@@ -7,8 +7,9 @@
 #define TERMS (2 * ORDER + 1)
 #define STEP 0.5          /* px between samples along a ray */
 #define WINDOW 3.0        /* px to either side of the half-way crossing in which an edge is measured */
+#define WINDOW_SAMPLES 13 /* 2 WINDOW / STEP + 1 */
 #define BEYOND 3.0        /* px beyond the crossing where the surroundings begin ... */
-#define BEYOND_TO 5.5     /* ... and end */
+#define BEYOND_SAMPLES 6  /* ... and how far they are averaged */
 #define LOW 0.2           /* share of the contrast below which a sample is all surroundings */
 #define HIGH 0.8          /* and above which it is all marker */
 #define CORRELATION 1.6   /* by which neighbouring rays, which share pixels, say less than independent ones; measured */
@@ -93,16 +94,32 @@ static blob_t flood(const marker_view_t *view, uint8_t *mark, int32_t *stack, in
     return blob;
 }
 
-/* Bilinear; held beyond the region's rim. */
-static double sample(const float *y, int columns, int rows, double px, double py) {
-    px = px < 0.0 ? 0.0 : px > columns - 1.001 ? columns - 1.001 : px;
-    py = py < 0.0 ? 0.0 : py > rows - 1.001 ? rows - 1.001 : py;
+/* Bilinear, at a place inside of the region and half a pixel and more from its right and lower rim. */
+static inline float sample(const float *y, int columns, float px, float py) {
     const int ix = (int)px, iy = (int)py;
-    const double fx = px - ix, fy = py - iy;
-    const float *at = y + (ptrdiff_t)iy * columns + ix;
-    const double upper = (double)at[0] + fx * (double)(at[1] - at[0]);
-    const double lower = (double)at[columns] + fx * (double)(at[columns + 1] - at[columns]);
+    const float fx = px - (float)ix, fy = py - (float)iy;
+    const float *at = y + iy * columns + ix;
+    const float upper = at[0] + fx * (at[1] - at[0]);
+    const float lower = at[columns] + fx * (at[columns + 1] - at[columns]);
     return upper + fy * (lower - upper);
+}
+
+/* `count` samples along a ray, STEP apart from r on; held beyond the region's rim. */
+static void sample_ray(const float *y, int columns, int rows, double cx, double cy, const double *basis, double r, int count,
+                       float *out) {
+    const float right = (float)columns - 1.001F, bottom = (float)rows - 1.001F;
+    float px = (float)(cx + r * basis[1]), py = (float)(cy + r * basis[2]);
+    const float dx = (float)(STEP * basis[1]), dy = (float)(STEP * basis[2]);
+    const float ex = px + (float)count * dx, ey = py + (float)count * dy;
+    if (fminf(px, ex) >= 0.0F && fminf(py, ey) >= 0.0F && fmaxf(px, ex) <= right && fmaxf(py, ey) <= bottom) {
+        for (int i = 0; i < count; i++, px += dx, py += dy) {
+            out[i] = sample(y, columns, px, py);
+        }
+        return;
+    }
+    for (int i = 0; i < count; i++, px += dx, py += dy) {
+        out[i] = sample(y, columns, fminf(fmaxf(px, 0.0F), right), fminf(fmaxf(py, 0.0F), bottom));
+    }
 }
 
 /* Cholesky of the leading terms, in place; 0: the matrix is singular (too few rays are left). */
@@ -146,12 +163,15 @@ typedef struct {
 static void aim(rays_t *rays, double radius) {
     int count = 8 * (int)lround(2.0 * PI * radius / 8.0);
     rays->count = count = count < 24 ? 24 : count > MARKER_RAYS_MAX ? MARKER_RAYS_MAX : count;
+    const double turn_cos = cos(2.0 * PI / count), turn_sin = sin(2.0 * PI / count);
+    double along = 1.0, across = 0.0;
     for (int i = 0; i < count; i++) {
-        const double t = 2.0 * PI * i / count;
         double *b = rays->basis[i];
         b[0] = 1.0;
-        b[1] = cos(t);
-        b[2] = sin(t);
+        b[1] = along;
+        b[2] = across;
+        along = b[1] * turn_cos - b[2] * turn_sin;
+        across = b[2] * turn_cos + b[1] * turn_sin;
         for (int k = 2; k <= ORDER; k++) {
             b[2 * k - 1] = b[2 * k - 3] * b[1] - b[2 * k - 2] * b[2];
             b[2 * k] = b[2 * k - 2] * b[1] + b[2 * k - 3] * b[2];
@@ -165,22 +185,21 @@ static double look_beyond(rays_t *rays, const float *y, const uint8_t *mark, uin
     double sum = 0.0;
     for (int i = 0; i < rays->count; i++) {
         const double dx = rays->basis[i][1], dy = rays->basis[i][2];
-        double last = 0.0;
-        double px = cx + 0.5, py = cy + 0.5; /* truncated, the nearest pixel */
-        for (double r = 0.0; r <= reach && px >= 0.0 && py >= 0.0 && px < columns && py < rows; r += STEP) {
-            if (mark[(ptrdiff_t)py * columns + (ptrdiff_t)px] == own) {
-                last = r;
+        double last = reach;
+        for (; last > 0.0; last -= STEP) {
+            const double px = cx + last * dx + 0.5, py = cy + last * dy + 0.5; /* truncated, the nearest pixel */
+            if (px >= 0.0 && py >= 0.0 && px < columns && py < rows &&
+                mark[(ptrdiff_t)py * columns + (ptrdiff_t)px] == own) {
+                break;
             }
-            px += STEP * dx;
-            py += STEP * dy;
         }
         rays->crossing[i] = last;
-        double level = 0.0;
-        int count = 0;
-        for (double r = last + BEYOND; r <= last + BEYOND_TO; r += STEP, count++) {
-            level += sample(y, columns, rows, cx + r * dx, cy + r * dy);
+        float levels[BEYOND_SAMPLES], level = 0.0F;
+        sample_ray(y, columns, rows, cx, cy, rays->basis[i], last + BEYOND, BEYOND_SAMPLES, levels);
+        for (int k = 0; k < BEYOND_SAMPLES; k++) {
+            level += levels[k];
         }
-        rays->edge[i] = level / count;
+        rays->edge[i] = (double)level / BEYOND_SAMPLES;
         sum += rays->edge[i];
     }
     for (int i = 0; i < rays->count; i++) { /* of three neighbours */
@@ -191,20 +210,22 @@ static double look_beyond(rays_t *rays, const float *y, const uint8_t *mark, uin
 }
 
 static void find_edges(rays_t *rays, const float *y, int columns, int rows, double cx, double cy, double within) {
-    const int samples = (int)(2.0 * WINDOW / STEP);
     for (int i = 0; i < rays->count; i++) {
-        const double dx = rays->basis[i][1], dy = rays->basis[i][2];
         const double from = rays->crossing[i] > WINDOW ? rays->crossing[i] - WINDOW : 0.0;
         const double contrast = within - rays->around[i];
         rays->keep[i] = contrast > 0.0;
-        double edge = from - 0.5 * STEP; /* what lies before the window counts in full, and a sample for the STEP around it */
-        for (int k = 0; k <= samples && contrast > 0.0; k++) {
-            const double r = from + STEP * k;
-            double share = (sample(y, columns, rows, cx + r * dx, cy + r * dy) - rays->around[i]) / contrast;
-            share = (share - LOW) / (HIGH - LOW);
-            edge += STEP * (share < 0.0 ? 0.0 : share > 1.0 ? 1.0 : share);
+        rays->edge[i] = from;
+        if (!rays->keep[i]) {
+            continue;
         }
-        rays->edge[i] = edge;
+        float levels[WINDOW_SAMPLES], sum = 0.0F;
+        sample_ray(y, columns, rows, cx, cy, rays->basis[i], from, WINDOW_SAMPLES, levels);
+        const float scale = (float)(1.0 / (contrast * (HIGH - LOW))), zero = (float)(rays->around[i] + LOW * contrast);
+        for (int k = 0; k < WINDOW_SAMPLES; k++) {
+            const float share = (levels[k] - zero) * scale;
+            sum += share < 0.0F ? 0.0F : share > 1.0F ? 1.0F : share;
+        }
+        rays->edge[i] = from + STEP * ((double)sum - 0.5); /* what lies before `from` counts in full */
     }
 }
 
@@ -254,8 +275,13 @@ static int fit_outline(rays_t *rays, double *scatter) {
     for (int i = 0; i < rays->count; i++) {
         rays->fit[i] = median;
     }
-    for (int pass = 0; pass < 6; pass++) {
-        const double scale = 2.0 * spread(rays);
+    double before = 1e9;
+    for (int pass = 0; pass < 8; pass++) {
+        const double now = spread(rays), scale = 2.0 * now;
+        if (now > 0.9 * before) { /* settled */
+            break;
+        }
+        before = now;
         for (int i = 0; i < rays->count; i++) {
             const double x = (rays->edge[i] - rays->fit[i]) / scale;
             weight[i] = rays->keep[i] ? 1.0 / (1.0 + x * x) : 0.0;
@@ -286,6 +312,7 @@ static int fit_outline(rays_t *rays, double *scatter) {
     return kept;
 }
 
+/* Marks the blob with 3 and everything else above the cut with 2. 0: there is none. */
 static int search(const marker_view_t *view, uint8_t *mark, int32_t *stack, double u, double v, double diameter, blob_t *best) {
     const int columns = view->x1 - view->x0, pixels = columns * (view->y1 - view->y0);
     double best_score = 0.0;
@@ -294,15 +321,34 @@ static int search(const marker_view_t *view, uint8_t *mark, int32_t *stack, doub
         if (mark[i] != 1) {
             continue;
         }
-        const blob_t blob = flood(view, mark, stack, i, 1, 2);
+        const int first = best_score == 0.0;
+        const blob_t blob = flood(view, mark, stack, i, 1, first ? 3 : 2);
         const double dx = view->x0 + blob.sum_x / blob.area - u, dy = view->y0 + blob.sum_y / blob.area - v;
         const double score = blob.area / (1.0 + (dx * dx + dy * dy) / (diameter * diameter));
-        if (blob.area >= SMALLEST && score > best_score) {
+        if (score > best_score) {
+            if (!first) {
+                (void)flood(view, mark, stack, best->y * columns + best->x, 3, 2);
+                (void)flood(view, mark, stack, blob.y * columns + blob.x, 2, 3);
+            }
             best_score = score;
             *best = blob;
         }
     }
-    return best_score > 0.0;
+    return best->area >= SMALLEST;
+}
+
+/* A fresh frame is not in the cache: its rows are asked for all at once, not one after the other. */
+static void prefetch(const marker_view_t *view) {
+#if defined(__GNUC__)
+    for (int row = view->y0; row < view->y1; row++) {
+        const uint8_t *p = view->bgr + row * view->stride;
+        for (int byte = 3 * view->x0; byte < 3 * view->x1; byte += 64) {
+            __builtin_prefetch(p + byte);
+        }
+    }
+#else
+    (void)view;
+#endif
 }
 
 int marker_measure(const marker_view_t *view, const float weights[4], double cut, double u, double v, double diameter,
@@ -315,6 +361,7 @@ int marker_measure(const marker_view_t *view, const float weights[4], double cut
     uint8_t *mark = (uint8_t *)(stack + pixels);
     memset(out, 0, sizeof *out);
 
+    prefetch(view);
     for (int row = 0; row < rows; row++) {
         const uint8_t *p = view->bgr + (view->y0 + row) * view->stride + 3 * view->x0;
         for (int column = 0; column < columns; column++, p += 3) {
@@ -327,17 +374,21 @@ int marker_measure(const marker_view_t *view, const float weights[4], double cut
     if (!search(view, mark, stack, u, v, diameter, &blob)) {
         return MARKER_NONE;
     }
-    (void)flood(view, mark, stack, blob.y * columns + blob.x, 2, 3);
     const double area = blob.area;
     double cx = blob.sum_x / area, cy = blob.sum_y / area;
     const double radius = sqrt(area / PI);
 
     int count = 0;
+    double furthest = 0.0;
     for (int row = 0; row < rows; row++) {
         const uint8_t *p = view->bgr + (view->y0 + row) * view->stride + 3 * view->x0;
         for (int column = 0; column < columns; column++) {
-            const double dx = column - cx, dy = row - cy;
-            if (mark[row * columns + column] == 3 && dx * dx + dy * dy < 0.5 * radius * radius) {
+            if (mark[row * columns + column] != 3) {
+                continue;
+            }
+            const double dx = column - cx, dy = row - cy, square = dx * dx + dy * dy;
+            furthest = square > furthest ? square : furthest;
+            if (square < 0.5 * radius * radius) {
                 core[count++] = y[row * columns + column];
                 for (int k = 0; k < 3; k++) {
                     out->colour[k] += p[3 * column + k];
@@ -345,6 +396,7 @@ int marker_measure(const marker_view_t *view, const float weights[4], double cut
             }
         }
     }
+    furthest = sqrt(furthest);
     out->u = view->x0 + cx;
     out->v = view->y0 + cy;
     out->diameter = 2.0 * radius;
@@ -361,7 +413,7 @@ int marker_measure(const marker_view_t *view, const float weights[4], double cut
 
     rays_t rays;
     aim(&rays, radius);
-    out->around = look_beyond(&rays, y, mark, 3, columns, rows, cx, cy, 2.5 * radius + 2.0);
+    out->around = look_beyond(&rays, y, mark, 3, columns, rows, cx, cy, furthest + 1.0);
     if (!(out->within > out->around)) {
         return MARKER_NONE;
     }

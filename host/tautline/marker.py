@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from math import sqrt
 
 import cv2
 import numpy as np
@@ -55,7 +56,8 @@ class Tracker:
     def __init__(self, colour: MarkerColour) -> None:
         self.colour = colour
         self._weights = np.array([*colour.weights, colour.offset], dtype=np.float32)
-        self._colour = np.array(colour.colour) / max(float(np.linalg.norm(colour.colour)), 1.0)
+        length = max(sqrt(sum(level * level for level in colour.colour)), 1.0)
+        self._hue = tuple(level / length for level in colour.colour)
         self._smallest_px = _SMALLER * colour.diameter_px
         self.reset()
 
@@ -99,8 +101,8 @@ class Tracker:
             return _lost("cut off by the picture's border")
         if status != MARKER_FOUND or outline.within - outline.around < _FAINT:
             return _lost("no marker of this colour")
-        seen = np.array(outline.colour)
-        if float(seen @ self._colour) < _LIKE * float(np.sqrt(seen @ seen)):
+        (b, g, r), (own_b, own_g, own_r) = outline.colour, self._hue
+        if b * own_b + g * own_g + r * own_r < _LIKE * sqrt(b * b + g * g + r * r):
             return _lost("what is there has another colour")
         radius = 0.5 * outline.diameter
         if outline.kept < _KEPT or outline.scatter > max(_RAGGED * radius, 0.5):
