@@ -28,7 +28,7 @@ Find = Callable[[Array], "tuple[float, float] | None"]
 
 STATES_DEG = (-45.3, -20.0, 0.4, 17.1, 33.8)
 REGION_PX = 48  # side of the region where a marker of 20 px is looked for, when its place is known
-ARUCO_PX = (20, 32, 48)  # sides to try: the smallest that is found is compared
+ARUCO_PX = (20, 26, 32)  # sides to try: the smallest that is found is compared
 
 
 @dataclass(frozen=True)
@@ -76,9 +76,8 @@ def run(frames: int = 40, progress: Callable[[float, str], None] | None = None) 
         printed = list(_aruco_shots(frames, side))
         whole = _score(f"OpenCV ArUco of {side} px, whole frame", printed, lambda shot: _aruco())
         if whole.found >= 0.9:
-            margin = 1.5 * side / REGION_PX
             scores.append(
-                _score(f"OpenCV ArUco of {side} px, region", printed, lambda shot: _in_region(shot, _aruco(), margin))
+                _score(f"OpenCV ArUco of {side} px, region", printed, lambda shot: _in_region(shot, _aruco()))
             )
             scores.append(whole)
             break
@@ -155,8 +154,8 @@ def _blob_detector(near: Array) -> Find:
     return find
 
 
-def _in_region(shot: Shot, find: Find, scale: float = 1.0) -> Find:
-    half = round(max(1.0, scale) * REGION_PX / 2)
+def _in_region(shot: Shot, find: Find) -> Find:
+    half = REGION_PX // 2
     u, v = round(float(shot.place[0])), round(float(shot.place[1]))
     x0, y0 = max(0, u - half), max(0, v - half)
 
@@ -221,7 +220,7 @@ def _aruco() -> Find:
 
 
 def _visp(shots: list[Shot], grey: list[Shot]) -> list[Score] | str:
-    """ViSP's scores, without and with the making of the grey picture that it needs (by OpenCV), or why there is none."""
+    """ViSP's scores, without and with the making of its grey picture (by OpenCV), or why there are none."""
     compiler = shutil.which("c++")
     if compiler is None:
         return "ViSP: not compared, there is no C++ compiler"

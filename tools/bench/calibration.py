@@ -1,0 +1,47 @@
+"""How long a calibration takes, and how good it is, on a simulated recording of the paper's motion."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from tautline.calibrate import calibrate
+from tautline.endoscope import Endoscope
+from tautline.instrument import preset, reference_rig
+from tautline.marker import Tracker, pick
+from tautline.simulate import run as simulated
+from tautline.trajectory import back_and_forth
+
+
+def run() -> list[tuple[str, float, str]]:
+    """(name, value, unit) rows."""
+    rig = reference_rig()
+    instrument = preset("reference", rig)
+    motion = back_and_forth(rig.actuator, [0.5, 1.0], 1.6, 40, 4.0, 0.1)
+    recording = simulated(rig, instrument, motion, noise_px=0.05, seed=21).recording
+    assert recording.marker is not None
+    start = time.perf_counter()
+    model = calibrate([recording], rig).model
+    took = time.perf_counter() - start
+    reached = (model.q > model.measured[0]) & (model.q < model.measured[1])
+    error = model.width[reached] - instrument.backlash(model.q[reached])
+
+    scope = Endoscope(rig, seed=21)
+    frames = [scope.frame(c) for c in np.linspace(-20.0, 20.0, 50)]
+    u, v = scope.position(-20.0)[0]
+    tracker = Tracker(pick(frames[0], (float(u), float(v))))
+    start = time.perf_counter()
+    for c in np.linspace(-20.0, 20.0, 50):
+        scope.frame(c)
+    drawn = time.perf_counter()
+    for frame in frames:
+        tracker.track(frame)
+    return [
+        ("recording", motion.duration_s, "s"),
+        ("frames in it", float(len(recording.marker.t_s)), ""),
+        ("calibration of it", took, "s"),
+        ("error of B, rms", 1e3 * float(np.sqrt(np.mean(error**2))), "um"),
+        ("simulated endoscope, a frame", 1e3 * (drawn - start) / 50, "ms"),
+        ("tracking, a frame", 1e3 * (time.perf_counter() - drawn) / 50, "ms"),
+    ]
