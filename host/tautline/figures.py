@@ -314,7 +314,7 @@ def cross_check(model: Model, pass_width: Array) -> Figure:
 @mpl.rc_context(STYLE)
 def followed(runs: Mapping[str, Run]) -> Figure:
     """What was asked of the tip, where it was without and with compensation, and the difference."""
-    made, axes = figure(11, 4.6, 2, 1)
+    made, axes = figure(11, 4.6, 2, 1, sharex=True)
     top, bottom = axes[:, 0]
     names = {"off": "without compensation", "backlash": "with f_coarse and B", "full": "with f_remain and B"}
     for (compensation, run), colour in zip(runs.items(), _colours(len(runs)), strict=True):

@@ -52,10 +52,11 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
     onsets = figures.onsets_of(model)
     used, unused = figures.split_onsets(onsets)
     passes = model.extra.get("pass_width")
+    runs = Run.load_all(folder)
     page: dict[str, Any] = {
-        "title": f"What {name or folder.absolute().name} loses between motor and tip",
+        "title": f"What is lost between motor and tip: {name or folder.absolute().name}",
         "source": _source(model, evidence),
-        "result": sentences(model, evidence),
+        "result": sentences(model, evidence) + _run_sentences(runs),
         "numbers": _numbers(model, used, unused, evidence),
         "notes": [*model.extra.get("warnings", []), *model.extra.get("notes", [])],
         "motor_unit": model.rig.actuator.unit,
@@ -106,11 +107,11 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
             "The distance of the two passes at equal image position measures B again, without any pose. "
             "Where they part, the onset is smooth, or the registration changes with direction.",
         )
-    if runs := Run.load_all(folder):
+    if runs:
         page["runs"] = _picture(
             figures.followed(runs),
             "A trajectory followed open loop",
-            _run_caption(runs),
+            "Scored after the first full take-up in both directions.",
         )
     path = folder / FILE
     write_file(path, _render("model.html", page))
@@ -269,7 +270,7 @@ def _numbers(model: Model, used: Sequence[Any], unused: Sequence[Any], evidence:
     numbers.append(Number("reversals used", str(len(used)), f"of {len(used) + len(unused)}"))
     if model.rig.has_camera:
         sigma = model.extra.get("delay_sigma_s")
-        spread = f"± {2e3 * sigma:.1f}" if sigma else "nominal"
+        spread = f"± {_digits(2e3 * sigma, 1)} ms" if sigma else "nominal"
         numbers.append(Number("delay of the image", f"{1e3 * model.delay_s:.1f} ms", spread))
     if evidence is not None and np.isfinite(evidence.rms()[2]):
         numbers.append(Number("prediction", f"{_digits(evidence.rms()[2], 2)} {evidence.unit}", "rms per coordinate"))
@@ -313,11 +314,14 @@ def _onset_row(onset: figures.Onset) -> dict[str, Any]:
     }
 
 
-def _run_caption(runs: Mapping[str, Run]) -> str:
-    said = [f"{name}: {_digits(run.rms_deg, 2)} deg rms" for name, run in runs.items()]
-    if {"off", "full"} <= runs.keys():
-        said.append(f"with the tables {_times(runs['off'].rms_deg, runs['full'].rms_deg)} times smaller")
-    return "Compensation " + "; ".join(said) + "."
+def _run_sentences(runs: Mapping[str, Run]) -> list[str]:
+    off, full = runs.get("off"), runs.get("full")
+    if off is None or full is None:
+        return []
+    return [
+        f"Followed open loop, the tip was off by {_digits(off.rms_deg, 2)} deg without compensation and by "
+        f"{_digits(full.rms_deg, 2)} deg with it: {_times(off.rms_deg, full.rms_deg)} times less."
+    ]
 
 
 def _comparison_sentences(rows: Sequence[Mapping[str, Any]], unit: str) -> list[str]:

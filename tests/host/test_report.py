@@ -141,7 +141,7 @@ def test_runs_beside_a_model_are_shown(measured: tuple[Model, Recording], tmp_pa
         run.save(tmp_path, name)
     assert evidence.Run.load_all(tmp_path)["full"].rms_deg == pytest.approx(0.2, rel=1e-4)
     text = read(report.write(measured[0], tmp_path, None)).text
-    assert "off: 4.0 deg rms; full: 0.20 deg rms; with the tables 20 times smaller" in text
+    assert "off by 4.0 deg without compensation and by 0.20 deg with it: 20 times less" in text
 
 
 def test_report_is_written_again(measured: tuple[Model, Recording], tmp_path: Path) -> None:

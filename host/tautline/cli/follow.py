@@ -77,9 +77,20 @@ def command(
             folder=out,
             progress=progress,
         )
+    if model is not None and model_path is not None and result.scored_by:
+        _into_report(model, model_path, result, compensation)
     emit(_report(result, compensation, out), as_json, _text(result, compensation, out))
     if result.counters["telemetry_dropped"]:
         log(f"taut: {result.counters['telemetry_dropped']} telemetry samples were dropped")
+
+
+def _into_report(model: Any, folder: Path, result: Any, compensation: str) -> None:
+    """The run beside the model's others, and its report written again."""
+    from tautline import report
+    from tautline.evidence import Evidence, Run
+
+    Run(result.t_s, result.c_ref_deg, result.c_deg, result.counted).save(folder, compensation)
+    report.write(model, folder, Evidence.load(folder))
 
 
 def _report(result: Any, compensation: str, out: Path | None) -> dict[str, Any]:
