@@ -26,15 +26,18 @@ static int64_t braking_distance(int64_t acceleration, uint32_t steps) {
 static bool is_forward(const tl_motion_t *m) { return m->leg % 2U == 0; }
 static uint32_t legs_of_pass(const tl_motion_t *m) { return 2U * m->config.cycles + 1U; }
 
-/// End of the forward leg under way: a turning point of the pass or its far end.
+static bool goes_back(const tl_motion_t *m) { return m->pass % 2U != 0; }
+static int64_t far_end(const tl_motion_t *m) { return goes_back(m) ? low_end(m) : high_end(m); }
+
+/// End of the forward leg under way: a turning point of the pass or its far end. Both passes reach their first turning
+/// point where the range begins to be visible to them; half a step between them interleaves the middles of their strokes.
 static int64_t turning_point(const tl_motion_t *m) {
     const uint32_t i = m->leg / 2U;
-    const bool back = m->pass % 2U != 0;
     if (i >= m->config.cycles) {
-        return back ? low_end(m) : high_end(m);
+        return far_end(m);
     }
-    const int64_t offset = stroke_max(m) + m->half_step * (int64_t)(2U * i + (back ? 1U : 0U));
-    return back ? high_end(m) - offset : low_end(m) + offset;
+    const int64_t offset = m->half_step * (int64_t)(2U * i + (goes_back(m) ? 0U : 1U));
+    return goes_back(m) ? m->first - offset : m->first + offset;
 }
 
 static void begin_leg(tl_motion_t *m, uint8_t phase, int64_t target) {
@@ -44,14 +47,11 @@ static void begin_leg(tl_motion_t *m, uint8_t phase, int64_t target) {
     m->target = target;
 }
 
+/// A forward leg goes on to its turning point without a rest: until its onset all of the range is before it.
 static void begin_reversal(tl_motion_t *m) {
-    const bool rising = is_forward(m) == (m->pass % 2U == 0);
-    int64_t target = rising ? smaller(m->position + stroke_max(m), high_end(m))
-                            : larger(m->position - stroke_max(m), low_end(m));
-    if (is_forward(m)) { // it goes on to the turning point, without a rest in between
-        target = rising ? larger(target, turning_point(m)) : smaller(target, turning_point(m));
-    }
-    begin_leg(m, MEASURING, target);
+    const int64_t back = goes_back(m) ? smaller(m->position + stroke_max(m), high_end(m))
+                                      : larger(m->position - stroke_max(m), low_end(m));
+    begin_leg(m, MEASURING, is_forward(m) ? far_end(m) : back);
 }
 
 static void end_measuring(tl_motion_t *m) {
@@ -59,9 +59,15 @@ static void end_measuring(tl_motion_t *m) {
     const bool rising = m->direction > 0;
     m->phase = TRAVELLING;
     m->target = rising ? smaller(m->position + further, high_end(m)) : larger(m->position - further, low_end(m));
-    if (is_forward(m)) {
-        m->target = rising ? larger(m->target, turning_point(m)) : smaller(m->target, turning_point(m));
+    if (!is_forward(m)) {
+        return;
     }
+    if (m->leg == 0) { // from here to the far end the pass has its turning points
+        const int64_t way_q8 = (rising ? far_end(m) - m->target : m->target - far_end(m)) / ((int64_t)1 << 24);
+        m->first = m->target;
+        m->half_step = q32((int64_t)((uint64_t)way_q8 * m->half_step_share >> 32));
+    }
+    m->target = rising ? larger(m->target, turning_point(m)) : smaller(m->target, turning_point(m));
 }
 
 static void end_leg(tl_motion_t *m) {
@@ -201,7 +207,7 @@ tl_motion_error_t tl_motion_start(tl_motion_t *motion, const tl_motion_config_t 
         m->measuring[i] = q32(config->speed[i]) / rate;
         m->measuring_steps[i] = (uint32_t)((m->measuring[i] + acceleration - 1) / acceleration);
     }
-    m->half_step = (high_end(m) - low_end(m) - stroke_max(m)) / (2 * (int64_t)config->cycles);
+    m->half_step_share = UINT32_MAX / (2U * config->cycles);
     m->timeout_ticks = (uint32_t)((uint64_t)config->host_timeout_us * config->rate_hz / 1000000U);
     const int64_t prepared = low_end(m) + stroke_max(m);
     begin_leg(m, PREPARING, m->position < prepared ? prepared : low_end(m));

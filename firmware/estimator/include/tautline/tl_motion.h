@@ -5,8 +5,9 @@
 /// travels to the next turning point, at `transit` speed but for the last `approach` before the turn. All else is at the
 /// pass's measuring speed, so image stop and image start are seen at the same speed. After each onset the axis goes on by
 /// `approach` or more, so every reversal begins on an envelope; before the first one it makes sure of that by a stroke of
-/// `stroke_max`. Turning points of the pass back lie half-way between those of the pass out, none nearer to the start of
-/// its pass than `stroke_max`. A reversal with no onset ends after `stroke_max` and the motion goes on.
+/// `stroke_max`. The turning points are spread evenly between the pass's first onset and its far end, so that those of the
+/// two directions together cover all the range where B can be seen. A reversal with no onset ends after `stroke_max` and
+/// the motion goes on.
 ///
 /// Reversals: 4 cycles + 2 for each speed. Time, reference rig (10 mm, 0.35 mm/s, width 0.7 mm): about 2.6 s a reversal.
 ///
@@ -73,7 +74,9 @@ typedef struct {
     int64_t acceleration; ///< counts/tick^2 Q32
     int64_t transit;
     int64_t measuring[TL_MOTION_SPEEDS];
-    int64_t half_step;        ///< half the distance of a pass's turning points
+    int64_t first;            ///< where the first turning point of this pass could have been
+    int64_t half_step;        ///< half the distance of this pass's turning points
+    uint32_t half_step_share; ///< of the way from `first` to the far end, Q32
     uint32_t steps;           ///< ticks that braking takes: (steps - 1) acceleration < speed <= steps acceleration
     uint32_t measuring_steps[TL_MOTION_SPEEDS]; ///< the same at each measuring speed
     uint32_t quiet_ticks;     ///< since the last frame
