@@ -1,6 +1,7 @@
 #include "tautline/tl_usb.h"
 
 #include <string.h>
+#include <device/dcd.h>
 #include <tusb.h>
 
 enum { INTERFACE_VENDOR, INTERFACE_DFU, INTERFACES };
@@ -163,6 +164,45 @@ bool tud_vendor_control_xfer_cb(uint8_t port, uint8_t stage, tusb_control_reques
     }
     return stage != CONTROL_STAGE_SETUP ||
            tud_control_xfer(port, request, (void *)(uintptr_t)ms_os_descriptor, sizeof(ms_os_descriptor));
+}
+
+// -- set-up packets -----------------------------------------------------------------------------------------------
+
+// TinyUSB 0.18 believes a request's direction bit: GET_DESCRIPTOR sent as OUT has the host write into the descriptor, GET_STATUS
+// into a stack frame that is gone. Every port links with --wrap=dcd_event_handler, so that such a packet comes here
+// first and is turned into a type of request that does not exist: TinyUSB then stalls it.
+void __real_dcd_event_handler(dcd_event_t const *event, bool in_isr);
+void __wrap_dcd_event_handler(dcd_event_t const *event, bool in_isr);
+
+static bool is_legal(const tusb_control_request_t *request) {
+    const bool in = request->bmRequestType_bit.direction == TUSB_DIR_IN;
+    bool reads = false;
+    bool has_data = false; // of an OUT request
+    switch (request->bmRequestType_bit.type) {
+    case TUSB_REQ_TYPE_STANDARD:
+        reads = request->bRequest == TUSB_REQ_GET_STATUS || request->bRequest == TUSB_REQ_GET_DESCRIPTOR ||
+                request->bRequest == TUSB_REQ_GET_CONFIGURATION || request->bRequest == TUSB_REQ_GET_INTERFACE ||
+                request->bRequest == TUSB_REQ_SYNCH_FRAME;
+        break;
+    case TUSB_REQ_TYPE_CLASS:
+        reads = request->bRequest == DFU_REQUEST_UPLOAD || request->bRequest == DFU_REQUEST_GETSTATUS ||
+                request->bRequest == DFU_REQUEST_GETSTATE;
+        has_data = request->bRequest == DFU_REQUEST_DNLOAD;
+        break;
+    default:
+        return true; // vendor: tud_vendor_control_xfer_cb looks itself
+    }
+    return in == reads && (in || has_data || request->wLength == 0U);
+}
+
+void __wrap_dcd_event_handler(dcd_event_t const *event, bool in_isr) {
+    if (event->event_id == DCD_EVENT_SETUP_RECEIVED && !is_legal(&event->setup_received)) {
+        dcd_event_t refused = *event;
+        refused.setup_received.bmRequestType_bit.type = TUSB_REQ_TYPE_INVALID;
+        __real_dcd_event_handler(&refused, in_isr);
+        return;
+    }
+    __real_dcd_event_handler(event, in_isr);
 }
 
 // -- bus state --------------------------------------------------------------------------------------------------
