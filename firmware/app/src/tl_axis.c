@@ -32,7 +32,10 @@ static void apply_limits(tl_axis_t *axis) {
     axis->low = axis->limits.q_low_q8;
     axis->high = axis->limits.q_high_q8;
     if (axis->has_table) {
-        const tl_table_t *table = &axis->lookup.table;
+        tl_table_t *table = &axis->lookup.table;
+        // A take-up that brakes harder than the reference may would overshoot. The last quarter is left to the feed.
+        const int32_t acceleration = axis->limits.acceleration_q8_s2 / TL_COUNT_ONE / 4 * 3;
+        table->takeup_accel = axis->takeup_accel < acceleration ? axis->takeup_accel : acceleration;
         speed = table->speed_max_q8 < speed ? table->speed_max_q8 : speed;
         axis->low = table->q_min > axis->low ? table->q_min : axis->low;
         axis->high = table->q_max < axis->high ? table->q_max : axis->high;
@@ -97,6 +100,7 @@ void tl_axis_use_table(tl_axis_t *axis, bool has_table) {
     axis->has_table = has_table;
     if (has_table) {
         axis->strength_q15 = axis->lookup.table.strength_q15;
+        axis->takeup_accel = axis->lookup.table.takeup_accel;
         tl_play_start(&axis->play, &axis->lookup, axis->q);
     }
     apply_limits(axis);

@@ -60,6 +60,7 @@ typedef struct {
 
     bool has_table;
     int32_t strength_q15;
+    int32_t takeup_accel; ///< counts/s2, as the table says; `lookup` has what the axis' limits leave of it
     tl_lookup_t lookup;
     tl_play_t play;
     tl_compensator_t compensator;
