@@ -20,11 +20,11 @@ from tautline.recording import load
 Array = np.ndarray
 Progress = Callable[[float, str], None] | None
 
-_PROBE_SHARES = (0.06, 0.12, 0.25)  # of the range, until the tip is seen to move
+_PROBE_SHARES = (0.06, 0.2)  # of the range to either side: first carefully, then beyond backlash and dead zone
 _STILL_FRAMES = 8
 _ACCELERATION = 20.0  # of the calibration motion: from rest to its fastest pass in 1/20 s
 _HOST_TIMEOUT_S = 0.5
-_TOO_LITTLE, _TOO_MUCH = 0.08, 2.5  # observed motion of the marker to that of f_coarse: beyond, a scale is wrong
+_TOO_LITTLE, _TOO_MUCH = 0.08, 2.0  # observed motion of the marker to that of f_coarse: beyond, a scale is wrong
 
 
 @dataclass(frozen=True)
@@ -143,13 +143,14 @@ def probe(live: Live, recorder: Recorder, speed: float) -> None:
                 f"the marker moved {distance:.3g} px where f_coarse says {length:.3g}: a scale is too large: check "
                 "actuator.unit, encoder_resolution and coarse.gain in rig.toml, and that the camera is the rig's"
             )
-        if distance > max(_TOO_LITTLE * length, 12 * sigma):
-            if along < -0.5 * distance:
-                raise TautError(
-                    f"the marker moves against what f_coarse says ({along:.3g} px of {length:.3g}): turn the sign of "
-                    "coarse.gain in rig.toml, or check how the camera is mounted (hand_eye)"
-                )
-            return
+        seen = distance > max(_TOO_LITTLE * length, 12 * sigma)
+        if seen and along < -0.5 * distance:
+            raise TautError(
+                f"the marker moves against what f_coarse says ({along:.3g} px of {length:.3g}): turn the sign of "
+                "coarse.gain in rig.toml, or check how the camera is mounted (hand_eye)"
+            )
+    if seen:
+        return
     raise TautError(
         f"the motor moved {2 * reach:.3g} {unit}, the marker {distance:.2g} px of {length:.3g}: is this camera looking "
         f"at the instrument of axis {live.axis}? Else a scale in rig.toml is too small, or the backlash larger"

@@ -1,0 +1,69 @@
+"""Inverse, then plant: with tables flashed over USB, how far the tip of the true instrument is from what was asked.
+
+The error is rms of c - c*, deg, from the moment at which the play has been driven through in both directions; every
+take-up after that counts in full. Uncompensated: the motor follows f_coarse's inverse.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from conftest import Bench
+from tautline.following import follow_run
+from tautline.instrument import Instrument, preset, reference_rig
+from tautline.live import Live, PointEye
+from tautline.model import Model
+from tautline.rig import Coarse
+from tautline.session import MotionOptions, calibrate_live
+from tautline.simlink import Plant
+
+FALLING = replace(reference_rig(), coarse=Coarse(-12.0, 3.0))
+
+
+def model_of(instrument: Instrument) -> Model:
+    q = np.linspace(*instrument.rig.actuator.range, 401)
+    width, c = instrument.backlash(q), instrument.bend(q)
+    return Model(instrument.rig, q, width, 0.001 + 0 * q, c, 0.08, instrument.rig.actuator.range)
+
+
+def report(name: str, shape: str, off: float, full: float) -> None:
+    print(
+        f"{name:>12} {shape:>10}: {off:.3f} deg uncompensated, {full:.3f} deg with tables: {off / full:.1f} times less"
+    )
+
+
+@pytest.mark.parametrize("shape", ["trapezoids", "smooth"])
+@pytest.mark.parametrize("name", ["reference", "davinci", "random", "falling"])
+def test_ten_times_smaller_with_the_true_tables(bench: Bench, name: str, shape: str) -> None:
+    instrument = preset("reference", FALLING) if name == "falling" else preset(name, seed=7)
+    with bench.open() as board:
+        live = Live(board, instrument.rig, 0, None, Plant(bench.sim, instrument))
+        model = model_of(instrument)
+        off = follow_run(live, shape, compensation="off", model=model, seed=3)
+        full = follow_run(live, shape, compensation="full", model=model, seed=3)
+        assert full.counters["set_points_dropped"] == 0 and full.counters["telemetry_dropped"] == 0
+    report(name, shape, off.rms_deg, full.rms_deg)
+    assert off.counted.mean() > 0.5 and full.counted.mean() > 0.5
+    assert full.rms_deg * 10.0 <= off.rms_deg
+
+
+def test_ten_times_smaller_with_what_a_live_calibration_measured(bench: Bench, tmp_path: Path) -> None:
+    instrument = preset("reference")
+    with bench.open() as board:
+        plant = Plant(bench.sim, instrument)
+        live = Live(board, instrument.rig, 0, PointEye(plant), plant)
+        found, _ = calibrate_live(live, tmp_path / "rec", MotionOptions(cycles=8, speeds=(0.7,)))
+        live.eye = None
+        for shape in ("trapezoids", "smooth"):
+            runs = {
+                how: follow_run(live, shape, compensation=how, model=found.model) for how in ("off", "backlash", "full")
+            }
+            report("measured", shape, runs["off"].rms_deg, runs["full"].rms_deg)
+            assert runs["full"].rms_deg * 10.0 <= runs["off"].rms_deg
+            assert runs["full"].rms_deg < runs["backlash"].rms_deg < runs["off"].rms_deg
+            half = follow_run(live, shape, compensation="full", model=found.model, strength=0.5)
+            assert runs["full"].rms_deg < half.rms_deg < runs["off"].rms_deg
