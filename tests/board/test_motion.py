@@ -49,6 +49,16 @@ def test_a_move_arrives_within_limits(board: Board, bench: Bench) -> None:
     bench.until(board, 0, "OFF")
 
 
+def test_every_move_arrives(board: Board, bench: Bench) -> None:
+    board.ask("enable", axis=0, on=1)
+    for target in (300.0, 301.0, 900.0, -20.0, 17.0, 17.5, 5000.0, 4999.5, 0.0):
+        board.ask("move", axis=0, q=target, speed_s=0.0)
+        status = bench.until(board, 0, "HOLD")
+        assert status.q_ref == target
+    board.ask("enable", axis=0, on=0)
+    bench.until(board, 0, "OFF")
+
+
 def test_telemetry_comes_at_1_khz_with_device_time(board: Board, bench: Bench) -> None:
     batches = telemetry(board)
     bench.run(1.0)
