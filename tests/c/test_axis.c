@@ -270,6 +270,30 @@ static void test_the_reference_keeps_its_limits(void) {
     }
 }
 
+// Every step length, also those that are whole multiples of what a tick's acceleration covers, is reached exactly.
+static void test_the_reference_arrives_exactly(void) {
+    const uint32_t rates[] = {1000, 5000, 10000};
+    for (int k = 0; k < 3; k++) {
+        const tl_reference_limits_t within = tl_reference_limits(16000 * TL_COUNT_ONE, 200000 * TL_COUNT_ONE, rates[k]);
+        for (int32_t target = 1; target < 3000 * TL_COUNT_ONE; target += 977) {
+            tl_reference_t reference;
+            tl_reference_set(&reference, 0);
+            for (uint32_t i = 0; i < rates[k]; i++) {
+                tl_reference_step(&reference, target, low, high, &within);
+            }
+            TEST_ASSERT_EQUAL_INT64((int64_t)target << 24, reference.position);
+            TEST_ASSERT_EQUAL_INT64(0, reference.velocity);
+        }
+        tl_reference_t reference; // onto the very end of the range
+        tl_reference_set(&reference, 0);
+        for (uint32_t i = 0; i < 2U * rates[k]; i++) {
+            tl_reference_step(&reference, high, low, high, &within);
+        }
+        TEST_ASSERT_EQUAL(high, tl_reference_q(&reference));
+        TEST_ASSERT_EQUAL_INT64(0, reference.velocity);
+    }
+}
+
 // A smooth target well within the limits is followed without lag.
 static void test_the_reference_does_not_trail_a_moving_target(void) {
     const tl_reference_limits_t within = tl_reference_limits(8000 * TL_COUNT_ONE, 60000 * TL_COUNT_ONE, FAKE_HZ);
@@ -441,6 +465,7 @@ int main(void) {
     RUN_TEST(test_set_points_are_joined_by_straight_lines_in_time);
     RUN_TEST(test_enabling_and_disabling_never_jump);
     RUN_TEST(test_the_reference_keeps_its_limits);
+    RUN_TEST(test_the_reference_arrives_exactly);
     RUN_TEST(test_the_reference_does_not_trail_a_moving_target);
     RUN_TEST(test_positions_beyond_the_limits_are_held_at_the_end);
     RUN_TEST(test_an_axis_outside_its_limits_may_stay_and_come_back);

@@ -44,8 +44,13 @@ static bool can_stop(int64_t speed, int64_t distance, int64_t acceleration) {
     return (uint64_t)v32 * v32 + ((uint64_t)v32 * a32 >> 16) <= ((uint64_t)(2U * a32) * d32) >> 16;
 }
 
-// The speed towards a distance, both seen from the target, that this tick allows: faster, as before, or slower.
+// The speed towards a distance, both seen from the target, that this tick allows: faster, as before, or slower; the last
+// stretch in two ticks, whatever its length.
 static int64_t approach(int64_t speed, int64_t distance, int64_t acceleration) {
+    const int64_t half = distance / 2;
+    if (half <= acceleration && half - speed <= acceleration && speed - half <= acceleration) {
+        return half;
+    }
     if (can_stop(speed + acceleration, distance, acceleration)) {
         return speed + acceleration;
     }
