@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import io
+import zipfile
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -60,13 +63,20 @@ class Evidence:
     @classmethod
     def load(cls, folder: Path) -> Self | None:
         """None where the model has none."""
-        if not (folder / FILE).exists():
+        path = folder / FILE
+        if not path.exists():
             return None
         try:
-            with np.load(folder / FILE) as data:
-                return cls(**{field.name: data[field.name] for field in fields(cls)})
-        except (OSError, ValueError, KeyError, EOFError) as error:
-            raise TautError(f"{folder / FILE}: cannot be read ({error}): make it again with taut calibrate") from error
+            with np.load(io.BytesIO(path.read_bytes())) as data:
+                found = cls(**{field.name: data[field.name] for field in fields(cls)})
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+            raise TautError(f"{path}: cannot be read ({error}): make it again with taut calibrate") from error
+        n = len(found.t_s)
+        if not (
+            len(found.q) == len(found.seen) == len(found.settled) == n and found.error.shape[:2] == (len(STAGES), n)
+        ):
+            raise TautError(f"{path}: its parts do not fit each other: make it again with taut calibrate")
+        return found
 
 
 def collect(model: Model, recordings: Sequence[Recording]) -> Evidence:

@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tautline.backlash import paper_knots
+from tautline.errors import TautError
 from tautline.evidence import STAGES, Evidence, Run
 from tautline.model import Model
 
@@ -64,10 +65,13 @@ def onsets_of(model: Model) -> list[Onset]:
     """The model's reversals in order of time; what could not be measured of them is NaN."""
     numbers = ("t_s", "direction", "q1", "q2", "width", "sigma")
     onsets: list[Onset] = []
-    for given in model.extra.get("onsets", []):
-        values = {name: np.nan if given.get(name) is None else float(given[name]) for name in numbers}
-        words = {name: str(given.get(name, "")) for name in ("recording", "reason", "kind")}
-        onsets.append({**values, **words, "used": bool(given["used"])})
+    try:
+        for given in model.extra.get("onsets", []):
+            values = {name: np.nan if given.get(name) is None else float(given[name]) for name in numbers}
+            words = {name: str(given.get(name, "")) for name in ("recording", "reason", "kind")}
+            onsets.append({**values, **words, "used": bool(given["used"])})
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise TautError(f"the model's onsets are damaged ({error!r}): make it again with taut calibrate") from error
     return sorted(onsets, key=lambda onset: onset["t_s"])
 
 
@@ -225,18 +229,36 @@ def track(evidence: Evidence, onsets: Sequence[Onset]) -> Figure:
 def onsets_closely(model: Model, evidence: Evidence, onsets: Sequence[Onset], count: int = 3) -> Figure | None:
     """Some onsets from low to high q: what was seen over the motor's way since it turned, with the hinge."""
     used = sorted(split_onsets(onsets)[0], key=q_mean)
-    if not used:
+    views = [view for onset in used if (view := _around(evidence, onset)) is not None]
+    if not views:
         return None
-    picked = [used[round(i)] for i in np.linspace(0, len(used) - 1, min(count, len(used)))]
+    picked = [views[round(i)] for i in np.linspace(0, len(views) - 1, min(count, len(views)))]
     unit = model.rig.actuator.unit
     made, axes = figure(11, 2.9, 1, len(picked))
-    for ax, onset in zip(axes[0], picked, strict=True):
-        _one_onset(ax, evidence, onset, unit)
+    for ax, (onset, path, moved, slope) in zip(axes[0], picked, strict=True):
+        width, sigma = onset["width"], onset["sigma"]
+        ax.axvspan(0, width, color=PALE, alpha=0.7, lw=0)
+        ax.plot(path, moved, ".", color=INK, ms=4)
+        ax.plot([0, width, path.max()], [0, 0, slope * (path.max() - width)], color=MODEL, lw=1.4)
+        ax.axvspan(width - 2 * sigma, width + 2 * sigma, color=MODEL, alpha=0.25, lw=0)
+        ax.annotate(
+            f"B = {width:.4g} ± {2 * sigma:.2g}",
+            (0.5 * width, 0.98),
+            xycoords=("data", "axes fraction"),
+            ha="center",
+            va="top",
+            color=MODEL,
+            fontsize=8,
+        )
+        ax.set_title(f"q = {q_mean(onset):.3g} {unit}, {'rising' if onset['direction'] > 0 else 'falling'}")
+        ax.set_xlabel(f"motor's way since it turned ({unit})")
     axes[0, 0].set_ylabel("moved since (px)" if evidence.unit == "px" else "moved since (deg)")
     return made
 
 
-def _one_onset(ax: Axes, evidence: Evidence, onset: Onset, unit: str) -> None:
+def _around(evidence: Evidence, onset: Onset) -> tuple[Onset, Array, Array, float] | None:
+    """The motor's way since it turned and how far the tip had moved by then, frame by frame, and the slope after the
+    onset; None where too few frames show it."""
     width = max(onset["width"], 1e-9)
     t2 = onset["t_s"] + _offset(evidence, onset)
     same = evidence.recording == evidence.index(onset["recording"])
@@ -245,29 +267,14 @@ def _one_onset(ax: Axes, evidence: Evidence, onset: Onset, unit: str) -> None:
     path, seen = path[near], evidence.seen[same][near]
     still = (path > 0.1 * width) & (path < 0.95 * width)
     moving = path > 1.05 * width
-    ax.set_title(f"q = {q_mean(onset):.3g} {unit}, {'rising' if onset['direction'] > 0 else 'falling'}")
-    ax.set_xlabel(f"motor's way since it turned ({unit})")
-    if still.sum() < 1 or moving.sum() < 2:
-        return
+    if still.sum() < 2 or moving.sum() < 3:
+        return None
     level = seen[still].mean(axis=0)
     towards = seen[moving].mean(axis=0) - level
     towards = towards / max(float(np.linalg.norm(towards)), 1e-12)
     moved = (seen - level) @ towards
     reach = path[moving] - width
-    slope = float(reach @ moved[moving] / (reach @ reach))
-    ax.axvspan(0, width, color=PALE, alpha=0.7, lw=0)
-    ax.plot(path, moved, ".", color=INK, ms=4)
-    ax.plot([0, width, path.max()], [0, 0, slope * (path.max() - width)], color=MODEL, lw=1.4)
-    ax.axvspan(width - 2 * onset["sigma"], width + 2 * onset["sigma"], color=MODEL, alpha=0.25, lw=0)
-    ax.annotate(
-        f"B = {width:.4g} ± {2 * float(onset['sigma']):.2g}",
-        (0.5 * width, 0.98),
-        xycoords=("data", "axes fraction"),
-        ha="center",
-        va="top",
-        color=MODEL,
-        fontsize=8,
-    )
+    return onset, path, moved, float(reach @ moved[moving] / (reach @ reach))
 
 
 @mpl.rc_context(STYLE)

@@ -155,6 +155,14 @@ def test_a_damaged_model(taut: Taut, folder: Path, model: Path, tmp_path: Path, 
     assert "model" in taut.refuses("compare", model, folder)
 
 
+@pytest.mark.parametrize("onsets", [[{}], [None], 5, [{"used": True, "t_s": "soon"}]])
+def test_a_model_whose_onsets_are_damaged(taut: Taut, model: Path, onsets: object) -> None:
+    document = json.loads((model / "model.json").read_text())
+    document["extra"]["onsets"] = onsets
+    (model / "model.json").write_text(json.dumps(document))
+    assert "onsets are damaged" in taut.refuses("report", model)
+
+
 def test_a_model_without_its_rig(taut: Taut, folder: Path, model: Path, tmp_path: Path) -> None:
     (model / "rig.toml").unlink()
     assert "rig" in taut.refuses("predict", model, folder, "--csv", tmp_path / "o.csv")
