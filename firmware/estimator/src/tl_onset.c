@@ -82,6 +82,11 @@ static tl_real_t unit_variance(const tl_onset_detector_t *d, tl_real_t residual,
 }
 
 static void remember_noise(tl_onset_detector_t *d, tl_real_t residual, int32_t dof) {
+    if (!d->noise_measured && dof >= 2 * PRIOR_DOF) { // what was stated has served
+        d->noise_measured = true;
+        d->noise_sum = 0;
+        d->noise_dof = 0;
+    }
     if (dof > 0) {
         d->noise_sum += tl_real_to_q(residual, 0);
         d->noise_dof += dof;

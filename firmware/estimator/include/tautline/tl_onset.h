@@ -130,6 +130,7 @@ typedef struct {
     tl_count_q8_t approach_span;
     int64_t noise_sum;        ///< weighted squared residuals, Q16 px^2
     int32_t noise_dof;
+    bool noise_measured;      ///< no longer the stated one
     tl_onset_t reversal; ///< the one under way: what the turn and the approach gave
     uint32_t ignored;    ///< frames whose time did not rise
     uint32_t lost;       ///< frames without a marker, or older than the history
