@@ -54,10 +54,6 @@ static int64_t approach(int64_t speed, int64_t distance, int64_t acceleration) {
     if (can_stop(speed + acceleration, distance, acceleration)) {
         return speed + acceleration;
     }
-    // From rest a little more than one step away, the roundings against us would leave it there for ever.
-    if (can_stop(speed + acceleration / 2, distance, acceleration)) {
-        return speed + acceleration / 2;
-    }
     return can_stop(speed, distance, acceleration) ? speed : speed - acceleration;
 }
 
