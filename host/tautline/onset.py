@@ -341,14 +341,15 @@ class Delay:
 
 
 def find_delay(tracks: Sequence[Track], rig: Rig, nominal_s: float, passes: int = 3) -> Delay:
-    """The delay at which the image stops when the motor turns, jointly over all reversals on an envelope."""
+    """The delay at which the image stops when the motor turns, jointly over all reversals on an envelope. Less than 0
+    where frames carry a clock that runs ahead, as a video's own time does that starts with its first frame."""
     delay = nominal_s
     result = Delay(nominal_s, np.inf, 0)
     for _ in range(passes):
         stops = [stop for track in tracks if track.delayed for stop in _stops(track, rig, delay)]
         if not stops:
             return Delay(nominal_s, np.inf, 0)
-        grid = np.linspace(max(0.0, nominal_s - _DELAY_REACH_S), nominal_s + _DELAY_REACH_S, 61)
+        grid = np.linspace(nominal_s - _DELAY_REACH_S, nominal_s + _DELAY_REACH_S, 61)
         for _ in range(4):
             squares = np.sum([stop.squares(grid) for stop in stops], axis=0)
             best = int(np.argmin(squares))
@@ -360,7 +361,7 @@ def find_delay(tracks: Sequence[Track], rig: Rig, nominal_s: float, passes: int 
             spread = float(np.sqrt(weight @ (grid - mean) ** 2 / weight.sum()))
             if spread > 2 * pitch:
                 break
-            grid = np.linspace(max(0.0, grid[best] - 2 * pitch), grid[best] + 2 * pitch, 61)
+            grid = np.linspace(grid[best] - 2 * pitch, grid[best] + 2 * pitch, 61)
         moved = abs(mean - delay)
         delay, result = mean, Delay(mean, spread, len(stops))
         if moved < 2e-4:

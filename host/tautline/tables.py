@@ -180,7 +180,8 @@ def _fields(rig: Rig, axis: int, limits: Limits, kind: str, delay_s: float, crea
         "band": _counts(limits.band, rig, "limits.band"),
         "slope_min_q28": _whole(limits.slope_min * resolution * _SLOPE, "limits.slope_min", 0, 2**31 - 1),
         "flat_speed_q8": _counts(limits.flat_speed, rig, "limits.flat_speed"),
-        "delay_us": _whole(delay_s * 1e6, "delay_s", 0, 2**32 - 1),
+        # a recording's clock may run ahead of its camera; a live camera's cannot
+        "delay_us": _whole(max(delay_s, 0.0) * 1e6, "delay_s", 0, 2**32 - 1),
         "created_s": int(time.time()) if created_s is None else created_s,
     }
 
