@@ -24,6 +24,9 @@ _PROBE_SHARES = (0.06, 0.2)  # of the range to either side: first carefully, the
 _STILL_FRAMES = 8
 _ACCELERATION = 20.0  # of the calibration motion: from rest to its fastest pass in 1/20 s
 _HOST_TIMEOUT_S = 0.5
+# The board's onset detector, in shares of the range: an onset good enough to turn round, one too vague to use, a turn,
+# and the slope of the image over the range, relative to itself, may change this many times.
+_SIGMA_WANTED, _SIGMA_USABLE, _TURN, _SLOPE_CHANGES = 1.5e-4, 2.5e-3, 4e-4, 4.0
 _TOO_LITTLE, _TOO_MUCH = 0.08, 2.0  # observed motion of the marker to that of f_coarse: beyond, a scale is wrong
 
 
@@ -179,6 +182,7 @@ def record_calibration(
     approach = options.approach or 0.03 * (high - low)
     if not 1 <= len(speeds) <= 4 or min(speeds) <= 0:
         raise TautError("the calibration motion takes 1 to 4 speeds above 0")
+    counts = (high - low) / live.resolution
     result = Motion(folder)
     running = [wire.code("MOTIONS", name) for name in ("RUNNING", "STOPPING")]
     state = {"state": running[0], "permille": 0, "reversals": 0}
@@ -214,6 +218,10 @@ def record_calibration(
                 stroke_max=stroke / live.resolution,
                 host_timeout_us=round(_HOST_TIMEOUT_S * 1e6),
                 delay_us=round(rig.camera.delay_s * 1e6),
+                sigma_wanted=_SIGMA_WANTED * counts,
+                sigma_usable=_SIGMA_USABLE * counts,
+                turn=max(_TURN * counts, 4.0),
+                curvature=round(min(_SLOPE_CHANGES / counts, 0.5) * 2**20),
             )
             live.feeding = True
             while state["state"] in running:
