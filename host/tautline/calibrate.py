@@ -1,4 +1,4 @@
-"""From recordings to a model: onsets, delay, B(q), its second opinion from the passes, f_remain, and what to think of it."""
+"""From recordings to a model: onsets, delay, B(q), its second opinion from the passes, f_remain, and their worth."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tautline.playfit import NODES, Fitted, table
 from tautline.recording import Recording
 from tautline.remaining import Remaining, fit_remaining, morphological, pose_of
 from tautline.rig import Rig
-from tautline.smooth import Domain, fit_jointly, fit_passes, freeze
+from tautline.smooth import Domain, fit_jointly, fit_passes, freeze, overlap
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -28,6 +28,7 @@ Progress = Callable[[float, str], None]
 ONSETS, JOINT, PASSES, NOTHING = "onsets", "onsets and passes", "passes", "nothing"
 _AGREE = 3.0  # mean squared z of onsets against the joint fit up to which both are one evidence
 _STANDS_OUT = 10.0  # a motion of so many sigma is one
+_LITTLE = 0.03  # of the width: differences below are no contradiction
 _EXPLAINED = 1.5  # residual over noise up to which a model explains its data
 
 
@@ -92,15 +93,6 @@ def onset_json(onset: Onset, names: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def _sides(fitted: Fitted) -> tuple[Array, Array]:
-    """The play's centre at the frames of the rising and of the falling pass."""
-    both = [
-        np.concatenate([s.p[m & (s.side == side)] for s, m in zip(fitted.fit.simulated, fitted.masks, strict=True)])
-        for side in (1, -1)
-    ]
-    return both[0], both[1]
-
-
 def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
@@ -148,7 +140,11 @@ class _Session:
         self.say(0.35, "passes")
         joint, passes = self._smooth(delay, curve)
         if joint is not None and self.camera and self.options.delay_s is None:
-            delay = self._better_delay(delay, joint)
+            better = self._better_delay(delay, joint)
+            if abs(better.delay_s - delay.delay_s) > 1e-4:
+                onsets = find_onsets(self.tracks, self.rig, better.delay_s, better.sigma_s)
+                curve = fit_widths(onsets, self.grid)
+            delay = better
         width, sigma, source = self._choose(onsets, curve, joint, passes)
         self.say(0.75, "f_remain")
         settled = joint.fit.settled_only if joint is not None else False
@@ -169,7 +165,10 @@ class _Session:
     def _better_delay(self, stops: Delay, joint: Fitted) -> Delay:
         if not self._explained(joint):
             return stops
-        return Delay(joint.curves.delay_s, joint.delay_sigma, stops.stops)
+        # Each turn is known to a rounded count: an error of time at the motor's speed.
+        speed = float(np.median(np.concatenate([np.abs(s.speed[s.moving]) for s in joint.fit.simulated])))
+        counts = self.rig.actuator.encoder_resolution / np.sqrt(12.0) / max(speed, 1e-9) / np.sqrt(max(stops.stops, 1))
+        return Delay(joint.curves.delay_s, float(np.hypot(joint.delay_sigma, counts)), stops.stops)
 
     # ---- B
 
@@ -200,8 +199,8 @@ class _Session:
             joint = None
         if joint is None and curve is None:
             self.warnings.append(
-                "no reversal showed an onset and no two passes cover the same positions: B(q) could not be measured and "
-                "is taken as 0: move back and forth by more than the backlash"
+                "no reversal showed an onset and no two passes cover the same positions: B(q) could not be measured "
+                "and is taken as 0: move back and forth by more than the backlash"
             )
             return np.zeros(NODES), np.full(NODES, self.domain.span / 4), NOTHING
         if joint is None:
@@ -217,8 +216,9 @@ class _Session:
         z = self._against(widths, curve, width, sigma)
         self.evidence["onsets_against_joint_z2"] = float(np.mean(z**2))
         self.evidence["joint_residual_over_noise"] = joint.scale
-        if float(np.mean(z**2)) < _AGREE or self._explained(joint):
+        if self._explained(joint) or float(np.mean(z**2)) < _AGREE or not self._contradicted(widths, curve, passes):
             return width, sigma, JOINT
+        self.notes.append("the passes contradict the onsets: B(q) is the onsets' alone")
         return self._filled(widths, curve, joint, passes)
 
     def _moves(self) -> bool:
@@ -227,9 +227,25 @@ class _Session:
 
     def _passes_tell(self, joint: Fitted) -> bool:
         """Whether the tip was seen to move over the same positions both ways."""
-        up, down = _sides(joint)
-        overlap = len(up) >= 5 and len(down) >= 5 and max(up.min(), down.min()) < min(up.max(), down.max())
-        return bool(overlap) and self._moves()
+        low, high = overlap(joint)
+        return low < high and self._moves()
+
+    def _contradicted(self, widths: Sequence[Onset], curve: WidthCurve, passes: Fitted | None) -> bool:
+        """Whether onsets and passes, where both say something, differ by more than noise and by more than a little; or
+        whether the image jumps at the onsets, which no joint fit knows."""
+        if 2 * sum(o.kind == BRACKET for o in widths) > len(widths):
+            return True
+        if passes is None:
+            return False
+        low, high = overlap(passes)
+        inside = [o for o in widths if low <= o.q_mean <= high]
+        if len(inside) < 3:
+            return False
+        width, sigma = passes.fit.width(passes.curves), passes.width_sigma(self.grid)
+        z = self._against(inside, curve, width, sigma)
+        difference = [o.width - float(np.interp(o.q_mean, self.grid, width)) for o in inside]
+        share = abs(float(np.median(difference))) / max(float(np.median([o.width for o in inside])), 1e-9)
+        return float(np.mean(z**2)) > _AGREE and share > _LITTLE
 
     def _against(self, widths: Sequence[Onset], curve: WidthCurve, width: Array, sigma: Array) -> Array:
         """Each onset's distance from another curve of B, over what both are uncertain by."""
@@ -247,7 +263,9 @@ class _Session:
     ) -> tuple[Array, Array, str]:
         """The onsets' curve near onsets; farther off, the passes' shape shifted to meet it."""
         p = np.sort([o.q_mean for o in widths])
-        reach = max(1.5 * float(np.median(np.diff(p))) if len(p) > 2 else 0.0, float(np.median(curve.width)))
+        reach = max(
+            1.5 * float(np.median(np.diff(p))) if len(p) > 2 else 0.0, float(np.median([o.width for o in widths]))
+        )
         distance = np.min(np.abs(self.grid[:, None] - p[None, :]), axis=1)
         far = np.clip(distance / reach - 1.0, 0.0, 1.0)
         if not (far > 0).any() or passes is None:
@@ -261,7 +279,7 @@ class _Session:
         if share.max() > 0.5:
             where = self.grid[share > 0.5]
             self.notes.append(
-                f"no reversal between {where[0]:.3g} and {where[-1]:.3g} {self.unit}: B(q) there is the passes' distance"
+                f"no onset from {where[0]:.3g} to {where[-1]:.3g} {self.unit}: there B(q) is the distance of the passes"
             )
         return width, sigma, ONSETS
 
@@ -379,10 +397,9 @@ class _Session:
         """B from the passes alone beside the onsets': its disagreement is evidence."""
         if passes is None:
             return None, None
-        up, down = _sides(passes)
-        if len(up) < 5 or len(down) < 5:
+        low, high = overlap(passes)
+        if not low < high:
             return None, None
-        low, high = max(up.min(), down.min()), min(up.max(), down.max())
         told = (self.grid >= low) & (self.grid <= high)
         width = np.where(told, passes.fit.width(passes.curves), np.nan)
         sigma = np.where(told, passes.width_sigma(self.grid), np.nan)
@@ -398,8 +415,8 @@ class _Session:
             share = abs(mean) / max(float(np.median([o.width for o in widths])), 1e-9)
             if float(np.mean(z**2)) > 2 * _AGREE and share > 0.03:
                 self.warnings.append(
-                    f"the passes lie {abs(mean):.3g} {self.unit} {'less' if mean > 0 else 'more'} apart than the onsets "
-                    "say: registration that depends on direction, a smooth onset or asymmetry; the onsets' B is kept"
+                    f"the passes lie {abs(mean):.3g} {self.unit} {'less' if mean > 0 else 'more'} apart than the "
+                    "onsets say: registration that depends on direction, a smooth onset or asymmetry"
                 )
         return width, sigma
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +21,9 @@ Array = npt.NDArray[np.float64]
 HINGE, BRACKET, BOUND, NONE = "hinge", "bracket", "bound", "none"
 _LONGEST = 160  # frames after the onset that one hinge takes in
 _BEFORE = 24  # frames before the turn that tell when the image stopped
+_JUMP = 8.0  # sigma: a quantised sensor's steps are no jumps
+_SUDDEN = 0.35  # of the window's mean slope: a path that starts slower is no hinge but a bend
+_NOMINAL_S = 0.03  # standard deviation of a nominal delay
 _DELAY_REACH_S = 0.12  # the delay is looked for this far around the nominal one
 
 
@@ -67,7 +71,7 @@ def _profile(ramp: Array, order: int, y: Array, step: Array | None = None) -> tu
     """Best fits of level + ramp polynomial (+ jump) to y (n, channels) for K candidates at once.
 
     ramp (K, n): distance beyond the candidate's knot, 0 before it. Returns sums of squares (K,) and coefficients
-    (K, 1 + order, channels) of [level, ramp, ramp^2, ...]."""
+    (K, 1 + order (+ 1), channels) of [level, ramp, ramp^2, ... (, jump)]."""
     reach = np.maximum(np.abs(ramp).max(axis=1, keepdims=True), 1e-12)
     unit = ramp / reach
     columns = [np.ones_like(unit)] + [unit**k for k in range(1, order + 1)]
@@ -80,7 +84,7 @@ def _profile(ramp: Array, order: int, y: Array, step: Array | None = None) -> tu
     right = np.einsum("kni,nc->kic", basis, centre)
     coefficients = np.linalg.solve(gram, right)
     squares = np.sum(centre**2) - np.einsum("kic,kic->k", coefficients, right)
-    coefficients = coefficients[:, : 1 + order] / (reach[:, :, None] ** np.arange(order + 1)[None, :, None])
+    coefficients[:, : 1 + order] /= reach[:, :, None] ** np.arange(order + 1)[None, :, None]
     return np.maximum(squares, 0.0), coefficients
 
 
@@ -121,6 +125,7 @@ class Jump:
 
     low: float
     high: float
+    size: float  # of the jump, in sigma
     chi2: float
     freedom: int
 
@@ -131,14 +136,15 @@ def fit_jump(x: Array, y: Array, order: int, low: float, high: float) -> Jump:
     edges = np.unique(x)
     edges = edges[(edges >= low) & (edges <= high)]
     if len(edges) < 2:
-        return Jump(low, high, np.inf, 1)
+        return Jump(low, high, 0.0, np.inf, 1)
     knots = 0.5 * (edges[1:] + edges[:-1])
     beyond = x[None, :] - knots[:, None]
-    squares, _ = _profile(np.maximum(beyond, 0.0), order, y, (beyond > 0).astype(float))
+    squares, coefficients = _profile(np.maximum(beyond, 0.0), order, y, (beyond > 0).astype(float))
     best = int(np.argmin(squares))
     near = np.flatnonzero(squares < squares[best] + 9.0)
     freedom = y.size - (2 + order) * y.shape[1] - 1
-    return Jump(float(edges[near[0]]), float(edges[near[-1] + 1]), float(squares[best]), max(freedom, 1))
+    size = float(np.linalg.norm(coefficients[best, -1]))
+    return Jump(float(edges[near[0]]), float(edges[near[-1] + 1]), size, float(squares[best]), max(freedom, 1))
 
 
 # ---- strokes
@@ -217,7 +223,7 @@ def find_onsets(tracks: Sequence[Track], rig: Rig, delay_s: float, delay_sigma: 
     found = []
     for number, track in enumerate(tracks):
         strokes = _strokes(track, rig, delay_s)
-        for before, after in zip(strokes[:-1], strokes[1:], strict=True):
+        for before, after in pairwise(strokes):
             found.append(_onset(number, track, before, after, rig, delay_s))
     found = _pooled_jumps(found)
     resolution = rig.actuator.encoder_resolution
@@ -227,8 +233,8 @@ def find_onsets(tracks: Sequence[Track], rig: Rig, delay_s: float, delay_sigma: 
 def _onset(number: int, track: Track, before: _Stroke, after: _Stroke, rig: Rig, delay_s: float) -> Onset:
     reach = after.reach
     nothing = Onset(
-        number, after.start_s, np.nan, after.direction, after.q1, after.q1 + after.direction * reach, np.inf, 0.0, np.inf,
-        NONE, False,
+        number, after.start_s, np.nan, after.direction, after.q1, after.q1 + after.direction * reach, np.inf,
+        0.0, np.inf, NONE, False,
     )  # fmt: skip
     if len(after.frames) < 4:
         return replace(nothing, reason="fewer than 4 frames show it")
@@ -252,7 +258,7 @@ def _onset(number: int, track: Track, before: _Stroke, after: _Stroke, rig: Rig,
     gain = (hinge.chi2 - jump.chi2) / max(1.0, jump.chi2 / jump.freedom)
     width = hinge.knot
     sigma = hinge.sigma * np.sqrt(inflate)
-    kind = BRACKET if gain > 40.0 else HINGE
+    kind = BRACKET if gain > 40.0 and jump.size > _JUMP else HINGE
     at = _time_at(track, after, width)
     onset = Onset(
         number, after.start_s, at, after.direction, after.q1, after.q1 + after.direction * width, max(sigma, 1e-9),
@@ -308,11 +314,19 @@ def _fit_window(track: Track, stroke: _Stroke) -> tuple[Array, Array, int, Hinge
         if high <= 0 or len(x) < 5:
             return None
         fits = [(order, fit_hinge(x, y, order, 0.0, high)) for order in range(1, top + 1)]
+        fits = [f for f in fits if f[0] == 1 or _sudden(x, y, f[1])]
         good = [f for f in fits if f[1].chi2 < f[1].freedom + 3.5 * np.sqrt(2.0 * f[1].freedom)]
         if good or after <= 8:
             order, hinge = min(good or fits, key=lambda f: f[1].chi2 + f[0] * y.shape[1] * np.log(y.size))
             return x, y, order, hinge
         after = max(8, int(after * 0.6))
+
+
+def _sudden(x: Array, y: Array, hinge: Hinge) -> bool:
+    """Whether the tip starts at about the speed that it goes on with."""
+    gone = y[-3:].mean(axis=0) - y[: max(1, int(np.sum(x < hinge.knot)))].mean(axis=0)
+    mean = gone / max(float(x[-3:].mean()) - hinge.knot, 1e-12)
+    return float(hinge.slope @ mean) > _SUDDEN * float(mean @ mean)
 
 
 def _time_at(track: Track, stroke: _Stroke, travel: float) -> float:
@@ -352,11 +366,12 @@ def find_delay(tracks: Sequence[Track], rig: Rig, nominal_s: float, passes: int 
         grid = np.linspace(nominal_s - _DELAY_REACH_S, nominal_s + _DELAY_REACH_S, 61)
         for _ in range(4):
             squares = np.sum([stop.squares(grid) for stop in stops], axis=0)
-            best = int(np.argmin(squares))
             pitch = grid[1] - grid[0]
             freedom = sum(stop.freedom for stop in stops)
-            inflate = max(1.0, float(squares[best]) / freedom)
-            weight = np.exp(-0.5 * np.clip((squares - squares[best]) / inflate, 0, 200))
+            inflate = max(1.0, float(squares.min()) / freedom)
+            surprise = squares / inflate + ((grid - nominal_s) / _NOMINAL_S) ** 2
+            best = int(np.argmin(surprise))
+            weight = np.exp(-0.5 * np.clip(surprise - surprise[best], 0, 200))
             mean = float(weight @ grid / weight.sum())
             spread = float(np.sqrt(weight @ (grid - mean) ** 2 / weight.sum()))
             if spread > 2 * pitch:
@@ -393,7 +408,7 @@ class _Stop:
 def _stops(track: Track, rig: Rig, delay_s: float) -> list[_Stop]:
     strokes = _strokes(track, rig, delay_s)
     stops = []
-    for before, after in zip(strokes[:-1], strokes[1:], strict=True):
+    for before, after in pairwise(strokes):
         if before.departure is None or not track.others_still(before.end_s - 0.5, after.end_s):
             continue
         moving = before.frames[before.departure :]

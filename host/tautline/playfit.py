@@ -24,6 +24,8 @@ Array = npt.NDArray[np.float64]
 # (s (n,), translation (n,), rotation (n,)) -> y (n, k) and dy/ds (n, k)
 View = Callable[[Array, Array, Array], tuple[Array, Array]]
 
+_STIFF = 1e4  # cost, in sigma^2, of a neighbour difference that is off its limit by the whole limit
+_GAIN = 0.2  # sigma^2: an iteration that gains less is the last but one
 NODES = 1025  # of the tables that fits and models use
 _SLOPE_S = 0.004  # half the interval over which the motor's speed is taken
 
@@ -97,6 +99,7 @@ class PlayFit:
     settled_only: bool = True  # frames before the tip was driven both ways do not count
     rising: float = 0.0  # +1, -1: s must rise or fall with p by `least_slope`; 0: free
     least_slope: float = 0.0
+    slope_unit: float = 1.0  # a usual slope of s
     smoothing: dict[str, float] = field(default_factory=lambda: {"backlash": 1e-2, "follow": 1e-6})
     grid: Array = field(init=False)
     simulated: list[Simulated] = field(init=False, default_factory=list)
@@ -179,46 +182,43 @@ class PlayFit:
     # ---- the fit
 
     def solve(self, start: Curves, iterations: int = 30, robust: bool = True, adapt: bool = True) -> Fitted:
-        """Gauss-Newton with step halving; smoothing by restricted maximum likelihood (Fellner-Schall steps)."""
+        """Levenberg-Marquardt; smoothing by restricted maximum likelihood (Fellner-Schall steps)."""
         curves = start
         rows, masks = self.residuals(curves)
         scale, weights = _weights(rows, masks, robust)
+        if adapt:
+            self._begin(curves, scale)
         cost = self._cost(curves, rows, weights, scale)
-        settled = 0
+        damping, settled = 1e-4, 0
         for iteration in range(iterations):
             matrix, gradient = self.normal(curves, rows, weights)
             penalty, pull = self._penalty(curves, scale)
-            system = matrix + penalty
-            factor = cho_factor(
-                system + 1e-9 * np.diag(np.diag(system)) + 1e-12 * np.eye(len(system)), check_finite=False
-            )
-            step = cho_solve(factor, gradient - pull, check_finite=False)
-            if adapt and iteration >= 2:
-                self._adapt(curves, factor, scale)
+            if adapt and iteration >= 1:
+                self._adapt(curves, _factor(matrix + penalty), scale)
+                penalty, pull = self._penalty(curves, scale)
                 cost = self._cost(curves, rows, weights, scale)
-            length, taken = 1.0, False
-            for _ in range(6):
-                trial = self._moved(curves, step, length)
+            taken = False
+            for _ in range(8):
+                system = matrix + penalty + damping * np.diag(np.diag(matrix + penalty))
+                step = cho_solve(_factor(system), gradient - pull, check_finite=False)
+                trial = self._moved(curves, step)
                 trial_rows, trial_masks = self.residuals(trial)
-                trial_weights = [
-                    np.where(m, w_, 0.0) for m, w_ in zip(trial_masks, _again(weights, masks), strict=True)
-                ]
+                kept = _again(weights, masks)
+                trial_weights = [np.where(m, w, 0.0) for m, w in zip(trial_masks, kept, strict=True)]
                 trial_cost = self._cost(trial, trial_rows, trial_weights, scale)
-                if trial_cost < cost * (1 + 1e-9):
+                if trial_cost < cost:
                     taken = True
                     break
-                length *= 0.4
+                damping = min(damping * 10, 1e6)
             if not taken:
                 self.residuals(curves)
-                settled += 1
-                if settled >= 2 or not adapt:
-                    break
-                continue
+                break
+            damping = max(damping / 5, 1e-9)
             gained = cost - trial_cost
             curves, rows, masks = trial, trial_rows, trial_masks
             scale, weights = _weights(rows, masks, robust)
             cost = self._cost(curves, rows, weights, scale)
-            settled = settled + 1 if gained < 1e-3 + 1e-6 * abs(cost) else 0
+            settled = settled + 1 if gained < max(_GAIN * scale * scale, 3e-4 * cost * (scale > 1.2)) else 0
             if settled >= 2:
                 break
         rows, masks = self.residuals(curves)
@@ -228,16 +228,16 @@ class PlayFit:
         covariance = np.asarray(np.linalg.inv(matrix + penalty + 1e-12 * np.eye(len(matrix))) * scale * scale)
         return Fitted(self, curves, scale, rows, masks, weights, covariance)
 
-    def _moved(self, curves: Curves, step: Array, length: float) -> Curves:
+    def _moved(self, curves: Curves, step: Array) -> Curves:
         channels = curves.follow.shape[1]
         cut = channels * self.follow.size
         backlash = curves.backlash
         if self.fit_backlash:
-            change = length * step[cut : cut + self.backlash.size]
+            change = step[cut : cut + self.backlash.size]
             limit = 0.15 * (self.backlash.high - self.backlash.low)
             backlash = np.maximum(backlash + np.clip(change, -limit, limit), 0.0)
-        delay = curves.delay_s + float(np.clip(length * step[-1], -0.03, 0.03)) if self.fit_delay else curves.delay_s
-        follow = curves.follow + length * step[:cut].reshape(channels, self.follow.size).T
+        delay = curves.delay_s + float(np.clip(step[-1], -0.03, 0.03)) if self.fit_delay else curves.delay_s
+        follow = curves.follow + step[:cut].reshape(channels, self.follow.size).T
         return replace(curves, backlash=backlash, follow=follow, delay_s=delay)
 
     def _penalty(self, curves: Curves, scale: float) -> tuple[Array, Array]:
@@ -258,7 +258,7 @@ class PlayFit:
             matrix[block, block] += rough
             pull[block] += rough @ curves.backlash
             stiff, bend = _steep(curves.backlash, STEEPEST * 0.98 * self.backlash.step)
-            weight = 1e8 * scale * scale / self.backlash.step**2
+            weight = _STIFF * scale * scale / self.backlash.step**2
             matrix[block, block] += weight * stiff
             pull[block] += weight * bend
         else:
@@ -266,12 +266,21 @@ class PlayFit:
         if self.rising:
             block = slice(0, mf)
             stiff, bend = _monotone(curves.follow[:, 0], self.rising, self.least_slope * self.follow.step)
-            weight = 1e6 * scale * scale / self.follow.step**2
+            weight = _STIFF * scale * scale / (self.slope_unit * self.follow.step) ** 2
             matrix[block, block] += weight * stiff
             pull[block] += weight * bend
         if not self.fit_delay:
             matrix[-1, -1] += 1.0
         return matrix, pull
+
+    def _begin(self, curves: Curves, scale: float) -> None:
+        """Smoothing as the start's own roughness suggests."""
+        rough = sum(float(c @ self.follow.bending @ c) for c in curves.follow.T)
+        rank = (self.follow.size - 2) * curves.follow.shape[1]
+        self.smoothing["follow"] = float(np.clip(scale * scale * rank / max(rough, 1e-12), 1e-8, 1e8))
+        rough = float(curves.backlash @ self.backlash.roughness @ curves.backlash)
+        rank = self.backlash.size - 2
+        self.smoothing["backlash"] = float(np.clip(scale * scale * rank / max(rough, 1e-12), 1e-8, 1e8))
 
     def _adapt(self, curves: Curves, factor: tuple[Array, bool], scale: float) -> None:
         channels = curves.follow.shape[1]
@@ -310,10 +319,10 @@ class PlayFit:
         if self.fit_backlash:
             smooth += self.smoothing["backlash"] * float(curves.backlash @ self.backlash.roughness @ curves.backlash)
             _, bend = _steep(curves.backlash, STEEPEST * 0.98 * self.backlash.step)
-            smooth += 1e8 * scale * scale / self.backlash.step**2 * float(curves.backlash @ bend)
+            smooth += _STIFF * scale * scale / self.backlash.step**2 * float(curves.backlash @ bend)
         if self.rising:
             over = np.maximum(self.least_slope * self.follow.step - self.rising * np.diff(curves.follow[:, 0]), 0.0)
-            smooth += 1e6 * scale * scale / self.follow.step**2 * float(over @ over)
+            smooth += _STIFF * scale * scale / (self.slope_unit * self.follow.step) ** 2 * float(over @ over)
         return data + smooth
 
 
@@ -353,6 +362,12 @@ def table(width: Array, grid: Array, steepest: float = STEEPEST) -> Array:
     rising: Array = reach + np.minimum.accumulate(lawful - reach)
     both: Array = np.minimum.accumulate((rising + reach)[::-1])[::-1] - reach
     return np.maximum(both, 0.0)
+
+
+def _factor(system: Array) -> tuple[Array, bool]:
+    ridge = 1e-9 * np.diag(np.diag(system)) + 1e-12 * np.eye(len(system))
+    factor: tuple[Array, bool] = cho_factor(system + ridge, check_finite=False)
+    return factor
 
 
 def _gram(left: csr_matrix, weight: Array, right: csr_matrix) -> Array:

@@ -55,7 +55,7 @@ def pose_of(track: Track, rig: Rig, delay_s: float) -> Array:
 def fit_remaining(
     tracks: Sequence[Track], rig: Rig, domain: Domain, grid: Array, width: Array, delay_s: float, settled_only: bool
 ) -> Remaining | None:
-    """A monotone penalised spline through image residuals (or angles), B and the delay fixed. None where nothing tells."""
+    """A monotone penalised spline through image residuals (or angles), B and delay fixed. None where nothing tells."""
     view = view_of(rig) if tracks[0].unit == "px" else None
     basis = Basis(domain.low, domain.high, SPANS)
     frozen = [Frozen.of(track) for track in tracks]
@@ -72,13 +72,16 @@ def fit_remaining(
     fit = _FixedWidth(
         frozen, basis, basis, view=view, fit_backlash=False, fit_delay=False, settled_only=settled_only,
         rising=-1.0 if falling else 1.0, least_slope=_LEAST_SLOPE * abs(rig.coarse.gain),
+        slope_unit=abs(rig.coarse.gain),
     )  # fmt: skip
     fit.grid, fit.table = grid, width
     design = basis.design(p)
     system = (design.T @ design).toarray() + 1e-3 * basis.bending + 1e-9 * np.eye(basis.size)
     start = np.linalg.solve(system, design.T @ c)
     fitted = fit.solve(Curves(np.zeros(basis.size), start[:, None], delay_s))
-    curve = carried_on(basis.value(fitted.curves.follow[:, 0], grid), grid, float(p.min()), float(p.max()))
+    counted = np.concatenate([s.p[m] for s, m in zip(fitted.fit.simulated, fitted.masks, strict=True)])
+    curve = basis.value(fitted.curves.follow[:, 0], grid)
+    curve = carried_on(curve, grid, float(counted.min()), float(counted.max()))
     lawful = monotone(curve, grid, falling, _LEAST_SLOPE * abs(rig.coarse.gain))
     notes = []
     seen = (grid >= p.min()) & (grid <= p.max())

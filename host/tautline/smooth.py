@@ -17,6 +17,7 @@ Array = npt.NDArray[np.float64]
 
 SPANS = 100  # of B and of the path: a bump of B 0.6 mm wide on 10 mm has six of them
 _MOST_FRAMES = 12000  # of one fit; more are thinned out evenly
+_REPEATS = 1.6  # residual of the first approach over that of the rest up to which it counts
 _FEWEST = 40  # frames that a joint fit is tried with
 
 
@@ -55,7 +56,7 @@ def fit_jointly(
     if coarse is None:
         return None
     fit, curves = coarse
-    rough = fit.solve(curves, iterations=12)
+    rough = fit.solve(curves, iterations=7)
     fine = PlayFit(
         frozen, Basis(domain.low, domain.high, SPANS), Basis(domain.low, domain.high, SPANS),
         fit_delay=fit_delay, settled_only=fit.settled_only,
@@ -65,7 +66,35 @@ def fit_jointly(
         _lift(fine.follow, lambda x: fit.follow.value(rough.curves.follow, x)),
         delay_s,
     )
-    return fine.solve(start)
+    fitted = fine.solve(start)
+    if fine.settled_only and _repeats(fitted):
+        fine.settled_only = False
+        fitted = fine.solve(fitted.curves)
+    return fitted
+
+
+def overlap(fitted: Fitted) -> tuple[float, float]:
+    """The range of p that counted frames cover in both directions; empty (low > high) where none do."""
+    low, high = -np.inf, np.inf
+    for side in (1, -1):
+        seen = zip(fitted.fit.simulated, fitted.masks, strict=True)
+        p = np.concatenate([sim.p[mask & (sim.side == side)] for sim, mask in seen])
+        if len(p) < 5:
+            return 1.0, -1.0
+        low, high = max(low, float(p.min())), min(high, float(p.max()))
+    return low, high
+
+
+def _repeats(fitted: Fitted) -> bool:
+    """Whether the first approach, before the tip was driven both ways, follows the same curves as all that came after:
+    a start pose with other friction or slack must not spoil the fit."""
+    fit, squares = fitted.fit, []
+    low, high = overlap(fitted)
+    for frozen, sim, rows in zip(fit.tracks, fit.simulated, fitted.rows, strict=True):
+        early = frozen.use & sim.known & ~sim.settled & (sim.p > low) & (sim.p < high)
+        squares.append(np.mean(rows[early] ** 2, axis=1))
+    early_squares = np.concatenate(squares)  # their median: where B is not settled yet some are off
+    return len(early_squares) < 5 or float(np.median(early_squares)) < (_REPEATS * fitted.scale) ** 2
 
 
 def fit_passes(joint: Fitted, margin: float) -> Fitted | None:
@@ -120,7 +149,7 @@ def _scan(
             penalty, _ = fit._penalty(curves, 1.0)
             system = matrix + penalty
             step = np.linalg.solve(system + 1e-9 * np.eye(len(system)) * np.trace(system) / len(system), gradient)
-            curves = fit._moved(curves, step, 1.0)
+            curves = fit._moved(curves, step)
             rows, masks = fit.residuals(curves)
             cost = float(np.mean(np.concatenate([np.abs(r[m]).ravel() for r, m in zip(rows, masks, strict=True)])))
             if best is None or cost < best[0]:
