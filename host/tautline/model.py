@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -64,6 +64,7 @@ class Model:
         starts on the centre line, c = f_remain(q[0]), or at start_deg. q is held before and after the motor's samples.
         Effects are not in it: see tautline.diagnose."""
         p0 = np.nan if start_deg is None else float(self.remaining_inverse(start_deg))
+        motor = between_counts(motor, self.rig.actuator.encoder_resolution)
         return self.remaining(play_at(motor.t_s, motor.q, np.asarray(t_s, dtype=float), self.q, self.width, p0))
 
     def save(self, folder: str | Path) -> None:
@@ -124,6 +125,31 @@ def interpolate(x: npt.ArrayLike, grid: Array, values: Array) -> Array:
     last = (values[-1] - values[-2]) / (grid[-1] - grid[-2])
     beyond = first * np.minimum(x - grid[0], 0.0) + last * np.maximum(x - grid[-1], 0.0)
     return np.asarray(np.interp(x, grid, values) + beyond)
+
+
+def between_counts(motor: Motor, resolution: float) -> Motor:
+    """The motor with positions between an encoder's counts: it passes the boundary of two counts where the reading
+    changes and is at a count's centre in between; a rest stays at the centre. Positions that are no multiples of the
+    resolution are left as they are."""
+    t, counts = motor.t_s, np.rint(motor.q / resolution)
+    changes = np.flatnonzero(np.diff(counts))
+    if len(changes) < 2 or np.mean(np.abs(motor.q / resolution - counts) < 0.05) < 0.95:
+        return motor
+    times = 0.5 * (t[changes] + t[changes + 1])
+    boundary = 0.5 * (counts[changes] + counts[changes + 1])
+    lasts = np.diff(times)
+    before, after = np.concatenate([lasts[:1], lasts[:-1]]), np.concatenate([lasts[1:], lasts[-1:]])
+    centre = counts[changes[:-1] + 1]
+    knots_t = np.empty(3 * len(times) - 2)
+    knots_q = np.empty_like(knots_t)
+    knots_t[0::3], knots_q[0::3] = times, boundary
+    knots_t[1::3], knots_q[1::3] = times[:-1] + 0.5 * np.minimum(lasts, before), centre
+    knots_t[2::3], knots_q[2::3] = times[1:] - 0.5 * np.minimum(lasts, after), centre
+    ends = [t[0], times[0] - 0.5 * lasts[0]], [times[-1] + 0.5 * lasts[-1], t[-1]]
+    knots_t = np.concatenate([ends[0], knots_t, ends[1]])
+    knots_q = np.concatenate([[counts[0]] * 2, knots_q, [counts[-1]] * 2])
+    order = np.argsort(knots_t, kind="stable")
+    return replace(motor, q=resolution * np.interp(t, knots_t[order], knots_q[order]))
 
 
 def play_at(t_s: Array, q: Array, at_s: Array, grid: Array, width: Array, p0: float) -> Array:

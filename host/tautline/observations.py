@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from tautline import _native
 from tautline.errors import TautError
+from tautline.model import between_counts
 from tautline.recording import Motor, Recording
 from tautline.rig import Rig
 
@@ -132,31 +133,6 @@ def noise_of(t: Array, y: Array, least: float) -> float:
     if len(levels) < 0.5 * len(y) and len(levels) > 1:
         noise = max(noise, float(np.median(np.diff(levels))) / np.sqrt(12.0))
     return float(max(noise, least))
-
-
-def between_counts(motor: Motor, resolution: float) -> Motor:
-    """The motor with positions between an encoder's counts: it passes the boundary of two counts where the reading
-    changes and is at a count's centre in between; a rest stays at the centre. Positions that are no multiples of the
-    resolution are left as they are."""
-    t, counts = motor.t_s, np.rint(motor.q / resolution)
-    changes = np.flatnonzero(np.diff(counts))
-    if len(changes) < 2 or np.mean(np.abs(motor.q / resolution - counts) < 0.05) < 0.95:
-        return motor
-    times = 0.5 * (t[changes] + t[changes + 1])
-    boundary = 0.5 * (counts[changes] + counts[changes + 1])
-    lasts = np.diff(times)
-    before, after = np.concatenate([lasts[:1], lasts[:-1]]), np.concatenate([lasts[1:], lasts[-1:]])
-    centre = counts[changes[:-1] + 1]
-    knots_t = np.empty(3 * len(times) - 2)
-    knots_q = np.empty_like(knots_t)
-    knots_t[0::3], knots_q[0::3] = times, boundary
-    knots_t[1::3], knots_q[1::3] = times[:-1] + 0.5 * np.minimum(lasts, before), centre
-    knots_t[2::3], knots_q[2::3] = times[1:] - 0.5 * np.minimum(lasts, after), centre
-    ends = [t[0], times[0] - 0.5 * lasts[0]], [times[-1] + 0.5 * lasts[-1], t[-1]]
-    knots_t = np.concatenate([ends[0], knots_t, ends[1]])
-    knots_q = np.concatenate([[counts[0]] * 2, knots_q, [counts[-1]] * 2])
-    order = np.argsort(knots_t, kind="stable")
-    return replace(motor, q=resolution * np.interp(t, knots_t[order], knots_q[order]))
 
 
 def turning_hysteresis(motor: Motor, resolution: float, span: float) -> float:

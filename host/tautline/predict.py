@@ -13,7 +13,6 @@ from tautline.errors import TautError
 from tautline.folders import write_file
 from tautline.geometry import project
 from tautline.model import Model
-from tautline.observations import between_counts
 from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
@@ -41,7 +40,6 @@ def predict(model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float
     """At scene times (n,) on the motor's clock, in any order. The tip starts on the centre line, c = f_remain(q[0]), or
     at start_deg; q is held before the first and after the last motor sample."""
     scene = np.asarray(scene_s, dtype=float)
-    motor = between_counts(motor, model.rig.actuator.encoder_resolution)
     c = model.simulate(motor, scene, start_deg)
     if not model.rig.has_camera:
         return Prediction(c, None)
