@@ -150,7 +150,7 @@ void bind_tables(nb::module_ &m) {
         .def_prop_ro("fields", &fields_of, "what the blob holds, raw")
         .def_prop_ro("c_low", [](const FixedTable &self) { return self.lookup.c_low; })
         .def_prop_ro("c_high", [](const FixedTable &self) { return self.lookup.c_high; })
-        .def_prop_ro("has_flat", [](const FixedTable &self) { return self.lookup.has_flat; })
+        .def_prop_ro("has_flat", [](const FixedTable &self) { return self.lookup.has_flat != 0; })
         .def("width", &batch<tl_lookup_width>, nb::arg("p"), "B(p) and flags")
         .def("angle", &batch<tl_lookup_angle>, nb::arg("p"), "f(p) and flags")
         .def("angle_inverse", &batch<tl_lookup_angle_inverse>, nb::arg("c"), "p with f(p) = c, and flags")

@@ -95,7 +95,7 @@ static void test_nodes_are_exact_and_the_ends_are_held(void) {
 static void test_a_falling_f_flags_the_end_in_p(void) {
     const tl_table_t table = table_fixture(-1);
     load(&table);
-    TEST_ASSERT_TRUE(lookup.falling);
+    TEST_ASSERT_EQUAL_INT32(-1, lookup.turn);
     TEST_ASSERT_EQUAL_INT32(table.q0, tl_lookup_angle_inverse(&lookup, table.angle[0] + 1, &flags));
     TEST_ASSERT_EQUAL_HEX32(TL_LOOKUP_BELOW, flags);
     flags = 0;

@@ -1,182 +1,219 @@
 #include "tautline/tl_compensator.h"
 
-#define FRACTION_BITS 28 // below a Q8 count: 0.1 count/s at 10 kHz is 0.0026 Q8 counts a tick, kept to 2e-6
+_Static_assert(TL_COMPENSATOR_BELOW == TL_LOOKUP_BELOW && TL_COMPENSATOR_ABOVE == TL_LOOKUP_ABOVE, "shared flags");
 
-#define RATE_MIN_HZ 16U
-#define RATE_MAX_HZ 100000U
+#define FRACTION_BITS 28
+#define RATE_MIN_HZ   16U
+#define RATE_MAX_HZ   100000U
 
 static int64_t q36(int32_t q8) { return (int64_t)((uint64_t)(int64_t)q8 << FRACTION_BITS); }
 
-static int64_t per_tick(int64_t per_second_q36, uint32_t rate_hz) {
-    const int64_t value = per_second_q36 / (int64_t)rate_hz;
-    return value > 0 ? value : 1;
+static tl_count_q8_t round_q8(int64_t value_q36) {
+    return (tl_count_q8_t)((value_q36 + ((int64_t)1 << (FRACTION_BITS - 1))) >> FRACTION_BITS);
+}
+
+// Limits ---------------------------------------------------------------------------------------------
+
+static int64_t at_least_1(int64_t value) { return value > 0 ? value : 1; }
+
+static tl_per_tick_t per_tick(int32_t per_second_q8, uint32_t rate_hz) {
+    const uint64_t scaled = ((uint64_t)(uint32_t)per_second_q8 << 32) / rate_hz;
+    return (tl_per_tick_t){(int32_t)(scaled >> 32), (uint32_t)scaled};
 }
 
 static void set_limits(tl_compensator_t *k, const tl_table_t *table) {
-    const int64_t speed = per_tick(q36(table->takeup_speed_q8), k->rate_hz);
-    // counts/s^2 in Q8 with 28 bits over rate^2: the first division leaves room for all of a 31-bit limit.
-    const int64_t accel = per_tick(per_tick(q36(table->takeup_accel) << 4, k->rate_hz) << 4, k->rate_hz);
-    k->next_limits.speed = speed;
-    k->next_limits.accel = accel < speed ? accel : speed;
-    k->limits_pending = true;
-    k->feed_max_q36 = per_tick(q36(table->speed_max_q8), k->rate_hz);
-    k->feed_flat_q36 = table->flat_speed_q8 > 0 ? per_tick(q36(table->flat_speed_q8), k->rate_hz) : k->feed_max_q36;
+    const int64_t rate = (int64_t)k->rate_hz;
+    const int64_t speed = at_least_1(q36(table->takeup_speed_q8) / rate);
+    // counts/s^2 to Q36 are 36 bits, half of them before each division: 2^31 has just room for 32.
+    const int64_t accel = at_least_1((((int64_t)table->takeup_accel << 32) / rate << 4) / rate);
+    k->next_limits.speed_max_q36 = speed;
+    k->next_limits.accel_q36 = accel < speed ? accel : speed;
+    k->limits_pending = 1;
+    k->feed_max = per_tick(table->speed_max_q8, k->rate_hz);
+    k->feed_flat = per_tick(table->flat_speed_q8, k->rate_hz);
 }
 
-// p* for c, within [q_min, q_max].
+// Where c wants p, and where p wants q ---------------------------------------------------------------
+
+// p* for c, within [q_min, q_max]. The end's flags have the look-up's values.
 static tl_count_q8_t target(const tl_compensator_t *k, tl_deg_q16_t c, uint32_t *flags) {
-    const tl_table_t *table = &k->lookup->table;
-    uint32_t outside = 0;
-    tl_count_q8_t p;
-    if (k->mode == TL_MODE_FULL && table->nodes != 0) {
-        p = tl_lookup_angle_inverse(k->lookup, c, &outside);
-        if (p < table->q_min) {
-            p = table->q_min;
-            outside |= TL_LOOKUP_BELOW;
-        } else if (p > table->q_max) {
-            p = table->q_max;
-            outside |= TL_LOOKUP_ABOVE;
-        }
-    } else {
-        p = tl_lookup_coarse_inverse(k->lookup, c, &outside);
+    if (k->mode != TL_MODE_FULL) {
+        return tl_lookup_coarse_inverse(k->lookup, c, flags);
     }
-    *flags |= outside & TL_LOOKUP_BELOW ? TL_COMPENSATOR_BELOW : 0;
-    *flags |= outside & TL_LOOKUP_ABOVE ? TL_COMPENSATOR_ABOVE : 0;
+    const tl_table_t *table = &k->lookup->table;
+    const tl_count_q8_t p = tl_lookup_angle_inverse(k->lookup, c, flags);
+    if (p < table->q_min) {
+        *flags |= TL_COMPENSATOR_BELOW;
+        return table->q_min;
+    }
+    if (p > table->q_max) {
+        *flags |= TL_COMPENSATOR_ABOVE;
+        return table->q_max;
+    }
     return p;
 }
 
-// q* without what is still to be taken up.
-static tl_count_q8_t feed(const tl_compensator_t *k, uint32_t *flags) {
-    const tl_table_t *table = &k->lookup->table;
-    uint32_t outside = 0;
-    tl_count_q8_t q = k->p;
-    if (k->mode != TL_MODE_OFF && k->side != 0) {
-        const uint32_t width = (uint32_t)tl_lookup_width(k->lookup, k->p, &outside);
-        const uint32_t strength = (uint32_t)k->strength_q15;
-        const int32_t half = (int32_t)((width >> 16) * strength + ((width & 0xFFFFU) * strength >> 16)); // k B / 2
-        q = k->side > 0 ? tl_add_sat(q, half) : tl_sub_sat(q, half);
+// k B(p) / 2
+static int32_t half_width(const tl_compensator_t *k) {
+    uint32_t ends = 0;
+    if (k->mode == TL_MODE_OFF) {
+        return 0;
     }
-    const tl_count_q8_t within = tl_clamp(q, table->q_min, table->q_max);
-    *flags |= within != q ? TL_COMPENSATOR_CLIPPED : 0;
-    return within;
+    const uint32_t width = (uint32_t)tl_lookup_width(k->lookup, k->p, &ends);
+    const uint32_t strength = (uint32_t)k->strength_q15;
+    return (int32_t)((width >> 16) * strength + ((width & 0xFFFFU) * strength >> 16));
 }
 
-// After a change of settings: the output stays, the difference is to be taken up.
-static void absorb(tl_compensator_t *k, tl_count_q8_t feed_before) {
-    uint32_t flags = 0;
-    k->rest_q36 += q36(feed(k, &flags)) - q36(feed_before);
+// q* without what is still to be taken up, before the range is minded. p -+ B/2 cannot overflow (TL_TABLE_VALUE_MAX).
+static tl_count_q8_t pushed(const tl_compensator_t *k, int32_t half) {
+    return k->side > 0 ? k->p + half : (k->side < 0 ? k->p - half : k->p);
 }
 
-static void follow_direction(tl_compensator_t *k, uint32_t *flags) {
-    const int32_t band = k->lookup->table.band;
+static tl_count_q8_t feed(const tl_compensator_t *k, int32_t half) {
+    const tl_table_t *table = &k->lookup->table;
+    return tl_clamp(pushed(k, half), table->q_min, table->q_max);
+}
+
+// The feed goes from `before` to `after` at once; the motor takes the difference up.
+static void absorb(tl_compensator_t *k, tl_count_q8_t after, tl_count_q8_t before) {
+    const int64_t jump = q36(after) - q36(before);
+    k->ahead_q36 += k->heading > 0 ? jump : -jump;
+}
+
+// One tick -------------------------------------------------------------------------------------------
+
+// The direction of p, with its memory of the furthest point; 1 if the side changes.
+static bool turned(tl_compensator_t *k) {
     const int32_t ahead = k->p - k->anchor; // both within the range: no overflow
-    if (k->side != 0 && (k->side > 0 ? ahead >= 0 : ahead <= 0)) {
+    if (k->side > 0 ? ahead >= 0 : (k->side < 0 && ahead <= 0)) {
         k->anchor = k->p;
-    } else if (ahead > band || ahead < -band) {
-        const tl_count_q8_t before = feed(k, flags);
-        k->side = ahead > 0 ? 1 : -1;
-        k->anchor = k->p;
-        absorb(k, before);
+        return false;
     }
+    const int32_t band = k->lookup->table.band;
+    return ahead > band || ahead < -band;
 }
 
-static tl_count_q8_t node_at_or_below(const tl_table_t *table, tl_count_q8_t p) {
-    const uint32_t offset = (uint32_t)p - (uint32_t)table->q0;
-    return table->q0 + (int32_t)(offset >> table->step_log2 << table->step_log2);
-}
-
-// Moves p towards `goal`, no faster than speed_max, nor than the flat speed within flat spans.
-static void advance(tl_compensator_t *k, tl_count_q8_t goal) {
-    const tl_table_t *table = &k->lookup->table;
-    int64_t limit = k->feed_max_q36;
-    if (goal == k->p) {
-        return;
-    }
-    if (k->lookup->has_flat && k->mode == TL_MODE_FULL) {
-        // Never further than one span in a tick, so that no flat span is jumped over; up to its edge at full speed.
-        const int32_t step = (int32_t)1 << table->step_log2;
-        const tl_count_q8_t next = k->p + tl_clamp(goal - k->p, -step, step);
-        if (tl_lookup_is_flat(k->lookup, k->p)) {
-            limit = k->feed_flat_q36;
-            goal = next;
-        } else if (tl_lookup_is_flat(k->lookup, next)) {
-            const tl_count_q8_t edge = node_at_or_below(table, next) + (goal > k->p ? 0 : step);
-            limit = edge == k->p ? k->feed_flat_q36 : limit;
-            goal = edge == k->p ? next : edge;
-        } else {
-            goal = next;
+// At a flat span's edge the feed slows down. Never further than one span in a tick, so that none is jumped over.
+static const tl_per_tick_t *flat_limit(tl_compensator_t *k, tl_count_q8_t *goal) {
+    const tl_lookup_t *lookup = k->lookup;
+    const int32_t step = (int32_t)1 << lookup->step_log2;
+    const tl_count_q8_t next = k->p + tl_clamp(*goal - k->p, -step, step);
+    *goal = next;
+    if (!tl_lookup_is_flat(lookup, k->p)) {
+        if (!tl_lookup_is_flat(lookup, next)) {
+            return &k->feed_max;
         }
-        k->flags |= limit != k->feed_max_q36 ? TL_COMPENSATOR_FLAT : 0;
+        const uint32_t into = ((uint32_t)next - (uint32_t)lookup->q0) & ((uint32_t)step - 1U);
+        const tl_count_q8_t edge = next - (int32_t)into + (next > k->p ? 0 : step);
+        if (edge != k->p) {
+            *goal = edge;
+            return &k->feed_max;
+        }
     }
-    const int64_t budget = k->feed_budget_q36 + limit;
-    const int64_t most = budget >> FRACTION_BITS;
-    const int32_t allowed = most > INT32_MAX ? INT32_MAX : (int32_t)most;
-    k->feed_budget_q36 = budget & (((int64_t)1 << FRACTION_BITS) - 1);
-    k->p += tl_clamp(goal - k->p, -allowed, allowed);
+    k->flags |= TL_COMPENSATOR_FLAT;
+    return &k->feed_flat;
+}
+
+// Moves p towards its goal, no faster than speed_max, nor than the flat speed within flat spans.
+static void advance(tl_compensator_t *k, tl_count_q8_t goal) {
+    const tl_count_q8_t wanted = goal;
+    const tl_per_tick_t *limit = &k->feed_max;
+    if (k->lookup->has_flat && k->mode == TL_MODE_FULL && goal != k->p) {
+        limit = flat_limit(k, &goal);
+    }
+    int32_t way = goal - k->p;
+    if (way > limit->whole || way < -limit->whole) {
+        k->feed_fraction += limit->fraction;
+        const int32_t allowed = limit->whole + (k->feed_fraction < limit->fraction ? 1 : 0);
+        way = tl_clamp(way, -allowed, allowed);
+    }
+    k->p += way;
+    k->flags |= k->p != wanted ? TL_COMPENSATOR_LIMITED : 0;
 }
 
 // One tick of the trapezoid. The speed is n accel, so the distance to stop in is accel n (n + 1) / 2 and is kept
 // up to date by sums alone; the last part of a count, less than one tick's accel, is moved at once.
 static void take_up(tl_compensator_t *k) {
-    if (k->heading == 0) {
+    int64_t ahead = k->ahead_q36, speed = k->speed_q36;
+    if (speed == 0) {
         if (k->limits_pending) {
             k->limits = k->next_limits;
-            k->limits_pending = false;
+            k->limits_pending = 0;
         }
-        k->heading = k->rest_q36 > 0 ? 1 : (k->rest_q36 < 0 ? -1 : 0);
-        if (k->heading == 0) {
+        if (ahead == 0) {
             return;
         }
+        if (ahead < 0) {
+            ahead = -ahead;
+            k->heading = -k->heading;
+        }
     }
-    const int64_t accel = k->limits.accel;
-    const int64_t ahead = k->heading > 0 ? k->rest_q36 : -k->rest_q36;
-    if (k->limits_pending || ahead < k->stop_q36) {
-        k->stop_q36 -= k->speed_q36;
-        k->speed_q36 -= accel;
-    } else if (k->speed_q36 + accel <= k->limits.speed && ahead >= k->stop_q36 + k->speed_q36 + accel) {
-        k->speed_q36 += accel;
-        k->stop_q36 += k->speed_q36;
+    const int64_t accel = k->limits.accel_q36, spare = ahead - k->stop_q36;
+    if (spare < 0 || k->limits_pending) {
+        k->stop_q36 -= speed;
+        speed -= accel;
+    } else if (speed + accel <= k->limits.speed_max_q36 && speed + accel <= spare) {
+        speed += accel;
+        k->stop_q36 += speed;
     }
-    const int64_t moved = k->speed_q36 == 0 && ahead > 0 && ahead < accel ? ahead : k->speed_q36;
-    k->rest_q36 -= k->heading > 0 ? moved : -moved;
-    k->heading = k->speed_q36 == 0 ? 0 : k->heading;
+    k->speed_q36 = speed;
+    k->ahead_q36 = ahead - (speed == 0 && ahead > 0 && ahead < accel ? ahead : speed);
 }
 
 tl_count_q8_t tl_compensator_step(tl_compensator_t *k, tl_deg_q16_t c) {
     const tl_table_t *table = &k->lookup->table;
-    k->flags = 0;
+    uint32_t flags = 0;
     k->c = c;
-    const tl_count_q8_t goal = target(k, c, &k->flags);
-    advance(k, goal);
-    k->flags |= k->p != goal ? TL_COMPENSATOR_LIMITED : 0;
-    follow_direction(k, &k->flags);
-    take_up(k);
-    const tl_count_q8_t fed = feed(k, &k->flags);
-    const tl_count_q8_t wanted = tl_sub_sat(fed, tl_compensator_rest(k));
-    // A start from outside the range may only lead inwards.
-    const tl_count_q8_t low = k->q < table->q_min ? k->q : table->q_min;
-    const tl_count_q8_t high = k->q > table->q_max ? k->q : table->q_max;
-    k->q = tl_clamp(wanted, low, high);
-    if (k->q != wanted) { // stopped at the end of the range: the take-up begins again from here
-        k->flags |= TL_COMPENSATOR_CLIPPED;
-        k->rest_q36 = q36(fed) - q36(k->q);
-        k->speed_q36 = k->stop_q36 = 0;
-        k->heading = 0;
+    const tl_count_q8_t goal = target(k, c, &flags);
+    k->flags = flags;
+    if (goal != k->p) {
+        advance(k, goal);
     }
-    k->flags |= k->rest_q36 != 0 || k->heading != 0 ? TL_COMPENSATOR_TAKE_UP : 0;
-    k->flags |= k->side == 0 ? TL_COMPENSATOR_NO_SIDE : 0;
+    const int32_t half = half_width(k);
+    if (turned(k)) {
+        const tl_count_q8_t before = feed(k, half);
+        k->side = k->p > k->anchor ? 1 : -1;
+        k->anchor = k->p;
+        absorb(k, feed(k, half), before);
+    }
+    take_up(k);
+    const tl_count_q8_t push = pushed(k, half), fed = tl_clamp(push, table->q_min, table->q_max);
+    // Modulo 2^32: e alone may need one bit more, but q* is never far from where it was.
+    const int32_t rest = round_q8(k->heading > 0 ? k->ahead_q36 : -k->ahead_q36);
+    const tl_count_q8_t wanted = (int32_t)((uint32_t)fed - (uint32_t)rest);
+    flags = k->flags;
+    flags |= k->side == 0 ? TL_COMPENSATOR_NO_SIDE : 0;
+    flags |= push != fed ? TL_COMPENSATOR_CLIPPED : 0;
+    // The motor stays within its range; from outside of it only the way inwards is open.
+    if (wanted >= table->q_min && wanted <= table->q_max) {
+        k->q = wanted;
+    } else {
+        const tl_count_q8_t low = k->q < table->q_min ? k->q : table->q_min;
+        const tl_count_q8_t high = k->q > table->q_max ? k->q : table->q_max;
+        k->q = tl_clamp(wanted, low, high);
+        if (k->q != wanted) { // the take-up begins again from here
+            k->ahead_q36 = k->speed_q36 = k->stop_q36 = 0;
+            absorb(k, fed, k->q);
+            flags |= TL_COMPENSATOR_CLIPPED;
+        }
+    }
+    flags |= (k->ahead_q36 | k->speed_q36) != 0 ? TL_COMPENSATOR_TAKE_UP : 0;
+    k->flags = flags;
     return k->q;
 }
+
+// Settings -------------------------------------------------------------------------------------------
 
 void tl_compensator_start(tl_compensator_t *k, const tl_lookup_t *lookup, uint32_t rate_hz, tl_mode_t mode,
                           tl_count_q8_t q, tl_deg_q16_t c) {
     uint32_t flags = 0;
-    *k = (tl_compensator_t){.lookup = lookup, .mode = mode, .c = c, .strength_q15 = lookup->table.strength_q15};
+    *k = (tl_compensator_t){.lookup = lookup, .mode = mode, .strength_q15 = lookup->table.strength_q15, .heading = 1};
     k->rate_hz = rate_hz < RATE_MIN_HZ ? RATE_MIN_HZ : (rate_hz > RATE_MAX_HZ ? RATE_MAX_HZ : rate_hz);
+    k->c = c;
+    k->p = k->anchor = target(k, c, &flags);
     k->q = tl_clamp(q, -TL_TABLE_VALUE_MAX, TL_TABLE_VALUE_MAX);
     set_limits(k, &lookup->table);
-    k->p = k->anchor = target(k, c, &flags);
-    absorb(k, k->q);
+    absorb(k, k->p, k->q);
 }
 
 // p* again for the last command under new settings, with the direction's memory moved along.
@@ -185,31 +222,29 @@ static void settle(tl_compensator_t *k, tl_count_q8_t feed_before) {
     const tl_count_q8_t p = target(k, k->c, &flags);
     k->anchor = tl_add_sat(k->anchor, p - k->p);
     k->p = p;
-    absorb(k, feed_before);
+    absorb(k, feed(k, half_width(k)), feed_before);
 }
 
 void tl_compensator_set_mode(tl_compensator_t *k, tl_mode_t mode) {
-    uint32_t flags = 0;
-    const tl_count_q8_t before = feed(k, &flags);
+    const tl_count_q8_t before = feed(k, half_width(k));
     k->mode = mode;
     settle(k, before);
 }
 
 void tl_compensator_set_strength(tl_compensator_t *k, int32_t strength_q15) {
-    uint32_t flags = 0;
-    const tl_count_q8_t before = feed(k, &flags);
+    const tl_count_q8_t before = feed(k, half_width(k));
     k->strength_q15 = tl_clamp(strength_q15, 0, TL_RATIO_ONE);
-    absorb(k, before);
+    absorb(k, feed(k, half_width(k)), before);
 }
 
 void tl_compensator_set_table(tl_compensator_t *k, const tl_lookup_t *lookup) {
-    uint32_t flags = 0;
-    const tl_count_q8_t before = feed(k, &flags);
+    const tl_count_q8_t before = feed(k, half_width(k));
     k->lookup = lookup;
     set_limits(k, &lookup->table);
     settle(k, before);
 }
 
 tl_count_q8_t tl_compensator_rest(const tl_compensator_t *k) {
-    return (tl_count_q8_t)((k->rest_q36 + ((int64_t)1 << (FRACTION_BITS - 1))) >> FRACTION_BITS);
+    const int64_t q8 = (k->heading > 0 ? k->ahead_q36 : -k->ahead_q36) >> FRACTION_BITS;
+    return q8 > INT32_MAX ? INT32_MAX : (q8 < INT32_MIN ? INT32_MIN : (tl_count_q8_t)q8);
 }

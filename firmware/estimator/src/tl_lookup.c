@@ -2,53 +2,70 @@
 
 #include <string.h>
 
+// Loading --------------------------------------------------------------------------------------------
+
 static tl_count_q8_t node_position(const tl_table_t *table, unsigned node) {
     return table->q0 + (int32_t)((uint32_t)node << table->step_log2);
 }
 
-// Largest span whose first node's value is at most x, of a sequence that rises with the node: 8 steps at most.
-#define FIND_SPAN(span, nodes, value_at, x)                                                                  \
-    do {                                                                                                     \
-        (span) = 0;                                                                                          \
-        for (unsigned bit = 128; bit != 0; bit >>= 1) {                                                      \
-            const unsigned at = (span) + bit;                                                                \
-            if (at < (nodes) - 1U && value_at(at) <= (x)) {                                                  \
-                (span) = at;                                                                                 \
-            }                                                                                                \
-        }                                                                                                    \
-    } while (0)
+// step / rise as one word: mantissa * 2^(shift - 32) with shift + 32 in place of the mantissa's last 6 bits. Those
+// stay in as noise when multiplying: 2^-26 of at most 2^23 is below a quarter of the last bit.
+static uint32_t packed_ratio(uint32_t step, uint32_t rise) {
+    const tl_scale_t scale = tl_scale_of(step, rise);
+    return (scale.mantissa & ~63U) | (uint32_t)(scale.shift + 32);
+}
 
 static void derive_span(tl_lookup_t *lookup, unsigned i) {
     const tl_table_t *table = &lookup->table;
     const uint32_t step = (uint32_t)1 << table->step_log2;
+    const int32_t p = node_position(table, i);
     const int32_t slope = table->width[i + 1U] - table->width[i];
     const int32_t rise = table->angle[i + 1U] - table->angle[i];
-    const tl_scale_t angle = tl_scale_of(step, (uint32_t)tl_abs_sat(rise));
-    const tl_scale_t low = tl_scale_of(step, 2U * step + (uint32_t)slope);
-    const tl_scale_t high = tl_scale_of(step, 2U * step - (uint32_t)slope);
-    lookup->angle_mantissa[i] = angle.mantissa;
-    lookup->angle_shift[i] = angle.shift;
-    lookup->low_mantissa[i] = low.mantissa;
-    lookup->low_shift[i] = low.shift;
-    lookup->high_mantissa[i] = high.mantissa;
-    lookup->high_shift[i] = high.shift;
-    if (tl_table_span_is_flat(table, i)) {
-        lookup->has_flat = true;
-        lookup->flat[i >> 3] = (uint8_t)(lookup->flat[i >> 3] | 1U << (i & 7U));
+    lookup->angle.word[i] = table->angle[i] ^ lookup->turn;
+    lookup->angle.word[TL_LOOKUP_SPANS + i] = (int32_t)packed_ratio(step, (uint32_t)tl_abs_sat(rise));
+    lookup->low.word[i] = 2 * p + table->width[i]; // exact: TL_TABLE_VALUE_MAX bounds p -+ B/2
+    lookup->low.word[TL_LOOKUP_SPANS + i] = (int32_t)packed_ratio(step, 2U * step + (uint32_t)slope);
+    lookup->high.word[i] = 2 * p - table->width[i];
+    lookup->high.word[TL_LOOKUP_SPANS + i] = (int32_t)packed_ratio(step, 2U * step - (uint32_t)slope);
+    lookup->flat[i] = tl_table_span_is_flat(table, i);
+    lookup->has_flat |= lookup->flat[i];
+}
+
+static int32_t half_down(int32_t x) { return x >> 1; }
+static int32_t half_up(int32_t x) { return (x >> 1) + (x & 1); }
+
+static void derive_grid(tl_lookup_t *lookup) {
+    const tl_table_t *table = &lookup->table;
+    const unsigned last = table->nodes - 1U;
+    const int32_t first_p = table->q0, last_p = node_position(table, last);
+    for (unsigned i = 0; i < last; i++) {
+        derive_span(lookup, i);
     }
+    for (unsigned i = last; i < TL_LOOKUP_SPANS; i++) {
+        lookup->angle.word[i] = lookup->low.word[i] = lookup->high.word[i] = INT32_MAX;
+    }
+    lookup->extent = last << table->step_log2;
+    lookup->angle_first = table->angle[0] ^ lookup->turn;
+    lookup->angle_last = table->angle[last] ^ lookup->turn;
+    lookup->low_first = half_down(2 * first_p + table->width[0]);
+    lookup->low_last = half_up(2 * last_p + table->width[last]);
+    lookup->high_first = half_down(2 * first_p - table->width[0]);
+    lookup->high_last = half_up(2 * last_p - table->width[last]);
 }
 
 static tl_table_reason_t derive(tl_lookup_t *lookup) {
     const tl_table_t *table = &lookup->table;
     const uint32_t range = (uint32_t)table->q_max - (uint32_t)table->q_min;
-    const uint32_t coarse_rise = (uint32_t)tl_abs_sat(table->coarse_c_max - table->coarse_c_min);
-    lookup->falling = table->coarse_c_max < table->coarse_c_min;
-    lookup->coarse = tl_scale_of(coarse_rise, range);
-    lookup->coarse_inv = tl_scale_of(range, coarse_rise);
-    lookup->has_flat = false;
-    memset(lookup->flat, 0, sizeof lookup->flat);
-    for (unsigned i = 0; i + 1U < table->nodes; i++) {
-        derive_span(lookup, i);
+    const uint32_t rise = (uint32_t)tl_abs_sat(table->coarse_c_max - table->coarse_c_min);
+    lookup->coarse = tl_scale_of(rise, range);
+    lookup->coarse_inverse = tl_scale_of(range, rise);
+    lookup->turn = table->coarse_c_max < table->coarse_c_min ? -1 : 0;
+    lookup->q0 = table->q0;
+    lookup->step_log2 = table->step_log2;
+    lookup->extent = 0;
+    lookup->has_flat = 0;
+    if (table->nodes != 0) {
+        derive_grid(lookup);
     }
     uint32_t flags = 0;
     const tl_deg_q16_t first = tl_lookup_angle(lookup, table->q_min, &flags);
@@ -74,33 +91,10 @@ tl_table_reason_t tl_lookup_derive(tl_lookup_t *lookup, const tl_table_t *table,
     return derive(lookup);
 }
 
-// Where p lies in the grid: span and rest in it, Q8 counts. False beyond the ends, *span then the nearest node.
-static bool locate(const tl_table_t *table, tl_count_q8_t p, unsigned *span, uint32_t *rest, uint32_t *flags) {
-    const unsigned last = table->nodes - 1U;
-    if (p < table->q0) {
-        *flags |= TL_LOOKUP_BELOW;
-        *span = 0;
-        return false;
-    }
-    const uint32_t offset = (uint32_t)p - (uint32_t)table->q0;
-    const uint32_t index = offset >> table->step_log2;
-    if (index >= last) {
-        if (offset != last << table->step_log2) {
-            *flags |= TL_LOOKUP_ABOVE;
-        }
-        *span = last;
-        return false;
-    }
-    *span = index;
-    *rest = offset - (index << table->step_log2);
-    return true;
-}
+// Functions of p -------------------------------------------------------------------------------------
 
-// a + (b - a) rest / 2^log2, rounded to nearest: tl_lerp(), with a third product where a step has more than 16 bits.
-static int32_t between(int32_t a, int32_t b, uint32_t rest, unsigned log2) {
-    if (log2 <= 16) {
-        return tl_lerp(a, b, rest << (16U - log2));
-    }
+// a + (b - a) rest / 2^log2 for steps of more than 16 bits: tl_lerp() with a third product for the bits below.
+static int32_t between_fine(int32_t a, int32_t b, uint32_t rest, unsigned log2) {
     const unsigned extra = log2 - 16U; // at most 7
     const int32_t difference = b - a;
     const uint32_t t = rest >> extra;
@@ -110,108 +104,107 @@ static int32_t between(int32_t a, int32_t b, uint32_t rest, unsigned log2) {
     return a + (difference >> 16) * (int32_t)t + (int32_t)((int64_t)low >> 16);
 }
 
+// values at p in a grid that has nodes, held beyond its ends.
+static inline int32_t on_grid(const tl_lookup_t *lookup, const int32_t *values, tl_count_q8_t p, uint32_t *flags) {
+    const uint32_t offset = (uint32_t)p - (uint32_t)lookup->q0;
+    const uint32_t extent = lookup->extent, log2 = lookup->step_log2;
+    if (offset < extent) { // below q0 it wraps: at least 2^31 - 2^30
+        const int32_t *node = values + (offset >> log2);
+        const uint32_t rest = offset & ((1U << log2) - 1U);
+        return log2 <= 16 ? tl_lerp(node[0], node[1], rest << (16U - log2)) : between_fine(node[0], node[1], rest, log2);
+    }
+    if (p < lookup->q0) {
+        *flags |= TL_LOOKUP_BELOW;
+        return values[0];
+    }
+    *flags |= offset > extent ? TL_LOOKUP_ABOVE : 0;
+    return values[extent >> log2];
+}
+
 tl_count_q8_t tl_lookup_width(const tl_lookup_t *lookup, tl_count_q8_t p, uint32_t *flags) {
-    const tl_table_t *table = &lookup->table;
-    unsigned span;
-    uint32_t rest;
-    if (table->nodes == 0) {
-        return 0;
-    }
-    if (!locate(table, p, &span, &rest, flags)) {
-        return table->width[span];
-    }
-    return between(table->width[span], table->width[span + 1U], rest, table->step_log2);
+    return lookup->extent == 0 ? 0 : on_grid(lookup, lookup->table.width, p, flags);
 }
 
 tl_deg_q16_t tl_lookup_angle(const tl_lookup_t *lookup, tl_count_q8_t p, uint32_t *flags) {
-    const tl_table_t *table = &lookup->table;
-    unsigned span;
-    uint32_t rest;
-    if (table->nodes == 0) {
-        return tl_lookup_coarse(lookup, p, flags);
-    }
-    if (!locate(table, p, &span, &rest, flags)) {
-        return table->angle[span];
-    }
-    return between(table->angle[span], table->angle[span + 1U], rest, table->step_log2);
+    return lookup->extent == 0 ? tl_lookup_coarse(lookup, p, flags) : on_grid(lookup, lookup->table.angle, p, flags);
 }
 
-// Node `span` plus x times the kept reciprocal, within the span.
-static tl_count_q8_t in_span(const tl_table_t *table, unsigned span, uint32_t x, uint32_t mantissa, int8_t shift) {
-    const tl_scale_t ratio = {mantissa, shift};
-    return node_position(table, span) + (int32_t)tl_scale(x, ratio);
+bool tl_lookup_is_flat(const tl_lookup_t *lookup, tl_count_q8_t p) {
+    const uint32_t offset = (uint32_t)p - (uint32_t)lookup->q0;
+    return offset < lookup->extent && lookup->flat[offset >> lookup->step_log2] != 0;
+}
+
+// Inverses -------------------------------------------------------------------------------------------
+
+// p where the function has the value x, word[0] <= x < the value at the last node. Eight compares, one reciprocal.
+static inline tl_count_q8_t solve(const tl_lookup_t *lookup, const tl_inverse_t *inverse, int32_t x) {
+    const int32_t *at = inverse->word;
+#define HALVE(spans) at = at[spans] <= x ? at + (spans) : at
+    HALVE(128);
+    HALVE(64);
+    HALVE(32);
+    HALVE(16);
+    HALVE(8);
+    HALVE(4);
+    HALVE(2);
+    HALVE(1);
+#undef HALVE
+    const uint32_t rise = (uint32_t)x - (uint32_t)*at;
+    const uint32_t ratio = (uint32_t)at[TL_LOOKUP_SPANS];
+    const uint32_t span = (uint32_t)(at - inverse->word);
+    const int shift = (int)(ratio & 63U) - 32;
+    const uint32_t part = shift >= 0 ? tl_mul_high(rise << shift, ratio) : tl_mul_high(rise, ratio) >> -shift;
+    return lookup->q0 + (int32_t)((span << lookup->step_log2) + part);
 }
 
 tl_count_q8_t tl_lookup_angle_inverse(const tl_lookup_t *lookup, tl_deg_q16_t c, uint32_t *flags) {
-    const tl_table_t *table = &lookup->table;
-    if (table->nodes == 0) {
+    if (lookup->extent == 0) {
         return tl_lookup_coarse_inverse(lookup, c, flags);
     }
-    const unsigned last = table->nodes - 1U;
-    const int32_t turn = lookup->falling ? -1 : 0; // x ^ -1 reverses the order without overflow
-    const int32_t x = c ^ turn;
-    if (x <= (table->angle[0] ^ turn)) {
-        *flags |= c == table->angle[0] ? 0 : TL_LOOKUP_BELOW;
-        return table->q0;
+    const int32_t x = c ^ lookup->turn;
+    if (x < lookup->angle_first) {
+        *flags |= TL_LOOKUP_BELOW;
+        return lookup->q0;
     }
-    if (x >= (table->angle[last] ^ turn)) {
-        *flags |= c == table->angle[last] ? 0 : TL_LOOKUP_ABOVE;
-        return node_position(table, last);
+    if (x >= lookup->angle_last) {
+        *flags |= x == lookup->angle_last ? 0 : TL_LOOKUP_ABOVE;
+        return lookup->q0 + (int32_t)lookup->extent;
     }
-    unsigned span;
-#define ANGLE_AT(i) (table->angle[i] ^ turn)
-    FIND_SPAN(span, table->nodes, ANGLE_AT, x);
-#undef ANGLE_AT
-    return in_span(table, span, (uint32_t)(x - (table->angle[span] ^ turn)), lookup->angle_mantissa[span],
-                   lookup->angle_shift[span]);
+    return solve(lookup, &lookup->angle, x);
 }
-
-// 2p + B and 2p - B at the nodes are exact in 32 bits: TL_TABLE_VALUE_MAX bounds p -+ B/2.
-#define LOW_AT(i)  (2 * node_position(table, i) + table->width[i])
-#define HIGH_AT(i) (2 * node_position(table, i) - table->width[i])
-
-static int32_t half(int32_t x) { return x >> 1; }
 
 tl_count_q8_t tl_lookup_p_low(const tl_lookup_t *lookup, tl_count_q8_t q, uint32_t *flags) {
     const tl_table_t *table = &lookup->table;
-    if (table->nodes == 0) {
+    if (lookup->extent == 0) {
         return q;
     }
-    const unsigned last = table->nodes - 1U;
-    const int32_t x = 2 * tl_clamp(q, -TL_TABLE_VALUE_MAX, TL_TABLE_VALUE_MAX);
-    if (x <= LOW_AT(0)) {
-        *flags |= x == LOW_AT(0) ? 0 : TL_LOOKUP_BELOW;
-        return tl_sub_sat(q, half(table->width[0]));
+    if (q <= lookup->low_first) {
+        *flags |= 2 * (int64_t)q < lookup->low.word[0] ? TL_LOOKUP_BELOW : 0;
+        return tl_sub_sat(q, half_down(table->width[0]));
     }
-    if (x >= LOW_AT(last)) {
-        *flags |= x == LOW_AT(last) ? 0 : TL_LOOKUP_ABOVE;
-        return tl_sub_sat(q, half(table->width[last]));
+    if (q >= lookup->low_last) {
+        const unsigned last = table->nodes - 1U;
+        *flags |= 2 * (int64_t)q > 2 * node_position(table, last) + table->width[last] ? TL_LOOKUP_ABOVE : 0;
+        return tl_sub_sat(q, half_down(table->width[last]));
     }
-    unsigned span;
-    FIND_SPAN(span, table->nodes, LOW_AT, x);
-    return in_span(table, span, (uint32_t)x - (uint32_t)LOW_AT(span), lookup->low_mantissa[span],
-                   lookup->low_shift[span]);
+    return solve(lookup, &lookup->low, 2 * q);
 }
 
 tl_count_q8_t tl_lookup_p_high(const tl_lookup_t *lookup, tl_count_q8_t q, uint32_t *flags) {
     const tl_table_t *table = &lookup->table;
-    if (table->nodes == 0) {
+    if (lookup->extent == 0) {
         return q;
     }
-    const unsigned last = table->nodes - 1U;
-    const int32_t x = 2 * tl_clamp(q, -TL_TABLE_VALUE_MAX, TL_TABLE_VALUE_MAX);
-    if (x <= HIGH_AT(0)) {
-        *flags |= x == HIGH_AT(0) ? 0 : TL_LOOKUP_BELOW;
-        return tl_add_sat(q, half(table->width[0]));
+    if (q <= lookup->high_first) {
+        *flags |= 2 * (int64_t)q < lookup->high.word[0] ? TL_LOOKUP_BELOW : 0;
+        return tl_add_sat(q, half_down(table->width[0]));
     }
-    if (x >= HIGH_AT(last)) {
-        *flags |= x == HIGH_AT(last) ? 0 : TL_LOOKUP_ABOVE;
-        return tl_add_sat(q, half(table->width[last]));
+    if (q >= lookup->high_last) {
+        const unsigned last = table->nodes - 1U;
+        *flags |= 2 * (int64_t)q > 2 * node_position(table, last) - table->width[last] ? TL_LOOKUP_ABOVE : 0;
+        return tl_add_sat(q, half_down(table->width[last]));
     }
-    unsigned span;
-    FIND_SPAN(span, table->nodes, HIGH_AT, x);
-    return in_span(table, span, (uint32_t)x - (uint32_t)HIGH_AT(span), lookup->high_mantissa[span],
-                   lookup->high_shift[span]);
+    return solve(lookup, &lookup->high, 2 * q);
 }
 
 tl_deg_q16_t tl_lookup_coarse(const tl_lookup_t *lookup, tl_count_q8_t q, uint32_t *flags) {
@@ -225,13 +218,13 @@ tl_deg_q16_t tl_lookup_coarse(const tl_lookup_t *lookup, tl_count_q8_t q, uint32
         return table->coarse_c_max;
     }
     const int32_t change = (int32_t)tl_scale((uint32_t)q - (uint32_t)table->q_min, lookup->coarse);
-    return lookup->falling ? table->coarse_c_min - change : table->coarse_c_min + change;
+    return lookup->turn != 0 ? table->coarse_c_min - change : table->coarse_c_min + change;
 }
 
 tl_count_q8_t tl_lookup_coarse_inverse(const tl_lookup_t *lookup, tl_deg_q16_t c, uint32_t *flags) {
     const tl_table_t *table = &lookup->table;
-    const int32_t turn = lookup->falling ? -1 : 0;
-    const int32_t x = c ^ turn, first = table->coarse_c_min ^ turn, last = table->coarse_c_max ^ turn;
+    const int32_t x = c ^ lookup->turn;
+    const int32_t first = table->coarse_c_min ^ lookup->turn, last = table->coarse_c_max ^ lookup->turn;
     if (x < first) {
         *flags |= TL_LOOKUP_BELOW;
         return table->q_min;
@@ -240,15 +233,5 @@ tl_count_q8_t tl_lookup_coarse_inverse(const tl_lookup_t *lookup, tl_deg_q16_t c
         *flags |= TL_LOOKUP_ABOVE;
         return table->q_max;
     }
-    return table->q_min + (int32_t)tl_scale((uint32_t)x - (uint32_t)first, lookup->coarse_inv);
-}
-
-bool tl_lookup_is_flat(const tl_lookup_t *lookup, tl_count_q8_t p) {
-    const tl_table_t *table = &lookup->table;
-    unsigned span;
-    uint32_t rest, flags = 0;
-    if (table->nodes == 0 || !locate(table, p, &span, &rest, &flags)) {
-        return false;
-    }
-    return (lookup->flat[span >> 3] >> (span & 7U) & 1U) != 0;
+    return table->q_min + (int32_t)tl_scale((uint32_t)x - (uint32_t)first, lookup->coarse_inverse);
 }

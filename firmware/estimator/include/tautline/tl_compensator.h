@@ -16,8 +16,7 @@
 /// the same context. To stop, hold c*; to follow the motor while the axis is free, start again.
 /// Faults: none is fatal. Every input is valid; what could not be done is in `flags`.
 ///
-/// Cost of a step on a Cortex-M0+: about 350 cycles at most (one inverse, one width, no division and no 64-bit
-/// product; 64-bit sums only). Memory: about 120 bytes, plus the table that it points to.
+/// No division and no 64-bit product in a step; 64-bit sums only. Memory: 136 bytes, plus the table that it points to.
 #ifndef TAUTLINE_TL_COMPENSATOR_H
 #define TAUTLINE_TL_COMPENSATOR_H
 
@@ -38,33 +37,41 @@ typedef enum {
 #define TL_COMPENSATOR_FLAT     32U ///< the feed crosses a flat span at the flat speed
 #define TL_COMPENSATOR_NO_SIDE  64U ///< no motion yet: the side of the backlash is not known, the centre is assumed
 
+/// A motor speed per tick: whole Q8 counts, and a fraction in 2^-32 of one. 0.1 count/s at 10 kHz is 0.0026 a tick.
 typedef struct {
-    int64_t speed; ///< per tick, Q8 counts with 28 more bits: "Q36"
-    int64_t accel; ///< per tick^2, likewise
+    int32_t whole;
+    uint32_t fraction;
+} tl_per_tick_t;
+
+/// "Q36": Q8 counts with 28 more bits, for what the take-up adds up tick by tick.
+typedef struct {
+    int64_t speed_max_q36; ///< per tick
+    int64_t accel_q36;     ///< per tick^2
 } tl_takeup_limits_t;
 
 typedef struct {
     const tl_lookup_t *lookup; ///< must outlive the compensator or the next set_table
-    uint32_t rate_hz;
-    tl_mode_t mode;
-    int32_t strength_q15;
     uint32_t flags;
-    int8_t side;          ///< s
+    uint32_t mode;        ///< tl_mode_t
+    int32_t strength_q15; ///<
+    int32_t side;         ///< s
     tl_deg_q16_t c;       ///< the last command
     tl_count_q8_t p;      ///< p*, after limits
     tl_count_q8_t anchor; ///< furthest p in the direction of `side`
     tl_count_q8_t q;      ///< q*, the last output
-    // The take-up: e, the speed at which it shrinks or grows, and the distance that stopping takes, in Q36.
-    int64_t rest_q36; ///< e
+    // The take-up: its direction, |e| in that direction (below 0 after a passed target), its speed, the distance in
+    // which it stops.
+    int32_t heading; ///< +1 or -1: of q
+    int64_t ahead_q36;
     int64_t speed_q36;
     int64_t stop_q36;
-    int8_t heading; ///< of the take-up's own motion in q: +1, -1, 0 at rest
-    bool limits_pending;
     tl_takeup_limits_t limits;
+    uint32_t limits_pending;
+    uint32_t feed_fraction; ///< part of a Q8 count that a limited feed has saved up
+    tl_per_tick_t feed_max;
+    tl_per_tick_t feed_flat;
     tl_takeup_limits_t next_limits; ///< adopted once the take-up is at rest
-    int64_t feed_max_q36;           ///< per tick
-    int64_t feed_flat_q36;
-    int64_t feed_budget_q36; ///< part of a Q8 count that a slow feed has saved up
+    uint32_t rate_hz;
 } tl_compensator_t;
 
 /// Switches on: the motor is at `q` and stays there in this tick; the way to the command `c` is taken up within
