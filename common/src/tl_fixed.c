@@ -22,3 +22,12 @@ tl_scale_t tl_scale_of(uint32_t numerator, uint32_t denominator) {
     ratio.shift = (int8_t)shift;
     return ratio;
 }
+
+int32_t tl_lerp_fine(int32_t a, int32_t b, uint32_t t, unsigned log2) {
+    const unsigned extra = log2 - 16U; // bits of t that tl_lerp() has no room for: at most 7
+    const int32_t difference = b - a;
+    const int32_t fine = (int32_t)(t & ((1U << extra) - 1U));
+    const uint64_t fine_part = (uint64_t)(int64_t)((difference >> 8) * fine) << (8U - extra);
+    const uint64_t low = ((uint32_t)difference & 0xFFFFU) * (t >> extra) + fine_part + 0x8000U;
+    return a + (difference >> 16) * (int32_t)(t >> extra) + (int32_t)((int64_t)low >> 16);
+}

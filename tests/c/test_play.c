@@ -60,8 +60,8 @@ static void test_beyond_the_grid_it_is_flagged_and_saturates(void) {
     TEST_ASSERT_TRUE(play.flags & TL_LOOKUP_BELOW);
     TEST_ASSERT_EQUAL_INT32(-TL_TABLE_VALUE_MAX + COUNTS(150), play.p);
     TEST_ASSERT_EQUAL_INT32(lookup.table.angle[0], tl_play_angle(&play));
-    (void)tl_play_step(&play, 0);
-    TEST_ASSERT_EQUAL_HEX32(TL_LOOKUP_BELOW, play.flags); // where it was before this step
+    (void)tl_play_step(&play, -TL_TABLE_VALUE_MAX + COUNTS(200)); // within the backlash: still there
+    TEST_ASSERT_EQUAL_HEX32(TL_LOOKUP_BELOW, play.flags);
     (void)tl_play_step(&play, 0);
     TEST_ASSERT_EQUAL_HEX32(0, play.flags);
     tl_play_start(&play, &lookup, INT32_MIN);
@@ -75,6 +75,7 @@ static void test_without_nodes_the_instrument_follows_the_motor(void) {
     table.q0 = 0;
     table.step_log2 = 0;
     TEST_ASSERT_EQUAL_INT(TL_TABLE_OK, tl_lookup_derive(&lookup, &table, 0));
+    tl_play_start(&play, &lookup, 0);
     TEST_ASSERT_EQUAL_INT32(77, tl_play_step(&play, 77));
     TEST_ASSERT_EQUAL_INT32(-5, tl_play_step(&play, -5));
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -61,3 +62,20 @@ def test_no_recursion() -> None:
         return seen
 
     assert [name for name in calls if name in reached(name)] == []
+
+
+def test_the_readme_s_example_compiles(tmp_path: Path) -> None:
+    text = (ROOT / "firmware/estimator/README.md").read_text()
+    code = re.search(r"```c\n(.*?)```", text, re.DOTALL)
+    assert code is not None
+    declarations, statements = code[1].split("\n\n", 1)
+    source = tmp_path / "example.c"
+    head = "void use(const uint8_t *blob, size_t size, uint8_t axis, int32_t position_q8, int32_t command_q16)"
+    source.write_text(
+        f'#include "tautline/tl_compensator.h"\n#include <stdio.h>\n{declarations}\n{head};\n'
+        f"{head} {{\n{statements}\n(void)goal_q8;\n}}\n"
+    )
+    folders = ["-I", ROOT / "common/include", "-I", ROOT / "firmware/estimator/include"]
+    flags = ["-std=c11", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-fsyntax-only"]
+    built = subprocess.run(["cc", *flags, *folders, source], capture_output=True, text=True)
+    assert built.returncode == 0, built.stderr

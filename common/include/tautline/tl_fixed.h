@@ -60,6 +60,9 @@ static inline int32_t tl_lerp(int32_t a, int32_t b, uint32_t t) {
     return a + (difference >> 16) * (int32_t)t + (int32_t)(low >> 16);
 }
 
+/// a + (b - a) t / 2^log2, t < 2^log2, 16 < log2 < 24, rounded to nearest. Three products. b - a must not overflow.
+int32_t tl_lerp_fine(int32_t a, int32_t b, uint32_t t, unsigned log2);
+
 /// A positive ratio numerator/denominator kept for multiplying: mantissa * 2^(shift - 32), 2^31 <= mantissa.
 typedef struct {
     uint32_t mantissa;

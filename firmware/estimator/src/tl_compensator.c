@@ -1,20 +1,9 @@
-#include "tautline/tl_compensator.h"
+#include "tl_takeup.h"
 
 _Static_assert(TL_COMPENSATOR_BELOW == TL_LOOKUP_BELOW && TL_COMPENSATOR_ABOVE == TL_LOOKUP_ABOVE, "shared flags");
 
-#define FRACTION_BITS 28
-#define RATE_MIN_HZ   16U
-#define RATE_MAX_HZ   100000U
-
-static int64_t q36(int32_t q8) { return (int64_t)((uint64_t)(int64_t)q8 << FRACTION_BITS); }
-
-static tl_count_q8_t round_q8(int64_t value_q36) {
-    return (tl_count_q8_t)((value_q36 + ((int64_t)1 << (FRACTION_BITS - 1))) >> FRACTION_BITS);
-}
-
-// Limits ---------------------------------------------------------------------------------------------
-
-static int64_t at_least_1(int64_t value) { return value > 0 ? value : 1; }
+#define RATE_MIN_HZ 16U
+#define RATE_MAX_HZ 100000U
 
 static tl_per_tick_t per_tick(int32_t per_second_q8, uint32_t rate_hz) {
     const uint64_t scaled = ((uint64_t)(uint32_t)per_second_q8 << 32) / rate_hz;
@@ -22,13 +11,7 @@ static tl_per_tick_t per_tick(int32_t per_second_q8, uint32_t rate_hz) {
 }
 
 static void set_limits(tl_compensator_t *k, const tl_table_t *table) {
-    const int64_t rate = (int64_t)k->rate_hz;
-    const int64_t speed = at_least_1(q36(table->takeup_speed_q8) / rate);
-    // counts/s^2 to Q36 are 36 bits, half of them before each division: 2^31 has just room for 32.
-    const int64_t accel = at_least_1((((int64_t)table->takeup_accel << 32) / rate << 4) / rate);
-    k->next_limits.speed_max_q36 = speed;
-    k->next_limits.accel_q36 = accel < speed ? accel : speed;
-    k->limits_pending = 1;
+    tl_takeup_set_limits(&k->takeup, table, k->rate_hz);
     k->feed_max = per_tick(table->speed_max_q8, k->rate_hz);
     k->feed_flat = per_tick(table->flat_speed_q8, k->rate_hz);
 }
@@ -60,8 +43,7 @@ static int32_t half_width(const tl_compensator_t *k) {
         return 0;
     }
     const uint32_t width = (uint32_t)tl_lookup_width(k->lookup, k->p, &ends);
-    const uint32_t strength = (uint32_t)k->strength_q15;
-    return (int32_t)((width >> 16) * strength + ((width & 0xFFFFU) * strength >> 16));
+    return (int32_t)((width >> 16) * k->strength_q15 + ((width & 0xFFFFU) * k->strength_q15 >> 16));
 }
 
 // q* without what is still to be taken up, before the range is minded. p -+ B/2 cannot overflow (TL_TABLE_VALUE_MAX).
@@ -76,8 +58,7 @@ static tl_count_q8_t feed(const tl_compensator_t *k, int32_t half) {
 
 // The feed goes from `before` to `after` at once; the motor takes the difference up.
 static void absorb(tl_compensator_t *k, tl_count_q8_t after, tl_count_q8_t before) {
-    const int64_t jump = q36(after) - q36(before);
-    k->ahead_q36 += k->heading > 0 ? jump : -jump;
+    tl_takeup_add(&k->takeup, (int64_t)after - before);
 }
 
 // One tick -------------------------------------------------------------------------------------------
@@ -131,41 +112,25 @@ static void advance(tl_compensator_t *k, tl_count_q8_t goal) {
     k->flags |= k->p != wanted ? TL_COMPENSATOR_LIMITED : 0;
 }
 
-// One tick of the trapezoid. The speed is n accel, so the distance to stop in is accel n (n + 1) / 2 and is kept
-// up to date by sums alone; the last part of a count, less than one tick's accel, is moved at once.
-static void take_up(tl_compensator_t *k) {
-    int64_t ahead = k->ahead_q36, speed = k->speed_q36;
-    if (speed == 0) {
-        if (k->limits_pending) {
-            k->limits = k->next_limits;
-            k->limits_pending = 0;
-        }
-        if (ahead == 0) {
-            return;
-        }
-        if (ahead < 0) {
-            ahead = -ahead;
-            k->heading = -k->heading;
-        }
+// The motor stays within its range; from outside of it only the way inwards is open.
+static tl_count_q8_t within_range(tl_compensator_t *k, tl_count_q8_t fed, tl_count_q8_t wanted) {
+    const tl_table_t *table = &k->lookup->table;
+    const tl_count_q8_t low = k->q < table->q_min ? k->q : table->q_min;
+    const tl_count_q8_t high = k->q > table->q_max ? k->q : table->q_max;
+    const tl_count_q8_t q = tl_clamp(wanted, low, high);
+    if (q != wanted) { // the take-up begins again from here
+        tl_takeup_stop(&k->takeup);
+        absorb(k, fed, q);
+        k->flags |= TL_COMPENSATOR_CLIPPED;
     }
-    const int64_t accel = k->limits.accel_q36, spare = ahead - k->stop_q36;
-    if (spare < 0 || k->limits_pending) {
-        k->stop_q36 -= speed;
-        speed -= accel;
-    } else if (speed + accel <= k->limits.speed_max_q36 && speed + accel <= spare) {
-        speed += accel;
-        k->stop_q36 += speed;
-    }
-    k->speed_q36 = speed;
-    k->ahead_q36 = ahead - (speed == 0 && ahead > 0 && ahead < accel ? ahead : speed);
+    return q;
 }
 
 tl_count_q8_t tl_compensator_step(tl_compensator_t *k, tl_deg_q16_t c) {
     const tl_table_t *table = &k->lookup->table;
-    uint32_t flags = 0;
     k->c = c;
-    const tl_count_q8_t goal = target(k, c, &flags);
-    k->flags = flags;
+    k->flags = 0;
+    const tl_count_q8_t goal = target(k, c, &k->flags);
     if (goal != k->p) {
         advance(k, goal);
     }
@@ -176,29 +141,14 @@ tl_count_q8_t tl_compensator_step(tl_compensator_t *k, tl_deg_q16_t c) {
         k->anchor = k->p;
         absorb(k, feed(k, half), before);
     }
-    take_up(k);
+    tl_takeup_step(&k->takeup);
     const tl_count_q8_t push = pushed(k, half), fed = tl_clamp(push, table->q_min, table->q_max);
     // Modulo 2^32: e alone may need one bit more, but q* is never far from where it was.
-    const int32_t rest = round_q8(k->heading > 0 ? k->ahead_q36 : -k->ahead_q36);
-    const tl_count_q8_t wanted = (int32_t)((uint32_t)fed - (uint32_t)rest);
-    flags = k->flags;
-    flags |= k->side == 0 ? TL_COMPENSATOR_NO_SIDE : 0;
-    flags |= push != fed ? TL_COMPENSATOR_CLIPPED : 0;
-    // The motor stays within its range; from outside of it only the way inwards is open.
-    if (wanted >= table->q_min && wanted <= table->q_max) {
-        k->q = wanted;
-    } else {
-        const tl_count_q8_t low = k->q < table->q_min ? k->q : table->q_min;
-        const tl_count_q8_t high = k->q > table->q_max ? k->q : table->q_max;
-        k->q = tl_clamp(wanted, low, high);
-        if (k->q != wanted) { // the take-up begins again from here
-            k->ahead_q36 = k->speed_q36 = k->stop_q36 = 0;
-            absorb(k, fed, k->q);
-            flags |= TL_COMPENSATOR_CLIPPED;
-        }
-    }
-    flags |= (k->ahead_q36 | k->speed_q36) != 0 ? TL_COMPENSATOR_TAKE_UP : 0;
-    k->flags = flags;
+    const tl_count_q8_t wanted = (int32_t)((uint32_t)fed - tl_takeup_rest(&k->takeup));
+    k->q = wanted >= table->q_min && wanted <= table->q_max ? wanted : within_range(k, fed, wanted);
+    k->flags |= push != fed ? TL_COMPENSATOR_CLIPPED : 0;
+    k->flags |= k->side == 0 ? TL_COMPENSATOR_NO_SIDE : 0;
+    k->flags |= tl_takeup_done(&k->takeup) ? 0 : TL_COMPENSATOR_TAKE_UP;
     return k->q;
 }
 
@@ -207,7 +157,8 @@ tl_count_q8_t tl_compensator_step(tl_compensator_t *k, tl_deg_q16_t c) {
 void tl_compensator_start(tl_compensator_t *k, const tl_lookup_t *lookup, uint32_t rate_hz, tl_mode_t mode,
                           tl_count_q8_t q, tl_deg_q16_t c) {
     uint32_t flags = 0;
-    *k = (tl_compensator_t){.lookup = lookup, .mode = mode, .strength_q15 = lookup->table.strength_q15, .heading = 1};
+    *k = (tl_compensator_t){.lookup = lookup, .mode = mode, .strength_q15 = lookup->table.strength_q15};
+    tl_takeup_start(&k->takeup);
     k->rate_hz = rate_hz < RATE_MIN_HZ ? RATE_MIN_HZ : (rate_hz > RATE_MAX_HZ ? RATE_MAX_HZ : rate_hz);
     k->c = c;
     k->p = k->anchor = target(k, c, &flags);
@@ -233,7 +184,7 @@ void tl_compensator_set_mode(tl_compensator_t *k, tl_mode_t mode) {
 
 void tl_compensator_set_strength(tl_compensator_t *k, int32_t strength_q15) {
     const tl_count_q8_t before = feed(k, half_width(k));
-    k->strength_q15 = tl_clamp(strength_q15, 0, TL_RATIO_ONE);
+    k->strength_q15 = (uint32_t)tl_clamp(strength_q15, 0, TL_RATIO_ONE);
     absorb(k, feed(k, half_width(k)), before);
 }
 
@@ -244,7 +195,4 @@ void tl_compensator_set_table(tl_compensator_t *k, const tl_lookup_t *lookup) {
     settle(k, before);
 }
 
-tl_count_q8_t tl_compensator_rest(const tl_compensator_t *k) {
-    const int64_t q8 = (k->heading > 0 ? k->ahead_q36 : -k->ahead_q36) >> FRACTION_BITS;
-    return q8 > INT32_MAX ? INT32_MAX : (q8 < INT32_MIN ? INT32_MIN : (tl_count_q8_t)q8);
-}
+tl_count_q8_t tl_compensator_rest(const tl_compensator_t *k) { return (tl_count_q8_t)tl_takeup_rest(&k->takeup); }

@@ -93,25 +93,16 @@ tl_table_reason_t tl_lookup_derive(tl_lookup_t *lookup, const tl_table_t *table,
 
 // Functions of p -------------------------------------------------------------------------------------
 
-// a + (b - a) rest / 2^log2 for steps of more than 16 bits: tl_lerp() with a third product for the bits below.
-static int32_t between_fine(int32_t a, int32_t b, uint32_t rest, unsigned log2) {
-    const unsigned extra = log2 - 16U; // at most 7
-    const int32_t difference = b - a;
-    const uint32_t t = rest >> extra;
-    const int32_t fine = (int32_t)(rest & ((1U << extra) - 1U));
-    const uint64_t fine_part = (uint64_t)(int64_t)((difference >> 8) * fine) << (8U - extra);
-    const uint64_t low = ((uint32_t)difference & 0xFFFFU) * t + fine_part + 0x8000U;
-    return a + (difference >> 16) * (int32_t)t + (int32_t)((int64_t)low >> 16);
-}
-
 // values at p in a grid that has nodes, held beyond its ends.
 static inline int32_t on_grid(const tl_lookup_t *lookup, const int32_t *values, tl_count_q8_t p, uint32_t *flags) {
     const uint32_t offset = (uint32_t)p - (uint32_t)lookup->q0;
     const uint32_t extent = lookup->extent, log2 = lookup->step_log2;
     if (offset < extent) { // below q0 it wraps: at least 2^31 - 2^30
         const int32_t *node = values + (offset >> log2);
-        const uint32_t rest = offset & ((1U << log2) - 1U);
-        return log2 <= 16 ? tl_lerp(node[0], node[1], rest << (16U - log2)) : between_fine(node[0], node[1], rest, log2);
+        if (log2 > 16) {
+            return tl_lerp_fine(node[0], node[1], offset & ((1U << log2) - 1U), log2);
+        }
+        return tl_lerp(node[0], node[1], (offset << (16U - log2)) & 0xFFFFU);
     }
     if (p < lookup->q0) {
         *flags |= TL_LOOKUP_BELOW;

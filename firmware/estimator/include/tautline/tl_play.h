@@ -4,8 +4,8 @@
 ///
 /// p is the play's centre coordinate in motor space (the paper's eq. 3 with its inequalities put right).
 /// Call tl_play_step() on every encoder sample; samples may be any distance apart as long as the motor did not
-/// turn back between them. O(1): two compares inside the backlash, one inverse on an envelope; no division. 20 bytes.
-/// Not for use by two threads at once.
+/// turn back between them. O(1): two compares inside the backlash, one inverse on an envelope, at most
+/// 240 cycles on a Cortex-M0+; no division. 16 bytes. Not for use by two threads at once.
 #ifndef TAUTLINE_TL_PLAY_H
 #define TAUTLINE_TL_PLAY_H
 
@@ -15,10 +15,11 @@ typedef struct {
     const tl_lookup_t *lookup; ///< must outlive the play
     tl_count_q8_t p;
     uint32_t width; ///< B(p): the motor moves the instrument once it is more than half of it away
-    uint32_t flags; ///< TL_LOOKUP_BELOW, TL_LOOKUP_ABOVE: of the last step
+    uint32_t flags; ///< TL_LOOKUP_BELOW, TL_LOOKUP_ABOVE: p is beyond the table's grid
 } tl_play_t;
 
-/// Starts with the instrument at `p`: the motor's position if nothing better is known.
+/// Starts with the instrument at `p`: the motor's position if nothing better is known. Start again after the table has
+/// changed.
 void tl_play_start(tl_play_t *play, const tl_lookup_t *lookup, tl_count_q8_t p);
 
 /// The motor is at q: returns p.

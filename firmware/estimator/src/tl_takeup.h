@@ -1,0 +1,32 @@
+/// The take-up of the compensator: a distance in q that shrinks to zero along a trapezoid of limited speed and
+/// acceleration, changes of its goal at any moment included. Sums and compares only.
+#ifndef TAUTLINE_TL_TAKEUP_H
+#define TAUTLINE_TL_TAKEUP_H
+
+#include "tautline/tl_compensator.h"
+
+#define TL_TAKEUP_FRACTION_BITS 28 ///< of Q36 below a Q8 count
+
+void tl_takeup_start(tl_takeup_t *takeup);
+
+/// The limits of `table` at `rate_hz` ticks a second, from the next rest on.
+void tl_takeup_set_limits(tl_takeup_t *takeup, const tl_table_t *table, uint32_t rate_hz);
+
+/// `jump` Q8 counts more are to be taken up: |jump| < 2^32.
+void tl_takeup_add(tl_takeup_t *takeup, int64_t jump_q8);
+
+/// One tick.
+void tl_takeup_step(tl_takeup_t *takeup);
+
+/// Stops dead, with nothing left to take up.
+void tl_takeup_stop(tl_takeup_t *takeup);
+
+/// What is left, rounded to a Q8 count, modulo 2^32. Positive: q has yet to rise.
+static inline uint32_t tl_takeup_rest(const tl_takeup_t *takeup) {
+    const int64_t rest = takeup->heading > 0 ? takeup->ahead_q36 : -takeup->ahead_q36;
+    return (uint32_t)((uint64_t)(rest + ((int64_t)1 << (TL_TAKEUP_FRACTION_BITS - 1))) >> TL_TAKEUP_FRACTION_BITS);
+}
+
+static inline bool tl_takeup_done(const tl_takeup_t *takeup) { return (takeup->ahead_q36 | takeup->speed_q36) == 0; }
+
+#endif
