@@ -25,7 +25,9 @@ void setUp(void) {
 }
 void tearDown(void) {}
 
-static void start_at(tl_count_q8_t q) { TEST_ASSERT_EQUAL(TL_MOTION_OK, tl_motion_start(&motion, &config, q)); }
+static void start_at(tl_count_q8_t q) {
+    TEST_ASSERT_EQUAL(TL_MOTION_OK, tl_motion_start(&motion, &config, q));
+}
 
 static void refuse(tl_motion_error_t expected) {
     TEST_ASSERT_EQUAL(expected, tl_motion_start(&motion, &config, 0));
@@ -136,7 +138,8 @@ static void test_an_onset_ends_the_stroke_after_the_approach(void) {
     }
     tl_motion_onset(&motion, -1); // late, of a reversal long gone: nothing
     tl_motion_onset(&motion, 1);
-    // The first turning point is half a step beyond the approach after the onset; three steps lead to the far end.
+    // The first turning point is half a step beyond the approach after the onset; three steps lead to the far
+    // end.
     const int32_t first = last + config.approach;
     highest = last;
     while ((last = tl_motion_tick(&motion).q) >= highest) {

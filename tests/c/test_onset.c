@@ -14,8 +14,8 @@ static uint32_t count;
 static tl_us_t now_us;
 static tl_us_t frame_us;
 static tl_count_q8_t motor, tip, width; // the plant: a play
-static int32_t slope;            // px Q12 for a count
-static tl_px_q12_t jump;         // of the image, with the tip's direction
+static int32_t slope;                   // px Q12 for a count
+static tl_px_q12_t jump;                // of the image, with the tip's direction
 static int32_t tip_direction;
 static bool valid, other_motion;
 static uint32_t noise_seed;
@@ -69,8 +69,12 @@ static void step(tl_count_q8_t to, bool frames) {
     if (frames && now_us >= frame_us) {
         frame_us += FRAME_US;
         const int32_t image = (int32_t)((int64_t)tip * slope / 256) + tip_direction * jump / 2;
-        const tl_marker_t marker = {now_us, 100 * TL_PX_ONE + image + random_noise(),
-                                    50 * TL_PX_ONE - image / 2 + random_noise(), 0, valid, other_motion};
+        const tl_marker_t marker = {now_us,
+                                    100 * TL_PX_ONE + image + random_noise(),
+                                    50 * TL_PX_ONE - image / 2 + random_noise(),
+                                    0,
+                                    valid,
+                                    other_motion};
         count += tl_onset_sample(&detector, &history, &marker, &found[count]) ? 1U : 0U;
     }
     count += tl_onset_poll(&detector, &history, now_us, &found[count]) ? 1U : 0U;
@@ -291,11 +295,11 @@ static void test_frames_out_of_order_are_ignored(void) {
 static void test_configurations_out_of_range_are_refused(void) {
     const tl_onset_config_t good = tl_onset_defaults();
     TEST_ASSERT_TRUE(tl_onset_init(&detector, &good));
-#define REFUSE(field, value)                                                                                           \
-    do {                                                                                                               \
-        tl_onset_config_t bad = good;                                                                                  \
-        bad.field = (value);                                                                                           \
-        TEST_ASSERT_FALSE_MESSAGE(tl_onset_init(&detector, &bad), #field);                                             \
+#define REFUSE(field, value)                                                                                 \
+    do {                                                                                                     \
+        tl_onset_config_t bad = good;                                                                        \
+        bad.field = (value);                                                                                 \
+        TEST_ASSERT_FALSE_MESSAGE(tl_onset_init(&detector, &bad), #field);                                   \
     } while (0)
     REFUSE(delay_us, 400001);
     REFUSE(guard_us, 400001);
@@ -323,8 +327,12 @@ static void test_any_input_is_survived(void) {
             t += r >> 20;
             tl_history_push(&history, t, (int32_t)(r ^ r << 13) >> (round % 24));
             if (i % 7 == 0) {
-                const tl_marker_t marker = {t, (int32_t)(r * 77777U) >> (round % 20), (int32_t)(r * 1234567U),
-                                            (int32_t)(r << 7) >> (round % 28), (r & 31U) != 0, (r & 1023U) == 0};
+                const tl_marker_t marker = {t,
+                                            (int32_t)(r * 77777U) >> (round % 20),
+                                            (int32_t)(r * 1234567U),
+                                            (int32_t)(r << 7) >> (round % 28),
+                                            (r & 31U) != 0,
+                                            (r & 1023U) == 0};
                 tl_onset_t onset;
                 (void)tl_onset_sample(&detector, &history, &marker, &onset);
                 (void)tl_onset_poll(&detector, &history, t, &onset);

@@ -12,7 +12,8 @@ static int32_t travel(const tl_onset_detector_t *d, int32_t i, tl_count_q8_t ori
     return d->direction < 0 ? tl_sub_sat(origin, q) : tl_sub_sat(q, origin);
 }
 
-tl_hinge_point_t tl_hinge_point(const tl_onset_detector_t *d, int32_t i, tl_count_q8_t origin, int32_t scale) {
+tl_hinge_point_t tl_hinge_point(const tl_onset_detector_t *d, int32_t i, tl_count_q8_t origin,
+                                int32_t scale) {
     const tl_onset_sample_t *s = sample_at(d, i);
     return (tl_hinge_point_t){
         .x = tl_clamp(travel(d, i, origin) / ((int32_t)1 << scale), -TRAVEL_MAX, TRAVEL_MAX),
@@ -102,7 +103,8 @@ bool tl_hinge_meet(const tl_onset_sums_t *line, const tl_onset_sums_t *level, in
                                         tl_real_neg(tl_real_div(tl_real(line->u, 0), line_w)));
     const tl_real_t gap_v = tl_real_add(tl_real_div(tl_real(level->v, 0), level_w),
                                         tl_real_neg(tl_real_div(tl_real(line->v, 0), line_w)));
-    const tl_real_t along = tl_real_add(tl_real_mul(tl_real(cu, 0), gap_u), tl_real_mul(tl_real(cv, 0), gap_v));
+    const tl_real_t along =
+        tl_real_add(tl_real_mul(tl_real(cu, 0), gap_u), tl_real_mul(tl_real(cv, 0), gap_v));
     const tl_real_t from_mean = tl_real_div(tl_real_mul(along, d), c2);
     const tl_real_t mean_x = tl_real_div(tl_real(line->x, 0), line_w);
     const tl_real_t b2 = tl_real_div(c2, tl_real_mul(d, d));
@@ -261,7 +263,8 @@ bool tl_hinge_fit(const tl_onset_detector_t *d, tl_hinge_t *fit) {
     const tl_real_t all_w = tl_real(all.w, 0);
     const tl_real_t slope = tl_real_div(tl_real_sqrt(best.numerator), best.denominator);
     const int64_t determinant = best_beyond.w * best_beyond.xx - best_beyond.x * best_beyond.x;
-    tl_real_t variance = tl_real_div(tl_real(best_beyond.xx, 0), tl_real(determinant > 0 ? determinant : 0, 0));
+    tl_real_t variance =
+        tl_real_div(tl_real(best_beyond.xx, 0), tl_real(determinant > 0 ? determinant : 0, 0));
     variance = tl_real_add(variance, tl_real_div(tl_real(1, 0), tl_real(level.w, 0)));
     variance = tl_real_div(variance, tl_real_mul(slope, slope));
 
@@ -311,7 +314,8 @@ tl_real_t tl_hinge_spread(const tl_onset_detector_t *d, const tl_hinge_t *fit, t
         const gain_t gain = gain_at(&walk.beyond, &d->all);
         const tl_real_t needed = tl_real_mul(tl_real_mul(least, tl_real(d->all.w, 0)), gain.denominator);
         if (gain.denominator.m != 0 && !tl_real_less(gain.numerator, needed)) {
-            tl_real_t away = tl_real_add(tl_real(travel(d, walk.k, d->reversal.q1), 0), tl_real_neg(fit->knot));
+            tl_real_t away =
+                tl_real_add(tl_real(travel(d, walk.k, d->reversal.q1), 0), tl_real_neg(fit->knot));
             away = away.m < 0 ? tl_real_neg(away) : away;
             spread = tl_real_less(spread, away) ? away : spread;
         }

@@ -11,26 +11,48 @@
 /// On the way to where the first reversal will be; a reversal is under way; it is over.
 enum { PREPARING, MEASURING, TRAVELLING };
 
-static int64_t q32(int64_t q8) { return q8 * ((int64_t)1 << 24); }
-static int64_t low_end(const tl_motion_t *m) { return q32(m->config.low); }
-static int64_t high_end(const tl_motion_t *m) { return q32(m->config.high); }
-static int64_t stroke_max(const tl_motion_t *m) { return q32(m->config.stroke_max); }
-static int64_t smaller(int64_t a, int64_t b) { return a < b ? a : b; }
-static int64_t larger(int64_t a, int64_t b) { return a > b ? a : b; }
+static int64_t q32(int64_t q8) {
+    return q8 * ((int64_t)1 << 24);
+}
+static int64_t low_end(const tl_motion_t *m) {
+    return q32(m->config.low);
+}
+static int64_t high_end(const tl_motion_t *m) {
+    return q32(m->config.high);
+}
+static int64_t stroke_max(const tl_motion_t *m) {
+    return q32(m->config.stroke_max);
+}
+static int64_t smaller(int64_t a, int64_t b) {
+    return a < b ? a : b;
+}
+static int64_t larger(int64_t a, int64_t b) {
+    return a > b ? a : b;
+}
 
-/// Distance until rest when braking begins on the next tick: a (1 + 2 + ... + (steps - 1)), never less than needed.
+/// Distance until rest when braking begins on the next tick: a (1 + 2 + ... + (steps - 1)), never less than
+/// needed.
 static int64_t braking_distance(int64_t acceleration, uint32_t steps) {
     return steps < 2 ? 0 : acceleration * (int64_t)((uint64_t)steps * (steps - 1U) / 2U);
 }
 
-static bool is_forward(const tl_motion_t *m) { return m->leg % 2U == 0; }
-static uint32_t legs_of_pass(const tl_motion_t *m) { return 2U * m->config.cycles + 1U; }
+static bool is_forward(const tl_motion_t *m) {
+    return m->leg % 2U == 0;
+}
+static uint32_t legs_of_pass(const tl_motion_t *m) {
+    return 2U * m->config.cycles + 1U;
+}
 
-static bool goes_back(const tl_motion_t *m) { return m->pass % 2U != 0; }
-static int64_t far_end(const tl_motion_t *m) { return goes_back(m) ? low_end(m) : high_end(m); }
+static bool goes_back(const tl_motion_t *m) {
+    return m->pass % 2U != 0;
+}
+static int64_t far_end(const tl_motion_t *m) {
+    return goes_back(m) ? low_end(m) : high_end(m);
+}
 
-/// End of the forward leg under way: a turning point of the pass or its far end. Both passes reach their first turning
-/// point where the range begins to be visible to them; half a step between them interleaves the middles of their strokes.
+/// End of the forward leg under way: a turning point of the pass or its far end. Both passes reach their
+/// first turning point where the range begins to be visible to them; half a step between them interleaves the
+/// middles of their strokes.
 static int64_t turning_point(const tl_motion_t *m) {
     const uint32_t i = m->leg / 2U;
     if (i >= m->config.cycles) {
@@ -58,12 +80,14 @@ static void end_measuring(tl_motion_t *m) {
     const int64_t further = braking_distance(m->acceleration, m->steps) + q32(m->config.approach);
     const bool rising = m->direction > 0;
     m->phase = TRAVELLING;
-    m->target = rising ? smaller(m->position + further, high_end(m)) : larger(m->position - further, low_end(m));
+    m->target =
+        rising ? smaller(m->position + further, high_end(m)) : larger(m->position - further, low_end(m));
     if (!is_forward(m)) {
         return;
     }
     if (m->leg == 0) { // from here to the far end the pass has its turning points
-        const int64_t way_q8 = (rising ? far_end(m) - m->target : m->target - far_end(m)) / ((int64_t)1 << 24);
+        const int64_t way_q8 =
+            (rising ? far_end(m) - m->target : m->target - far_end(m)) / ((int64_t)1 << 24);
         m->first = m->target;
         m->half_step = q32((int64_t)((uint64_t)way_q8 * m->half_step_share >> 32));
     }
@@ -92,8 +116,8 @@ static int64_t left_to_target(const tl_motion_t *m) {
     return m->direction > 0 ? m->target - m->position : m->position - m->target;
 }
 
-/// Takes `speed` for this tick if that leaves room to brake: to rest at the target, and to measuring speed before the
-/// approach.
+/// Takes `speed` for this tick if that leaves room to brake: to rest at the target, and to measuring speed
+/// before the approach.
 static bool take_speed(tl_motion_t *m, int64_t speed, uint32_t steps) {
     const int64_t left = left_to_target(m);
     const int64_t needed = speed + braking_distance(m->acceleration, steps);
@@ -126,7 +150,8 @@ static void choose_speed(tl_motion_t *m) {
         m->steps = 1;
         return;
     }
-    // As fast as may be; else as fast as costs no longer braking; else as before; else to measuring speed; else slower.
+    // As fast as may be; else as fast as costs no longer braking; else as before; else to measuring speed;
+    // else slower.
     if (speed_up(m, cap) || speed_up(m, measuring) || speed_up(m, smaller(m->acceleration * m->steps, cap)) ||
         (m->speed > 0 && take_speed(m, m->speed, m->steps)) ||
         (m->speed > measuring && m->speed - m->acceleration < measuring &&
@@ -246,11 +271,17 @@ void tl_motion_onset(tl_motion_t *motion, int8_t direction) {
     }
 }
 
-void tl_motion_frame(tl_motion_t *motion) { motion->quiet_ticks = 0; }
+void tl_motion_frame(tl_motion_t *motion) {
+    motion->quiet_ticks = 0;
+}
 
-void tl_motion_stop(tl_motion_t *motion) { begin_stopping(motion, TL_MOTION_STOPPED); }
+void tl_motion_stop(tl_motion_t *motion) {
+    begin_stopping(motion, TL_MOTION_STOPPED);
+}
 
-tl_motion_state_t tl_motion_state(const tl_motion_t *motion) { return (tl_motion_state_t)motion->state; }
+tl_motion_state_t tl_motion_state(const tl_motion_t *motion) {
+    return (tl_motion_state_t)motion->state;
+}
 
 uint16_t tl_motion_progress(const tl_motion_t *motion) {
     const uint32_t legs = legs_of_pass(motion) * 2U * motion->config.speed_count;

@@ -2,16 +2,11 @@
 
 #include <string.h>
 
-#include "tl_hinge.h"
+#include "tl_confirm.h"
 
-#define PRIOR_DOF    8   ///< degrees of freedom that the stated noise is worth
-#define DOF_MAX      512 ///< of remembered noise: about four reversals
-#define NOISE_FLOOR  26  ///< (0.005 px)^2, Q16, weight 16: below it the image's own resolution
-#define UNIT_WEIGHT  16
-#define LEVEL_MIN    2   ///< fewest frames on the level
+#define LEVEL_MIN    2      ///< fewest frames on the level
 #define POLL_LAG_US  60000U ///< frames this late still find their turn unscanned
-#define DOUBT        12  ///< see fits_badly()
-#define JITTER_TURNS 8      ///< strokes shorter than this many turn thresholds are no reversals if hardly a frame saw them
+#define JITTER_TURNS 8      ///< hardly seen strokes shorter than this many turn thresholds are no reversals
 
 enum { FOLLOWING, CROSSING }; // phase: no reversal under way, or one
 
@@ -35,18 +30,17 @@ tl_onset_config_t tl_onset_defaults(void) {
 bool tl_onset_init(tl_onset_detector_t *detector, const tl_onset_config_t *config) {
     memset(detector, 0, sizeof *detector);
     const bool valid = config->delay_us <= 400000 && config->guard_us <= 400000 && config->timeout_us > 0 &&
-                       config->timeout_us <= 600000000 && config->lost_us > 0 && config->lost_us <= 10000000 &&
-                       config->turn > 0 && config->sigma_wanted > 0 && config->sigma_usable >= config->sigma_wanted &&
-                       config->noise_px > 0 && config->noise_px <= 8 * TL_PX_ONE && config->curvature < 1U << 20 &&
-                       config->threshold > 0 && config->frames_min >= 3 && config->frames_max >= config->frames_min &&
-                       config->frames_max < TL_ONSET_WINDOW - 1;
+                       config->timeout_us <= 600000000 && config->lost_us > 0 &&
+                       config->lost_us <= 10000000 && config->turn > 0 && config->sigma_wanted > 0 &&
+                       config->sigma_usable >= config->sigma_wanted && config->noise_px > 0 &&
+                       config->noise_px <= 8 * TL_PX_ONE && config->curvature < 1U << 20 &&
+                       config->threshold > 0 && config->frames_min >= 3 &&
+                       config->frames_max >= config->frames_min && config->frames_max < TL_ONSET_WINDOW - 1;
     if (!valid) {
         return false;
     }
     detector->config = *config;
-    const int64_t noise_q8 = (config->noise_px + 8) / 16;
-    detector->noise_sum = PRIOR_DOF * UNIT_WEIGHT * noise_q8 * noise_q8;
-    detector->noise_dof = PRIOR_DOF;
+    tl_confirm_begin(detector);
     return true;
 }
 
@@ -59,58 +53,8 @@ static void drop_oldest(tl_onset_detector_t *d, int32_t n) {
     d->held = (uint8_t)(d->held - n);
 }
 
-static tl_count_q8_t magnitude(tl_count_q8_t x) { return x < 0 ? tl_sub_sat(0, x) : x; }
-
-static tl_real_t square(tl_real_t a) { return tl_real_mul(a, a); }
-
-/// nu (e^(threshold / nu) - 1): what the gain over the residual variance must pass when the variance itself rests on nu
-/// degrees of freedom; the likelihood ratio with unknown noise, nu ln(1 + F / nu) > threshold.
-static tl_real_t required_ratio(const tl_onset_config_t *config, int32_t nu) {
-    // e^x = (1 + x / 256)^256; x is at most 4095 / 8
-    tl_real_t power = tl_real_add(tl_real(1, 0), tl_real_div(tl_real(config->threshold, -12), tl_real(nu, 0)));
-    for (int32_t i = 0; i < 8; i++) {
-        power = square(power);
-    }
-    return tl_real_mul(tl_real_add(power, tl_real(-1, 0)), tl_real(nu, 0));
-}
-
-/// Variance of a sample of unit weight, from memory and `residual` with `dof` degrees of freedom.
-static tl_real_t unit_variance(const tl_onset_detector_t *d, tl_real_t residual, int32_t dof) {
-    const tl_real_t sum = tl_real_add(tl_real(d->noise_sum, 0), residual);
-    const tl_real_t variance = tl_real_div(sum, tl_real(d->noise_dof + dof, 0));
-    return tl_real_less(variance, tl_real(NOISE_FLOOR, 0)) ? tl_real(NOISE_FLOOR, 0) : variance;
-}
-
-static void remember_noise(tl_onset_detector_t *d, tl_real_t residual, int32_t dof) {
-    if (!d->noise_measured && dof >= 2 * PRIOR_DOF) { // what was stated has served
-        d->noise_measured = true;
-        d->noise_sum = 0;
-        d->noise_dof = 0;
-    }
-    if (dof > 0) {
-        d->noise_sum += tl_real_to_q(residual, 0);
-        d->noise_dof += dof;
-    }
-    while (d->noise_dof > DOF_MAX) {
-        d->noise_sum /= 2;
-        d->noise_dof /= 2;
-    }
-}
-
-/// Squared bias of a knot by the curvature of a line of length `span` that ends there: (curvature span^2 / 12)^2.
-static tl_real_t curvature_bias2(const tl_onset_config_t *config, tl_real_t span) {
-    // curvature in 1/2^20 a count, span in Q8 counts
-    return square(tl_real_div(tl_real_mul(tl_real(config->curvature, -28), square(span)), tl_real(12, 0)));
-}
-
-/// Of the difference of two encoder positions: 1/12 count^2 each, Q8 counts squared.
-static tl_real_t encoder_variance(void) {
-    return tl_real_div(tl_real(TL_COUNT_ONE * TL_COUNT_ONE, 0), tl_real(6, 0));
-}
-
-/// Statistical variance, encoder steps and curvature together, Q8 counts squared.
-static tl_real_t knot_variance(const tl_onset_config_t *config, tl_real_t variance, tl_real_t unit, tl_real_t span) {
-    return tl_real_add(tl_real_add(tl_real_mul(variance, unit), encoder_variance()), curvature_bias2(config, span));
+static tl_count_q8_t magnitude(tl_count_q8_t x) {
+    return x < 0 ? tl_sub_sat(0, x) : x;
 }
 
 /// Q8 counts/s over samples i to k.
@@ -126,7 +70,8 @@ static void measure_stop(tl_onset_detector_t *d, const tl_onset_sums_t *level, t
         !tl_hinge_meet(&d->approach, level, d->approach_scale, &meeting)) {
         return;
     }
-    const tl_real_t variance = knot_variance(&d->config, meeting.variance, unit, tl_real(d->approach_span, 0));
+    const tl_real_t variance =
+        tl_confirm_knot_variance(&d->config, meeting.variance, unit, tl_real(d->approach_span, 0));
     d->reversal.stop = tl_real_to_q(tl_real_neg(meeting.x), 0);
     d->reversal.sigma_stop = tl_real_to_q(tl_real_sqrt(variance), 0);
 }
@@ -139,106 +84,17 @@ static void end_reversal(tl_onset_detector_t *d, tl_onset_reason_t reason, bool 
     d->on_envelope = follows;
 }
 
-static void clear_window(tl_onset_detector_t *d) { d->held = 0; }
-
-typedef struct {
-    tl_hinge_t hinge;
-    tl_real_t unit;     ///< variance of a sample of unit weight
-    tl_real_t required; ///< gain that confirms
-    tl_real_t variance; ///< of the knot, Q8 counts squared
-    int32_t dof;
-    bool confirmed;
-    bool jumped; ///< the image jumped at the onset: the knot is in the middle of two frames, and no more is known
-} evaluation_t;
-
-/// Replaces the hinge by a break where the image jumped at the onset, beyond doubt.
-static void allow_for_jump(const tl_onset_detector_t *d, evaluation_t *e) {
-    tl_hinge_break_t jump;
-    if (!tl_hinge_break(d, &jump)) {
-        return;
-    }
-    const tl_real_t gained = tl_real_add(jump.gain, tl_real_neg(e->hinge.gain));
-    const tl_real_t unit = unit_variance(d, tl_real_add(e->hinge.residual, tl_real_neg(gained)), e->dof);
-    const tl_real_t required = tl_real_mul(required_ratio(&d->config, d->noise_dof + e->dof), unit);
-    if (!tl_real_less(required, gained)) {
-        return;
-    }
-    const tl_real_t gap = tl_real((int64_t)jump.high - jump.low, 0);
-    e->hinge.knot = tl_real((int64_t)jump.low + jump.high, -1);
-    e->hinge.level = jump.level;
-    e->hinge.beyond = jump.beyond;
-    e->unit = unit;
-    e->variance = tl_real_add(tl_real_div(square(gap), tl_real(12, 0)), encoder_variance());
-    e->jumped = true;
-}
-
-/// Whether what the hinge leaves is more than the noise known so far explains; DOUBT in units of its variance is half of
-/// what a jump must gain.
-static bool fits_badly(const tl_onset_detector_t *d, const evaluation_t *e) {
-    const tl_real_t known = tl_real_div(tl_real(d->noise_sum, 0), tl_real(d->noise_dof, 0));
-    return tl_real_less(tl_real_mul(known, tl_real(e->dof + DOUBT, 0)), e->hinge.residual);
-}
-
-static bool evaluate(const tl_onset_detector_t *d, evaluation_t *e) {
-    if (!tl_hinge_fit(d, &e->hinge)) {
-        return false;
-    }
-    e->jumped = false;
-    e->dof = 2 * d->all.n - 5;
-    e->unit = unit_variance(d, e->hinge.residual, e->dof);
-    e->required = tl_real_mul(required_ratio(&d->config, d->noise_dof + e->dof), e->unit);
-    e->variance = knot_variance(&d->config, e->hinge.variance, e->unit, e->hinge.span);
-    e->confirmed = e->hinge.beyond >= 2 && tl_real_less(e->required, e->hinge.gain);
-    if (e->confirmed && e->hinge.beyond >= d->config.frames_min && fits_badly(d, e)) {
-        allow_for_jump(d, e);
-    }
-    return true;
-}
-
-/// Whether a confirmation is near enough for the whole fit.
-static bool glance(const tl_onset_detector_t *d) {
-    const int32_t dof = 2 * d->all.n - 5;
-    if (d->held < d->config.frames_min || dof < 1) {
-        return false;
-    }
-    const tl_real_t gain = tl_hinge_glance(d);
-    const tl_real_t unit = unit_variance(d, tl_real_add(tl_hinge_scatter(&d->all), tl_real_neg(gain)), dof);
-    const tl_real_t required = tl_real_mul(required_ratio(&d->config, d->noise_dof + dof), unit);
-    return tl_real_less(required, tl_real_mul(gain, tl_real(2, 0)));
-}
-
-/// More frames are worth waiting for.
-static bool may_improve(const tl_onset_detector_t *d, const evaluation_t *e) {
-    const tl_onset_config_t *config = &d->config;
-    if (e->jumped) {
-        return false;
-    }
-    const tl_real_t statistical = tl_real_mul(e->hinge.variance, e->unit);
-    const tl_real_t bias2 = curvature_bias2(config, e->hinge.span);
-    return e->hinge.beyond < config->frames_min ||
-           (e->hinge.beyond < config->frames_max && tl_real_less(square(tl_real(config->sigma_wanted, 0)), e->variance) &&
-            tl_real_less(tl_real_mul(bias2, tl_real(4, 0)), statistical));
-}
-
-/// Variance of the knot. Where two sigma reach over a frame the likelihood is no longer a parabola: there two sigma are
-/// where it has fallen by a factor of e^2, if that is wider.
-static tl_real_t widened(const tl_onset_detector_t *d, const evaluation_t *e) {
-    const tl_real_t frame = tl_real_div(e->hinge.span, tl_real(e->hinge.beyond, 0));
-    if (tl_real_less(tl_real_mul(e->variance, tl_real(4, 0)), square(frame))) {
-        return e->variance;
-    }
-    const tl_real_t two_sigma = tl_hinge_spread(d, &e->hinge, tl_real_mul(e->unit, tl_real(4, 0)));
-    const tl_real_t wide = tl_real_mul(square(two_sigma), tl_real(1, -2));
-    return tl_real_less(e->variance, wide) ? wide : e->variance;
+static void clear_window(tl_onset_detector_t *d) {
+    d->held = 0;
 }
 
 /// The image has started: writes the onset and goes on following with the samples beyond the knot.
-static void finish_started(tl_onset_detector_t *d, const evaluation_t *e, tl_onset_t *onset) {
+static void finish_started(tl_onset_detector_t *d, const tl_confirm_t *e, tl_onset_t *onset) {
     const tl_onset_config_t *config = &d->config;
     tl_onset_t *r = &d->reversal;
     const int32_t first = d->held - e->hinge.beyond;
     const int32_t knot = tl_real_to_q(e->hinge.knot, 0);
-    const int32_t sigma = tl_real_to_q(tl_real_sqrt(e->jumped ? e->variance : widened(d, e)), 0);
+    const int32_t sigma = tl_real_to_q(tl_real_sqrt(tl_confirm_variance(d, e)), 0);
     const tl_count_q8_t q2 = r->direction > 0 ? tl_add_sat(r->q1, knot) : tl_sub_sat(r->q1, knot);
 
     // Time of the knot, linear between the frames around it.
@@ -251,7 +107,7 @@ static void finish_started(tl_onset_detector_t *d, const evaluation_t *e, tl_ons
     r->start_us = d->seen_us - ((uint32_t)d->seen_us - before->t_us - way_us);
     r->started = true;
 
-    r->noise = tl_real_to_q(tl_real_sqrt(tl_real_div(e->unit, tl_real(UNIT_WEIGHT, 0))), 4);
+    r->noise = tl_confirm_noise(e->unit);
     r->slope = tl_real_to_q(e->hinge.slope, 12);
     r->speed_start = speed_between(d, first > 0 ? first - 1 : 0, d->held - 1);
     measure_stop(d, &e->hinge.level, e->unit);
@@ -267,13 +123,13 @@ static void finish_started(tl_onset_detector_t *d, const evaluation_t *e, tl_ons
         r->sigma = sigma;
         r->q2 = q2;
     }
-    remember_noise(d, tl_hinge_scatter(&e->hinge.level), 2 * (e->hinge.level.n - 1));
+    tl_confirm_remember(d, tl_hinge_scatter(&e->hinge.level), 2 * (e->hinge.level.n - 1));
     drop_oldest(d, first);
     end_reversal(d, reason, true, onset);
 }
 
 /// The stroke ended and the image had not (yet) moved.
-static void finish_unstarted(tl_onset_detector_t *d, const evaluation_t *e, tl_onset_t *onset) {
+static void finish_unstarted(tl_onset_detector_t *d, const tl_confirm_t *e, tl_onset_t *onset) {
     tl_onset_reason_t reason = TL_ONSET_TOO_FEW_SAMPLES;
     tl_hinge_meeting_t approach;
     if (!d->entered) {
@@ -289,8 +145,8 @@ static void finish_unstarted(tl_onset_detector_t *d, const evaluation_t *e, tl_o
                 measure_stop(d, &d->all, e->unit);
             }
         }
-        d->reversal.noise = tl_real_to_q(tl_real_sqrt(tl_real_div(e->unit, tl_real(UNIT_WEIGHT, 0))), 4);
-        remember_noise(d, e->hinge.residual, e->dof);
+        d->reversal.noise = tl_confirm_noise(e->unit);
+        tl_confirm_remember(d, e->hinge.residual, e->dof);
     }
     end_reversal(d, reason, false, onset);
 }
@@ -299,13 +155,14 @@ static void finish_unstarted(tl_onset_detector_t *d, const evaluation_t *e, tl_o
 static bool slows_down(tl_onset_detector_t *d, int32_t i, int32_t before) {
     const bool last = i + 1 == before;
     const tl_count_q8_t q = last ? d->reversal.q1 : sample_at(d, i + 1)->q;
-    const uint32_t us = (last ? (uint32_t)d->reversal.turn_us : sample_at(d, i + 1)->t_us) - sample_at(d, i)->t_us;
+    const uint32_t us =
+        (last ? (uint32_t)d->reversal.turn_us : sample_at(d, i + 1)->t_us) - sample_at(d, i)->t_us;
     const int64_t way = magnitude(tl_sub_sat(q, sample_at(d, i)->q));
     return way * 8000000 < (int64_t)speed_between(d, i - 1, i) * us * 7;
 }
 
-/// The line of the approach, from the samples up to the turn: as many as curvature allows, without those that saw the
-/// motor slow down (a wrong t_delay shifts them less than the others).
+/// The line of the approach, from the samples up to the turn: as many as curvature allows, without those that
+/// saw the motor slow down (a wrong t_delay shifts them less than the others).
 static void measure_approach(tl_onset_detector_t *d, int32_t before) {
     const tl_onset_config_t *config = &d->config;
     const tl_count_q8_t q1 = d->reversal.q1;
@@ -315,12 +172,12 @@ static void measure_approach(tl_onset_detector_t *d, int32_t before) {
         end--;
     }
     int32_t begin = end;
-    const tl_real_t wanted2 = square(tl_real(config->sigma_wanted, -1));
+    const tl_real_t wanted2 = tl_real_square(tl_real(config->sigma_wanted, -1));
     while (begin > 0 && end - begin < TL_ONSET_APPROACH) {
         const tl_onset_sample_t *s = sample_at(d, begin - 1);
         const tl_real_t span = tl_real((int64_t)magnitude(tl_sub_sat(s->q, q1)), 0);
         const bool apart = begin < before && sample_at(d, begin)->t_us - s->t_us > config->lost_us;
-        if (apart || (end - begin >= 4 && tl_real_less(wanted2, curvature_bias2(config, span)))) {
+        if (apart || (end - begin >= 4 && tl_real_less(wanted2, tl_confirm_curvature_bias2(config, span)))) {
             break;
         }
         begin--;
@@ -346,8 +203,8 @@ static bool approach_moves(const tl_onset_detector_t *d) {
     const int32_t dof = 2 * d->approach.n - 4;
     tl_real_t residual = tl_real_add(tl_hinge_scatter(&d->approach), tl_real_neg(meeting.gain));
     residual = residual.m > 0 ? residual : tl_real(0, 0);
-    const tl_real_t unit = unit_variance(d, residual, dof);
-    return tl_real_less(tl_real_mul(required_ratio(&d->config, d->noise_dof + dof), unit), meeting.gain);
+    const tl_real_t unit = tl_confirm_unit_variance(d, residual, dof);
+    return tl_real_less(tl_confirm_required(d, unit, dof), meeting.gain);
 }
 
 /// Of the image alone.
@@ -425,8 +282,8 @@ static bool follow_motor(tl_onset_detector_t *d, tl_us_t t_us, tl_count_q8_t q, 
     }
     bool told = false;
     if (d->phase == CROSSING) {
-        evaluation_t e;
-        const bool fitted = evaluate(d, &e);
+        tl_confirm_t e;
+        const bool fitted = tl_confirm_evaluate(d, &e);
         const tl_count_q8_t stroke = magnitude(tl_sub_sat(d->extreme, d->reversal.q1));
         if (fitted && e.confirmed) {
             finish_started(d, &e, onset);
@@ -493,11 +350,11 @@ static bool check_time(tl_onset_detector_t *d, tl_us_t scene_us, tl_onset_t *ons
 
 static int32_t weight_of(const tl_onset_config_t *config, tl_px_q12_t sigma) {
     if (sigma <= 0) {
-        return UNIT_WEIGHT;
+        return TL_CONFIRM_WEIGHT;
     }
     const int64_t noise2 = (int64_t)config->noise_px * config->noise_px;
     const int64_t sigma2 = (int64_t)sigma * sigma;
-    const int64_t weight = (UNIT_WEIGHT * noise2 + sigma2 / 2) / sigma2;
+    const int64_t weight = (TL_CONFIRM_WEIGHT * noise2 + sigma2 / 2) / sigma2;
     return weight < 1 ? 1 : (weight > 64 ? 64 : (int32_t)weight);
 }
 
@@ -505,7 +362,8 @@ static int32_t weight_of(const tl_onset_config_t *config, tl_px_q12_t sigma) {
 static void fade(tl_onset_detector_t *d) {
     const tl_onset_sums_t window = window_sums(d);
     const tl_onset_sums_t old = tl_hinge_without(&d->all, &window);
-    const tl_onset_sums_t half = {.w = old.w / 2, .u = old.u / 2, .v = old.v / 2, .yy = old.yy / 2, .n = old.n / 2};
+    const tl_onset_sums_t half = {
+        .w = old.w / 2, .u = old.u / 2, .v = old.v / 2, .yy = old.yy / 2, .n = old.n / 2};
     d->all = tl_hinge_without(&d->all, &half);
 }
 
@@ -552,7 +410,8 @@ bool tl_onset_sample(tl_onset_detector_t *detector, const tl_history_t *history,
         return told;
     }
     d->seen_us = scene_us;
-    const tl_onset_sample_t sample = {q, marker->u, marker->v, (uint32_t)scene_us, weight_of(&d->config, marker->sigma)};
+    const tl_onset_sample_t sample = {q, marker->u, marker->v, (uint32_t)scene_us,
+                                      weight_of(&d->config, marker->sigma)};
     if (d->phase == FOLLOWING) {
         take(d, &sample);
         return told;
@@ -572,14 +431,14 @@ bool tl_onset_sample(tl_onset_detector_t *detector, const tl_history_t *history,
     if (d->reversal.frames < UINT16_MAX) {
         d->reversal.frames++;
     }
-    evaluation_t e;
-    if (told || !glance(d) || !evaluate(d, &e)) {
+    tl_confirm_t e;
+    if (told || !tl_confirm_glance(d) || !tl_confirm_evaluate(d, &e)) {
         d->settled = false;
         return told;
     }
     // Twice in a row: a finish on the first chance would prefer those whose knot noise has moved forward.
     const bool before = d->settled;
-    d->settled = e.confirmed && !may_improve(d, &e);
+    d->settled = e.confirmed && !tl_confirm_may_improve(d, &e);
     if (!before || !d->settled) {
         return false;
     }
@@ -587,7 +446,8 @@ bool tl_onset_sample(tl_onset_detector_t *detector, const tl_history_t *history,
     return true;
 }
 
-bool tl_onset_poll(tl_onset_detector_t *detector, const tl_history_t *history, tl_us_t now_us, tl_onset_t *onset) {
+bool tl_onset_poll(tl_onset_detector_t *detector, const tl_history_t *history, tl_us_t now_us,
+                   tl_onset_t *onset) {
     tl_onset_detector_t *d = detector;
     if (now_us < (tl_us_t)d->config.delay_us + POLL_LAG_US) {
         return false;

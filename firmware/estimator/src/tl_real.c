@@ -20,7 +20,13 @@ tl_real_t tl_real(int64_t value, int32_t e) {
     return (tl_real_t){value < 0 ? -(int32_t)magnitude : (int32_t)magnitude, e};
 }
 
-tl_real_t tl_real_mul(tl_real_t a, tl_real_t b) { return tl_real((int64_t)a.m * b.m, a.e + b.e); }
+tl_real_t tl_real_mul(tl_real_t a, tl_real_t b) {
+    return tl_real((int64_t)a.m * b.m, a.e + b.e);
+}
+
+tl_real_t tl_real_square(tl_real_t a) {
+    return tl_real_mul(a, a);
+}
 
 tl_real_t tl_real_div(tl_real_t a, tl_real_t b) {
     if (b.m == 0) {
@@ -42,9 +48,13 @@ tl_real_t tl_real_add(tl_real_t a, tl_real_t b) {
     return tl_real((int64_t)a.m * ((int64_t)1 << 30) + (int64_t)b.m * ((int64_t)1 << (30 - shift)), a.e - 30);
 }
 
-tl_real_t tl_real_neg(tl_real_t a) { return (tl_real_t){-a.m, a.e}; }
+tl_real_t tl_real_neg(tl_real_t a) {
+    return (tl_real_t){-a.m, a.e};
+}
 
-bool tl_real_less(tl_real_t a, tl_real_t b) { return tl_real_add(a, tl_real_neg(b)).m < 0; }
+bool tl_real_less(tl_real_t a, tl_real_t b) {
+    return tl_real_add(a, tl_real_neg(b)).m < 0;
+}
 
 tl_real_t tl_real_sqrt(tl_real_t a) {
     if (a.m <= 0) {

@@ -1,5 +1,6 @@
-/// Numbers with a wide range for the few statistics of an onset: mantissa times a power of two, 31 significant bits.
-/// For once-a-frame work only: an operation is some tens of cycles, a division one 64-bit division. Private.
+/// Numbers with a wide range for the few statistics of an onset: mantissa times a power of two, 31
+/// significant bits. For once-a-frame work only: an operation is some tens of cycles, a division one 64-bit
+/// division. Private.
 #ifndef TAUTLINE_TL_REAL_H
 #define TAUTLINE_TL_REAL_H
 
@@ -18,6 +19,7 @@ tl_real_t tl_real(int64_t value, int32_t e);
 tl_real_t tl_real_add(tl_real_t a, tl_real_t b);
 tl_real_t tl_real_neg(tl_real_t a);
 tl_real_t tl_real_mul(tl_real_t a, tl_real_t b);
+tl_real_t tl_real_square(tl_real_t a);
 
 /// b = 0 gives a number larger than any other here.
 tl_real_t tl_real_div(tl_real_t a, tl_real_t b);

@@ -1,12 +1,14 @@
 /// Encoder history of one axis: where the motor was at any time within the last half second.
 ///
-/// A frame arrives t_delay after the scene that it shows, so the motor position that belongs to it lies in the past.
-/// tl_history_push() is called by the control loop on each of its ticks, at 1 kHz or faster; positions are kept at
-/// whole milliseconds since the first push (linearly interpolated where the tick rate is no multiple of 1 kHz) and
-/// read back with linear interpolation between milliseconds.
+/// A frame arrives t_delay after the scene that it shows, so the motor position that belongs to it lies in
+/// the past. tl_history_push() is called by the control loop on each of its ticks, at 1 kHz or faster;
+/// positions are kept at whole milliseconds since the first push (linearly interpolated where the tick rate
+/// is no multiple of 1 kHz) and read back with linear interpolation between milliseconds.
 ///
-/// Thread model: one writer, any readers. The writer may interrupt a reader (a timer interrupt on the same core), never
-/// the other way round. Nothing blocks. For readers on another core, hold the control loop's lock around the read.
+/// Thread model: one writer, any readers. The writer may interrupt a reader (a timer interrupt on the same
+/// core), never the other way round. Nothing blocks. For a reader on another core, hold the control loop's
+/// lock around it.
+///
 /// Memory: 2 kB for each axis. Errors: a status, never an invented position.
 #ifndef TAUTLINE_TL_HISTORY_H
 #define TAUTLINE_TL_HISTORY_H
@@ -19,7 +21,7 @@ extern "C" {
 
 #define TL_HISTORY_STEP_US 1000U ///< spacing of what is kept
 #define TL_HISTORY_SPAN_MS 500U  ///< readable into the past from the newest push
-#define TL_HISTORY_SIZE    512U  ///< ring entries; beyond the span, so that a reader is never overtaken within 10 ms
+#define TL_HISTORY_SIZE    512U  ///< ring entries; the rest keeps a reader from being overtaken for 10 ms
 #define TL_HISTORY_GAP_MS  16U   ///< a longer pause between two pushes starts the history afresh
 
 typedef enum {
@@ -31,8 +33,8 @@ typedef enum {
 /// Fields are the module's own.
 typedef struct {
     tl_count_q8_t q[TL_HISTORY_SIZE];
-    tl_us_t grid_us;         ///< time of the newest ring entry
-    tl_us_t pushed_us;       ///< time of the newest push
+    tl_us_t grid_us;   ///< time of the newest ring entry
+    tl_us_t pushed_us; ///< time of the newest push
     tl_count_q8_t pushed_q;
     uint32_t kept;           ///< entries that may be read, at most TL_HISTORY_SPAN_MS + 2
     volatile uint32_t count; ///< ring entries written; its change tells a reader that a push came between
@@ -41,9 +43,10 @@ typedef struct {
 /// Empties the history. Not while a push or a read is under way.
 void tl_history_init(tl_history_t *history);
 
-/// Notes that the motor is at `q` at `t_us`. Times must rise: a push that does not is ignored; after a pause longer than
-/// TL_HISTORY_GAP_MS everything before is forgotten. Cost: a few compares; at each whole millisecond one store, and two
-/// 32-bit divisions where `t_us` is not whole; at most TL_HISTORY_GAP_MS of those after a pause. No 64-bit product.
+/// Notes that the motor is at `q` at `t_us`. Times must rise: a push that does not is ignored; after a pause
+/// longer than TL_HISTORY_GAP_MS everything before is forgotten. Cost: a few compares; at each whole
+/// millisecond one store, and two 32-bit divisions where `t_us` is not whole; at most TL_HISTORY_GAP_MS of
+/// those after a pause. No 64-bit product.
 void tl_history_push(tl_history_t *history, tl_us_t t_us, tl_count_q8_t q);
 
 /// The motor's position at `t_us`, rounded to 1/256 count, into `*q` (untouched unless TL_HISTORY_OK).

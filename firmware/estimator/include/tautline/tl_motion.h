@@ -1,24 +1,33 @@
-/// Calibration motion of one axis: back and forth on a ramp over the whole range (paper, III-B), every speed out and back.
+/// Calibration motion of one axis: back and forth on a ramp over the whole range (paper, III-B), each speed
+/// out and back.
 ///
-/// A pass goes from one end of the range to the other, with `cycles` turning points on the way. At each it goes back until
-/// the onset of that reversal is confirmed, turns again and goes on until the onset of this one is confirmed too; then it
-/// travels to the next turning point, at `transit` speed but for the last `approach` before the turn. All else is at the
-/// pass's measuring speed, so image stop and image start are seen at the same speed. After each onset the axis goes on by
-/// `approach` or more, so every reversal begins on an envelope; before the first one it makes sure of that by a stroke of
-/// `stroke_max`. The turning points are spread evenly between the pass's first onset and its far end, so that those of the
-/// two directions together cover all the range where B can be seen. A reversal with no onset ends after `stroke_max` and
-/// the motion goes on.
+/// A pass goes from one end of the range to the other, with `cycles` turning points on the way. At each it
+/// goes back until the onset of that reversal is confirmed, turns again and goes on until the onset of this
+/// one is confirmed too; then it travels to the next turning point, at `transit` speed but for the last
+/// `approach` before the turn. All else is at the pass's measuring speed, so image stop and image start are
+/// seen at the same speed. After each onset the axis goes on by `approach` or more, so every reversal begins
+/// on an envelope; before the first one it makes sure of that by a stroke of `stroke_max`. The turning points
+/// are spread evenly between the pass's first onset and its far end, and those of the pass back lie so that
+/// the middles of all strokes interleave over all of the range where B can be seen. A reversal with no onset
+/// ends after `stroke_max` and the motion goes on.
 ///
-/// Reversals: 4 cycles + 2 for each speed. Time, reference rig (10 mm, 0.35 mm/s, width 0.7 mm): about 2.6 s a reversal.
+/// Reversals: 4 cycles + 2 for each speed. Time, reference rig (10 mm, 0.35 mm/s, width 0.7 mm): 2.6 s a
+/// reversal.
 ///
 /// Use: tl_motion_start(), then tl_motion_tick() on every control tick; its output is the servo's reference.
-/// tl_motion_onset() when a reversal of the detector has `started`, tl_motion_frame() for every frame that the host sent; without frames
-/// for `host_timeout_us` the axis comes to rest and the state says TL_MOTION_HOST_LOST. tl_motion_stop() at any time.
-/// The position never leaves the range (or, begun outside it, what lies between start and range); the speed is never
-/// above `transit`, its change never above `acceleration`; from any state the axis comes to rest within v^2 / 2a.
+/// Call tl_motion_onset() when a reversal of the detector has `started`, tl_motion_frame() for every frame of
+/// the host: without frames for `host_timeout_us` the axis comes to rest and the state says
+/// TL_MOTION_HOST_LOST. tl_motion_stop() at any time.
 ///
-/// Thread model: calls for one motion must not interrupt each other: make them all in the control loop, or mask it.
-/// Cost of a tick: bounded; some ten 64-bit additions and six 64-bit products at most; no division.
+/// Limits: the position never leaves the range (or, begun outside it, what lies between start and range); the
+/// speed is never above `transit`, its change never above `acceleration`; from any state it comes to rest
+/// within v^2 / 2a.
+///
+/// Thread model: calls for one motion must not interrupt each other: make them in the control loop, or mask
+/// it.
+///
+/// Cost of a tick: bounded; some ten 64-bit additions and at most ten 64-bit products; no division.
+///
 /// Memory: 200 bytes. Errors: tl_motion_start() refuses with a reason.
 #ifndef TAUTLINE_TL_MOTION_H
 #define TAUTLINE_TL_MOTION_H
@@ -42,8 +51,8 @@ typedef enum {
 
 typedef enum {
     TL_MOTION_OK = 0,
-    TL_MOTION_BAD_RANGE,        ///< high - low must exceed 2 stroke_max; both, and the start, within +-4 M counts
-    TL_MOTION_BAD_SPEED,        ///< 1 to TL_MOTION_SPEEDS speeds, each at least 1/4 count/s and at most transit
+    TL_MOTION_BAD_RANGE, ///< high - low must exceed 2 stroke_max; both, and the start, within +-4 M counts
+    TL_MOTION_BAD_SPEED, ///< 1 to TL_MOTION_SPEEDS speeds, each at least 1/4 count/s and at most transit
     TL_MOTION_BAD_ACCELERATION, ///< below resolution, or too small to stop from transit within stroke_max
     TL_MOTION_BAD_STROKE,       ///< approach at least 1 count, stroke_max at least 2 approach
     TL_MOTION_BAD_CYCLES,       ///< 1 to 100
@@ -55,8 +64,8 @@ typedef struct {
     tl_count_q8_t low, high;         ///< range to cover
     int32_t speed[TL_MOTION_SPEEDS]; ///< measuring speeds, a pass out and one back each
     uint8_t speed_count;
-    uint8_t cycles;           ///< turning points of a pass
-    int32_t transit;          ///< speed of moves that measure nothing
+    uint8_t cycles;  ///< turning points of a pass
+    int32_t transit; ///< speed of moves that measure nothing
     int32_t acceleration;
     tl_count_q8_t approach;   ///< travelled at measuring speed on the envelope before each turn
     tl_count_q8_t stroke_max; ///< a reversal without onset ends here; more than any backlash
@@ -64,25 +73,26 @@ typedef struct {
     uint32_t rate_hz;         ///< of tl_motion_tick()
 } tl_motion_config_t;
 
-/// All zero: idle. Fields are the module's own. Positions counts Q32, speeds counts/tick Q32, all speeds without sign.
+/// All zero: idle. Fields are the module's own. Positions counts Q32, speeds counts/tick Q32, all speeds
+/// without sign.
 typedef struct {
     tl_motion_config_t config;
     int64_t position;
-    int64_t target; ///< end of this leg
-    int64_t began;  ///< where this leg began
-    int64_t speed;  ///< along `direction`
+    int64_t target;       ///< end of this leg
+    int64_t began;        ///< where this leg began
+    int64_t speed;        ///< along `direction`
     int64_t acceleration; ///< counts/tick^2 Q32
     int64_t transit;
     int64_t measuring[TL_MOTION_SPEEDS];
     int64_t first;            ///< where the first turning point of this pass could have been
     int64_t half_step;        ///< half the distance of this pass's turning points
     uint32_t half_step_share; ///< of the way from `first` to the far end, Q32
-    uint32_t steps;           ///< ticks that braking takes: (steps - 1) acceleration < speed <= steps acceleration
+    uint32_t steps; ///< ticks that braking takes: (steps - 1) acceleration < speed <= steps acceleration
     uint32_t measuring_steps[TL_MOTION_SPEEDS]; ///< the same at each measuring speed
-    uint32_t quiet_ticks;     ///< since the last frame
+    uint32_t quiet_ticks;                       ///< since the last frame
     uint32_t timeout_ticks;
-    uint8_t pass, leg;      ///< legs of a pass begin with a reversal; even ones go forward
-    int8_t direction;       ///< of this leg
+    uint8_t pass, leg; ///< legs of a pass begin with a reversal; even ones go forward
+    int8_t direction;  ///< of this leg
     uint8_t phase;
     uint8_t state, ends_as; ///< tl_motion_state_t, now and once at rest
 } tl_motion_t;
@@ -100,8 +110,8 @@ tl_motion_error_t tl_motion_start(tl_motion_t *motion, const tl_motion_config_t 
 /// One control tick on. Also valid when not running: the reference rests. Before any start it is 0.
 tl_motion_reference_t tl_motion_tick(tl_motion_t *motion);
 
-/// The image has started after the reversal into `direction` (sign of dq). Ignored unless that is the reversal under way:
-/// a late message does no harm.
+/// The image has started after the reversal into `direction` (sign of dq). Ignored unless that is the
+/// reversal under way: a late message does no harm.
 void tl_motion_onset(tl_motion_t *motion, int8_t direction);
 
 /// The host has sent a frame, with or without a marker.

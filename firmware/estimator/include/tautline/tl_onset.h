@@ -1,22 +1,37 @@
-/// Onset detector of one axis: the width of the backlash at each reversal, from marker samples and the encoder history.
+/// Onset detector of one axis: the width of the backlash at each reversal, from marker samples and the
+/// encoder history.
 ///
-/// After a reversal at motor position q1 the image stands still until the backlash is crossed at q2; the width there is
-/// B((q1 + q2) / 2) = |q2 - q1| (paper, eq. 1). Both edges are knots of the image position as a function of the motor
-/// position at scene time (arrival - t_delay), not of time, so the motion needs no constant speed:
-///   image stop   the line of the approach meets the level; beyond q1 by what t_delay is wrong times the speed
-///   image start  level, then level + slope (q - q2): the least-squares hinge, a fraction of a frame fine
-/// The slope is a vector in the image; nothing is assumed about its direction. Noise is estimated in place, from the
-/// stated sigma of the samples at first and more and more from the still image itself.
+/// After a reversal at motor position q1 the image stands still until the backlash is crossed at q2; the
+/// width there is B((q1 + q2) / 2) = |q2 - q1| (paper, eq. 1). Both edges are knots of the image position as
+/// a function of the motor position at scene time (arrival - t_delay), not of time, so the motion needs no
+/// constant speed:
 ///
-/// An onset is confirmed when the generalised likelihood ratio of hinge against standstill, its noise unknown, passes
-/// `threshold` (false alarms: see there), and then as soon as its sigma is `sigma_wanted`, or `frames_max` frames were
-/// seen, or more frames would cost more by the curvature of the image's path than they gain.
+/// - image stop: where the line of the approach meets the level. Beyond q1 it lies by speed times what
+/// t_delay is wrong.
+/// - image start: level, then level + slope (q - q2): the least-squares hinge, to a fraction of a frame.
 ///
-/// Use: tl_onset_sample() for every frame, also for those without a marker; tl_onset_poll() at 10 Hz or faster, for
-/// time-outs when no frames come. Each returns true when a reversal is finished and `*onset` was written. Thread model:
-/// all calls for one detector from one thread, below the control loop; the control loop only pushes the history.
-/// Memory: 1.3 kB for each axis. Cost: bounded for every call: it walks the history entries since the last sample (at
-/// most 500) and scans the window once, TL_ONSET_WINDOW candidate knots with one 64-bit division each.
+/// The slope is a vector in the image; nothing is assumed about its direction. Noise is estimated in place:
+/// the stated one serves until a still image was seen. Where the image jumps at the onset by more than it
+/// moves in a frame, the two frames around the jump bracket q2.
+///
+/// An onset is confirmed when the generalised likelihood ratio of hinge against standstill, noise unknown,
+/// passes `threshold`. The reversal is finished when its sigma is `sigma_wanted`, or `frames_max` frames were
+/// seen after the knot, or more frames would cost more by the curvature of the image's path than they gain;
+/// and still so a frame later.
+///
+/// Use: tl_onset_sample() for every frame, also for those without a marker; tl_onset_poll() at 10 Hz or
+/// faster, for time-outs when no frames come. Each returns true when a reversal is finished and `*onset` was
+/// written.
+///
+/// Thread model: all calls for one detector from one thread, below the control loop; that only pushes the
+/// history.
+///
+/// Memory: 1.6 kB for each axis, 0.6 kB of stack.
+///
+/// Cost: bounded for every call. It walks the history since the last frame (an entry a millisecond, at most
+/// 500) and the last `frames_max` + 2 samples once; near a confirmation up to four times, then with some 30
+/// 64-bit divisions a sample.
+///
 /// Errors: a reason in the result. No call fails.
 #ifndef TAUTLINE_TL_ONSET_H
 #define TAUTLINE_TL_ONSET_H
@@ -28,10 +43,10 @@ extern "C" {
 #endif
 
 #ifndef TL_ONSET_WINDOW
-#define TL_ONSET_WINDOW 64 ///< samples after a turn that may still hold the knot; older ones are merged into the level
+#define TL_ONSET_WINDOW 64 ///< samples that are kept: those that may still hold the knot, and the approach
 #endif
-#if TL_ONSET_WINDOW < 16 || TL_ONSET_WINDOW > 64
-#error "TL_ONSET_WINDOW must be 16 to 64: fewer hide slow onsets, more overflow the 64-bit sums"
+#if TL_ONSET_WINDOW < 40 || TL_ONSET_WINDOW > 64
+#error "TL_ONSET_WINDOW must be 40 to 64: fewer hide slow onsets, more overflow the 64-bit sums"
 #endif
 #define TL_ONSET_APPROACH 16 ///< samples before a turn that the line of the approach is made of, at most
 
@@ -39,13 +54,15 @@ extern "C" {
 
 typedef enum {
     TL_ONSET_USED = 0,
-    TL_ONSET_NOT_ON_ENVELOPE, ///< the image did not move before the turn: the backlash was not entered from its edge
+    TL_ONSET_NOT_ON_ENVELOPE, ///< the image did not move before the turn: the backlash was not entered from
+                              ///< its edge
     TL_ONSET_NO_START,        ///< the stroke ended before the image moved: width is a lower bound
     TL_ONSET_OTHER_MOTION,    ///< another degree of freedom moved during the reversal
     TL_ONSET_MARKER_LOST,     ///< the marker was away for longer than lost_us during the reversal
     TL_ONSET_TIMED_OUT,       ///< neither an onset nor a turn within timeout_us
     TL_ONSET_TOO_FEW_SAMPLES, ///< fewer than two frames on the level, or than frames_min after the knot
-    TL_ONSET_SLOPE_TOO_SMALL, ///< the image moves too little for its noise (near the straight pose): sigma > sigma_usable
+    TL_ONSET_SLOPE_TOO_SMALL, ///< the image moves too little for its noise (near the straight pose): sigma >
+                              ///< sigma_usable
 } tl_onset_reason_t;
 
 /// One reversal. Positions and widths in Q8 counts; a sigma is one standard deviation.
@@ -58,14 +75,14 @@ typedef struct {
     tl_count_q8_t sigma;      ///< of width, TL_ONSET_UNKNOWN without an image start
     tl_count_q8_t stop;       ///< how far beyond q1, along the approach, the image stopped; TL_ONSET_UNKNOWN
     tl_count_q8_t sigma_stop; ///< of stop, TL_ONSET_UNKNOWN
-    int32_t speed_stop;       ///< |dq/dt| on the approach, Q8 counts/s: stop / speed_stop is true - nominal t_delay
-    int32_t speed_start;      ///< |dq/dt| across the image start, Q8 counts/s
-    int32_t slope;            ///< |d(image)/dq| after the start, px Q12 for 256 counts
-    tl_px_q12_t noise;        ///< of the marker, each coordinate, as measured so far
-    int8_t direction;         ///< sign of dq after the turn
-    uint8_t reason;           ///< tl_onset_reason_t; TL_ONSET_USED: it counts
-    bool started;             ///< the image was seen to start: the tip follows again, the stroke may end
-    uint16_t frames;          ///< valid samples between the turn and the end of the reversal
+    int32_t speed_stop; ///< |dq/dt| on the approach, Q8 counts/s: stop / speed_stop is true - nominal t_delay
+    int32_t speed_start; ///< |dq/dt| across the image start, Q8 counts/s
+    int32_t slope;       ///< |d(image)/dq| after the start, px Q12 for 256 counts
+    tl_px_q12_t noise;   ///< of the marker, each coordinate, as measured so far
+    int8_t direction;    ///< sign of dq after the turn
+    uint8_t reason;      ///< tl_onset_reason_t; TL_ONSET_USED: it counts
+    bool started;        ///< the image was seen to start: the tip follows again, the stroke may end
+    uint16_t frames;     ///< valid samples between the turn and the end of the reversal
 } tl_onset_t;
 
 /// One frame's marker.
@@ -77,20 +94,23 @@ typedef struct {
     bool other_motion;  ///< translation or rotation moved, or the scene did: this reversal does not count
 } tl_marker_t;
 
-/// tl_onset_defaults() fills it in; speeds and lengths there suit the reference rig (0.001 mm a count, 25 Hz).
+/// tl_onset_defaults() fills it in; speeds and lengths there suit the reference rig (0.001 mm a count, 25
+/// Hz).
 typedef struct {
-    uint32_t delay_us;          ///< nominal t_delay, 0 to 400000; 80000
-    uint32_t guard_us;          ///< t_delay's uncertainty: frames this close after a turn are in neither line; 20000
-    uint32_t lost_us;           ///< a marker away for longer spoils the reversal; 400000
-    uint32_t timeout_us;        ///< longest time from a turn to its onset; 30000000
-    tl_count_q8_t turn;         ///< a retreat from the extreme by this much is a turn; 4 counts
+    uint32_t delay_us;   ///< nominal t_delay, 0 to 400000; 80000
+    uint32_t guard_us;   ///< t_delay's uncertainty: frames this close after a turn are in neither line; 20000
+    uint32_t lost_us;    ///< a marker away for longer spoils the reversal; 400000
+    uint32_t timeout_us; ///< longest time from a turn to its onset; 30000000
+    tl_count_q8_t turn;  ///< a retreat from the extreme by this much is a turn; 4 counts
     tl_count_q8_t sigma_wanted; ///< an onset as good as this is finished; 1.5 counts
     tl_count_q8_t sigma_usable; ///< one worse than this is not used; 25 counts
     tl_px_q12_t noise_px;       ///< marker noise to begin with where a sample states none; 0.1 px
-    uint32_t curvature;         ///< relative change of slope along the path, 1/2^20 for a count; 400 is 0.38/mm at 1 um
-    uint16_t threshold;         ///< likelihood ratio (2 ln) that confirms, Q4; 24: fewer than 1e-4 false alarms in 200 frames
-    uint8_t frames_min;         ///< fewest frames after the knot, 3 or more; 4
-    uint8_t frames_max;         ///< frames after the knot that end a reversal in any case, < TL_ONSET_WINDOW - 1; 32
+    uint32_t
+        curvature; ///< relative change of slope along the path, 1/2^20 for a count; 400 is 0.38/mm at 1 um
+    uint16_t threshold; ///< likelihood ratio (2 ln) that confirms, Q4; 24: fewer than 1e-4 false alarms in
+                        ///< 200 frames
+    uint8_t frames_min; ///< fewest frames after the knot, 3 or more; 4
+    uint8_t frames_max; ///< frames after the knot that end a reversal in any case, < TL_ONSET_WINDOW - 1; 32
 } tl_onset_config_t;
 
 typedef struct {
@@ -100,7 +120,8 @@ typedef struct {
     int32_t weight; ///< 16 (noise_px / sigma)^2, 1 to 64
 } tl_onset_sample_t;
 
-/// Weighted sums of a straight line, image position over motor position. Positions from the reversal's references.
+/// Weighted sums of a straight line, image position over motor position. Positions from the reversal's
+/// references.
 typedef struct {
     int64_t w, x, xx, u, v, xu, xv, yy;
     int32_t n;
@@ -109,18 +130,18 @@ typedef struct {
 /// Fields are the module's own, but `ignored`, `lost` and `missed` may be read as counters.
 typedef struct {
     tl_onset_config_t config;
-    tl_us_t arrival_us; ///< of the last frame
-    tl_us_t scanned_us; ///< the motor's turns are known up to here
-    tl_us_t seen_us;    ///< scene time of the last valid sample
-    tl_us_t extreme_us; ///< when the motor was last at `extreme`
-    tl_count_q8_t extreme; ///< farthest position along `direction`
+    tl_us_t arrival_us;     ///< of the last frame
+    tl_us_t scanned_us;     ///< the motor's turns are known up to here
+    tl_us_t seen_us;        ///< scene time of the last valid sample
+    tl_us_t extreme_us;     ///< when the motor was last at `extreme`
+    tl_count_q8_t extreme;  ///< farthest position along `direction`
     tl_count_q8_t opposite; ///< before the first direction is known: the other end of where the motor was
-    int8_t direction;   ///< of the motor, 0 until it has moved
+    int8_t direction;       ///< of the motor, 0 until it has moved
     uint8_t phase;
-    bool placed;        ///< `extreme` and `opposite` hold a position
-    bool on_envelope;   ///< an image start was seen since the last turn: the tip follows
-    bool entered;       ///< the reversal under way began on an envelope
-    bool settled;       ///< the last frame had nothing to wait for
+    bool placed;          ///< `extreme` and `opposite` hold a position
+    bool on_envelope;     ///< an image start was seen since the last turn: the tip follows
+    bool entered;         ///< the reversal under way began on an envelope
+    bool settled;         ///< the last frame had nothing to wait for
     uint8_t oldest, held; ///< ring of samples
     tl_onset_sample_t window[TL_ONSET_WINDOW];
     tl_px_q12_t reference_u, reference_v;
@@ -128,9 +149,9 @@ typedef struct {
     tl_onset_sums_t approach; ///< the line before the turn, x in 2^approach_scale Q8 counts from q1
     int32_t approach_scale;
     tl_count_q8_t approach_span;
-    int64_t noise_sum;        ///< weighted squared residuals, Q16 px^2
+    int64_t noise_sum; ///< weighted squared residuals, Q16 px^2
     int32_t noise_dof;
-    bool noise_measured;      ///< no longer the stated one
+    bool noise_measured; ///< no longer the stated one
     tl_onset_t reversal; ///< the one under way: what the turn and the approach gave
     uint32_t ignored;    ///< frames whose time did not rise
     uint32_t lost;       ///< frames without a marker, or older than the history
@@ -147,7 +168,8 @@ bool tl_onset_sample(tl_onset_detector_t *detector, const tl_history_t *history,
                      tl_onset_t *onset);
 
 /// Ends a reversal whose time is out or whose frames no longer come. True as above.
-bool tl_onset_poll(tl_onset_detector_t *detector, const tl_history_t *history, tl_us_t now_us, tl_onset_t *onset);
+bool tl_onset_poll(tl_onset_detector_t *detector, const tl_history_t *history, tl_us_t now_us,
+                   tl_onset_t *onset);
 
 #ifdef __cplusplus
 }
