@@ -7,7 +7,7 @@ import errno
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -238,10 +238,18 @@ class Board:
 
     def tell(self, name: str, **values: Any) -> None:
         """Sends a message that has no answer; a refusal shows up in `refused`."""
-        sequence = self._next()
-        self._told[sequence] = name
-        self._told.pop((sequence - 1000) & 0xFFFF, None)
-        self._write(wire.encode(name, sequence, **values))
+        self.tell_all(name, [values])
+
+    def tell_all(self, name: str, rows: Sequence[Mapping[str, Any]]) -> None:
+        """Several such messages in one transfer."""
+        frames = []
+        for values in rows:
+            sequence = self._next()
+            self._told[sequence] = name
+            self._told.pop((sequence - 1000) & 0xFFFF, None)
+            frames.append(wire.encode(name, sequence, **values))
+        if frames:
+            self._write(b"".join(frames))
 
     def ask(self, name: str, timeout_s: float = _ANSWER_S, **values: Any) -> wire.Message:
         """Sends a request and gives its answer; BoardRefused where that is an error."""

@@ -27,7 +27,9 @@ FULL = COMPENSATIONS["full"]
 SET_POINT_HZ = 250.0
 _AHEAD_S = 0.1  # set-points are sent so long before they hold
 _SILENCE_S = 0.5
+_STEP_S = 0.06
 _SETTLE_S = 0.25
+_LEAD_SHARE = 0.15  # of the range per second: the move to where a trajectory begins
 _MARGIN = 0.06  # of the range of c, left free at either end by the built-in shapes
 _DEG, _COUNT = 65536.0, 256.0  # set_point's value has no scale of its own: it is what `follow` says
 
@@ -113,8 +115,8 @@ def follow(
         board.ask("follow", axis=axis, target=int(tip), compensation=compensation, silence_us=silence_us)
         status = board.status(axis)
         here = status.c_ref if tip else status.q_ref * live.resolution
-        speed = max(float(np.abs(np.diff(value) / np.diff(t_s)).max()), 1e-6)
-        lead = max(abs(value[0] - here) / (0.5 * speed), 0.2)
+        span = np.ptp(coarse_range_deg(live.rig)) if tip else live.rig.actuator.span
+        lead = max(abs(value[0] - here) / (_LEAD_SHARE * span), 0.2)
         plan_t = np.concatenate([[0.0, lead], lead + _SETTLE_S + (t_s - t_s[0])])
         grid = np.arange(0.0, plan_t[-1] + _SETTLE_S, 1.0 / SET_POINT_HZ)
         plan = np.interp(grid, plan_t, np.concatenate([[here, value[0]], value]))
@@ -122,10 +124,10 @@ def follow(
         sent = 0
         while sent < len(grid):
             horizon = (live.now_us() - start_us) * 1e-6 + _AHEAD_S
-            while sent < len(grid) and grid[sent] <= horizon:
-                at_us = start_us + round(grid[sent] * 1e6)
-                board.tell("set_point", axis=axis, value=round(plan[sent] * scale), at_us=at_us)
-                sent += 1
+            due = int(np.searchsorted(grid, horizon, side="right"))
+            points = zip(np.rint(plan[sent:due] * scale), np.rint(start_us + grid[sent:due] * 1e6), strict=True)
+            board.tell_all("set_point", [{"axis": axis, "value": int(v), "at_us": int(t)} for v, t in points])
+            sent = max(due, sent)
             _step(live, seen)
             _check(live)
             if progress:
@@ -140,7 +142,7 @@ def _step(live: Live, seen: Callable[[Frame], None] | None) -> None:
     if live.eye is not None and seen is not None:
         seen(live.look())
     else:
-        live.wait(0.02)
+        live.wait(_STEP_S)
 
 
 def _check(live: Live) -> None:
@@ -194,7 +196,7 @@ def follow_run(
             tip=has_tables,
             compensation=COMPENSATIONS[compensation],
             strength=strength,
-            seen=seen,
+            seen=seen if recorder is not None or live.plant is None else None,
             progress=progress,
         )
         plan = sent if has_tables else coarse.gain * sent + coarse.offset

@@ -30,6 +30,7 @@ from tautline.timing import FrameTiming
 
 Array = np.ndarray
 _STEP_S = 0.02
+_SLICE_S = 0.1  # of virtual time, between which the board's telemetry is taken in
 
 
 @dataclass(frozen=True)
@@ -140,7 +141,7 @@ class Live:
             return
         end = self.plant.now_s + seconds
         while self.plant.now_s < end - 1e-9:
-            self.plant.advance_to(min(self.plant.now_s + _STEP_S, end))
+            self.plant.advance_to(min(self.plant.now_s + _SLICE_S, end))
             self._take_in()
 
     def _take_in(self) -> None:

@@ -56,7 +56,7 @@ def test_ten_times_smaller_with_what_a_live_calibration_measured(bench: Bench, t
     with bench.open() as board:
         plant = Plant(bench.sim, instrument)
         live = Live(board, instrument.rig, 0, PointEye(plant), plant)
-        found, _ = calibrate_live(live, tmp_path / "rec", MotionOptions(cycles=8, speeds=(0.7,)))
+        found, _ = calibrate_live(live, tmp_path / "rec", MotionOptions(cycles=6, speeds=(1.0,)))
         live.eye = None
         for shape in ("trapezoids", "smooth"):
             runs = {

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import Bench
 from test_tables import blob
 
+from conftest import Bench
 from tautline import wire
 from tautline.board import Board, BoardRefused
 

@@ -1,0 +1,5 @@
+"""`python -m tautline` is `taut`."""
+
+from tautline.cli import main
+
+main()

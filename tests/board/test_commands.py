@@ -1,0 +1,148 @@
+"""The commands that use a board, as a user calls them."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from test_tables import model
+
+from conftest import Bench
+from tautline import tables, wire
+from tautline.cli import taut
+from tautline.errors import TautError
+from tautline.model import Model
+from tautline.recording import load
+from tautline.simlink import DesktopBoard
+
+EXAMPLES = Path(__file__).parents[2] / "tools" / "examples"
+
+
+def run(*arguments: str, board: str | None = None, stdin: str | None = None) -> Any:
+    """The JSON that a command prints."""
+    environment = {"TAUTLINE_BOARD": board} if board else {}
+    done = CliRunner().invoke(taut, [*arguments, "--json"], env=environment, input=stdin, standalone_mode=False)
+    if done.exception is not None:
+        raise done.exception
+    return json.loads(done.stdout)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A model's folder."""
+    model().save(tmp_path / "model")
+    return tmp_path / "model"
+
+
+def test_flash_reads_back_and_boards_shows_the_model(bench: Bench, folder: Path) -> None:
+    flashed = run("flash", str(folder), "--board", bench.where, "--axis", "1")
+    assert flashed["verified"] and flashed["axis"] == 1
+    assert flashed["model_id"] == tables.model_id(Model.load(folder)).hex()
+    (row,) = [row for row in run("boards", board=bench.where)["boards"] if row["board"] == bench.where]
+    assert row["axes"][1]["model_id"] == flashed["model_id"] and row["axes"][0]["model_id"] is None
+    assert (
+        row["serial"] and row["firmware"].count(".") == 2 and row["protocol"] == f"{wire.wire.MAJOR}.{wire.wire.MINOR}"
+    )
+    with bench.open():
+        (row,) = [row for row in run("boards", "--board", bench.where)["boards"] if row["board"] == bench.where]
+        assert row["busy"]
+    state = run("monitor", board=bench.where)
+    assert len(state["axes"]) >= 2 and state["counters"]["telemetry_dropped"] == 0
+
+
+def test_boards_that_are_not_there(folder: Path) -> None:
+    with pytest.raises(TautError, match="no USB/IP server answers"):
+        run("flash", str(folder), "--board", "usbip:127.0.0.1:1")
+    with pytest.raises(TautError, match="expected usbip:HOST:PORT"):
+        run("boards", "--board", "usbip:nonsense")
+    with pytest.raises(TautError, match="no board 'NOT-HERE' was found"):
+        run("boards", "--board", "NOT-HERE")
+
+
+def test_follow_a_file_with_and_without_compensation(folder: Path, tmp_path: Path) -> None:
+    t = np.arange(0.0, 8.0, 0.01)
+    rows = np.column_stack([t, 15.0 * np.sin(2 * np.pi * t / 4.0)])
+    np.savetxt(tmp_path / "path.csv", rows, delimiter=",", header="t_s,c_deg", comments="")
+    arguments = ("follow", str(folder), "--simulate", "--trajectory", str(tmp_path / "path.csv"))
+    off = run(*arguments, "--compensation", "off")
+    full = run(*arguments, "--out", str(tmp_path / "run"))
+    assert full["scored_by"] and full["error_rms_deg"] * 10.0 <= off["error_rms_deg"]
+    assert full["seconds"] >= 7.5
+    recording = load(tmp_path / "run")
+    assert recording.marker is not None and recording.marker.valid.mean() > 0.9
+    assert (tmp_path / "run" / "trajectory.csv").exists()
+    with pytest.raises(TautError, match="neither a file nor a shape"):
+        run("follow", str(folder), "--simulate", "--trajectory", "nowhere.csv")
+
+
+def test_record_the_motor_and_the_marker(tmp_path: Path) -> None:
+    arguments = ("record", "--simulate", "constant", "--out", str(tmp_path / "rec"))
+    made = run(*arguments, "--motion", "smooth", "--duration", "4", "--video")
+    recording = load(tmp_path / "rec")
+    assert made["motor_samples"] >= len(recording.motor.t_s) >= 4000 and np.ptp(recording.motor.q) > 1.0
+    assert recording.video is not None and recording.video.arrival_s is not None and recording.marker is not None
+    assert len(recording.marker.t_s) == made["frames"] == np.isfinite(recording.video.arrival_s).sum()
+    assert made["telemetry_dropped"] == made["messages_missed"] == 0
+    with pytest.raises(TautError, match="holds a recording already"):
+        run(*arguments)
+
+
+@pytest.fixture
+def paced() -> Any:
+    """A board that runs by the wall clock, with a table."""
+    with DesktopBoard(realtime=True, serial="PACED") as desktop:
+        from tautline.board import open_board
+
+        with open_board(desktop.where) as board:
+            board.load_table(0, tables.encode(model()))
+        yield desktop
+
+
+def test_stream_at_250_hz(paced: DesktopBoard) -> None:
+    sent = run("stream", "--sine", "10", "2", "--duration", "1.5", board=paced.where)
+    assert sent["rate_hz"] >= 200.0 and sent["refused"] == 0
+    state = run("monitor", board=paced.where)
+    assert state["counters"]["set_points"] == sent["sent"] and state["counters"]["set_points_dropped"] == 0
+    assert state["axes"][0]["mode"] == wire.text("MODES", wire.code("MODES", "OFF"))
+
+
+def test_stream_stops_with_its_sender(paced: DesktopBoard) -> None:
+    """One angle on stdin, then silence: the axis comes to rest, and the end of stdin switches it off."""
+    command = [sys.executable, "-m", "tautline", "stream", "--json", "--silence", "0.2"]
+    environment = os.environ | {"TAUTLINE_BOARD": paced.where}
+    link = paced.link()
+
+    def until(mode: str) -> None:
+        deadline = time.monotonic() + 20.0
+        while link.ask("state")["axes"][0]["mode"] != wire.code("MODES", mode):
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+
+    with subprocess.Popen(command, env=environment, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as sender:
+        assert sender.stdin is not None and sender.stdout is not None
+        until("FOLLOW_TIP")
+        sender.stdin.write("1.5\n")
+        sender.stdin.flush()
+        time.sleep(0.3)
+        until("HOLD")  # with its sender silent
+        sender.stdin.close()
+        summary = json.loads(sender.stdout.read())
+    link.close()
+    assert 20 <= summary["sent"] <= 80
+    state = run("monitor", board=paced.where)
+    assert state["counters"]["silences"] >= 1 and "at_rest" in state["axes"][0]["flags"]
+
+
+def test_the_python_example_streams(paced: DesktopBoard) -> None:
+    command = [sys.executable, str(EXAMPLES / "stream.py"), "--board", paced.where, "--seconds", "1"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=30)
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout.split()[0]) >= 200 and "0 refused" in done.stdout
