@@ -23,10 +23,13 @@ def table_of(reference: Reference, **fields: int) -> _native.FixedTable:
     return _native.FixedTable(replace(reference, fields={**reference.fields, **fields}).blob())
 
 
-def feed(reference: Reference, p: np.ndarray, side: np.ndarray, mode: int, strength: float) -> np.ndarray:
-    """q* without what is still to be taken up, float64."""
-    share = 0.0 if mode == OFF else strength
-    return np.clip(p + side * share * reference.width_at(p) / 2, *reference.q_range)
+def feed(
+    reference: Reference, p: np.ndarray, side: np.ndarray, mode: int, strength: float, start_q: float
+) -> np.ndarray:
+    """q* without what is still to be taken up, float64; p[0] is where it started."""
+    half = (0.0 if mode == OFF else strength) * reference.width_at(p) / 2
+    offset = np.where(side == 0, np.clip(start_q - p[0], -half, half), side * half)
+    return np.clip(p + offset, *reference.q_range)
 
 
 def goal(reference: Reference, c: np.ndarray, mode: int) -> np.ndarray:
@@ -86,7 +89,7 @@ def test_once_taken_up_the_inverse_is_within_two_counts(
     q, _, _, flags = (x[hold - 1 :: hold] for x in compensator.run(np.repeat(c, hold).astype(np.int32)))
     assert not np.any(flags & (FLAG["TAKE_UP"] | FLAG["LIMITED"]))
     p = goal(reference, c, mode)
-    expected = feed(reference, p, sides(p, band), mode, strength)
+    expected = feed(reference, p, sides(p, band), mode, strength, reference.q_range[0])
     assert np.abs(q - expected).max() <= TOLERANCE
 
 
@@ -115,10 +118,13 @@ def test_forward_of_the_inverse_gives_the_command_back(data: st.DataObject, refe
     assert np.abs(c_reached[hold - 1 :: hold] - c).max() <= TOLERANCE * steepest + 1
 
 
-def board_feed(table: _native.FixedTable, p: np.ndarray, side: np.ndarray, mode: int, strength: float) -> np.ndarray:
+def board_feed(
+    table: _native.FixedTable, p: np.ndarray, side: np.ndarray, mode: int, strength: float, start_offset: int
+) -> np.ndarray:
     """The feed as the board rounds it, so that what is left is take-up to the last bit."""
     half = table.width(p.astype(np.int32))[0].astype(np.int64) * (0 if mode == OFF else round(strength * ONE)) >> 16
-    return np.clip(p + side * half, table.fields["q_min"], table.fields["q_max"])
+    offset = np.where(side == 0, np.clip(start_offset, -half, half), side * half)
+    return np.clip(p + offset, table.fields["q_min"], table.fields["q_max"])
 
 
 @st.composite
@@ -156,6 +162,7 @@ def test_no_jump_and_the_take_up_keeps_its_limits_at_every_tick(
     low, high = first.q_range
     c = int(first.angle_at(np.array(low + rng.random() * (high - low))))
     k = _native.FixedCompensator(tables_[0], rate, mode, int(low + start * (high - low)), c)
+    start_offset = k.q - k.p
     v_max = limits["takeup_speed_q8"] / rate + 1  # and the output's last bit
     a_max = limits["takeup_accel"] * COUNT / rate**2 + 2
     q_before, v_before = float(k.q), 0.0
@@ -182,7 +189,9 @@ def test_no_jump_and_the_take_up_keeps_its_limits_at_every_tick(
         c = int(commands_[-1])
         sides_before = np.concatenate([[side_last], side[:-1]])
         p_before = np.concatenate([[p_last], p[:-1]])
-        fed, fed_before = (board_feed(tables_[now], x, sides_before, mode, strength) for x in (p, p_before))
+        fed, fed_before = (
+            board_feed(tables_[now], x, sides_before, mode, strength, start_offset) for x in (p, p_before)
+        )
         moved = np.diff(q, prepend=q_before) - (fed - fed_before)
         free = flags & FLAG["CLIPPED"] == 0
         assert np.abs(moved[free]).max(initial=0) <= v_max

@@ -48,7 +48,7 @@ static int32_t half_width(const tl_compensator_t *k) {
 
 // q* without what is still to be taken up, before the range is minded. p -+ B/2 cannot overflow (TL_TABLE_VALUE_MAX).
 static tl_count_q8_t pushed(const tl_compensator_t *k, int32_t half) {
-    return k->side > 0 ? k->p + half : (k->side < 0 ? k->p - half : k->p);
+    return k->p + (k->side > 0 ? half : (k->side < 0 ? -half : tl_clamp(k->start_offset, -half, half)));
 }
 
 static tl_count_q8_t feed(const tl_compensator_t *k, int32_t half) {
@@ -164,7 +164,8 @@ void tl_compensator_start(tl_compensator_t *k, const tl_lookup_t *lookup, uint32
     k->p = k->anchor = target(k, c, &flags);
     k->q = tl_clamp(q, -TL_TABLE_VALUE_MAX, TL_TABLE_VALUE_MAX);
     set_limits(k, &lookup->table);
-    absorb(k, k->p, k->q);
+    k->start_offset = tl_sub_sat(k->q, k->p);
+    absorb(k, feed(k, half_width(k)), k->q);
 }
 
 // p* again for the last command under new settings, with the direction's memory moved along.

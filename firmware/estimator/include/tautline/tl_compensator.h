@@ -2,8 +2,8 @@
 ///
 ///     p* = f^-1(c*),   q* = p* + s k B(p*) / 2 - e      (eqs. 4 and 5 with p as the state)
 ///
-/// s is the side of the backlash the motor pushes from: +1 once p* rises, -1 once it falls, unchanged at rest,
-/// 0 until the first motion. k is the strength, 0..1. e is what is still to be taken up: whatever would make q*
+/// s is the side of the backlash the motor pushes from: +1 once p* rises, -1 once it falls, unchanged at rest. Until
+/// the first motion it is 0, and the motor stays where in the backlash it was. k is the strength, 0..1. e is what is still to be taken up: whatever would make q*
 /// jump (a reversal, a change of strength, mode or table, starting away from the command) goes into e, and e
 /// returns to zero along a trapezoid within the table's take-up speed and acceleration. So q* never jumps, and
 /// the feed itself is never delayed: while e is not zero the motor moves by the feed plus the take-up.
@@ -36,7 +36,7 @@ typedef enum {
 #define TL_COMPENSATOR_TAKE_UP  8U  ///< e is not zero: the take-up is under way
 #define TL_COMPENSATOR_LIMITED  16U ///< the feed is held back by speed_max: p lags behind c*
 #define TL_COMPENSATOR_FLAT     32U ///< the feed crosses a flat span at the flat speed
-#define TL_COMPENSATOR_NO_SIDE  64U ///< no motion yet: the side of the backlash is not known, the centre is assumed
+#define TL_COMPENSATOR_NO_SIDE  64U ///< no motion yet: the side of the backlash is not known
 
 /// A motor speed per tick: whole Q8 counts, and a fraction in 2^-32 of one. 0.1 count/s at 10 kHz is 0.0026 a tick.
 typedef struct {
@@ -64,6 +64,7 @@ typedef struct {
     uint32_t mode;         ///< tl_mode_t
     uint32_t strength_q15; ///< k
     int32_t side;          ///< s
+    int32_t start_offset;  ///< q - p* at the start: where the motor stays while s is 0, as far as it is within the width
     tl_deg_q16_t c;        ///< the last command
     tl_count_q8_t p;       ///< p*, after limits
     tl_count_q8_t anchor;  ///< furthest p in the direction of `side`
@@ -75,8 +76,8 @@ typedef struct {
     uint32_t rate_hz;
 } tl_compensator_t;
 
-/// Switches on: the motor is at `q` and stays there in this tick; the way to the command `c` is taken up within
-/// limits. Strength comes from the table. rate_hz: control ticks per second, 16 to 100000. Five divisions.
+/// Switches on: the motor is at `q` and stays there in this tick; what is missing to the backlash around the command
+/// `c` is taken up within limits. Strength comes from the table. rate_hz: control ticks per second, 16 to 100000. Five divisions.
 void tl_compensator_start(tl_compensator_t *compensator, const tl_lookup_t *lookup, uint32_t rate_hz, tl_mode_t mode,
                           tl_count_q8_t q, tl_deg_q16_t c);
 
