@@ -27,6 +27,7 @@ Progress = Callable[[float, str], None]
 
 ONSETS, JOINT, PASSES, NOTHING = "onsets", "onsets and passes", "passes", "nothing"
 _AGREE = 3.0  # mean squared z of onsets against the joint fit up to which both are one evidence
+_LEAST_FRAMES = 10
 _STANDS_OUT = 10.0  # a motion of so many sigma is one
 _LITTLE = 0.03  # of the width: differences below are no contradiction
 _EXPLAINED = 1.5  # residual over noise up to which a model explains its data
@@ -108,6 +109,9 @@ def calibrate(
     tracks = [track for track in observe(recordings, rig) if len(track.t_s)]
     if not tracks:
         raise TautError("the marker was never seen: check the marker's colour (taut marker) and the camera's view")
+    frames = sum(len(track.t_s) for track in tracks)
+    if frames < _LEAST_FRAMES:
+        raise TautError(f"the tip was seen in {frames} frames only: record the calibration motion with it in view")
     with threadpool_limits(1, "blas"):  # its systems are small: threads that wait for each other cost 10 times more
         return _Session(tracks, rig, options, say).run()
 
@@ -296,6 +300,8 @@ class _Session:
     # ---- what to think of it
 
     def _comment(self, onsets: Sequence[Onset], curve: WidthCurve | None, remaining: Remaining | None) -> None:
+        if stray := sum(track.stray for track in self.tracks):
+            self.notes.append(f"{stray} frames show the marker elsewhere for a moment: left out")
         if not onsets:
             self.warnings.append("the motor never turned back: B(q) needs reversals")
         counted = [o for o in onsets if o.used and o.kind in (HINGE, BRACKET)]

@@ -18,6 +18,7 @@ from tautline.errors import TautError
 from tautline.folders import write_file
 from tautline.geometry import pose, project
 from tautline.model import Model
+from tautline.observations import observe
 from tautline.recording import Motor, Recording, timeline
 
 Array = np.ndarray
@@ -100,14 +101,8 @@ def collect(model: Model, recordings: Sequence[Recording]) -> Evidence:
 
 def _collect_one(model: Model, recording: Recording, index: int, offset_s: float) -> Evidence:
     motor, rig = recording.motor, model.rig
-    marker = recording.marker if rig.has_camera else None
-    if marker is not None:
-        t_s = marker.t_s[marker.valid] - model.delay_s
-        seen = np.column_stack([marker.u_px, marker.v_px])[marker.valid]
-    elif recording.angle is not None:
-        t_s, seen = recording.angle.t_s, recording.angle.c_deg[:, None]
-    else:
-        raise TautError(f"{recording.name}: the rig has no camera and the recording no angle.csv: add one of them")
+    track = observe([recording], rig)[0]
+    t_s, seen = track.scene_s(model.delay_s), track.y
     inside = (t_s >= motor.t_s[0]) & (t_s <= motor.t_s[-1])
     t_s, seen = t_s[inside], seen[inside]
     q = np.interp(t_s, motor.t_s, motor.q)
@@ -123,7 +118,7 @@ def _collect_one(model: Model, recording: Recording, index: int, offset_s: float
         model,
     )
     angles = [stage.simulate(motor, t_s) for stage in models]
-    if marker is not None:
+    if track.unit == "px":
         predicted = [project(rig, angle, *others) for angle in angles]
         c_deg = pose(rig, seen, *others)[0]
     else:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import median_filter
 
 from tautline import _native
 from tautline.errors import TautError
@@ -19,6 +20,7 @@ Mask = npt.NDArray[np.bool_]
 
 _LEAST_PX, _LEAST_DEG = 1e-3, 1e-4  # noise is never taken to be less
 _DOUBTFUL = 3.0  # frames of so many times the usual stated noise do not count
+_STRAY = 12.0  # sigma, beside four usual steps, from which a lone frame is a false sighting
 _STILL_MM, _STILL_DEG = 0.02, 0.05  # other degrees of freedom that stay within this do not move
 
 
@@ -33,6 +35,7 @@ class Track:
     y: Array  # (n, 2) px or (n, 1) deg
     sigma: Array  # (n,) noise of y, per coordinate
     delayed: bool  # the scene is older than t_s by the camera's delay
+    stray: int = 0  # frames left out because they show the marker elsewhere for a moment
 
     def scene_s(self, delay_s: float) -> Array:
         return self.t_s - delay_s if self.delayed else self.t_s
@@ -114,8 +117,22 @@ def _track(recording: Recording, unit: str, t: Array, y: Array, given: Array | N
         keep = ~(good & (given > _DOUBTFUL * stated))
         t, y = t[keep], y[keep]
         noise = stated if 0.6 < noise / stated < 1.6 else noise
-    sigma = np.full(len(t), max(noise, 1e-9))
-    return Track(recording.name, unit, recording.motor, t, y, sigma, delayed)
+    noise = max(noise, 1e-9)
+    stray = strays(y, noise)
+    t, y = t[~stray], y[~stray]
+    return Track(recording.name, unit, recording.motor, t, y, np.full(len(t), noise), delayed, int(stray.sum()))
+
+
+def strays(y: Array, sigma: float) -> Mask:
+    """Frames (n,) at which y (n, channels) is elsewhere for one or two frames only: far from the median of five frames,
+    by noise and by how the tip moves at that time. A jump that stays is none, nor is any motion that goes one way."""
+    if len(y) < 5:
+        return np.zeros(len(y), dtype=bool)
+    away = np.linalg.norm(y - median_filter(y, size=(5, 1), mode="nearest"), axis=1)
+    step = np.linalg.norm(np.diff(y, axis=0), axis=1)
+    usual = median_filter(np.append(step, step[-1]), size=9, mode="nearest")
+    stray: Mask = away > _STRAY * sigma + 4.0 * usual
+    return stray
 
 
 def noise_of(t: Array, y: Array, least: float) -> float:

@@ -19,6 +19,8 @@ Array = np.ndarray
 
 MAX_MOTOR_STEP_S = 1.0  # beyond it the times are not in seconds
 MAX_MOTOR_GAP_S = 3600.0
+FARTHEST = 1e4  # spans of the range beyond it
+FARTHEST_PX = 1e5
 VIDEO_NAMES = ("video.mkv", "video.mp4")
 
 
@@ -165,6 +167,7 @@ def load_motor(path: str | Path, rig: Rig, warnings: list[str] | None = None) ->
             f"{file}, line {columns.line(row)}: t_s jumps from {t_s[row - 1]:.9g} to {t_s[row]:.9g} s: "
             "split the recording there"
         )
+    _check_reach(columns, q_name, rig)
     known = {
         "q": q_name,
         "q_cmd": f"q_cmd_{unit}",
@@ -233,6 +236,23 @@ def _folder(path: str | Path) -> Path:
     return folder
 
 
+def _check_reach(columns: Columns, name: str, rig: Rig) -> None:
+    """A motor far beyond the rig's range is another unit or a broken file: an error where nothing can come of it."""
+    q = columns.finite(name)
+    low, high = rig.actuator.range
+    beyond = np.maximum(low - q, q - high)
+    row = int(beyond.argmax())
+    if beyond[row] > FARTHEST * rig.actuator.span:
+        raise TautError(
+            f"{columns.path}, line {columns.line(row)}: {name} is {q[row]:.6g}, the rig's range is [{low:g}, {high:g}]"
+        )
+    if beyond[row] > rig.actuator.span:
+        columns.warnings.append(
+            f"{columns.path}: {name} reaches {q[row]:.6g}, the rig's range is [{low:g}, {high:g}]: is its unit "
+            f"{rig.actuator.unit}?"
+        )
+
+
 def _own_rig(folder: Path, rig: Rig | None, warnings: list[str]) -> Rig | None:
     path = folder / "rig.toml"
     if not path.exists():
@@ -253,8 +273,9 @@ def _load_marker(file: Path, warnings: list[str]) -> Marker:
     u_px, v_px = columns.raw("u_px"), columns.raw("v_px")
     seen = np.isfinite(u_px) & np.isfinite(v_px)
     valid = columns.flags("valid") if "valid" in columns.names else np.ones(len(t_s), dtype=bool)
+    seen &= (np.abs(u_px) < FARTHEST_PX) & (np.abs(v_px) < FARTHEST_PX)
     if lost := int(np.sum(valid & ~seen)):
-        columns.warnings.append(f"{file}: {lost} rows without finite u_px, v_px: taken as not valid")
+        columns.warnings.append(f"{file}: {lost} rows without finite u_px, v_px of an image: taken as not valid")
         valid = valid & seen
     sigma_px = None
     if "sigma_px" in columns.names:

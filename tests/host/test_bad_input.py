@@ -124,6 +124,29 @@ def test_a_marker_that_is_never_seen(taut: Taut, folder: Path, tmp_path: Path) -
     assert_says(taut("calibrate", folder, "--out", tmp_path / "out", "--json"), "marker")
 
 
+def test_a_marker_that_is_seen_too_rarely(taut: Taut, folder: Path, tmp_path: Path) -> None:
+    rows(folder / "marker.csv", lambda table: table[40:43])
+    assert "3 frames only" in taut.refuses("calibrate", folder, "--out", tmp_path / "out")
+
+
+def test_false_sightings_are_left_out(taut: Taut, folder: Path, tmp_path: Path) -> None:
+    rows(folder / "marker.csv", lambda table: table.assign(u_px=table.u_px.where(table.index % 20 != 10, 5.0)))
+    done = taut("calibrate", folder, "--out", tmp_path / "out", "--json")
+    assert done.code == 0 and "frames show the marker elsewhere" in done.err
+    result = json.loads(done.out)
+    widths = [onset for onset in result["onsets"] if onset["used"]]
+    true = PLANT.backlash(np.array([(onset["q1"] + onset["q2"]) / 2 for onset in widths]))
+    assert widths and np.abs(np.array([onset["width"] for onset in widths]) - true).max() < 0.05
+
+
+def test_a_motor_in_another_unit_is_said(taut: Taut, folder: Path, model: Path, tmp_path: Path) -> None:
+    rows(folder / "motor.csv", lambda table: table.assign(q_mm=1e3 * table.q_mm))
+    done = taut("predict", model, folder, "--csv", tmp_path / "o.csv")
+    assert done.code == 0 and "is its unit mm?" in done.err
+    rows(folder / "motor.csv", lambda table: table.assign(q_mm=1e6 * table.q_mm))
+    assert "the rig's range is [-5, 5]" in taut.refuses("predict", model, folder, "--csv", tmp_path / "o.csv")
+
+
 def test_a_motion_without_reversals(taut: Taut, tmp_path: Path) -> None:
     assert_says(calibrated(taut, moved([-4.0, 4.0], 1.0), tmp_path), "revers")
 
