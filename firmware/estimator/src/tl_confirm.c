@@ -67,9 +67,8 @@ static void allow_for_jump(const tl_onset_detector_t *d, tl_confirm_t *e) {
     if (!tl_hinge_break(d, &jump)) {
         return;
     }
-    const tl_real_t gained = tl_real_add(jump.gain, tl_real_neg(e->hinge.gain));
-    const tl_real_t unit =
-        tl_confirm_unit_variance(d, tl_real_add(e->hinge.residual, tl_real_neg(gained)), e->dof);
+    const tl_real_t gained = tl_real_sub(jump.gain, e->hinge.gain);
+    const tl_real_t unit = tl_confirm_unit_variance(d, tl_real_sub(e->hinge.residual, gained), e->dof);
     const tl_real_t required = tl_confirm_required(d, unit, e->dof);
     if (!tl_real_less(required, gained)) {
         return;
@@ -112,8 +111,7 @@ bool tl_confirm_glance(const tl_onset_detector_t *d) {
         return false;
     }
     const tl_real_t gain = tl_hinge_glance(d);
-    const tl_real_t unit =
-        tl_confirm_unit_variance(d, tl_real_add(tl_hinge_scatter(&d->all), tl_real_neg(gain)), dof);
+    const tl_real_t unit = tl_confirm_unit_variance(d, tl_real_sub(tl_hinge_scatter(&d->all), gain), dof);
     const tl_real_t required = tl_confirm_required(d, unit, dof);
     return tl_real_less(required, tl_real_mul(gain, tl_real(2, 0)));
 }

@@ -82,8 +82,8 @@ static tl_real_t square_sum(int64_t a, int64_t b) {
 
 tl_real_t tl_hinge_scatter(const tl_onset_sums_t *sums) {
     const tl_real_t mean = tl_real_div(square_sum(sums->u, sums->v), tl_real(sums->w, 0));
-    const tl_real_t scatter = tl_real_add(tl_real(sums->yy, 0), tl_real_neg(mean));
-    return scatter.m > 0 ? scatter : tl_real(0, 0);
+    const tl_real_t scatter = tl_real_sub(tl_real(sums->yy, 0), mean);
+    return scatter > 0 ? scatter : tl_real(0, 0);
 }
 
 bool tl_hinge_meet(const tl_onset_sums_t *line, const tl_onset_sums_t *level, int32_t scale,
@@ -92,17 +92,17 @@ bool tl_hinge_meet(const tl_onset_sums_t *line, const tl_onset_sums_t *level, in
     const int64_t cu = line->w * line->xu - line->x * line->u;
     const int64_t cv = line->w * line->xv - line->x * line->v;
     const tl_real_t c2 = square_sum(cu, cv);
-    if (level->n < 1 || line->n < 2 || determinant <= 0 || c2.m == 0) {
+    if (level->n < 1 || line->n < 2 || determinant <= 0 || c2 == 0) {
         return false;
     }
     const tl_real_t d = tl_real(determinant, 0);
     const tl_real_t line_w = tl_real(line->w, 0);
     const tl_real_t level_w = tl_real(level->w, 0);
     // The line at its mean (x_m, y_m): x = x_m + b (level - y_m) / |b|^2 with b = c / d.
-    const tl_real_t gap_u = tl_real_add(tl_real_div(tl_real(level->u, 0), level_w),
-                                        tl_real_neg(tl_real_div(tl_real(line->u, 0), line_w)));
-    const tl_real_t gap_v = tl_real_add(tl_real_div(tl_real(level->v, 0), level_w),
-                                        tl_real_neg(tl_real_div(tl_real(line->v, 0), line_w)));
+    const tl_real_t gap_u =
+        tl_real_sub(tl_real_div(tl_real(level->u, 0), level_w), tl_real_div(tl_real(line->u, 0), line_w));
+    const tl_real_t gap_v =
+        tl_real_sub(tl_real_div(tl_real(level->v, 0), level_w), tl_real_div(tl_real(line->v, 0), line_w));
     const tl_real_t along =
         tl_real_add(tl_real_mul(tl_real(cu, 0), gap_u), tl_real_mul(tl_real(cv, 0), gap_v));
     const tl_real_t from_mean = tl_real_div(tl_real_mul(along, d), c2);
@@ -135,17 +135,18 @@ static gain_t gain_at(const tl_onset_sums_t *beyond, const tl_onset_sums_t *all)
 }
 
 static bool is_better(gain_t a, gain_t b) {
-    if (a.denominator.m == 0 || b.denominator.m == 0) {
-        return a.denominator.m != 0;
+    if (a.denominator == 0 || b.denominator == 0) {
+        return a.denominator != 0;
     }
     return tl_real_less(tl_real_mul(b.numerator, a.denominator), tl_real_mul(a.numerator, b.denominator));
 }
 
-/// Moves the knot of `beyond` to where its line meets the level, if that lies between `low` and `high`.
-/// Returns the travel of the knot; 0 leaves it.
-static int32_t refine(tl_onset_sums_t *beyond, const tl_onset_sums_t *level, int32_t low, int32_t high) {
+/// Moves the knot of `beyond` to where its line meets the level of the other samples, if that lies between
+/// `low` and `high`. Returns how far; 0 leaves it.
+static int32_t refine(tl_onset_sums_t *beyond, const tl_onset_sums_t *all, int32_t low, int32_t high) {
+    const tl_onset_sums_t level = tl_hinge_without(all, beyond);
     tl_hinge_meeting_t meeting;
-    if (!tl_hinge_meet(beyond, level, 0, &meeting)) {
+    if (!tl_hinge_meet(beyond, &level, 0, &meeting)) {
         return 0;
     }
     const int32_t x = tl_real_to_q(meeting.x, 0);
@@ -166,9 +167,13 @@ typedef struct {
     tl_onset_sums_t beyond; ///< samples after k, x from sample k
 } walk_t;
 
-static void begin_walk(const tl_onset_detector_t *d, walk_t *walk) {
+static int32_t walk_begins(const tl_onset_detector_t *d) {
     const int32_t span = d->config.frames_max + 2;
-    walk->first = d->held > span ? d->held - span : 0;
+    return d->held > span ? d->held - span : 0;
+}
+
+static void begin_walk(const tl_onset_detector_t *d, walk_t *walk) {
+    walk->first = walk_begins(d);
     walk->origin = sample_at(d, walk->first)->q;
     walk->scale = tl_hinge_scale(d, walk->first, walk->origin);
     walk->k = d->held - 1;
@@ -191,7 +196,7 @@ static bool walk_on(const tl_onset_detector_t *d, walk_t *walk) {
 }
 
 tl_real_t tl_hinge_glance(const tl_onset_detector_t *d) {
-    gain_t best = {{0, 0}, {0, 0}};
+    gain_t best = {0, 0};
     walk_t walk;
     int32_t next = 2;
     begin_walk(d, &walk);
@@ -199,84 +204,88 @@ tl_real_t tl_hinge_glance(const tl_onset_detector_t *d) {
         if (walk.beyond.n == next) {
             const gain_t gain = gain_at(&walk.beyond, &d->all);
             best = is_better(gain, best) ? gain : best;
-            next += next < 4 ? 1 : next / 3;
+            next *= 2;
         }
     }
-    return best.denominator.m == 0
+    return best.denominator == 0
                ? tl_real(0, 0)
                : tl_real_div(best.numerator, tl_real_mul(best.denominator, tl_real(d->all.w, 0)));
 }
 
-bool tl_hinge_fit(const tl_onset_detector_t *d, tl_hinge_t *fit) {
-    if (d->held < 2 || d->all.n < 3) {
-        return false;
-    }
-    const tl_onset_sums_t all = d->all;
+/// The best of the samples as knots: its place in the window, -1 where there is none.
+static int32_t best_sample(const tl_onset_detector_t *d, tl_onset_sums_t *beyond, gain_t *best) {
+    int32_t at = -1;
     walk_t walk;
-    tl_onset_sums_t best_beyond = {0};
-    gain_t best = {{0, 0}, {0, 0}};
-    int32_t at = 0;
     begin_walk(d, &walk);
+    *best = (gain_t){0, 0};
     while (walk_on(d, &walk)) {
-        const gain_t gain = gain_at(&walk.beyond, &all);
-        if (is_better(gain, best)) {
-            best = gain;
-            best_beyond = walk.beyond;
+        const gain_t gain = gain_at(&walk.beyond, &d->all);
+        if (is_better(gain, *best)) {
+            *best = gain;
+            *beyond = walk.beyond;
             at = walk.k;
         }
     }
-    if (best.denominator.m == 0) {
+    return at;
+}
+
+/// What remains to be said of a hinge whose knot is found: `beyond` counts x from it.
+static void describe(const tl_onset_detector_t *d, const tl_onset_sums_t *beyond, gain_t best, int32_t scale,
+                     tl_hinge_t *fit) {
+    const int64_t determinant = beyond->w * beyond->xx - beyond->x * beyond->x;
+    const tl_real_t slope = tl_real_div(tl_real_sqrt(best.numerator), best.denominator);
+    fit->level = tl_hinge_without(&d->all, beyond);
+    fit->beyond = beyond->n;
+    fit->variance = tl_real_div(tl_real(beyond->xx, 0), tl_real(determinant > 0 ? determinant : 0, 0));
+    fit->variance = tl_real_add(fit->variance, tl_real_div(tl_real(1, 0), tl_real(fit->level.w, 0)));
+    fit->variance = tl_real_div(fit->variance, tl_real_square(slope));
+    fit->variance = tl_real_mul(fit->variance, tl_real(1, 2 * scale));
+    fit->slope = tl_real_mul(slope, tl_real(1, -scale));
+    fit->gain = tl_real_div(tl_real_div(best.numerator, best.denominator), tl_real(d->all.w, 0));
+    fit->residual = tl_real_sub(tl_hinge_scatter(&d->all), fit->gain);
+    fit->residual = fit->residual > 0 ? fit->residual : 0;
+}
+
+bool tl_hinge_fit(const tl_onset_detector_t *d, tl_hinge_t *fit) {
+    tl_onset_sums_t beyond;
+    gain_t best;
+    if (d->held < 2 || d->all.n < 3) {
         return false;
     }
-    const tl_count_q8_t origin = walk.origin;
-    const int32_t scale = walk.scale;
-
+    const int32_t at = best_sample(d, &beyond, &best);
+    if (at < 0) {
+        return false;
+    }
     // Between the best sample and its neighbours the optimum is a meeting point of line and level.
-    const tl_hinge_point_t here = tl_hinge_point(d, at, origin, scale);
-    int32_t knot = here.x;
-    const tl_onset_sums_t on_sample = best_beyond;
-    tl_onset_sums_t trial = on_sample;
-    tl_onset_sums_t level = tl_hinge_without(&all, &trial);
-    int32_t moved = refine(&trial, &level, 0, tl_hinge_point(d, at + 1, origin, scale).x - here.x);
-    gain_t gain = gain_at(&trial, &all);
+    const int32_t first = walk_begins(d);
+    const tl_count_q8_t origin = sample_at(d, first)->q;
+    const int32_t scale = tl_hinge_scale(d, first, origin);
+    tl_hinge_point_t here = tl_hinge_point(d, at, origin, scale);
+    const int32_t corner = here.x;
+    int32_t knot = corner;
+    tl_onset_sums_t trial = beyond;
+    int32_t moved = refine(&trial, &d->all, 0, tl_hinge_point(d, at + 1, origin, scale).x - corner);
+    gain_t gain = gain_at(&trial, &d->all);
     if (moved != 0 && is_better(gain, best)) {
         best = gain;
-        best_beyond = trial;
-        knot = here.x + moved;
+        beyond = trial;
+        knot = corner + moved;
     }
-    if (at > walk.first) {
-        trial = on_sample;
-        tl_hinge_point_t corner = here;
-        corner.x = 0;
-        tl_hinge_add(&trial, corner);
-        level = tl_hinge_without(&all, &trial);
-        moved = refine(&trial, &level, tl_hinge_point(d, at - 1, origin, scale).x - here.x, 0);
-        gain = gain_at(&trial, &all);
+    if (at > first) {
+        shift(&trial, moved);
+        here.x = 0;
+        tl_hinge_add(&trial, here);
+        moved = refine(&trial, &d->all, tl_hinge_point(d, at - 1, origin, scale).x - corner, 0);
+        gain = gain_at(&trial, &d->all);
         if (moved != 0 && is_better(gain, best)) {
             best = gain;
-            best_beyond = trial;
-            knot = here.x + moved;
+            beyond = trial;
+            knot = corner + moved;
         }
     }
-
-    level = tl_hinge_without(&all, &best_beyond);
-    const tl_real_t all_w = tl_real(all.w, 0);
-    const tl_real_t slope = tl_real_div(tl_real_sqrt(best.numerator), best.denominator);
-    const int64_t determinant = best_beyond.w * best_beyond.xx - best_beyond.x * best_beyond.x;
-    tl_real_t variance =
-        tl_real_div(tl_real(best_beyond.xx, 0), tl_real(determinant > 0 ? determinant : 0, 0));
-    variance = tl_real_add(variance, tl_real_div(tl_real(1, 0), tl_real(level.w, 0)));
-    variance = tl_real_div(variance, tl_real_mul(slope, slope));
-
-    fit->gain = tl_real_div(tl_real_div(best.numerator, best.denominator), all_w);
-    fit->residual = tl_real_add(tl_hinge_scatter(&all), tl_real_neg(fit->gain));
-    fit->residual = fit->residual.m > 0 ? fit->residual : tl_real(0, 0);
-    fit->knot = tl_real_add(tl_real(knot, scale), tl_real(travel(d, walk.first, d->reversal.q1), 0));
-    fit->variance = tl_real_mul(variance, tl_real(1, 2 * scale));
-    fit->slope = tl_real_mul(slope, tl_real(1, -scale));
+    describe(d, &beyond, best, scale, fit);
+    fit->knot = tl_real_add(tl_real(knot, scale), tl_real(travel(d, first, d->reversal.q1), 0));
     fit->span = tl_real((int64_t)tl_hinge_point(d, d->held - 1, origin, scale).x - knot, scale);
-    fit->level = level;
-    fit->beyond = best_beyond.n;
     return true;
 }
 
@@ -291,8 +300,7 @@ bool tl_hinge_break(const tl_onset_detector_t *d, tl_hinge_break_t *fit) {
             continue;
         }
         const tl_real_t scatter = tl_real_add(tl_hinge_scatter(&level), tl_hinge_scatter(&walk.beyond));
-        const tl_real_t gain =
-            tl_real_add(tl_real_add(tl_hinge_scatter(&d->all), tl_real_neg(scatter)), line.gain);
+        const tl_real_t gain = tl_real_add(tl_real_sub(tl_hinge_scatter(&d->all), scatter), line.gain);
         if (!found || tl_real_less(fit->gain, gain)) {
             fit->gain = gain;
             fit->low = travel(d, walk.k, d->reversal.q1);
@@ -306,17 +314,16 @@ bool tl_hinge_break(const tl_onset_detector_t *d, tl_hinge_break_t *fit) {
 }
 
 tl_real_t tl_hinge_spread(const tl_onset_detector_t *d, const tl_hinge_t *fit, tl_real_t loss) {
-    const tl_real_t least = tl_real_add(fit->gain, tl_real_neg(loss));
+    const tl_real_t least = tl_real_sub(fit->gain, loss);
     tl_real_t spread = tl_real(0, 0);
     walk_t walk;
     begin_walk(d, &walk);
     while (walk_on(d, &walk)) {
         const gain_t gain = gain_at(&walk.beyond, &d->all);
         const tl_real_t needed = tl_real_mul(tl_real_mul(least, tl_real(d->all.w, 0)), gain.denominator);
-        if (gain.denominator.m != 0 && !tl_real_less(gain.numerator, needed)) {
-            tl_real_t away =
-                tl_real_add(tl_real(travel(d, walk.k, d->reversal.q1), 0), tl_real_neg(fit->knot));
-            away = away.m < 0 ? tl_real_neg(away) : away;
+        if (gain.denominator != 0 && !tl_real_less(gain.numerator, needed)) {
+            tl_real_t away = tl_real_sub(tl_real(travel(d, walk.k, d->reversal.q1), 0), fit->knot);
+            away = away < 0 ? tl_real_sub(0, away) : away;
             spread = tl_real_less(spread, away) ? away : spread;
         }
     }

@@ -61,8 +61,8 @@ tl_onset_sums_t tl_hinge_without(const tl_onset_sums_t *sums, const tl_onset_sum
 bool tl_hinge_meet(const tl_onset_sums_t *line, const tl_onset_sums_t *level, int32_t scale,
                    tl_hinge_meeting_t *meeting);
 
-/// A lower bound of the largest gain, from ten knots ever farther apart; within some hundredths of it where
-/// there is one.
+/// A lower bound of the largest gain, from the knots with 2, 4, 8 .. samples beyond: 0.9 of it where a hinge
+/// is clear.
 tl_real_t tl_hinge_glance(const tl_onset_detector_t *d);
 
 /// The hinge with the largest gain; false where none is determined.

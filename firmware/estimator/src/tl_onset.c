@@ -72,16 +72,22 @@ static void measure_stop(tl_onset_detector_t *d, const tl_onset_sums_t *level, t
     }
     const tl_real_t variance =
         tl_confirm_knot_variance(&d->config, meeting.variance, unit, tl_real(d->approach_span, 0));
-    d->reversal.stop = tl_real_to_q(tl_real_neg(meeting.x), 0);
+    d->reversal.stop = tl_real_to_q(tl_real_sub(0, meeting.x), 0);
     d->reversal.sigma_stop = tl_real_to_q(tl_real_sqrt(variance), 0);
 }
 
-/// The reversal under way is over; the tip follows the motor or not, as far as is known.
-static void end_reversal(tl_onset_detector_t *d, tl_onset_reason_t reason, bool follows, tl_onset_t *onset) {
-    d->reversal.reason = (uint8_t)reason;
-    *onset = d->reversal;
+/// The reversal under way is over, and told if it is worth it; the tip follows the motor or not, as far as is
+/// known.
+static void end_reversal(tl_onset_detector_t *d, tl_onset_reason_t reason, bool worth, tl_onset_t *onset) {
     d->phase = FOLLOWING;
-    d->on_envelope = follows;
+    d->on_envelope = d->reversal.started;
+    d->reversal.reason = (uint8_t)reason;
+    if (worth && !d->told) {
+        *onset = d->reversal;
+        d->told = true;
+    } else {
+        d->missed++;
+    }
 }
 
 static void clear_window(tl_onset_detector_t *d) {
@@ -139,7 +145,7 @@ static void finish_unstarted(tl_onset_detector_t *d, const tl_confirm_t *e, tl_o
         if (tl_hinge_meet(&d->approach, &d->all, d->approach_scale, &approach)) {
             // Twice the gain that confirms is confirmed with a probability of 0.98.
             const tl_real_t seen = tl_hinge_blind(d, approach.slope, tl_real_mul(e->required, tl_real(2, 0)));
-            if (seen.m > 0) {
+            if (seen > 0) {
                 reason = TL_ONSET_NO_START;
                 d->reversal.width = tl_real_to_q(seen, 0);
                 measure_stop(d, &d->all, e->unit);
@@ -148,7 +154,26 @@ static void finish_unstarted(tl_onset_detector_t *d, const tl_confirm_t *e, tl_o
         d->reversal.noise = tl_confirm_noise(e->unit);
         tl_confirm_remember(d, e->hinge.residual, e->dof);
     }
-    end_reversal(d, reason, false, onset);
+    const tl_count_q8_t stroke = magnitude(tl_sub_sat(d->extreme, d->reversal.q1));
+    const bool worth = d->reversal.frames >= d->config.frames_min || stroke / JITTER_TURNS >= d->config.turn;
+    end_reversal(d, reason, worth, onset);
+}
+
+/// Decides what the frames so far prove, and must if the stroke has ended.
+static void decide(tl_onset_detector_t *d, bool ended, tl_onset_t *onset) {
+    tl_confirm_t e;
+    const bool fitted = (ended || tl_confirm_glance(d)) && tl_confirm_evaluate(d, &e);
+    const bool confirmed = fitted && e.confirmed;
+    if (ended && !confirmed) {
+        finish_unstarted(d, fitted ? &e : NULL, onset);
+        return;
+    }
+    // Twice in a row: a finish on the first chance would prefer those whose knot noise has moved forward.
+    const bool before = d->settled;
+    d->settled = confirmed && !tl_confirm_may_improve(d, &e);
+    if (ended || (before && d->settled)) {
+        finish_started(d, &e, onset);
+    }
 }
 
 /// Whether the motor lost an eighth of its speed at sample i; the turn follows on the last one before it.
@@ -201,19 +226,16 @@ static bool approach_moves(const tl_onset_detector_t *d) {
         return false;
     }
     const int32_t dof = 2 * d->approach.n - 4;
-    tl_real_t residual = tl_real_add(tl_hinge_scatter(&d->approach), tl_real_neg(meeting.gain));
-    residual = residual.m > 0 ? residual : tl_real(0, 0);
+    tl_real_t residual = tl_real_sub(tl_hinge_scatter(&d->approach), meeting.gain);
+    residual = residual > 0 ? residual : tl_real(0, 0);
     const tl_real_t unit = tl_confirm_unit_variance(d, residual, dof);
     return tl_real_less(tl_confirm_required(d, unit, dof), meeting.gain);
 }
 
-/// Of the image alone.
-static tl_onset_sums_t window_sums(const tl_onset_detector_t *d) {
-    tl_onset_sums_t sums = {0};
+static void add_window(tl_onset_detector_t *d) {
     for (int32_t i = 0; i < d->held; i++) {
-        tl_hinge_add(&sums, tl_hinge_image(d, i));
+        tl_hinge_add(&d->all, tl_hinge_image(d, i));
     }
-    return sums;
 }
 
 static void begin_reversal(tl_onset_detector_t *d, int8_t direction) {
@@ -250,11 +272,12 @@ static void begin_reversal(tl_onset_detector_t *d, int8_t direction) {
     d->on_envelope = false;
     drop_oldest(d, after);
     d->reversal.frames = d->held;
-    d->all = window_sums(d);
+    memset(&d->all, 0, sizeof d->all);
+    add_window(d);
 }
 
-/// Follows the motor to `q`; true if that ended a reversal which is worth telling.
-static bool follow_motor(tl_onset_detector_t *d, tl_us_t t_us, tl_count_q8_t q, tl_onset_t *onset) {
+/// Follows the motor to `q`.
+static void follow_motor(tl_onset_detector_t *d, tl_us_t t_us, tl_count_q8_t q, tl_onset_t *onset) {
     const tl_count_q8_t turn = d->config.turn;
     if (d->direction == 0) {
         if (!d->placed) {
@@ -269,41 +292,28 @@ static bool follow_motor(tl_onset_detector_t *d, tl_us_t t_us, tl_count_q8_t q, 
             d->extreme = q;
             d->extreme_us = t_us;
         }
-        return false;
+        return;
     }
     const tl_count_q8_t retreat = d->direction > 0 ? tl_sub_sat(d->extreme, q) : tl_sub_sat(q, d->extreme);
     if (retreat <= 0) {
         d->extreme = q;
         d->extreme_us = t_us;
-        return false;
+        return;
     }
     if (retreat < turn) {
-        return false;
+        return;
     }
-    bool told = false;
     if (d->phase == CROSSING) {
-        tl_confirm_t e;
-        const bool fitted = tl_confirm_evaluate(d, &e);
-        const tl_count_q8_t stroke = magnitude(tl_sub_sat(d->extreme, d->reversal.q1));
-        if (fitted && e.confirmed) {
-            finish_started(d, &e, onset);
-            told = true;
-        } else {
-            told = d->reversal.frames >= d->config.frames_min || stroke / JITTER_TURNS >= turn;
-            tl_onset_t untold;
-            finish_unstarted(d, fitted ? &e : NULL, told ? onset : &untold);
-        }
+        decide(d, true, onset);
     }
     begin_reversal(d, (int8_t)-d->direction);
     d->extreme = q;
     d->extreme_us = t_us;
-    return told;
 }
 
 /// Follows the motor through the history up to `until_us`.
-static bool scan(tl_onset_detector_t *d, const tl_history_t *history, tl_us_t until_us, tl_onset_t *onset) {
+static void scan(tl_onset_detector_t *d, const tl_history_t *history, tl_us_t until_us, tl_onset_t *onset) {
     const tl_us_t span_us = TL_HISTORY_SPAN_MS * 1000U;
-    bool told = false;
     if (until_us > d->scanned_us + span_us) {
         d->scanned_us = until_us - span_us;
     }
@@ -315,37 +325,24 @@ static bool scan(tl_onset_detector_t *d, const tl_history_t *history, tl_us_t un
             break;
         }
         if (status == TL_HISTORY_OK) {
-            tl_onset_t found;
-            if (follow_motor(d, t_us, q, &found)) {
-                if (told) {
-                    d->missed++;
-                } else {
-                    *onset = found;
-                    told = true;
-                }
-            }
+            follow_motor(d, t_us, q, onset);
         }
         d->scanned_us = t_us;
     }
-    return told;
 }
 
 /// The marker was away, or the crossing lasts, for too long.
-static bool check_time(tl_onset_detector_t *d, tl_us_t scene_us, tl_onset_t *onset) {
+static void check_time(tl_onset_detector_t *d, tl_us_t scene_us, tl_onset_t *onset) {
     if (d->phase != CROSSING) {
-        return false;
+        return;
     }
     const tl_us_t known_us = d->seen_us > d->reversal.turn_us ? d->seen_us : d->reversal.turn_us;
     if (scene_us > known_us + d->config.lost_us) {
         clear_window(d);
-        end_reversal(d, TL_ONSET_MARKER_LOST, false, onset);
-        return true;
+        end_reversal(d, TL_ONSET_MARKER_LOST, true, onset);
+    } else if (scene_us > d->reversal.turn_us + d->config.timeout_us) {
+        end_reversal(d, TL_ONSET_TIMED_OUT, true, onset);
     }
-    if (scene_us > d->reversal.turn_us + d->config.timeout_us) {
-        end_reversal(d, TL_ONSET_TIMED_OUT, false, onset);
-        return true;
-    }
-    return false;
 }
 
 static int32_t weight_of(const tl_onset_config_t *config, tl_px_q12_t sigma) {
@@ -358,13 +355,15 @@ static int32_t weight_of(const tl_onset_config_t *config, tl_px_q12_t sigma) {
     return weight < 1 ? 1 : (weight > 64 ? 64 : (int32_t)weight);
 }
 
-/// Keeps the sums of a long level within their range, and lets a level that creeps be followed.
+/// Halves what has left the window, all - window: all becomes (all + window) / 2. The sums of a long level
+/// stay within their range, and a level that creeps is followed.
 static void fade(tl_onset_detector_t *d) {
-    const tl_onset_sums_t window = window_sums(d);
-    const tl_onset_sums_t old = tl_hinge_without(&d->all, &window);
-    const tl_onset_sums_t half = {
-        .w = old.w / 2, .u = old.u / 2, .v = old.v / 2, .yy = old.yy / 2, .n = old.n / 2};
-    d->all = tl_hinge_without(&d->all, &half);
+    add_window(d);
+    d->all.w /= 2;
+    d->all.u /= 2;
+    d->all.v /= 2;
+    d->all.yy /= 2;
+    d->all.n /= 2;
 }
 
 static void take(tl_onset_detector_t *d, const tl_onset_sample_t *sample) {
@@ -375,9 +374,36 @@ static void take(tl_onset_detector_t *d, const tl_onset_sample_t *sample) {
     d->held++;
 }
 
+/// A frame with its marker, at motor position sample->q.
+static void take_frame(tl_onset_detector_t *d, const tl_onset_sample_t *sample, tl_us_t scene_us,
+                       tl_onset_t *onset) {
+    d->seen_us = scene_us;
+    if (d->phase == FOLLOWING) {
+        take(d, sample);
+        return;
+    }
+    if (scene_us < d->reversal.turn_us + d->config.guard_us) {
+        return;
+    }
+    if (d->approach.n == 0 && d->all.n == 0) {
+        d->reference_u = sample->u;
+        d->reference_v = sample->v;
+    }
+    take(d, sample);
+    tl_hinge_add(&d->all, tl_hinge_image(d, d->held - 1));
+    if (d->all.n >= 2 * TL_ONSET_WINDOW) {
+        fade(d);
+    }
+    if (d->reversal.frames < UINT16_MAX) {
+        d->reversal.frames++;
+    }
+    decide(d, false, onset);
+}
+
 bool tl_onset_sample(tl_onset_detector_t *detector, const tl_history_t *history, const tl_marker_t *marker,
                      tl_onset_t *onset) {
     tl_onset_detector_t *d = detector;
+    d->told = false;
     if (marker->arrival_us <= d->arrival_us) {
         d->ignored++;
         return false;
@@ -388,73 +414,35 @@ bool tl_onset_sample(tl_onset_detector_t *detector, const tl_history_t *history,
         return false;
     }
     const tl_us_t scene_us = marker->arrival_us - d->config.delay_us;
-    tl_onset_t found;
-    bool told = scan(d, history, scene_us, onset);
-    if (check_time(d, scene_us, &found)) {
-        d->missed += told ? 1 : 0;
-        *onset = told ? *onset : found;
-        told = true;
-    }
+    scan(d, history, scene_us, onset);
+    check_time(d, scene_us, onset);
     if (marker->other_motion) {
         clear_window(d);
         d->on_envelope = false;
-        if (d->phase == CROSSING && !told) {
-            end_reversal(d, TL_ONSET_OTHER_MOTION, false, onset);
-            return true;
+        if (d->phase == CROSSING) {
+            end_reversal(d, TL_ONSET_OTHER_MOTION, true, onset);
         }
-        return told;
+        return d->told;
     }
-    tl_count_q8_t q;
-    if (!marker->valid || tl_history_at(history, scene_us, &q) != TL_HISTORY_OK) {
+    tl_onset_sample_t sample = {0, marker->u, marker->v, (uint32_t)scene_us,
+                                weight_of(&d->config, marker->sigma)};
+    if (marker->valid && tl_history_at(history, scene_us, &sample.q) == TL_HISTORY_OK) {
+        take_frame(d, &sample, scene_us, onset);
+    } else {
         d->lost++;
-        return told;
     }
-    d->seen_us = scene_us;
-    const tl_onset_sample_t sample = {q, marker->u, marker->v, (uint32_t)scene_us,
-                                      weight_of(&d->config, marker->sigma)};
-    if (d->phase == FOLLOWING) {
-        take(d, &sample);
-        return told;
-    }
-    if (scene_us < d->reversal.turn_us + d->config.guard_us) {
-        return told;
-    }
-    if (d->approach.n == 0 && d->all.n == 0) {
-        d->reference_u = sample.u;
-        d->reference_v = sample.v;
-    }
-    take(d, &sample);
-    tl_hinge_add(&d->all, tl_hinge_image(d, d->held - 1));
-    if (d->all.n >= 2 * TL_ONSET_WINDOW) {
-        fade(d);
-    }
-    if (d->reversal.frames < UINT16_MAX) {
-        d->reversal.frames++;
-    }
-    tl_confirm_t e;
-    if (told || !tl_confirm_glance(d) || !tl_confirm_evaluate(d, &e)) {
-        d->settled = false;
-        return told;
-    }
-    // Twice in a row: a finish on the first chance would prefer those whose knot noise has moved forward.
-    const bool before = d->settled;
-    d->settled = e.confirmed && !tl_confirm_may_improve(d, &e);
-    if (!before || !d->settled) {
-        return false;
-    }
-    finish_started(d, &e, onset);
-    return true;
+    return d->told;
 }
 
 bool tl_onset_poll(tl_onset_detector_t *detector, const tl_history_t *history, tl_us_t now_us,
                    tl_onset_t *onset) {
     tl_onset_detector_t *d = detector;
+    d->told = false;
     if (now_us < (tl_us_t)d->config.delay_us + POLL_LAG_US) {
         return false;
     }
     const tl_us_t scene_us = now_us - d->config.delay_us - POLL_LAG_US;
-    if (scan(d, history, scene_us, onset)) {
-        return true;
-    }
-    return check_time(d, scene_us, onset);
+    scan(d, history, scene_us, onset);
+    check_time(d, scene_us, onset);
+    return d->told;
 }

@@ -7,17 +7,16 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-/// m 2^e with 2^30 <= |m| < 2^31, or m = 0.
-typedef struct {
-    int32_t m;
-    int32_t e;
-} tl_real_t;
+/// A scalar, so that it travels in registers: mantissa (2^30 <= |m| < 2^31, or 0) in the high word, exponent
+/// in the low one. Its sign, and whether it is 0, may be read as those of the integer; all else through
+/// these.
+typedef int64_t tl_real_t;
 
 /// value 2^e; |value| < 2^63.
 tl_real_t tl_real(int64_t value, int32_t e);
 
 tl_real_t tl_real_add(tl_real_t a, tl_real_t b);
-tl_real_t tl_real_neg(tl_real_t a);
+tl_real_t tl_real_sub(tl_real_t a, tl_real_t b);
 tl_real_t tl_real_mul(tl_real_t a, tl_real_t b);
 tl_real_t tl_real_square(tl_real_t a);
 
