@@ -112,3 +112,16 @@ with open_board() as board:
     link.ask("plug")
 """
     assert "gone:" in on_the_bus(bench, sys.executable, "-c", script).stdout
+
+
+def test_the_c_example_streams(bench: Bench) -> None:
+    """C, libusb and common/ alone: 250 set-points a second through the tables."""
+    program = HERE.parents[1] / "build" / "gcc" / "tools" / "examples" / "example_stream"
+    if not program.exists():
+        pytest.skip("the C example is not built: libusb's header is missing (tools/setup system)")
+    with bench.open() as board:
+        board.load_table(0, blob())
+    bench.sim.ask("realtime on")
+    text = on_the_bus(bench, str(program), "0", "1").stdout
+    sent, taken, dropped = (int(text.split(word)[0].split()[-1]) for word in (" set-points", " and dropped", "\n"))
+    assert sent == 250 and taken == sent and dropped == 0

@@ -22,6 +22,7 @@
 #define LEAD_US      8000U ///< a set-point holds so long after it was sent
 #define DEG_Q16      65536.0
 #define TIP          1U    ///< follow's target: configurations, through the tables
+#define FULL         2U   ///< its compensation: f_remain and backlash
 #define PI           3.14159265358979323846
 
 static libusb_device_handle *device;
@@ -109,7 +110,8 @@ int main(int argc, char **argv) {
         return 1;
     }
     request(TL_WIRE_ENABLE, &(tl_wire_enable_t){.axis = axis, .on = 1}, TL_WIRE_ACK, &answer);
-    request(TL_WIRE_FOLLOW, &(tl_wire_follow_t){.axis = axis, .target = TIP}, TL_WIRE_ACK, &answer);
+    const tl_wire_follow_t follow = {.axis = axis, .target = TIP, .compensation = FULL};
+    request(TL_WIRE_FOLLOW, &follow, TL_WIRE_ACK, &answer);
     request(TL_WIRE_GET_STATUS, &(tl_wire_get_status_t){.axis = axis}, TL_WIRE_STATUS, &answer);
     const int32_t start_q16 = answer.status.c_ref_q16;
 
