@@ -136,6 +136,17 @@ def test_unplugged_at_any_moment(bench: Bench) -> None:
             bench.until(board, 0, "OFF")
 
 
+def test_answers_that_fill_their_packets_exactly_are_not_lost(board: Board) -> None:
+    """16 pongs are 7 full packets and no short one: the read ends by its time-out, and gives what came."""
+    board._device.write(0x01, b"".join(wire.encode("ping", 100 + i, host_us=i) for i in range(16)))
+    data = b""
+    with pytest.raises(usb.core.USBTimeoutError):
+        while True:
+            data += bytes(board._device.read(0x81, 4096, timeout=50))
+    pongs = list(wire.Decoder().feed(data))
+    assert [pong.host_us for pong in pongs] == list(range(16)) and len(data) == 7 * 64
+
+
 def test_a_host_that_leaves_without_a_word(bench: Bench) -> None:
     """The device handle is dropped in the middle of a transfer: the next host finds the board in order."""
     (found,) = find(bench.where)

@@ -1,0 +1,84 @@
+"""By the wall clock: a camera with a clock of its own, a thread that reads, two clocks that are aligned."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tautline.board import open_board
+from tautline.calibrate import calibrate
+from tautline.geometry import project
+from tautline.instrument import Instrument, preset
+from tautline.live import CameraEye, Live
+from tautline.marker import Sighting
+from tautline.recording import load
+from tautline.session import MotionOptions, record_calibration
+from tautline.simlink import DesktopBoard, SimLink
+
+DELAY_S = 0.080
+
+
+class WallCamera:
+    """25 frames a second of the host's clock, each two frames old when it arrives; pictures are marker positions."""
+
+    clock = "the host's monotonic clock"
+
+    def __init__(self, link: SimLink, instrument: Instrument) -> None:
+        self._link, self._instrument = link, instrument
+        self._next = time.monotonic()
+        self._waiting: list[np.ndarray] = []
+        self._rng = np.random.default_rng(3)
+
+    def read(self) -> tuple[np.ndarray, float]:
+        while True:
+            self._next += 0.04
+            time.sleep(max(self._next - time.monotonic(), 0.0))
+            q = self._link.ask("state")["q"][0] / 256.0 * self._instrument.rig.actuator.encoder_resolution
+            c = self._instrument.move(np.zeros(1), np.array([q]))
+            self._waiting.append(project(self._instrument.rig, c)[0] + self._rng.normal(0.0, 0.05, 2))
+            if len(self._waiting) > round(DELAY_S / 0.04):
+                return self._waiting.pop(0), time.monotonic()
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+class Reader:
+    """Stands where the tracker does."""
+
+    def track(self, picture: np.ndarray) -> Sighting:
+        return Sighting(float(picture[0]), float(picture[1]), 0.05, 15.0)
+
+
+def test_the_clock_of_a_paced_board() -> None:
+    with DesktopBoard(realtime=True) as desktop, open_board(desktop.where) as board, board.reading():
+        board.align(32)
+        error = board.clock.offset(time.monotonic())[1]
+        assert error < 0.005
+        time.sleep(0.3)
+        before = time.monotonic()
+        stamp = board.sync()
+        after = time.monotonic()
+        # The bound holds: the stamp was taken between the two. The board paces itself in steps of a millisecond.
+        offset, error = board.clock.offset(after)
+        assert before + offset - error - 0.002 <= stamp * 1e-6 <= after + offset + error + 0.002
+
+
+@pytest.mark.long
+def test_a_calibration_by_the_wall_clock(tmp_path: Path) -> None:
+    instrument = preset("constant")
+    with DesktopBoard(realtime=True) as desktop, open_board(desktop.where) as board, board.reading():
+        board.align(32)
+        link = desktop.link()
+        live = Live(board, instrument.rig, 0, CameraEye(board, WallCamera(link, instrument), Reader()))  # type: ignore[arg-type]
+        made = record_calibration(live, tmp_path / "rec", MotionOptions(cycles=2, speeds=(1.0,), low=-2.0, high=2.0))
+        link.close()
+    assert made.reversals >= 8 and made.telemetry_missed == 0
+    used = [onset["width"] for onset in made.onsets if onset["used"]]
+    assert len(used) >= 6 and np.mean(used) == pytest.approx(0.625, abs=0.02)
+    found = calibrate([load(tmp_path / "rec")], instrument.rig)
+    inside = (found.model.q > -1.5) & (found.model.q < 1.5)
+    assert found.model.width[inside].mean() == pytest.approx(0.625, abs=0.02)
