@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import usb.core
 import usb.util
-from conftest import Bench
 
+from conftest import Bench
 from tautline import wire
 from tautline.board import Board, BoardGone, BoardRefused, Found, check_protocol, find, open_board
 from tautline.errors import TautError

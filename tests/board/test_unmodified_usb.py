@@ -9,9 +9,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import Bench
 from test_tables import blob
 
+from conftest import Bench
 from tautline import wire
 
 HERE = Path(__file__).parent
