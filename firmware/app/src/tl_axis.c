@@ -79,8 +79,7 @@ uint8_t tl_axis_set_position(tl_axis_t *axis, tl_count_q8_t q) {
     if (q < -TL_AXIS_RANGE_MAX || q > TL_AXIS_RANGE_MAX) {
         return TL_WIRE_REASON_RANGE;
     }
-    axis->position = q / TL_COUNT_ONE;
-    axis->q = axis->position * TL_COUNT_ONE;
+    axis->q = q / TL_COUNT_ONE * TL_COUNT_ONE;
     tl_servo_reset(&axis->servo, axis->q);
     tl_reference_set(&axis->reference, axis->q);
     if (axis->has_table) {
@@ -111,6 +110,7 @@ void tl_axis_init(tl_axis_t *axis, const tl_port_t *port, uint8_t index) {
     axis->port = port;
     axis->index = index;
     axis->encoder = port->encoder(port->context, index);
+    axis->slots = (uint8_t)(port->control_hz / 1000U);
     axis->limits = (tl_wire_limits_t){
         .axis = index,
         .q_low_q8 = -TL_AXIS_RANGE_MAX,
@@ -153,7 +153,7 @@ void tl_axis_stop(tl_axis_t *axis, bool then_off) {
 void tl_axis_silence(tl_axis_t *axis) {
     if (is_following(axis)) {
         tl_axis_stop(axis, false);
-        axis->flags |= TL_WIRE_FLAG_SILENT;
+        axis->silent = true;
         event(axis, TL_WIRE_EVENT_SILENT);
     }
 }
@@ -174,7 +174,7 @@ uint8_t tl_axis_enable(tl_axis_t *axis) {
         tl_servo_reset(&axis->servo, axis->q);
         admit(axis);
         axis->current_mean_q8 = 0;
-        axis->flags = (uint16_t)(axis->flags & ~TL_WIRE_FLAG_SILENT);
+        axis->silent = false;
         axis->mode = TL_WIRE_MODE_HOLD;
     } else if (axis->mode == TL_WIRE_MODE_STOPPING_OFF) {
         axis->mode = TL_WIRE_MODE_STOPPING;
@@ -205,6 +205,11 @@ uint8_t tl_axis_move(tl_axis_t *axis, tl_count_q8_t target, int32_t speed_q8_s) 
     return 0;
 }
 
+// Ticks until the sender is silent: silence_us after the time of its last set-point.
+static uint32_t patience(const tl_axis_t *axis, tl_us_t now_us) {
+    return ((uint32_t)(axis->queue_end_us - now_us) + axis->silence_us) / (1000000U / axis->port->control_hz) + 1U;
+}
+
 uint8_t tl_axis_follow(tl_axis_t *axis, bool tip, uint8_t compensation, uint32_t silence_us, tl_us_t now_us) {
     const uint8_t reason = ready(axis);
     if (reason != 0) {
@@ -213,7 +218,7 @@ uint8_t tl_axis_follow(tl_axis_t *axis, bool tip, uint8_t compensation, uint32_t
     if (axis->mode != TL_WIRE_MODE_HOLD) {
         return TL_WIRE_REASON_BUSY;
     }
-    if (compensation > (uint8_t)TL_MODE_FULL) {
+    if (compensation > (uint8_t)TL_MODE_FULL || silence_us > TL_AXIS_AHEAD_US) {
         return TL_WIRE_REASON_RANGE;
     }
     if (tip && !axis->has_table) {
@@ -231,9 +236,9 @@ uint8_t tl_axis_follow(tl_axis_t *axis, bool tip, uint8_t compensation, uint32_t
     axis->queue_end = value;
     axis->queue_end_us = now_us;
     axis->value = (int64_t)value * (1 << 24);
-    axis->heard_us = now_us;
     axis->silence_us = silence_us > 0 ? silence_us : TL_AXIS_SILENCE_US;
-    axis->flags = (uint16_t)(axis->flags & ~TL_WIRE_FLAG_SILENT);
+    axis->patience = patience(axis, now_us);
+    axis->silent = false;
     axis->mode = tip ? TL_WIRE_MODE_FOLLOW_TIP : TL_WIRE_MODE_FOLLOW_MOTOR;
     return 0;
 }
@@ -263,7 +268,7 @@ uint8_t tl_axis_set_point(tl_axis_t *axis, int32_t value, tl_us_t at_us, tl_us_t
     }
     axis->queue_end = value;
     axis->queue_end_us = start_us + (tl_us_t)ticks * period_us;
-    axis->heard_us = axis->queue_end_us;
+    axis->patience = patience(axis, now_us);
     return 0;
 }
 
@@ -285,26 +290,13 @@ uint8_t tl_axis_calibrate(tl_axis_t *axis, tl_motion_t *motion, tl_history_t *hi
 
 static void measure(tl_axis_t *axis, tl_us_t now_us) {
     const int32_t encoder = axis->port->encoder(axis->port->context, axis->index);
-    const int32_t moved = (int32_t)((uint32_t)encoder - (uint32_t)axis->encoder);
+    int32_t moved = (int32_t)((uint32_t)encoder - (uint32_t)axis->encoder);
     axis->encoder = encoder;
-    axis->position = tl_clamp(axis->position + tl_clamp(moved, -ENCODER_JUMP, ENCODER_JUMP),
-                              INT32_MIN / TL_COUNT_ONE, INT32_MAX / TL_COUNT_ONE);
-    axis->q = axis->position * TL_COUNT_ONE;
     if (moved > ENCODER_JUMP || moved < -ENCODER_JUMP) {
         tl_axis_fail(axis, TL_WIRE_FAULT_ENCODER, now_us);
+        moved = 0;
     }
-    axis->current_ma = tl_clamp(axis->port->current_ma(axis->port->context, axis->index), -100000, 100000);
-    // First-order mean over 20 ms.
-    const int32_t share = 32768 / ((int32_t)axis->port->control_hz / 50);
-    const int32_t magnitude = axis->current_ma < 0 ? -axis->current_ma : axis->current_ma;
-    const int32_t difference = tl_clamp(magnitude * 256 - axis->current_mean_q8, -(1 << 20), 1 << 20);
-    axis->current_mean_q8 += (difference * share) >> 15;
-    if (axis->history != NULL) {
-        tl_history_push(axis->history, now_us, axis->q);
-    }
-    if (axis->has_table) {
-        tl_play_step(&axis->play, axis->q);
-    }
+    axis->q = tl_clamp(axis->q + moved * TL_COUNT_ONE, -TL_TABLE_VALUE_MAX, TL_TABLE_VALUE_MAX);
 }
 
 static int32_t next_value(tl_axis_t *axis) {
@@ -318,94 +310,89 @@ static int32_t next_value(tl_axis_t *axis) {
             axis->segment_ticks = axis->queue_used > 0 ? axis->queue[axis->queue_first].ticks : 0;
         }
     }
-    return (int32_t)(axis->value / (1 << 24));
+    return (int32_t)(axis->value >> 24);
 }
 
-static uint16_t flags_of(uint32_t lookup) {
-    uint32_t flags = TL_WIRE_FLAG_COMPENSATING;
-    flags |= (lookup & (TL_COMPENSATOR_BELOW | TL_COMPENSATOR_ABOVE | TL_COMPENSATOR_CLIPPED)) != 0
-                 ? TL_WIRE_FLAG_SATURATED_RANGE
-                 : 0U;
-    flags |= (lookup & (TL_COMPENSATOR_LIMITED | TL_COMPENSATOR_FLAT)) != 0 ? TL_WIRE_FLAG_SATURATED_SPEED : 0U;
-    flags |= (lookup & TL_COMPENSATOR_TAKE_UP) != 0 ? TL_WIRE_FLAG_TAKE_UP : 0U;
-    return (uint16_t)flags;
-}
-
-// The reference of this tick. Returns flags.
-static uint16_t refer(tl_axis_t *axis, tl_us_t now_us) {
-    tl_count_q8_t target = axis->q;
-    uint16_t flags = 0;
-    const tl_reference_limits_t *limits = &axis->travel;
-    if (now_us > axis->heard_us + axis->silence_us) {
-        tl_axis_silence(axis);
-    }
+// The target of a mode that has one; *limits are the axis' own unless the mode has others.
+static tl_count_q8_t target_of(tl_axis_t *axis, const tl_reference_limits_t **limits) {
     switch (axis->mode) {
     case TL_WIRE_MODE_FOLLOW_MOTOR:
-        target = next_value(axis);
-        break;
+        return next_value(axis);
     case TL_WIRE_MODE_FOLLOW_TIP:
         axis->c_ref = next_value(axis);
-        target = tl_compensator_step(&axis->compensator, axis->c_ref);
-        flags = flags_of(axis->compensator.flags);
-        break;
+        return tl_compensator_step(&axis->compensator, axis->c_ref);
     case TL_WIRE_MODE_CALIBRATE:
-        target = tl_motion_tick(axis->motion).q;
-        break;
+        return tl_motion_tick(axis->motion).q;
     case TL_WIRE_MODE_MOVE:
-        target = axis->move_target;
-        limits = &axis->move;
-        break;
-    case TL_WIRE_MODE_HOLD:
-        target = tl_reference_q(&axis->reference);
-        break;
-    case TL_WIRE_MODE_STOPPING:
-    case TL_WIRE_MODE_STOPPING_OFF:
+        *limits = &axis->move;
+        return axis->move_target;
+    default:
+        return tl_reference_q(&axis->reference);
+    }
+}
+
+static void refer(tl_axis_t *axis) {
+    const tl_reference_limits_t *limits = &axis->travel;
+    if (is_following(axis) && --axis->patience == 0U) {
+        tl_axis_silence(axis);
+    }
+    if (axis->mode == TL_WIRE_MODE_STOPPING || axis->mode == TL_WIRE_MODE_STOPPING_OFF) {
         if (tl_reference_brake(&axis->reference, limits)) {
             tl_reference_set(&axis->reference, tl_reference_q(&axis->reference));
             axis->mode = axis->mode == TL_WIRE_MODE_STOPPING ? TL_WIRE_MODE_HOLD : TL_WIRE_MODE_OFF;
             event(axis, TL_WIRE_EVENT_RESTED);
         }
-        return 0;
-    default: // off: wherever the motor is
-        tl_reference_set(&axis->reference, axis->q);
-        return 0;
+        return;
     }
-    const tl_count_q8_t within = tl_clamp(target, axis->lowest, axis->highest);
-    if (within != target) {
-        flags |= TL_WIRE_FLAG_SATURATED_RANGE;
-        target = within;
+    tl_count_q8_t target = target_of(axis, &limits);
+    if (target < axis->lowest || target > axis->highest) {
+        axis->noted |= TL_WIRE_FLAG_SATURATED_RANGE;
+        target = tl_clamp(target, axis->lowest, axis->highest);
     }
     tl_reference_step(&axis->reference, target, axis->lowest, axis->highest, limits);
-    if (axis->mode == TL_WIRE_MODE_MOVE && axis->reference.position == axis->reference.target &&
-        axis->reference.velocity == 0) {
-        axis->mode = TL_WIRE_MODE_HOLD;
-        event(axis, TL_WIRE_EVENT_ARRIVED);
+    if (axis->mode == TL_WIRE_MODE_MOVE) {
+        if (tl_reference_rests_at(&axis->reference, target)) {
+            axis->mode = TL_WIRE_MODE_HOLD;
+            event(axis, TL_WIRE_EVENT_ARRIVED);
+        }
+    } else if (axis->reference.behind) {
+        axis->noted |= TL_WIRE_FLAG_SATURATED_SPEED;
     }
-    if (axis->reference.behind && axis->mode != TL_WIRE_MODE_MOVE) {
-        flags |= TL_WIRE_FLAG_SATURATED_SPEED;
-    }
-    return flags;
 }
 
-// What must not be, while the motor is driven.
-static tl_wire_fault_t check(const tl_axis_t *axis) {
-    const int32_t error = tl_sub_sat(tl_reference_q(&axis->reference), axis->q);
-    const int32_t most = axis->limits.following_error_q8;
-    if (error > most || error < -most) {
-        return TL_WIRE_FAULT_FOLLOWING;
+// First-order mean over 20 ms, at 1 kHz.
+static void watch_current(tl_axis_t *axis, tl_us_t now_us) {
+    axis->current_ma = tl_clamp(axis->port->current_ma(axis->port->context, axis->index), -100000, 100000);
+    const int32_t magnitude = axis->current_ma < 0 ? -axis->current_ma : axis->current_ma;
+    const int32_t difference = tl_clamp(magnitude * 256 - axis->current_mean_q8, -(1 << 20), 1 << 20);
+    axis->current_mean_q8 += (difference * (32768 / 20)) >> 15;
+    if (axis->mode != TL_WIRE_MODE_OFF && axis->limits.current_ma > 0 &&
+        axis->current_mean_q8 > axis->limits.current_ma * 256) {
+        tl_axis_fail(axis, TL_WIRE_FAULT_CURRENT, now_us);
     }
-    if (axis->limits.current_ma > 0 && axis->current_mean_q8 / 256 > axis->limits.current_ma) {
-        return TL_WIRE_FAULT_CURRENT;
+}
+
+uint16_t tl_axis_flags(const tl_axis_t *axis) {
+    uint32_t flags = axis->noted_before;
+    if (axis->mode == TL_WIRE_MODE_FOLLOW_TIP) {
+        const uint32_t now = axis->compensator.flags;
+        flags |= TL_WIRE_FLAG_COMPENSATING;
+        flags |= (now & (TL_COMPENSATOR_BELOW | TL_COMPENSATOR_ABOVE | TL_COMPENSATOR_CLIPPED)) != 0
+                     ? TL_WIRE_FLAG_SATURATED_RANGE
+                     : 0U;
+        flags |= (now & (TL_COMPENSATOR_LIMITED | TL_COMPENSATOR_FLAT)) != 0 ? TL_WIRE_FLAG_SATURATED_SPEED : 0U;
+        flags |= (now & TL_COMPENSATOR_TAKE_UP) != 0 ? TL_WIRE_FLAG_TAKE_UP : 0U;
     }
-    return TL_WIRE_FAULT_NONE;
+    flags |= axis->mode != TL_WIRE_MODE_OFF ? TL_WIRE_FLAG_ENABLED : 0U;
+    flags |= axis->reference.velocity == 0 ? TL_WIRE_FLAG_AT_REST : 0U;
+    flags |= axis->fault != TL_WIRE_FAULT_NONE ? TL_WIRE_FLAG_FAULT : 0U;
+    flags |= axis->silent ? TL_WIRE_FLAG_SILENT : 0U;
+    return (uint16_t)flags;
 }
 
 static void sample(tl_axis_t *axis, tl_us_t now_us) {
-    axis->sample_phase += 1000U;
-    if (axis->sample_phase < axis->port->control_hz) {
-        return;
-    }
-    axis->sample_phase -= axis->port->control_hz;
+    axis->noted_before = axis->noted;
+    axis->noted = 0;
     if (axis->divider == 0 || ++axis->skipped < axis->divider) {
         return;
     }
@@ -414,41 +401,60 @@ static void sample(tl_axis_t *axis, tl_us_t now_us) {
         axis->samples_dropped++;
         return;
     }
-    axis->samples[axis->sample_head % TL_AXIS_SAMPLES] = (tl_sample_t){
-        .t_us = now_us,
-        .q = axis->q,
-        .q_ref = tl_reference_q(&axis->reference),
-        .p = axis->has_table ? axis->play.p : axis->q,
-        .c_ref = axis->c_ref,
-        .c_est = axis->has_table ? tl_play_angle(&axis->play) : 0,
-        .duty = (int16_t)tl_clamp(axis->duty, INT16_MIN, INT16_MAX),
-        .flags = axis->flags,
-    };
+    tl_sample_t *into = &axis->samples[axis->sample_head % TL_AXIS_SAMPLES];
+    into->t_us = now_us;
+    into->q = axis->q;
+    into->q_ref = tl_reference_q(&axis->reference);
+    into->p = axis->has_table ? axis->play.p : axis->q;
+    into->c_ref = axis->c_ref;
+    into->c_est = axis->has_table ? tl_play_angle(&axis->play) : 0;
+    into->duty = (int16_t)tl_clamp(axis->duty, INT16_MIN, INT16_MAX);
+    into->flags = tl_axis_flags(axis);
     axis->sample_head = axis->sample_head + 1U;
+}
+
+// What is done once a millisecond, each in a tick of its own where there are enough of them. The play operator's result does
+// not depend on how often it is stepped, but for a reversal's tip: 0.03 counts at 200 000 counts/s2.
+static void by_the_millisecond(tl_axis_t *axis, tl_us_t now_us) {
+    axis->phase = (uint16_t)(axis->phase + 1000U);
+    axis->slot++;
+    if (axis->phase >= axis->port->control_hz) {
+        axis->phase = (uint16_t)(axis->phase - axis->port->control_hz);
+        axis->slot = 0;
+    }
+    const uint8_t last = (uint8_t)(axis->slots - 1U);
+    if (axis->slot == last && axis->has_table) {
+        tl_play_step(&axis->play, axis->q);
+    }
+    if (axis->slot == (last > 1U ? 1U : 0U)) {
+        watch_current(axis, now_us);
+    }
+    if (axis->slot == 0U) {
+        sample(axis, now_us);
+    }
 }
 
 void tl_axis_step(tl_axis_t *axis, tl_us_t now_us) {
     measure(axis, now_us);
-    uint16_t flags = refer(axis, now_us);
-    if (axis->mode != TL_WIRE_MODE_OFF) {
-        const bool at_rest = axis->reference.velocity == 0;
-        const tl_duty_q15_t duty =
-            tl_servo_step(&axis->servo, axis->q, tl_reference_q(&axis->reference),
-                          tl_reference_speed(&axis->reference, axis->port->control_hz), at_rest, axis->limits.duty_q15);
-        const tl_wire_fault_t fault = check(axis);
-        if (fault != TL_WIRE_FAULT_NONE) {
-            tl_axis_fail(axis, fault, now_us);
-        } else {
-            drive(axis, duty);
-            flags |= TL_WIRE_FLAG_ENABLED;
-            flags |= axis->servo.saturated ? TL_WIRE_FLAG_SATURATED_DUTY : 0U;
-        }
-    } else {
+    if (axis->history != NULL) {
+        tl_history_push(axis->history, now_us, axis->q);
+    }
+    if (axis->mode == TL_WIRE_MODE_OFF) {
+        tl_reference_set(&axis->reference, axis->q);
         tl_servo_watch(&axis->servo, axis->q);
         drive(axis, 0);
+    } else {
+        refer(axis);
+        const tl_count_q8_t reference = tl_reference_q(&axis->reference);
+        const int32_t speed = tl_reference_speed(&axis->reference, axis->port->control_hz);
+        const tl_duty_q15_t duty = tl_servo_step(&axis->servo, axis->q, reference, speed, axis->limits.duty_q15);
+        const tl_count_q8_t error = reference - axis->q;
+        if (error > axis->limits.following_error_q8 || error < -axis->limits.following_error_q8) {
+            tl_axis_fail(axis, TL_WIRE_FAULT_FOLLOWING, now_us);
+        } else {
+            drive(axis, axis->mode == TL_WIRE_MODE_OFF ? 0 : duty);
+            axis->noted |= axis->servo.saturated ? TL_WIRE_FLAG_SATURATED_DUTY : 0U;
+        }
     }
-    flags |= axis->reference.velocity == 0 ? TL_WIRE_FLAG_AT_REST : 0U;
-    flags |= axis->fault != TL_WIRE_FAULT_NONE ? TL_WIRE_FLAG_FAULT : 0U;
-    axis->flags = (uint16_t)(flags | (axis->flags & TL_WIRE_FLAG_SILENT));
-    sample(axis, now_us);
+    by_the_millisecond(axis, now_us);
 }

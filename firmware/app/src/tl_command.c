@@ -45,7 +45,7 @@ static void status(const tl_app_t *app, uint8_t index, tl_us_t now_us, tl_wire_s
         .fault = axis->fault,
         .table = table->state,
         .table_reason = table->reason,
-        .flags = axis->flags,
+        .flags = tl_axis_flags(axis),
         .table_sequence = table->sequence,
         .table_crc = table->crc,
         .t_us = now_us,

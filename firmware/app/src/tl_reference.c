@@ -1,109 +1,119 @@
 #include "tautline/tl_reference.h"
 
-#define ONE              ((int64_t)1 << 32)
-#define ACCELERATION_MAX (ONE / 2 - 1) // counts/tick2: twice it fits 32 bits
+#define NEAR             ((tl_count_q8_t)1 << 14) // 64 counts: distances up to there are kept in Q24
+#define FAR              ((tl_count_q8_t)1 << 22) // 16384 counts: farther ones count as that
+#define ACCELERATION_MAX (1 << 22)                // counts/tick2 Q24: with two of them in Q32 there is room to spare
 
 tl_reference_limits_t tl_reference_limits(int32_t speed, int32_t acceleration, uint32_t rate_hz) {
     const int64_t rate = (int64_t)rate_hz;
     speed = tl_clamp(speed, 1, TL_REFERENCE_SPEED_MAX);
     acceleration = tl_clamp(acceleration, TL_REFERENCE_ACCELERATION_MIN, TL_REFERENCE_ACCELERATION_MAX);
-    const int64_t speed_q32 = ((int64_t)speed << 24) / rate;
-    const int64_t per_tick = ((int64_t)acceleration << 24) / (rate * rate);
-    const int64_t acceleration_q32 = per_tick < 1 ? 1 : (per_tick > ACCELERATION_MAX ? ACCELERATION_MAX : per_tick);
-    const int64_t ticks = speed_q32 / acceleration_q32 + 2;
-    return (tl_reference_limits_t){
-        .speed = speed_q32,
-        .acceleration = acceleration_q32,
-        .stop = ticks > INT32_MAX ? INT64_MAX : (speed_q32 / 2 + 1) * ticks,
+    const int64_t per_tick = ((int64_t)speed << 16) / rate;
+    const int64_t per_tick2 = ((int64_t)acceleration << 16) / (rate * rate);
+    tl_reference_limits_t limits = {
+        .speed = (int32_t)per_tick,
+        .acceleration = per_tick2 > ACCELERATION_MAX ? ACCELERATION_MAX : (int32_t)per_tick2,
     };
+    const int64_t ticks = limits.speed / limits.acceleration + 2;
+    const int64_t stop = (ticks * (limits.speed / 2 + 1)) >> 16;
+    limits.stop = stop < INT32_MAX ? (int32_t)stop : INT32_MAX;
+    return limits;
 }
 
 void tl_reference_set(tl_reference_t *reference, tl_count_q8_t q) {
-    reference->position = (int64_t)q * (1 << 24);
-    reference->velocity = 0;
-    reference->target = reference->position;
-    reference->behind = false;
+    *reference = (tl_reference_t){.q = q, .target = q};
 }
 
-static int64_t clamp64(int64_t x, int64_t most) { return x > most ? most : (x < -most ? -most : x); }
-
-// Whether one tick at `speed` and then braking covers at most `distance`: v^2 + a v <= 2 a d (v in counts/tick Q32, d in
-// counts Q32). Both sides in Q32; a distance beyond 65536 counts counts as that.
-static bool can_stop(int64_t speed, int64_t distance, int64_t acceleration) {
-    if (speed <= 0) {
-        return true;
-    }
-    if (distance <= 0) {
-        return false;
-    }
-    const uint64_t v = ((uint64_t)speed >> 16) + 1U; // rounded against us
-    const uint64_t d = (uint64_t)distance >> 16;
-    const uint32_t d32 = d > UINT32_MAX ? UINT32_MAX : (uint32_t)d;
-    const uint32_t v32 = v > UINT32_MAX / 2U ? UINT32_MAX / 2U : (uint32_t)v;
-    const uint32_t a32 = (uint32_t)acceleration;
-    return (uint64_t)v32 * v32 + ((uint64_t)v32 * a32 >> 16) <= ((uint64_t)(2U * a32) * d32) >> 16;
+// The whole product, from four of 16 x 16 bits: the library's would be a call for 64 x 64.
+static inline uint64_t product(uint32_t a, uint32_t b) {
+    const uint32_t a0 = a & 0xFFFFU, a1 = a >> 16, b0 = b & 0xFFFFU, b1 = b >> 16;
+    const uint64_t outer = ((uint64_t)(a1 * b1) << 32) | (a0 * b0);
+    return outer + ((uint64_t)(a1 * b0) << 16) + ((uint64_t)(a0 * b1) << 16);
 }
 
-// The speed towards a distance, both seen from the target, that this tick allows: faster, as before, or slower; the last
-// stretch in two ticks, whatever its length.
-static int64_t approach(int64_t speed, int64_t distance, int64_t acceleration) {
-    const int64_t half = distance / 2;
-    if (half <= acceleration && half - speed <= acceleration && speed - half <= acceleration) {
-        return half;
-    }
-    if (can_stop(speed + acceleration, distance, acceleration)) {
+// Whether one tick at `speed` (> 0) and then braking ends within a distance: v (v + a) <= 2 a d. `room` is 2 a d, Q48.
+static inline bool can_stop(int32_t speed, int32_t acceleration, uint64_t room) {
+    return speed <= 0 || product((uint32_t)speed, (uint32_t)(speed + acceleration)) <= room;
+}
+
+// 2 a d in Q48, d in counts Q16.
+static inline uint64_t room_for(uint32_t distance_q16, int32_t acceleration) {
+    return product(distance_q16, (uint32_t)acceleration << 9);
+}
+
+// The speed towards a distance, both seen from the target, that this tick allows: faster, as before, or slower.
+static int32_t approach(int32_t speed, uint32_t distance_q16, int32_t acceleration) {
+    const uint64_t room = room_for(distance_q16, acceleration);
+    if (can_stop(speed + acceleration, acceleration, room)) {
         return speed + acceleration;
     }
-    return can_stop(speed, distance, acceleration) ? speed : speed - acceleration;
+    return can_stop(speed, acceleration, room) ? speed : speed - acceleration;
 }
 
-// `velocity`, or braking where it would not end before the end of the range, `room` ahead.
-static int64_t hold_back(int64_t velocity, int64_t before, int64_t room, const tl_reference_limits_t *limits) {
-    if (velocity <= 0 || room > limits->stop || can_stop(velocity, room, limits->acceleration)) {
+// `velocity`, or braking where it would not end before the end of the range: `room` ahead, and `more` of Q16.
+static int32_t hold_back(int32_t velocity, int32_t before, tl_count_q8_t room, int32_t more,
+                         const tl_reference_limits_t *limits) {
+    if (velocity <= 0 || room > limits->stop) {
+        return velocity;
+    }
+    const int32_t room_q16 = room < FAR ? room * 256 + more : INT32_MAX;
+    if (room_q16 > 0 && can_stop(velocity, limits->acceleration, room_for((uint32_t)room_q16, limits->acceleration))) {
         return velocity;
     }
     return before > limits->acceleration ? before - limits->acceleration : 0;
 }
 
-void tl_reference_step(tl_reference_t *reference, tl_count_q8_t q, tl_count_q8_t low, tl_count_q8_t high,
-                       const tl_reference_limits_t *limits) {
-    const int64_t target = (int64_t)q * (1 << 24);
-    const int64_t target_speed = clamp64(target - reference->target, limits->speed);
-    const int64_t distance = target - reference->position;
-    const int64_t lag = distance - target_speed; // what is left if both go on as they do
-    const int64_t a = limits->acceleration;
-    int64_t velocity = distance; // there within this tick, and as fast as the target
-    if (velocity > limits->speed || velocity < -limits->speed || velocity - reference->velocity > a ||
-        velocity - reference->velocity < -a || lag > a || lag < -a) {
-        const int64_t relative = reference->velocity - target_speed;
-        velocity = target_speed + (lag >= 0 ? approach(relative, lag, a) : -approach(-relative, -lag, a));
-        velocity = clamp64(velocity, limits->speed);
-        // A lowered speed limit is reached by braking, too.
-        if (velocity - reference->velocity > a) {
-            velocity = reference->velocity + a;
-        } else if (velocity - reference->velocity < -a) {
-            velocity = reference->velocity - a;
-        }
-    }
-    const int64_t before = reference->velocity;
-    velocity = velocity >= 0
-                   ? hold_back(velocity, before, (int64_t)high * (1 << 24) - reference->position, limits)
-                   : -hold_back(-velocity, -before, reference->position - (int64_t)low * (1 << 24), limits);
+static void advance(tl_reference_t *reference, int32_t velocity) {
+    const uint32_t fraction = reference->fraction + ((uint32_t)velocity & 0xFFFFU);
+    reference->q += (velocity >> 16) + (int32_t)(fraction >> 16);
+    reference->fraction = fraction & 0xFFFFU;
     reference->velocity = velocity;
-    reference->position += velocity;
+}
+
+static bool within(int32_t x, int32_t most) { return x <= most && x >= -most; }
+
+void tl_reference_step(tl_reference_t *reference, tl_count_q8_t target, tl_count_q8_t low, tl_count_q8_t high,
+                       const tl_reference_limits_t *limits) {
+    const int32_t a = limits->acceleration;
+    const int32_t before = reference->velocity;
+    const int32_t most_q8 = limits->speed >> 16;
+    const int32_t target_speed = tl_clamp(target - reference->target, -most_q8, most_q8) * 65536;
+    const tl_count_q8_t apart = target - reference->q;
     reference->target = target;
-    reference->behind = distance - velocity > ONE || distance - velocity < -ONE;
+    int32_t velocity;
+    if (within(apart, NEAR - 1)) {
+        const int32_t distance = apart * 65536 - (int32_t)reference->fraction;
+        const int32_t lag = distance - target_speed; // what is left if both go on as they do
+        const int32_t half = target_speed + lag / 2;
+        if (within(lag, a) && within(distance - before, a)) {
+            velocity = distance; // there within this tick, and as fast as the target
+        } else if (within(lag, 2 * a) && within(half - before, a)) {
+            velocity = half; // the last stretch in two ticks, whatever its length
+        } else {
+            const int32_t relative = before - target_speed;
+            velocity = target_speed + (lag >= 0 ? approach(relative, (uint32_t)lag >> 8, a)
+                                                : -approach(-relative, (uint32_t)-lag >> 8, a));
+        }
+        reference->behind = !within(distance - velocity, 1 << 24);
+    } else {
+        const int32_t relative = before - target_speed;
+        const tl_count_q8_t far = apart > 0 ? apart : -apart;
+        const int32_t ahead = (apart > 0 ? target_speed : -target_speed) / 256;
+        const uint32_t lag_q16 = (uint32_t)((far < FAR ? far * 256 : INT32_MAX - (1 << 24)) - ahead);
+        velocity = target_speed + (apart > 0 ? approach(relative, lag_q16, a) : -approach(-relative, lag_q16, a));
+        reference->behind = true;
+    }
+    // Also where the limits were lowered meanwhile, or the target's own speed changed faster than they allow.
+    velocity = tl_clamp(velocity, -limits->speed, limits->speed);
+    velocity = tl_clamp(velocity, before - a, before + a);
+    const int32_t fraction = (int32_t)reference->fraction / 256; // roundings in favour: else no end is quite reached
+    advance(reference, velocity >= 0 ? hold_back(velocity, before, high - reference->q, -fraction, limits)
+                                     : -hold_back(-velocity, -before, reference->q - low, fraction + 1, limits));
 }
 
 bool tl_reference_brake(tl_reference_t *reference, const tl_reference_limits_t *limits) {
-    if (reference->velocity > limits->acceleration) {
-        reference->velocity -= limits->acceleration;
-    } else if (reference->velocity < -limits->acceleration) {
-        reference->velocity += limits->acceleration;
-    } else {
-        reference->velocity = 0;
-    }
-    reference->position += reference->velocity;
-    reference->target = reference->position;
+    const int32_t before = reference->velocity;
+    advance(reference, before - tl_clamp(before, -limits->acceleration, limits->acceleration));
+    reference->target = reference->q;
     return reference->velocity == 0;
 }

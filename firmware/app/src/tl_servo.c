@@ -12,7 +12,7 @@ bool tl_servo_configure(tl_servo_t *servo, const tl_servo_gains_t *gains, uint32
     }
     const int32_t rate = (int32_t)rate_hz;
     servo->gains = *gains;
-    servo->integral_step = gains->integral * 256 / rate; // Q31 - Q15 - Q8 of the error = 2^8
+    servo->integral_step = gains->integral * 64 / rate; // Q29 - Q15 - Q8 of the error = 2^6
     servo->derivative = gains->derivative * 128 / 125;
     servo->feed_forward = gains->feed_forward * 128 / 125;
     servo->inertia = gains->inertia * (rate / 10) / 625; // rate * 4096 / 256 / 100000
@@ -48,27 +48,25 @@ void tl_servo_watch(tl_servo_t *servo, tl_count_q8_t q) {
     servo->velocity = tl_clamp(servo->velocity + scale(residual, servo->beta, 7), -TL_SERVO_SPEED_MAX, TL_SERVO_SPEED_MAX);
 }
 
-tl_duty_q15_t tl_servo_step(tl_servo_t *servo, tl_count_q8_t q, tl_count_q8_t reference, int32_t velocity, bool at_rest,
+tl_duty_q15_t tl_servo_step(tl_servo_t *servo, tl_count_q8_t q, tl_count_q8_t reference, int32_t velocity,
                             tl_duty_q15_t limit) {
     tl_servo_watch(servo, q);
-    const int32_t error = tl_clamp(tl_sub_sat(reference, q), -ERROR_MAX, ERROR_MAX);
-    velocity = tl_clamp(velocity, -TL_SERVO_SPEED_MAX, TL_SERVO_SPEED_MAX);
+    const int32_t error = tl_clamp(reference - q, -ERROR_MAX, ERROR_MAX);
     const int32_t wanted = velocity / 256;
     const int32_t change = tl_clamp(velocity - servo->wanted, -servo->change_max, servo->change_max);
     servo->wanted = velocity;
     const int32_t lag = tl_clamp(wanted - servo->velocity / 256, -32767, 32767);
-    int32_t duty = scale(error, servo->gains.proportional, 8) + scale(lag, servo->derivative, 10) +
-                   scale(wanted, servo->feed_forward, 10) + scale(change, servo->inertia, 12);
-    duty += velocity > 0 ? servo->gains.friction : (velocity < 0 ? -servo->gains.friction : 0);
-    const int32_t sum = duty + (int32_t)(servo->integral >> 16);
+    int32_t sum = scale(error, servo->gains.proportional, 8) + scale(lag, servo->derivative, 10) +
+                  scale(wanted, servo->feed_forward, 10) + scale(change, servo->inertia, 12) +
+                  (servo->integral >> 14);
+    sum += velocity > 0 ? servo->gains.friction : (velocity < 0 ? -servo->gains.friction : 0);
     const tl_duty_q15_t driven = tl_clamp(sum, -limit, limit);
     servo->saturated = driven != sum;
-    const bool winding = (sum > limit && error > 0) || (sum < -limit && error < 0);
-    const bool resting = at_rest && error <= REST_BAND && error >= -REST_BAND;
+    const bool winding = servo->saturated && (sum > 0) == (error > 0);
+    const bool resting = velocity == 0 && error <= REST_BAND && error >= -REST_BAND;
     if (!winding && !resting) {
-        const int64_t most = (int64_t)limit << 16;
-        servo->integral += (int64_t)error * servo->integral_step;
-        servo->integral = servo->integral > most ? most : (servo->integral < -most ? -most : servo->integral);
+        const int32_t most = limit << 14;
+        servo->integral = tl_clamp(servo->integral + error * servo->integral_step, -most, most);
     }
     return driven;
 }

@@ -14,7 +14,7 @@
 #include "tautline/tl_servo.h"
 
 #define TL_AXIS_QUEUE      32U      ///< set-points ahead of time
-#define TL_AXIS_SAMPLES    32U      ///< telemetry samples waiting for the task, a power of two
+#define TL_AXIS_SAMPLES    16U      ///< telemetry samples waiting for the task, a power of two
 #define TL_AXIS_SILENCE_US 100000U  ///< default
 #define TL_AXIS_AHEAD_US   10000000U ///< a set-point may lie this far ahead
 #define TL_AXIS_RANGE_MAX  (4000000 * TL_COUNT_ONE)
@@ -33,57 +33,57 @@ typedef struct {
     uint16_t flags;
 } tl_sample_t;
 
+/// What the control step needs on each tick comes first: near offsets are cheap on a Cortex-M0+.
 typedef struct {
     const tl_port_t *port;
     uint8_t index;
     uint8_t mode;   ///< tl_wire_mode_t
     uint8_t fault;  ///< tl_wire_fault_t
     uint8_t events; ///< bit n: tl_wire_event_code_t n came; the task clears it
-    uint16_t flags; ///< tl_wire_flag_t
-    tl_us_t fault_us;
-
-    tl_wire_limits_t limits; ///< as set; the table's are respected, too
-    tl_reference_limits_t travel;
-    tl_reference_limits_t move; ///< `travel` with the speed of the move under way
-    tl_count_q8_t low, high;    ///< position limits in force
+    uint16_t noted;        ///< tl_wire_flag_t that came in this millisecond
+    uint16_t noted_before; ///< in the last
+    uint8_t slot;   ///< ticks since the millisecond began
+    uint8_t slots;  ///< whole ticks in a millisecond
+    bool silent;
+    bool has_table;
+    uint16_t phase;     ///< of the millisecond, in ticks/s
+    int32_t encoder;    ///< as read last, counts
+    tl_count_q8_t q;    ///< position
+    tl_duty_q15_t duty;
     tl_count_q8_t lowest, highest; ///< where the reference may be: wider only where the axis was enabled outside
     tl_count_q8_t move_target;
-
-    int32_t encoder;  ///< as read last, counts
-    int32_t position; ///< counts
-    tl_count_q8_t q;
-    tl_duty_q15_t duty;
-    int32_t current_ma;
-    int32_t current_mean_q8;
     tl_reference_t reference;
-    tl_servo_t servo;
-
-    bool has_table;
-    int32_t strength_q15;
-    int32_t takeup_accel; ///< counts/s2, as the table says; `lookup` has what the axis' limits leave of it
-    tl_lookup_t lookup;
-    tl_play_t play;
-    tl_compensator_t compensator;
-    tl_deg_q16_t c_ref;
-
-    tl_segment_t queue[TL_AXIS_QUEUE];
+    tl_reference_limits_t travel;
     uint8_t queue_first, queue_used;
     uint32_t segment_ticks; ///< left of the first segment
     int64_t value;          ///< of the set-point stream now, 24 more bits
-    tl_us_t queue_end_us;
-    int32_t queue_end;
-    tl_us_t heard_us; ///< last set-point, or the time it is for
-    uint32_t silence_us;
-
+    uint32_t patience;      ///< ticks until a follower's sender counts as silent
+    tl_deg_q16_t c_ref;
     tl_motion_t *motion;   ///< while calibrating, else NULL
     tl_history_t *history; ///< likewise
 
+    tl_servo_t servo;
+    tl_play_t play;
+    tl_compensator_t compensator;
+    tl_wire_limits_t limits;    ///< as set; the table's are respected, too
+    tl_reference_limits_t move; ///< `travel` with the speed of the move under way
+    tl_count_q8_t low, high;    ///< position limits in force
+    int32_t current_ma;
+    int32_t current_mean_q8;
+    tl_us_t fault_us;
+    int32_t strength_q15;
+    int32_t takeup_accel; ///< counts/s2, as the table says; `lookup` has what the axis' limits leave of it
+    tl_us_t queue_end_us;
+    int32_t queue_end;
+    uint32_t silence_us;
+
     uint8_t divider; ///< of 1 kHz telemetry; 0 off
     uint8_t skipped;
-    uint32_t sample_phase;
     volatile uint32_t sample_head, sample_tail; ///< written, taken
     uint32_t samples_dropped;
+    tl_segment_t queue[TL_AXIS_QUEUE];
     tl_sample_t samples[TL_AXIS_SAMPLES];
+    tl_lookup_t lookup;
 } tl_axis_t;
 
 /// Off, at position 0, without a table, with default limits and gains.
@@ -91,6 +91,9 @@ void tl_axis_init(tl_axis_t *axis, const tl_port_t *port, uint8_t index);
 
 /// The control step at `now_us`: reads the encoder, drives the motor.
 void tl_axis_step(tl_axis_t *axis, tl_us_t now_us);
+
+/// tl_wire_flag_t now, and those that came within the last millisecond.
+uint16_t tl_axis_flags(const tl_axis_t *axis);
 
 /// Takes the content of axis->lookup into use, or none. The motor must be off.
 void tl_axis_use_table(tl_axis_t *axis, bool has_table);

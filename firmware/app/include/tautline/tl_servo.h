@@ -27,7 +27,7 @@ typedef struct {
 /// Fields are the module's own, but `velocity` (measured, counts/s Q8) and `saturated` may be read.
 typedef struct {
     tl_servo_gains_t gains;
-    int32_t integral_step; ///< duty Q31 for each Q8 count and tick
+    int32_t integral_step; ///< duty Q29 for each Q8 count and tick
     int32_t derivative;    ///< duty Q15 for 1024 counts/s
     int32_t feed_forward;
     int32_t inertia;       ///< duty Q15 for 4096 (counts/s Q8) of change in a tick
@@ -35,7 +35,7 @@ typedef struct {
     int32_t wanted;        ///< reference's speed in the last tick, counts/s Q8
     int32_t alpha, beta;   ///< filter, Q15; beta in (counts/s Q8) for each (count Q8)
     int32_t rate_inverse;  ///< 1 / rate, Q24
-    int64_t integral;      ///< duty Q31
+    int32_t integral;      ///< duty Q29
     int32_t predicted;     ///< position, count Q8
     int32_t velocity;      ///< counts/s Q8
     bool saturated;
@@ -50,9 +50,9 @@ void tl_servo_reset(tl_servo_t *servo, tl_count_q8_t q);
 /// Takes in the position only, while the motor is off. As tl_servo_step, without an output.
 void tl_servo_watch(tl_servo_t *servo, tl_count_q8_t q);
 
-/// One tick. `reference` and `velocity` (counts/s Q8) are where the axis should be and how fast; `at_rest`: the reference
-/// does not move; `limit`: most drive, 0 to 32768. Returns the duty.
-tl_duty_q15_t tl_servo_step(tl_servo_t *servo, tl_count_q8_t q, tl_count_q8_t reference, int32_t velocity, bool at_rest,
+/// One tick. `reference` and `velocity` (counts/s Q8, within TL_SERVO_SPEED_MAX) are where the axis should be and how fast;
+/// `limit`: most drive, 0 to 32768. Positions within +-4 M counts. Returns the duty.
+tl_duty_q15_t tl_servo_step(tl_servo_t *servo, tl_count_q8_t q, tl_count_q8_t reference, int32_t velocity,
                             tl_duty_q15_t limit);
 
 #endif
