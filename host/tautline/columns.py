@@ -125,8 +125,9 @@ class Columns:
         return t_s[keep]
 
 
-def read_columns(path: Path, required: Iterable[str], expected: str) -> Columns:
-    """`expected` is the header line that errors show. Needs `required` columns and at least one row."""
+def read_columns(path: Path, required: Iterable[str], expected: str, mend: bool = True) -> Columns:
+    """`expected` is the header line that errors show. Needs `required` columns and at least one row. `mend`: leave out
+    a last line that was cut."""
     text, terminated = _read_text(path)
     header = re.search(r"[^\r\n]*\S[^\r\n]*", text)
     if header is None:
@@ -151,18 +152,23 @@ def read_columns(path: Path, required: Iterable[str], expected: str) -> Columns:
     for name in required:
         if name not in names:
             raise columns.missing(name, expected)
-    columns.drop_truncated(list(required))
+    if mend:
+        columns.drop_truncated(list(required))
     return columns
 
 
-def read_times(path: Path) -> tuple[list[str], Array]:
-    """Column t_s of any CSV file: the cells as they are written, and as numbers (n,). Any order, any other columns."""
-    columns = read_columns(path, ["t_s"], "a column t_s")
-    times = columns.finite("t_s")
+def read_times(path: Path, warnings: list[str] | None = None) -> tuple[list[str], Array]:
+    """Column t_s of any CSV file: the cells as they are written, and as numbers (n,). Any order, any other columns.
+    A last line without its end counts if its time is whole."""
+    columns = read_columns(path, ["t_s"], "a column t_s", mend=False)
     index = columns.names.index("t_s")
-    rows = csv.reader(line for line in _lines(columns.text) if line.strip())
-    cells = [row[index].strip() for row in list(rows)[1 : len(times) + 1]]
-    return cells, times
+    rows = list(csv.reader(line for line in _lines(columns.text) if line.strip()))[1 : len(columns) + 1]
+    if not columns.terminated and len(rows) > 1 and len(rows[-1]) <= min(index + 1, len(columns.names) - 1):
+        columns.frame, rows = columns.frame.iloc[:-1], rows[:-1]
+        if warnings is not None:
+            warnings.append(f"{path}: the last line is cut short and was left out")
+    times = columns.finite("t_s")
+    return [row[index].strip() for row in rows], times
 
 
 def _read_text(path: Path) -> tuple[str, bool]:

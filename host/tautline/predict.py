@@ -50,7 +50,9 @@ def predict(model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float
     return Prediction(c, project(model.rig, c, *others))
 
 
-def times_of(model: Model, folder: Path, motor: Motor, file: Path | None = None) -> Times:
+def times_of(
+    model: Model, folder: Path, motor: Motor, file: Path | None = None, warnings: list[str] | None = None
+) -> Times:
     """`file`'s column t_s; else the recording's: the rows of marker.csv, else of angle.csv, else one per frame period
     from motor t[0] + delay on (the motor's own times where the model's rig has no camera)."""
     rig = model.rig
@@ -60,7 +62,7 @@ def times_of(model: Model, folder: Path, motor: Motor, file: Path | None = None)
         (folder / "angle.csv", False),
     ):
         if path is not None and (path == file or path.exists()):
-            return Times(*read_times(path), delayed)
+            return Times(*read_times(path, warnings), delayed)
     if rig.camera is None:
         t_s = motor.t_s
     else:

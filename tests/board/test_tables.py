@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import usb.core
-from conftest import Bench, bench_of
 
+from conftest import Bench, bench_of
 from tautline import tables, wire
 from tautline.board import Board
 from tautline.errors import TautError

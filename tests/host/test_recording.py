@@ -216,6 +216,15 @@ def test_times_are_read_as_they_are_written(tmp_path: Path) -> None:
     np.testing.assert_array_equal(times, [1.5, 0.25, 0.1])
 
 
+@pytest.mark.parametrize(("end", "count"), [("0.3,1.5\n", 4), ("0.3,1.5", 4), ("0.3,", 4), ("0.3", 3), ("-", 3)])
+def test_a_cut_line_counts_if_its_time_is_whole(tmp_path: Path, end: str, count: int) -> None:
+    path = tmp_path / "times.csv"
+    path.write_text("t_s,u_px\n0.0,1.25\n0.1,1.25\n0.2,1.25\n" + end)
+    warnings: list[str] = []
+    cells, times = read_times(path, warnings)
+    assert len(cells) == len(times) == count and len(warnings) == (count < 4)
+
+
 def at(start: float, end: float, name: str = "r") -> Recording:
     return Recording(name, Motor(np.array([start, end]), np.zeros(2)))
 

@@ -32,8 +32,8 @@ def run(
     """What was measured and gained; the recording, MODEL and report are in `out`."""
     from tautline import report, tables
     from tautline.evidence import Evidence, Run
-    from tautline.following import follow_run
     from tautline.folders import check_replaceable
+    from tautline.following import follow_run
     from tautline.live import open_live
     from tautline.model import MODEL_FILE, Model
     from tautline.recording import load
@@ -54,8 +54,8 @@ def run(
         calibration, motion = calibrate_live(live, recording_folder, progress=part(0.0, 0.55))
         model = calibration.model
         say(
-            f"2  calibration motion: {motion.reversals} reversals in {motion.seconds:.0f} s of the board's time, marker "
-            f"tracked in {motion.frames - motion.lost_frames} of {motion.frames} frames"
+            f"2  calibration motion: {motion.reversals} reversals in {motion.seconds:.0f} s of the board's time, "
+            f"marker tracked in {motion.frames - motion.lost_frames} of {motion.frames} frames"
         )
         sentences = report.save_model(model, [load(recording_folder, live.rig)], model_folder)
         say("3  " + " ".join(sentences[:2]))

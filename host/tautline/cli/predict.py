@@ -35,9 +35,9 @@ def command(
     model = Model.load(model_path)
     warnings: list[str] = []
     motor = load_motor(recording_path, model.rig, warnings)
+    times = times_of(model, recording_path, motor, times_path, warnings)
     for warning in warnings:
         warn(warning)
-    times = times_of(model, recording_path, motor, times_path)
     delay_s = model.delay_s if times.delayed else 0.0
     write_csv(csv_path, times, predict(model, motor, times.t_s - delay_s, start_deg))
     emit(
