@@ -104,7 +104,7 @@ def test_a_power_cut_at_any_write_leaves_the_old_or_the_new_table(
     request: pytest.FixtureRequest, tmp_path: Path
 ) -> None:
     """Counted from the flash operation at which the power goes; every one of a download until it completes."""
-    if request.config.getoption("--board") != "desktop":
+    if request.config.getoption("--board") not in ("desktop", "emulated"):
         pytest.skip("cuts the power of a simulated board")
     outcomes = []
     for cut in range(1, 40):

@@ -3,7 +3,6 @@
 #include <string.h>
 
 #define POLL_US      1000U
-#define LATE_FAULT   20000U // us without a control step that a driven motor may not see
 #define REBOOT_US    50000U // for the acknowledgement to leave
 #define NOBODY_READS 500000U
 
@@ -331,22 +330,4 @@ void tl_app_init(tl_app_t *app, const tl_port_t *port) {
             tl_axis_fail(&app->axes[i], TL_WIRE_FAULT_TABLE, app->control_us);
         }
     }
-}
-
-void tl_app_control(tl_app_t *app) {
-    const tl_port_t *port = app->port;
-    const tl_us_t now_us = port->time_us(port->context);
-    const uint32_t since_us = (uint32_t)(now_us - app->control_us);
-    app->control_us = now_us;
-    const bool late = since_us > LATE_FAULT;
-    if (since_us > 2U * (1000000U / port->control_hz)) {
-        app->counters.overruns++;
-    }
-    for (uint8_t i = 0; i < port->axes; i++) {
-        if (late && app->axes[i].mode != TL_WIRE_MODE_OFF) {
-            tl_axis_fail(&app->axes[i], TL_WIRE_FAULT_OVERRUN, now_us);
-        }
-        tl_axis_step(&app->axes[i], now_us);
-    }
-    app->steps = app->steps + 1U;
 }

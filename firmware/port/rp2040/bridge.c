@@ -19,14 +19,14 @@ enum {
 
 static unsigned sense_axis;
 
-static unsigned pin_p(unsigned axis) { return MOTOR2040_MOTOR_A_P_PIN + 2 * axis; }
+static inline unsigned pin_p(unsigned axis) { return MOTOR2040_MOTOR_A_P_PIN + 2 * axis; }
 
 static void __not_in_flash_func(set_levels)(unsigned axis, uint32_t p, uint32_t n) {
     // Both inputs of a bridge are the two channels of one slice: one write, so that they change in the same period.
     pwm_hw->slice[pwm_gpio_to_slice_num(MOTOR2040_MOTOR_A_P_PIN + 2 * axis)].cc = p | n << 16;
 }
 
-static void select_sense(unsigned axis) {
+static void __not_in_flash_func(select_sense)(unsigned axis) {
     const unsigned address = MOTOR2040_CURRENT_SENSE_A_ADDR + axis;
     gpio_put(MOTOR2040_ADC_ADDR_0_PIN, address & 1);
     gpio_put(MOTOR2040_ADC_ADDR_1_PIN, address >> 1 & 1);

@@ -53,7 +53,15 @@ static const uint8_t encoder_pins[] = {MOTOR2040_ENCODER_A_A_PIN, MOTOR2040_ENCO
 
 static tl_us_t __not_in_flash_func(port_time_us)(void *context) {
     (void)context;
-    return time_us_64();
+    uint32_t high = timer_hw->timerawh;
+    for (;;) { // until the high word stands still
+        const uint32_t low = timer_hw->timerawl;
+        const uint32_t again = timer_hw->timerawh;
+        if (again == high) {
+            return (tl_us_t)high << 32 | low;
+        }
+        high = again;
+    }
 }
 
 static int32_t __not_in_flash_func(port_encoder)(void *context, uint8_t axis) {

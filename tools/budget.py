@@ -1,0 +1,213 @@
+"""Prints what the real board's image costs, and fails where a limit is passed: ./run firmware.
+
+Flash, RAM and stack come from the linked image and GCC's call graph, cycles from tools/emulator/measure.js.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+BUILD = ROOT / "build" / "rp2040"
+CONTROL = "control_interrupt"  # what the timer interrupt runs
+TASK = "main"
+USB_INTERRUPT = "dcd_rp2040_irq"
+
+EXCEPTION_FRAME = 36  # bytes, with the padding that aligns it
+ROM_STACK = 64  # what the boot ROM's flash functions may take
+UNKNOWN_STACK = 32  # assembly without a record of its own
+AXES = 4
+CONTROL_HZ = 5000
+CORE_HZ = 125_000_000
+
+NOT_ALLOWED = re.compile(
+    r"__aeabi_[fd](add|sub|mul|div|cmp)|__aeabi_u?ldivmod|__u?divdi3|__u?moddi3|^__u?divsi3$|^__u?modsi3$|malloc"
+)
+
+
+@dataclass
+class Row:
+    """One line of the report. `goal`: where the project wants it, where that is less than the limit."""
+
+    what: str
+    value: float
+    limit: float
+    unit: str
+    goal: float | None = None
+
+
+def _run(*command: str) -> str:
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+
+
+# -- size -------------------------------------------------------------------------------------------------------------
+
+
+def sizes(elf: Path) -> dict[str, int]:
+    """Section name -> bytes."""
+    found = re.findall(r"^\s*\d+ (\.\S+)\s+([0-9a-f]{8})", _run("arm-none-eabi-objdump", "-h", str(elf)), re.M)
+    return {name: int(size, 16) for name, size in found}
+
+
+# -- who calls whom ---------------------------------------------------------------------------------------------------
+
+
+def code(elf: Path) -> tuple[dict[str, int], dict[str, set[str]]]:
+    """From the disassembly: function -> address, function -> functions that it calls or jumps to by name."""
+    address: dict[str, int] = {}
+    calls: dict[str, set[str]] = {}
+    name = ""
+    for line in _run("arm-none-eabi-objdump", "-d", str(elf)).splitlines():
+        if head := re.match(r"([0-9a-f]{8}) <(.+)>:$", line):
+            name = head[2]
+            address[name] = int(head[1], 16)
+            calls[name] = set()
+            if veneer := re.fullmatch(r"__(.+)_veneer", name):
+                calls[name].add(veneer[1])
+        elif (call := re.search(r"\t(?:bl|b\S*)\t[0-9a-f]+ <([^>+]+)>", line)) and call[1] != name:
+            calls[name].add(call[1])
+    return address, calls
+
+
+def reached(calls: dict[str, set[str]], roots: list[str]) -> set[str]:
+    found: set[str] = set()
+    open_ = list(roots)
+    while open_:
+        name = open_.pop()
+        if name not in found and name in calls:
+            found.add(name)
+            open_ += calls[name]
+    return found
+
+
+# -- stack ------------------------------------------------------------------------------------------------------------
+
+
+class Stack:
+    """Worst depth below a function, from GCC's -fcallgraph-info. Recursion and unknown indirect calls are errors."""
+
+    _NO_RETURN = ("panic", "__assert_func", "exit", "rom_reset_usb_boot")
+    _ONCE_BEFORE_MAIN = ("runtime_run_initializers", "runtime_run_per_core_initializers", "runtime_init")
+
+    def __init__(self, folder: Path) -> None:
+        self.own: dict[str, int] = {}
+        self.calls: dict[str, set[str]] = {}
+        self._depth: dict[str, int] = {}
+        for file in folder.rglob("*.ci"):
+            if "cycles.dir" in file.parts:
+                continue
+            text = file.read_text(encoding="utf-8")
+            for title, size in re.findall(r'node: \{ title: "([^"]+)" label: "[^"]*\\n(\d+) bytes', text):
+                self.own[title] = int(size)
+            for source, target in re.findall(r'edge: \{ sourcename: "([^"]+)" targetname: "([^"]+)"', text):
+                self.calls.setdefault(source, set()).add(target)
+
+    def _named(self, pattern: str) -> set[str]:
+        return {title for title in self.own if re.fullmatch(pattern, title.rsplit(":", 1)[-1])}
+
+    def _indirect(self, source: str) -> set[str]:
+        name, file = source.rsplit(":", 1)[-1], source
+        if name.startswith("tl_") or "/firmware/app/" in file:
+            return self._named("port_.*")
+        if name == "dcd_event_handler":
+            return set()  # start of frame, which no class asks for
+        if "/device/usbd.c" in file or name.startswith(("tud_", "usbd_", "tusb_")):
+            return self._named("(vendord|dfu_moded|tud_vendor|tud_dfu)_.*(init|open|reset|xfer_cb|deinit)")
+        if name == "flash_safe_execute":
+            return self._named("flash_operation|default_(enter|exit|core_init)_.*")
+        if name.startswith(("flash_", "rom_")) or name in self._ONCE_BEFORE_MAIN:
+            return set()  # the boot ROM, see ROM_STACK
+        if name in ("alarm_pool_irq_handler", "hardware_alarm_irq_handler", "gpio_default_irq_handler"):
+            return set()  # nobody registers with them
+        raise SystemExit(f"budget: {source} calls through a pointer: say in tools/budget.py where that leads")
+
+    def depth(self, title: str, above: tuple[str, ...] = ()) -> int:
+        if title in above:
+            raise SystemExit(f"budget: {' -> '.join([*above[above.index(title) :], title])} is recursive")
+        if title in self._depth:
+            return self._depth[title]
+        own = self.own.get(title, UNKNOWN_STACK)
+        if title in self._NO_RETURN:
+            return own
+        targets: set[str] = set()
+        for target in self.calls.get(title, set()):
+            targets |= self._indirect(title) if target == "__indirect_call" else {target}
+        below = max((self.depth(target, (*above, title)) for target in targets), default=0)
+        rom = ROM_STACK if title.rsplit(":", 1)[-1].startswith(("flash_range", "flash_do_cmd")) else 0
+        self._depth[title] = own + max(below, rom)
+        return self._depth[title]
+
+    def of(self, name: str) -> int:
+        found = self._named(re.escape(name))
+        if not found:
+            raise SystemExit(f"budget: no function {name} in the call graph")
+        return max(self.depth(title) for title in found)
+
+
+# -- the report -------------------------------------------------------------------------------------------------------
+
+
+def rows() -> list[Row]:
+    elf = BUILD / "tautline.elf"
+    size = sizes(elf)
+    ram_code_and_data = size[".data"]
+    ram = ram_code_and_data + size[".bss"] + size[".ram_vector_table"]
+    stack = Stack(BUILD)
+    deepest = stack.of(TASK) + stack.of(USB_INTERRUPT) + stack.of(CONTROL) + 2 * EXCEPTION_FRAME
+    address, calls = code(elf)
+    ports = [name for name in address if name.startswith("port_")]
+    control = reached(
+        calls, [CONTROL, *(p for p in ports if p in ("port_time_us", "port_encoder", "port_drive", "port_current_ma"))]
+    )
+    forbidden = sorted(name for name in control if NOT_ALLOWED.search(name))
+    floats = sorted(name for name in address if re.match(r"__aeabi_[fd](add|sub|mul|div)", name))
+    in_flash = sorted(name for name in control if address[name] >> 28 == 1)
+    cycles = json.loads(_run("node", str(ROOT / "tools" / "emulator" / "measure.js")))
+    step = cycles["step_tip"]
+    load = 100.0 * AXES * step["worst"] * CONTROL_HZ / CORE_HZ
+    print(f"branches of the measured code: {cycles['branches']}, of which only one way: {len(cycles['one_way'])}")
+    for label, names in (
+        ("not allowed in the control path", forbidden),
+        ("float code", floats),
+        ("control path in flash", in_flash),
+    ):
+        if names:
+            print(f"{label}: {', '.join(names)}")
+    return [
+        Row("flash image", (BUILD / "tautline.bin").stat().st_size, 65536, "bytes"),
+        Row("RAM: code and initialised data", ram_code_and_data, 20480, "bytes"),
+        Row("RAM: all but the stack", ram, 81920, "bytes", 49152),
+        Row("stack, worst", deepest, size[".stack_dummy"], "bytes"),
+        Row("float functions", len(floats), 0, ""),
+        Row("control path: not allowed", len(forbidden), 0, "functions"),
+        Row("control path: in flash", len(in_flash) + cycles["flash_fetches"], 0, "functions"),
+        Row("control step with tables, worst", step["worst"], 3600, "cycles", 600),
+        Row("control step with tables, mean", step["mean"], 2400, "cycles"),
+        Row("control step, other modes, worst", cycles["step_other"]["worst"], 3600, "cycles"),
+        Row(f"{AXES} axes at {CONTROL_HZ} Hz, worst", load, 60, "% of the core", 25),
+        Row("onset update, worst", cycles["onset"]["worst"], 3_000_000, "cycles"),
+        Row("one look-up, worst", cycles["lookup"]["worst"], 160, "cycles", cycles["lookup_plain"]["worst"]),
+    ]
+
+
+def main() -> int:
+    over = 0
+    for row in rows():
+        state = (
+            "OVER"
+            if row.value > row.limit
+            else ("above the goal" if row.goal is not None and row.value > row.goal else "")
+        )
+        goal = f", goal {row.goal:g}" if row.goal is not None else ""
+        print(f"{row.what:38s} {row.value:>9.0f} of {row.limit:g}{goal} {row.unit}  {state}".rstrip())
+        over += row.value > row.limit
+    return 1 if over else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,295 @@
+// Runs the control step and the onset update over random valid tables, commands and plants, for measure.js to count their
+// cycles: the very objects of the image, in RAM like there. BKPT 0xd0 begins a measurement of the kind in r0, 0xd1 ends it,
+// 0xd2 ends the program.
+#include <string.h>
+
+#include "pico.h"
+#include "tautline/tl_axis.h"
+#include "tautline/tl_onset.h"
+
+enum { STEP_TIP, STEP_OTHER, ONSET, LOOKUP, LOOKUP_PLAIN, EMPTY };
+enum { TABLES = 40, TICKS = 400, RATE_HZ = 5000, REVERSALS = 60 };
+
+#define BEGIN(kind)                                                                                                    \
+    do {                                                                                                               \
+        register uint32_t r0_ __asm__("r0") = (kind);                                                                  \
+        __asm__ volatile("bkpt 0xd0" : : "r"(r0_) : "memory");                                                         \
+    } while (0)
+#define END() __asm__ volatile("bkpt 0xd1" : : : "memory")
+
+static uint32_t seed = 1;
+
+static uint32_t any(void) {
+    seed ^= seed << 13;
+    seed ^= seed >> 17;
+    seed ^= seed << 5;
+    return seed;
+}
+
+static int32_t between(int32_t low, int32_t high) { return low + (int32_t)(any() % ((uint32_t)(high - low) + 1u)); }
+
+// -- a port without registers: what remains is the step itself ---------------------------------------------------------
+
+static int32_t encoder_count;
+static int32_t current;
+static tl_duty_q15_t driven;
+
+static tl_us_t no_time(void *context) {
+    (void)context;
+    return 0;
+}
+static int32_t __not_in_flash_func(read_encoder)(void *context, uint8_t axis) {
+    (void)context;
+    (void)axis;
+    return encoder_count;
+}
+static void __not_in_flash_func(take_drive)(void *context, uint8_t axis, tl_duty_q15_t duty) {
+    (void)context;
+    (void)axis;
+    driven = duty;
+}
+static int32_t __not_in_flash_func(read_current)(void *context, uint8_t axis) {
+    (void)context;
+    (void)axis;
+    return current;
+}
+
+static const tl_port_t port = {
+    .name = "cycles", .axes = 1, .control_hz = RATE_HZ, .time_us = no_time, .encoder = read_encoder, .drive = take_drive,
+    .current_ma = read_current};
+
+// -- random valid tables ---------------------------------------------------------------------------------------------------
+
+static tl_axis_t axis;
+static tl_motion_t motion;
+static tl_history_t history;
+static tl_onset_detector_t detector;
+
+static void make_table(tl_table_t *table) {
+    do {
+        memset(table, 0, sizeof(*table));
+        const int32_t log2 = between(4, 14);
+        const int32_t step = 1 << log2;
+        const int32_t nodes = between(0, 9) == 0 ? 0 : (between(0, 3) == 0 ? between(2, 257) : between(129, 257));
+        const bool falling = between(0, 1) == 1;
+        table->nodes = (uint16_t)nodes;
+        table->step_log2 = nodes > 0 ? (uint8_t)log2 : 0;
+        table->strength_q15 = (uint16_t)(between(0, 1) == 0 ? 32768 : between(0, 32768));
+        table->nano_units_per_count = 1000;
+        table->q0 = nodes > 0 ? between(-1000000, 0) : 0;
+        table->q_min = nodes > 0 ? table->q0 : -100000;
+        table->q_max = nodes > 0 ? table->q0 + (nodes - 1) * step : 100000;
+        if (between(0, 1) == 0 && nodes > 8) {
+            table->q_min += between(0, step);
+            table->q_max -= between(0, step);
+        }
+        table->speed_max_q8 = between(1000, 16000) * 256;
+        table->takeup_speed_q8 = between(500, 16000) * 256;
+        table->takeup_accel = between(10000, 200000);
+        table->band = between(0, 1) == 0 ? 0 : between(0, 2000);
+        table->flat_speed_q8 = between(100, 2000) * 256;
+        table->slope_min_q28 = between(0, 1) == 0 ? 0 : between(0, 1 << 20);
+        int32_t width = between(0, 500000);
+        int32_t angle = between(-3000000, 3000000);
+        const int32_t first = angle;
+        for (int32_t i = 0; i < nodes; i++) {
+            table->width[i] = width;
+            table->angle[i] = angle;
+            width += between(-step * 17 / 10, step * 17 / 10);
+            width = tl_clamp(width, 0, 600000);
+            const int32_t rise = between(0, 6) == 0 ? between(1, 3) : between(1, 20000);
+            angle += falling ? -rise : rise;
+        }
+        table->coarse_c_min = first;
+        table->coarse_c_max = nodes > 0 ? angle : first + (falling ? -1000000 : 1000000);
+    } while (tl_table_check(table, 0) != TL_TABLE_OK);
+}
+
+// -- a motor that follows well enough, and sometimes does not -----------------------------------------------------------------
+
+static int64_t plant_q16;
+
+static void turn_motor(void) {
+    plant_q16 += (int64_t)driven * 8; // 4 counts a tick at full drive
+    plant_q16 += between(-30000, 30000);
+    encoder_count = (int32_t)(plant_q16 >> 16);
+    current = between(0, 600);
+}
+
+static void __not_in_flash_func(step)(uint32_t kind, tl_us_t now_us) {
+    turn_motor();
+    BEGIN(kind);
+    tl_axis_step(&axis, now_us);
+    END();
+    if (axis.sample_head - axis.sample_tail > (uint32_t)between(0, 31)) {
+        axis.sample_tail = axis.sample_head;
+    }
+}
+
+static void start_axis(void) {
+    tl_axis_init(&axis, &port, 0);
+    axis.divider = (uint8_t)between(0, 3);
+    make_table(&axis.lookup.table);
+    if (tl_lookup_derive(&axis.lookup, &axis.lookup.table, 0) != TL_TABLE_OK) {
+        panic("a table that was checked is refused");
+    }
+    const tl_count_q8_t middle = axis.lookup.table.q_min / 2 + axis.lookup.table.q_max / 2;
+    tl_axis_set_position(&axis, middle);
+    tl_axis_use_table(&axis, true);
+    tl_wire_limits_t limits = axis.limits;
+    limits.following_error_q8 = between(0, 4) == 0 ? between(256, 20000) : 1000 * 256;
+    limits.current_ma = between(0, 9) == 0 ? 200 : 1000;
+    limits.duty_q15 = between(0, 3) == 0 ? between(0, 32768) : 32768;
+    limits.speed_q8_s = between(1000, 60000) * 256;
+    limits.acceleration_q8_s2 = between(50000, 2000000) * 256;
+    tl_axis_set_limits(&axis, &limits);
+    axis.history = between(0, 1) == 0 ? &history : NULL;
+    tl_history_init(&history);
+}
+
+static tl_deg_q16_t any_angle(void) {
+    const tl_lookup_t *lookup = &axis.lookup;
+    const int32_t span = lookup->c_high / 2 - lookup->c_low / 2;
+    return tl_add_sat(lookup->c_low / 2 + lookup->c_high / 2, between(-span, span) + between(-span / 4 - 1, span / 4 + 1));
+}
+
+static void follow_tip(tl_us_t *now_us) {
+    tl_axis_enable(&axis);
+    if (tl_axis_follow(&axis, true, (uint8_t)between(0, 5) % 3u, 50000000, *now_us) != 0) {
+        return;
+    }
+    bool late;
+    for (int i = 0; i < TICKS; i++) {
+        *now_us += 1000000 / RATE_HZ;
+        if (between(0, 20) == 0) {
+            const tl_us_t at = between(0, 1) == 0 ? 0 : *now_us + (tl_us_t)between(1000, 60000);
+            tl_axis_set_point(&axis, any_angle(), at, *now_us, &late);
+        } else if (between(0, 5) == 0) {
+            tl_axis_set_point(&axis, axis.c_ref + between(-300, 300), 0, *now_us, &late); // jitter
+        }
+        if (between(0, 40) == 0) {
+            tl_axis_set_strength(&axis, between(0, 32768));
+        }
+        step(axis.mode == TL_WIRE_MODE_FOLLOW_TIP ? STEP_TIP : STEP_OTHER, *now_us);
+    }
+}
+
+static void other_modes(tl_us_t *now_us) {
+    tl_axis_enable(&axis);
+    tl_motion_config_t config = {.low = -400000, .high = 400000, .speed = {between(300, 4000) * 256}, .speed_count = 1,
+                                 .cycles = 3, .transit = 6000 * 256, .acceleration = 200000 * 256, .approach = 500 * 256,
+                                 .stroke_max = 1300 * 256, .host_timeout_us = 20000, .rate_hz = RATE_HZ};
+    bool late;
+    for (int i = 0; i < TICKS; i++) {
+        *now_us += 1000000 / RATE_HZ;
+        switch (between(0, 60)) {
+        case 0:
+            axis.fault = 0;
+            tl_axis_enable(&axis);
+            tl_axis_move(&axis, between(-2000000, 2000000), between(0, 1) * between(1, 5000 * 256));
+            break;
+        case 1:
+            tl_axis_stop(&axis, between(0, 1) == 0);
+            break;
+        case 2:
+            axis.fault = 0;
+            tl_axis_enable(&axis);
+            if (tl_axis_follow(&axis, false, 0, (uint32_t)between(1000, 50000), *now_us) == 0) {
+                tl_axis_set_point(&axis, axis.q + between(-30000, 30000), *now_us + 20000, *now_us, &late);
+            }
+            break;
+        case 3:
+            if (tl_motion_start(&motion, &config, tl_reference_q(&axis.reference)) == TL_MOTION_OK) {
+                tl_axis_calibrate(&axis, &motion, &history);
+            }
+            break;
+        case 4:
+            if (between(0, 3) == 0) {
+                plant_q16 += (int64_t)between(-3000, 3000) * 65536; // a glitch
+            }
+            break;
+        default:
+            break;
+        }
+        step(STEP_OTHER, *now_us);
+    }
+    axis.motion = NULL;
+}
+
+static void onsets(void) {
+    tl_onset_config_t config = tl_onset_defaults();
+    tl_us_t now_us = 1000000;
+    int32_t q = 0, tip = 0, way = 1;
+    tl_history_init(&history);
+    tl_onset_init(&detector, &config);
+    for (int i = 0; i < REVERSALS; i++) {
+        const int32_t width = between(200, 1500) * 256;
+        const int32_t frames = between(20, 160);
+        way = -way;
+        for (int32_t frame = 0; frame < frames; frame++) {
+            for (int ms = 0; ms < 40; ms++) {
+                now_us += 1000;
+                q += way * 4 * 256 * between(1, 3) / 10;
+                tl_history_push(&history, now_us, q);
+            }
+            tip = q - tip > width / 2 ? q - width / 2 : (tip - q > width / 2 ? q + width / 2 : tip);
+            const tl_marker_t marker = {.arrival_us = now_us, .u = tip / 8 + between(-400, 400), .v = between(-400, 400),
+                                        .sigma = between(0, 1) * 200, .valid = between(0, 30) != 0,
+                                        .other_motion = between(0, 500) == 0};
+            tl_onset_t onset;
+            BEGIN(ONSET);
+            tl_onset_sample(&detector, &history, &marker, &onset);
+            END();
+        }
+    }
+}
+
+// The plainest way of one look-up, as a yardstick: linear interpolation with a 64-bit product, as arm_linear_interp_q31 has it.
+static int32_t __not_in_flash_func(plain_lookup)(const int32_t *y, int32_t x, uint32_t nodes) {
+    const int32_t index = x >> 20;
+    if (index >= (int32_t)nodes - 1) {
+        return y[nodes - 1];
+    }
+    if (index < 0) {
+        return y[0];
+    }
+    const int32_t fraction = (x & 0xfffff) << 11;
+    return (int32_t)(((int64_t)y[index] * (0x7fffffff - fraction) + (int64_t)y[index + 1] * fraction) >> 31);
+}
+
+static void lookups(void) {
+    volatile int32_t sink;
+    uint32_t flags = 0;
+    for (int i = 0; i < TICKS; i++) {
+        const tl_table_t *table = &axis.lookup.table;
+        const tl_count_q8_t p = between(table->q_min, table->q_max);
+        BEGIN(LOOKUP);
+        sink = tl_lookup_width(&axis.lookup, p, &flags);
+        END();
+        const int32_t x = between(0, (table->nodes << 20) - 1);
+        BEGIN(LOOKUP_PLAIN);
+        sink = plain_lookup(table->width, x, table->nodes);
+        END();
+        BEGIN(EMPTY);
+        END();
+    }
+    (void)sink;
+}
+
+int main(void) {
+    for (uint32_t table = 1; table <= TABLES; table++) {
+        seed = table * 2654435761u;
+        tl_us_t now_us = 0;
+        start_axis();
+        follow_tip(&now_us);
+        other_modes(&now_us);
+        follow_tip(&now_us);
+        if (axis.lookup.table.nodes > 1) {
+            lookups();
+        }
+    }
+    onsets();
+    __asm__ volatile("bkpt 0xd2");
+    for (;;) {
+    }
+}
