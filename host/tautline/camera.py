@@ -71,6 +71,10 @@ class VideoCamera:
         count = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)) if self._file else 0
         return count if count > 0 else None
 
+    def seek(self, frame: int) -> None:
+        """Of a file: goes on reading at about this frame (how exactly is up to the container)."""
+        self._capture.set(cv2.CAP_PROP_POS_FRAMES, frame)
+
     def read(self) -> tuple[Array, float] | None:
         if not self._capture.grab():
             self._check_end()
@@ -104,6 +108,20 @@ class VideoCamera:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def sample_video(path: Path, count: int) -> list[Array]:
+    """About `count` frames from all over a video file, or its first ones where it does not know how long it is."""
+    with VideoCamera(path) as camera:
+        total = camera.frames or 0
+        pictures = []
+        for k in range(count):
+            if total > count:
+                camera.seek(round(k * (total - 1) / (count - 1)))
+            if (read := camera.read()) is None:
+                break
+            pictures.append(read[0])
+    return pictures
 
 
 class VideoFile:

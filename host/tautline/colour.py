@@ -91,28 +91,50 @@ def _triple(values: Array) -> tuple[float, float, float]:
 
 def pick(picture: Array, at: tuple[float, float] | None = None) -> MarkerColour:
     """The colour of the blob at (u, v) px of a BGR picture, or of the most salient saturated blob in it."""
-    if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
-        raise TautError("a marker is picked from a BGR picture of 8 bits: (height, width, 3) uint8")
+    if at is None:
+        best = candidates(picture)
+        if not best:
+            raise TautError("no marker stands out from its surroundings by its colour: show where it is with --at U,V")
+        return best[0]
+    _check(picture)
     height, width = picture.shape[:2]
+    if not (0 <= at[0] < width and 0 <= at[1] < height):
+        raise TautError(f"({at[0]:g}, {at[1]:g}) is outside of the picture of {width} x {height} px")
+    found = _pick_at(picture, at, _surroundings(picture))
+    if found is None:
+        raise TautError(
+            f"no blob of one colour stands out at ({at[0]:g}, {at[1]:g}): point at the middle of a marker "
+            f"of {SMALLEST_PX:g} to {LARGEST_PX:g} px whose colour nothing else has"
+        )
+    return found[0]
+
+
+def candidates(picture: Array, places: int = 12) -> list[MarkerColour]:
+    """The blobs that stand out by their colour, the most marker-like first: around the places whose colour, smoothed
+    over a small marker, is farthest from the picture's own (Mahalanobis)."""
+    _check(picture)
     around = _surroundings(picture)
-    if at is not None:
-        if not (0 <= at[0] < width and 0 <= at[1] < height):
-            raise TautError(f"({at[0]:g}, {at[1]:g}) is outside of the picture of {width} x {height} px")
-        found = _pick_at(picture, at, around)
-        if found is None:
-            raise TautError(
-                f"no blob of one colour stands out at ({at[0]:g}, {at[1]:g}): point at the middle of a marker "
-                f"of {SMALLEST_PX:g} to {LARGEST_PX:g} px whose colour nothing else has"
-            )
-        return found[0]
-    best = max(
-        (found for spot in _salient(picture, around) if (found := _pick_at(picture, spot, around))),
-        key=lambda found: found[1],
-        default=None,
-    )
-    if best is None:
-        raise TautError("no marker stands out from its surroundings by its colour: show where it is with --at U,V")
-    return best[0]
+    mean, covariance = around
+    root = np.linalg.cholesky(np.linalg.inv(covariance)).T
+    row = np.column_stack([root, -root @ mean]).astype(np.float32)
+    smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), 2.5)
+    distance = np.linalg.norm(cv2.transform(smooth, row), axis=2)
+    found = []
+    for _ in range(places):
+        _, _, _, place = cv2.minMaxLoc(distance)
+        blob = _pick_at(picture, (float(place[0]), float(place[1])), around)
+        cv2.circle(distance, place, 12, 0.0, -1)
+        if blob is not None:
+            found.append(blob)
+            u, v = blob[0].at
+            cv2.circle(distance, (round(u), round(v)), round(0.7 * blob[0].diameter_px) + 3, 0.0, -1)
+    found.sort(key=lambda blob: -blob[1])
+    return [colour for colour, _ in found]
+
+
+def _check(picture: Array) -> None:
+    if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8 or min(picture.shape[:2]) < 16:
+        raise TautError("a marker is picked from a BGR picture of 8 bits: (height, width, 3) uint8, 16 px and more")
 
 
 def _surroundings(picture: Array) -> tuple[Array, Array]:
@@ -121,21 +143,6 @@ def _surroundings(picture: Array) -> tuple[Array, Array]:
     sample = picture[::step, ::step].reshape(-1, 3).astype(np.float64)
     covariance = np.cov(sample.T) + _GLARE**2 * np.ones((3, 3)) + _NOISE**2 * np.eye(3)
     return sample.mean(axis=0), covariance
-
-
-def _salient(picture: Array, around: tuple[Array, Array], count: int = 12) -> list[tuple[float, float]]:
-    """Places whose colour, smoothed over a small marker, is farthest from the picture's own (Mahalanobis)."""
-    mean, covariance = around
-    root = np.linalg.cholesky(np.linalg.inv(covariance)).T
-    row = np.column_stack([root, -root @ mean]).astype(np.float32)
-    smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), 2.5)
-    distance = np.linalg.norm(cv2.transform(smooth, row), axis=2)
-    places = []
-    for _ in range(count):
-        _, _, _, place = cv2.minMaxLoc(distance)
-        places.append((float(place[0]), float(place[1])))
-        cv2.circle(distance, place, 12, 0.0, -1)
-    return places
 
 
 def _pick_at(picture: Array, at: tuple[float, float], around: tuple[Array, Array]) -> tuple[MarkerColour, float] | None:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import sqrt
 
@@ -11,8 +10,8 @@ import cv2
 import numpy as np
 
 from tautline._native import MARKER_CLIPPED, MARKER_CUT_OFF, MARKER_FOUND, marker_measure
-from tautline.camera import VideoCamera
-from tautline.colour import COLOUR_FILE, MarkerColour, pick
+from tautline.camera import VideoCamera, sample_video
+from tautline.colour import COLOUR_FILE, MarkerColour, candidates
 from tautline.errors import TautError
 from tautline.recording import Marker, Video
 
@@ -26,6 +25,7 @@ _SMALLER, _LARGER = 0.3, 4.0  # diameter against the picked one
 _KEPT = 0.5  # share of the outline that must be seen
 _RAGGED = 0.15  # scatter of the edges against the radius: more is no marker but a stain
 _SURE_PX = 1e-3  # no position is said to be known better
+_SAMPLES = 24  # frames of a video that are looked at for its marker's colour
 _MARGIN_PX = 8.0  # of the region around the marker: edges are compared with what lies 5.5 px beyond them
 
 
@@ -151,17 +151,57 @@ class Tracker:
         return best
 
 
+def find_colour(pictures: Sequence[Array]) -> MarkerColour | None:
+    """The colour of the marker in pictures of one scene, some time apart: of what stands out, what is seen most often
+    and moves. None where nothing stands out."""
+    colours: list[MarkerColour] = []
+    for picture in pictures[:: max(1, len(pictures) // 3)][:3]:
+        colours += [colour for colour in candidates(picture)[:6] if not any(_alike(colour, other) for other in colours)]
+    scored = [(_moving_share(colour, pictures), -k, colour) for k, colour in enumerate(colours)]
+    return max(scored, key=lambda entry: entry[:2])[2] if scored else None
+
+
+def _alike(one: MarkerColour, other: MarkerColour) -> bool:
+    a, b = np.array(one.colour), np.array(other.colour)
+    size = one.diameter_px / other.diameter_px
+    return bool(a @ b > 0.995 * np.linalg.norm(a) * np.linalg.norm(b)) and 0.7 < size < 1.4
+
+
+def _moving_share(colour: MarkerColour, pictures: Sequence[Array]) -> float:
+    """How much of a moving marker `colour` finds: 1 where it is seen in every picture and never where it was; a tenth
+    of the share of pictures that it is seen in, where what it finds stays where it is."""
+    tracker = Tracker(colour)
+    places = []
+    for picture in pictures:
+        tracker.reset()
+        seen = tracker.track(picture)
+        places.append((seen.u_px, seen.v_px))
+    place = np.array(places)
+    moved = 0.0
+    for k in np.flatnonzero(np.isfinite(place[:, 0])):
+        away = np.hypot(*(place - place[k]).T)
+        others = np.flatnonzero(away > 1.5 * colour.diameter_px)  # NaN is not
+        if len(others):
+            column, row = np.rint(place[k]).astype(int)
+            left = [colour.membership(pictures[j][row : row + 1, column : column + 1])[0, 0] for j in others[:4]]
+            moved += 1.0 - float(np.clip(np.mean(left), 0.0, 1.0))
+    share = float(np.mean(np.isfinite(place[:, 0])))
+    return 0.1 * share + 0.9 * moved / len(pictures)
+
+
 def track_video(video: Video, colour: MarkerColour | None = None, progress: Progress | None = None) -> Marker:
     """The marker in every frame of a video, as marker.csv would have it: rows where it is lost are not valid.
 
-    colour: as picked with `taut marker`; default the marker.toml beside the video, else the marker is picked from the
-    first frame in which one stands out. Times are those of frames.csv, else the container's with the first frame at 0;
-    frames that frames.csv does not list have no time and give no row.
+    colour: as picked with `taut marker`; default the marker.toml beside the video, else that of what stands out and
+    moves. Times are those of frames.csv, else the container's with the first frame at 0; frames that frames.csv does
+    not list have no time and give no row.
     """
     beside = video.path.parent / COLOUR_FILE
-    if colour is None and beside.is_file():
-        colour = MarkerColour.load(beside)
-    tracker = Tracker(colour) if colour else None
+    if colour is None:
+        colour = MarkerColour.load(beside) if beside.is_file() else find_colour(sample_video(video.path, _SAMPLES))
+    if colour is None:
+        raise TautError(f"{video.path}: no marker stands out: pick its colour with 'taut marker {video.path} --at U,V'")
+    tracker = Tracker(colour)
     t_s: list[float] = []
     seen: list[Sighting] = []
     with VideoCamera(video.path) as camera:
@@ -171,10 +211,7 @@ def track_video(video: Video, colour: MarkerColour | None = None, progress: Prog
             k = len(t_s)
             known = video.arrival_s is None or k < len(video.arrival_s)
             t_s.append(own_s if video.arrival_s is None else float(video.arrival_s[k]) if known else np.nan)
-            if tracker is None:
-                with suppress(TautError):
-                    tracker = Tracker(pick(picture))
-            seen.append(tracker.track(picture) if tracker else _lost("no marker stands out"))
+            seen.append(tracker.track(picture))
             if progress and k % 25 == 0:
                 progress(min(1.0, k / total) if total else 0.0, f"tracking {video.path.name}")
     if not any(s.valid for s in seen):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import cv2
 import numpy as np
 import pytest
@@ -122,3 +124,48 @@ def test_cameras_that_do_not_open_say_why(tmp_path) -> None:
         VideoCamera(tmp_path / "foreign.mkv")
     with pytest.raises(TautError, match=r"camera 97: OpenCV cannot open it: is it plugged in"):
         VideoCamera(97)
+
+
+class Capture:
+    """A device as OpenCV shows one, with or without stamps of the driver's."""
+
+    def __init__(self, stamp_s: float | None, frames: int = 3) -> None:
+        self.stamp_s, self.frames, self.released = stamp_s, frames, False
+
+    def isOpened(self) -> bool:
+        return True
+
+    def set(self, key: int, value: float) -> bool:
+        return True
+
+    def get(self, key: int) -> float:
+        return 0.0 if self.stamp_s is None else 1e3 * (time.monotonic() - self.stamp_s)
+
+    def grab(self) -> bool:
+        self.frames -= 1
+        return self.frames >= 0
+
+    def retrieve(self) -> tuple[bool, np.ndarray]:
+        return True, BLACK
+
+    def release(self) -> None:
+        self.released = True
+
+
+@pytest.mark.parametrize(
+    ("late_s", "clock"), [(0.05, "driver"), (None, "when the frame was grabbed"), (3600.0, "grabbed")]
+)
+def test_a_device_says_whose_clock_its_times_are_from(
+    late_s: float | None, clock: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    device = Capture(late_s)
+    monkeypatch.setattr(cv2, "VideoCapture", lambda source: device)
+    with VideoCamera(0) as camera:
+        read = camera.read()
+        assert read is not None and clock in camera.clock
+        assert abs(time.monotonic() - read[1] - (0.05 if late_s == 0.05 else 0.0)) < 0.04
+        camera.read()
+        camera.read()
+        with pytest.raises(TautError, match="camera 0: no more frames: check its cable"):
+            camera.read()
+    assert device.released

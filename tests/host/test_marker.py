@@ -14,7 +14,7 @@ from tautline.colour import MarkerColour, pick
 from tautline.endoscope import Endoscope, Look, load_background
 from tautline.errors import TautError
 from tautline.instrument import reference_rig
-from tautline.marker import Sighting, Tracker, track_video
+from tautline.marker import Sighting, Tracker, find_colour, track_video
 from tautline.recording import Video
 
 RIG = reference_rig()
@@ -91,6 +91,20 @@ def test_real_backgrounds_pull_it_little(path: Path) -> None:
     # In ead2019_0000600 a forceps of the marker's own green touches the marker in some frames.
     limit = 0.08 if path.stem == "ead2019_0000600" else 0.03
     assert np.sqrt(np.mean(error**2, axis=0)).max() < limit
+
+
+@pytest.mark.parametrize("path", BACKGROUNDS[:4:3], ids=lambda path: path.stem)
+def test_what_moves_is_the_marker_and_not_what_stands_out_most(path: Path) -> None:
+    of = Endoscope(RIG, Look(), load_background(path))
+    states = np.linspace(-30.0, 35.0, 12)
+    colour = find_colour([of.frame(c) for c in states])
+    assert colour is not None
+    error, _ = follow(of, states, colour)
+    assert np.sqrt(np.mean(error**2, axis=0)).max() < 0.08
+
+
+def test_nothing_stands_out_of_plain_pictures() -> None:
+    assert find_colour([np.full((120, 160, 3), level, np.uint8) for level in (60, 90, 200)]) is None
 
 
 @pytest.mark.parametrize(("radius_mm", "limit"), [(0.22, 0.06), (0.4, 0.03), (2.5, 0.03)])
@@ -189,6 +203,14 @@ def test_dimmed_light_is_no_reason_to_lose_it() -> None:
         assert np.hypot(*(place(tracker.track(dark)) - of.position(20.0)[0])) < 0.06
 
 
+def test_an_over_exposed_picture_is_followed() -> None:
+    of = scope(Look(glint=0.0))
+    tracker = Tracker(picked(of, 20.0))
+    for k in range(12):
+        bright = np.minimum(of.frame(20.0) * (1.0 + 0.05 * k), 255).astype(np.uint8)  # green at 255 from 1.5 on
+        assert np.hypot(*(place(tracker.track(bright)) - of.position(20.0)[0])) < 0.1
+
+
 def test_any_picture_is_survived() -> None:
     rng = np.random.default_rng(5)
     colour = picked(scope(Look()), 20.0)
@@ -268,9 +290,9 @@ def test_a_video_is_tracked_like_its_frames(video: tuple[Path, np.ndarray]) -> N
     assert np.array_equal(marker.t_s, arrival[np.isfinite(arrival)]) and marker.valid.all() and said
     error = np.column_stack([marker.u_px, marker.v_px]) - np.delete(true, 7, axis=0)
     assert np.abs(error).max() < 0.08
-    own = track_video(Video(path, None))
+    own = track_video(Video(path, None), picked(scope(Look()), -5.0))
     assert np.allclose(own.t_s, np.arange(15) / 25, atol=2e-3)
-    short = track_video(Video(path, arrival[:10]))
+    short = track_video(Video(path, arrival[:10]), picked(scope(Look()), -5.0))
     assert len(short.t_s) == 9
 
 

@@ -8,11 +8,11 @@ import click
 import cv2
 import numpy as np
 
-from tautline.camera import VideoCamera
+from tautline.camera import VideoCamera, sample_video
 from tautline.cli._common import emit, json_option, progress_bar
 from tautline.colour import COLOUR_FILE, MarkerColour, pick
 from tautline.errors import TautError
-from tautline.marker import Sighting, Tracker
+from tautline.marker import Sighting, Tracker, find_colour
 
 _STILL_FRAMES = 60  # that are tracked to say how well the marker can be seen
 _WARM_UP = 15  # frames of a device that pass while it finds its exposure
@@ -48,30 +48,35 @@ def command(source: str, at: tuple[float, float] | None, out: Path, as_json: boo
     SOURCE is a picture, a video, a camera (its number or device) or a stream's address. Beside --out goes a picture of
     what was found, as a PNG.
     """
-    pictures, is_video = _pictures(source)
-    colour = pick(pictures[0], at)
+    pictures, spread = _pictures(source)
+    colour = pick(pictures[0], at) if at or len(spread) == 1 else find_colour(spread)
+    if colour is None:
+        raise TautError(
+            f"{source}: no marker stands out by its colour: show where it is in the first picture with --at U,V"
+        )
     tracker = Tracker(colour)
     with progress_bar("tracking") as progress:
         seen = []
         for k, picture in enumerate(pictures):
             progress(k / len(pictures), "how well the marker is seen")
             seen.append(tracker.track(picture))
-    if not seen[0].valid:
+    valid = [s for s in seen if s.valid]
+    if not valid:
         raise TautError(f"{source}: a colour was found at {_where(colour)} but no marker: {seen[0].lost}; try --at U,V")
+    first = seen.index(valid[0])
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         colour.save(out)
     except OSError as error:
         raise TautError(f"{out}: cannot be written ({error.strerror}): name another file with --out") from error
     shown = out.with_suffix(".png")
-    cv2.imwrite(str(shown), _drawn(pictures[0], colour, seen[0]))
-    valid = [s for s in seen if s.valid]
+    cv2.imwrite(str(shown), _drawn(pictures[first], colour, seen[first]))
     sigma = float(np.median([s.sigma_px for s in valid]))
     result = {
         "file": out,
         "picture": shown,
-        "at_px": [seen[0].u_px, seen[0].v_px],
-        "diameter_px": seen[0].diameter_px,
+        "at_px": [valid[0].u_px, valid[0].v_px],
+        "diameter_px": valid[0].diameter_px,
         "colour_bgr": colour.colour,
         "sigma_px": sigma,
         "frames": len(seen),
@@ -79,31 +84,33 @@ def command(source: str, at: tuple[float, float] | None, out: Path, as_json: boo
     }
     blue, green, red = (round(level) for level in colour.colour)
     text = (
-        f"marker at {seen[0].u_px:.1f}, {seen[0].v_px:.1f} px, {seen[0].diameter_px:.1f} px wide, "
+        f"marker at {valid[0].u_px:.1f}, {valid[0].v_px:.1f} px, {valid[0].diameter_px:.1f} px wide, "
         f"red {red} green {green} blue {blue}, each position good to {sigma:.3f} px"
     )
-    if is_video:
+    if len(seen) > 1:
         text += f"; seen in {len(valid)} of the first {len(seen)} frames"
     emit(result, as_json, f"{text}\n{out} holds its colour; look at {shown} to see that it is the right one")
 
 
-def _pictures(source: str) -> tuple[list[np.ndarray], bool]:
-    """Some pictures of the source, and whether it is more than one."""
+def _pictures(source: str) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """The source's first pictures, and some from all over it."""
     if source.isdigit() and not Path(source).exists():
         with VideoCamera(int(source)) as camera:
             for _ in range(_WARM_UP):
                 camera.read()
-            return [read[0] for _ in range(_STILL_FRAMES) if (read := camera.read())], True
+            pictures = [read[0] for _ in range(_STILL_FRAMES) if (read := camera.read())]
+        return pictures, pictures[:: _STILL_FRAMES // 10]
     if Path(source).is_file() and cv2.haveImageReader(source):
         picture = cv2.imread(source, cv2.IMREAD_COLOR)
         if picture is None:
             raise TautError(f"{source}: cannot be read as a picture: is it whole?")
-        return [picture], False
+        return [picture], [picture]
     with VideoCamera(source) as camera:
         pictures = [read[0] for _ in range(_STILL_FRAMES) if (read := camera.read())]
+        is_file = camera.frames is not None
     if not pictures:
         raise TautError(f"{source}: holds no frames")
-    return pictures, True
+    return pictures, sample_video(Path(source), 24) if is_file else pictures[:: _STILL_FRAMES // 10]
 
 
 def _where(colour: MarkerColour) -> str:
