@@ -105,9 +105,8 @@ class _Fit:
         self.design = basis.design(self.p).toarray()
         self.excess = 0.0
         self.spread = self.stated.copy()
-        # Where nothing moved over a whole stroke, the play's centre is half the (unknown) width behind the turn.
-        self.bounds = [(o.q1, o.direction, o.low) for o in bounds]
-        self.bound_tolerance = float(np.median(self.stated))
+        self.bounds = list(bounds)
+        self.lifted: list[str] = []
         self.coefficients = np.full(basis.size, float(np.average(self.w, weights=self.stated**-2)))
 
     # The measured q_mean and width share one error: B' rotates it.
@@ -116,8 +115,25 @@ class _Fit:
         turned = np.abs(1.0 - 0.5 * self.direction * np.clip(slope, -STEEPEST, STEEPEST))
         return np.asarray(np.maximum(np.hypot(self.stated * turned, self.excess), 1e-12))
 
+    def _take_bounds(self) -> None:
+        """Strokes that moved nothing and were longer than the curve now says join the widths as if B were just that."""
+        for onset in list(self.bounds):
+            if float(self.basis.value(self.coefficients, np.array([onset.q_mean]))[0]) < onset.low:
+                self.bounds.remove(onset)
+                self.lifted.append(
+                    f"a stroke of {onset.low:.4g} at {onset.q_mean:.4g} moved nothing and lifts B(q) there"
+                )
+                self.p, self.w = np.append(self.p, onset.q_mean), np.append(self.w, onset.low)
+                self.stated = np.append(self.stated, float(np.median(self.stated)))
+                self.direction = np.append(self.direction, 0.0)
+                self.boxed = np.append(self.boxed, False)
+                self.low, self.high = np.append(self.low, onset.low), np.append(self.high, np.inf)
+        self.design = self.basis.design(self.p).toarray()
+
     def settle(self, smoothing: float | None) -> None:
-        for _ in range(4):
+        for turn in range(4):
+            if turn:
+                self._take_bounds()
             self.spread = self._effective()
             weight = self.spread**-2
             unit = float(np.median(weight))
@@ -149,10 +165,10 @@ class _Fit:
         return chosen
 
     def _places(self) -> list[npt.NDArray[np.intp]]:
-        """Indices of widths that lie within a spline's span of each other."""
-        order = np.argsort(self.p)
-        breaks = np.flatnonzero(np.diff(self.p[order]) > self.basis.step)
-        return list(np.split(order, breaks + 1))
+        """Indices of the widths in each span of the spline."""
+        span = np.floor((self.p - self.basis.low) / self.basis.step)
+        order = np.argsort(span, kind="stable")
+        return list(np.split(order, np.flatnonzero(np.diff(span[order])) + 1))
 
     @staticmethod
     def _inverse(system: Array) -> Array:
@@ -161,7 +177,7 @@ class _Fit:
 
     def _solve(self, weight: Array) -> None:
         """Weighted fit with the inequalities that are violated added until none is."""
-        self.notes.clear()
+        self.notes[:] = self.lifted
         gram = self.design.T @ (weight[:, None] * self.design) + self.roughness * self.basis.roughness
         right = self.design.T @ (weight * self.w)
         coefficients = self._inverse(gram) @ right
@@ -193,12 +209,6 @@ class _Fit:
             rows.append(identity[i + 1] - identity[i])
             values.append(float(np.sign(coefficients[i + 1] - coefficients[i])) * limit)
             self.notes.append("|B'| <= 1.8 limits the curve")
-        for q1, direction, low in self.bounds:
-            at = np.array([q1 + direction * low / 2])
-            if float(self.basis.value(coefficients, at)[0]) < low - self.bound_tolerance:
-                rows.append(self.basis.design(at).toarray()[0])
-                values.append(low)
-                self.notes.append(f"a stroke of {low:.4g} at {at[0]:.4g} moved nothing and lifts B(q) there")
         return np.array(rows).reshape(-1, self.basis.size), np.array(values)
 
     def _excess(self, weight: Array) -> float:
@@ -224,7 +234,7 @@ class _Fit:
     # ---- brackets: each says only between which two positions the onset was; many together say more
 
     def _brackets(self, smoothing: float | None) -> None:
-        self.notes.clear()
+        self.notes[:] = self.lifted
         unit = float(np.median(self.spread**-2))
         everything = np.ones(len(self.w), bool)
         start = np.full(self.basis.size, float(np.mean(self.w)))
@@ -254,7 +264,7 @@ class _Fit:
     def _terms(self, coefficients: Array, use: npt.NDArray[np.bool_], sharpness: float) -> tuple[Array, Array, Array]:
         """-log likelihood of each width with its first two derivatives by B(p)."""
         value = self.design[use] @ coefficients
-        size = self.high[use] - self.low[use]
+        size = np.where(self.boxed[use], self.high[use] - self.low[use], 1.0)
         soft = np.maximum(sharpness * size / 2, 1e-9)
         cost, first, second = _box((value - self.low[use]) / soft, (value - self.high[use]) / soft)
         gauss = ~self.boxed[use]
@@ -271,7 +281,7 @@ class _Fit:
         coefficients = start
         design, rough = self.design[use], roughness * self.basis.roughness
         ridge = 1e-10 * roughness * np.eye(self.basis.size)
-        close = 1e-3 * float(np.median(np.where(self.boxed, self.high - self.low, self.spread)))
+        close = 1e-3 * float(np.median(self.spread))
 
         def total(at: Array, sharp: float) -> float:
             return float(self._terms(at, use, sharp)[0].sum()) + 0.5 * float(at @ rough @ at)

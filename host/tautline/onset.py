@@ -24,6 +24,7 @@ _BEFORE = 24  # frames before the turn that tell when the image stopped
 _JUMP = 8.0  # sigma: a quantised sensor's steps are no jumps
 _SUDDEN = 0.35  # of the window's mean slope: a path that starts slower is no hinge but a bend
 _NOMINAL_S = 0.03  # standard deviation of a nominal delay
+_PER_TERM = 3.5  # chi-square that one more term of a path must explain: between AIC (2) and BIC (4.5)
 _DELAY_REACH_S = 0.12  # the delay is looked for this far around the nominal one
 
 
@@ -287,20 +288,20 @@ def _pooled_jumps(onsets: list[Onset]) -> list[Onset]:
 
 
 def _with_clock_and_counts(onset: Onset, track: Track, delay_sigma: float, resolution: float) -> Onset:
-    """Adds what the delay's uncertainty and two rounded encoder positions do to the width."""
+    """Adds what the delay's uncertainty and a turn that is known to a count do to the width."""
     if not np.isfinite(onset.sigma):
         return onset
     speed = 0.0
     if track.delayed and np.isfinite(delay_sigma):
         around = track.motor_at(np.array([onset.t_s - 0.02, onset.t_s + 0.02]))
         speed = abs(float(around[1] - around[0])) / 0.04
-    extra = np.hypot(speed * (delay_sigma if speed else 0.0), resolution * np.sqrt(2.0 / 12.0))
+    extra = np.hypot(speed * (delay_sigma if speed else 0.0), resolution / np.sqrt(12.0))
     return replace(onset, sigma=float(np.hypot(onset.sigma, extra)))
 
 
 def _fit_window(track: Track, stroke: _Stroke) -> tuple[Array, Array, int, Hinge] | None:
     """The longest window after the onset that a polynomial of order 3 or less follows within the noise, the best order
-    by BIC, and the hinge on it."""
+    for it, and the hinge on it, averaged over the orders."""
     departure = stroke.departure
     assert departure is not None
     frames, travel = stroke.frames, stroke.travel
@@ -315,11 +316,23 @@ def _fit_window(track: Track, stroke: _Stroke) -> tuple[Array, Array, int, Hinge
             return None
         fits = [(order, fit_hinge(x, y, order, 0.0, high)) for order in range(1, top + 1)]
         fits = [f for f in fits if f[0] == 1 or _sudden(x, y, f[1])]
-        good = [f for f in fits if f[1].chi2 < f[1].freedom + 3.5 * np.sqrt(2.0 * f[1].freedom)]
+        good = [f for f in fits if f[1].chi2 < f[1].freedom + 3.0 * np.sqrt(2.0 * f[1].freedom)]
         if good or after <= 8:
-            order, hinge = min(good or fits, key=lambda f: f[1].chi2 + f[0] * y.shape[1] * np.log(y.size))
-            return x, y, order, hinge
+            return x, y, *_averaged(good or fits, y)
         after = max(8, int(after * 0.6))
+
+
+def _averaged(fits: list[tuple[int, Hinge]], y: Array) -> tuple[int, Hinge]:
+    """Best order, and the knot averaged over the orders by what they explain: how curved the path is, is not known either."""
+    inflate = max(1.0, min(h.chi2 / h.freedom for _, h in fits))
+    score = np.array([h.chi2 / inflate + _PER_TERM * order * y.shape[1] for order, h in fits])
+    weight = np.exp(-0.5 * (score - score.min()))
+    weight /= weight.sum()
+    knots = np.array([h.knot for _, h in fits])
+    mean = float(weight @ knots)
+    spread = float(np.sqrt(weight @ (np.array([h.sigma for _, h in fits]) ** 2 + (knots - mean) ** 2)))
+    order, best = fits[int(np.argmin(score))]
+    return order, replace(best, knot=mean, sigma=spread)
 
 
 def _sudden(x: Array, y: Array, hinge: Hinge) -> bool:

@@ -85,7 +85,7 @@ def fit_remaining(
     lawful = monotone(curve, grid, falling, _LEAST_SLOPE * abs(rig.coarse.gain))
     notes = []
     seen = (grid >= p.min()) & (grid <= p.max())
-    if np.abs(lawful - curve)[seen].max(initial=0.0) > 0.02 * np.ptp(curve) or _flat(fitted, basis, falling, rig):
+    if np.abs(lawful - curve)[seen].max(initial=0.0) > 1e-3 * np.ptp(curve):
         notes.append("f_remain is not monotone where the tip hardly moves: it was made so for the inverse")
     design_on_grid = basis.design(grid).toarray()
     block = fitted.covariance[: basis.size, : basis.size]
@@ -110,12 +110,6 @@ class _FixedWidth(PlayFit):
 
     def width(self, curves: Curves) -> Array:
         return self.table
-
-
-def _flat(fitted: Fitted, basis: Basis, falling: bool, rig: Rig) -> bool:
-    sign = -1.0 if falling else 1.0
-    difference = sign * np.diff(fitted.curves.follow[:, 0])
-    return bool((difference < 0.5 * _LEAST_SLOPE * abs(rig.coarse.gain) * basis.step).any())
 
 
 def _rms(fitted: Fitted, tracks: Sequence[Track]) -> float:
@@ -196,8 +190,8 @@ def morphological(tracks: Sequence[Track], rig: Rig, grid: Array, delay_s: float
 
 
 def one_step(tracks: Sequence[Track], rig: Rig, delay_s: float) -> Characteristic | None:
-    """The single-step method that the paper compares with: pose of every frame, the characteristic, its horizontal
-    width as a function of its centre. It believes the pose: a registration error becomes backlash."""
+    """Pose of every frame, then the characteristic: the hysteresis in a single step. It believes the pose: what
+    registration gets wrong becomes backlash (paper, Fig. 7)."""
     q = np.concatenate([track.motor_at(track.scene_s(delay_s)) for track in tracks])
     c = np.concatenate([pose_of(track, rig, delay_s) for track in tracks])
     return characteristic(q, c)

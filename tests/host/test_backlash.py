@@ -1,0 +1,111 @@
+"""B(q) from widths: smooth where the truth is, sharp where it is, lawful, and honest where nothing was measured."""
+
+import numpy as np
+import pytest
+
+from tautline.backlash import fit_paper, fit_widths, paper_knots
+from tautline.onset import BOUND, BRACKET, HINGE, Onset
+
+GRID = np.linspace(-5.0, 5.0, 1025)
+
+
+def widths(law, p, sigma, rng):
+    """Onsets that a play with width law(p) would show, alternately in both directions."""
+    made = []
+    for k, centre in enumerate(p):
+        direction = 1 if k % 2 else -1
+        truth = float(law(centre))
+        q1 = centre - direction * truth / 2
+        width = truth + rng.normal(0, sigma)
+        made.append(Onset(0, float(k), k + 0.5, direction, q1, q1 + direction * width, sigma, 0.0, np.inf, HINGE, True))
+    return made
+
+
+def bump(height, fwhm):
+    return lambda p: 0.4 + height * np.exp(-0.5 * (np.asarray(p) / (fwhm / 2.355)) ** 2)
+
+
+@pytest.mark.parametrize("fwhm", [0.6, 1.0])
+def test_a_narrow_bump_that_the_papers_knots_cannot_follow(fwhm):
+    law, rng = bump(0.25, fwhm), np.random.default_rng(int(10 * fwhm))
+    onsets = widths(law, np.linspace(-4.7, 4.7, 80), 0.001, rng)
+    inside = np.abs(GRID) < 4.6
+    smooth, paper = fit_widths(onsets, GRID), fit_paper(onsets, GRID)
+    error = [1e3 * np.sqrt(np.mean((c.width - law(GRID))[inside] ** 2)) for c in (smooth, paper)]
+    print(f"bump of {fwhm} mm: {error[0]:.1f} um rms, with the paper's 14 knots {error[1]:.1f} um")
+    assert error[0] < 3.0 and error[1] > 10.0
+
+
+def test_the_papers_knots():
+    knots = paper_knots(-5.0, 5.0)
+    assert len(knots) == 14 and len(np.unique(knots)) == 8
+    assert (knots[:4] == -5).all() and (knots[-4:] == 5).all()
+
+
+def test_a_constant_stays_constant_and_its_uncertainty_is_honest():
+    z = []
+    for seed in range(30):
+        rng = np.random.default_rng(seed + 70)
+        onsets = widths(lambda p: 0.5 + 0 * p, rng.uniform(-4, 4, 25), 0.004, rng)
+        curve = fit_widths(onsets, GRID)
+        inside = np.abs(GRID) < 3.5
+        z.append((curve.width - 0.5)[inside] / curve.sigma[inside])
+        assert np.abs(curve.width - 0.5)[inside].max() < 0.012
+    assert np.sqrt(np.mean(np.square(z))) < 1.3
+
+
+def test_beyond_what_reversals_reached_the_width_is_held_and_its_sigma_grows():
+    rng = np.random.default_rng(1)
+    curve = fit_widths(widths(lambda p: 0.4 + 0.05 * p, np.linspace(-2, 2, 30), 0.001, rng), GRID)
+    assert curve.measured == pytest.approx((-2, 2), abs=0.01)
+    assert curve.width[-1] == pytest.approx(curve.at(np.array([2.0]))[0], abs=1e-3)
+    assert curve.sigma[-1] > 100 * curve.sigma_at(np.array([0.0]))[0]
+
+
+def test_each_width_counts_by_its_uncertainty():
+    rng = np.random.default_rng(2)
+    good = widths(lambda p: 0.5 + 0 * p, np.linspace(-4, 4, 20), 0.001, rng)
+    poor = widths(lambda p: 0.5 + 0 * p, np.linspace(-4, 4, 20) + 0.05, 0.2, rng)
+    curve = fit_widths(good + poor, GRID)
+    assert np.abs(curve.width - 0.5).max() < 0.003
+
+
+def test_a_stroke_that_moved_nothing_lifts_the_curve():
+    rng = np.random.default_rng(3)
+    onsets = widths(lambda p: 0.4 + 0 * p, np.concatenate([np.linspace(-4, -1, 12), np.linspace(1, 4, 12)]), 0.001, rng)
+    stuck = Onset(0, 0.0, np.nan, 1, -0.4, 0.4, np.inf, 0.8, np.inf, BOUND, True)
+    curve = fit_widths([*onsets, stuck], GRID)
+    assert curve.at(np.array([0.0]))[0] > 0.75
+    assert any("moved nothing" in note for note in curve.notes)
+    assert curve.at(np.array([-3.0, 3.0])) == pytest.approx(0.4, abs=0.03)
+
+
+def test_what_no_play_can_have_is_limited_and_said():
+    rng = np.random.default_rng(4)
+    step = widths(lambda p: 0.2 + 2.0 * (p > 0), np.linspace(-4, 4, 60), 0.001, rng)
+    curve = fit_widths(step, GRID)
+    assert np.abs(np.diff(curve.width) / np.diff(GRID)).max() <= 1.8 + 1e-9
+    assert curve.notes
+
+
+def test_brackets_intersect():
+    errors = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed + 300)
+        frame, truth, onsets = 0.6, 15.0, []
+        for k, p in enumerate(np.linspace(-50, 50, 75)):
+            direction, low = (1 if k % 2 else -1), truth - frame * rng.uniform()
+            q1, middle = p - direction * truth / 2, low + frame / 2
+            onsets.append(
+                Onset(0, k, k, direction, q1, q1 + direction * middle, frame / 12**0.5, low, low + frame, BRACKET, True)
+            )
+        curve = fit_widths(onsets, np.linspace(-60, 60, 1025))
+        inside = np.abs(curve.q) < 49
+        errors.append((curve.width - truth)[inside])
+    print(f"75 brackets of 0.6 deg: {np.sqrt(np.mean(np.square(errors))):.4f} deg rms")
+    assert np.sqrt(np.mean(np.square(errors))) < 0.02
+
+
+def test_without_widths_there_is_no_curve():
+    stuck = Onset(0, 0.0, np.nan, 1, -0.4, 0.4, np.inf, 0.8, np.inf, BOUND, True)
+    assert fit_widths([stuck], GRID) is None and fit_paper([stuck], GRID) is None

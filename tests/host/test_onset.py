@@ -1,0 +1,144 @@
+"""Onsets: as sharp as the Cramér-Rao bound allows, honest about their uncertainty, and only where they count."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tautline.instrument import Instrument, preset, reference_rig
+from tautline.observations import observe
+from tautline.onset import BOUND, BRACKET, HINGE, find_delay, find_onsets, fit_hinge, fit_jump
+from tautline.recording import Motor
+from tautline.simulate import run
+from tautline.timing import FrameTiming
+from tautline.trajectory import back_and_forth, through
+
+RIG = reference_rig()
+
+
+def bound(x: np.ndarray, knot: float, slope: np.ndarray) -> float:
+    """Cramér-Rao bound of the knot with level and slope of both coordinates unknown, unit noise."""
+    blocks = []
+    for c in range(2):
+        block = np.zeros((len(x), 5))
+        block[:, 2 * c] = 1
+        block[:, 2 * c + 1] = np.maximum(x - knot, 0)
+        block[:, 4] = -slope[c] * (x > knot)
+        blocks.append(block)
+    jacobian = np.vstack(blocks)
+    return float(np.sqrt(np.linalg.inv(jacobian.T @ jacobian)[-1, -1]))
+
+
+def hinges(sigma_per_frame: float, repeats: int, seed: int) -> tuple[float, float]:
+    """rms error over the bound, and rms error over the stated sigma."""
+    rng = np.random.default_rng(seed)
+    over_bound, over_sigma = [], []
+    for _ in range(repeats):
+        still, moving = rng.integers(8, 40), rng.integers(10, 50)
+        knot, angle = still - 1 + rng.uniform(), rng.uniform(0, 2 * np.pi)
+        x = np.arange(still + moving, dtype=float)
+        slope = sigma_per_frame * np.array([np.cos(angle), np.sin(angle)])
+        y = 300.0 + np.maximum(x - knot, 0)[:, None] * slope + rng.normal(size=(len(x), 2))
+        found = fit_hinge(x, y, 1, 0.0, float(x[-1]))
+        over_bound.append((found.knot - knot) / bound(x, knot, slope))
+        over_sigma.append((found.knot - knot) / found.sigma)
+    return float(np.sqrt(np.mean(np.square(over_bound)))), float(np.sqrt(np.mean(np.square(over_sigma))))
+
+
+@pytest.mark.parametrize("sigma_per_frame", [3.0, 6.0, 12.0, 40.0])
+def test_a_hinge_is_as_sharp_as_the_bound(sigma_per_frame):
+    over_bound, over_sigma = hinges(sigma_per_frame, 800, seed=int(17 * sigma_per_frame))
+    print(f"{sigma_per_frame:g} sigma/frame: {over_bound:.3f} x the Cramér-Rao bound, z {over_sigma:.2f}")
+    assert over_bound < 1.1
+    assert 0.88 < over_sigma < 1.12
+
+
+@pytest.mark.parametrize("sigma_per_frame", [0.15, 0.4, 1.0, 2.0])
+def test_a_slow_hinge_states_its_uncertainty(sigma_per_frame):
+    over_bound, over_sigma = hinges(sigma_per_frame, 500, seed=int(100 * sigma_per_frame))
+    print(f"{sigma_per_frame:g} sigma/frame: {over_bound:.3f} x the Cramér-Rao bound, z {over_sigma:.2f}")
+    assert 0.7 < over_sigma < 1.2
+
+
+def test_a_jump_brackets_the_onset_within_a_frame():
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        knot = rng.uniform(10, 30)
+        x = np.arange(50, dtype=float)
+        path = np.maximum(x - knot, 0) * 2.0 + 30.0 * (x > knot)
+        found = fit_jump(x, np.column_stack([path, -path]) + rng.normal(size=(50, 2)), 1, 0.0, 49.0)
+        assert found.low <= knot <= found.high
+        assert found.high - found.low == pytest.approx(1.0)
+
+
+def simulated(seed: int, motion, *, noise: float = 0.05, delay: float = 0.0873, instrument: Instrument | None = None):
+    instrument = instrument or preset("reference", RIG)
+    timing = FrameTiming.of(RIG, delay_s=delay, seed=seed)
+    made = run(RIG, instrument, motion, noise_px=noise, timing=timing, seed=seed)
+    return made, observe([made.recording], RIG)
+
+
+def test_widths_and_the_delay_of_a_whole_recording():
+    delays, z, errors = [], [], []
+    for seed in range(20, 26):
+        motion = back_and_forth(RIG.actuator, [0.35], 2.4, 10, 4.0)
+        made, tracks = simulated(seed, motion, delay=0.07 + 0.004 * (seed - 20), instrument=preset("random", RIG, seed))
+        delay = find_delay(tracks, RIG, RIG.delay_s)
+        delays.append((delay.delay_s - made.timing.delay_s) / np.hypot(delay.sigma_s, 3e-4))
+        for onset in find_onsets(tracks, RIG, delay.delay_s, delay.sigma_s):
+            if onset.used and onset.kind == HINGE:
+                error = onset.width - float(made.instrument.backlash(np.array([onset.q_mean]))[0])
+                errors.append(error)
+                z.append(error / onset.sigma)
+    rms = 1e3 * float(np.sqrt(np.mean(np.square(errors))))
+    print(f"{len(z)} onsets: {rms:.2f} um rms, z {np.sqrt(np.mean(np.square(z))):.2f}; delays z {np.round(delays, 1)}")
+    assert len(z) > 100
+    assert rms < 3.0
+    assert np.sqrt(np.mean(np.square(z))) < 1.5 and np.mean(np.abs(z) < 2) > 0.85
+    assert np.max(np.abs(delays)) < 3.5
+
+
+def test_a_stroke_within_the_backlash_is_a_lower_bound_and_the_next_one_counts_for_nothing():
+    plant = Instrument.of(RIG, lambda p: np.full_like(p, 0.6), lambda p: 12.0 * p)
+    made, tracks = simulated(1, through([-4.0, 0.0, -0.5, 1.0, -1.0], 0.35, 4.0), instrument=plant)
+    onsets = find_onsets(tracks, RIG, made.timing.delay_s)
+    assert [o.kind for o in onsets] == [BOUND, "none", HINGE]
+    assert onsets[0].low == pytest.approx(0.5, abs=0.01)
+    assert not onsets[1].used and "not on an envelope" in onsets[1].reason
+    assert onsets[2].used and onsets[2].width == pytest.approx(0.6, abs=0.005)
+
+
+def test_reversals_during_which_another_axis_moves_are_not_used():
+    motion = through([-4.0, 0.0, -2.0, 1.0], 0.35, 4.0)
+    made, _ = simulated(2, motion)
+    motor = made.recording.motor
+    middle = 0.5 * motor.t_s[-1]
+    shift = np.clip((motor.t_s - middle) / 2.0, 0.0, 1.0)
+    moved = replace(made.recording, motor=Motor(motor.t_s, motor.q, translation_mm=shift))
+    onsets = find_onsets(observe([moved], RIG), RIG, made.timing.delay_s)
+    reasons = [o.reason for o in onsets]
+    assert any("translation or rotation" in reason for reason in reasons)
+    assert all(not o.used for o in onsets if "translation or rotation" in o.reason)
+
+
+def test_a_registration_that_turns_with_the_motion_makes_brackets():
+    made, _ = simulated(4, back_and_forth(RIG.actuator, [0.35], 2.4, 10, 4.0))
+    marker = made.recording.marker
+    moving = np.diff(made.p, prepend=made.p[0])
+    latest = np.maximum.accumulate(np.where(moving != 0, np.arange(len(moving)), 0))
+    side = np.sign(moving[latest])[np.searchsorted(made.t_s, made.scene_s) - 1]
+    shifted = replace(made.recording, marker=replace(marker, u_px=marker.u_px + 8.0 * side))
+    onsets = [o for o in find_onsets(observe([shifted], RIG), RIG, made.timing.delay_s) if o.used and o.kind != BOUND]
+    assert len(onsets) > 12
+    assert all(o.kind == BRACKET for o in onsets)
+    for onset in onsets:
+        truth = float(made.instrument.backlash(np.array([onset.q_mean]))[0])
+        assert onset.low - 0.002 <= truth <= onset.high + 0.002
+
+
+def test_dither_of_the_encoder_is_no_reversal():
+    made, _ = simulated(5, through([-4.0, 4.0], 0.35, 4.0))
+    motor = made.recording.motor
+    rng = np.random.default_rng(0)
+    dithering = Motor(motor.t_s, motor.q + 0.001 * rng.integers(-1, 2, len(motor.q)))
+    assert find_onsets(observe([replace(made.recording, motor=dithering)], RIG), RIG, made.timing.delay_s) == []

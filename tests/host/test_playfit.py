@@ -1,0 +1,91 @@
+"""The joint fit's Jacobian against finite differences; lawful tables; positions between encoder counts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tautline.geometry import project
+from tautline.instrument import preset, reference_rig
+from tautline.model import between_counts, is_backlash_table
+from tautline.observations import noise_of, observe
+from tautline.playfit import Curves, Frozen, PlayFit, table
+from tautline.recording import Motor
+from tautline.remaining import monotone, view_of
+from tautline.simulate import run
+from tautline.splines import Basis
+from tautline.trajectory import random_smooth
+
+RIG = reference_rig()
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 10_000), st.booleans())
+def test_the_jacobian_is_the_residuals_slope(seed, with_view):
+    rng = np.random.default_rng(seed)
+    made = run(RIG, preset("random", RIG, seed), random_smooth(RIG.actuator, 1.0, 20.0, seed), noise_px=0.3, seed=seed)
+    frozen = [Frozen.of(track) for track in observe([made.recording], RIG)]
+    view = view_of(RIG) if with_view else None
+    fit = PlayFit(frozen, Basis(-5, 5, 10), Basis(-5, 5, 12), view=view, settled_only=False)
+    p = fit.follow.centres
+    follow = 11.0 * p[:, None] if with_view else project(RIG, 11.0 * p)
+    curves = Curves(0.5 + 0.1 * rng.uniform(-1, 1, fit.backlash.size), follow, 0.08)
+    rows, masks = fit.residuals(curves)
+    weights = [m.astype(float) for m in masks]
+    _, gradient = fit.normal(curves, rows, weights)
+
+    def cost(at: Curves) -> float:
+        rows, _ = fit.residuals(at)
+        return sum(float(np.sum(r[m] ** 2)) for r, m in zip(rows, masks, strict=True))
+
+    cut = follow.size
+    for index, size in ((int(rng.integers(cut)), 1e-4), (cut + int(rng.integers(fit.backlash.size)), 2e-6)):
+        step = np.zeros(len(gradient))
+        step[index] = size
+        slope = (cost(fit._moved(curves, step)) - cost(fit._moved(curves, -step))) / (2 * size)
+        assert -2 * gradient[index] == pytest.approx(slope, rel=0.02, abs=0.02 * np.abs(2 * gradient[:cut]).max())
+    later, earlier = (cost(replace(curves, delay_s=0.08 + d)) for d in (1e-5, -1e-5))
+    # The encoder's counts and frames that are on a corner leave the delay's slope ragged.
+    assert -2 * gradient[-1] == pytest.approx((later - earlier) / 2e-5, rel=0.1, abs=0.02 * abs(2 * gradient[-1]) + 1e4)
+
+
+@given(st.lists(st.floats(-2, 5), min_size=2, max_size=40), st.floats(0.01, 1.0))
+def test_a_lawful_table_is_one_and_a_lawful_one_stays(values, step):
+    grid = step * np.arange(len(values))
+    lawful = table(np.array(values), grid)
+    assert is_backlash_table(grid, lawful)
+    assert np.array_equal(table(lawful, grid), lawful) or np.allclose(table(lawful, grid), lawful, atol=1e-9)
+    assert (lawful <= np.maximum(values, 0) + 1e-9).all()
+
+
+@given(st.lists(st.floats(-5, 5), min_size=3, max_size=40), st.booleans())
+def test_monotone_is_strict_and_leaves_what_is(values, falling):
+    grid = np.arange(len(values), dtype=float)
+    sign = -1.0 if falling else 1.0
+    curve = monotone(np.array(values), grid, falling, 0.01)
+    assert (sign * np.diff(curve) > 0).all()
+    again = monotone(curve, grid, falling, 0.01)
+    assert again == pytest.approx(curve, abs=1e-6)
+
+
+@pytest.mark.parametrize("rate", [100.0, 1000.0, 4000.0])
+def test_between_counts_is_nearer_to_the_truth_and_never_off_by_a_count(rate):
+    t = np.arange(0, 20, 1 / rate)
+    q = 0.02 * np.sin(0.7 * t) + 0.3 * np.sin(0.13 * t)
+    counted = Motor(t, np.round(q / 0.001) * 0.001)
+    between = between_counts(counted, 0.001)
+    assert np.abs(between.q - q).max() < 0.001
+    assert np.sqrt(np.mean((between.q - q) ** 2)) < 0.4 * np.sqrt(np.mean((counted.q - q) ** 2))
+    assert between_counts(Motor(t, q), 0.001).q is q
+
+
+def test_noise_is_measured_beside_motion_lost_frames_and_steps_of_a_sensor():
+    rng = np.random.default_rng(4)
+    t = np.arange(0, 60, 0.04)
+    path = np.column_stack([100 * np.sin(0.4 * t), 30 * np.cos(0.4 * t)]) + rng.normal(0, 0.07, (len(t), 2))
+    keep = rng.uniform(size=len(t)) > 0.2
+    assert noise_of(t[keep], path[keep], 1e-3) == pytest.approx(0.07, rel=0.15)
+    steps = np.round(5 * np.sin(0.2 * t)[:, None] / 0.09) * 0.09
+    assert noise_of(t, steps, 1e-4) >= 0.09 / np.sqrt(12) * 0.9
