@@ -232,4 +232,5 @@ def _uneven(path: Path, text: str, header_line: int, count: int) -> TautError:
             return TautError(
                 f"{path}, line {number}: has {len(cells)} cells, the header line has {count} columns{hint}"
             )
-    return TautError(f"{path}: cannot be read as comma-separated numbers (an unclosed quotation mark?)")
+    hint = " (an unclosed quotation mark?)" if text.count('"') % 2 else ""
+    return TautError(f"{path}: cannot be read as comma-separated numbers{hint}")

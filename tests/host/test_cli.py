@@ -197,6 +197,7 @@ def test_exit_codes(taut: Taut, model: Path, folder: Path, tmp_path: Path) -> No
     assert taut("predict", model, folder, "--csv", tmp_path / "o.csv", "--start-deg", "up").code == 2
     assert taut("--help").code == 0 and taut("calibrate", "--help").code == 0
     assert "no such folder" in taut.refuses("predict", model, tmp_path / "nothing", "--csv", tmp_path / "o.csv")
+    assert "no such folder" in taut.refuses("calibrate", tmp_path / "nothing", "--out", tmp_path / "m")
     assert "taut calibrate" in taut.refuses("predict", tmp_path / "nothing", folder, "--csv", tmp_path / "o.csv")
 
 

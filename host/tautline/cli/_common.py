@@ -108,6 +108,8 @@ def read_recordings(paths: Sequence[Path], rig_path: Path | None) -> tuple[list[
 
 def _own_rig(paths: Sequence[Path]) -> Rig:
     for path in paths:
+        if not path.is_dir():
+            raise TautError(f"{path}: there is no such folder: a recording is a folder with motor.csv")
         if (path / "rig.toml").exists():
             return Rig.load(path / "rig.toml")
     raise TautError(f"{paths[0]}: no rig.toml is in it: name one with --rig")
