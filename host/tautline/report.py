@@ -39,7 +39,7 @@ class Number:
 
 def save_model(model: Model, recordings: Sequence[Recording], folder: Path) -> list[str]:
     """The whole MODEL folder with its report, or nothing. Returns the result in sentences."""
-    with replaced(folder, MODEL_FILE) as target:
+    with replaced(folder, MODEL_FILE, stale="follow-*.csv") as target:
         evidence = collect(model, recordings)
         model.save(target)
         evidence.save(target)

@@ -144,6 +144,18 @@ def test_runs_beside_a_model_are_shown(measured: tuple[Model, Recording], tmp_pa
     assert "off by 4.0 deg without compensation and by 0.20 deg with it: 20 times less" in text
 
 
+def test_a_new_model_keeps_what_is_not_the_old_ones(measured: tuple[Model, Recording], tmp_path: Path) -> None:
+    model, recording = measured
+    folder = tmp_path / "model"
+    report.save_model(model, [recording], folder)
+    (folder / "notes.txt").write_text("mine")
+    t = np.linspace(0, 1, 11)
+    evidence.Run(t, t, t, t > 0).save(folder, "full")
+    sentences = report.save_model(model, [recording], folder)
+    assert len(sentences) == 2 and (folder / "notes.txt").read_text() == "mine"
+    assert not evidence.Run.load_all(folder) and Model.load(folder).rig == model.rig
+
+
 def test_report_is_written_again(measured: tuple[Model, Recording], tmp_path: Path) -> None:
     model, recording = measured
     model.save(tmp_path)
