@@ -121,6 +121,8 @@ def sample_video(path: Path, count: int) -> list[Array]:
             if (read := camera.read()) is None:
                 break
             pictures.append(read[0])
+    if not pictures:
+        raise TautError(f"{path}: holds no frames: was its recording broken off?")
     return pictures
 
 

@@ -214,6 +214,10 @@ def track_video(video: Video, colour: MarkerColour | None = None, progress: Prog
             seen.append(tracker.track(picture))
             if progress and k % 25 == 0:
                 progress(min(1.0, k / total) if total else 0.0, f"tracking {video.path.name}")
+    if video.arrival_s is None and np.any(np.diff(t_s) <= 0):
+        raise TautError(
+            f"{video.path}: its frames' times do not rise: give their arrival times in a frames.csv beside it"
+        )
     if not any(s.valid for s in seen):
         raise TautError(
             f"{video.path}: no marker is seen in any of its {len(seen)} frames: "
