@@ -10,6 +10,7 @@ from tautline.board import Board
 from tautline.following import FULL
 
 _LEAD_US = 8_000  # a set-point holds so long after it was sent: the board moves there in a straight line
+_ALIGN_S = 0.25
 _DEG = 65536.0
 
 
@@ -24,15 +25,21 @@ class SetPoints:
         self.start_deg = 0.0
         self.sent = 0
         self.late = 0  # sent later than half a period after their time
-        self._next = self._began = self._ended = 0.0
+        self.silences = 0  # after which the axis was made to follow again
+        self._next = self._began = self._ended = self._last = self._aligned = 0.0
 
     def __enter__(self) -> SetPoints:
-        self._board.ask("enable", axis=self._axis, on=1)
-        self._board.ask("follow", axis=self._axis, target=1, compensation=FULL, silence_us=round(self._silence_s * 1e6))
-        self.start_deg = float(self._board.status(self._axis).c_ref)
         self._board.align(16)
-        self._began = self._next = time.monotonic()
+        self._board.refused.clear()
+        self._board.ask("enable", axis=self._axis, on=1)
+        self._follow()
+        self.start_deg = float(self._board.status(self._axis).c_ref)
+        self._began = self._next = self._last = time.monotonic()
         return self
+
+    def _follow(self) -> None:
+        silence_us = round(self._silence_s * 1e6)
+        self._board.ask("follow", axis=self._axis, target=1, compensation=FULL, silence_us=silence_us)
 
     def __exit__(self, *_: object) -> None:
         self._ended = time.monotonic()
@@ -40,20 +47,40 @@ class SetPoints:
         while self._board.status(self._axis).mode != wire.code("MODES", "OFF") and time.monotonic() < self._ended + 2.0:
             time.sleep(0.01)
 
-    def send(self, c_deg: float) -> None:
-        at_us = self._board.clock.board_us(time.monotonic()) + _LEAD_US
+    def send(self, c_deg: float) -> bool:
+        """False where the axis is still coming to rest after a silence: nothing was sent, send again."""
+        now = time.monotonic()
+        if now - self._last > 0.9 * self._silence_s and not self._resume():
+            return False
+        at_us = self._board.clock.board_us(now) + _LEAD_US
         self._board.tell("set_point", axis=self._axis, value=round(c_deg * _DEG), at_us=at_us)
         self.sent += 1
+        self._last = now
+        return True
+
+    def _resume(self) -> bool:
+        """After a silence the axis holds: it follows again, from where it is and within its limits."""
+        mode = self._board.status(self._axis).mode
+        if mode == wire.code("MODES", "HOLD"):
+            self._follow()
+            self.silences += 1
+            return True
+        self._board.check_fault(self._axis)
+        return bool(mode == wire.code("MODES", "FOLLOW_TIP"))
 
     def pace(self, period_s: float) -> None:
-        """Sleeps until the next set-point is due. Every half second a round trip keeps the clocks together."""
+        """Sleeps until the next set-point is due. Four times a second a round trip keeps the clocks together."""
         self._next += period_s
         now = time.monotonic()
         if now > self._next + 0.5 * period_s:
             self.late += 1
             self._next = now
-        if self.sent % max(round(0.5 / period_s), 1) == 0:
+        if now > self._aligned + _ALIGN_S:
             self._board.align(1)
+            self._aligned = now
+            if any(error.reason == "NOT_FOLLOWING" for error in self._board.refused):
+                self._last = 0.0  # the board waited longer than we thought
+                self._board.refused = [e for e in self._board.refused if e.reason != "NOT_FOLLOWING"]
         time.sleep(max(self._next - time.monotonic(), 0.0))
 
     @property
@@ -74,5 +101,6 @@ class SetPoints:
             "seconds": self.seconds,
             "rate_hz": self.rate_hz,
             "late": self.late,
+            "silences": self.silences,
             "refused": self.refused,
         }

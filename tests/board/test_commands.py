@@ -133,10 +133,13 @@ def test_stream_stops_with_its_sender(paced: DesktopBoard) -> None:
         sender.stdin.flush()
         time.sleep(0.3)
         until("HOLD")  # with its sender silent
+        sender.stdin.write("-1.5\n")
+        sender.stdin.flush()
+        until("FOLLOW_TIP")  # and again with a word from it
         sender.stdin.close()
         summary = json.loads(sender.stdout.read())
     link.close()
-    assert 20 <= summary["sent"] <= 80
+    assert 20 <= summary["sent"] <= 160 and summary["silences"] == 1
     state = run("monitor", board=paced.where)
     assert state["counters"]["silences"] >= 1 and "at_rest" in state["axes"][0]["flags"]
 

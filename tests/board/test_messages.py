@@ -158,3 +158,46 @@ def test_a_host_that_leaves_without_a_word(bench: Bench) -> None:
     with bench.open() as board:
         assert board.sync() >= 0
         assert board.counters().bytes_bad <= 5
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_well_formed_nonsense(bench: Bench, seed: int) -> None:
+    """Every request, with values from all over their ranges: refused or done, and the board stays in order."""
+    rng = np.random.default_rng(seed)
+    bits = {"u8": 8, "u16": 16, "u32": 32, "u64": 64, "i8": 8, "i16": 16, "i32": 32}
+    requests = [name for name, message in wire.wire.MESSAGES.items() if message["type"] < 0x80 and name != "reboot"]
+
+    def value(kind: str) -> int:
+        low, high = (
+            (-(1 << bits[kind] - 1), (1 << bits[kind] - 1) - 1) if kind[0] == "i" else (0, (1 << bits[kind]) - 1)
+        )
+        choice = int(rng.integers(5))
+        if choice == 0:
+            return (low, high, 0)[int(rng.integers(3))]
+        if choice == 1:
+            return low + int.from_bytes(rng.bytes(8), "little") % (high - low + 1)
+        near = int(rng.integers(-3, 4)) if choice == 2 else round(float(rng.normal(0.0, 3e4)))
+        return min(max(near, low), high)
+
+    with bench.open() as board:
+        for round_number in range(60):
+            for _ in range(12):
+                name = str(rng.choice(requests))
+                fields: dict[str, object] = {}
+                for field, kind, count, _doc in wire.wire.MESSAGES[name]["fields"]:
+                    plausible = field == "axis" and rng.integers(4)
+                    one = [int(rng.integers(2)) if plausible else value(kind) for _ in range(count)]
+                    fields[field] = one[0] if count == 1 else tuple(one)
+                board._device.write(0x01, wire.wire.encode(name, 60_000 + round_number, fields), timeout=1000)
+                board.sync()
+            bench.run(float(rng.choice([0.02, 0.1])))
+            if round_number % 10 == 9:
+                board.ask("safe_stop", axis=wire.wire.ALL_AXES)
+                bench.run(0.2)
+                assert board.status(0).mode == wire.code("MODES", "OFF") and board.status(0).duty == 0.0
+                board.ask("clear_fault", axis=wire.wire.ALL_AXES)
+                board.ask("enable", axis=0, on=1)
+        board.ask("safe_stop", axis=wire.wire.ALL_AXES)
+        bench.run(0.5)
+        board.ask("clear_fault", axis=wire.wire.ALL_AXES)
+        assert board.ask("hello", protocol_major=wire.wire.MAJOR).axes == board.axes

@@ -23,6 +23,7 @@
 #define DEG_Q16      65536.0
 #define TIP          1U    ///< follow's target: configurations, through the tables
 #define FULL         2U   ///< its compensation: f_remain and backlash
+#define SILENCE_US   300000U ///< without a set-point for so long the axis comes to rest
 #define PI           3.14159265358979323846
 
 static libusb_device_handle *device;
@@ -109,12 +110,6 @@ int main(int argc, char **argv) {
                 (unsigned)answer.identity.protocol_major);
         return 1;
     }
-    request(TL_WIRE_ENABLE, &(tl_wire_enable_t){.axis = axis, .on = 1}, TL_WIRE_ACK, &answer);
-    const tl_wire_follow_t follow = {.axis = axis, .target = TIP, .compensation = FULL};
-    request(TL_WIRE_FOLLOW, &follow, TL_WIRE_ACK, &answer);
-    request(TL_WIRE_GET_STATUS, &(tl_wire_get_status_t){.axis = axis}, TL_WIRE_STATUS, &answer);
-    const int32_t start_q16 = answer.status.c_ref_q16;
-
     // Board time of now_s() == 0, from the shortest of a few round trips.
     double board_us = 0.0;
     double shortest = 1.0;
@@ -127,6 +122,12 @@ int main(int argc, char **argv) {
             board_us = (double)answer.pong.t_us - 1e6 * (before + 0.5 * trip);
         }
     }
+
+    request(TL_WIRE_ENABLE, &(tl_wire_enable_t){.axis = axis, .on = 1}, TL_WIRE_ACK, &answer);
+    const tl_wire_follow_t follow = {.axis = axis, .target = TIP, .compensation = FULL, .silence_us = SILENCE_US};
+    request(TL_WIRE_FOLLOW, &follow, TL_WIRE_ACK, &answer);
+    request(TL_WIRE_GET_STATUS, &(tl_wire_get_status_t){.axis = axis}, TL_WIRE_STATUS, &answer);
+    const int32_t start_q16 = answer.status.c_ref_q16;
 
     const double began = now_s();
     const long count = lround(seconds * RATE_HZ);
