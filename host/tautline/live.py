@@ -30,6 +30,7 @@ from tautline.timing import FrameTiming
 
 Array = np.ndarray
 _STEP_S = 0.02
+_FLUSH_FRAMES = 25  # so much of a recording is lost where the power goes
 _SLICE_S = 0.1  # of virtual time, between which the board's telemetry is taken in
 
 
@@ -238,6 +239,9 @@ class Recorder:
         if self._wants_video and frame.picture is not None:
             self._add_picture(frame.picture, t_s)
         self._count += 1
+        if self._count % _FLUSH_FRAMES == 0:
+            self._motor.flush()
+            self._marker.flush()
 
     def _add_picture(self, picture: Array, t_s: float) -> None:
         if self._video is None:
@@ -262,12 +266,14 @@ def open_live(
     rig: Rig | None = None,
     axis: int = 0,
     colour: MarkerColour | None = None,
+    at: float | None = None,
     pictures: bool = True,
     seed: int = 0,
 ) -> Iterator[Live]:
     """`simulate` names an instrument preset and starts a desktop board; else `board` and `camera` are opened.
 
-    pictures: False replaces the rendered endoscope by the marker's projection (50 times faster).
+    at: where the motor is, the rig's unit; else the board's count holds. pictures: False replaces the rendered
+    endoscope by the marker's projection, which is faster.
     """
     with ExitStack() as stack:
         if simulate is not None:
@@ -276,6 +282,9 @@ def open_live(
             opened = stack.enter_context(open_board(desktop.where))
             link = desktop.link()
             stack.callback(link.close)
+            if at is not None:
+                link.ask(f"place {axis} {round(at / instrument.rig.actuator.encoder_resolution * 256)}")
+                opened.ask("set_position", axis=axis, q=at / instrument.rig.actuator.encoder_resolution)
             plant = Plant(link, instrument, axis)
             live = Live(opened, instrument.rig, axis, None, plant)
             if pictures and instrument.rig.has_camera:
@@ -300,6 +309,8 @@ def open_live(
         opened.align(16)
         stack.enter_context(opened.reading())
         live = Live(opened, rig, axis)
+        if at is not None:
+            opened.ask("set_position", axis=axis, q=at / live.resolution)
         if camera is not None:
             if colour is None:
                 raise TautError("the marker's colour is not known: pick it once with 'taut marker'")

@@ -85,8 +85,9 @@ def test_follow_a_file_with_and_without_compensation(folder: Path, tmp_path: Pat
 
 def test_record_the_motor_and_the_marker(tmp_path: Path) -> None:
     arguments = ("record", "--simulate", "constant", "--out", str(tmp_path / "rec"))
-    made = run(*arguments, "--motion", "smooth", "--duration", "4", "--video")
+    made = run(*arguments, "--motion", "smooth", "--duration", "4", "--video", "--at", "-1.5")
     recording = load(tmp_path / "rec")
+    assert recording.motor.q[0] == -1.5
     assert made["motor_samples"] >= len(recording.motor.t_s) >= 4000 and np.ptp(recording.motor.q) > 1.0
     assert recording.video is not None and recording.video.arrival_s is not None and recording.marker is not None
     assert len(recording.marker.t_s) == made["frames"] == np.isfinite(recording.video.arrival_s).sum()

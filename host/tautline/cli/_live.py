@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -13,6 +15,9 @@ from tautline.errors import TautError
 from tautline.instrument import PRESETS
 from tautline.model import Model
 from tautline.rig import Rig
+
+if TYPE_CHECKING:
+    from tautline.live import Live
 
 board_option = click.option(
     "--board",
@@ -40,42 +45,61 @@ simulate_option = click.option(
 )
 
 
+at_option = click.option(
+    "--at",
+    type=float,
+    help="Where the motor is now, the rig's unit. Default: as the board counts, 0 where it was switched on.",
+)
+
+
+@dataclass(frozen=True)
+class LiveOptions:
+    """Which set-up a live command uses."""
+
+    board: str | None
+    axis: int
+    camera: str | None
+    colour: Path
+    simulate: str | None
+    at: float | None
+
+
 def live_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """--board, --axis, --camera, --colour, --simulate."""
-    for option in (simulate_option, colour_option, camera_option, axis_option, board_option):
-        command = option(command)
-    return command
+    """--board, --axis, --camera, --colour, --simulate and --at, given to the command as `live`."""
+
+    @functools.wraps(command)
+    def collected(**given: Any) -> Any:
+        live = LiveOptions(**{field.name: given.pop(field.name) for field in fields(LiveOptions)})
+        return command(live=live, **given)
+
+    wrapped: Callable[..., Any] = collected
+    for option in (at_option, simulate_option, colour_option, camera_option, axis_option, board_option):
+        wrapped = option(wrapped)
+    return wrapped
 
 
 @contextmanager
 def opened(
-    board: str | None,
-    axis: int,
-    camera: str | None,
-    colour: Path,
-    simulate: str | None,
-    rig_path: Path | None,
-    seed: int = 0,
-    pictures: bool = True,
-    model: Model | None = None,
-) -> Iterator[Any]:
-    """The live set-up that the options name."""
+    live: LiveOptions, rig_path: Path | None, seed: int = 0, pictures: bool = True, model: Model | None = None
+) -> Iterator[Live]:
+    """The live set-up that the options name. The rig is --rig's, else the model's, else the simulation's own."""
     from tautline.colour import MarkerColour
     from tautline.live import open_live
 
-    if simulate is not None and simulate not in PRESETS:
-        raise click.UsageError(f"--simulate {simulate}: choose one of {', '.join(PRESETS)}")
+    if live.simulate is not None and live.simulate not in PRESETS:
+        raise click.UsageError(f"--simulate {live.simulate}: choose one of {', '.join(PRESETS)}")
     rig = Rig.load(rig_path) if rig_path is not None else (model.rig if model is not None else None)
-    if simulate is None and rig is None:
+    if live.simulate is None and rig is None:
         raise TautError("no rig: name the set-up's file with --rig")
     with open_live(
-        board=board,
-        camera=camera,
-        simulate=simulate,
+        board=live.board,
+        camera=live.camera,
+        simulate=live.simulate,
         rig=rig,
-        axis=axis,
-        colour=MarkerColour.load(colour) if camera is not None and simulate is None else None,
+        axis=live.axis,
+        colour=MarkerColour.load(live.colour) if live.camera is not None and live.simulate is None else None,
+        at=live.at,
         pictures=pictures,
         seed=seed,
-    ) as live:
-        yield live
+    ) as setup:
+        yield setup

@@ -21,7 +21,7 @@ from tautline.cli._common import (
     rig_option,
     warn,
 )
-from tautline.cli._live import live_options, opened
+from tautline.cli._live import LiveOptions, live_options, opened
 from tautline.folders import check_replaceable
 from tautline.model import MODEL_FILE
 from tautline.recording import Recording, load
@@ -77,7 +77,7 @@ def command(
     if recording_paths:
         found, said = _from_recordings(recording_paths, rig_path, out, options)
     else:
-        if live["camera"] is None and live["simulate"] is None:
+        if live["live"].camera is None and live["live"].simulate is None:
             raise click.UsageError("name a RECORDING, or for a live calibration --camera SOURCE or --simulate")
         kept = kept or out.absolute().with_name(f"{out.absolute().name}-recording")
         found, said = _live(kept, rig_path, out, options, **live)
@@ -116,11 +116,7 @@ def _live(
     out: Path,
     options: Options,
     *,
-    board: str | None,
-    axis: int,
-    camera: str | None,
-    colour: Path,
-    simulate: str | None,
+    live: LiveOptions,
     speeds: tuple[float, ...],
     video: bool,
     seed: int,
@@ -131,9 +127,9 @@ def _live(
         raise click.UsageError("--speed may be given up to four times")
     motion = MotionOptions(speeds=speeds or None)
     with (
-        opened(board, axis, camera, colour, simulate, rig_path, seed) as live,
+        opened(live, rig_path, seed) as setup,
         progress_bar("calibrating") as progress,
     ):
-        found, made = calibrate_live(live, kept, motion, options, video, progress)
+        found, made = calibrate_live(setup, kept, motion, options, video, progress)
     log(f"taut: {made.reversals} reversals in {made.seconds:.0f} s, recorded in {kept}")
     return found, report.save_model(found.model, [load(kept, found.model.rig)], out)

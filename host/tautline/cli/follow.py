@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from tautline.cli._common import emit, folder_option, json_option, log, progress_bar, rig_option
-from tautline.cli._live import live_options, opened
+from tautline.cli._live import LiveOptions, live_options, opened
 
 
 @click.command("follow")
@@ -38,11 +38,7 @@ from tautline.cli._live import live_options, opened
 @json_option
 def command(
     model_path: Path | None,
-    board: str | None,
-    axis: int,
-    camera: str | None,
-    colour: Path,
-    simulate: str | None,
+    live: LiveOptions,
     rig_path: Path | None,
     compensation: str,
     strength: float,
@@ -60,14 +56,14 @@ def command(
     from tautline.model import Model
 
     model = Model.load(model_path) if model_path is not None else None
-    if model is None and simulate is not None and compensation != "off":
+    if model is None and live.simulate is not None and compensation != "off":
         raise click.UsageError("a simulated board starts without tables: name MODEL, or --compensation off")
     with (
-        opened(board, axis, camera, colour, simulate, rig_path, seed, model=model) as live,
+        opened(live, rig_path, seed, model=model) as setup,
         progress_bar("follow") as progress,
     ):
         result = follow_run(
-            live,
+            setup,
             trajectory,
             compensation=compensation,
             model=model,

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from tautline.cli._common import emit, folder_option, json_option, progress_bar, rig_option
-from tautline.cli._live import live_options, opened
+from tautline.cli._live import LiveOptions, live_options, opened
 
 
 @click.command("record")
@@ -30,11 +30,7 @@ from tautline.cli._live import live_options, opened
 @json_option
 def command(
     out: Path,
-    board: str | None,
-    axis: int,
-    camera: str | None,
-    colour: Path,
-    simulate: str | None,
+    live: LiveOptions,
     rig_path: Path | None,
     motion: str,
     speed: float | None,
@@ -46,8 +42,8 @@ def command(
     """Record motor, marker and video from a board and a camera. Ctrl-C ends it early and keeps what there is."""
     from tautline.following import record
 
-    with opened(board, axis, camera, colour, simulate, rig_path, seed) as live, progress_bar("record") as progress:
-        result = record(live, out, motion, speed=speed, duration_s=duration, video=video, seed=seed, progress=progress)
+    with opened(live, rig_path, seed) as setup, progress_bar("record") as progress:
+        result = record(setup, out, motion, speed=speed, duration_s=duration, video=video, seed=seed, progress=progress)
     emit(
         result,
         as_json,
