@@ -66,7 +66,7 @@ def fit_paper(onsets: Sequence[Onset], grid: Array) -> WidthCurve | None:
     system += 1e-12 * np.trace(system) * np.eye(len(system))
     coefficients = np.linalg.solve(system, design.T @ (weight * w))
     curve = on_grid @ coefficients
-    spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", on_grid, np.linalg.inv(system), on_grid), 0.0))
+    spread = np.sqrt(np.maximum(np.sum((on_grid @ np.linalg.inv(system)) * on_grid, axis=1), 0.0))
     excess = float(np.sqrt(np.mean((w - design @ coefficients) ** 2)))
     lawful = table(curve, grid)
     notes = ("the spline was limited to B >= 0 and |B'| <= 1.8",) if np.abs(lawful - curve).max() > 1e-9 else ()
@@ -139,8 +139,11 @@ class _Fit:
             unit = float(np.median(weight))
             chosen = smoothing if smoothing is not None else self._cross_validated(weight, unit)
             self.roughness = chosen * unit
+            before = self.coefficients
             self._solve(weight)
             self.excess = self._excess(weight)
+            if np.abs(self.coefficients - before).max() < 0.05 * float(np.median(self.spread)) and turn:
+                break
         if self.boxed.any():
             self._brackets(smoothing)
 
@@ -155,11 +158,12 @@ class _Fit:
             inverse = self._inverse(gram + smoothing * unit * self.basis.roughness)
             hat = self.design @ inverse @ self.design.T * weight[None, :]
             left = self.w - hat @ self.w
-            score = 0.0
+            out = left / (1.0 - np.diag(hat) * (1 - 1e-6))
             for place in places:
-                system = np.eye(len(place)) - hat[np.ix_(place, place)] * (1 - 1e-6)
-                out = np.linalg.solve(system, left[place])
-                score += float(np.sum(weight[place] * out**2))
+                if len(place) > 1:
+                    system = np.eye(len(place)) - hat[np.ix_(place, place)] * (1 - 1e-6)
+                    out[place] = np.linalg.solve(system, left[place])
+            score = float(np.sum(weight * out**2))
             if score < best * 0.999:
                 best, chosen = score, float(smoothing)
         return chosen
@@ -213,7 +217,7 @@ class _Fit:
 
     def _excess(self, weight: Array) -> float:
         inverse = self._inverse(self.gram)
-        spent = float(np.sum(np.einsum("ij,jk,ik->i", self.design, inverse, self.design) * weight))
+        spent = float(np.sum(np.sum((self.design @ inverse) * self.design, axis=1) * weight))
         freedom = len(self.w) - spent
         left = self.w - self.design @ self.coefficients
         if freedom < 2:
@@ -229,7 +233,7 @@ class _Fit:
 
     def sigma(self, p: Array) -> Array:
         design = self.basis.design(p).toarray()
-        return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", design, self._inverse(self.gram), design), 0.0)))
+        return np.asarray(np.sqrt(np.maximum(np.sum((design @ self._inverse(self.gram)) * design, axis=1), 0.0)))
 
     # ---- brackets: each says only between which two positions the onset was; many together say more
 

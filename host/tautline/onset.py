@@ -80,11 +80,12 @@ def _profile(ramp: Array, order: int, y: Array, step: Array | None = None) -> tu
         columns.append(step)
     basis = np.stack(columns, axis=2)
     centre = y - y[:1]
-    gram = np.einsum("kni,knj->kij", basis, basis)
+    transposed = basis.transpose(0, 2, 1)
+    gram = transposed @ basis
     gram += 1e-11 * len(y) * np.eye(gram.shape[1])
-    right = np.einsum("kni,nc->kic", basis, centre)
+    right = transposed @ centre
     coefficients = np.linalg.solve(gram, right)
-    squares = np.sum(centre**2) - np.einsum("kic,kic->k", coefficients, right)
+    squares = np.sum(centre**2) - np.sum(coefficients * right, axis=(1, 2))
     coefficients[:, : 1 + order] /= reach[:, :, None] ** np.arange(order + 1)[None, :, None]
     return np.maximum(squares, 0.0), coefficients
 
@@ -323,7 +324,7 @@ def _fit_window(track: Track, stroke: _Stroke) -> tuple[Array, Array, int, Hinge
 
 
 def _averaged(fits: list[tuple[int, Hinge]], y: Array) -> tuple[int, Hinge]:
-    """Best order, and the knot averaged over the orders by what they explain: how curved the path is, is not known either."""
+    """Best order, and the knot averaged over the orders by what they explain: the path's own bend is not known."""
     inflate = max(1.0, min(h.chi2 / h.freedom for _, h in fits))
     score = np.array([h.chi2 / inflate + _PER_TERM * order * y.shape[1] for order, h in fits])
     weight = np.exp(-0.5 * (score - score.min()))

@@ -345,7 +345,7 @@ class Fitted:
         cut = self.curves.follow.size
         design = self.fit.backlash.design(p).toarray()
         block = self.covariance[cut : cut + self.fit.backlash.size, cut : cut + self.fit.backlash.size]
-        return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", design, block, design), 0.0)))
+        return np.asarray(np.sqrt(np.maximum(np.sum((design @ block) * design, axis=1), 0.0)))
 
     @property
     def delay_sigma(self) -> float:

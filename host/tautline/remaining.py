@@ -89,7 +89,7 @@ def fit_remaining(
         notes.append("f_remain is not monotone where the tip hardly moves: it was made so for the inverse")
     design_on_grid = basis.design(grid).toarray()
     block = fitted.covariance[: basis.size, : basis.size]
-    sigma = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", design_on_grid, block, design_on_grid), 0.0))
+    sigma = np.sqrt(np.maximum(np.sum((design_on_grid @ block) * design_on_grid, axis=1), 0.0))
     return Remaining(lawful, sigma, _rms(fitted, tracks), fitted.scale, tuple(notes))
 
 
