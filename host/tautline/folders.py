@@ -22,7 +22,7 @@ def check_replaceable(folder: Path, key_file: str) -> None:
 
 
 @contextmanager
-def replaced(folder: Path, key_file: str, stale: str = "") -> Iterator[Path]:
+def replaced(folder: Path, key_file: str, stale: str | None = None) -> Iterator[Path]:
     """A temporary folder to write into; it takes `folder`'s place when the block ends without an error. Other files in
     it are kept, but for those that match `stale`, which belong to the earlier result."""
     folder = folder.absolute()
@@ -35,7 +35,7 @@ def replaced(folder: Path, key_file: str, stale: str = "") -> Iterator[Path]:
         yield temporary
         if folder.exists():
             for old in folder.iterdir():
-                if not (temporary / old.name).exists() and not old.match(stale or "\0"):
+                if not (temporary / old.name).exists() and not (stale and old.match(stale)):
                     (shutil.copytree if old.is_dir() else shutil.copy2)(old, temporary / old.name)
             folder.rename(retired)
         try:
