@@ -235,8 +235,9 @@ def sentences(model: Model, evidence: Evidence | None) -> list[str]:
     said = []
     if inside.any():
         width, sigma = model.width[inside], model.width_sigma[inside]
+        least, most = _digits(width.min()), _digits(width.max())
         said.append(
-            f"After every change of direction the motor turns {_digits(width.min())} to {_digits(width.max())} {unit} "
+            f"After every change of direction the motor turns {least if least == most else f'{least} to {most}'} {unit} "
             f"before the tip moves, known to ± {_digits(2 * float(np.median(sigma)), 2)} {unit}."
         )
     else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import chain, count
 from pathlib import Path
 from typing import Any, Literal
 
@@ -79,7 +80,7 @@ def command(
     else:
         if live["live"].camera is None and live["live"].simulate is None:
             raise click.UsageError("name a RECORDING, or for a live calibration --camera SOURCE or --simulate")
-        kept = kept or out.absolute().with_name(f"{out.absolute().name}-recording")
+        kept = kept or _free(out.absolute())
         found, said = _live(kept, rig_path, out, options, **live)
     for warning in found.warnings:
         warn(warning)
@@ -89,6 +90,12 @@ def command(
     if not recording_paths:
         result["recording"] = kept
     emit(result, as_json, "\n".join([*said, f"{out / report.FILE} shows it."]))
+
+
+def _free(out: Path) -> Path:
+    """OUT-recording, or with the next number that no folder has."""
+    names = (f"{out.name}-recording{number}" for number in chain([""], (f"-{i}" for i in count(2))))
+    return next(path for name in names if not (path := out.with_name(name)).exists())
 
 
 def _from_recordings(
