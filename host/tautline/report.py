@@ -236,9 +236,10 @@ def sentences(model: Model, evidence: Evidence | None) -> list[str]:
     if inside.any():
         width, sigma = model.width[inside], model.width_sigma[inside]
         least, most = _digits(width.min()), _digits(width.max())
+        reach = least if least == most else f"{least} to {most}"
         said.append(
-            f"After every change of direction the motor turns {least if least == most else f'{least} to {most}'} {unit} "
-            f"before the tip moves, known to ± {_digits(2 * float(np.median(sigma)), 2)} {unit}."
+            f"After every change of direction the motor turns {reach} {unit} before "
+            f"the tip moves, known to ± {_digits(2 * float(np.median(sigma)), 2)} {unit}."
         )
     else:
         said.append("No width could be measured: no reversal reached the end of the backlash.")
