@@ -150,6 +150,17 @@ def test_stops_tell_the_delay(wrong_by):
     assert shift == pytest.approx(wrong_by * plant.speed, abs=0.5)
 
 
+def test_frames_within_the_doubt_of_the_delay_are_in_no_level():
+    """Right after the turn a frame whose delay is longer than the nominal one still shows the approach."""
+    plant = Plant(width=120, slope=0.2, noise=0.03, delay=0.095, acceleration=1e5, seed=9)
+    reversals, detector, _ = plant.run(plant.turns(40))
+    k = measured(reversals)
+    assert len(k) == 40
+    assert detector.noise_px == pytest.approx(plant.noise, rel=0.1)
+    late = 0.015 * plant.speed
+    assert np.mean(reversals["width"][k] / 256) - plant.width == pytest.approx(late, abs=0.3)
+
+
 def test_a_jump_at_the_onset_leaves_one_frame_of_doubt():
     for jump in (4.0, 20.0):
         plant = Plant(jump=jump, seed=6)
