@@ -152,7 +152,7 @@ def test_stops_tell_the_delay(wrong_by):
 
 def test_frames_within_the_doubt_of_the_delay_are_in_no_level():
     """Right after the turn a frame whose delay is longer than the nominal one still shows the approach."""
-    plant = Plant(width=120, slope=0.2, noise=0.03, delay=0.095, acceleration=1e5, seed=9)
+    plant = Plant(width=120, slope=0.2, noise=0.03, delay=0.095, acceleration=1e5, seed=9, config={"turn": 128})
     reversals, detector, _ = plant.run(plant.turns(40))
     k = measured(reversals)
     assert len(k) == 40
