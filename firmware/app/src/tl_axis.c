@@ -110,7 +110,11 @@ void tl_axis_init(tl_axis_t *axis, const tl_port_t *port, uint8_t index) {
     axis->port = port;
     axis->index = index;
     axis->encoder = port->encoder(port->context, index);
-    axis->slots = (uint8_t)(port->control_hz / 1000U);
+    axis->rate_hz = port->control_hz;
+    const uint8_t slots = (uint8_t)(port->control_hz / 1000U);
+    axis->play_slot = (uint8_t)(slots - 1U); // just before a sample is taken
+    axis->history_slot = slots > 2U ? 2U : 0U;
+    axis->current_slot = slots > 1U ? 1U : 0U;
     axis->limits = (tl_wire_limits_t){
         .axis = index,
         .q_low_q8 = -TL_AXIS_RANGE_MAX,
@@ -218,7 +222,7 @@ uint8_t tl_axis_follow(tl_axis_t *axis, bool tip, uint8_t compensation, uint32_t
     if (axis->mode != TL_WIRE_MODE_HOLD) {
         return TL_WIRE_REASON_BUSY;
     }
-    if (compensation > (uint8_t)TL_MODE_FULL || silence_us > TL_AXIS_AHEAD_US) {
+    if (compensation > (uint8_t)TL_MODE_FULL || silence_us > TL_AXIS_SILENCE_MAX_US) {
         return TL_WIRE_REASON_RANGE;
     }
     if (tip && !axis->has_table) {
@@ -414,31 +418,32 @@ static void sample(tl_axis_t *axis, tl_us_t now_us) {
 }
 
 // What is done once a millisecond, each in a tick of its own where there are enough of them. The play operator's result does
-// not depend on how often it is stepped, but for a reversal's tip: 0.03 counts at 200 000 counts/s2.
+// not depend on how often it is stepped, but for a reversal's tip: 0.03 counts at 200 000 counts/s2. So is the error
+// of the history, which joins its points by straight lines.
 static void by_the_millisecond(tl_axis_t *axis, tl_us_t now_us) {
-    axis->phase = (uint16_t)(axis->phase + 1000U);
+    axis->phase += 1000U;
     axis->slot++;
-    if (axis->phase >= axis->port->control_hz) {
-        axis->phase = (uint16_t)(axis->phase - axis->port->control_hz);
+    if (axis->phase >= axis->rate_hz) {
+        axis->phase -= axis->rate_hz;
         axis->slot = 0;
     }
-    const uint8_t last = (uint8_t)(axis->slots - 1U);
-    if (axis->slot == last && axis->has_table) {
+    const uint32_t slot = axis->slot;
+    if (slot == axis->play_slot && axis->has_table) {
         tl_play_step(&axis->play, axis->q);
     }
-    if (axis->slot == (last > 1U ? 1U : 0U)) {
+    if (slot == axis->history_slot && axis->history != NULL) {
+        tl_history_push(axis->history, now_us, axis->q);
+    }
+    if (slot == axis->current_slot) {
         watch_current(axis, now_us);
     }
-    if (axis->slot == 0U) {
+    if (slot == 0U) {
         sample(axis, now_us);
     }
 }
 
 void tl_axis_step(tl_axis_t *axis, tl_us_t now_us) {
     measure(axis, now_us);
-    if (axis->history != NULL) {
-        tl_history_push(axis->history, now_us, axis->q);
-    }
     if (axis->mode == TL_WIRE_MODE_OFF) {
         tl_reference_set(&axis->reference, axis->q);
         tl_servo_watch(&axis->servo, axis->q);
@@ -446,7 +451,7 @@ void tl_axis_step(tl_axis_t *axis, tl_us_t now_us) {
     } else {
         refer(axis);
         const tl_count_q8_t reference = tl_reference_q(&axis->reference);
-        const int32_t speed = tl_reference_speed(&axis->reference, axis->port->control_hz);
+        const int32_t speed = tl_reference_speed(&axis->reference, axis->rate_hz);
         const tl_duty_q15_t duty = tl_servo_step(&axis->servo, axis->q, reference, speed, axis->limits.duty_q15);
         const tl_count_q8_t error = reference - axis->q;
         if (error > axis->limits.following_error_q8 || error < -axis->limits.following_error_q8) {
