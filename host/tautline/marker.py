@@ -185,8 +185,12 @@ def _moving_share(colour: MarkerColour, pictures: Sequence[Array]) -> float:
             column, row = np.rint(place[k]).astype(int)
             left = [colour.membership(pictures[j][row : row + 1, column : column + 1])[0, 0] for j in others[:4]]
             moved += 1.0 - float(np.clip(np.mean(left), 0.0, 1.0))
-    share = float(np.mean(np.isfinite(place[:, 0])))
-    return 0.1 * share + 0.9 * moved / len(pictures)
+    seen_at = place[np.isfinite(place[:, 0])]
+    share = len(seen_at) / len(pictures)
+    if not len(seen_at):
+        return 0.0
+    sway = float(np.ptp(np.percentile(seen_at, [10, 90], axis=0), axis=0).max())  # of one that moves less than its size
+    return 0.1 * share + 0.9 * max(moved / len(pictures), 0.3 * share * min(1.0, sway / 2.0))
 
 
 def track_video(video: Video, colour: MarkerColour | None = None, progress: Progress | None = None) -> Marker:
