@@ -52,6 +52,25 @@ static void test_only_the_turning_points_matter(void) {
     }
 }
 
+// Where |B'| is 1.99 an envelope hardly moves with p: the last bit of q decides over hundreds of those of p.
+static void test_the_shortest_reversals_are_seen_where_the_width_is_steep(void) {
+    tl_table_t table = table_fixture(1);
+    const int32_t rise = (199 << 14) / 100;
+    for (unsigned i = 0; i < table.nodes; i++) {
+        table.width[i] = COUNTS(200) + (i % 2 == 0 ? 0 : rise);
+    }
+    TEST_ASSERT_EQUAL_INT(TL_TABLE_OK, tl_lookup_derive(&lookup, &table, 0));
+    uint32_t flags = 0;
+    for (int32_t p = COUNTS(-3000); p < COUNTS(3000); p += 1237) {
+        const int32_t back = p - 3 * TL_COUNT_ONE / 2;
+        tl_play_start(&play, &lookup, p - COUNTS(100));
+        (void)tl_play_step(&play, p + tl_lookup_width(&lookup, p, &flags) / 2);
+        TEST_ASSERT_INT32_WITHIN(TL_COUNT_ONE, p, play.p);
+        (void)tl_play_step(&play, back - tl_lookup_width(&lookup, back, &flags) / 2);
+        TEST_ASSERT_INT32_WITHIN(TL_COUNT_ONE, back, play.p);
+    }
+}
+
 static void test_beyond_the_grid_it_is_flagged_and_saturates(void) {
     (void)tl_play_step(&play, INT32_MAX);
     TEST_ASSERT_EQUAL_HEX32(TL_LOOKUP_ABOVE, play.flags);
@@ -86,6 +105,7 @@ int main(void) {
     RUN_TEST(test_a_loop_shows_the_whole_width);
     RUN_TEST(test_rest_is_rest);
     RUN_TEST(test_only_the_turning_points_matter);
+    RUN_TEST(test_the_shortest_reversals_are_seen_where_the_width_is_steep);
     RUN_TEST(test_beyond_the_grid_it_is_flagged_and_saturates);
     RUN_TEST(test_without_nodes_the_instrument_follows_the_motor);
     return UNITY_END();

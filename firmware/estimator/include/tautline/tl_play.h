@@ -14,7 +14,7 @@
 typedef struct {
     const tl_lookup_t *lookup; ///< must outlive the play
     tl_count_q8_t p;
-    uint32_t width; ///< B(p): the motor moves the instrument once it is more than half of it away
+    uint32_t width; ///< B(p), a shade less: nearer than half of it the motor moves nothing
     uint32_t flags; ///< TL_LOOKUP_BELOW, TL_LOOKUP_ABOVE: p is beyond the table's grid
 } tl_play_t;
 
