@@ -215,7 +215,7 @@ def plants(draw):
         jitter=draw(st.floats(0.0, 0.2)) / rate,
         angle=draw(st.floats(0.0, 2 * np.pi)),
         seed=draw(st.integers(0, 2**31)),
-        config={"curvature": 0, "guard_us": 0},
+        config={"curvature": 0, "guard_us": 0, "lost_us": 2_000_000},
     )
 
 
