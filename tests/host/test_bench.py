@@ -2,12 +2,29 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 
+import pytest
+from click.testing import CliRunner
+
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from tools.bench import trackers
+from tools.bench import __main__ as bench
+from tools.bench import calibration, control_step, trackers
+
+
+def test_the_command_prints_its_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    score = trackers.Score("ours", 20.0, 0.01, 0.01, 1.0)
+    monkeypatch.setattr(trackers, "run", lambda frames, progress: ([score], ["one is missing"]))
+    monkeypatch.setattr(control_step, "run", lambda: [("control step, fixed point", 60.0, "ns")])
+    monkeypatch.setattr(calibration, "run", lambda: [("calibration of it", 6.0, "s")])
+    said = json.loads(CliRunner().invoke(bench.main, ["--json"]).stdout)
+    assert said["trackers"][0]["frames_per_s"] == 50_000 and said["notes"] == ["one is missing"]
+    text = CliRunner().invoke(bench.main, []).stdout
+    for part in ("ours", "50,000", "control step, fixed point", "calibration of it", "note: one is missing"):
+        assert part in text
 
 
 def test_the_tracker_is_the_quickest_and_most_exact_of_those_in_opencv() -> None:

@@ -7,9 +7,10 @@ import time
 import numpy as np
 
 from tautline.calibrate import calibrate
+from tautline.colour import pick
 from tautline.endoscope import Endoscope
 from tautline.instrument import preset, reference_rig
-from tautline.marker import Tracker, pick
+from tautline.marker import Tracker
 from tautline.simulate import run as simulated
 from tautline.trajectory import back_and_forth
 

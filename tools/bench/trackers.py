@@ -256,6 +256,6 @@ def _visp(shots: list[Shot], grey: list[Shot]) -> list[Score] | str:
         )
         with_grey = [ns + round(1e3 * convert.frame_us) for ns in times]
         return [
-            _summary("ViSP vpDot2, following, on a grey picture", times, grey, places),
-            _summary("ViSP vpDot2, following, from a colour picture", with_grey, grey, places),
+            _summary("ViSP vpDot2, grey picture given", times, grey, places),
+            _summary("ViSP vpDot2, grey picture made", with_grey, grey, places),
         ]
