@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from conftest import Bench
-from tautline.following import follow_run
+from tautline import wire
+from tautline.following import follow_run, record
 from tautline.instrument import Instrument, preset, reference_rig
 from tautline.live import Live, PointEye
 from tautline.model import Model
@@ -49,6 +50,27 @@ def test_ten_times_smaller_with_the_true_tables(bench: Bench, name: str, shape: 
     report(name, shape, off.rms_deg, full.rms_deg)
     assert off.counted.mean() > 0.5 and full.counted.mean() > 0.5
     assert full.rms_deg * 10.0 <= off.rms_deg
+
+
+@pytest.mark.parametrize("what", ["follow", "record"])
+def test_stopped_by_the_user_the_axis_rests(bench: Bench, tmp_path: Path, what: str) -> None:
+    def stop(share: float, doing: str) -> None:
+        if share > 0.4:
+            raise KeyboardInterrupt
+
+    instrument = preset("reference")
+    with bench.open() as board:
+        live = Live(board, instrument.rig, 0, None, Plant(bench.sim, instrument))
+        if what == "follow":
+            with pytest.raises(KeyboardInterrupt):
+                follow_run(live, "trapezoids", model=model_of(instrument), progress=stop)
+        else:
+            made = record(live, tmp_path / "rec", "trapezoids", progress=stop)
+            assert made["motor_samples"] > 3000  # kept, and no failure
+        status = board.status(0)
+        assert status.mode == wire.code("MODES", "OFF") and status.fault == 0
+        live.wait(0.5)
+        assert abs(board.status(0).q - status.q) <= 1.0
 
 
 def test_ten_times_smaller_with_what_a_live_calibration_measured(bench: Bench, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import usb.core
 
 from conftest import Bench, bench_of
 from tautline import tables, wire
-from tautline.board import Board
+from tautline.board import Board, BoardGone
 from tautline.errors import TautError
 from tautline.instrument import preset, reference_rig
 from tautline.model import Model
@@ -98,6 +98,21 @@ def test_a_download_broken_off_leaves_the_old_table(bench: Bench) -> None:
             assert board.read_table(0) == blob()
             board.load_table(0, blob(0, 0.9))
             board.load_table(0, blob())
+
+
+def test_unplugged_during_a_download(bench: Bench) -> None:
+    with bench.open() as board:
+        board.load_table(0, blob())
+
+        def pull(share: float, what: str) -> None:
+            if share > 0.5 and bench.sim.ask("state")["attached"]:
+                bench.sim.ask("unplug")
+
+        with pytest.raises(BoardGone):
+            board.load_table(0, blob(0, 0.5), pull)
+    bench.sim.ask("plug")
+    with bench.open() as board:
+        assert board.read_table(0) == blob()
 
 
 def test_a_power_cut_at_any_write_leaves_the_old_or_the_new_table(

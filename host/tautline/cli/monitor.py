@@ -43,7 +43,12 @@ def _state(board: Any) -> dict[str, Any]:
         values["table"] = wire.text("TABLES", values["table"])
         values["flags"] = wire.flags(values["flags"])
         axes.append(values)
-    return {"board": board.identity.serial, "axes": axes, "counters": dict(board.counters().values)}
+    return {
+        "board": board.identity.serial,
+        "axes": axes,
+        "counters": dict(board.counters().values),
+        "clock_error_s": board.align(4),  # of what the host takes for the board's time
+    }
 
 
 def _line(axis: dict[str, Any]) -> str:
@@ -75,5 +80,6 @@ def _table(state: dict[str, Any]) -> Any:
         for name, count in counters.items()
         if count and ("drop" in name or "bad" in name or "overrun" in name)
     }
-    table.caption = ", ".join(f"{name} {count}" for name, count in drops.items()) or "nothing dropped"
+    dropped = ", ".join(f"{name} {count}" for name, count in drops.items()) or "nothing dropped"
+    table.caption = f"{dropped}; clocks agree within {1e3 * state['clock_error_s']:.2f} ms"
     return table
