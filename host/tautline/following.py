@@ -66,6 +66,7 @@ def tip_trajectory(live: Live, what: str, speed_deg_s: float, seed: int, seconds
             raise TautError(f"--trajectory {what}: neither a file nor a shape (trapezoids, smooth)")
         columns = read_columns(Path(what), ["t_s", "c_deg"], "t_s,c_deg")
         return columns.rising_times(), columns.finite("c_deg")
+    speed_deg_s = min(speed_deg_s, 0.3 * live.top_speed * abs(live.rig.coarse.gain))  # f may be flatter than f_coarse
     low, high = _reach(live)
     free = _MARGIN * (high - low)
     tip = Actuator("deg", (low + free, high - free), 1e-3)
@@ -291,7 +292,7 @@ def _motor_trajectory(live: Live, what: str, speed: float | None, seconds: float
             raise TautError(f"--motion {what}: neither a file nor a shape (none, trapezoids, smooth)")
         motor = load_motor(Path(what), live.rig)
         return motor.t_s, motor.q
-    speed = speed or 15.0 / abs(live.rig.coarse.gain)
+    speed = speed or min(15.0 / abs(live.rig.coarse.gain), 0.5 * live.top_speed)
     if what == "smooth":
         planned = trajectory.random_smooth(actuator, speed, seconds, seed)
     else:

@@ -88,9 +88,9 @@ class LockstepEye:
 class PointEye:
     """As LockstepEye without pictures: the marker's projection with white noise of `noise_px`. For long runs."""
 
-    def __init__(self, plant: Plant, timing: FrameTiming | None = None, noise_px: float = 0.05, seed: int = 0) -> None:
+    def __init__(self, plant: Plant, noise_px: float = 0.05, seed: int = 0) -> None:
         self._plant, self._noise = plant, noise_px
-        self._frames = (timing or FrameTiming.of(plant.instrument.rig)).frames()
+        self._frames = FrameTiming.of(plant.instrument.rig).frames()
         self._rng = np.random.default_rng([seed, 0xE1E])
 
     def look(self) -> Frame:
@@ -122,6 +122,11 @@ class Live:
     def resolution(self) -> float:
         """The rig's unit per count."""
         return self.rig.actuator.encoder_resolution
+
+    @property
+    def top_speed(self) -> float:
+        """Of the motor, by the axis' limits, the rig's unit per second."""
+        return float(self.board.ask("get_limits", axis=self.axis).speed_s) * self.resolution
 
     def look(self) -> Frame:
         """The next frame. What the board said until then has been taken in."""

@@ -176,7 +176,7 @@ def record_calibration(
         raise TautError("a live calibration needs [camera], [kinematics] and [hand_eye] in rig.toml")
     low = rig.actuator.range[0] if options.low is None else options.low
     high = rig.actuator.range[1] if options.high is None else options.high
-    fast = 8.0 / abs(rig.coarse.gain)  # 8 deg/s of the tip
+    fast = min(8.0 / abs(rig.coarse.gain), 0.25 * live.top_speed)  # 8 deg/s of the tip
     speeds = options.speeds or (fast, 0.5 * fast)
     stroke = options.stroke or 0.25 * (high - low)
     approach = options.approach or 0.03 * (high - low)

@@ -117,16 +117,15 @@ class DesktopBoard:
 class Plant:
     """A simulated instrument on one axis of a simulated board: q, p and c at each millisecond of board time."""
 
-    def __init__(self, link: SimLink, instrument: Instrument, axis: int = 0, start: float | None = None) -> None:
-        """start: p at the beginning, default the middle of the range. The board's position 0 is q = 0."""
+    def __init__(self, link: SimLink, instrument: Instrument, axis: int = 0) -> None:
+        """The motor's true position is q; the play begins on its centre."""
         self.link, self.instrument, self.axis = link, instrument, axis
         self.resolution = instrument.rig.actuator.encoder_resolution
         self._t: list[Array] = []
         self._q: list[Array] = []
         self._p: list[Array] = []
         self._c: list[Array] = []
-        if start is not None:
-            instrument.reset(start)
+        instrument.reset()
         state = link.ask("state")
         self._boot_us = state["t_us"] - state["board_us"]
         self._append(np.array([state["board_us"] * 1e-6]), np.array([state["q"][axis]]) * self.resolution / _Q8)

@@ -79,9 +79,7 @@ def live_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @contextmanager
-def opened(
-    live: LiveOptions, rig_path: Path | None, seed: int = 0, pictures: bool = True, model: Model | None = None
-) -> Iterator[Live]:
+def opened(live: LiveOptions, rig_path: Path | None, seed: int = 0, model: Model | None = None) -> Iterator[Live]:
     """The live set-up that the options name. The rig is --rig's, else the model's, else the simulation's own."""
     from tautline.colour import MarkerColour
     from tautline.live import open_live
@@ -99,7 +97,6 @@ def opened(
         axis=live.axis,
         colour=MarkerColour.load(live.colour) if live.camera is not None and live.simulate is None else None,
         at=live.at,
-        pictures=pictures,
         seed=seed,
     ) as setup:
         yield setup
