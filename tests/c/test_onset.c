@@ -265,6 +265,21 @@ static void test_a_wrong_delay_shows_in_the_stop(void) {
     TEST_ASSERT_INT32_WITHIN(2 * TL_COUNT_ONE, WIDTH - 7 * TL_COUNT_ONE, found[0].width);
 }
 
+static void test_a_marker_elsewhere_for_one_frame_is_left_out(void) {
+    enter();
+    go(800);
+    const tl_onset_sample_t before = detector.believed;
+    jump = 400 * TL_PX_ONE;
+    wait_ms(FRAME_US / 1000, true);
+    jump = 0;
+    go(790);
+    TEST_ASSERT_EQUAL_UINT32(1, detector.lost);
+    TEST_ASSERT_INT32_WITHIN(TL_PX_ONE, before.u, detector.believed.u);
+    go(300);
+    check_reason(TL_ONSET_USED);
+    TEST_ASSERT_INT32_WITHIN(2 * TL_COUNT_ONE, WIDTH, found[0].width);
+}
+
 static void test_a_jittering_motor_tells_nothing(void) {
     enter();
     for (int i = 0; i < 40; i++) {
@@ -355,6 +370,7 @@ int main(void) {
     RUN_TEST(test_an_image_that_hardly_moves_is_said_to);
     RUN_TEST(test_a_jump_at_the_onset_leaves_one_frame_of_doubt);
     RUN_TEST(test_a_wrong_delay_shows_in_the_stop);
+    RUN_TEST(test_a_marker_elsewhere_for_one_frame_is_left_out);
     RUN_TEST(test_a_jittering_motor_tells_nothing);
     RUN_TEST(test_a_still_image_is_no_onset);
     RUN_TEST(test_frames_out_of_order_are_ignored);

@@ -26,6 +26,7 @@ class Plant:
     quantised: bool = False  # encoder positions are whole counts
     lost: float = 0.0  # share of frames that never come
     blind: float = 0.0  # share of frames without a marker
+    outliers: float = 0.0  # share of frames with the marker 20 px off; never two in a row
     jitter: float = 0.0  # of frame times, +- s
     curvature: float = 0.0  # relative change of slope, 1/count
     jump: float = 0.0  # px, of the image when the tip's direction changes
@@ -73,6 +74,9 @@ class Plant:
         image = self.slope * (tip + self.curvature * tip**2 / 2) + side * self.jump / 2
         u = 360 + image * np.cos(self.angle) + rng.normal(0, self.noise, len(arrival))
         v = 288 + image * np.sin(self.angle) + rng.normal(0, self.noise, len(arrival))
+        wrong = np.random.default_rng((self.seed, 2)).random(len(arrival)) < self.outliers
+        wrong[1:] &= ~wrong[:-1]
+        u, v = u + 20 * wrong, v - 15 * wrong
         config = _native.OnsetConfig()
         config.delay_us = round(self.nominal_delay * 1e6)
         for name, value in self.config.items():

@@ -161,6 +161,23 @@ def test_frames_within_the_doubt_of_the_delay_are_in_no_level():
     assert np.mean(reversals["width"][k] / 256) - plant.width == pytest.approx(late, abs=0.3)
 
 
+def test_a_marker_that_is_elsewhere_for_a_frame_is_not_believed():
+    errors, sigmas = [], []
+    for seed in range(STUDY):
+        plant = Plant(outliers=0.02, quantised=True, seed=seed, config={"curvature": 0})
+        reversals, detector, _ = plant.run(plant.turns(40))
+        k = measured(reversals)
+        assert len(k) == 40
+        assert detector.noise_px == pytest.approx(plant.noise, rel=0.1)
+        assert detector.lost > 20
+        errors.extend(reversals["width"][k] / 256 - plant.width)
+        sigmas.extend(reversals["sigma"][k] / 256)
+    errors, sigmas = np.array(errors), np.array(sigmas)
+    assert np.abs(errors).max() < 8
+    assert covers(errors, sigmas, 1.0, 0.6827, 0.1)
+    assert covers(errors, sigmas, 1.96, 0.95, 0.05)
+
+
 def test_a_jump_at_the_onset_leaves_one_frame_of_doubt():
     for jump in (4.0, 20.0):
         plant = Plant(jump=jump, seed=6)
@@ -212,6 +229,7 @@ def plants(draw):
         quantised=draw(st.booleans()),
         lost=draw(st.floats(0.0, 0.25)),
         blind=draw(st.floats(0.0, 0.1)),
+        outliers=draw(st.sampled_from([0.0, 0.01])),
         jitter=draw(st.floats(0.0, 0.2)) / rate,
         angle=draw(st.floats(0.0, 2 * np.pi)),
         seed=draw(st.integers(0, 2**31)),

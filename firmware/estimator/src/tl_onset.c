@@ -5,6 +5,7 @@
 #include "tl_confirm.h"
 
 #define LEVEL_MIN    2      ///< fewest frames on the level
+#define OUTLIER      8      ///< see is_outlier()
 #define POLL_LAG_US  60000U ///< frames this late still find their turn unscanned
 #define JITTER_TURNS 8      ///< hardly seen strokes shorter than this many turn thresholds are no reversals
 
@@ -92,6 +93,7 @@ static void end_reversal(tl_onset_detector_t *d, tl_onset_reason_t reason, bool 
 
 static void clear_window(tl_onset_detector_t *d) {
     d->held = 0;
+    d->known = 0;
 }
 
 /// The image has started: writes the onset and goes on following with the samples beyond the knot.
@@ -374,10 +376,9 @@ static void take(tl_onset_detector_t *d, const tl_onset_sample_t *sample) {
     d->held++;
 }
 
-/// A frame with its marker, at motor position sample->q.
-static void take_frame(tl_onset_detector_t *d, const tl_onset_sample_t *sample, tl_us_t scene_us,
-                       tl_onset_t *onset) {
-    d->seen_us = scene_us;
+/// A sample that its neighbours vouch for.
+static void take_sample(tl_onset_detector_t *d, const tl_onset_sample_t *sample, tl_us_t scene_us,
+                        tl_onset_t *onset) {
     if (d->phase == FOLLOWING) {
         take(d, sample);
         return;
@@ -398,6 +399,40 @@ static void take_frame(tl_onset_detector_t *d, const tl_onset_sample_t *sample, 
         d->reversal.frames++;
     }
     decide(d, false, onset);
+}
+
+static int64_t squared_distance(int64_t u, int64_t v) {
+    return u * u + v * v;
+}
+
+/// Whether the image was elsewhere for one frame: off the middle of its neighbours by more than OUTLIER
+/// sigma, and by more than twice what lies between them (else it is a start or a jump). All within +-4096 px.
+static bool is_outlier(const tl_onset_detector_t *d, const tl_onset_sample_t *before,
+                       const tl_onset_sample_t *sample, const tl_onset_sample_t *after) {
+    const int64_t off = squared_distance((2 * (int64_t)sample->u - before->u - after->u) / 32,
+                                         (2 * (int64_t)sample->v - before->v - after->v) / 32); // Q16 px^2
+    const int64_t apart =
+        squared_distance(((int64_t)after->u - before->u) / 16, ((int64_t)after->v - before->v) / 16);
+    const int64_t variance = d->noise_sum / ((int64_t)d->noise_dof * sample->weight);
+    return off > OUTLIER * OUTLIER * variance && off > 4 * apart;
+}
+
+/// A frame with its marker waits for the next one, which tells whether to believe it.
+static void take_frame(tl_onset_detector_t *d, const tl_onset_sample_t *sample, tl_us_t scene_us,
+                       tl_onset_t *onset) {
+    const tl_onset_sample_t waiting = d->waiting;
+    const tl_us_t waiting_us = d->seen_us;
+    d->waiting = *sample;
+    d->seen_us = scene_us;
+    if (d->known > 1 && is_outlier(d, &d->believed, &waiting, sample)) {
+        d->lost++;
+        return;
+    }
+    if (d->known > 0) {
+        d->believed = waiting;
+        take_sample(d, &waiting, waiting_us, onset);
+    }
+    d->known = d->known == 0 ? 1 : 2;
 }
 
 bool tl_onset_sample(tl_onset_detector_t *detector, const tl_history_t *history, const tl_marker_t *marker,

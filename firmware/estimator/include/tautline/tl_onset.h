@@ -12,7 +12,8 @@
 ///
 /// The slope is a vector in the image; nothing is assumed about its direction. Noise is estimated in place:
 /// the stated one serves until a still image was seen. Where the image jumps at the onset by more than it
-/// moves in a frame, the two frames around the jump bracket q2.
+/// moves in a frame, the two frames around the jump bracket q2. A marker that is elsewhere for a single frame
+/// is left out; so a frame is judged when the next one comes.
 ///
 /// An onset is confirmed when the generalised likelihood ratio of hinge against standstill, noise unknown,
 /// passes `threshold`. The reversal is finished when its sigma is `sigma_wanted`, or `frames_max` frames were
@@ -139,12 +140,15 @@ typedef struct {
     tl_count_q8_t opposite; ///< before the first direction is known: the other end of where the motor was
     int8_t direction;       ///< of the motor, 0 until it has moved
     uint8_t phase;
-    bool placed;          ///< `extreme` and `opposite` hold a position
-    bool on_envelope;     ///< an image start was seen since the last turn: the tip follows
-    bool entered;         ///< the reversal under way began on an envelope
-    bool settled;         ///< the last frame had nothing to wait for
-    bool told;            ///< this call has written a reversal
-    uint8_t oldest, held; ///< ring of samples
+    bool placed;                ///< `extreme` and `opposite` hold a position
+    bool on_envelope;           ///< an image start was seen since the last turn: the tip follows
+    bool entered;               ///< the reversal under way began on an envelope
+    bool settled;               ///< the last frame had nothing to wait for
+    bool told;                  ///< this call has written a reversal
+    uint8_t oldest, held;       ///< ring of samples
+    uint8_t known;              ///< how many of `waiting` and `believed` are there
+    tl_onset_sample_t waiting;  ///< the last one: the next tells whether it is an outlier
+    tl_onset_sample_t believed; ///< the one before it that was none
     tl_onset_sample_t window[TL_ONSET_WINDOW];
     tl_px_q12_t reference_u, reference_v;
     tl_onset_sums_t all;      ///< image of every sample of this reversal, the oldest ones fading; no x
@@ -156,7 +160,7 @@ typedef struct {
     bool noise_measured; ///< no longer the stated one
     tl_onset_t reversal; ///< the one under way: what the turn and the approach gave
     uint32_t ignored;    ///< frames whose time did not rise
-    uint32_t lost;       ///< frames without a marker, or older than the history
+    uint32_t lost;       ///< frames without a marker, outliers, or older than the history
     uint32_t missed;     ///< reversals too short to be seen at all
 } tl_onset_detector_t;
 
