@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -29,6 +29,7 @@ ONSETS, JOINT, PASSES, NOTHING = "onsets", "onsets and passes", "passes", "nothi
 _AGREE = 3.0  # mean squared z of onsets against the joint fit up to which both are one evidence
 _LEAST_FRAMES = 10
 _STANDS_OUT = 10.0  # a motion of so many sigma is one
+_AT_ONCE = 0.75  # of the path's slope: a tip that starts slower starts gradually
 _LITTLE = 0.03  # of the width: differences below are no contradiction
 _EXPLAINED = 1.5  # residual over noise up to which a model explains its data
 
@@ -143,12 +144,11 @@ class _Session:
         curve = fit_widths(onsets, self.grid)
         self.say(0.35, "passes")
         joint, passes = self._smooth(delay, curve)
-        if joint is not None and self.camera and self.options.delay_s is None:
-            better = self._better_delay(delay, joint)
-            if abs(better.delay_s - delay.delay_s) > 1e-4:
-                onsets = find_onsets(self.tracks, self.rig, better.delay_s, better.sigma_s)
+        if joint is not None and joint.fit.fit_delay:
+            before, delay = delay, self._joint_delay(delay, joint)
+            if abs(before.delay_s - delay.delay_s) > 1e-4:
+                onsets = find_onsets(self.tracks, self.rig, delay.delay_s, delay.sigma_s)
                 curve = fit_widths(onsets, self.grid)
-            delay = better
         width, sigma, source = self._choose(onsets, curve, joint, passes)
         self.say(0.75, "f_remain")
         settled = joint.fit.settled_only if joint is not None else False
@@ -166,9 +166,7 @@ class _Session:
             return Delay(self.options.delay_s, 0.0, 0)
         return find_delay(self.tracks, self.rig, self.rig.delay_s)
 
-    def _better_delay(self, stops: Delay, joint: Fitted) -> Delay:
-        if not self._explained(joint):
-            return stops
+    def _joint_delay(self, stops: Delay, joint: Fitted) -> Delay:
         # Each turn is known to a rounded count: an error of time at the motor's speed.
         speed = float(np.median(np.concatenate([np.abs(s.speed[s.moving]) for s in joint.fit.simulated])))
         counts = self.rig.actuator.encoder_resolution / np.sqrt(12.0) / max(speed, 1e-9) / np.sqrt(max(stops.stops, 1))
@@ -182,6 +180,10 @@ class _Session:
         joint = fit_jointly(frozen, self.domain, delay.delay_s, fit_delay=fit_delay, guess=curve)
         if joint is None:
             return None, None
+        if fit_delay and not self._explained(joint) and delay.stops:
+            # What the model does not know would bend the delay: the image stops tell it alone.
+            joint.fit.fit_delay = False
+            joint = joint.fit.solve(replace(joint.curves, delay_s=delay.delay_s))
         self.say(0.6, "passes alone")
         margin = 0.1 * float(np.median(joint.fit.width(joint.curves))) + 0.005 * self.domain.span
         return joint, fit_passes(joint, margin)
@@ -239,7 +241,7 @@ class _Session:
         whether the image jumps at the onsets, which no joint fit knows."""
         if 2 * sum(o.kind == BRACKET for o in widths) > len(widths):
             return True
-        if passes is None:
+        if passes is None or self._gradual(widths, passes):
             return False
         low, high = overlap(passes)
         inside = [o for o in widths if low <= o.q_mean <= high]
@@ -250,6 +252,23 @@ class _Session:
         difference = [o.width - float(np.interp(o.q_mean, self.grid, width)) for o in inside]
         share = abs(float(np.median(difference))) / max(float(np.median([o.width for o in inside])), 1e-9)
         return float(np.mean(z**2)) > _AGREE and share > _LITTLE
+
+    def _gradual(self, widths: Sequence[Onset], passes: Fitted) -> bool:
+        """Whether the tip starts more slowly than it goes on along the passes: then an onset is where a gradual start
+        begins, and no play's width."""
+        p = np.array([o.q_mean for o in widths])
+        path = passes.fit.follow.slope(passes.curves.follow, p)
+        turn = 0.5 * np.array([o.direction for o in widths]) * passes.fit.backlash.slope(passes.curves.backlash, p)
+        usual = np.linalg.norm(path.reshape(len(p), -1), axis=1) / (1.0 + turn)
+        ratio = float(np.median(np.array([o.slope for o in widths]) / np.maximum(usual, 1e-12)))
+        self.evidence["start_over_path_slope"] = ratio
+        if ratio > _AT_ONCE:
+            return False
+        self.warnings.append(
+            f"the tip starts gradually, at {ratio:.2f} of its later speed: B(q) is what fits all frames, not where the "
+            "first motion shows"
+        )
+        return True
 
     def _against(self, widths: Sequence[Onset], curve: WidthCurve, width: Array, sigma: Array) -> Array:
         """Each onset's distance from another curve of B, over what both are uncertain by."""

@@ -44,6 +44,7 @@ class Onset:
     kind: str
     used: bool
     reason: str = ""  # why it is not used
+    slope: float = np.nan  # px (or deg) per unit of q at which the tip starts
 
     @property
     def width(self) -> float:
@@ -189,9 +190,23 @@ def _strokes(track: Track, rig: Rig, delay_s: float) -> list[_Stroke]:
         start, end = float(motor.t_s[a]), float(motor.t_s[b])
         frames = np.flatnonzero((scene >= start) & (scene < end) & inside)
         travel = np.maximum(direction * (at[frames] - q1), 0.0)
+        tail = 0 if k == 0 else _tail(track.y[frames] / track.sigma[frames, None])
+        frames, travel = frames[tail:], travel[tail:]
         z = track.y[frames] / track.sigma[frames, None]
         strokes.append(_Stroke(start, end, q1, direction, frames, travel, _departure(z), k == 0))
     return strokes
+
+
+def _tail(z: Array) -> int:
+    """How many frames after a turn still move the old way: the tip lags, or the delay is longer than is known yet."""
+    if len(z) < 10:
+        return 0
+    way = z[-3:].mean(axis=0) - z[:3].mean(axis=0)
+    if np.linalg.norm(way) < 20.0:
+        return 0
+    along = np.convolve(z @ way / np.linalg.norm(way), np.ones(3) / 3, mode="valid")
+    lowest = along.min()
+    return int(np.argmax(along < lowest + 3.0)) if along[0] > lowest + 8.0 else 0
 
 
 def _departure(z: Array) -> int | None:
@@ -264,7 +279,7 @@ def _onset(number: int, track: Track, before: _Stroke, after: _Stroke, rig: Rig,
     at = _time_at(track, after, width)
     onset = Onset(
         number, after.start_s, at, after.direction, after.q1, after.q1 + after.direction * width, max(sigma, 1e-9),
-        jump.low, jump.high, kind, True,
+        jump.low, jump.high, kind, True, slope=float(np.linalg.norm(hinge.slope * track.sigma[after.frames[0]])),
     )  # fmt: skip
     if kind == BRACKET:
         onset = _as_bracket(onset)
@@ -426,7 +441,8 @@ def _stops(track: Track, rig: Rig, delay_s: float) -> list[_Stop]:
         if before.departure is None or not track.others_still(before.end_s - 0.5, after.end_s):
             continue
         moving = before.frames[before.departure :]
-        still = after.frames if after.departure is None else after.frames[: max(after.departure - 2, 0)]
+        # Where the tip starts gradually, it has begun before it is noticed.
+        still = after.frames if after.departure is None else after.frames[: int(0.7 * after.departure)]
         still = still[:_BEFORE]
         if len(moving) < 4 or len(still) < 3:
             continue

@@ -253,3 +253,51 @@ def test_the_marker_is_projected_from_where_the_tip_is_said_to_be():
     model = calibrate([made], RIG).model
     told = predict(model, made.motor, np.array([5.0, 20.0]))
     assert told.image_px == pytest.approx(project(RIG, told.c_deg))
+
+
+# ---- plants that no play is: the widths stay near what predicts, and it is said
+
+
+def gradual(plant: Instrument, path: Trajectory, seed: int):
+    """Five plays side by side, each moving a fifth of the tip: it starts gradually."""
+    mixed = 0.0
+    for share in (0.6, 0.8, 1.0, 1.2, 1.4):
+        part = Instrument.of(RIG, lambda p, share=share: share * plant.backlash(p), plant.bend)
+        mixed = mixed + record(RIG, part, path, seed, noise_px=0.0).c_deg / 5
+    made = record(RIG, plant, path, seed)
+    return _seen_at(made, mixed, seed)
+
+
+def _seen_at(made: Simulation, c: np.ndarray, seed: int):
+    image = project(RIG, np.interp(made.scene_s, made.t_s, c))
+    image += np.random.default_rng([seed, 3]).normal(0, NOISE, image.shape)
+    return replace(made.recording, marker=replace(made.recording.marker, u_px=image[:, 0], v_px=image[:, 1]))
+
+
+def test_a_tip_that_starts_gradually_is_said_and_predicted():
+    plant = preset("random", RIG, 21)
+    found = calibrate([gradual(plant, motion(RIG), 21)], RIG)
+    assert any("starts gradually" in warning for warning in found.warnings)
+    assert width_error(found.model, plant) < 0.1 * np.median(plant.width)
+    assert abs(found.model.delay_s - 0.0873) < 0.01
+
+
+def test_a_lag_is_no_backlash():
+    plant = preset("random", RIG, 22)
+    made = record(RIG, plant, motion(RIG), 22)
+    lagged = np.empty_like(made.c_deg)
+    state, share = made.c_deg[0], 1 - np.exp(-0.001 / 0.15)
+    for i, c in enumerate(made.c_deg):
+        state += share * (c - state)
+        lagged[i] = state
+    found = calibrate([_seen_at(made, lagged, 22)], RIG)
+    assert width_error(found.model, plant) < 0.15 * np.median(plant.width)
+
+
+def test_a_wrong_hand_eye_leaves_the_widths_and_is_named():
+    plant = preset("random", RIG, 23)
+    made = record(RIG, plant, motion(RIG), 23).recording
+    turned = replace(RIG, hand_eye=replace(RIG.hand_eye, rotation_deg=(7.0, -6.0, 5.0)))
+    found = calibrate([made], turned)
+    assert width_error(found.model, plant) < 0.001
+    assert any("hand_eye" in warning for warning in found.warnings)
