@@ -185,7 +185,7 @@ static bool slows_down(tl_onset_detector_t *d, int32_t i, int32_t before) {
     const uint32_t us =
         (last ? (uint32_t)d->reversal.turn_us : sample_at(d, i + 1)->t_us) - sample_at(d, i)->t_us;
     const int64_t way = magnitude(tl_sub_sat(q, sample_at(d, i)->q));
-    return way * 8000000 < (int64_t)speed_between(d, i - 1, i) * us * 7;
+    return us <= d->config.lost_us && way * 8000000 < (int64_t)speed_between(d, i - 1, i) * us * 7;
 }
 
 /// The line of the approach, from the samples up to the turn: as many as curvature allows, without those that
