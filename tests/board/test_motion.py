@@ -8,7 +8,7 @@ from test_tables import blob
 
 from conftest import Bench
 from tautline import wire
-from tautline.board import Board, BoardRefused
+from tautline.board import Board, BoardGone, BoardRefused
 
 
 def telemetry(board: Board) -> list[wire.Message]:
@@ -136,3 +136,44 @@ def test_position_limits_hold_the_axis(board: Board, bench: Bench) -> None:
     assert board.status(0).q <= 402.0
     board.ask("enable", axis=0, on=0)
     bench.until(board, 0, "OFF")
+
+
+def test_a_hung_main_loop_is_restarted_into_the_safe_state(bench: Bench) -> None:
+    with bench.open() as board:
+        board.ask("enable", axis=0, on=1)
+        board.ask("move", axis=0, q=3000.0, speed_s=500.0)
+        bench.run(0.1)
+        bench.sim.ask("hang")
+        bench.run(2.0)
+        with pytest.raises(BoardGone):  # it left the bus when it restarted
+            board.sync()
+    with bench.open() as board:
+        assert board.identity.boot == wire.code("BOOTS", "WATCHDOG")
+        status = board.status(0)
+        assert status.fault == wire.code("FAULTS", "WATCHDOG")
+        assert status.mode == wire.code("MODES", "OFF")
+        before = bench.sim.ask("state")["q"][0]
+        bench.run(0.2)
+        assert bench.sim.ask("state")["q"][0] == before
+        with pytest.raises(BoardRefused) as refused:
+            board.ask("enable", axis=0, on=1)
+        assert refused.value.reason == "FAULT"
+        board.ask("clear_fault", axis=0)
+        board.ask("enable", axis=0, on=1)
+
+
+def test_a_restart_on_request_and_into_the_boot_loader(bench: Bench) -> None:
+    for bootloader in (0, 1):
+        with bench.open() as board:
+            board.ask("enable", axis=0, on=1)
+            board.ask("reboot", key=wire.wire.KEY, bootloader=bootloader)
+            bench.run(0.5)
+            with pytest.raises(BoardGone):
+                board.sync()
+        if bootloader:
+            assert bench.sim.ask("state")["bootloader"]
+            bench.sim.ask("reset")
+        with bench.open() as board:
+            assert board.status(0).mode == wire.code("MODES", "OFF")
+            expected = "POWER" if bootloader else "REQUEST"
+            assert board.identity.boot == wire.code("BOOTS", expected)

@@ -80,6 +80,7 @@ static void flush(const service_t *service) {
 static void serve(const service_t *usb, const service_t *sim, long parent) {
     struct pollfd fds[2 + USBIP_CONNECTIONS + SIMLINK_CONNECTIONS];
     bool ran = false;
+    uint32_t starts = board_state()->starts;
     while (stopped == 0 && !simlink_quit() && (parent == 0 || getppid() == (pid_t)parent)) {
         const size_t first = collect(usb, fds);
         const size_t all = first + collect(sim, fds + first);
@@ -97,9 +98,11 @@ static void serve(const service_t *usb, const service_t *sim, long parent) {
         simlink_receive();
         ran = simlink_run();
         usbip_transfer();
-        if (!board_on_bus()) {
+        if (board_state()->starts != starts) { // a restart, for whatever reason, leaves the bus
             usbip_plug(false);
+            starts = board_state()->starts;
         }
+        usbip_plug(simlink_cable() && board_on_bus());
         flush(usb);
         flush(sim);
     }

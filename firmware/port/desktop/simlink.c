@@ -22,6 +22,7 @@ static tl_us_t granted_us;          // world time up to which it may run
 static uint64_t told;               // milliseconds of the log that were reported
 static bool realtime;
 static bool quit;
+static bool cable = true;
 static tl_us_t paced_us; // world time at
 static uint64_t paced_at; // this wall-clock time, us
 
@@ -156,14 +157,13 @@ static void request(net_connection_t *connection, char *line) {
         place(connection, argument);
     } else if (strcmp(line, "unplug") == 0) {
         usbip_plug(false);
+        cable = false;
         ok(connection);
     } else if (strcmp(line, "plug") == 0) {
-        usbip_plug(board_on_bus());
+        cable = true;
         ok(connection);
     } else if (strcmp(line, "reset") == 0) {
-        usbip_plug(false);
         board_start(TL_WIRE_BOOT_POWER);
-        usbip_plug(true);
         ok(connection);
     } else if (strcmp(line, "hang") == 0) {
         board_hang();
@@ -238,3 +238,4 @@ void simlink_closed(net_connection_t *connection) {
 }
 
 bool simlink_quit(void) { return quit; }
+bool simlink_cable(void) { return cable; }

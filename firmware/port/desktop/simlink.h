@@ -17,5 +17,6 @@ bool simlink_run(void);
 int simlink_wait(void);
 void simlink_closed(net_connection_t *connection);
 bool simlink_quit(void);
+bool simlink_cable(void); // whether the USB cable is plugged in
 
 #endif
