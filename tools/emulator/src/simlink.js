@@ -78,9 +78,8 @@ export class SimLink {
             t_us: this.grantedUs, board_us: Math.floor(board.nowUs - board.bootUs), powered: board.powered,
             bootloader: board.bootloader, hung: board.hung, attached: this.usbip.attached, realtime: this.realtime,
             starts: board.starts, flash_operations: board.flash.operations,
-            axes: Array.from({ length: AXES }, (_, axis) => ({
-                true_q8: board.plant.trueQ8(axis), duty_q15: Math.round(board.plant.duty(axis) * 32768),
-            })),
+            q: Array.from({ length: AXES }, (_, axis) => board.plant.trueQ8(axis)),
+            axes: Array.from({ length: AXES }, (_, axis) => ({ duty_q15: Math.round(board.plant.duty(axis) * 32768) })),
         };
     }
 
