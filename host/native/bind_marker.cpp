@@ -21,7 +21,9 @@ void bind_marker(nb::module_ &m) {
         .def_ro("around", &marker_outline_t::around)
         .def_ro("scatter", &marker_outline_t::scatter)
         .def_ro("kept", &marker_outline_t::kept)
-        .def_prop_ro("colour", [](const marker_outline_t &o) { return nb::make_tuple(o.colour[0], o.colour[1], o.colour[2]); });
+        .def_prop_ro("colour", [](const marker_outline_t &outline) {
+            return nb::make_tuple(outline.colour[0], outline.colour[1], outline.colour[2]);
+        });
     m.attr("MARKER_FOUND") = static_cast<int>(MARKER_FOUND);
     m.attr("MARKER_NONE") = static_cast<int>(MARKER_NONE);
     m.attr("MARKER_CLIPPED") = static_cast<int>(MARKER_CLIPPED);
@@ -55,6 +57,7 @@ void bind_marker(nb::module_ &m) {
             const int status = marker_measure(&view, weights.data(), cut, u, v, diameter, scratch.data(), &outline);
             return nb::make_tuple(status, outline);
         },
-        nb::arg("picture"), nb::arg("weights"), nb::arg("cut"), nb::arg("u"), nb::arg("v"), nb::arg("diameter"), nb::arg("half"),
-        "(status, MarkerOutline) of the blob near (u, v) px in the region of `half` px to every side; see native/marker.h.");
+        nb::arg("picture"), nb::arg("weights"), nb::arg("cut"), nb::arg("u"), nb::arg("v"), nb::arg("diameter"),
+        nb::arg("half"),
+        "(status, MarkerOutline) of the blob near (u, v) px, `half` px around it to every side: see native/marker.h.");
 }

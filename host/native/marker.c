@@ -16,13 +16,16 @@
 #define SMALLEST 12       /* px, area */
 #define PI 3.14159265358979323846
 
+/* What a pixel of the region is. */
+enum { BELOW, ABOVE, OTHER, BLOB };
+
 typedef struct {
     int x, y; /* first row's first pixel that the flood reached: where to flood again */
     int area, clipped, cut_off;
     double sum_x, sum_y;
 } blob_t;
 
-size_t marker_scratch_size(size_t pixels) { return pixels * (sizeof(float) + sizeof(int32_t) + sizeof(float) + 1) + 64; }
+size_t marker_scratch_size(size_t pixels) { return pixels * (2 * sizeof(float) + sizeof(int32_t) + sizeof(uint8_t)); }
 
 /* The k-th smallest, in place. */
 static float kth(float *x, int n, int k) {
@@ -105,8 +108,8 @@ static inline float sample(const float *y, int columns, float px, float py) {
 }
 
 /* `count` samples along a ray, STEP apart from r on; held beyond the region's rim. */
-static void sample_ray(const float *y, int columns, int rows, double cx, double cy, const double *basis, double r, int count,
-                       float *out) {
+static void sample_ray(const float *y, int columns, int rows, double cx, double cy, const double *basis, double r,
+                       int count, float *out) {
     const float right = (float)columns - 1.001F, bottom = (float)rows - 1.001F;
     float px = (float)(cx + r * basis[1]), py = (float)(cy + r * basis[2]);
     const float dx = (float)(STEP * basis[1]), dy = (float)(STEP * basis[2]);
@@ -180,7 +183,7 @@ static void aim(rays_t *rays, double radius) {
 }
 
 /* The last pixel of the blob on every ray, and the level of what is beyond it. Returns the mean of the latter. */
-static double look_beyond(rays_t *rays, const float *y, const uint8_t *mark, uint8_t own, int columns, int rows, double cx,
+static double look_beyond(rays_t *rays, const float *y, const uint8_t *mark, int columns, int rows, double cx,
                           double cy, double reach) {
     double sum = 0.0;
     for (int i = 0; i < rays->count; i++) {
@@ -189,7 +192,7 @@ static double look_beyond(rays_t *rays, const float *y, const uint8_t *mark, uin
         for (; last > 0.0; last -= STEP) {
             const double px = cx + last * dx + 0.5, py = cy + last * dy + 0.5; /* truncated, the nearest pixel */
             if (px >= 0.0 && py >= 0.0 && px < columns && py < rows &&
-                mark[(ptrdiff_t)py * columns + (ptrdiff_t)px] == own) {
+                mark[(ptrdiff_t)py * columns + (ptrdiff_t)px] == BLOB) {
                 break;
             }
         }
@@ -262,8 +265,8 @@ static double spread(const rays_t *rays) {
     return fmax(1.4826 * (double)kth(size, rays->count, rays->count / 2), 0.02);
 }
 
-/* The outline through the edges that agree. What touches the marker on one side must not bend it: it starts as a circle of
- * median radius, becomes an ellipse with Cauchy's weights, and takes its last order when the strays are out (3 sigma).
+/* The outline through the edges that agree. What touches the marker on one side must not bend it: it starts as a circle
+ * of median radius, becomes an ellipse with Cauchy's weights, and takes its last order without the strays (3 sigma).
  * Returns how many edges it keeps, 0: no fit. */
 static int fit_outline(rays_t *rays, double *scatter) {
     double weight[MARKER_RAYS_MAX];
@@ -312,23 +315,24 @@ static int fit_outline(rays_t *rays, double *scatter) {
     return kept;
 }
 
-/* Marks the blob with 3 and everything else above the cut with 2. 0: there is none. */
-static int search(const marker_view_t *view, uint8_t *mark, int32_t *stack, double u, double v, double diameter, blob_t *best) {
+/* Marks the best blob near (u, v) as such and what else is above the cut as OTHER. 0: there is none. */
+static int search(const marker_view_t *view, uint8_t *mark, int32_t *stack, double u, double v, double diameter,
+                  blob_t *best) {
     const int columns = view->x1 - view->x0, pixels = columns * (view->y1 - view->y0);
     double best_score = 0.0;
     memset(best, 0, sizeof *best);
     for (int i = 0; i < pixels; i++) {
-        if (mark[i] != 1) {
+        if (mark[i] != ABOVE) {
             continue;
         }
         const int first = best_score == 0.0;
-        const blob_t blob = flood(view, mark, stack, i, 1, first ? 3 : 2);
+        const blob_t blob = flood(view, mark, stack, i, ABOVE, first ? BLOB : OTHER);
         const double dx = view->x0 + blob.sum_x / blob.area - u, dy = view->y0 + blob.sum_y / blob.area - v;
         const double score = blob.area / (1.0 + (dx * dx + dy * dy) / (diameter * diameter));
         if (score > best_score) {
             if (!first) {
-                (void)flood(view, mark, stack, best->y * columns + best->x, 3, 2);
-                (void)flood(view, mark, stack, blob.y * columns + blob.x, 2, 3);
+                (void)flood(view, mark, stack, best->y * columns + best->x, BLOB, OTHER);
+                (void)flood(view, mark, stack, blob.y * columns + blob.x, OTHER, BLOB);
             }
             best_score = score;
             *best = blob;
@@ -367,7 +371,7 @@ int marker_measure(const marker_view_t *view, const float weights[4], double cut
         for (int column = 0; column < columns; column++, p += 3) {
             const float m = weights[0] * p[0] + weights[1] * p[1] + weights[2] * p[2] + weights[3];
             y[row * columns + column] = m;
-            mark[row * columns + column] = m > (float)cut;
+            mark[row * columns + column] = m > (float)cut ? ABOVE : BELOW;
         }
     }
     blob_t blob;
@@ -383,7 +387,7 @@ int marker_measure(const marker_view_t *view, const float weights[4], double cut
     for (int row = 0; row < rows; row++) {
         const uint8_t *p = view->bgr + (view->y0 + row) * view->stride + 3 * view->x0;
         for (int column = 0; column < columns; column++) {
-            if (mark[row * columns + column] != 3) {
+            if (mark[row * columns + column] != BLOB) {
                 continue;
             }
             const double dx = column - cx, dy = row - cy, square = dx * dx + dy * dy;
@@ -413,7 +417,7 @@ int marker_measure(const marker_view_t *view, const float weights[4], double cut
 
     rays_t rays;
     aim(&rays, radius);
-    out->around = look_beyond(&rays, y, mark, 3, columns, rows, cx, cy, furthest + 1.0);
+    out->around = look_beyond(&rays, y, mark, columns, rows, cx, cy, furthest + 1.0);
     if (!(out->within > out->around)) {
         return MARKER_NONE;
     }

@@ -1,10 +1,10 @@
 /* The outline of a blob of one colour, to a few hundredths of a pixel: the inner loop of the marker tracker.
  *
- * Membership of a pixel is weights . (B, G, R) + offset, 1 on the marker as its colour was picked and about 0 around it.
- * The blob is the largest connected region above `cut` near the expected place. From its middle, rays go out; on each the
- * edge is where membership passes from the blob's own level to the level of what is around it *on that ray*, so an uneven
- * background does not pull it. A Fourier outline of order 3 is fitted to the edges without those that do not fit (glare on
- * the rim, something in front), and the answer is that outline's centroid.
+ * Membership of a pixel is weights . (B, G, R) + offset, 1 on the marker as its colour was picked and about 0 around
+ * it. The blob is the largest connected region above `cut` near the expected place. From its middle, rays go out; on
+ * each the edge is where membership passes from the blob's own level to the level of what is around it *on that ray*,
+ * so an uneven background does not pull it. A Fourier outline of order 3 is fitted to the edges without those that do
+ * not fit (glare on the rim, something in front), and the answer is that outline's centroid.
  */
 #ifndef TAUTLINE_MARKER_H
 #define TAUTLINE_MARKER_H
@@ -47,7 +47,7 @@ typedef struct {
 size_t marker_scratch_size(size_t pixels);
 
 /* weights[3] per level of B, G, R and weights[3 + 1] = offset. (u, v) expected place, diameter expected, px.
- * Returns one of MARKER_*. O(pixels of the region); about 40 us for a marker of 20 px. */
+ * Returns one of MARKER_*. O(pixels of the region); about 20 us for a marker of 20 px. */
 int marker_measure(const marker_view_t *view, const float weights[4], double cut, double u, double v, double diameter,
                    void *scratch, marker_outline_t *out);
 

@@ -13,7 +13,8 @@ int main(int argc, char **argv) {
     if (argc != 6) {
         return 2;
     }
-    const unsigned width = static_cast<unsigned>(std::atoi(argv[1])), height = static_cast<unsigned>(std::atoi(argv[2]));
+    const unsigned width = static_cast<unsigned>(std::atoi(argv[1]));
+    const unsigned height = static_cast<unsigned>(std::atoi(argv[2]));
     const int count = std::atoi(argv[3]);
     const size_t pixels = static_cast<size_t>(width) * height;
     std::vector<vpImage<unsigned char>> pictures(static_cast<size_t>(count), vpImage<unsigned char>(height, width));
