@@ -18,6 +18,8 @@ class Plant:
     width: float = 600.0
     slope: float = 0.06  # px for a count
     noise: float = 0.05  # px, each coordinate
+    blur: float = 1.0  # times that noise in every other frame, on average
+    stated: bool = False  # each frame comes with its sigma
     speed: float = 350.0  # counts/s
     acceleration: float = 5000.0
     rate_hz: float = 25.0
@@ -72,8 +74,10 @@ class Plant:
         last = np.maximum.accumulate(np.where(moved != 0, np.arange(len(p)), 0))
         side = np.sign(moved[last])[np.clip(np.searchsorted(t, scene) - 1, 0, None)]
         image = self.slope * (tip + self.curvature * tip**2 / 2) + side * self.jump / 2
-        u = 360 + image * np.cos(self.angle) + rng.normal(0, self.noise, len(arrival))
-        v = 288 + image * np.sin(self.angle) + rng.normal(0, self.noise, len(arrival))
+        blurred = np.random.default_rng((self.seed, 3)).random(len(arrival)) < 0.5
+        sigma = self.noise * np.where(blurred, self.blur, 1.0)
+        u = 360 + image * np.cos(self.angle) + sigma * rng.normal(0, 1, len(arrival))
+        v = 288 + image * np.sin(self.angle) + sigma * rng.normal(0, 1, len(arrival))
         wrong = np.random.default_rng((self.seed, 2)).random(len(arrival)) < self.outliers
         wrong[1:] &= ~wrong[:-1]
         u, v = u + 20 * wrong, v - 15 * wrong
@@ -88,7 +92,7 @@ class Plant:
             arrival_us,
             np.round(u * 4096).astype(np.int32),
             np.round(v * 4096).astype(np.int32),
-            np.zeros(len(arrival), np.int32),
+            np.round(sigma * self.stated * 4096).astype(np.int32),
             rng.random(len(arrival)) >= self.blind,
             np.zeros(len(arrival), bool),
         )

@@ -136,6 +136,25 @@ def test_noise_is_measured_whatever_was_stated(noise, stated_noise):
     assert reversals["noise"][-1] / 4096 == pytest.approx(noise, rel=0.1)
 
 
+def test_frames_count_by_their_stated_sigma():
+    found = {}
+    for stated in (False, True):
+        errors, sigmas = [], []
+        for seed in range(STUDY):
+            plant = Plant(width=400, noise=0.1, blur=4.0, stated=stated, quantised=True, seed=seed)
+            plant.config = {"curvature": 0}
+            reversals, _, _ = plant.run(plant.turns(40))
+            k = measured(reversals)
+            errors.extend(reversals["width"][k] / 256 - plant.width)
+            sigmas.extend(reversals["sigma"][k] / 256)
+        found[stated] = np.array(errors), np.array(sigmas)
+        assert len(errors) >= 39 * STUDY  # the last one may be under way at the end
+    errors, sigmas = found[True]
+    assert covers(errors, sigmas, 1.0, 0.6827, 0.08)
+    assert covers(errors, sigmas, 1.96, 0.95, 0.05)
+    assert rms(errors) < 0.8 * rms(found[False][0])
+
+
 @pytest.mark.parametrize("wrong_by", [-0.007, 0.0, 0.007, 0.015])
 def test_stops_tell_the_delay(wrong_by):
     plant = Plant(delay=0.08 + wrong_by, noise=0.03, quantised=True, seed=5)
