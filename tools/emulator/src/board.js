@@ -3,6 +3,7 @@ import fs from 'node:fs';
 import { Chip } from './chip.js';
 import { Flash } from './flash.js';
 import { Plant, STEP_US } from './plant.js';
+import { Probe } from './probe.js';
 import { SimulationClock } from './rp2040js.js';
 import { UsbHost } from './usbhost.js';
 
@@ -16,7 +17,8 @@ const BRANCH_TO_SELF = 0xe7fe;
  */
 export class Board {
     /** image, bootrom: bytes; flashFile: keeps the tables between runs, null: nothing does. */
-    constructor({ image, bootrom, motor, flashFile = null, id }) {
+    constructor({ image, bootrom, motor, probe, flashFile = null, id }) {
+        this.probe = probe;
         this.flash = new Flash(2 << 20, id);
         this.flash.bytes.set(image);
         this.bootrom = new Uint32Array(4096);
@@ -97,6 +99,11 @@ export class Board {
         while (this.chip === null && this.plant.timeUs + STEP_US <= untilUs) this.plant.step();
     }
 
+    /** What the firmware makes of an axis: {mode, fault}; null without power. */
+    axis(index) {
+        return this.chip === null ? null : this.probe.axis(this.chip, index);
+    }
+
     /** Runs until something is so, at most some time; whether it came to be. */
     runWhile(going, mostUs) {
         const end = this.nowUs + mostUs;
@@ -132,6 +139,6 @@ export function loadBoard(root, options = {}) {
         if (!fs.existsSync(name)) throw new Error(`${name} is missing: run './run firmware'`);
         return fs.readFileSync(name);
     };
-    return new Board({ ...options, image: file(options.image ?? `${build}/tautline.bin`),
+    return new Board({ ...options, probe: new Probe(`${build}/tautline.elf`, `${build}/emulator/layout.bin`), image: file(options.image ?? `${build}/tautline.bin`),
         bootrom: file(`${build}/emulator/bootrom.bin`) });
 }

@@ -21,6 +21,7 @@ export class Core extends CortexM0Core {
     constructor(rp2040) {
         super(rp2040);
         this.halfword = 0;    // the last one read: the instruction, unless it loaded a halfword itself
+        this.sleeps = 0;      // times that the program had nothing to do
         this.extraCycles = 0; // of the instruction at hand: exceptions, and stalls (see stall)
     }
 
@@ -80,8 +81,9 @@ export class Core extends CortexM0Core {
             }
         } else if (this.halfword === SEV) {
             this.eventRegistered = true;
-        } else if (this.halfword === WFI && this.waiting && this.wakes) {
-            this.waiting = false;
+        } else if (this.halfword === WFI && this.waiting) {
+            this.sleeps += 1;
+            if (this.wakes) this.waiting = false;
         }
         if (this.extraCycles !== 0) {
             cycles += this.extraCycles;

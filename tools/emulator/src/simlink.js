@@ -75,11 +75,13 @@ export class SimLink {
     #state() {
         const { board } = this;
         return {
-            t_us: this.grantedUs, board_us: Math.floor(board.nowUs - board.bootUs), powered: board.powered,
+            t_us: this.grantedUs, board_us: this.grantedUs - board.bootUs, powered: board.powered,
             bootloader: board.bootloader, hung: board.hung, attached: this.usbip.attached, realtime: this.realtime,
             starts: board.starts, flash_operations: board.flash.operations,
-            q: Array.from({ length: AXES }, (_, axis) => board.plant.trueQ8(axis)),
-            axes: Array.from({ length: AXES }, (_, axis) => ({ duty_q15: Math.round(board.plant.duty(axis) * 32768) })),
+            q: board.plant.log[Math.floor(this.grantedUs / 1000) - 1],
+            axes: Array.from({ length: AXES }, (_, axis) => ({
+                duty_q15: Math.round(board.plant.duty(axis) * 32768), ...board.axis(axis),
+            })),
         };
     }
 

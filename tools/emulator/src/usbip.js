@@ -20,7 +20,8 @@ const ZERO_PACKET = 0x40; // transfer flag
 const EMSGSIZE = -90;
 const ECONNRESET = -104;
 const SET_ADDRESS = 5;
-const IDLE_US = 400;      // how long a board may think about an answer while time stands still
+const IDLE_US = 200;      // for the answer's packets to be fetched
+const PATIENCE_US = 1e6;  // with a board that takes nothing and never rests
 
 /** USB/IP: one device, one host at a time, as the desktop board serves it. */
 export class UsbIpServer {
@@ -216,19 +217,23 @@ export class UsbIpServer {
 
     /**
      * While time stands still a host expects answers all the same: the board runs ahead, as long as something is on its way
-     * to it and then until it has nothing more to say. What it ran ahead is taken from the next time that is granted.
+     * to it and then until its main loop has nothing to do and nothing to say. What it ran ahead is taken from the next time
+     * that is granted.
      */
     settle() {
         const { board } = this;
-        let seen = board.usb.progress;
-        let quietSince = board.nowUs;
-        while (board.chip !== null && this.importer !== null) {
-            const waiting = board.usb.sending;
-            if (board.usb.progress !== seen) {
-                seen = board.usb.progress;
-                quietSince = board.nowUs;
+        let { progress } = board.usb;
+        let since = board.nowUs;
+        let { sleeps } = board.chip?.core ?? {};
+        const { chip } = board;
+        while (board.chip === chip && chip !== null && this.importer !== null && board.nowUs - since < PATIENCE_US) {
+            if (board.usb.progress !== progress) {
+                progress = board.usb.progress;
+                since = board.nowUs;
+                sleeps = chip.core.sleeps;
             }
-            if (board.nowUs - quietSince > (waiting ? 1e6 : IDLE_US)) break;
+            const idle = chip.core.sleeps > sleeps + 1 && board.nowUs - since > IDLE_US;
+            if (idle && !board.usb.sending) break;
             board.run(board.nowUs + 20);
         }
     }

@@ -1,0 +1,39 @@
+import fs from 'node:fs';
+
+const SYMTAB = 2;
+
+/** Address of a symbol of a 32-bit little-endian ELF file. */
+export function symbol(file, name) {
+    const elf = fs.readFileSync(file);
+    const sections = elf.readUInt32LE(32);
+    const [size, count] = [elf.readUInt16LE(46), elf.readUInt16LE(48)];
+    const section = (index) => {
+        const at = sections + index * size;
+        return { kind: elf.readUInt32LE(at + 4), offset: elf.readUInt32LE(at + 16), length: elf.readUInt32LE(at + 20),
+            link: elf.readUInt32LE(at + 24) };
+    };
+    for (let index = 0; index < count; index++) {
+        const table = section(index);
+        if (table.kind !== SYMTAB) continue;
+        const strings = section(table.link).offset;
+        for (let at = table.offset; at < table.offset + table.length; at += 16) {
+            const text = strings + elf.readUInt32LE(at);
+            if (elf.toString('latin1', text, elf.indexOf(0, text)) === name) return elf.readUInt32LE(at + 4);
+        }
+    }
+    throw new Error(`${file} has no symbol ${name}`);
+}
+
+/** A look at the firmware's own state, as a debug probe gives it; nothing in the board can tell. */
+export class Probe {
+    constructor(elf, layout) {
+        this.board = symbol(elf, 'board');
+        const words = fs.readFileSync(layout);
+        [this.axes, this.axisSize, this.mode, this.fault] = [0, 4, 8, 12].map((at) => words.readUInt32LE(at));
+    }
+
+    axis(chip, index) {
+        const base = this.board + this.axes + index * this.axisSize;
+        return { mode: chip.readUint8(base + this.mode), fault: chip.readUint8(base + this.fault) };
+    }
+}

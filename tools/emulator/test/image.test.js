@@ -1,0 +1,150 @@
+// The image on the emulated chip, in one process and so the same every time: what no host can see or arrange.
+import assert from 'node:assert/strict';
+import path from 'node:path';
+import { test } from 'node:test';
+import { fileURLToPath } from 'node:url';
+
+import { loadBoard } from '../src/board.js';
+import { Fault } from '../src/chip.js';
+import { motorConstants } from '../src/plant.js';
+import { symbol } from '../src/probe.js';
+import { setupPacket } from '../src/usbhost.js';
+
+const root = path.resolve(path.dirname(fileURLToPath(import.meta.url)), '../../..');
+const motor = motorConstants(path.join(root, 'firmware/port/desktop/motor.c'));
+const elf = path.join(root, 'build/rp2040/tautline.elf');
+const WATCHDOG_FAULT = 6; // TL_WIRE_FAULTS
+const SM_Y = (chip, axis) => chip.pio[0].machines[axis].y | 0;
+
+function booted() {
+    const board = loadBoard(root, { motor });
+    assert.ok(board.waitForUsb(), 'the image comes up on USB');
+    return board;
+}
+
+test('it enumerates: descriptors, a configuration, its serial number, a request that it stalls', () => {
+    const board = booted();
+    const { usb } = board;
+    assert.deepEqual([...usb.deviceDescriptor.slice(0, 4)], [18, 1, 0x10, 0x02]);
+    assert.equal(usb.configDescriptor[4], 2);
+    const control = (setup) => {
+        let answer = null;
+        usb.submit({ endpoint: 0, out: !(setup[0] & 0x80), setup, data: new Uint8Array(0), length: setup[6] | (setup[7] << 8),
+            done: (status, data) => { answer = { status, data }; } });
+        board.runWhile(() => answer === null, 50e3);
+        return answer;
+    };
+    assert.equal(control(setupPacket(0, 9, 1, 0, 0)).status, 0);                          // set configuration
+    const serial = control(setupPacket(0x80, 6, 0x303, 0x409, 255));
+    assert.equal(Buffer.from(serial.data.slice(2)).toString('utf16le'), '7A75746C696E6501'); // the flash chip's id
+    assert.equal(control(setupPacket(0x80, 6, 0x3ee, 0x409, 255)).status, -32);           // no such string: STALL
+    assert.equal(control(setupPacket(0, 9, 0, 0, 0)).status, 0);                          // and it goes on
+    assert.equal(usb.toggleErrors + board.chip.usbCtrl.toggleErrors, 0);
+});
+
+test('two runs are the same to the cycle', () => {
+    const state = () => {
+        const board = booted();
+        board.run(60e3);
+        const { core } = board.chip;
+        return { cycles: core.cycles, nanos: board.clock.nanos, registers: [...core.registers],
+            memory: board.chip.sram.reduce((sum, byte) => (Math.imul(sum, 31) + byte) | 0, 0) };
+    };
+    assert.deepEqual(state(), state());
+});
+
+test('no edge is lost at 200 000 counts/s, on four encoders, both ways', () => {
+    const board = booted();
+    const { chip } = board;
+    const pins = [0, 2, 12, 14];
+    const states = [0b00, 0b01, 0b11, 0b10];
+    const start = pins.map((_, axis) => SM_Y(chip, axis));
+    const count = [0, 0, 0, 0];
+    const way = [1, -1, 1, -1];
+    board.plant.alarm.cancel(); // the motors stand still: the pins are ours
+    for (let edge = 0; edge < 8000; edge++) {
+        board.run(board.nowUs + 5);
+        pins.forEach((pin, axis) => {
+            if (edge === 5000 + 300 * axis) way[axis] = -way[axis];
+            count[axis] += way[axis];
+            const state = states[((count[axis] % 4) + 4) % 4];
+            chip.drive(pin, (state & 1) !== 0);
+            chip.drive(pin + 1, (state & 2) !== 0);
+        });
+    }
+    board.run(board.nowUs + 1);
+    chip.pio[0].sync();
+    assert.deepEqual(pins.map((_, axis) => SM_Y(chip, axis) - start[axis]), count);
+    assert.equal(chip.readUint32(0x50200030) & 0xf, 0, 'no state machine saw both pins change');
+    for (const pin of [0, 1]) chip.drive(pin, !chip.gpio[pin].inputValue); // both at once
+    board.run(board.nowUs + 1);
+    assert.equal(chip.readUint32(0x50200030) & 0xf, 1, 'an edge that cannot be told is reported');
+});
+
+test('reading flash while it is not mapped is a fault, writing to it always', () => {
+    const board = booted();
+    assert.throws(() => board.chip.writeUint32(0x10000000, 0), Fault);
+    board.chip.xip = false;
+    assert.throws(() => board.chip.readUint32(0x10000100), Fault);
+    assert.throws(() => board.run(board.nowUs + 1000), Fault); // the main loop is in flash
+});
+
+test('the watchdog bites when the main loop stands still, and every axis starts with that fault, motors off', () => {
+    const board = booted();
+    board.run(board.nowUs + 20e3);
+    board.hang();
+    const hungAt = board.nowUs;
+    board.runWhile(() => board.starts === 1, 1e6);
+    assert.equal(board.starts, 2);
+    assert.ok(board.nowUs - hungAt < 400e3, `bit after ${board.nowUs - hungAt} us`);
+    assert.ok(board.waitForUsb());
+    for (let axis = 0; axis < 4; axis++) {
+        assert.deepEqual(board.axis(axis), { mode: 0, fault: WATCHDOG_FAULT });
+        assert.equal(board.plant.duty(axis), 0);
+    }
+});
+
+test('the watchdog bites when interrupts stay off, too', () => {
+    const board = booted();
+    const { core } = board.chip;
+    board.runWhile(() => core.IPSR !== 0, 1000);
+    board.chip.writeUint16(0x20040000, 0xe7fe); // b .
+    core.PM = true;
+    core.PC = 0x20040000;
+    core.waiting = false;
+    board.runWhile(() => board.starts === 1, 1e6);
+    assert.equal(board.starts, 2);
+});
+
+test('a damaged second stage leads into USB boot, not into the image', () => {
+    const board = booted();
+    board.flash.bytes[17] ^= 4;
+    board.reset();
+    board.run(board.nowUs + 5e3);
+    assert.ok(board.bootloader);
+});
+
+test('the bridges coast until the image drives them, and brake when it has nothing to do', () => {
+    const board = loadBoard(root, { motor });
+    const output = () => [4, 5, 6, 7, 8, 9, 10, 11].map((pin) => board.chip.output(pin));
+    assert.deepEqual(output(), [0, 0, 0, 0, 0, 0, 0, 0]);
+    assert.ok(board.waitForUsb());
+    board.run(board.nowUs + 1000);
+    assert.deepEqual(output(), [1, 1, 1, 1, 1, 1, 1, 1]);
+});
+
+test('control goes on at its rate: one step every 200 us, never more than 2 us late', () => {
+    const board = booted();
+    const handler = symbol(elf, 'control_interrupt') & ~1;
+    const { chip } = board;
+    const at = [];
+    const enter = chip.core.exceptionEntry.bind(chip.core);
+    chip.core.exceptionEntry = (exception) => {
+        enter(exception);
+        if ((chip.core.PC & ~1) === handler) at.push(board.clock.nanos / 1000);
+    };
+    board.run(board.nowUs + 20e3);
+    const gaps = at.slice(1).map((time, i) => time - at[i]);
+    assert.ok(at.length >= 99, `${at.length} steps in 20 ms`);
+    assert.ok(gaps.every((gap) => Math.abs(gap - 200) <= 2), `gaps from ${Math.min(...gaps)} to ${Math.max(...gaps)} us`);
+});
