@@ -11,7 +11,8 @@ typedef struct {
 } field_t;
 
 #define FIELD_F(kind, name, doc)        {(uint8_t)sizeof(tl_wire_##kind##_t), 1U, (uint16_t)offsetof(type_t, name)},
-#define FIELD_A(kind, name, count, doc) {(uint8_t)sizeof(tl_wire_##kind##_t), (count), (uint16_t)offsetof(type_t, name)},
+#define FIELD_A(kind, name, count, doc)                                                                                \
+    {(uint8_t)sizeof(tl_wire_##kind##_t), (count), (uint16_t)offsetof(type_t, name)},
 
 // One function per message, so that offsetof can name its struct by one alias.
 #define FIELDS(code, NAME, name, doc)                                                                                  \

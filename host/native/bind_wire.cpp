@@ -122,7 +122,8 @@ nb::bytes encode(const std::string &wanted, uint16_t sequence, const nb::dict &f
 
 class Parser {
   public:
-    // Every whole frame so far: (name or None, type, sequence, fields); fields are None where the payload is unknown or short.
+    // Every whole frame so far: (name or None, type, sequence, fields); fields are None where the payload is unknown or
+    // short.
     nb::list feed(const nb::bytes &bytes) {
         nb::list frames;
         const auto *data = reinterpret_cast<const uint8_t *>(bytes.c_str());

@@ -154,7 +154,8 @@ static size_t random_request(uint8_t *frame) {
     const uint8_t type = requests[random_u32() % sizeof(requests)];
     const uint32_t kind = random_u32() % 4U; // 0: any bytes
     for (size_t i = 0; i < sizeof(payload); i++) {
-        payload[i] = kind == 0U ? (uint8_t)random_u32() : (random_u32() % 3U == 0U ? (uint8_t)(random_u32() % 30U) : 0U);
+        const uint8_t small = random_u32() % 3U == 0U ? (uint8_t)(random_u32() % 30U) : 0U;
+        payload[i] = kind == 0U ? (uint8_t)random_u32() : small;
     }
     if (kind != 0U) {
         payload[0] = (uint8_t)(random_u32() % 8U == 0U ? 0xFFU : random_u32() % 4U);

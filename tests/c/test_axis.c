@@ -425,6 +425,8 @@ static void test_compensation_needs_a_table_and_starts_without_a_jump(void) {
 static void test_telemetry_is_even_and_every_drop_is_counted(void) {
     const tl_wire_telemetry_t on = {.axis = TL_WIRE_ALL_AXES, .divider = 1};
     TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_TELEMETRY, &on));
+    const tl_wire_telemetry_t slow = {.axis = 1, .divider = 61};
+    TEST_ASSERT_EQUAL(TL_WIRE_REASON_RANGE, fake_ask(TL_WIRE_TELEMETRY, &slow));
     tl_us_t next = 0;
     uint32_t samples = 0;
     for (int i = 0; i < 100; i++) {

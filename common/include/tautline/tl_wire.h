@@ -40,10 +40,11 @@
 #define TL_WIRE_AXES_MAX 4U
 #define TL_WIRE_ALL_AXES 0xFFU ///< accepted as `axis` by enable (off only), safe_stop, clear_fault, telemetry
 #define TL_WIRE_BATCH_SAMPLES 8U ///< telemetry samples in a frame
+#define TL_WIRE_DIVIDER_MAX 60U ///< of telemetry: its period fits 16 bits of microseconds
 #define TL_WIRE_KEY      0x74617574U ///< what reboot asks for, so that no stray byte restarts a board
 
-// Field lists: F(kind, name, doc) is one value, A(kind, name, count, doc) an array. Kinds: u8 u16 u32 u64 i8 i16 i32, and
-// text (count bytes, padded with 0). Suffixes as in tl_fixed.h; _q8 counts, _q16 deg, _q12 px, _q15 ratio or duty.
+// Field lists: F(kind, name, doc) is one value, A(kind, name, count, doc) an array. Kinds: u8 u16 u32 u64 i8 i16 i32,
+// and text (count bytes, padded with 0). Suffixes as in tl_fixed.h; _q8 counts, _q16 deg, _q12 px, _q15 ratio or duty.
 
 // -- host to board ----------------------------------------------------------------------------------------------
 
@@ -110,7 +111,7 @@
 
 #define TL_WIRE_FIELDS_TELEMETRY(F, A)                                                                                 \
     F(u8, axis, "or all")                                                                                              \
-    F(u8, divider, "1: 1 kHz, n: 1 kHz / n, 0: off. Off after a reset of board or bus")
+    F(u8, divider, "1: 1 kHz, n: 1 kHz / n up to 60, 0: off. Off after a reset of board or bus")
 
 #define TL_WIRE_FIELDS_MARKER(F, A)                                                                                    \
     F(u8, valid, "0: the frame shows no marker")                                                                       \
@@ -297,7 +298,7 @@
     M(0x85, COUNTERS, counters, "")                                                                                    \
     M(0x90, BATCH, batch, "unasked: telemetry of one axis")                                                            \
     M(0x91, ONSET, onset, "unasked: one reversal, during a calibration motion")                                        \
-    M(0x92, PROGRESS, progress, "unasked: after each reversal and at the end of the motion")                                \
+    M(0x92, PROGRESS, progress, "unasked: after each reversal and at the end of the motion")                           \
     M(0x93, EVENT, event, "unasked")
 
 // -- codes: C(code, NAME, text) ---------------------------------------------------------------------------------
@@ -438,8 +439,9 @@ TL_WIRE_CODES_(BOOTS, boot, TL_WIRE_BOOT_)
 /// Bytes of payload of a message of this type, 0 where the type is unknown. O(1).
 size_t tl_wire_size(uint8_t type);
 
-/// Writes a whole frame into `out` (room for TL_WIRE_FRAME_MAX) and returns its size; `message` is the struct of `type`.
-/// Returns 0, having written nothing, where the type is unknown. O(size), about 25 cycles a byte on a Cortex-M0+.
+/// Writes a whole frame into `out` (room for TL_WIRE_FRAME_MAX) and returns its size; `message` is the struct of
+/// `type`. Returns 0, having written nothing, where the type is unknown. O(size), about 25 cycles a byte on a
+/// Cortex-M0+.
 size_t tl_wire_frame(uint8_t *out, uint8_t type, uint16_t sequence, const void *message);
 
 /// Reads a payload of `size` bytes into the struct of `type`; false (nothing written) where it is unknown or too short.

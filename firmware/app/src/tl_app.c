@@ -164,7 +164,7 @@ static void send_samples(tl_app_t *app, tl_axis_t *axis) {
         tl_wire_batch_t batch = {
             .axis = axis->index,
             .count = TL_WIRE_BATCH_SAMPLES,
-            .period_us = (uint16_t)(divider * 1000U > UINT16_MAX ? UINT16_MAX : divider * 1000U),
+            .period_us = (uint16_t)(divider * 1000U),
             .t_us = axis->samples[axis->sample_tail % TL_AXIS_SAMPLES].t_us,
         };
         for (unsigned i = 0; i < TL_WIRE_BATCH_SAMPLES; i++) {

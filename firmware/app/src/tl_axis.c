@@ -417,9 +417,9 @@ static void sample(tl_axis_t *axis, tl_us_t now_us) {
     axis->sample_head = axis->sample_head + 1U;
 }
 
-// What is done once a millisecond, each in a tick of its own where there are enough of them. The play operator's result does
-// not depend on how often it is stepped, but for a reversal's tip: 0.03 counts at 200 000 counts/s2. So is the error
-// of the history, which joins its points by straight lines.
+// What is done once a millisecond, each in a tick of its own where there are enough of them. The play operator's result
+// does not depend on how often it is stepped, but for a reversal's tip: 0.03 counts at 200 000 counts/s2. So is the
+// error of the history, which joins its points by straight lines.
 static void by_the_millisecond(tl_axis_t *axis, tl_us_t now_us) {
     axis->phase += 1000U;
     axis->slot++;

@@ -128,6 +128,9 @@ static uint8_t clear_fault(tl_axis_t *axis) {
 }
 
 static uint8_t telemetry(tl_axis_t *axis, uint8_t divider) {
+    if (divider > TL_WIRE_DIVIDER_MAX) {
+        return TL_WIRE_REASON_RANGE;
+    }
     axis->divider = divider;
     axis->skipped = 0;
     axis->sample_tail = axis->sample_head; // a batch holds samples of one period

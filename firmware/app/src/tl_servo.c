@@ -45,7 +45,8 @@ void tl_servo_watch(tl_servo_t *servo, tl_count_q8_t q) {
         return;
     }
     servo->predicted += scale(residual, servo->alpha, 15);
-    servo->velocity = tl_clamp(servo->velocity + scale(residual, servo->beta, 7), -TL_SERVO_SPEED_MAX, TL_SERVO_SPEED_MAX);
+    const int32_t velocity = servo->velocity + scale(residual, servo->beta, 7);
+    servo->velocity = tl_clamp(velocity, -TL_SERVO_SPEED_MAX, TL_SERVO_SPEED_MAX);
 }
 
 tl_duty_q15_t tl_servo_step(tl_servo_t *servo, tl_count_q8_t q, tl_count_q8_t reference, int32_t velocity,

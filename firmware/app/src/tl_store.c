@@ -4,7 +4,8 @@
 
 #include "tautline/tl_crc.h"
 
-// A slot: one page that begins with five words (magic, sequence, size, CRC of the blob, CRC of the words), then the blob.
+// A slot: one page that begins with five words (magic, sequence, size, CRC of the blob, CRC of the words), then the
+// blob.
 #define MAGIC       0x544F4C53U // "SLOT"
 #define WORDS       5U
 #define HEADER_SIZE (4U * WORDS)

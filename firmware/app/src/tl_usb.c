@@ -168,9 +168,9 @@ bool tud_vendor_control_xfer_cb(uint8_t port, uint8_t stage, tusb_control_reques
 
 // -- set-up packets -----------------------------------------------------------------------------------------------
 
-// TinyUSB 0.18 believes a request's direction bit: GET_DESCRIPTOR sent as OUT has the host write into the descriptor, GET_STATUS
-// into a stack frame that is gone. Every port links with --wrap=dcd_event_handler, so that such a packet comes here
-// first and is turned into a type of request that does not exist: TinyUSB then stalls it.
+// TinyUSB 0.18 believes a request's direction bit: GET_DESCRIPTOR sent as OUT has the host write into the descriptor,
+// GET_STATUS into a stack frame that is gone. Every port links with --wrap=dcd_event_handler, so that such a packet
+// comes here first and is turned into a type of request that does not exist: TinyUSB then stalls it.
 void __real_dcd_event_handler(dcd_event_t const *event, bool in_isr);
 void __wrap_dcd_event_handler(dcd_event_t const *event, bool in_isr);
 

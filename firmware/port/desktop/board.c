@@ -209,5 +209,6 @@ void board_place(uint8_t axis, int32_t q_q8) {
     const int32_t before = motor_counts(&motors[axis]);
     motors[axis].position = q_q8 / 256.0;
     motors[axis].speed = 0.0;
-    encoder_zero[axis] = (int32_t)((uint32_t)encoder_zero[axis] + (uint32_t)motor_counts(&motors[axis]) - (uint32_t)before);
+    const uint32_t moved = (uint32_t)motor_counts(&motors[axis]) - (uint32_t)before;
+    encoder_zero[axis] = (int32_t)((uint32_t)encoder_zero[axis] + moved);
 }

@@ -158,8 +158,9 @@ int main(int argc, char **argv) {
     if (1000000U % board.control_hz != 0U || 1000000U / board.control_hz % 25U != 0U) {
         usage("--rate takes a rate whose period is a multiple of 25 us, such as 1000, 2000, 2500, 4000, 5000 or 10000");
     }
-    if (board.serial[0] == '\0' || strlen(board.serial) > 31U ||
-        strspn(board.serial, "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-") != strlen(board.serial)) {
+    const size_t length = strlen(board.serial);
+    if (length == 0U || length > 31U ||
+        strspn(board.serial, "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-") != length) {
         usage("--serial takes at most 31 letters, digits and hyphens");
     }
     if (!board_open(&board)) {

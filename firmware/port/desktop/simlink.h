@@ -1,5 +1,5 @@
-// The sim link: what a simulated instrument and its tests need of the desktop board's world. TCP, one request a line, one
-// JSON object a line back; docs/protocol.md lists the requests.
+// The sim link: what a simulated instrument and its tests need of the desktop board's world. TCP, one request a line,
+// one JSON object a line back; docs/protocol.md lists the requests.
 #ifndef SIMLINK_H
 #define SIMLINK_H
 

@@ -1,8 +1,8 @@
 /// The board's application: axes, calibration, tables and the host's requests. Knows its hardware by tl_port.h alone.
 ///
-/// Use: tl_app_init() once; then tl_app_control() at port->control_hz from a timer, and in the main loop tl_app_task() with
-/// whatever moves bytes (tl_usb_task). All but tl_app_control() belong to the task. One structure holds everything; it
-/// must stay where it is. No function blocks but those that write flash (up to 0.5 s, motors off).
+/// Use: tl_app_init() once; then tl_app_control() at port->control_hz from a timer, and in the main loop tl_app_task()
+/// with whatever moves bytes (tl_usb_task). All but tl_app_control() belong to the task. One structure holds
+/// everything; it must stay where it is. No function blocks but those that write flash (up to 0.5 s, motors off).
 #ifndef TAUTLINE_TL_APP_H
 #define TAUTLINE_TL_APP_H
 
@@ -66,7 +66,8 @@ typedef struct {
     tl_us_t polled_us;
 } tl_app_t;
 
-/// Loads the tables; a board that the watchdog restarted, or whose stored tables are all damaged, starts with that fault.
+/// Loads the tables; a board that the watchdog restarted, or whose stored tables are all damaged, starts with that
+/// fault.
 void tl_app_init(tl_app_t *app, const tl_port_t *port);
 
 /// The control step of all axes.

@@ -1,9 +1,10 @@
-/// Reference of one axis: follows a target within limits on speed and acceleration, and without lag where they allow it.
+/// Reference of one axis: follows a target within limits on speed and acceleration, and without lag where they allow
+/// it.
 ///
 /// Position and speed have 24 fractional bits (60 nano-counts), so that slow motion is smooth. Approaching a target it
-/// brakes by the speed relative to the target's own, so that a moving target is caught up with, not trailed. A step has no
-/// division and no library call: none of its 32 x 32 -> 64 products while the target is followed exactly, five at most.
-/// Control step only, but for tl_reference_limits().
+/// brakes by the speed relative to the target's own, so that a moving target is caught up with, not trailed. A step has
+/// no division and no library call: none of its 32 x 32 -> 64 products while the target is followed exactly, five at
+/// most. Control step only, but for tl_reference_limits().
 #ifndef TAUTLINE_TL_REFERENCE_H
 #define TAUTLINE_TL_REFERENCE_H
 

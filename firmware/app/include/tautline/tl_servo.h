@@ -2,9 +2,9 @@
 ///
 ///     duty = kp e + ki int(e) + kd (v_ref - v) + kff v_ref + inertia dv_ref/dt + friction sign(v_ref)
 ///
-/// v comes from an alpha-beta filter over the encoder (critically damped, TL_SERVO_FILTER_HZ). The integral is held while
-/// the drive is saturated, and at rest within a count of the reference, so that static friction makes no limit cycle.
-/// Cost of a step: eleven 32-bit products, no division; about 200 cycles on a Cortex-M0+. Control step only.
+/// v comes from an alpha-beta filter over the encoder (critically damped, TL_SERVO_FILTER_HZ). The integral is held
+/// while the drive is saturated, and at rest within a count of the reference, so that static friction makes no limit
+/// cycle. Cost of a step: eleven 32-bit products, no division; about 200 cycles on a Cortex-M0+. Control step only.
 #ifndef TAUTLINE_TL_SERVO_H
 #define TAUTLINE_TL_SERVO_H
 
@@ -50,8 +50,8 @@ void tl_servo_reset(tl_servo_t *servo, tl_count_q8_t q);
 /// Takes in the position only, while the motor is off. As tl_servo_step, without an output.
 void tl_servo_watch(tl_servo_t *servo, tl_count_q8_t q);
 
-/// One tick. `reference` and `velocity` (counts/s Q8, within TL_SERVO_SPEED_MAX) are where the axis should be and how fast;
-/// `limit`: most drive, 0 to 32768. Positions within +-4 M counts. Returns the duty.
+/// One tick. `reference` and `velocity` (counts/s Q8, within TL_SERVO_SPEED_MAX) are where the axis should be and how
+/// fast; `limit`: most drive, 0 to 32768. Positions within +-4 M counts. Returns the duty.
 tl_duty_q15_t tl_servo_step(tl_servo_t *servo, tl_count_q8_t q, tl_count_q8_t reference, int32_t velocity,
                             tl_duty_q15_t limit);
 

@@ -1,7 +1,7 @@
 /// USB side of the app: descriptors and class callbacks on TinyUSB, the same on every port.
 ///
-/// Interface 0, vendor: bulk 0x01 OUT and 0x81 IN carry tl_wire.h's frames. Interface 1, DFU mode: alternate setting n is
-/// the table of axis n; a download is checked and stored when it is complete, an upload gives the table in use.
+/// Interface 0, vendor: bulk 0x01 OUT and 0x81 IN carry tl_wire.h's frames. Interface 1, DFU mode: alternate setting n
+/// is the table of axis n; a download is checked and stored when it is complete, an upload gives the table in use.
 /// bcdDevice is the protocol version, major.minor. Windows loads WinUSB by the MS OS 2.0 descriptors.
 #ifndef TAUTLINE_TL_USB_H
 #define TAUTLINE_TL_USB_H
