@@ -8,7 +8,7 @@
 #define COUNTS(x) ((tl_count_q8_t)((x) * TL_COUNT_ONE))
 #define RATE      1000U
 
-static tl_lookup_t rising, falling, identity, narrow;
+static tl_lookup_t rising, falling, identity, narrow, other;
 static tl_compensator_t k;
 
 static void load(tl_lookup_t *lookup, const tl_table_t *table) {
@@ -170,6 +170,72 @@ static void test_nothing_that_is_switched_makes_the_axis_jump(void) {
     SWITCH(tl_compensator_start(&k, &rising, RATE, TL_MODE_FULL, q, c), 500 + 150);
 }
 
+// A limited feed is not delayed by a slow take-up, and a table's lower limits count as soon as it has braked.
+static void test_a_new_table_s_limits_are_kept_after_braking(void) {
+    tl_table_t table = table_fixture(1);
+    table.takeup_speed_q8 = COUNTS(500); // 0.5 counts a tick
+    load(&other, &table);
+    start(&rising, TL_MODE_FULL, 0);
+    (void)hold(angle(&rising, COUNTS(1000)), 500);
+    (void)hold(angle(&rising, COUNTS(990)), 40); // 4 counts a tick by now
+    tl_compensator_set_table(&k, &other);
+    int32_t q = hold(angle(&rising, COUNTS(990)), 45);
+    for (int tick = 0; tick < 2000; tick++) {
+        const int32_t next = tl_compensator_step(&k, angle(&rising, COUNTS(990)));
+        TEST_ASSERT_INT32_WITHIN(COUNTS(1) / 2 + 1, q, next);
+        q = next;
+    }
+    TEST_ASSERT_INT32_WITHIN(4, COUNTS(990 - 150), q);
+}
+
+// Another law gives another p for the same c. That is no motion: the side stays.
+static void test_changing_the_law_is_no_reversal(void) {
+    tl_table_t table = table_fixture(1);
+    table.coarse_c_min = -50 * TL_DEG_ONE;
+    table.coarse_c_max = 50 * TL_DEG_ONE; // the coarse p of a positive c is larger than f's
+    load(&other, &table);
+    const tl_deg_q16_t c = angle(&other, COUNTS(1000));
+    tl_compensator_start(&k, &other, RATE, TL_MODE_FULL, 0, 0);
+    (void)hold(c, 500);
+    for (int turn = 0; turn < 6; turn++) {
+        tl_compensator_set_mode(&k, turn % 2 ? TL_MODE_FULL : TL_MODE_BACKLASH);
+        (void)hold(c + 16, 500);
+        TEST_ASSERT_EQUAL_INT(1, k.side);
+    }
+    TEST_ASSERT_INT32_WITHIN(COUNTS(1), COUNTS(1000 + 150), k.q);
+    tl_compensator_set_mode(&k, TL_MODE_BACKLASH); // and the furthest point moved along: this is a reversal
+    (void)hold(c - 1000 * 12, 500);
+    TEST_ASSERT_EQUAL_INT(-1, k.side);
+}
+
+// Ten flat spans of 64 counts in the middle, at 640 counts/s: a second. Elsewhere 20 counts a tick.
+static void test_flat_spans_are_crossed_at_the_flat_speed_both_ways(void) {
+    tl_table_t table = table_fixture(1);
+    const unsigned first = 74, count = 10;
+    for (unsigned i = 0; i < table.nodes; i++) {
+        const unsigned flat = i <= first ? 0 : (i < first + count ? i - first : count);
+        table.angle[i] -= (int32_t)flat * (50332 - 40);
+    }
+    table.slope_min_q28 = 4096; // 64 of the last bit a span
+    table.flat_speed_q8 = COUNTS(640);
+    load(&other, &table);
+    const int32_t low = table.q0 + (int32_t)(first << 14), high = low + (int32_t)(count << 14);
+    start(&other, TL_MODE_FULL, low - COUNTS(1000));
+    for (int way = 0; way < 2; way++) {
+        const int32_t goal = way == 0 ? high + COUNTS(1000) : low - COUNTS(1000);
+        int within = 0, outside = 0;
+        while (tl_clamp(goal - k.p, -COUNTS(1), COUNTS(1)) != goal - k.p && within + outside < 3000) {
+            const int32_t before = k.p;
+            (void)tl_compensator_step(&k, angle(&other, goal));
+            const bool in_flat = (before > low && before < high) || (k.p > low && k.p < high);
+            in_flat ? within++ : outside++;
+            TEST_ASSERT_INT32_WITHIN(in_flat ? COUNTS(640) / 1000 + 1 : COUNTS(20), before, k.p);
+        }
+        TEST_ASSERT_INT_WITHIN(5, 1000, within);
+        TEST_ASSERT_INT_WITHIN(5, 100, outside);
+    }
+}
+
 static void test_switching_on_within_the_backlash_moves_nothing(void) {
     for (int offset = -150; offset <= 150; offset += 50) {
         tl_compensator_start(&k, &rising, RATE, TL_MODE_FULL, COUNTS(1000 + offset), angle(&rising, COUNTS(1000)));
@@ -215,6 +281,15 @@ static void test_an_axis_outside_its_range_is_only_led_inwards(void) {
         q = next;
     }
     TEST_ASSERT_EQUAL_INT32(COUNTS(1000), q);
+    tl_compensator_start(&k, &narrow, RATE, TL_MODE_FULL, COUNTS(-1500), INT32_MIN);
+    q = k.q;
+    for (int tick = 0; tick < 500; tick++) {
+        const int32_t next = tl_compensator_step(&k, INT32_MIN);
+        TEST_ASSERT_TRUE(next >= q && next <= COUNTS(-1000));
+        TEST_ASSERT_TRUE(next - q <= COUNTS(10) + 1);
+        q = next;
+    }
+    TEST_ASSERT_EQUAL_INT32(COUNTS(-1000), q);
 }
 
 static void test_the_feed_is_held_back_by_the_speed_limit_alone(void) {
@@ -259,6 +334,9 @@ int main(void) {
     RUN_TEST(test_turning_back_half_way_brakes_first);
     RUN_TEST(test_jitter_within_the_band_never_crosses);
     RUN_TEST(test_nothing_that_is_switched_makes_the_axis_jump);
+    RUN_TEST(test_a_new_table_s_limits_are_kept_after_braking);
+    RUN_TEST(test_changing_the_law_is_no_reversal);
+    RUN_TEST(test_flat_spans_are_crossed_at_the_flat_speed_both_ways);
     RUN_TEST(test_switching_on_within_the_backlash_moves_nothing);
     RUN_TEST(test_switching_on_far_from_the_command_travels_within_limits);
     RUN_TEST(test_commands_beyond_the_table_saturate_and_say_so);

@@ -51,6 +51,21 @@ static void test_interpolation_is_rounded_to_nearest(void) {
     TEST_ASSERT_INT32_WITHIN(1, 0, tl_lerp(TL_TABLE_VALUE_MAX, -TL_TABLE_VALUE_MAX, 0x8000));
 }
 
+static void test_fine_interpolation_is_rounded_to_nearest_too(void) {
+    uint32_t seed = 11;
+    for (int i = 0; i < 20000; i++) {
+        seed = seed * 1664525U + 1013904223U;
+        const int32_t a = (int32_t)(seed >> 2) - (1 << 29);
+        seed = seed * 1664525U + 1013904223U;
+        const int32_t b = i % 2 ? (int32_t)(seed >> 2) - (1 << 29) : a + (int32_t)(seed >> 8) - (1 << 23);
+        const unsigned log2 = 17U + (unsigned)i % 7U;
+        seed = seed * 1664525U + 1013904223U;
+        const int64_t t = seed >> (32U - log2), difference = (int64_t)b - a;
+        const int64_t twice = (2 * difference * t) >> log2; // rounded down: half of it is within 1 of the nearest
+        TEST_ASSERT_INT64_WITHIN(1, 2 * (int64_t)a + twice, 2 * (int64_t)tl_lerp_fine(a, b, (uint32_t)t, log2));
+    }
+}
+
 static void test_a_scale_is_the_ratio(void) {
     static const uint32_t values[] = {1, 2, 3, 7, 255, 256, 65535, 65537, 1U << 23, 0x3FFFFFFF, 0x7FFFFFFF};
     const size_t count = sizeof values / sizeof values[0];
@@ -174,6 +189,7 @@ int main(void) {
     RUN_TEST(test_sums_saturate);
     RUN_TEST(test_the_upper_half_of_a_product_is_exact);
     RUN_TEST(test_interpolation_is_rounded_to_nearest);
+    RUN_TEST(test_fine_interpolation_is_rounded_to_nearest_too);
     RUN_TEST(test_a_scale_is_the_ratio);
     RUN_TEST(test_nodes_are_exact_and_the_ends_are_held);
     RUN_TEST(test_a_falling_f_flags_the_end_in_p);

@@ -241,6 +241,27 @@ def test_the_take_up_takes_no_longer_than_its_limits_ask() -> None:
     assert ideal - 2 <= ticks <= ideal + 4
 
 
+@given(
+    st.floats(0.5, 400).map(lambda width: int(width * COUNT)),
+    st.integers(10, 20_000),
+    st.floats(0.3, 3.0),
+    st.sampled_from([1000, 5000, 10000]),
+)
+@settings(max_examples=100)
+def test_the_take_up_arrives_without_turning_back(width: int, speed: int, ramp: float, rate: int) -> None:
+    reference = replace(
+        simple(takeup_speed_q8=speed * 256, takeup_accel=int(speed * 10**ramp)), width=np.full(158, width)
+    )
+    k = _native.FixedCompensator(table_of(reference), rate, FULL, 0, 0)
+    turn, back = (np.int32(reference.angle_at(np.array(p))) for p in (50_000.0, 49_000.0))
+    ticks = int(2 * rate * (width / COUNT / speed + 10**-ramp)) + 400
+    k.run(np.linspace(0, turn, 500).astype(np.int32))
+    k.run(np.full(ticks, turn))
+    q, _, _, flags = k.run(np.full(ticks, back))
+    assert np.all(np.diff(q) <= 0)
+    assert k.rest == 0 and not flags[-1] & FLAG["TAKE_UP"]
+
+
 def test_a_slow_feed_is_exact_over_time() -> None:
     """0.1 count/s at 10 kHz: 0.0026 of the last bit a tick."""
     steep = simple(flat_speed_q8=26, slope_min_q28=int(0.02 * 2**28))  # f is flat everywhere by this measure
