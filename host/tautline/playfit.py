@@ -27,7 +27,7 @@ View = Callable[[Array, Array, Array], tuple[Array, Array]]
 _STIFF = 1e4  # cost, in sigma^2, of a neighbour difference that is off its limit by the whole limit
 _GAIN = 0.2  # sigma^2: an iteration that gains less is the last but one
 NODES = 1025  # of the tables that fits and models use
-_SLOPE_S = 0.004  # half the interval over which the motor's speed is taken
+_SLOPE_S = 0.004  # least half interval over which the motor's speed is taken
 
 
 @dataclass(frozen=True)
@@ -59,11 +59,13 @@ class Frozen:
     corner_t: Array
     corner_q: Array
     use: Mask  # frames that count
+    half_s: float  # half the interval over which the motor's speed is taken
 
     @classmethod
     def of(cls, track: Track, use: Mask | None = None) -> Frozen:
         times, positions = corners(track.motor)
-        return cls(track, times, positions, np.ones(len(track.t_s), bool) if use is None else use)
+        half_s = max(_SLOPE_S, float(np.median(np.diff(track.motor.t_s)))) if len(track.motor.t_s) > 1 else _SLOPE_S
+        return cls(track, times, positions, np.ones(len(track.t_s), bool) if use is None else use, half_s)
 
     def simulate(self, grid: Array, width: Array, delay_s: float) -> Simulated:
         track = self.track
@@ -81,8 +83,7 @@ class Frozen:
         other, other_side, _ = _native.play_trace(positions, grid, width, far)
         known = (np.abs(p - other) < 1e-9 * (grid[-1] - grid[0]))[at] & track.within_motor(scene)
         both = np.logical_or.accumulate(side == -1) & np.logical_or.accumulate(other_side == 1)
-        period = max(_SLOPE_S, float(np.median(np.diff(track.motor.t_s))))
-        speed = (track.motor_at(scene + period) - track.motor_at(scene - period)) / (2 * period)
+        speed = (track.motor_at(scene + self.half_s) - track.motor_at(scene - self.half_s)) / (2 * self.half_s)
         return Simulated(p[at], known, known & both[at], side[at], anchor[at] == at, speed)
 
 
