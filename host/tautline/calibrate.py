@@ -95,6 +95,12 @@ def onset_json(onset: Onset, names: Sequence[str]) -> dict[str, Any]:
     }
 
 
+def jumping(onsets: Sequence[Onset]) -> bool:
+    """Whether the image jumps at most onsets: no joint fit knows that."""
+    widths = [o for o in onsets if o.used and o.kind in (HINGE, BRACKET)]
+    return 2 * sum(o.kind == BRACKET for o in widths) > len(widths)
+
+
 def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
@@ -143,7 +149,7 @@ class _Session:
         onsets = find_onsets(self.tracks, self.rig, delay.delay_s, delay.sigma_s)
         curve = fit_widths(onsets, self.grid)
         self.say(0.35, "passes")
-        joint, passes = self._smooth(delay, curve)
+        joint, passes = self._smooth(onsets, delay, curve)
         if joint is not None and joint.fit.fit_delay:
             before, delay = delay, self._joint_delay(delay, joint)
             if abs(before.delay_s - delay.delay_s) > 1e-4:
@@ -174,13 +180,15 @@ class _Session:
 
     # ---- B
 
-    def _smooth(self, delay: Delay, curve: WidthCurve | None) -> tuple[Fitted | None, Fitted | None]:
+    def _smooth(
+        self, onsets: Sequence[Onset], delay: Delay, curve: WidthCurve | None
+    ) -> tuple[Fitted | None, Fitted | None]:
         frozen = freeze(self.tracks, delay.delay_s)
         fit_delay = self.camera and self.options.delay_s is None
         joint = fit_jointly(frozen, self.domain, delay.delay_s, fit_delay=fit_delay, guess=curve)
         if joint is None:
             return None, None
-        if fit_delay and not self._explained(joint) and delay.stops:
+        if fit_delay and delay.stops and (jumping(onsets) or not self._explained(joint)):
             # What the model does not know would bend the delay: the image stops tell it alone.
             joint.fit.fit_delay = False
             joint = joint.fit.solve(replace(joint.curves, delay_s=delay.delay_s))
@@ -222,7 +230,8 @@ class _Session:
         z = self._against(widths, curve, width, sigma)
         self.evidence["onsets_against_joint_z2"] = float(np.mean(z**2))
         self.evidence["joint_residual_over_noise"] = joint.scale
-        if self._explained(joint) or float(np.mean(z**2)) < _AGREE or not self._contradicted(widths, curve, passes):
+        agreed = self._explained(joint) or float(np.mean(z**2)) < _AGREE
+        if not jumping(widths) and (agreed or not self._contradicted(widths, curve, passes)):
             return width, sigma, JOINT
         self.notes.append("the passes contradict the onsets: B(q) is the onsets' alone")
         return self._filled(widths, curve, joint, passes)
@@ -237,10 +246,7 @@ class _Session:
         return low < high and self._moves()
 
     def _contradicted(self, widths: Sequence[Onset], curve: WidthCurve, passes: Fitted | None) -> bool:
-        """Whether onsets and passes, where both say something, differ by more than noise and by more than a little; or
-        whether the image jumps at the onsets, which no joint fit knows."""
-        if 2 * sum(o.kind == BRACKET for o in widths) > len(widths):
-            return True
+        """Whether onsets and passes, where both say something, differ by more than noise and by more than a little."""
         if passes is None or self._gradual(widths, passes):
             return False
         low, high = overlap(passes)

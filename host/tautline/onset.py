@@ -22,6 +22,7 @@ HINGE, BRACKET, BOUND, NONE = "hinge", "bracket", "bound", "none"
 _LONGEST = 160  # frames after the onset that one hinge takes in
 _BEFORE = 24  # frames before the turn that tell when the image stopped
 _JUMP = 8.0  # sigma: a quantised sensor's steps are no jumps
+_JUMPS_TOGETHER = 8.0  # mean chi-square that jumps explain; 1 to 3 where there are none
 _SUDDEN = 0.35  # of the window's mean slope: a path that starts slower is no hinge but a bend
 _NOMINAL_S = 0.03  # standard deviation of a nominal delay
 _PER_TERM = 3.5  # chi-square that one more term of a path must explain: between AIC (2) and BIC (4.5)
@@ -45,6 +46,7 @@ class Onset:
     used: bool
     reason: str = ""  # why it is not used
     slope: float = np.nan  # px (or deg) per unit of q at which the tip starts
+    jump: float = 0.0  # chi-square that a jump of the image at the onset explains
 
     @property
     def width(self) -> float:
@@ -206,7 +208,9 @@ def _tail(z: Array) -> int:
         return 0
     along = np.convolve(z @ way / np.linalg.norm(way), np.ones(3) / 3, mode="valid")
     lowest = along.min()
-    return int(np.argmax(along < lowest + 3.0)) if along[0] > lowest + 8.0 else 0
+    depth = along[0] - lowest
+    at_once = along[0] - along[min(3, len(along) - 1)] > max(3.0, 0.2 * depth)  # a jump back comes later, at the onset
+    return int(np.argmax(along < lowest + 3.0)) if depth > 8.0 and at_once else 0
 
 
 def _departure(z: Array) -> int | None:
@@ -279,7 +283,9 @@ def _onset(number: int, track: Track, before: _Stroke, after: _Stroke, rig: Rig,
     at = _time_at(track, after, width)
     onset = Onset(
         number, after.start_s, at, after.direction, after.q1, after.q1 + after.direction * width, max(sigma, 1e-9),
-        jump.low, jump.high, kind, True, slope=float(np.linalg.norm(hinge.slope * track.sigma[after.frames[0]])),
+        jump.low, jump.high, kind, True,
+        slope=float(np.linalg.norm(hinge.slope * track.sigma[after.frames[0]])),
+        jump=gain if jump.size > _JUMP else 0.0,
     )  # fmt: skip
     if kind == BRACKET:
         onset = _as_bracket(onset)
@@ -295,10 +301,11 @@ def _as_bracket(onset: Onset) -> Onset:
 
 
 def _pooled_jumps(onsets: list[Onset]) -> list[Onset]:
-    """A jump at the onset belongs to the rig: where most reversals show it, the others are brackets as well."""
+    """A jump at the onset belongs to the rig: where most reversals show it, or all together do, all are brackets."""
     fitted = [o for o in onsets if o.kind in (HINGE, BRACKET) and o.used]
     jumping = sum(o.kind == BRACKET for o in fitted)
-    if 2 * jumping <= len(fitted):
+    together = len(fitted) >= 8 and float(np.mean([min(o.jump, 100.0) for o in fitted])) > _JUMPS_TOGETHER
+    if 2 * jumping <= len(fitted) and not together:
         return onsets
     return [_as_bracket(o) if o.kind == HINGE and o.used else o for o in onsets]
 

@@ -95,6 +95,15 @@ def test_a_registration_that_tilts_with_the_motion_leaves_the_widths_alone(noise
     assert min(direct) > 4.0
 
 
+@pytest.mark.parametrize("tilt", [-1.5, 0.15])
+def test_a_tilt_the_other_way_or_a_tenth_of_it_too(tilt, monkeypatch):
+    monkeypatch.setattr(scenes, "TILT_DEG", tilt)
+    found = calibrate([scenes.fig7_recording(613, noise_px=0.03)], scenes.fig7_rig())
+    inside = (found.model.q > found.model.measured[0]) & (found.model.q < found.model.measured[1])
+    print(f"tilt {tilt} deg: mean |error| {np.abs(found.model.width - 15.0)[inside].mean():.4f} deg")
+    assert np.abs(found.model.width - 15.0)[inside].max() < 0.06
+
+
 def falling_rig() -> Rig:
     return replace(RIG, actuator=Actuator("deg", (-20.0, 60.0), 0.02), coarse=Coarse(-1.3, 26.0)).with_camera(
         frame_rate_hz=15.0, delay_s=0.05
