@@ -1,0 +1,131 @@
+"""The emulated image against the desktop board: the same calibration gives the same tables, damaged tables are told."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tautline import tables, wire
+from tautline.board import open_board
+from tautline.instrument import preset
+from tautline.live import Live, PointEye
+from tautline.model import Model
+from tautline.session import MotionOptions, calibrate_live
+from tautline.simlink import PROGRAM, DesktopBoard, Plant
+
+ROOT = Path(__file__).resolve().parents[2]
+EMULATED = ROOT / "tools" / "emulator" / "board.js"
+SECTOR = 4096
+
+
+@pytest.fixture
+def emulated(monkeypatch: pytest.MonkeyPatch) -> None:
+    if not (ROOT / "build" / "rp2040" / "tautline.bin").is_file():
+        pytest.skip("the image is not built: run './run firmware'")
+    monkeypatch.setenv(PROGRAM, str(EMULATED))
+
+
+def calibrated() -> tuple[Model, float]:
+    """The model of the reference instrument as this board measures it, and how long the axis moved, s."""
+    with DesktopBoard() as process, open_board(process.where) as board, tempfile.TemporaryDirectory() as folder:
+        link = process.link()
+        instrument = preset("reference")
+        plant = Plant(link, instrument)
+        live = Live(board, instrument.rig, 0, PointEye(plant), plant)
+        options = MotionOptions(cycles=3, speeds=(0.7,))
+        found, motion = calibrate_live(live, Path(folder) / "recording", options, video=False)
+        link.close()
+        assert all(onset["used"] for onset in motion.onsets) and len(motion.onsets) >= 12
+        return found.model, plant.now_s
+
+
+def test_a_calibration_gives_the_desktop_boards_tables(request: pytest.FixtureRequest) -> None:
+    desktop, _ = calibrated()
+    request.getfixturevalue("emulated")
+    image, moved_s = calibrated()
+    assert moved_s <= 120.0
+    count = desktop.rig.actuator.encoder_resolution
+    inside = (desktop.q > max(desktop.measured[0], image.measured[0])) & (
+        desktop.q < min(desktop.measured[1], image.measured[1])
+    )
+    width = np.interp(desktop.q, image.q, image.width) - desktop.width
+    slope = np.gradient(desktop.c_deg, desktop.q)
+    angle = (np.interp(desktop.q, image.q, image.c_deg) - desktop.c_deg) / slope
+    print(f"largest difference: B {np.abs(width[inside]).max() / count:.2f} counts, "
+          f"f_remain {np.abs(angle[inside]).max() / count:.2f} counts")  # fmt: skip
+    assert np.abs(width[inside]).max() <= 2.0 * count
+    assert np.abs(angle[inside]).max() <= 2.0 * count
+
+
+def blob(scale: float) -> bytes:
+    instrument = preset("reference")
+    q = np.linspace(-5.0, 5.0, 257)
+    width = scale * instrument.backlash(q)
+    model = Model(instrument.rig, q, width, np.full_like(q, 0.001), instrument.bend(q), 0.08, (-4.5, 4.5))
+    return tables.encode(model, axis=0, created_s=0)
+
+
+@pytest.mark.usefixtures("emulated")
+def test_a_flipped_bit_in_a_slot_leaves_the_other_table_or_a_fault(tmp_path: Path) -> None:
+    flash = tmp_path / "flash.bin"
+    old, new = blob(1.0), blob(0.5)
+    with DesktopBoard(flash=flash) as process, open_board(process.where) as board:
+        board.load_table(0, old)
+        board.load_table(0, new)
+    stored = flash.read_bytes()
+    slots = [stored[:SECTOR], stored[SECTOR : 2 * SECTOR]]
+    newest = next(i for i, slot in enumerate(slots) if new in slot)
+    rng = np.random.default_rng(11)
+    for hurt in ([newest], [1 - newest], [0, 1]):
+        damaged = bytearray(stored)
+        for slot in hurt:
+            content = slots[slot]
+            start = content.index(new if slot == newest else old)
+            bit = int(rng.integers(8 * len(new)))
+            damaged[slot * SECTOR + start + bit // 8] ^= 1 << bit % 8
+        flash.write_bytes(bytes(damaged))
+        with DesktopBoard(flash=flash) as process, open_board(process.where) as board:
+            status = board.status(0)
+            if hurt == [0, 1]:
+                assert status.fault == wire.code("FAULTS", "TABLE") and status.table == wire.code("TABLES", "BAD")
+                assert board.read_table(0) == b""
+            else:
+                assert status.fault == 0
+                assert board.read_table(0) == (old if hurt == [newest] else new)
+
+
+@pytest.mark.usefixtures("emulated")
+@pytest.mark.parametrize("state", ["off", "hold", "move", "follow", "calibrate"])
+def test_the_watchdog_bites_in_every_state(state: str) -> None:
+    """The main loop hangs: the board restarts, every motor off, and says why."""
+    with DesktopBoard() as process:
+        link = process.link()
+        with open_board(process.where) as board:
+            board.load_table(0, blob(1.0))
+            if state != "off":
+                board.ask("enable", axis=0, on=1)
+            if state == "move":
+                board.ask("move", axis=0, q=2000.0, speed_s=1000.0)
+            elif state == "follow":
+                board.ask("follow", axis=0, target=0, silence_us=5_000_000)
+                board.tell("set_point", axis=0, value=400 * 256, at_us=0)
+            elif state == "calibrate":
+                board.ask("motion_start", axis=0, cycles=2, low=-3000.0, high=3000.0, speed_s=[700.0, 0.0, 0.0, 0.0],
+                          transit_s=1400.0, acceleration_s2=20000.0, approach=400.0, stroke_max=1500.0,
+                          host_timeout_us=500_000, delay_us=80_000)  # fmt: skip
+            link.ask("advance 60000")
+            link.ask("hang")
+            link.ask("advance 600000")
+        after = link.ask("state")
+        assert after["starts"] == 2 and after["board_us"] < 600_000
+        moved = [link.ask("advance 20000")["q"][0][-1] for _ in range(20)]
+        assert moved[-1] == moved[-5], "the motor is at rest"
+        with open_board(process.where) as board:
+            assert board.identity.boot == wire.code("BOOTS", "WATCHDOG")
+            status = board.status(0)
+            assert status.fault == wire.code("FAULTS", "WATCHDOG") and status.mode == wire.code("MODES", "OFF")
+            assert board.read_table(0) == blob(1.0)
+        link.close()
