@@ -5,7 +5,7 @@
 /// table. To change tables, load into another tl_lookup_t and hand the control loop its pointer.
 ///
 /// Memory: 8.6 kB each, owned by the caller, no pointers inside. Cost on a Cortex-M0+ (-O2, no wait states): width and
-/// angle 65 to 95 cycles, an inverse 145, whatever the input. Loading takes about 4 ms at 125 MHz.
+/// angle 65 to 95 cycles, an inverse 145, whatever the input. Loading takes 6 ms at most at 125 MHz.
 ///
 /// Every function takes any int32_t and saturates. `flags` (never NULL) is ORed with TL_LOOKUP_BELOW or
 /// TL_LOOKUP_ABOVE where the argument was outside the grid, else left alone.
