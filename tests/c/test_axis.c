@@ -203,6 +203,26 @@ static void test_set_points_are_joined_by_straight_lines_in_time(void) {
     TEST_ASSERT_EQUAL(TL_WIRE_REASON_RANGE, set_point(0, 0, fake.t_us + 20000000));
 }
 
+// A sender that gives no times but keeps its pace gets a line, not steps.
+static void test_set_points_without_a_time_are_smoothed(void) {
+    fake_enable(0, 1);
+    follow(0, 0);
+    int32_t before = 0;
+    for (int i = 1; i <= 60; i++) {
+        set_point(0, 10 * i * TL_COUNT_ONE, 0);
+        for (int k = 0; k < 25; k++) { // 5 ms
+            fake_step();
+            const int32_t speed = app.axes[0].reference.velocity;
+            if (i > 20) { // 2000 counts/s are 0.4 counts/tick
+                TEST_ASSERT_INT_WITHIN(1 << 20, (1 << 24) * 2 / 5, speed);
+            }
+            TEST_ASSERT_TRUE(tl_reference_q(&app.axes[0].reference) >= before);
+            before = tl_reference_q(&app.axes[0].reference);
+        }
+    }
+    TEST_ASSERT_INT_WITHIN(2 * TL_COUNT_ONE, 600 * TL_COUNT_ONE, before);
+}
+
 static void test_enabling_and_disabling_never_jump(void) {
     fake.speed[0] = 3000.0; // pushed by hand while off
     fake_run_ms(100);
@@ -462,6 +482,7 @@ int main(void) {
     RUN_TEST(test_a_silent_sender_brings_the_axis_to_rest_and_holds);
     RUN_TEST(test_losing_the_bus_while_following_comes_to_rest_at_once);
     RUN_TEST(test_set_points_are_joined_by_straight_lines_in_time);
+    RUN_TEST(test_set_points_without_a_time_are_smoothed);
     RUN_TEST(test_enabling_and_disabling_never_jump);
     RUN_TEST(test_the_reference_keeps_its_limits);
     RUN_TEST(test_the_reference_arrives_exactly);

@@ -71,7 +71,7 @@
 #define TL_WIRE_FIELDS_SET_POINT(F, A)                                                                                 \
     F(u8, axis, "following")                                                                                           \
     F(i32, value, "counts Q8 or deg Q16, as follow said")                                                              \
-    F(u64, at_us, "board time at which it holds; reached in a straight line from the one before. 0: at once")
+    F(u64, at_us, "board time at which it holds, joined by straight lines; 0: a period of the sender from now")
 
 #define TL_WIRE_FIELDS_MOVE(F, A)                                                                                      \
     F(u8, axis, "enabled, not calibrating")                                                                            \

@@ -2,6 +2,7 @@
 
 #include <string.h>
 
+#define AT_ONCE_US   50000U // longest time that a set-point without one takes
 #define ENCODER_JUMP 2000 // counts in one step: above any motor's speed, below a glitch's
 
 static const tl_servo_gains_t default_gains = {
@@ -242,6 +243,7 @@ uint8_t tl_axis_follow(tl_axis_t *axis, bool tip, uint8_t compensation, uint32_t
     axis->value = (int64_t)value * (1 << 24);
     axis->silence_us = silence_us > 0 ? silence_us : TL_AXIS_SILENCE_US;
     axis->patience = patience(axis, now_us);
+    axis->heard_us = now_us;
     axis->silent = false;
     axis->mode = tip ? TL_WIRE_MODE_FOLLOW_TIP : TL_WIRE_MODE_FOLLOW_MOTOR;
     return 0;
@@ -261,7 +263,12 @@ uint8_t tl_axis_set_point(tl_axis_t *axis, int32_t value, tl_us_t at_us, tl_us_t
     const uint32_t period_us = 1000000U / axis->port->control_hz;
     const tl_us_t start_us = axis->queue_end_us > now_us ? axis->queue_end_us : now_us;
     *late = at_us != 0 && at_us <= start_us;
-    const uint32_t ticks = at_us > start_us + period_us ? (uint32_t)(at_us - start_us) / period_us : 1U;
+    // Without a time: reached in the time that has passed since the one before, so that a steady sender's points make a
+    // line and no steps.
+    const tl_us_t since_us = now_us - axis->heard_us;
+    const tl_us_t end_us = at_us != 0 ? at_us : start_us + (since_us < AT_ONCE_US ? since_us : AT_ONCE_US);
+    axis->heard_us = now_us;
+    const uint32_t ticks = end_us > start_us + period_us ? (uint32_t)(end_us - start_us) / period_us : 1U;
     axis->queue[(axis->queue_first + axis->queue_used) % TL_AXIS_QUEUE] = (tl_segment_t){
         .ticks = ticks,
         .end = value,

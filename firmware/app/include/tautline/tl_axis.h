@@ -78,6 +78,7 @@ typedef struct {
     tl_us_t queue_end_us;
     int32_t queue_end;
     uint32_t silence_us;
+    tl_us_t heard_us; ///< when the last set-point came
 
     uint8_t divider; ///< of 1 kHz telemetry; 0 off
     uint8_t skipped;
