@@ -140,12 +140,15 @@ static inline tl_count_q8_t solve(const tl_lookup_t *lookup, const tl_inverse_t 
     HALVE(2);
     HALVE(1);
 #undef HALVE
-    const uint32_t rise = (uint32_t)x - (uint32_t)*at;
+    uint32_t rise = (uint32_t)x - (uint32_t)*at;
     const uint32_t ratio = (uint32_t)at[TL_LOOKUP_SPANS];
     const uint32_t span = (uint32_t)(at - inverse->word);
-    const int shift = (int)(ratio & 63U) - 32;
-    const uint32_t part = shift >= 0 ? tl_mul_high(rise << shift, ratio) : tl_mul_high(rise, ratio) >> -shift;
-    return lookup->q0 + (int32_t)((span << lookup->step_log2) + part);
+    int down = 32 - (int)(ratio & 63U);
+    if (down < 0) {
+        rise <<= -down;
+        down = 0;
+    }
+    return lookup->q0 + (int32_t)((span << lookup->step_log2) + (tl_mul_high(rise, ratio) >> down));
 }
 
 tl_count_q8_t tl_lookup_angle_inverse(const tl_lookup_t *lookup, tl_deg_q16_t c, uint32_t *flags) {
