@@ -18,7 +18,7 @@ from tautline.observations import Track, observe
 from tautline.onset import BOUND, BRACKET, HINGE, Delay, Onset, find_delay, find_onsets
 from tautline.playfit import NODES, Fitted, table
 from tautline.recording import Recording
-from tautline.remaining import Remaining, fit_remaining, morphological, pose_of
+from tautline.remaining import Remaining, fit_remaining, morphological, pose_of, posed
 from tautline.rig import Rig
 from tautline.smooth import Domain, fit_jointly, fit_passes, freeze, overlap
 
@@ -180,15 +180,26 @@ class _Session:
 
     # ---- B
 
+    def _one_curve(self, delay_s: float) -> Sequence[Track]:
+        """Tracks on which the tip follows one curve: the image itself, or poses where other axes move all the time."""
+        reference = self.tracks[0].others_reference
+        still = np.concatenate([track.at_reference(track.scene_s(delay_s), reference) for track in self.tracks])
+        if not self.camera or np.mean(still) > 0.5:
+            return self.tracks
+        self.notes.append(
+            "translation or rotation move most of the time: B(q) rests on the pose, as right as camera and hand_eye are"
+        )
+        return [posed(track, self.rig, delay_s) for track in self.tracks]
+
     def _smooth(
         self, onsets: Sequence[Onset], delay: Delay, curve: WidthCurve | None
     ) -> tuple[Fitted | None, Fitted | None]:
-        frozen = freeze(self.tracks, delay.delay_s)
+        frozen = freeze(self._one_curve(delay.delay_s), delay.delay_s)
         fit_delay = self.camera and self.options.delay_s is None
         joint = fit_jointly(frozen, self.domain, delay.delay_s, fit_delay=fit_delay, guess=curve)
         if joint is None:
             return None, None
-        if fit_delay and delay.stops and (jumping(onsets) or not self._explained(joint)):
+        if fit_delay and (jumping(onsets) or not self._explained(joint)):
             # What the model does not know would bend the delay: the image stops tell it alone.
             joint.fit.fit_delay = False
             joint = joint.fit.solve(replace(joint.curves, delay_s=delay.delay_s))
@@ -391,7 +402,7 @@ class _Session:
         beyond = np.abs(self.grid - np.clip(self.grid, *measured))
         sigma = np.hypot(sigma, 0.5 * beyond)
         pass_width, pass_sigma = self._second_opinion(onsets, curve, passes)
-        if self.camera and delay.stops == 0 and self.options.delay_s is None:
+        if self.camera and not np.isfinite(delay.sigma_s):
             self.notes.append(f"no image stop told the delay: the nominal {delay.delay_s * 1e3:.0f} ms is used")
         coarse = self.rig.coarse
         c = remaining.c_deg if remaining is not None else coarse.gain * self.grid + coarse.offset

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -50,6 +50,20 @@ def pose_of(track: Track, rig: Rig, delay_s: float) -> Array:
     if track.unit == "deg":
         return track.y[:, 0]
     return pose(rig, track.y, *track.others_at(track.scene_s(delay_s)))[0]
+
+
+def posed(track: Track, rig: Rig, delay_s: float) -> Track:
+    """The track as bending angles, each with the noise that its pose makes of the image's. Other degrees of freedom
+    that move are taken out, as far as camera, hand_eye and kinematics are right."""
+    others = track.others_at(track.scene_s(delay_s))
+    c, _ = pose(rig, track.y, *others)
+    _, slope = project_with_slope(rig, c, *others)
+    gain = np.linalg.norm(slope, axis=1)
+    good = np.isfinite(c) & (gain > 0.05 * np.nanmedian(gain))
+    motor = replace(track.motor, translation_mm=None, rotation_deg=None)
+    return replace(
+        track, unit="deg", motor=motor, t_s=track.t_s[good], y=c[good, None], sigma=track.sigma[good] / gain[good]
+    )
 
 
 def fit_remaining(

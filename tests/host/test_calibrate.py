@@ -310,3 +310,13 @@ def test_a_wrong_hand_eye_leaves_the_widths_and_is_named():
     found = calibrate([made], turned)
     assert width_error(found.model, plant) < 0.001
     assert any("hand_eye" in warning for warning in found.warnings)
+
+
+def test_another_axis_that_moves_all_the_time_leaves_the_pose():
+    plant = preset("random", RIG, 24)
+    swaying = motion(RIG).with_sway(1.5, 10.0, 9.0)
+    found = calibrate([record(RIG, plant, swaying, 24).recording], RIG)
+    over = error_of(found.model, record(RIG, plant, sines(RIG.actuator, 1.5, 40.0), 25)) / NOISE
+    print(f"another axis moves all the time: prediction {over:.3f} x the noise")
+    assert over < 1.3
+    assert any("rests on the pose" in note for note in found.notes)
