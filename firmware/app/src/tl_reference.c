@@ -53,7 +53,7 @@ static int32_t approach(int32_t speed, uint32_t distance_q16, int32_t accelerati
 // `velocity`, or braking where it would not end before the end of the range: `room` ahead, and `more` of Q16.
 static int32_t hold_back(int32_t velocity, int32_t before, tl_count_q8_t room, int32_t more,
                          const tl_reference_limits_t *limits) {
-    if (velocity <= 0 || room > limits->stop) {
+    if (velocity <= 0) {
         return velocity;
     }
     const int32_t room_q16 = room < FAR ? room * 256 + more : INT32_MAX;
@@ -106,9 +106,13 @@ void tl_reference_step(tl_reference_t *reference, tl_count_q8_t target, tl_count
     // Also where the limits were lowered meanwhile, or the target's own speed changed faster than they allow.
     velocity = tl_clamp(velocity, -limits->speed, limits->speed);
     velocity = tl_clamp(velocity, before - a, before + a);
-    const int32_t fraction = (int32_t)reference->fraction / 256; // roundings in favour: else no end is quite reached
-    advance(reference, velocity >= 0 ? hold_back(velocity, before, high - reference->q, -fraction, limits)
-                                     : -hold_back(-velocity, -before, reference->q - low, fraction + 1, limits));
+    const tl_count_q8_t room = velocity >= 0 ? high - reference->q : reference->q - low;
+    if (room <= limits->stop) {
+        const int32_t fraction = (int32_t)(reference->fraction >> 8); // rounded in favour: else no end is quite reached
+        velocity = velocity >= 0 ? hold_back(velocity, before, room, -fraction, limits)
+                                 : -hold_back(-velocity, -before, room, fraction + 1, limits);
+    }
+    advance(reference, velocity);
 }
 
 bool tl_reference_brake(tl_reference_t *reference, const tl_reference_limits_t *limits) {
