@@ -256,6 +256,7 @@ class Board:
         sequence = self._next()
         frame = wire.encode(name, sequence, **values)
         deadline = time.monotonic() + timeout_s
+        self._answers.pop(sequence, None)  # a late one, from before the sequence wrapped
         self._write(frame)
         while (answer := self._answers.pop(sequence, None)) is None:
             left = deadline - time.monotonic()

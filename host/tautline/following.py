@@ -124,8 +124,9 @@ def follow(
         start_us = live.now_us() + round(_AHEAD_S * 1e6)
         sent = 0
         while sent < len(grid):
-            horizon = (live.now_us() - start_us) * 1e-6 + _AHEAD_S
-            due = int(np.searchsorted(grid, horizon, side="right"))
+            now = (live.now_us() - start_us) * 1e-6
+            due = int(np.searchsorted(grid, now + _AHEAD_S, side="right"))
+            sent = max(sent, min(int(np.searchsorted(grid, now)), due - 1))  # what a stall made too late is left out
             points = zip(np.rint(plan[sent:due] * scale), np.rint(start_us + grid[sent:due] * 1e6), strict=True)
             board.tell_all("set_point", [{"axis": axis, "value": int(v), "at_us": int(t)} for v, t in points])
             sent = max(due, sent)

@@ -23,7 +23,7 @@ Progress = Callable[[float, str], None] | None
 _PROBE_SHARES = (0.06, 0.2)  # of the range to either side: first carefully, then beyond backlash and dead zone
 _STILL_FRAMES = 8
 _ACCELERATION = 20.0  # of the calibration motion: from rest to its fastest pass in 1/20 s
-_HOST_TIMEOUT_S = 0.5
+_HOST_TIMEOUT_S = 1.0
 # The board's onset detector, in shares of the range: an onset good enough to turn round, one too vague to use, a turn,
 # and the slope of the image over the range, relative to itself, may change this many times.
 _SIGMA_WANTED, _SIGMA_USABLE, _TURN, _SLOPE_CHANGES = 1.5e-4, 2.5e-3, 4e-4, 4.0

@@ -10,6 +10,7 @@ import pytest
 
 from tautline.board import open_board
 from tautline.calibrate import calibrate
+from tautline.following import follow_run
 from tautline.geometry import project
 from tautline.instrument import Instrument, preset
 from tautline.live import CameraEye, Live
@@ -75,10 +76,25 @@ def test_a_calibration_by_the_wall_clock(tmp_path: Path) -> None:
         link = desktop.link()
         live = Live(board, instrument.rig, 0, CameraEye(board, WallCamera(link, instrument), Reader()))  # type: ignore[arg-type]
         made = record_calibration(live, tmp_path / "rec", MotionOptions(cycles=2, speeds=(1.0,), low=-2.0, high=2.0))
+        found = calibrate([load(tmp_path / "rec")], instrument.rig)
+        t = np.arange(0.0, 8.0, 0.01)
+        np.savetxt(
+            tmp_path / "path.csv",
+            np.column_stack([t, 8.0 * np.sin(t * np.pi / 2)]),
+            "%.5f",
+            ",",
+            header="t_s,c_deg",
+            comments="",
+        )
+        runs = [
+            follow_run(live, str(tmp_path / "path.csv"), compensation=how, model=found.model) for how in ("off", "full")
+        ]
         link.close()
+    off, full = runs
+    assert off.scored_by == full.scored_by == "the camera"
+    assert full.rms_deg * 4.0 < off.rms_deg
     assert made.reversals >= 8 and made.telemetry_missed == 0
     used = [onset["width"] for onset in made.onsets if onset["used"]]
     assert len(used) >= 6 and np.mean(used) == pytest.approx(0.625, abs=0.02)
-    found = calibrate([load(tmp_path / "rec")], instrument.rig)
     inside = (found.model.q > -1.5) & (found.model.q < 1.5)
     assert found.model.width[inside].mean() == pytest.approx(0.625, abs=0.02)

@@ -7,15 +7,14 @@ from typing import Any
 import click
 
 from tautline.cli._common import emit, json_option
-from tautline.cli._live import board_option
 from tautline.errors import TautError
 
 
 @click.command("boards")
-@board_option
+@click.option("--board", metavar="BOARD", help="This one alone: its serial number, or usbip:HOST:PORT.")
 @json_option
 def command(board: str | None, as_json: bool) -> None:
-    """List the boards that are attached: serial number, firmware, protocol, axes and the tables in use.
+    """List the boards on USB and the one that $TAUTLINE_BOARD names: serial number, firmware, protocol, axes, tables.
 
     A board that another program uses, or that speaks another protocol, is listed and left alone.
     """
