@@ -157,7 +157,7 @@ class Board:
         self._device = found.device
         self._listeners: dict[str, list[Listener]] = {name: [] for name in _UNASKED}
         self._decoder = wire.Decoder()
-        self._reading = threading.Lock()
+        self._arrived = threading.Condition()
         self._asking = threading.Lock()
         self._writing = threading.Lock()
         self._answers: dict[int, wire.Message] = {}
@@ -207,8 +207,7 @@ class Board:
         while not self._stop.is_set():
             try:
                 self.poll(0.05)
-            except TautError as error:
-                self._lost = error
+            except TautError:
                 return
 
     @contextlib.contextmanager
@@ -262,32 +261,36 @@ class Board:
             left = deadline - time.monotonic()
             if left <= 0.0:
                 raise TautError(f"{self.where}: the board does not answer '{name}': switch it off and on")
-            self.poll(left, lambda: sequence in self._answers)
+            if self._reader is None or self._reader is threading.current_thread():
+                self.poll(left)
+                continue
+            with self._arrived:
+                self._arrived.wait_for(lambda: sequence in self._answers or self._lost is not None, left)
+            if self._lost is not None and sequence not in self._answers:
+                raise self._lost
         if answer.name == "error":
             raise BoardRefused(name, answer.reason)
         return answer
 
-    def poll(self, timeout_s: float, enough: Callable[[], bool] = lambda: False) -> int:
-        """Takes in what the board sends next, waiting up to the time; the number of messages. Nothing is read where
-        `enough()` holds already."""
-        with self._reading:
-            if enough():
+    def poll(self, timeout_s: float) -> int:
+        """Takes in what the board sends next, waiting up to the time; the number of messages."""
+        if self._lost is not None:
+            raise self._lost
+        try:
+            with self._errors():
+                data = self._device.read(_IN, _READ_BYTES, timeout=max(round(timeout_s * 1000), 1))
+        except TautError as error:
+            if isinstance(error.__cause__, usb.core.USBTimeoutError):
                 return 0
-            if self._lost is not None:
-                raise self._lost
-            try:
-                with self._errors():
-                    data = self._device.read(_IN, _READ_BYTES, timeout=max(round(timeout_s * 1000), 1))
-            except TautError as error:
-                if isinstance(error.__cause__, usb.core.USBTimeoutError):
-                    return 0
+            with self._arrived:
                 self._lost = error
-                raise
-            count = 0
-            for message in self._decoder.feed(bytes(data)):
-                count += 1
-                self._take(message)
-            return count
+                self._arrived.notify_all()
+            raise
+        count = 0
+        for message in self._decoder.feed(bytes(data)):
+            count += 1
+            self._take(message)
+        return count
 
     def _take(self, message: wire.Message) -> None:
         if message.name in self._listeners:
@@ -299,7 +302,9 @@ class Board:
         elif message.name == "error" and message.sequence in self._told:
             self.refused.append(BoardRefused(self._told.pop(message.sequence), message.reason))
         else:
-            self._answers[message.sequence] = message
+            with self._arrived:
+                self._answers[message.sequence] = message
+                self._arrived.notify_all()
 
     def _next(self) -> int:
         with self._asking:

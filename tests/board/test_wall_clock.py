@@ -68,6 +68,19 @@ def test_the_clock_of_a_paced_board() -> None:
         assert before + offset - error - 0.002 <= stamp * 1e-6 <= after + offset + error + 0.002
 
 
+def test_answers_come_at_once_while_a_thread_reads() -> None:
+    """The reading thread never keeps an answer from the one who asked."""
+    with DesktopBoard(realtime=True) as desktop, open_board(desktop.where) as board:
+        board.ask("telemetry", axis=0, divider=1)
+        with board.reading():
+            took = []
+            for _ in range(200):
+                began = time.monotonic()
+                board.sync()
+                took.append(time.monotonic() - began)
+    assert np.median(took) < 0.02 and np.mean(took) < 0.03
+
+
 @pytest.mark.long
 def test_a_calibration_by_the_wall_clock(tmp_path: Path) -> None:
     instrument = preset("constant")
@@ -92,7 +105,7 @@ def test_a_calibration_by_the_wall_clock(tmp_path: Path) -> None:
         link.close()
     off, full = runs
     assert off.scored_by == full.scored_by == "the camera"
-    assert full.rms_deg * 4.0 < off.rms_deg
+    assert full.rms_deg * 10.0 < off.rms_deg
     assert made.reversals >= 8 and made.telemetry_missed == 0
     used = [onset["width"] for onset in made.onsets if onset["used"]]
     assert len(used) >= 6 and np.mean(used) == pytest.approx(0.625, abs=0.02)
