@@ -62,7 +62,7 @@ class Model:
     def simulate(self, motor: Motor, t_s: npt.ArrayLike, start_deg: float | None = None) -> Array:
         """Bending angles (n,) deg at scene times t_s (n,) (the motor's clock: no delay in them), in any order. The tip
         starts on the centre line, c = f_remain(q[0]), or at start_deg. q is held before and after the motor's samples.
-        Effects are not in it: see tautline.diagnose."""
+        Effects are not in it: see tautline.effects."""
         p0 = np.nan if start_deg is None else float(self.remaining_inverse(start_deg))
         motor = between_counts(motor, self.rig.actuator.encoder_resolution)
         return self.remaining(play_at(motor.t_s, motor.q, np.asarray(t_s, dtype=float), self.q, self.width, p0))

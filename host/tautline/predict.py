@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from tautline import effects
 from tautline.columns import read_times
 from tautline.errors import TautError
 from tautline.folders import write_file
 from tautline.geometry import project
-from tautline.model import Model
+from tautline.model import Model, between_counts
 from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
@@ -40,6 +41,11 @@ def predict(model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float
     """At scene times (n,) on the motor's clock, in any order. The tip starts on the centre line, c = f_remain(q[0]), or
     at start_deg; q is held before the first and after the last motor sample."""
     scene = np.asarray(scene_s, dtype=float)
+    if model.effects:
+        reference = float(model.extra.get("load_reference_mNm", 0.0))
+        smooth = between_counts(motor, model.rig.actuator.encoder_resolution)
+        path = effects.simulate(model, smooth, scene, effects.of_model(model), start_deg, reference)
+        return Prediction(path.c_deg, path.image_px if model.rig.has_camera else None)
     c = model.simulate(motor, scene, start_deg)
     if not model.rig.has_camera:
         return Prediction(c, None)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from tautline.cli._common import emit, json_option, progress_bar
+from tautline.cli._common import emit, json_option, progress_bar, warn
 from tautline.cli._live import axis_option, board_option
 
 
@@ -22,9 +22,14 @@ def command(model_path: Path, board: str | None, axis: int, as_json: bool) -> No
     """
     from tautline import tables
     from tautline.board import open_board
+    from tautline.effects import BY_ID
     from tautline.model import Model
 
-    blob = tables.encode(Model.load(model_path), axis=axis)
+    model = Model.load(model_path)
+    left = [effect.id for effect in model.effects if not BY_ID[effect.id].on_board]
+    if left:
+        warn(f"the board's tables cannot carry {', '.join(left)}: loaded are B and f_remain alone")
+    blob = tables.encode(model, axis=axis)
     with open_board(board) as opened, progress_bar("flash") as progress:
         opened.load_table(axis, blob, progress)
         status = opened.status(axis)
