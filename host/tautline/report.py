@@ -61,7 +61,7 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
         "notes": [*model.extra.get("warnings", []), *model.extra.get("notes", [])],
         "motor_unit": model.rig.actuator.unit,
         "unit": evidence.unit if evidence else "",
-        "hero": _picture(
+        "hero": picture(
             figures.hero(model, onsets, evidence, figures.knots_of(model)),
             "Backlash width and characteristic",
             "Left: every measured width with 2 sigma, the curve through them, its band; grey: not reached. "
@@ -79,15 +79,15 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
     }
     if evidence is not None:
         page |= {
-            "gain": _picture(
+            "gain": picture(
                 figures.gain(evidence),
                 "Distance between prediction and measurement",
                 "f_coarse knows neither backlash nor the real law; B alone gets the moments of motion right.",
             ),
-            "track": _picture(
+            "track": picture(
                 figures.track(evidence, onsets), "Motor and marker over time", "Dots: where the tip began to move."
             ),
-            "residuals": _picture(
+            "residuals": picture(
                 figures.residuals(evidence),
                 "Residuals of the whole model",
                 "White and small: nothing is left unmodelled. A pattern over q or time: taut diagnose says what it is.",
@@ -95,26 +95,26 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
         }
         closely = figures.onsets_closely(model, evidence, onsets)
         if closely is not None:
-            page["closely"] = _picture(
+            page["closely"] = picture(
                 closely,
                 "Some onsets closely",
                 "Dots: frames. Grey: the motor turns, the tip rests. Red: the hinge; the backlash ends where it bends.",
             )
     if passes is not None:
-        page["cross_check"] = _picture(
+        page["cross_check"] = picture(
             figures.cross_check(model, np.array(passes, dtype=float)),
             "B from the onsets and from the two passes",
             "The distance of the two passes at equal image position measures B again, without any pose. "
             "Where they part, the onset is smooth, or the registration changes with direction.",
         )
     if runs:
-        page["runs"] = _picture(
+        page["runs"] = picture(
             figures.followed(runs),
             "A trajectory followed open loop",
             "Scored after the first full take-up in both directions.",
         )
     path = folder / FILE
-    write_file(path, _render("model.html", page))
+    write_page("model.html", page, path)
     return path
 
 
@@ -126,7 +126,7 @@ def write_comparison(models: Mapping[str, Model], path: Path) -> None:
     page = {
         "title": "How backlash and f_remain changed",
         "result": _comparison_sentences(rows, unit),
-        "picture": _picture(
+        "picture": picture(
             figures.compared(models),
             "B and f_remain of all models",
             f"Against {names[0]}. Where bands do not touch, the change is larger than the uncertainty.",
@@ -156,7 +156,7 @@ def write_comparison(models: Mapping[str, Model], path: Path) -> None:
             for row in rows
         ],
     }
-    write_file(path, _render("compare.html", page))
+    write_page("compare.html", page, path)
 
 
 def comparison(models: Mapping[str, Model]) -> list[dict[str, Any]]:
@@ -196,6 +196,11 @@ def comparison(models: Mapping[str, Model]) -> list[dict[str, Any]]:
     return rows
 
 
+def write_page(template: str, page: Mapping[str, Any], path: Path) -> None:
+    """A page from one of the package's templates; `footer` is added."""
+    write_file(path, _render(template, page))
+
+
 def _render(template: str, page: Mapping[str, Any]) -> str:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("tautline"), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True
@@ -204,7 +209,7 @@ def _render(template: str, page: Mapping[str, Any]) -> str:
     return environment.get_template(template).render(footer=footer, **page)
 
 
-def _picture(made: Figure, title: str, caption: str) -> Picture:
+def picture(made: Figure, title: str, caption: str) -> Picture:
     return Picture(figures.data_uri(made), title, caption)
 
 

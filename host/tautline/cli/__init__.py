@@ -26,7 +26,6 @@ COMMANDS = {
     "compare": "how B and f_remain changed between models",
     "report": "write a model's report again",
     "demo": "the whole job on a simulated instrument, without hardware",
-    "blindtest": "score the diagnosis on cases whose effect is withheld",
 }
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import chain, count
 from pathlib import Path
 from typing import Any, Literal
@@ -12,7 +11,6 @@ import click
 from tautline import report
 from tautline.calibrate import Calibration, Options, calibrate
 from tautline.cli._common import (
-    Progress,
     emit,
     folder_option,
     json_option,
@@ -20,13 +18,13 @@ from tautline.cli._common import (
     progress_bar,
     read_recordings,
     rig_option,
+    tracked,
     warn,
 )
 from tautline.cli._live import LiveOptions, live_options, opened
 from tautline.folders import check_replaceable
 from tautline.model import MODEL_FILE
-from tautline.recording import Recording, load
-from tautline.rig import Rig
+from tautline.recording import load
 
 
 @click.command("calibrate")
@@ -103,18 +101,9 @@ def _from_recordings(
 ) -> tuple[Calibration, list[str]]:
     recordings, rig = read_recordings(paths, rig_path)
     with progress_bar("calibrating") as progress:
-        recordings = [_tracked(recording, rig, progress) for recording in recordings]
+        recordings = [tracked(recording, rig, progress) for recording in recordings]
         found = calibrate(recordings, rig, options, progress)
         return found, report.save_model(found.model, recordings, out)
-
-
-def _tracked(recording: Recording, rig: Rig, progress: Progress) -> Recording:
-    """With the marker's track, from the video where there is no marker.csv."""
-    if recording.marker is not None or recording.video is None or not rig.has_camera:
-        return recording
-    from tautline.marker import track_video
-
-    return replace(recording, marker=track_video(recording.video, progress=progress))
 
 
 def _live(

@@ -1,0 +1,121 @@
+"""The size of a gap: root mean squares, the noise below them, and how far they can be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.diagnose.segment import Segment
+from tautline.recording import Motor
+
+Array = npt.NDArray[np.float64]
+
+_STILL_S = 0.6  # a motor at rest for so long has left its own transients behind
+BLOCK_S = 8.0  # of a manoeuvre: longer than a residual remembers
+
+
+def rms(residuals: Sequence[Array]) -> float:
+    """Per coordinate."""
+    values = np.concatenate([r.ravel() for r in residuals])
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def noise_floor(segments: Sequence[Segment], residuals: Sequence[Array]) -> float:
+    """Per coordinate: the scatter of what was observed while the motor stood still, about a straight line through each
+    rest; where it hardly ever rests, the residual's second differences, which a smooth misfit does not reach."""
+    squares, freedom = 0.0, 0
+    for segment in segments:
+        for stretch in still_stretches(segment):
+            seen = segment.observed[stretch]
+            if len(seen) < 6:
+                continue
+            t = segment.arrival_s[stretch]
+            line = np.column_stack([np.ones_like(t), t - t[0]])
+            left = seen - line @ np.linalg.lstsq(line, seen, rcond=None)[0]
+            squares += float(np.sum(left**2))
+            freedom += left.size - 2 * seen.shape[1]
+    if freedom >= 60:
+        return float(np.sqrt(squares / freedom))
+    bends = np.concatenate([np.diff(r, n=2, axis=0).ravel() for r in residuals if len(r) > 2])
+    return float(1.4826 * np.median(np.abs(bends)) / np.sqrt(6.0))
+
+
+def still_stretches(segment: Segment) -> list[slice]:
+    """Observations while the motor and the other degrees of freedom were at rest, a slice each."""
+    moving = _moving_times(segment.motor)
+    if len(moving) == 0:
+        return [slice(0, len(segment.arrival_s))]
+    at = np.searchsorted(moving, segment.arrival_s)
+    before = np.where(at > 0, moving[np.maximum(at - 1, 0)], -np.inf)
+    after = np.where(at < len(moving), moving[np.minimum(at, len(moving) - 1)], np.inf)
+    # The frame's delay is well below _STILL_S: a frame counts when the motor rested before and after it.
+    still = (segment.arrival_s - before > _STILL_S) & (after > segment.arrival_s)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]])))
+    return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def _moving_times(motor: Motor) -> Array:
+    moved = np.zeros(len(motor.t_s), dtype=bool)
+    for values in (motor.q, motor.translation_mm, motor.rotation_deg):
+        if values is not None:
+            moved[1:] |= np.diff(values) != 0
+    times: Array = motor.t_s[moved]
+    return times
+
+
+def blocks(segment: Segment) -> npt.NDArray[np.int64]:
+    """(scored,) the number of the block of manoeuvres that each scored observation is in: blocks end where the motor
+    turns, after BLOCK_S at the least."""
+    t = segment.arrival_s[segment.scored]
+    q = np.interp(t, segment.motor.t_s, segment.motor.q)
+    number = np.zeros(len(t), dtype=np.int64)
+    if len(t) < 3:
+        return number
+    turns = t[1:-1][np.diff(np.sign(np.diff(q))) != 0]
+    edges, last = [], t[0]
+    for turn in turns:
+        if turn - last >= BLOCK_S:
+            edges.append(turn)
+            last = turn
+    number[:] = np.searchsorted(np.array(edges), t, side="right")
+    return number
+
+
+def memory(residuals: Sequence[Array]) -> float:
+    """How many neighbouring residuals tell as much as one independent one: 1 + 2 sum of autocorrelations, to the first
+    that is not positive."""
+    longest = 200
+    cov = np.zeros(longest)
+    count = 0
+    for r in residuals:
+        x = r - r.mean(axis=0)
+        if len(x) <= longest + 1:
+            continue
+        size = 1 << (2 * len(x) - 1).bit_length()
+        for column in x.T:
+            power = np.abs(np.fft.rfft(column, size)) ** 2
+            cov += np.fft.irfft(power)[:longest]
+        count += 1
+    if count == 0 or cov[0] <= 0.0:
+        return 1.0
+    rho = cov / cov[0]
+    stop = int(np.argmax(rho <= 0.02)) if (rho <= 0.02).any() else longest
+    return float(1.0 + 2.0 * rho[1:stop].sum())
+
+
+def bootstrap(
+    before: Sequence[Array], after: Sequence[Array], labels: Sequence[npt.NDArray[np.int64]], seed: int = 7
+) -> Array:
+    """(2, 400) rms before and after with blocks drawn with replacement."""
+    sums = []
+    for b, a, label in zip(before, after, labels, strict=True):
+        for number in np.unique(label):
+            here = label == number
+            sums.append((float(np.sum(b[here] ** 2)), float(np.sum(a[here] ** 2)), int(b[here].size)))
+    table = np.array(sums)
+    rng = np.random.default_rng(seed)
+    drawn = table[rng.integers(0, len(table), (400, len(table)))].sum(axis=1)
+    result: Array = np.sqrt(drawn[:, :2] / drawn[:, 2:]).T
+    return result

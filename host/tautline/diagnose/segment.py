@@ -1,0 +1,133 @@
+"""Recordings made ready for fitting: what was observed, when, under which motion, and what may be scored."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.effects import Path, simulate
+from tautline.errors import TautError
+from tautline.model import Model, between_counts
+from tautline.recording import Motor, Recording
+
+Array = npt.NDArray[np.float64]
+_MOTOR_STEP_S = 0.008  # motor samples nearer together than this only matter where the motor turns
+
+
+@dataclass(frozen=True)
+class Segment:
+    """One recording. Observations (n, k): k = 2 px from the marker or k = 1 deg from the angle."""
+
+    name: str
+    motor: Motor  # between the encoder's counts, thinned
+    arrival_s: Array  # (n,)
+    observed: Array  # (n, k)
+    scored: npt.NDArray[np.bool_]  # (n,) after a full backlash in both directions
+    offset_s: float  # added to the recording's times to get the session's
+    calibration: bool
+
+    @property
+    def unit(self) -> str:
+        return "px" if self.observed.shape[1] == 2 else "deg"
+
+    def predict(self, model: Model, parameters: Mapping[str, float], load_reference: float) -> tuple[Path, Array]:
+        """The path at the observations and the prediction (n, k)."""
+        delay = model.delay_s if self.unit == "px" else 0.0
+        path = simulate(
+            model,
+            self.motor,
+            self.arrival_s - delay,
+            parameters,
+            load_reference=load_reference,
+            clock_offset_s=self.offset_s,
+        )
+        return path, path.image_px if self.unit == "px" else path.c_deg[:, None]
+
+    def part(self, keep: npt.NDArray[np.bool_]) -> Segment:
+        """The same recording scored only where `keep` (n,) says."""
+        return replace(self, scored=self.scored & keep)
+
+
+def prepare(model: Model, calibration: Recording, tests: Sequence[Recording]) -> list[Segment]:
+    """The calibration first. px where every recording has a marker, else deg where every one has an angle."""
+    recordings = [calibration, *tests]
+    by_marker = model.rig.has_camera and all(recording.marker is not None for recording in recordings)
+    if not by_marker and not all(recording.angle is not None for recording in recordings):
+        raise TautError("diagnose needs marker.csv (or a video) in every recording, or angle.csv in every one")
+    segments = []
+    offset = end = 0.0
+    for i, recording in enumerate(recordings):
+        motor = between_counts(recording.motor, model.rig.actuator.encoder_resolution)
+        # Recordings share one clock where their times do not overlap; else each follows the one before.
+        offset = 0.0 if i == 0 or motor.t_s[0] >= end else end - float(motor.t_s[0])
+        end = float(motor.t_s[-1]) + offset
+        if by_marker:
+            marker = recording.marker
+            assert marker is not None
+            good = np.asarray(marker.valid, dtype=bool) & np.isfinite(marker.u_px) & np.isfinite(marker.v_px)
+            times, observed = marker.t_s[good], np.column_stack([marker.u_px, marker.v_px])[good]
+        else:
+            angle = recording.angle
+            assert angle is not None
+            times, observed = angle.t_s, angle.c_deg[:, None]
+            stride = max(1, len(times) // 6000)
+            times, observed = times[::stride], observed[::stride]
+        scene = times - (model.delay_s if by_marker else 0.0)
+        from_s = settled_from(model, motor)
+        scored = (scene >= from_s) & (scene <= motor.t_s[-1])
+        if not scored.any():
+            raise TautError(
+                f"{recording.name}: the tip is never driven through a full backlash both ways while it is seen: "
+                "record a motion with strokes longer than the backlash"
+            )
+        segments.append(
+            Segment(
+                recording.name,
+                _thinned(motor, model.rig.actuator.encoder_resolution),
+                times,
+                observed,
+                scored,
+                offset,
+                i == 0,
+            )
+        )
+    return segments
+
+
+def settled_from(model: Model, motor: Motor) -> float:
+    """The scene time from which the start inside the backlash no longer matters: both envelopes were reached."""
+    widest = 1.1 * float(model.width.max()) + 2 * model.rig.actuator.encoder_resolution
+    low, high = np.minimum.accumulate(motor.q), np.maximum.accumulate(motor.q)
+    up = np.flatnonzero(motor.q - low > widest)
+    down = np.flatnonzero(high - motor.q > widest)
+    if len(up) == 0 or len(down) == 0:
+        return float("inf")
+    return float(motor.t_s[max(up[0], down[0])])
+
+
+def _thinned(motor: Motor, resolution: float) -> Motor:
+    """Every turning point is kept, and otherwise one sample in _MOTOR_STEP_S."""
+    step = float(np.median(np.diff(motor.t_s)))
+    stride = int(_MOTOR_STEP_S / step)
+    if stride < 2:
+        return motor
+    keep = np.zeros(len(motor.t_s), dtype=bool)
+    keep[::stride] = keep[0] = keep[-1] = True
+    change = np.flatnonzero(np.abs(np.diff(motor.q)) > 1e-6 * resolution)
+    turns = change[1:][np.diff(np.sign(np.diff(motor.q)[change])) != 0]
+    keep[turns] = True
+
+    def taken(values: Array | None) -> Array | None:
+        return None if values is None else np.ascontiguousarray(values[keep])
+
+    return Motor(
+        np.ascontiguousarray(motor.t_s[keep]),
+        np.ascontiguousarray(motor.q[keep]),
+        None,
+        taken(motor.translation_mm),
+        taken(motor.rotation_deg),
+        taken(motor.load_mNm),
+    )

@@ -1,0 +1,169 @@
+"""taut diagnose: what the recordings say, and nothing that they do not."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tautline import effects, simulate, trajectory
+from tautline.calibrate import calibrate
+from tautline.diagnose.diagnosis import diagnose
+from tautline.effects import LIBRARY, STAGES
+from tautline.instrument import preset, reference_rig
+from tautline.model import Model
+from tautline.predict import predict
+from tautline.recording import Marker, Recording, load_all, save
+from tautline.rig import Rig
+
+NOISE = 0.05
+RIG = reference_rig()
+GRID = np.linspace(-5.0, 5.0, 401)
+
+
+def rms(values) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def true_model() -> Model:
+    instrument = preset("reference", RIG)
+    return Model(RIG, GRID, instrument.backlash(GRID), np.full(401, 0.003), instrument.bend(GRID), 0.08, (-4.0, 4.0))
+
+
+def recordings(parameters=None, seed=3) -> list[Recording]:
+    """A calibration, a test and a further motion; the effect holds after the calibration."""
+    rng = np.random.default_rng(seed)
+    model = true_model()
+    actuator = RIG.actuator
+    motions = [
+        trajectory.back_and_forth(actuator, [0.8], 2.0, 12, 6.0),
+        trajectory.trapezoids(actuator, 0.9, 2.6, 5, 8.0, 0.8).with_sway(2.0, 20.0, 20.0),
+        trajectory.sines(actuator, 1.5, 30.0).with_sway(1.5, 15.0, 13.0),
+    ]
+    made, clock = [], 0.0
+    for i, motion in enumerate(motions):
+        recording = simulate.simulate(RIG, preset("reference", RIG), motion, seed=seed + i)
+        t = recording.marker.t_s
+        values = parameters if parameters and i else {}
+        path = effects.simulate(model, recording.motor, t - 0.08, values, clock_offset_s=clock)
+        seen = path.image_px + rng.normal(0.0, NOISE, (len(t), 2))
+        made.append(replace(recording, marker=Marker(t, seen[:, 0], seen[:, 1], np.ones(len(t), bool)), rig=RIG))
+        clock += recording.motor.t_s[-1]
+    return made
+
+
+def diagnosed(parameters=None, seed=3):
+    made = recordings(parameters, seed)
+    return diagnose(true_model(), made[0], made[1:2]), made
+
+
+def test_nothing_is_called_nothing():
+    found, _ = diagnosed()
+    document = found.document
+    assert document["verdict"] == "none" and document["effects"] == []
+    assert document["probability_none"] > 0.8
+    assert document["noise_floor"] == pytest.approx(NOISE, rel=0.1)
+    assert document["gap"]["before"] == pytest.approx(NOISE, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {"lag": 0.08},
+        {"c_per_translation": 0.4, "c_per_rotation": 0.03},
+        {"k1": 0.15, "p1": 0.01},
+        {"creep_share": 0.12, "creep_time": 1.5},
+    ],
+    ids=lambda p: next(iter(p)),
+)
+def test_a_known_effect_is_named_and_sized(parameters):
+    found, made = diagnosed(parameters)
+    document = found.document
+    kind = next(k for k in LIBRARY if next(iter(parameters)) in {p.name for p in k.amplitudes})
+    assert document["verdict"] == "effect"
+    assert document["effects"][0]["id"] == kind.id, document["candidates"][:3]
+    assert document["where"]["stage"] == kind.stage
+    assert document["gap"]["closable_shrink"] > 0.9
+    assert document["gap"]["shrink_ci"][0] <= document["gap"]["shrink"] <= document["gap"]["shrink_ci"][1]
+    named = document["effects"][0]["parameters"]
+    for name, value in parameters.items():
+        assert named[name] == pytest.approx(value, rel=0.3, abs=0.01), name
+    # On a motion that the diagnosis never saw, most of the gap is gone too.
+    further = made[2]
+    scene = further.marker.t_s - found.nominal.delay_s
+    late = scene > 8.0
+    seen = np.column_stack([further.marker.u_px, further.marker.v_px])[late]
+    before = rms(seen - predict(found.nominal, further.motor, scene[late]).image_px)
+    scene = further.marker.t_s - found.corrected.delay_s
+    after = rms(seen - predict(found.corrected, further.motor, scene[late]).image_px)
+    assert after < 0.5 * before, (before, after)
+
+
+def test_the_command_writes_what_the_format_says(tmp_path, monkeypatch, capsys):
+    from tests.host.cli_runner import Taut
+
+    taut = Taut(monkeypatch, capsys)
+    moves = {"shift_rx": 0.5, "shift_x": 0.3, "shift_y": -0.2, "shift_time": 60.0}
+    made = recordings(moves)
+    for i, recording in enumerate(made):
+        save(recording, tmp_path / f"r{i}")
+    RIG.save(tmp_path / "rig.toml")
+    out = tmp_path / "out"
+    done = taut("diagnose", tmp_path / "r0", tmp_path / "r1", "--rig", tmp_path / "rig.toml", "--out", out, "--json")
+    assert done.code == 0, done.err
+    document = json.loads(done.out)
+    assert document == json.loads((out / "diagnosis.json").read_text())
+    assert document["format"] == "diagnosis/1" and document["unit"] == "px"
+    assert document["verdict"] == "effect" and document["effects"][0]["id"] == "registration.shift"
+    assert set(document["gap"]) == {
+        *("before", "after", "before_ci", "after_ci", "shrink", "shrink_ci", "closable_shrink"),
+    }
+    assert document["gap_recalibrated"]["before"] > 0
+    for effect in document["effects"]:
+        assert set(effect) == {
+            *("id", "probability", "parameters", "shrink"),
+            *("swallowed_by_recalibration", "loads_on_board", "ambiguous_with"),
+        }
+    applicable = {kind.id for kind in LIBRARY if kind.needs != "load"}
+    assert {c["id"] for c in document["candidates"]} == applicable
+    assert all(set(c) == {"id", "probability", "shrink", "identifiable"} for c in document["candidates"])
+    total = sum(c["probability"] for c in document["candidates"])
+    assert total + document["probability_none"] + document["probability_unknown"] == pytest.approx(1.0)
+    assert document["where"]["stage"] in STAGES
+    assert all(set(c) == {"axis", "share", "range", "says"} for c in document["where"]["conditions"])
+    assert document["next_motion"]["why"] and (out / document["next_motion"]["file"]).exists()
+    assert "registration.shift" in (out / "report.html").read_text()
+    for name in ("nominal", "corrected"):
+        scored = taut("predict", out / name, tmp_path / "r2", "--csv", tmp_path / f"{name}.csv")
+        assert scored.code == 0, scored.err
+    errors = {}
+    for name in ("nominal", "corrected"):
+        said = np.loadtxt(tmp_path / f"{name}.csv", delimiter=",", skiprows=1)
+        seen = np.column_stack([made[2].marker.u_px, made[2].marker.v_px])
+        errors[name] = rms((said[:, 2:4] - seen)[said[:, 0] > 8.0])
+    assert errors["corrected"] < 0.3 * errors["nominal"], errors
+
+
+def test_too_short_a_motion_is_refused_in_one_line():
+    made = recordings()
+    t = made[1].motor.t_s
+    still = replace(made[1], motor=replace(made[1].motor, q=np.zeros(len(t))))
+    with pytest.raises(Exception, match="full backlash both ways"):
+        diagnose(true_model(), made[0], [still])
+
+
+def davinci():
+    from tests.host.test_davinci import data
+
+    return data()
+
+
+def test_the_load_of_a_real_instrument_is_named_at_three_loads():
+    folder = davinci()
+    rig = Rig.load(folder / "rig.toml")
+    made = load_all([folder / name for name in ("freq2-load0", "freq2-load1", "freq2-load3")], rig)
+    found = diagnose(calibrate(made[:1], rig).model, made[0], made[1:])
+    document = found.document
+    assert document["unit"] == "deg" and document["verdict"] == "effect"
+    assert document["effects"][0]["id"] == "transmission.load_dependence"
+    assert document["gap"]["shrink"] > 0.6
