@@ -156,6 +156,10 @@ class _Session:
                 onsets = find_onsets(self.tracks, self.rig, delay.delay_s, delay.sigma_s)
                 curve = fit_widths(onsets, self.grid)
         width, sigma, source = self._choose(onsets, curve, joint, passes)
+        if source == JOINT:
+            # The joint fit is so much sharper that the onsets' scatter about it is their own.
+            spread = float(np.sqrt(np.clip(self.evidence["onsets_against_joint_z2"], 1.0, 9.0)))
+            onsets = [replace(o, sigma=o.sigma * spread) if o.used and o.kind == HINGE else o for o in onsets]
         self.say(0.75, "f_remain")
         settled = joint.fit.settled_only if joint is not None else False
         remaining = self._remaining(width, delay.delay_s, settled) if self._moves() else None
@@ -232,8 +236,8 @@ class _Session:
             assert curve is not None
             self.notes += curve.notes
             return curve.width, curve.sigma, ONSETS
-        width = joint.fit.width(joint.curves)
-        sigma = joint.width_sigma(self.grid) * 1.0
+        width = self._held(joint, curve)
+        sigma = joint.width_sigma(self.grid)
         if curve is None:
             self.notes.append("no reversal gave a width: B(q) is the distance between the passes")
             return width, sigma, PASSES
@@ -246,6 +250,15 @@ class _Session:
             return width, sigma, JOINT
         self.notes.append("the passes contradict the onsets: B(q) is the onsets' alone")
         return self._filled(widths, curve, joint, passes)
+
+    def _held(self, joint: Fitted, curve: WidthCurve | None) -> Array:
+        """The joint fit's B, held beyond the positions that passes both ways or onsets reached: what lies there could
+        be f_remain as well."""
+        low, high = overlap(joint)
+        if curve is not None:
+            low, high = (min(low, curve.measured[0]), max(high, curve.measured[1])) if low < high else curve.measured
+        width = joint.fit.width(joint.curves)
+        return table(np.interp(np.clip(self.grid, low, high), self.grid, width), self.grid) if low < high else width
 
     def _moves(self) -> bool:
         """Whether the tip was seen to move by more than noise."""
