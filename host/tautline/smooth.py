@@ -18,6 +18,7 @@ Array = npt.NDArray[np.float64]
 SPANS = 100  # of B and of the path: a bump of B 0.6 mm wide on 10 mm has six of them
 _MOST_FRAMES = 12000  # of one fit; more are thinned out evenly
 _REPEATS = 1.6  # residual of the first approach over that of the rest up to which it counts
+_HARMLESS = 1.15  # what counting the first approach may do to the residuals of the rest
 _FEWEST = 40  # frames that a joint fit is tried with
 
 
@@ -69,8 +70,28 @@ def fit_jointly(
     fitted = fine.solve(start)
     if fine.settled_only and _repeats(fitted):
         fine.settled_only = False
-        fitted = fine.solve(fitted.curves)
+        return fine.solve(fitted.curves)
+    if fine.settled_only and _reaches_further(fitted, domain):
+        # Without the first approach B and the path are not apart everywhere: does it do harm?
+        whole = replace(fine, settled_only=False, smoothing=dict(fine.smoothing)).solve(start)
+        if _late_scale(whole) < _HARMLESS * fitted.scale:
+            return whole
+        fitted.fit.residuals(fitted.curves)
     return fitted
+
+
+def _reaches_further(fitted: Fitted, domain: Domain) -> bool:
+    """Whether the tip was somewhere that the counted frames do not cover both ways."""
+    low, high = overlap(fitted)
+    known = np.concatenate([s.p[s.known] for s in fitted.fit.simulated])
+    return bool(low - known.min() > 0.02 * domain.span or known.max() - high > 0.02 * domain.span)
+
+
+def _late_scale(fitted: Fitted) -> float:
+    """The scale of residuals of frames after the tip was driven both ways."""
+    seen = zip(fitted.rows, fitted.masks, fitted.fit.simulated, strict=True)
+    squares = np.concatenate([np.mean(r[m & s.settled] ** 2, axis=1) for r, m, s in seen])
+    return float(np.sqrt(np.mean(np.minimum(squares, (4.0 * fitted.scale) ** 2)))) if len(squares) else np.inf
 
 
 def overlap(fitted: Fitted) -> tuple[float, float]:
