@@ -266,7 +266,7 @@ def record(
     live.board.counters(clear=True)
     plan = None if motion == "none" else _motor_trajectory(live, motion, speed, duration_s, seed)
     began = live.now_us()
-    with Recorder(live, folder, video) as recorder:
+    with Recorder(live, folder, video) as recorder, live.interruptible():
         try:
             if plan is not None:
                 follow(live, *plan, tip=False, seen=seen, progress=progress)

@@ -5,6 +5,8 @@ One clock holds for all of it: the board's, in microseconds on the wire and seco
 
 from __future__ import annotations
 
+import signal
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -116,12 +118,37 @@ class Live:
     axis: int = 0
     eye: Eye | None = None
     plant: Plant | None = None
+    stopping: bool = False  # Ctrl-C came
     feeding: bool = False  # frames go on to the board: during its calibration motion
 
     @property
     def resolution(self) -> float:
         """The rig's unit per count."""
         return self.rig.actuator.encoder_resolution
+
+    @contextmanager
+    def interruptible(self) -> Iterator[None]:
+        """Inside, Ctrl-C ends the session between two messages (in look or wait) and never in the middle of one."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+
+        def stop(number: int, frame: object) -> None:
+            if self.stopping:
+                raise KeyboardInterrupt  # asked for twice: at once
+            self.stopping = True
+
+        before = signal.signal(signal.SIGINT, stop)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, before)
+            self.stopping = False
+
+    def _check_stop(self) -> None:
+        if self.stopping:
+            self.stopping = False
+            raise KeyboardInterrupt
 
     @property
     def top_speed(self) -> float:
@@ -130,6 +157,7 @@ class Live:
 
     def look(self) -> Frame:
         """The next frame. What the board said until then has been taken in."""
+        self._check_stop()
         if self.eye is None:
             raise TautError("no camera: name one with --camera, or use --simulate")
         frame = self.eye.look()
@@ -142,6 +170,7 @@ class Live:
 
     def wait(self, seconds: float) -> None:
         """Lets the time pass: virtual time where the set-up is simulated."""
+        self._check_stop()
         if self.plant is None:
             time.sleep(seconds)
             return

@@ -60,11 +60,12 @@ class Motion:
 def driving(live: Live) -> Iterator[None]:
     """The motor is on inside; whatever happens, the axis is at rest and the motor off after."""
     live.board.check_fault(live.axis)
-    live.board.ask("enable", axis=live.axis, on=1)
-    try:
-        yield
-    finally:
-        live.release()
+    with live.interruptible():
+        live.board.ask("enable", axis=live.axis, on=1)
+        try:
+            yield
+        finally:
+            live.release()
 
 
 def set_range(live: Live, low: float, high: float) -> None:

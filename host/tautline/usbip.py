@@ -223,7 +223,12 @@ class Connection:
     def transfer(self, endpoint: int, data: bytes | None, length: int, setup: bytes, timeout_ms: int) -> Urb:
         """One whole transfer, done without error. timeout_ms 0 waits for ever. What came before a time-out counts."""
         urb = self.submit(endpoint, data, length, setup)
-        if not self.wait(urb, timeout_ms / 1000.0 if timeout_ms > 0 else None):
+        try:
+            done = self.wait(urb, timeout_ms / 1000.0 if timeout_ms > 0 else None)
+        except BaseException:  # Ctrl-C: left behind, it would take the next transfer's data
+            self.unlink(urb)
+            raise
+        if not done:
             self.unlink(urb)
             self.wait(urb, _UNLINK_S)
             if urb.status in (None, -errno.ECONNRESET):

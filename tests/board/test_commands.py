@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -150,3 +151,24 @@ def test_the_python_example_streams(paced: DesktopBoard) -> None:
     done = subprocess.run(command, capture_output=True, text=True, timeout=30)
     assert done.returncode == 0, done.stderr
     assert int(done.stdout.split()[0]) >= 200 and "0 refused" in done.stdout
+
+
+def test_ctrl_c_during_a_calibration(tmp_path: Path) -> None:
+    """One line that says what to do, exit status 1, and a recording that can be used."""
+    command = [sys.executable, "-m", "tautline", "calibrate", "--simulate", "--out", str(tmp_path / "model")]
+    reset = (
+        "import signal, sys, runpy; signal.signal(signal.SIGINT, signal.default_int_handler); sys.argv = sys.argv[1:]; "
+    )
+    command = [sys.executable, "-c", reset + "runpy.run_module('tautline', run_name='__main__')", "taut", *command[3:]]
+    with subprocess.Popen(command, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as calibration:
+        assert calibration.stderr is not None
+        motor = tmp_path / "model-recording" / "motor.csv"
+        deadline = time.monotonic() + 60.0
+        while not (motor.exists() and motor.stat().st_size > 500_000) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        calibration.send_signal(signal.SIGINT)
+        said = calibration.stderr.read()
+    assert calibration.returncode == 1
+    assert "the axis is at rest" in said and "Traceback" not in said and len(said.strip().splitlines()) == 1
+    recording = load(tmp_path / "model-recording")
+    assert recording.motor.t_s[-1] > 10.0 and recording.marker is not None

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
 import selectors
+import signal
 import sys
 import time
 
@@ -44,33 +46,56 @@ def command(
     from tautline.board import open_board
     from tautline.stream import SetPoints
 
-    with open_board(board) as opened, SetPoints(opened, axis, silence) as points:
-        began = time.monotonic()
-        newest, fresh, ended = points.start_deg, 0.0, False
-        inputs = selectors.DefaultSelector()
-        if sine is None:
-            inputs.register(sys.stdin, selectors.EVENT_READ)
-        try:
+    ended = False
+
+    def stop(number: int, frame: object) -> None:
+        nonlocal ended
+        ended = True  # between two messages, not in the middle of one
+
+    before = signal.signal(signal.SIGINT, stop)
+    try:
+        with open_board(board) as opened, SetPoints(opened, axis, silence) as points:
+            began = time.monotonic()
+            newest, fresh = points.start_deg, 0.0
+            lines = _Lines() if sine is None else None
             while not ended and (duration is None or time.monotonic() - began < duration):
                 now = time.monotonic()
                 if sine is not None:
                     newest, fresh = points.start_deg + sine[0] * math.sin(2 * math.pi * (now - began) / sine[1]), now
-                elif inputs.select(0):
-                    line = sys.stdin.readline()
-                    ended = not line
-                    if line.strip():
-                        newest, fresh = _number(line), now
+                elif lines is not None and (line := lines.newest()) is not None:
+                    newest, fresh = _number(line), now
                 if now - fresh < silence:
                     points.send(newest)
                 points.pace(1.0 / rate)
-        except KeyboardInterrupt:
-            pass
+                ended = ended or (lines is not None and lines.ended)
+    finally:
+        signal.signal(signal.SIGINT, before)
     emit(
         points.summary(),
         as_json,
         f"{points.sent} set-points in {points.seconds:.1f} s ({points.rate_hz:.0f} Hz), {points.late} late, "
         f"{points.refused} refused",
     )
+
+
+class _Lines:
+    """Standard input, never waited for."""
+
+    def __init__(self) -> None:
+        self._inputs = selectors.DefaultSelector()
+        self._inputs.register(sys.stdin, selectors.EVENT_READ)
+        self._rest = b""
+        self.ended = False
+
+    def newest(self) -> str | None:
+        """The last whole line that came since, None where there is none."""
+        found = None
+        while not self.ended and self._inputs.select(0):
+            data = os.read(sys.stdin.fileno(), 1 << 16)
+            self.ended = not data
+            *whole, self._rest = (self._rest + data).split(b"\n")
+            found = next((line for line in reversed(whole) if line.strip()), found)
+        return found.decode("utf-8", "replace") if found is not None else None
 
 
 def _number(line: str) -> float:
