@@ -77,7 +77,7 @@ export class UsbHost {
         this.suspendAlarm?.cancel();
         this.#forget();
         this.chip = null;
-        for (const transfer of pending) this.#finish(transfer, ESHUTDOWN);
+        for (const transfer of pending) this.finish(transfer, ESHUTDOWN);
         if (wasReady) this.onDetached();
     }
 
@@ -166,7 +166,7 @@ export class UsbHost {
         transfer.moved = 0;
         transfer.received = [];
         if (!this.attached) {
-            this.#finish(transfer, ESHUTDOWN);
+            this.finish(transfer, ESHUTDOWN);
             return;
         }
         const key = transfer.setup ? 0 : transfer.endpoint | (transfer.out ? 0 : 0x80);
@@ -176,7 +176,7 @@ export class UsbHost {
             this.aheadBytes -= packet.length;
             const status = this.#receive(transfer, packet);
             if (status !== null) {
-                this.#finish(transfer, status);
+                this.finish(transfer, status);
                 return;
             }
         }
@@ -209,7 +209,7 @@ export class UsbHost {
             if (status !== null) {
                 queue.shift();
                 if (queue.length === 0) this.queues.delete(key);
-                this.#finish(transfer, status);
+                this.finish(transfer, status);
             }
         }
         this.#readAhead();
@@ -227,7 +227,8 @@ export class UsbHost {
         this.aheadBytes += answer.data.length;
     }
 
-    #finish(transfer, status) {
+    /** Hands over what was received. */
+    finish(transfer, status) {
         const data = new Uint8Array(transfer.received.reduce((sum, part) => sum + part.length, 0));
         let at = 0;
         for (const part of transfer.received) {

@@ -20,7 +20,7 @@ const ZERO_PACKET = 0x40; // transfer flag
 const EMSGSIZE = -90;
 const ECONNRESET = -104;
 const SET_ADDRESS = 5;
-const IDLE_US = 200;      // for the answer's packets to be fetched
+const IDLE_US = 1100;     // TinyUSB holds packets back in the last 0.2 ms of a frame (erratum 15), until the next one begins
 const PATIENCE_US = 1e6;  // with a board that takes nothing and never rests
 
 /** USB/IP: one device, one host at a time, as the desktop board serves it. */
@@ -178,8 +178,11 @@ export class UsbIpServer {
             const target = input.readUInt32BE(20);
             const transfer = this.urbs.get(target);
             const found = transfer !== undefined && this.board.usb.cancel(transfer);
+            // What came before a host's time-out counts: a transfer that has data ends with it.
+            const partial = found && !transfer.out && transfer.moved > 0;
+            if (partial) this.board.usb.finish(transfer, OK);
             this.urbs.delete(target);
-            this.#return(RET_UNLINK, sequence, found ? ECONNRESET : 0);
+            this.#return(RET_UNLINK, sequence, found && !partial ? ECONNRESET : 0);
             return HEADER;
         }
         if (kind !== CMD_SUBMIT) {
