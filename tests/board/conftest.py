@@ -6,7 +6,9 @@ Tests that need the simulation (virtual time, power cuts, unplugging) skip on a 
 
 from __future__ import annotations
 
+import contextlib
 import os
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,6 +18,7 @@ import pytest
 
 from tautline import wire
 from tautline.board import Board, find, open_board
+from tautline.errors import TautError
 from tautline.simlink import PROGRAM, DesktopBoard, SimLink
 
 _EMULATED = Path(__file__).resolve().parents[2] / "tools" / "emulator" / "board.js"
@@ -57,8 +60,6 @@ class Bench:
     def run(self, seconds: float) -> None:
         """Lets board time pass."""
         if self.link is None:
-            import time
-
             time.sleep(seconds)
             return
         for _ in range(max(round(seconds / 0.02), 1)):
@@ -87,9 +88,34 @@ def bench_of(request: pytest.FixtureRequest, axes: int = 2, flash: Path | None =
         pytest.skip(f"no board {where}")
     port = request.config.getoption("--sim")
     link_there = SimLink(port) if port else None
+    make_fresh(where, link_there)
     yield Bench(where, link_there)
     if link_there is not None:
         link_there.close()
+
+
+def make_fresh(where: str, link: SimLink | None) -> None:
+    """A board that earlier tests have used, as it is when it is switched on: no tables, default settings."""
+    if link is not None:
+        link.ask("plug")
+    with open_board(where) as board:
+        board.ask("safe_stop", axis=wire.wire.ALL_AXES)
+        board.ask("clear_fault", axis=wire.wire.ALL_AXES)
+        for axis in range(board.axes):
+            board.ask("clear_table", axis=axis, timeout_s=5.0)
+        axes = board.axes
+        if link is None:
+            board.ask("reboot", key=wire.wire.KEY, bootloader=0)
+    if link is not None:
+        link.ask("advance 500000")
+        link.ask("reset")
+        for axis in range(axes):
+            link.ask(f"place {axis} 0")
+    for _ in range(100):  # until it is on the bus again
+        with contextlib.suppress(TautError):
+            if find(where):
+                return
+        time.sleep(0.05)
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ import usb.core
 from conftest import Bench, bench_of
 from tautline import tables, wire
 from tautline.board import Board, BoardGone
+from tautline.dfu import Dfu
 from tautline.errors import TautError
 from tautline.instrument import preset, reference_rig
 from tautline.model import Model
@@ -98,6 +99,13 @@ def test_a_download_broken_off_leaves_the_old_table(bench: Bench) -> None:
             assert board.read_table(0) == blob()
             board.load_table(0, blob(0, 0.9))
             board.load_table(0, blob())
+
+
+def test_a_board_that_holds_something_else_is_noticed(board: Board, monkeypatch: pytest.MonkeyPatch) -> None:
+    upload = Dfu.upload
+    monkeypatch.setattr(Dfu, "upload", lambda self: upload(self)[:-1] + b"?")
+    with pytest.raises(TautError, match="another table than was sent"):
+        board.load_table(0, blob())
 
 
 def test_unplugged_during_a_download(bench: Bench) -> None:
