@@ -34,6 +34,7 @@ class Parameter:
     unit: str
     scale: float
     shape: tuple[float, ...] = ()  # values to start from; empty: an amplitude, zero when absent
+    probe: float = 0.3  # of `scale`: how far to go to see what an amplitude does
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,7 @@ LIBRARY: tuple[Kind, ...] = (
     ),
     Kind(
         "transmission.smooth_onset",
-        (Parameter("onset_spread", "", 0.2),),
+        (Parameter("onset_spread", "", 0.2, probe=2.5),),
         (),
         "motion starts gradually instead of at a corner",
     ),
@@ -200,7 +201,39 @@ def simulate(
     the model's tables hold. Stick-slip and jitter scatter at random: what is here is one course of the former, and
     nothing of the latter."""
     scene = np.asarray(scene_s, dtype=float) - parameters.get("delay", 0.0)
-    moving = {name: value for name, value in parameters.items() if name in NATIVE}
+    c, p, side = _moved(model, motor, scene, parameters, start_deg, load_reference, clock_offset_s)
+    return seen(model, motor, scene, parameters, clock_offset_s, c, p, side)
+
+
+def seen(
+    model: Model,
+    motor: Motor,
+    scene: Array,
+    parameters: Mapping[str, float],
+    clock_offset_s: float,
+    c_deg: Array,
+    p: Array,
+    side: Array,
+) -> Path:
+    """The path of a tip that moved so, at scene times (n,): what comes after the configuration."""
+    if not model.rig.has_camera:
+        return Path(c_deg, p, side, np.full((len(c_deg), 2), np.nan))
+    translation = 0.0 if motor.translation_mm is None else np.interp(scene, motor.t_s, motor.translation_mm)
+    turn = 0.0 if motor.rotation_deg is None else np.interp(scene, motor.t_s, motor.rotation_deg)
+    after = scene + clock_offset_s >= parameters.get("shift_time", np.inf)
+    return Path(c_deg, p, side, image(model, c_deg, translation, turn, parameters, side, after))
+
+
+def _moved(
+    model: Model,
+    motor: Motor,
+    scene: Array,
+    parameters: Mapping[str, float],
+    start_deg: float | None,
+    load_reference: float,
+    clock_offset_s: float,
+) -> tuple[Array, Array, Array]:
+    """c, p and side at scene times (n,)."""
     times = np.concatenate([motor.t_s, scene])
     order = np.argsort(times, kind="stable")
 
@@ -210,19 +243,17 @@ def simulate(
         joined = np.concatenate([values, np.interp(scene, motor.t_s, values)])
         return np.ascontiguousarray(joined[order] - reference)
 
-    q = at_all(motor.q)
-    p0 = np.nan if start_deg is None else float(model.remaining_inverse(start_deg))
     sampled = _native.simulate_effects(
-        moving,
+        {name: value for name, value in parameters.items() if name in NATIVE},
         model.q,
         model.width,
         model.c_deg,
         np.ascontiguousarray(times[order] + clock_offset_s),
-        q,
+        at_all(motor.q),
         at_all(motor.translation_mm),
         at_all(motor.rotation_deg),
         at_all(motor.load_mNm, load_reference),
-        p0,
+        np.nan if start_deg is None else float(model.remaining_inverse(start_deg)),
     )
     restored = []
     for values in sampled:
@@ -230,12 +261,7 @@ def simulate(
         back[order] = values
         restored.append(back[len(motor.t_s) :])
     c, p, side = restored
-    if not model.rig.has_camera:
-        return Path(c, p, side, np.full((len(c), 2), np.nan))
-    translation = 0.0 if motor.translation_mm is None else np.interp(scene, motor.t_s, motor.translation_mm)
-    turn = 0.0 if motor.rotation_deg is None else np.interp(scene, motor.t_s, motor.rotation_deg)
-    after = scene + clock_offset_s >= parameters.get("shift_time", np.inf)
-    return Path(c, p, side, image(model, c, translation, turn, parameters, side, after))
+    return c, p, side
 
 
 def image(

@@ -165,5 +165,5 @@ def test_the_load_of_a_real_instrument_is_named_at_three_loads():
     found = diagnose(calibrate(made[:1], rig).model, made[0], made[1:])
     document = found.document
     assert document["unit"] == "deg" and document["verdict"] == "effect"
-    assert document["effects"][0]["id"] == "transmission.load_dependence"
-    assert document["gap"]["shrink"] > 0.6
+    assert [effect["id"] for effect in document["effects"]] == ["transmission.load_dependence"]
+    assert document["gap"]["shrink"] > 0.9

@@ -10,15 +10,19 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import effects
-from tautline.diagnose.fit import Fit, Fitter, inside, robust_deviation, velocity
+from tautline.diagnose import repeats
+from tautline.diagnose.fit import Fit, Fitter, inside, moves_tip, outlier_limit, velocity
 from tautline.diagnose.gap import memory
-from tautline.effects import Kind
+from tautline.effects import Kind, Path
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 EVENTS = ("transmission.stick_slip", "acquisition.jitter")  # no reproducible path: told by the scatter they make
-_REFITS = 7  # effects refitted in full after screening
+_REFITS = 6  # effects refitted in full after screening
+_BOTH_SCOPES = 3  # of them also in the other scope
+_EXPLAINS = 0.3  # share of the squares from which on an effect with a path has a say before scatter has
+_REPEATS = 2.5  # a residual of which 1 / this repeats is no scatter at all
 _TEMPERATURE = 4.0  # real residuals tell less than independent samples would: every model is a little wrong
 
 
@@ -53,48 +57,61 @@ def applicable(fitter: Fitter) -> list[Kind]:
 def candidates(
     fitter: Fitter, base: Fit, kinds: Sequence[Kind], progress: Progress, refits: int = _REFITS
 ) -> tuple[list[Candidate], float]:
-    """Every effect on top of `base`, best first, and the effective number of observations."""
-    screened = _screen(fitter, base, kinds)
-    fits: list[Candidate] = []
-    waveform = [s for s in screened if s[1].id not in EVENTS]
-    seen: dict[tuple[str, bool], tuple[float, Kind, bool, dict[str, float]]] = {}
-    for entry in waveform:
-        seen.setdefault((entry[1].id, entry[2]), entry)
-    leading = list(seen.values())[: 2 * refits]
-    leading = [e for i, e in enumerate(leading) if sum(x[1].id == e[1].id for x in leading[:i]) < 2]
-    chosen_ids: list[str] = []
-    for entry in leading:
-        if entry[1].id not in chosen_ids:
-            chosen_ids.append(entry[1].id)
-    leading = [e for e in leading if e[1].id in chosen_ids[:refits]]
-    for i, (_, kind, only, values) in enumerate(leading):
-        progress(i / max(1, len(leading)), f"fitting {kind.id}")
-        hypothesis = base.hypothesis.plus(kind, only)
-        start = {**base.state.values, **values}
-        fit = fitter.fit(hypothesis, start, start=base.state)
-        fits.append(Candidate(kind, only, 0.0, fit))
+    """Every effect on top of `base`, best first, and the effective number of observations. The leading ones are
+    refitted in full: each in the scope that screens better, the best of them in the other scope too."""
+    limits = outlier_limits(fitter, base)
+    rss0 = robust_rss(base, limits)
+    seen: dict[str, dict[bool, _Screened]] = {}
+    for entry in _screen(fitter, base, kinds):
+        seen.setdefault(entry.kind.id, {}).setdefault(entry.only_tests, entry)
+    fits: dict[tuple[str, bool], Fit] = {}
 
-    best = min((c.fit for c in fits if c.fit), key=lambda f: _robust_rss(fitter, f), default=base)
-    effective = sum(r.size for r in base.residuals) / memory(best.residuals)
+    def refit(entry: _Screened) -> None:
+        progress(min(1.0, len(fits) / (refits + 3)), f"fitting {entry.kind.id}")
+        start = {**base.state.values, **entry.values}
+        found = fitter.fit(base.hypothesis.plus(entry.kind, entry.only_tests), start, start=base.state)
+        fits[entry.kind.id, entry.only_tests] = found
+
+    for scopes in list(seen.values())[:refits]:
+        refit(next(iter(scopes.values())))
+    for name, only in sorted(fits, key=lambda key: robust_rss(fits[key], limits))[:_BOTH_SCOPES]:
+        other = seen[name].get(not only)
+        if other is not None:
+            refit(other)
+
+    best = min(fits.values(), key=lambda f: robust_rss(f, limits), default=base)
     total = sum(r.size for r in base.residuals)
+    effective = total / memory(best.residuals)
 
     def gaussian(rss: float) -> float:
-        return -0.5 * effective * float(np.log(rss / total))
+        return -0.5 * effective * float(np.log(max(rss, 1e-12 * rss0) / total))
 
-    scored = [Candidate(c.kind, c.only_tests, gaussian(_robust_rss(fitter, c.fit)), c.fit) for c in fits if c.fit]
-    done = {(c.kind.id, c.only_tests) for c in scored}
-    rss0 = _robust_rss(fitter, base)
-    for (name, only), (gain, kind, _, _) in seen.items():
-        if (name, only) not in done:
-            scored.append(Candidate(kind, only, gaussian(max(rss0 * (1.0 - gain), 1e-12 * rss0)), None))
-    for kind in kinds:
-        if kind.id in EVENTS:
-            scored.append(_event(fitter, base, kind, gaussian(rss0), effective / total))
-    ordered = sorted(scored, key=lambda c: -c.penalised(effective))
-    first: dict[str, Candidate] = {}
-    for c in ordered:
-        first.setdefault(c.kind.id, c)
-    return list(first.values()), effective
+    def ranked() -> list[Candidate]:
+        scored = []
+        for name, scopes in seen.items():
+            for only, entry in scopes.items():
+                fit = fits.get((name, only))
+                rss = robust_rss(fit, limits) if fit else rss0 * (1.0 - entry.gain)
+                scored.append(Candidate(entry.kind, only, gaussian(rss), fit))
+        scored += events
+        best: dict[str, Candidate] = {}
+        for candidate in sorted(scored, key=lambda c: -c.penalised(effective)):
+            best.setdefault(candidate.kind.id, candidate)
+        return list(best.values())
+
+    explained = 1.0 - robust_rss(best, limits) / rss0
+    judged = best if explained > _EXPLAINS else base
+    repeating = repeats.share(fitter.segments[1:], judged.residuals[1:])
+    events = [
+        _event(fitter, judged, base, kind, gaussian(rss0), (1.0 - min(1.0, _REPEATS * repeating)) * effective / total)
+        for kind in kinds
+        if kind.id in EVENTS
+    ]
+    ordered = ranked()
+    while ordered[0].fit is None:
+        refit(seen[ordered[0].kind.id][ordered[0].only_tests])
+        ordered = ranked()
+    return ordered, effective
 
 
 def probabilities(ordered: Sequence[Candidate], effective: float, base: float) -> Array:
@@ -106,30 +123,46 @@ def probabilities(ordered: Sequence[Candidate], effective: float, base: float) -
 
 
 def log_likelihood(fitter: Fitter, fit: Fit, effective: float) -> float:
+    """Of the fit that candidates were put on top of."""
     total = sum(r.size for r in fit.residuals)
-    return -0.5 * effective * float(np.log(_robust_rss(fitter, fit) / total))
+    return -0.5 * effective * float(np.log(robust_rss(fit, outlier_limits(fitter, fit)) / total))
 
 
-def _robust_rss(fitter: Fitter, fit: Fit) -> float:
-    """Sum of squares with outliers pulled in: a lost marker must not decide."""
-    total = 0.0
-    for r in fit.residuals:
-        limit = 8.0 * max(robust_deviation(r), fitter.floor)
-        total += float(np.sum(np.minimum(np.abs(r), limit) ** 2))
-    return total
+def outlier_limits(fitter: Fitter, base: Fit) -> list[float]:
+    """Of each recording, one for all that are compared."""
+    return [max(outlier_limit(r), 8.0 * fitter.floor) for r in base.residuals]
 
 
-def _screen(fitter: Fitter, base: Fit, kinds: Iterable[Kind]) -> list[tuple[float, Kind, bool, dict[str, float]]]:
-    """(share of the sum of squares that the effect would take, effect, scope, values to start from), best first. A
-    linear score: residual and effect's Jacobian, both with what the nominal model would absorb projected out."""
+def robust_rss(fit: Fit, limits: Sequence[float]) -> float:
+    """Sum of squares with outliers pulled in."""
+    return sum(float(np.sum(np.minimum(np.abs(r), limit) ** 2)) for r, limit in zip(fit.residuals, limits, strict=True))
+
+
+@dataclass(frozen=True)
+class _Screened:
+    gain: float  # share of the sum of squares that the effect would take
+    kind: Kind
+    only_tests: bool
+    values: dict[str, float]  # to start from
+
+
+def _screen(fitter: Fitter, base: Fit, kinds: Iterable[Kind]) -> list[_Screened]:
+    """Best first. A linear score: residual and effect's Jacobian, both with what the nominal model would absorb
+    projected out."""
     linear = fitter.linearise(base.state, base.hypothesis)
     nominal = np.column_stack([linear.nominal, fitter.effect_jacobian(base.state, base.hypothesis)])
     q, r = np.linalg.qr(nominal)
     q = q[:, np.abs(np.diag(r)) > 1e-9 * np.abs(np.diag(r)).max()]
-    limit = 8.0 * robust_deviation(linear.residual)
-    residual = np.clip(linear.residual, -max(limit, fitter.floor * 8), max(limit, fitter.floor * 8))
+    moved = fitter.paths(base.state, base.hypothesis)
+    limit = np.concatenate(
+        [np.full(x.size, most) for x, most in zip(base.residuals, outlier_limits(fitter, base), strict=True)]
+    )
+    residual = np.clip(linear.residual, -limit, limit)
     residual = residual - q @ (q.T @ residual)
     rss = float(residual @ residual)
+    session = np.concatenate(
+        [np.repeat((s.arrival_s + s.offset_s)[s.scored], s.observed.shape[1]) for s in fitter.segments]
+    )
     calibration = np.zeros(len(residual), dtype=bool)
     calibration[linear.rows[0]] = True
     result = []
@@ -137,7 +170,10 @@ def _screen(fitter: Fitter, base: Fit, kinds: Iterable[Kind]) -> list[tuple[floa
         if kind.id in EVENTS or kind in base.hypothesis.kinds:
             continue
         for values in _shape_starts(fitter, base, kind):
-            full = _columns(fitter, base, kind, values)
+            if kind.id == "registration.shift":  # the static transform, from its time on
+                full = np.where(session[:, None] >= values["shift_time"], linear.nominal[:, fitter.static_columns], 0.0)
+            else:
+                full = _columns(fitter, base, kind, values, linear.residual, moved)
             for only in (True, False):
                 columns = np.where(calibration[:, None], 0.0, full) if only else full
                 free = columns - q @ (q.T @ columns)
@@ -152,21 +188,21 @@ def _screen(fitter: Fitter, base: Fit, kinds: Iterable[Kind]) -> list[tuple[floa
                     reach = 10.0 * fitter.scale(parameter)
                     value = inside(parameter.name, float(np.clip(a, -reach, reach)))
                     start[parameter.name] = value if value != 0.0 else 0.2 * fitter.scale(parameter)
-                result.append((gain, kind, only, start))
-    return sorted(result, key=lambda entry: -entry[0])
+                result.append(_Screened(gain, kind, only, start))
+    return sorted(result, key=lambda entry: -entry.gain)
 
 
-def _columns(fitter: Fitter, base: Fit, kind: Kind, shapes: Mapping[str, float]) -> Array:
-    """d prediction / d amplitude, rows as in Linear, the effect present in every recording."""
+def _columns(
+    fitter: Fitter, base: Fit, kind: Kind, shapes: Mapping[str, float], here: Array, moved: Sequence[Path]
+) -> Array:
+    """d prediction / d amplitude, rows as in Linear, the effect in every recording. `here`, `moved`: the base's."""
     hypothesis = base.hypothesis.plus(kind, False)
-    absent = {p.name: 0.0 for p in kind.amplitudes}
-    state = replace(base.state, values={**base.state.values, **shapes, **absent})
-    here = fitter.residual(state, hypothesis)
     columns = []
     for parameter in kind.amplitudes:
-        step = 0.3 * fitter.scale(parameter)
-        moved = replace(state, values={**state.values, parameter.name: step})
-        columns.append((here - fitter.residual(moved, hypothesis)) / step)
+        step = parameter.probe * fitter.scale(parameter)
+        values = {**base.state.values, **shapes, **{p.name: 0.0 for p in kind.amplitudes}, parameter.name: step}
+        same = None if moves_tip(parameter) else moved
+        columns.append((here - fitter.residual(replace(base.state, values=values), hypothesis, same)) / step)
     return np.column_stack(columns)
 
 
@@ -187,12 +223,14 @@ def _shape_starts(fitter: Fitter, base: Fit, kind: Kind) -> list[dict[str, float
     return [dict(choice) for choice in itertools.product(*choices)]
 
 
-def _event(fitter: Fitter, base: Fit, kind: Kind, without: float, share: float) -> Candidate:
+def _event(fitter: Fitter, judged: Fit, base: Fit, kind: Kind, without: float, share: float) -> Candidate:
     """Scatter along the marker's motion that its speed explains (jitter) or that is there whenever it moves
-    (stick-slip): a Gaussian whose variance follows it, against one of constant variance."""
+    (stick-slip): a Gaussian whose variance follows it, against one of constant variance. Looked for in what `judged`
+    leaves: what an effect with a path explains is no scatter. share: effective observations per observation."""
     along, drive = [], []
-    for segment, r in zip(fitter.segments, base.residuals, strict=True):
-        path, predicted = segment.predict(base.state.model, base.state.at(segment, base.hypothesis), 0.0)
+    for segment, r in zip(fitter.segments, judged.residuals, strict=True):
+        at = judged.state.at(segment, judged.hypothesis)
+        path, predicted = segment.predict(judged.state.model, at, fitter.load_reference)
         keep = segment.scored
         seen = np.gradient(predicted, segment.arrival_s, axis=0)[keep] if len(predicted) > 2 else np.zeros_like(r)
         speed = np.linalg.norm(seen, axis=1)
@@ -209,7 +247,7 @@ def _event(fitter: Fitter, base: Fit, kind: Kind, without: float, share: float) 
     moving = d > 0
     if moving.sum() < 50:
         return Candidate(kind, True, without, None)
-    limit = 8.0 * robust_deviation(a[moving])
+    limit = outlier_limit(a[moving])
     square = np.clip(a, -limit, limit) ** 2
     floor2 = max(float(np.mean(square[~moving])) if (~moving).sum() > 50 else 0.0, fitter.floor**2)
     best, amplitude = -np.inf, 0.0

@@ -30,8 +30,11 @@ FORMAT = "diagnosis/1"
 _MOST_EFFECTS = 3
 _WORTH = 30.0  # twice the log-likelihood that an effect must gain beyond its price
 _SHARE_WORTH = 0.3  # share of the open power that a further effect must close
-# Share of the closable power left from which on the cause is more likely unknown, and how sharply.
+_GAP_WORTH = 0.01  # and of the whole gap's: less nobody would model
+# Share of the power that a recalibration leaves: if more is still open, the cause is more likely unknown; and how
+# sharply.
 _LEFT_MIDDLE, _LEFT_WIDTH = 0.30, 0.06
+_SWALLOWED = 0.02  # a recalibration that leaves less of the gap's power has closed it
 _NO_GAP = 1.25  # times the noise floor
 
 
@@ -70,6 +73,7 @@ def diagnose(
     named: list[Candidate] = []
     current = base
     before_rms = gap.rms(frozen.residuals[1:])
+    excess = max(before_rms**2 - floor**2, 1e-12)
     if ordered[0].fit is not None and ordered[0].penalised(effective) - 2 * without > _WORTH:
         named, current = [ordered[0]], ordered[0].fit
         while len(named) < _MOST_EFFECTS and gap.rms(current.residuals[1:]) > _NO_GAP * floor:
@@ -80,7 +84,9 @@ def diagnose(
             best = more[0]
             if best.fit is None or best.kind.id in decide.EVENTS:
                 break
-            if best.penalised(more_effective) - 2 * here < _WORTH or not _needed(fitter, current, best.fit, floor):
+            if best.penalised(more_effective) - 2 * here < _WORTH or not _needed(
+                fitter, current, best.fit, floor, excess
+            ):
                 break
             named.append(best)
             current = best.fit
@@ -90,12 +96,16 @@ def diagnose(
     event = bool(named) and named[0].kind.id in decide.EVENTS
     before, after = frozen.residuals[1:], frozen.residuals[1:] if event else held_out
     after_rms = gap.rms(after)
-    excess = max(before_rms**2 - floor**2, 1e-12)
+    recalibrated = gap.rms(base.residuals[1:])
     left = 0.0 if event else min(max((after_rms**2 - floor**2) / excess, 0.0), 1.0)
+    # A recalibration closes a share without any effect: the effect must explain what that leaves.
+    unexplained = (after_rms**2 - floor**2) / max(recalibrated**2 - floor**2, _SWALLOWED * excess)
 
-    no_gap = _logistic((_NO_GAP - before_rms / floor) / 0.05) if not event else 0.0
+    no_gap = _logistic((_NO_GAP - before_rms / floor) / 0.05)
     none = float(no_gap if named else max(no_gap, probability[-1] if before_rms < 2 * floor else 0.0))
-    unknown = (1.0 - none) * (_logistic((left - _LEFT_MIDDLE) / _LEFT_WIDTH) if named else 1.0)
+    unknown = (1.0 - none) * (
+        _logistic((unexplained - _LEFT_MIDDLE) / _LEFT_WIDTH) if named and not event else float(not named)
+    )
     known = 1.0 - none - unknown
     shares = probability[:-1] / max(float(probability[:-1].sum()), 1e-300)
     verdict = max((none, "none"), (unknown, "unknown"), (known, "effect"))[1]
@@ -106,7 +116,6 @@ def diagnose(
         named_out, corrected_fit = named, current
 
     progress(0.92, "attributing")
-    recalibrated = gap.rms(base.residuals[1:])
     paths = [s.predict(model, {}, fitter.load_reference)[0] for s in segments[1:]]
     conditions = where.conditions(segments[1:], paths, before)
     ambiguous = {
@@ -183,19 +192,24 @@ def _as_is(fitter: Fitter) -> Fit:
     return Fit(hypothesis, state, residuals)
 
 
-def _needed(fitter: Fitter, now: Fit, then: Fit, floor: float) -> bool:
-    """Whether a further effect closes _SHARE_WORTH of the power still open in what the fit did not see, and does so
-    throughout: the bootstrap's 2.5 % quantile over blocks of manoeuvres still closes a third of that."""
+def _needed(fitter: Fitter, now: Fit, then: Fit, floor: float, excess: float) -> bool:
+    """Whether a further effect closes _SHARE_WORTH of the power still open in what the fit did not see, _GAP_WORTH of
+    the whole gap's `excess` power, and does so throughout: the bootstrap's 2.5 % quantile over blocks of manoeuvres
+    still closes a third of the former."""
 
     def closed(a: Array | float, b: Array | float) -> Array:
         return np.asarray((np.square(a) - np.square(b)) / np.maximum(np.square(a) - floor**2, 1e-12))
 
-    if closed(gap.rms(now.residuals[1:]), gap.rms(then.residuals[1:])) < _SHARE_WORTH:
+    def worth(before: Sequence[Array], after: Sequence[Array]) -> bool:
+        a, b = gap.rms(before), gap.rms(after)
+        return bool(closed(a, b) >= _SHARE_WORTH and a**2 - b**2 >= _GAP_WORTH * excess)
+
+    if not worth(now.residuals[1:], then.residuals[1:]):
         return False
     before, after = _held_out(fitter, now), _held_out(fitter, then)
     drawn = gap.bootstrap(before, after, [gap.blocks(s) for s in fitter.segments[1:]])
     low = float(np.quantile(closed(drawn[0], drawn[1]), 0.025))
-    return bool(closed(gap.rms(before), gap.rms(after)) >= _SHARE_WORTH and low >= _SHARE_WORTH / 3)
+    return worth(before, after) and low >= _SHARE_WORTH / 3
 
 
 def _held_out(fitter: Fitter, fit: Fit) -> list[Array]:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from tautline import effects
 from tautline.diagnose.segment import Segment
-from tautline.effects import Kind, Parameter
+from tautline.effects import Kind, Parameter, Path
 from tautline.model import STEEPEST, Model
 from tautline.splines import Basis
 
@@ -24,7 +24,8 @@ Array = npt.NDArray[np.float64]
 
 _WIDTH_PIECES, _REMAINING_PIECES = 12, 22
 _STATIC = tuple(p.name for p in effects.BY_ID["registration.static"].amplitudes)
-_OUTLIER = 6.0  # robust standard deviations: a residual beyond is pulled in to it
+_OUTLIER = 6.0  # robust standard deviations: a residual beyond is pulled in, unless it is one of many
+_RARE = 0.01  # a misfit that lasts longer than this share of a recording is no outlier
 
 
 @dataclass(frozen=True)
@@ -108,6 +109,8 @@ class Fitter:
         if self.px:
             prior += [np.full(3, 3.0), np.full(3, 2.0), np.full(1, 0.02)]
         self._prior = np.concatenate(prior)
+        before = self._width_basis.size + self._remaining_basis.size
+        self.static_columns = slice(before, before + 6)  # of Linear.nominal, with a camera
         self.floor = 1.0
 
     def nominal(self) -> Fit:
@@ -121,12 +124,22 @@ class Fitter:
     def start(self) -> State:
         return State(self.model, dict.fromkeys(_STATIC, 0.0) if self.px else {})
 
-    def residual(self, state: State, hypothesis: Hypothesis) -> Array:
-        return np.concatenate([self._segment_residual(s, state, hypothesis).ravel() for s in self.segments])
+    def paths(self, state: State, hypothesis: Hypothesis) -> list[Path]:
+        """Of every recording."""
+        return [s.predict(state.model, state.at(s, hypothesis), self.load_reference)[0] for s in self.segments]
 
-    def _segment_residual(self, segment: Segment, state: State, hypothesis: Hypothesis) -> Array:
-        _, predicted = segment.predict(state.model, state.at(segment, hypothesis), self.load_reference)
-        return (segment.observed - predicted)[segment.scored]
+    def residual(self, state: State, hypothesis: Hypothesis, moved: Sequence[Path] | None = None) -> Array:
+        """`moved` as in Segment.predict, one for each recording."""
+        return np.concatenate([r.ravel() for r in self._residuals(state, hypothesis, moved)])
+
+    def _residuals(self, state: State, hypothesis: Hypothesis, moved: Sequence[Path] | None = None) -> list[Array]:
+        residuals = []
+        for i, segment in enumerate(self.segments):
+            parameters = state.at(segment, hypothesis)
+            known = moved[i] if moved else None
+            _, predicted = segment.predict(state.model, parameters, self.load_reference, known)
+            residuals.append((segment.observed - predicted)[segment.scored])
+        return residuals
 
     def linearise(self, state: State, hypothesis: Hypothesis) -> Linear:
         residuals, jacobians, rows, at = [], [], [], 0
@@ -175,14 +188,18 @@ class Fitter:
 
     def effect_jacobian(self, state: State, hypothesis: Hypothesis) -> Array:
         """(n, k) by difference quotients, one column for each of the hypothesis' parameters."""
-        base = self.residual(state, hypothesis)
+        if not hypothesis.parameters:
+            return np.empty((sum(self._counts()), 0))
+        moved = self.paths(state, hypothesis)
+        base = self.residual(state, hypothesis, moved)
         columns = []
         for parameter, _ in hypothesis.parameters:
             step = 0.05 * self.scale(parameter)
             here = state.values[parameter.name]
-            moved = replace(state, values={**state.values, parameter.name: here + step})
-            columns.append((base - self.residual(moved, hypothesis)) / step)
-        return np.column_stack(columns) if columns else np.empty((len(base), 0))
+            changed = replace(state, values={**state.values, parameter.name: here + step})
+            same = None if moves_tip(parameter) else moved
+            columns.append((base - self.residual(changed, hypothesis, same)) / step)
+        return np.column_stack(columns)
 
     def fit(
         self, hypothesis: Hypothesis, values: Mapping[str, float], start: State | None = None, iterations: int = 8
@@ -214,8 +231,7 @@ class Fitter:
                 damping = max(damping, 1e-6) * 10
             if not improved or gain < 1e-4:
                 break
-        residuals = [self._segment_residual(s, state, hypothesis) for s in self.segments]
-        return Fit(hypothesis, state, residuals)
+        return Fit(hypothesis, state, self._residuals(state, hypothesis))
 
     def _counts(self) -> list[int]:
         return [int(s.scored.sum()) * s.observed.shape[1] for s in self.segments]
@@ -223,7 +239,7 @@ class Fitter:
     def _limit(self, residual: Array) -> Array:
         """(n,) per recording: one that fits badly throughout is not an outlier of those that fit."""
         parts = np.split(residual, np.cumsum(self._counts())[:-1])
-        return np.concatenate([np.full(len(r), _OUTLIER * robust_deviation(r)) for r in parts])
+        return np.concatenate([np.full(len(r), outlier_limit(r)) for r in parts])
 
     def _moved(self, state: State, hypothesis: Hypothesis, step: Array) -> State:
         model = state.model
@@ -238,6 +254,11 @@ class Fitter:
         for i, (parameter, _) in enumerate(hypothesis.parameters):
             values[parameter.name] = inside(parameter.name, values[parameter.name] + float(step[at + i]))
         return State(replace(model, width=width, c_deg=c_deg, delay_s=delay), static, values)
+
+
+def moves_tip(parameter: Parameter) -> bool:
+    """Whether the tip's path depends on it, and not only what is seen of it."""
+    return parameter.name in effects.NATIVE or parameter.name == "delay"
 
 
 def inside(name: str, value: float) -> float:
@@ -271,6 +292,13 @@ def robust_cost(residual: Array, limit: Array) -> float:
 def velocity(segment: Segment, c_deg: Array) -> Array:
     """dc/dt (n,) deg/s at the observations."""
     return np.gradient(c_deg, segment.arrival_s) if len(c_deg) > 1 else np.zeros_like(c_deg)
+
+
+def outlier_limit(residual: Array) -> float:
+    """Of one recording: a lost marker must not decide, and what follows every reversal must."""
+    if residual.size == 0:
+        return 1.0
+    return max(_OUTLIER * robust_deviation(residual), 1.2 * float(np.quantile(np.abs(residual), 1.0 - _RARE)))
 
 
 def robust_deviation(values: Array) -> float:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from tautline.effects import Path, simulate
+from tautline.effects import Path, seen, simulate
 from tautline.errors import TautError
 from tautline.model import Model, between_counts
 from tautline.recording import Motor, Recording
@@ -33,17 +33,19 @@ class Segment:
     def unit(self) -> str:
         return "px" if self.observed.shape[1] == 2 else "deg"
 
-    def predict(self, model: Model, parameters: Mapping[str, float], load_reference: float) -> tuple[Path, Array]:
-        """The path at the observations and the prediction (n, k)."""
-        delay = model.delay_s if self.unit == "px" else 0.0
-        path = simulate(
-            model,
-            self.motor,
-            self.arrival_s - delay,
-            parameters,
-            load_reference=load_reference,
-            clock_offset_s=self.offset_s,
-        )
+    def predict(
+        self, model: Model, parameters: Mapping[str, float], load_reference: float, moved: Path | None = None
+    ) -> tuple[Path, Array]:
+        """The path at the observations and the prediction (n, k). `moved`: a path of the same model whose parameters
+        differ only after the configuration: how the tip moves is taken from it."""
+        scene = self.arrival_s - (model.delay_s if self.unit == "px" else 0.0)
+        if moved is None:
+            path = simulate(
+                model, self.motor, scene, parameters, load_reference=load_reference, clock_offset_s=self.offset_s
+            )
+        else:
+            scene = scene - parameters.get("delay", 0.0)
+            path = seen(model, self.motor, scene, parameters, self.offset_s, moved.c_deg, moved.p, moved.side)
         return path, path.image_px if self.unit == "px" else path.c_deg[:, None]
 
     def part(self, keep: npt.NDArray[np.bool_]) -> Segment:
