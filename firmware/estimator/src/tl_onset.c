@@ -405,8 +405,9 @@ static int64_t squared_distance(int64_t u, int64_t v) {
     return u * u + v * v;
 }
 
-/// Whether the image was elsewhere for one frame: off the middle of its neighbours by more than OUTLIER
-/// sigma, and by more than twice what lies between them (else it is a start or a jump). All within +-4096 px.
+/// Whether the image was elsewhere for one frame: off the middle of its neighbours by more than OUTLIER sigma, and
+/// by more than 0.7 of what lies between them: a start or a jump between them puts it off by half at most, whenever
+/// the frames came. All within +-4096 px.
 static bool is_outlier(const tl_onset_detector_t *d, const tl_onset_sample_t *before,
                        const tl_onset_sample_t *sample, const tl_onset_sample_t *after) {
     const int64_t off = squared_distance((2 * (int64_t)sample->u - before->u - after->u) / 32,
@@ -414,7 +415,7 @@ static bool is_outlier(const tl_onset_detector_t *d, const tl_onset_sample_t *be
     const int64_t apart =
         squared_distance(((int64_t)after->u - before->u) / 16, ((int64_t)after->v - before->v) / 16);
     const int64_t variance = d->noise_sum / ((int64_t)d->noise_dof * sample->weight);
-    return off > OUTLIER * OUTLIER * variance && off > 4 * apart;
+    return off > OUTLIER * OUTLIER * variance && 2 * off > apart;
 }
 
 /// A frame with its marker waits for the next one, which tells whether to believe it.
