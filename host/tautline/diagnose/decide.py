@@ -22,6 +22,7 @@ EVENTS = ("transmission.stick_slip", "acquisition.jitter")  # no reproducible pa
 _REFITS = 6  # effects refitted in full after screening
 _BOTH_SCOPES = 3  # of them also in the other scope
 _EXPLAINS = 0.3  # share of the squares from which on an effect with a path has a say before scatter has
+_REMEMBERS = 3.0  # an autocorrelation of 1 / this, where scatter has forgotten, says that it is none
 _REPEATS = 2.5  # a residual of which 1 / this repeats is no scatter at all
 _TEMPERATURE = 4.0  # real residuals tell less than independent samples would: every model is a little wrong
 
@@ -227,7 +228,7 @@ def _event(fitter: Fitter, judged: Fit, base: Fit, kind: Kind, without: float, s
     """Scatter along the marker's motion that its speed explains (jitter) or that is there whenever it moves
     (stick-slip): a Gaussian whose variance follows it, against one of constant variance. Looked for in what `judged`
     leaves: what an effect with a path explains is no scatter. share: effective observations per observation."""
-    along, drive = [], []
+    along, drive, steps = [], [], []
     for segment, r in zip(fitter.segments, judged.residuals, strict=True):
         at = judged.state.at(segment, judged.hypothesis)
         path, predicted = segment.predict(judged.state.model, at, fitter.load_reference)
@@ -240,13 +241,14 @@ def _event(fitter: Fitter, judged: Fit, base: Fit, kind: Kind, without: float, s
             drive.append(speed)
         else:
             turning = np.abs(velocity(segment, path.p)[keep])
+            steps.append(turning * float(np.median(np.diff(segment.arrival_s))))
             drive.append(
                 np.where(turning > 0.02 * max(float(turning.max()), 1e-12), speed / np.maximum(turning, 1e-9), 0)
             )
     a, d = np.concatenate(along), np.concatenate(drive)
     moving = d > 0
     if moving.sum() < 50:
-        return Candidate(kind, True, without, None)
+        return _scatter(base, kind, 0.0, without)
     limit = outlier_limit(a[moving])
     square = np.clip(a, -limit, limit) ** 2
     floor2 = max(float(np.mean(square[~moving])) if (~moving).sum() > 50 else 0.0, fitter.floor**2)
@@ -258,10 +260,18 @@ def _event(fitter: Fitter, judged: Fit, base: Fit, kind: Kind, without: float, s
             best, amplitude = value, float(s)
     constant = float(np.mean(square))
     homoscedastic = -0.5 * float(np.sum(np.log(constant) + square / constant))
-    whiteness = 1.0 / memory([a[moving][:, None]])
-    gain = max(0.0, best - homoscedastic) * min(whiteness, share * 4.0)
+    lag = 1
     if kind.id == "transmission.stick_slip":
         amplitude *= float(np.sqrt(12.0))
+        lag = int(np.clip(np.ceil(2.0 * amplitude / np.median(np.concatenate(steps)[moving])), 1, 100))
+    # Jitter forgets within a frame, stick-slip within two jumps: what remembers longer is neither.
+    both = moving[:-lag] & moving[lag:]
+    kept = abs(float(np.sum(a[:-lag] * a[lag:] * both))) / max(float(np.sum(a[moving] ** 2)), 1e-300)
+    gain = max(0.0, best - homoscedastic) * max(0.0, 1.0 - _REMEMBERS * kept) * min(1.0, share * 4.0)
+    return _scatter(base, kind, amplitude, without + gain)
+
+
+def _scatter(base: Fit, kind: Kind, amplitude: float, log_likelihood: float) -> Candidate:
     values = {**base.state.values, kind.amplitudes[0].name: amplitude}
     fit = replace(base, hypothesis=base.hypothesis.plus(kind, True), state=replace(base.state, values=values))
-    return Candidate(kind, True, without + gain, fit)
+    return Candidate(kind, True, log_likelihood, fit)
