@@ -125,7 +125,7 @@ void effects_simulate(const struct effect_parameters *e, const struct effect_tab
         const double moved = q - before;
         before = q;
         // Encoder steps make the difference quotient spiky: 20 ms is shorter than any motion's own time.
-        if (dt > 0.0 && e->width_per_speed != 0.0) {
+        if (dt > 0.0 && e->width_per_speed != 0.0 && (moved != 0.0 || e->width_held == 0.0)) {
             speed += (moved / dt - speed) * (1.0 - exp(-dt / 0.02));
         }
         struct play_step step = {

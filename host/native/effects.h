@@ -18,6 +18,7 @@ extern "C" {
     X(asymmetry, 0, "unit", "transmission.asymmetric_backlash: extra play after turning up (-: after turning down)") \
     X(asymmetry_travel, 1, "unit", "transmission.asymmetric_backlash: travel in which the tip catches up")   \
     X(width_per_speed, 0, "s", "transmission.rate_dependent_backlash: width added per speed")                \
+    X(width_held, 0, "", "transmission.rate_dependent_backlash: 1 if the width stays while the motor rests, 0 if it closes") \
     X(lag, 0, "s", "transmission.lag: time constant")                                                        \
     X(creep_share, 0, "", "transmission.creep: share of the motion that comes late; 0 to 1")                 \
     X(creep_time, 1, "s", "transmission.creep: its time constant")                                           \

@@ -87,7 +87,7 @@ LIBRARY: tuple[Kind, ...] = (
     Kind(
         "transmission.rate_dependent_backlash",
         (Parameter("width_per_speed", "s", 0.02),),
-        (),
+        (Parameter("width_held", "", 1.0, (0.0, 1.0)),),
         "the width grows with speed",
     ),
     Kind("transmission.lag", (Parameter("lag", "s", 0.02),), (), "the tip lags, viscous, first order"),

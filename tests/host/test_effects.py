@@ -93,6 +93,13 @@ def test_widths():
     assert 1.1 < drifted < 1.2
 
 
+@pytest.mark.parametrize("held", [0.0, 1.0])
+def test_the_width_that_speed_added_closes_or_stays_at_rest(held):
+    t = np.array([17.99, 19.9])
+    moving, resting = simulate(made(1.0), STROKES, t, {"width_per_speed": 0.3, "width_held": held}).p
+    assert resting - moving == pytest.approx(0.01 * 8 / 6 if held else 0.15 * 8 / 6 + 0.01 * 8 / 6, abs=5e-3)
+
+
 def test_a_smooth_onset_starts_early_and_ends_late():
     model = made(1.0)
     t = np.arange(12.0, 18.0, 0.01)

@@ -49,7 +49,7 @@ class Hypothesis:
         ]
 
 
-_DISCRETE = frozenset({"contact_side", "shift_time"})  # searched over, never differentiated
+_DISCRETE = frozenset({"contact_side", "shift_time", "width_held"})  # searched over, never differentiated
 
 
 @dataclass(frozen=True)
