@@ -35,6 +35,7 @@ class Parameter:
     scale: float
     shape: tuple[float, ...] = ()  # values to start from; empty: an amplitude, zero when absent
     probe: float = 0.3  # of `scale`: how far to go to see what an amplitude does
+    one_way: bool = False  # what it does when negative is another thing
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,7 @@ LIBRARY: tuple[Kind, ...] = (
     ),
     Kind(
         "transmission.asymmetric_backlash",
-        (Parameter("asymmetry", "unit", 5e-3),),
+        (Parameter("asymmetry", "unit", 5e-3, one_way=True),),
         (Parameter("asymmetry_travel", "unit", 0.05, (0.01, 0.03, 0.08, 0.2)),),
         "after turning one way the tip starts late and catches up",
     ),

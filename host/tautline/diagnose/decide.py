@@ -22,6 +22,7 @@ EVENTS = ("transmission.stick_slip", "acquisition.jitter")  # no reproducible pa
 _REFITS = 6  # effects refitted in full after screening
 _BOTH_SCOPES = 3  # of them also in the other scope
 _EXPLAINS = 0.3  # share of the squares from which on an effect with a path has a say before scatter has
+_SHIFT_TIMES = 32  # steps in which a shift's time is searched for, and again within two of them
 _REMEMBERS = 3.0  # an autocorrelation of 1 / this, where scatter has forgotten, says that it is none
 _REPEATS = 2.5  # a residual of which 1 / this repeats is no scatter at all
 _TEMPERATURE = 4.0  # real residuals tell less than independent samples would: every model is a little wrong
@@ -166,41 +167,53 @@ def _screen(fitter: Fitter, base: Fit, kinds: Iterable[Kind]) -> list[_Screened]
     )
     calibration = np.zeros(len(residual), dtype=bool)
     calibration[linear.rows[0]] = True
-    result = []
+    result: list[_Screened] = []
+
+    def score(kind: Kind, values: dict[str, float], sign: float) -> None:
+        if kind.id == "registration.shift":  # the static transform, from its time on
+            full = np.where(session[:, None] >= values["shift_time"], linear.nominal[:, fitter.static_columns], 0.0)
+        else:
+            full = _columns(fitter, base, kind, values, linear.residual, moved, sign)
+        for only in (True, False):
+            columns = np.where(calibration[:, None], 0.0, full) if only else full
+            free = columns - q @ (q.T @ columns)
+            size = np.linalg.norm(columns, axis=0)
+            if not (np.linalg.norm(free, axis=0) > 1e-3 * np.maximum(size, 1e-12)).any():
+                continue
+            amplitude, *_ = np.linalg.lstsq(free, residual, rcond=1e-6)
+            gain = 1.0 - float(np.sum((residual - free @ amplitude) ** 2)) / rss
+            start = dict(values)
+            for parameter, a in zip(kind.amplitudes, amplitude, strict=True):
+                reach = 10.0 * fitter.scale(parameter)
+                value = inside(parameter.name, float(np.clip(a, -reach, reach)))
+                if value == 0.0 or (parameter.one_way and value * sign < 0.0):
+                    gain, value = 0.0, 0.2 * sign * fitter.scale(parameter)  # the other way round than it can be
+                start[parameter.name] = value
+            result.append(_Screened(gain, kind, only, start))
+
     for kind in kinds:
         if kind.id in EVENTS or kind in base.hypothesis.kinds:
             continue
-        for values in _shape_starts(fitter, base, kind):
-            if kind.id == "registration.shift":  # the static transform, from its time on
-                full = np.where(session[:, None] >= values["shift_time"], linear.nominal[:, fitter.static_columns], 0.0)
-            else:
-                full = _columns(fitter, base, kind, values, linear.residual, moved)
-            for only in (True, False):
-                columns = np.where(calibration[:, None], 0.0, full) if only else full
-                free = columns - q @ (q.T @ columns)
-                size = np.linalg.norm(columns, axis=0)
-                left = np.linalg.norm(free, axis=0)
-                if not (left > 1e-3 * np.maximum(size, 1e-12)).any():
-                    continue
-                amplitude, *_ = np.linalg.lstsq(free, residual, rcond=1e-6)
-                gain = 1.0 - float(np.sum((residual - free @ amplitude) ** 2)) / rss
-                start = dict(values)
-                for parameter, a in zip(kind.amplitudes, amplitude, strict=True):
-                    reach = 10.0 * fitter.scale(parameter)
-                    value = inside(parameter.name, float(np.clip(a, -reach, reach)))
-                    start[parameter.name] = value if value != 0.0 else 0.2 * fitter.scale(parameter)
-                result.append(_Screened(gain, kind, only, start))
+        signs = (1.0, -1.0) if any(p.one_way for p in kind.amplitudes) else (1.0,)
+        for values, sign in itertools.product(_shape_starts(fitter, base, kind), signs):
+            score(kind, values, sign)
+        if kind.id == "registration.shift":
+            coarse = max((s for s in result if s.kind is kind), key=lambda s: s.gain, default=None)
+            step = float(np.ptp(session)) / _SHIFT_TIMES
+            if coarse is not None:
+                for later in np.linspace(-step, step, _SHIFT_TIMES)[1:-1]:
+                    score(kind, {"shift_time": coarse.values["shift_time"] + float(later)}, 1.0)
     return sorted(result, key=lambda entry: -entry.gain)
 
 
 def _columns(
-    fitter: Fitter, base: Fit, kind: Kind, shapes: Mapping[str, float], here: Array, moved: Sequence[Path]
+    fitter: Fitter, base: Fit, kind: Kind, shapes: Mapping[str, float], here: Array, moved: Sequence[Path], sign: float
 ) -> Array:
     """d prediction / d amplitude, rows as in Linear, the effect in every recording. `here`, `moved`: the base's."""
     hypothesis = base.hypothesis.plus(kind, False)
     columns = []
     for parameter in kind.amplitudes:
-        step = parameter.probe * fitter.scale(parameter)
+        step = sign * parameter.probe * fitter.scale(parameter)
         values = {**base.state.values, **shapes, **{p.name: 0.0 for p in kind.amplitudes}, parameter.name: step}
         same = None if moves_tip(parameter) else moved
         columns.append((here - fitter.residual(replace(base.state, values=values), hypothesis, same)) / step)
@@ -216,7 +229,7 @@ def _shape_starts(fitter: Fitter, base: Fit, kind: Kind) -> list[dict[str, float
         elif parameter.name == "shift_time":
             begin = min(float(s.arrival_s[0]) + s.offset_s for s in fitter.segments)
             end = max(float(s.arrival_s[-1]) + s.offset_s for s in fitter.segments)
-            values = list(np.linspace(begin, end, 33)[1:-1])
+            values = list(np.linspace(begin, end, _SHIFT_TIMES + 1)[1:-1])
         else:
             unit = fitter.model.rig.actuator.span if parameter.unit == "unit" else 1.0
             values = [v * unit for v in parameter.shape]
