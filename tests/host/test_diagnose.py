@@ -64,6 +64,8 @@ def test_nothing_is_called_nothing():
     assert document["probability_none"] > 0.8
     assert document["noise_floor"] == pytest.approx(NOISE, rel=0.1)
     assert document["gap"]["before"] == pytest.approx(NOISE, rel=0.1)
+    assert document["gap"]["after_ci"] == document["gap"]["before_ci"]
+    assert document["gap"]["after"] == document["gap"]["before"] and document["gap"]["shrink"] == 0.0
 
 
 @pytest.mark.parametrize(

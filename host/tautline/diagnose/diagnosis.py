@@ -112,6 +112,7 @@ def diagnose(
     if verdict != "effect":
         named_out: list[Candidate] = []
         corrected_fit = None
+        after, after_rms = before, before_rms  # nothing was added
     else:
         named_out, corrected_fit = named, current
 
@@ -133,11 +134,11 @@ def diagnose(
         "noise_floor": floor,
         "gap": {
             "before": before_rms,
-            "after": after_rms if verdict == "effect" else before_rms,
+            "after": after_rms,
             "before_ci": _interval(boot[0]),
             "after_ci": _interval(boot[1]),
-            "shrink": shrink if verdict == "effect" else 0.0,
-            "shrink_ci": _interval(1.0 - boot[1] / boot[0]) if verdict == "effect" else [0.0, 0.0],
+            "shrink": shrink,
+            "shrink_ci": _interval(1.0 - boot[1] / boot[0]),
             "closable_shrink": (1.0 - left) if verdict == "effect" and not event else 0.0,
         },
         "gap_recalibrated": {"before": recalibrated},
