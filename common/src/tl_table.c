@@ -7,26 +7,26 @@
 static const uint8_t magic[4] = {'T', 'L', 'T', 'B'};
 
 // The header's fields in their order (offset, bytes, type, name) serve writing and reading alike.
-#define HEADER_FIELDS(X)                                                                                     \
-    X(8, 1, uint8_t, axis)                                                                                   \
-    X(9, 1, uint8_t, kind)                                                                                   \
-    X(10, 1, uint8_t, unit)                                                                                  \
-    X(11, 1, uint8_t, step_log2)                                                                             \
-    X(12, 2, uint16_t, nodes)                                                                                \
-    X(14, 2, uint16_t, strength_q15)                                                                         \
-    X(16, 4, uint32_t, nano_units_per_count)                                                                 \
-    X(20, 4, int32_t, q0)                                                                                    \
-    X(24, 4, int32_t, q_min)                                                                                 \
-    X(28, 4, int32_t, q_max)                                                                                 \
-    X(32, 4, int32_t, coarse_c_min)                                                                          \
-    X(36, 4, int32_t, coarse_c_max)                                                                          \
-    X(40, 4, int32_t, speed_max_q8)                                                                          \
-    X(44, 4, int32_t, takeup_speed_q8)                                                                       \
-    X(48, 4, int32_t, takeup_accel)                                                                          \
-    X(52, 4, int32_t, band)                                                                                  \
-    X(56, 4, int32_t, slope_min_q28)                                                                         \
-    X(60, 4, int32_t, flat_speed_q8)                                                                         \
-    X(64, 4, uint32_t, delay_us)                                                                             \
+#define HEADER_FIELDS(X)                                                                                               \
+    X(8, 1, uint8_t, axis)                                                                                             \
+    X(9, 1, uint8_t, kind)                                                                                             \
+    X(10, 1, uint8_t, unit)                                                                                            \
+    X(11, 1, uint8_t, step_log2)                                                                                       \
+    X(12, 2, uint16_t, nodes)                                                                                          \
+    X(14, 2, uint16_t, strength_q15)                                                                                   \
+    X(16, 4, uint32_t, nano_units_per_count)                                                                           \
+    X(20, 4, int32_t, q0)                                                                                              \
+    X(24, 4, int32_t, q_min)                                                                                           \
+    X(28, 4, int32_t, q_max)                                                                                           \
+    X(32, 4, int32_t, coarse_c_min)                                                                                    \
+    X(36, 4, int32_t, coarse_c_max)                                                                                    \
+    X(40, 4, int32_t, speed_max_q8)                                                                                    \
+    X(44, 4, int32_t, takeup_speed_q8)                                                                                 \
+    X(48, 4, int32_t, takeup_accel)                                                                                    \
+    X(52, 4, int32_t, band)                                                                                            \
+    X(56, 4, int32_t, slope_min_q28)                                                                                   \
+    X(60, 4, int32_t, flat_speed_q8)                                                                                   \
+    X(64, 4, uint32_t, delay_us)                                                                                       \
     X(68, 4, uint32_t, created_s)
 
 enum { MODEL_ID_AT = 72, RESERVED_AT = 80, RESERVED_SIZE = 8 };
@@ -213,10 +213,9 @@ tl_table_reason_t tl_table_check(const tl_table_t *table, uint8_t axis) {
 }
 
 const char *tl_table_reason_text(tl_table_reason_t reason) {
-    static const char *const text[] = {
-        "valid",
+    static const char *const text[] = {"valid",
 #define TEXT(name, words) words,
-        TL_TABLE_REASONS(TEXT)
+                                       TL_TABLE_REASONS(TEXT)
 #undef TEXT
     };
     const unsigned index = (unsigned)reason;

@@ -10,7 +10,7 @@ typedef struct {
     uint16_t offset; // in the struct
 } field_t;
 
-#define FIELD_F(kind, name, doc)        {(uint8_t)sizeof(tl_wire_##kind##_t), 1U, (uint16_t)offsetof(type_t, name)},
+#define FIELD_F(kind, name, doc) {(uint8_t)sizeof(tl_wire_##kind##_t), 1U, (uint16_t)offsetof(type_t, name)},
 #define FIELD_A(kind, name, count, doc)                                                                                \
     {(uint8_t)sizeof(tl_wire_##kind##_t), (count), (uint16_t)offsetof(type_t, name)},
 
@@ -101,7 +101,9 @@ static void get_value(uint8_t *value, const uint8_t *in, uint8_t width) {
     }
 }
 
-static uint16_t read_u16(const uint8_t *in) { return (uint16_t)(in[0] | ((uint16_t)in[1] << 8)); }
+static uint16_t read_u16(const uint8_t *in) {
+    return (uint16_t)(in[0] | ((uint16_t)in[1] << 8));
+}
 
 static void write_u16(uint8_t *out, uint16_t value) {
     out[0] = (uint8_t)value;

@@ -42,10 +42,10 @@ nb::object simulate(const nb::dict &parameters, Values grid, Values width, Value
     for (auto [key, value] : parameters) {
         const std::string name = nb::cast<std::string>(key);
         bool known = false;
-#define X(field, absent, unit, meaning)                                                                      \
-    if (name == #field) {                                                                                    \
-        e.field = nb::cast<double>(value);                                                                   \
-        known = true;                                                                                        \
+#define X(field, absent, unit, meaning)                                                                                \
+    if (name == #field) {                                                                                              \
+        e.field = nb::cast<double>(value);                                                                             \
+        known = true;                                                                                                  \
     }
         EFFECT_PARAMETERS(X)
 #undef X
@@ -87,7 +87,6 @@ void bind_effects(nb::module_ &m) {
 #undef X
     m.attr("effect_parameters") = table; // (name, value when absent, unit, meaning)
     m.def("simulate_effects", &simulate, "parameters"_a, "grid"_a, "width"_a, "c_deg"_a, "t_s"_a, "q"_a,
-          "translation"_a = nb::none(), "rotation"_a = nb::none(), "load"_a = nb::none(),
-          "p0"_a = std::nan(""),
+          "translation"_a = nb::none(), "rotation"_a = nb::none(), "load"_a = nb::none(), "p0"_a = std::nan(""),
           "(c_deg, p, side) of every motor sample: the transmission with the named effects (effects.h).");
 }

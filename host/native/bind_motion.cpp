@@ -39,8 +39,7 @@ struct Motion {
 } // namespace
 
 void bind_motion(nb::module_ &m) {
-    nb::class_<tl_motion_config_t>(m, "MotionConfig",
-                                   "tl_motion_config_t: Q8 counts, Q8 counts/s, Q8 counts/s^2.")
+    nb::class_<tl_motion_config_t>(m, "MotionConfig", "tl_motion_config_t: Q8 counts, Q8 counts/s, Q8 counts/s^2.")
         .def("__init__", [](tl_motion_config_t *config) { new (config) tl_motion_config_t{}; })
         .def_rw("low", &tl_motion_config_t::low)
         .def_rw("high", &tl_motion_config_t::high)
@@ -55,8 +54,7 @@ void bind_motion(nb::module_ &m) {
             },
             [](tl_motion_config_t &c, nb::list speeds) {
                 if (speeds.size() > TL_MOTION_SPEEDS) {
-                    throw std::invalid_argument("MotionConfig.speed: at most " +
-                                                std::to_string(TL_MOTION_SPEEDS));
+                    throw std::invalid_argument("MotionConfig.speed: at most " + std::to_string(TL_MOTION_SPEEDS));
                 }
                 c.speed_count = static_cast<uint8_t>(speeds.size());
                 for (size_t i = 0; i < speeds.size(); i++) {
@@ -99,8 +97,7 @@ void bind_motion(nb::module_ &m) {
             "config"_a, "q"_a, "Begins at rest at q; returns one of MOTION_ERRORS.")
         .def("tick", &Motion::tick, "n"_a, "frame_ticks"_a = 0,
              "n ticks, a frame from the host every frame_ticks: (q, velocity), each (n,) int32.")
-        .def("onset",
-             [](Motion &s, int direction) { tl_motion_onset(&s.motion, static_cast<int8_t>(direction)); })
+        .def("onset", [](Motion &s, int direction) { tl_motion_onset(&s.motion, static_cast<int8_t>(direction)); })
         .def("stop", [](Motion &s) { tl_motion_stop(&s.motion); })
         .def_prop_ro("state", [](const Motion &s) { return static_cast<int>(tl_motion_state(&s.motion)); })
         .def_prop_ro("progress", [](const Motion &s) { return tl_motion_progress(&s.motion); });

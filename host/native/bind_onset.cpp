@@ -21,8 +21,7 @@ template <typename T> static nb::object column(const std::vector<T> &values) {
     return nb::cast(nb::ndarray<nb::numpy, T, nb::ndim<1>>(raw, {values.size()}, owner));
 }
 
-template <typename T, typename Member>
-static nb::object field(const std::vector<tl_onset_t> &onsets, Member member) {
+template <typename T, typename Member> static nb::object field(const std::vector<tl_onset_t> &onsets, Member member) {
     std::vector<T> values;
     values.reserve(onsets.size());
     for (const tl_onset_t &onset : onsets) {
@@ -62,14 +61,13 @@ struct OnsetDetector {
     explicit OnsetDetector(const tl_onset_config_t &config) {
         tl_history_init(&history);
         if (!tl_onset_init(&detector, &config)) {
-            throw std::invalid_argument(
-                "OnsetDetector: a field of the configuration is out of its range (tl_onset.h)");
+            throw std::invalid_argument("OnsetDetector: a field of the configuration is out of its range (tl_onset.h)");
         }
     }
 
     /// Motor samples and frames in order of time; polls every 100 ms of motor time.
-    nb::dict run(Input<uint64_t> t_us, Input<int32_t> q, Input<uint64_t> arrival_us, Input<int32_t> u,
-                 Input<int32_t> v, Input<int32_t> sigma, Input<bool> valid, Input<bool> other) {
+    nb::dict run(Input<uint64_t> t_us, Input<int32_t> q, Input<uint64_t> arrival_us, Input<int32_t> u, Input<int32_t> v,
+                 Input<int32_t> sigma, Input<bool> valid, Input<bool> other) {
         const size_t frames = arrival_us.size();
         if (t_us.size() != q.size() || u.size() != frames || v.size() != frames || sigma.size() != frames ||
             valid.size() != frames || other.size() != frames) {
@@ -131,8 +129,7 @@ void bind_onset(nb::module_ &m) {
     nb::class_<History>(m, "History", "tl_history.h: encoder history of one axis, positions in Q8 counts.")
         .def(nb::init<>())
         .def("push", &History::push, "t_us"_a, "q"_a, "Pushes q (n,) int32 at t_us (n,) uint64.")
-        .def("at", &History::at, "t_us"_a,
-             "(q (n,) int32, status (n,) uint8) at t_us (n,) uint64; q is 0 unless OK.");
+        .def("at", &History::at, "t_us"_a, "(q (n,) int32, status (n,) uint8) at t_us (n,) uint64; q is 0 unless OK.");
 
     nb::dict reasons;
     reasons["used"] = static_cast<int>(TL_ONSET_USED);
@@ -147,8 +144,7 @@ void bind_onset(nb::module_ &m) {
     m.attr("ONSET_UNKNOWN") = TL_ONSET_UNKNOWN;
 
     nb::class_<tl_onset_config_t>(m, "OnsetConfig", "tl_onset_config_t, filled in by tl_onset_defaults().")
-        .def("__init__",
-             [](tl_onset_config_t *config) { new (config) tl_onset_config_t(tl_onset_defaults()); })
+        .def("__init__", [](tl_onset_config_t *config) { new (config) tl_onset_config_t(tl_onset_defaults()); })
         .def_rw("delay_us", &tl_onset_config_t::delay_us)
         .def_rw("guard_us", &tl_onset_config_t::guard_us)
         .def_rw("lost_us", &tl_onset_config_t::lost_us)

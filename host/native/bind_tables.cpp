@@ -12,32 +12,31 @@ namespace nb = nanobind;
 namespace {
 
 // One list of names serves both directions between a table and a Python dict.
-#define TABLE_FIELDS(X)                                                                                      \
-    X(axis)                                                                                                  \
-    X(kind)                                                                                                  \
-    X(unit)                                                                                                  \
-    X(step_log2)                                                                                             \
-    X(strength_q15)                                                                                          \
-    X(nano_units_per_count)                                                                                  \
-    X(q0)                                                                                                    \
-    X(q_min)                                                                                                 \
-    X(q_max)                                                                                                 \
-    X(coarse_c_min)                                                                                          \
-    X(coarse_c_max)                                                                                          \
-    X(speed_max_q8)                                                                                          \
-    X(takeup_speed_q8)                                                                                       \
-    X(takeup_accel)                                                                                          \
-    X(band)                                                                                                  \
-    X(slope_min_q28)                                                                                         \
-    X(flat_speed_q8)                                                                                         \
-    X(delay_us)                                                                                              \
+#define TABLE_FIELDS(X)                                                                                                \
+    X(axis)                                                                                                            \
+    X(kind)                                                                                                            \
+    X(unit)                                                                                                            \
+    X(step_log2)                                                                                                       \
+    X(strength_q15)                                                                                                    \
+    X(nano_units_per_count)                                                                                            \
+    X(q0)                                                                                                              \
+    X(q_min)                                                                                                           \
+    X(q_max)                                                                                                           \
+    X(coarse_c_min)                                                                                                    \
+    X(coarse_c_max)                                                                                                    \
+    X(speed_max_q8)                                                                                                    \
+    X(takeup_speed_q8)                                                                                                 \
+    X(takeup_accel)                                                                                                    \
+    X(band)                                                                                                            \
+    X(slope_min_q28)                                                                                                   \
+    X(flat_speed_q8)                                                                                                   \
+    X(delay_us)                                                                                                        \
     X(created_s)
 
 std::string reason_name(tl_table_reason_t reason) {
-    static const char *const names[] = {
-        "OK",
+    static const char *const names[] = {"OK",
 #define NAME(name, text) #name,
-        TL_TABLE_REASONS(NAME)
+                                        TL_TABLE_REASONS(NAME)
 #undef NAME
     };
     return names[reason];
@@ -135,7 +134,8 @@ void bind_tables(nb::module_ &m) {
     m.attr("DEG_ONE") = TL_DEG_ONE;
     m.attr("RATIO_ONE") = TL_RATIO_ONE;
 
-    nb::class_<FixedTable>(m, "FixedTable", "A table as the board loads it; every function takes and returns int32 arrays.")
+    nb::class_<FixedTable>(m, "FixedTable",
+                           "A table as the board loads it; every function takes and returns int32 arrays.")
         .def(
             "__init__",
             [](FixedTable *self, const nb::bytes &blob, uint8_t axis) {

@@ -13,7 +13,9 @@ namespace nb = nanobind;
 
 namespace {
 
-template <typename T> nb::object to_python(const T &value) { return nb::int_(value); }
+template <typename T> nb::object to_python(const T &value) {
+    return nb::int_(value);
+}
 
 template <typename T, size_t N> nb::object to_python(const T (&values)[N]) {
     if constexpr (std::is_same_v<T, char>) {

@@ -3,18 +3,18 @@
 #include <math.h>
 #include <string.h>
 
-#define ORDER 3
-#define TERMS (2 * ORDER + 1)
-#define STEP 0.5          /* px between samples along a ray */
-#define WINDOW 3.0        /* px to either side of the half-way crossing in which an edge is measured */
-#define WINDOW_SAMPLES 13 /* 2 WINDOW / STEP + 1 */
-#define BEYOND 3.0        /* px beyond the crossing where the surroundings begin ... */
-#define BEYOND_SAMPLES 6  /* ... and how far they are averaged */
-#define LOW 0.2           /* share of the contrast below which a sample is all surroundings */
-#define HIGH 0.8          /* and above which it is all marker */
-#define CORRELATION 1.6   /* by which neighbouring rays, which share pixels, say less than independent ones; measured */
-#define SMALLEST 12       /* px, area */
-#define PI 3.14159265358979323846
+#define ORDER          3
+#define TERMS          (2 * ORDER + 1)
+#define STEP           0.5 /* px between samples along a ray */
+#define WINDOW         3.0 /* px to either side of the half-way crossing in which an edge is measured */
+#define WINDOW_SAMPLES 13  /* 2 WINDOW / STEP + 1 */
+#define BEYOND         3.0 /* px beyond the crossing where the surroundings begin ... */
+#define BEYOND_SAMPLES 6   /* ... and how far they are averaged */
+#define LOW            0.2 /* share of the contrast below which a sample is all surroundings */
+#define HIGH           0.8 /* and above which it is all marker */
+#define CORRELATION 1.6 /* by which neighbouring rays, which share pixels, say less than independent ones; measured */
+#define SMALLEST    12  /* px, area */
+#define PI          3.14159265358979323846
 
 /* What a pixel of the region is. */
 enum { BELOW, ABOVE, OTHER, BLOB };
@@ -25,7 +25,9 @@ typedef struct {
     double sum_x, sum_y;
 } blob_t;
 
-size_t marker_scratch_size(size_t pixels) { return pixels * (2 * sizeof(float) + sizeof(int32_t) + sizeof(uint8_t)); }
+size_t marker_scratch_size(size_t pixels) {
+    return pixels * (2 * sizeof(float) + sizeof(int32_t) + sizeof(uint8_t));
+}
 
 /* The k-th smallest, in place. */
 static float kth(float *x, int n, int k) {

@@ -42,8 +42,8 @@ static double envelope(double q, double side, const double *grid, const double *
     return grid[i] + (q - left) * (grid[i + 1] - grid[i]) / (right - left);
 }
 
-void play_forward(const double *q, size_t count, const double *grid, const double *width, size_t n, double p0, double *p,
-                  int8_t *side, int32_t *anchor) {
+void play_forward(const double *q, size_t count, const double *grid, const double *width, size_t n, double p0,
+                  double *p, int8_t *side, int32_t *anchor) {
     size_t low_at = 0;
     size_t high_at = 0;
     int8_t held_by = PLAY_INSIDE;

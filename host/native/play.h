@@ -26,8 +26,8 @@ int play_table_valid(const double *grid, const double *width, size_t n);
  * anchor[k] (NULL: not wanted): the sample that last moved p, -1 as long as none did. At it q[anchor] and p[k] are
  * joined by the envelope `side`, so dp/dtheta = -side (dB/dtheta)/2 / (1 + side B'(p)/2).
  * O(count + nodes passed). */
-void play_forward(const double *q, size_t count, const double *grid, const double *width, size_t n, double p0, double *p,
-                  int8_t *side, int32_t *anchor);
+void play_forward(const double *q, size_t count, const double *grid, const double *width, size_t n, double p0,
+                  double *p, int8_t *side, int32_t *anchor);
 
 /* Indices of the samples at which q turns, into turns[0 .. count-1]; returns how many. A turn is the first sample at an
  * extreme from which q then goes back by more than `hysteresis` (>= 0, q's unit): an encoder that dithers by less does

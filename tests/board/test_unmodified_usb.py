@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -35,7 +36,8 @@ def test_lsusb_reads_the_descriptors(bench: Bench) -> None:
     text = on_the_bus(bench, "lsusb", "-v").stdout
     assert f"ID {wire.wire.USB_VENDOR:04x}:{wire.wire.USB_PRODUCT:04x}" in text
     assert "bcdUSB               2.10" in text
-    assert "Device Firmware Update" in text
+    # Class names come from a database that a machine may lack; the DFU functional descriptor is 33.
+    assert re.search(r"bInterfaceClass +254\b", text) and re.search(r"bDescriptorType +33\b", text)
     assert text.count("bAlternateSetting") >= 3
     assert "EP 1 OUT" in text and "EP 1 IN" in text
 

@@ -8,10 +8,10 @@
 
 #include "tautline/tl_app.h"
 
-#define FAKE_HZ        5000U
-#define FAKE_SPEED     20000.0 // counts/s at full duty
-#define FAKE_LAG       0.02    // s
-#define FAKE_FLASH     (2U * TL_WIRE_AXES_MAX * TL_PORT_FLASH_SECTOR)
+#define FAKE_HZ    5000U
+#define FAKE_SPEED 20000.0 // counts/s at full duty
+#define FAKE_LAG   0.02    // s
+#define FAKE_FLASH (2U * TL_WIRE_AXES_MAX * TL_PORT_FLASH_SECTOR)
 
 typedef struct {
     tl_us_t t_us;
@@ -33,12 +33,16 @@ static fake_t fake;
 static tl_port_t fake_port;
 static tl_app_t app;
 
-static tl_us_t fake_time(void *context) { return ((fake_t *)context)->t_us; }
+static tl_us_t fake_time(void *context) {
+    return ((fake_t *)context)->t_us;
+}
 static int32_t fake_encoder(void *context, uint8_t axis) {
     const double position = ((fake_t *)context)->position[axis];
     return (int32_t)(position < 0.0 ? position - 1.0 : position);
 }
-static void fake_drive(void *context, uint8_t axis, tl_duty_q15_t duty) { ((fake_t *)context)->duty[axis] = duty; }
+static void fake_drive(void *context, uint8_t axis, tl_duty_q15_t duty) {
+    ((fake_t *)context)->duty[axis] = duty;
+}
 static int32_t fake_current(void *context, uint8_t axis) {
     (void)axis;
     return ((fake_t *)context)->current_ma;
@@ -95,7 +99,9 @@ static bool fake_program(void *context, uint32_t offset, const uint8_t *page) {
     return whole;
 }
 
-static void fake_feed(void *context) { ((fake_t *)context)->fed++; }
+static void fake_feed(void *context) {
+    ((fake_t *)context)->fed++;
+}
 static uint32_t fake_lock(void *context) {
     (void)context;
     return 0;
@@ -104,7 +110,9 @@ static void fake_unlock(void *context, uint32_t state) {
     (void)context;
     (void)state;
 }
-static void fake_reboot(void *context, bool bootloader) { ((fake_t *)context)->rebooted = bootloader ? 2 : 1; }
+static void fake_reboot(void *context, bool bootloader) {
+    ((fake_t *)context)->rebooted = bootloader ? 2 : 1;
+}
 
 // Powers the board up over whatever its flash holds.
 static inline void fake_start(uint8_t axes, tl_wire_boot_t boot) {
@@ -112,11 +120,23 @@ static inline void fake_start(uint8_t axes, tl_wire_boot_t boot) {
     fake.cut_at = 0;
     fake.operations = 0;
     fake.rebooted = 0;
-    fake_port = (tl_port_t){.context = &fake, .name = "fake", .serial = "TEST", .axes = axes, .boot = (uint8_t)boot,
-                            .control_hz = FAKE_HZ, .time_us = fake_time, .encoder = fake_encoder, .drive = fake_drive,
-                            .current_ma = fake_current, .flash = fake.flash, .flash_erase = fake_erase,
-                            .flash_program = fake_program, .watchdog_feed = fake_feed, .lock = fake_lock,
-                            .unlock = fake_unlock, .reboot = fake_reboot};
+    fake_port = (tl_port_t){.context = &fake,
+                            .name = "fake",
+                            .serial = "TEST",
+                            .axes = axes,
+                            .boot = (uint8_t)boot,
+                            .control_hz = FAKE_HZ,
+                            .time_us = fake_time,
+                            .encoder = fake_encoder,
+                            .drive = fake_drive,
+                            .current_ma = fake_current,
+                            .flash = fake.flash,
+                            .flash_erase = fake_erase,
+                            .flash_program = fake_program,
+                            .watchdog_feed = fake_feed,
+                            .lock = fake_lock,
+                            .unlock = fake_unlock,
+                            .reboot = fake_reboot};
     tl_app_init(&app, &fake_port);
     tl_app_bus(&app, true);
 }

@@ -1,6 +1,8 @@
 #include "fake_board.h"
 
-void setUp(void) { fake_new(3); }
+void setUp(void) {
+    fake_new(3);
+}
 void tearDown(void) {}
 
 static uint32_t seed;
@@ -13,10 +15,10 @@ static uint32_t random_u32(void) { // xorshift
 }
 
 static const uint8_t requests[] = {
-    TL_WIRE_HELLO,     TL_WIRE_PING,       TL_WIRE_GET_STATUS,   TL_WIRE_GET_COUNTERS, TL_WIRE_ENABLE,
-    TL_WIRE_FOLLOW,    TL_WIRE_SET_POINT,  TL_WIRE_MOVE,         TL_WIRE_STRENGTH,     TL_WIRE_SET_POSITION,
-    TL_WIRE_LIMITS,    TL_WIRE_GET_LIMITS, TL_WIRE_SERVO,        TL_WIRE_GET_SERVO,    TL_WIRE_TELEMETRY,
-    TL_WIRE_MARKER,    TL_WIRE_MOTION_STOP, TL_WIRE_SAFE_STOP,   TL_WIRE_CLEAR_FAULT,  TL_WIRE_CLEAR_TABLE,
+    TL_WIRE_HELLO,        TL_WIRE_PING,        TL_WIRE_GET_STATUS, TL_WIRE_GET_COUNTERS, TL_WIRE_ENABLE,
+    TL_WIRE_FOLLOW,       TL_WIRE_SET_POINT,   TL_WIRE_MOVE,       TL_WIRE_STRENGTH,     TL_WIRE_SET_POSITION,
+    TL_WIRE_LIMITS,       TL_WIRE_GET_LIMITS,  TL_WIRE_SERVO,      TL_WIRE_GET_SERVO,    TL_WIRE_TELEMETRY,
+    TL_WIRE_MARKER,       TL_WIRE_MOTION_STOP, TL_WIRE_SAFE_STOP,  TL_WIRE_CLEAR_FAULT,  TL_WIRE_CLEAR_TABLE,
     TL_WIRE_MOTION_START, TL_WIRE_REBOOT};
 
 static void test_hello_names_board_and_versions(void) {
@@ -66,8 +68,13 @@ static void assert_same(uint8_t type, const void *expected, const void *got) {
 }
 
 static void test_settings_read_back_as_set(void) {
-    tl_wire_servo_t servo = {.axis = 1, .proportional = 1, .integral = 2, .derivative = 3, .feed_forward = 4,
-                             .inertia = 5, .friction_q15 = 6};
+    tl_wire_servo_t servo = {.axis = 1,
+                             .proportional = 1,
+                             .integral = 2,
+                             .derivative = 3,
+                             .feed_forward = 4,
+                             .inertia = 5,
+                             .friction_q15 = 6};
     TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_SERVO, &servo));
     const tl_wire_get_servo_t get = {.axis = 1};
     fake_ask(TL_WIRE_GET_SERVO, &get);
@@ -114,7 +121,7 @@ static void test_a_new_host_never_sees_what_the_last_one_left(void) {
     const size_t size = tl_wire_frame(frame, TL_WIRE_PING, 1, &ping);
     const tl_wire_telemetry_t on = {.axis = 0, .divider = 1};
     fake_ask(TL_WIRE_TELEMETRY, &on);
-    tl_app_receive(&app, frame, size); // a reply that nobody takes
+    tl_app_receive(&app, frame, size);     // a reply that nobody takes
     tl_app_receive(&app, frame, size - 3); // a request broken off
     fake_run_ms(20);
     tl_app_bus(&app, false);
@@ -163,17 +170,24 @@ static size_t random_request(uint8_t *frame) {
     tl_wire_message_t message;
     tl_wire_decode(type, payload, sizeof(payload), &message);
     if (type == TL_WIRE_MOTION_START && kind == 1U) {
-        message.motion_start = (tl_wire_motion_start_t){
-            .axis = payload[0], .cycles = 2, .low_q8 = -300000, .high_q8 = 300000, .speed_q8_s = {100000},
-            .transit_q8_s = 400000, .acceleration_q8_s2 = 5000000, .approach_q8 = 20000, .stroke_max_q8 = 100000,
-            .host_timeout_us = 100000, .delay_us = 50000};
+        message.motion_start = (tl_wire_motion_start_t){.axis = payload[0],
+                                                        .cycles = 2,
+                                                        .low_q8 = -300000,
+                                                        .high_q8 = 300000,
+                                                        .speed_q8_s = {100000},
+                                                        .transit_q8_s = 400000,
+                                                        .acceleration_q8_s2 = 5000000,
+                                                        .approach_q8 = 20000,
+                                                        .stroke_max_q8 = 100000,
+                                                        .host_timeout_us = 100000,
+                                                        .delay_us = 50000};
     }
     if (type == TL_WIRE_FOLLOW && kind == 1U) {
         message.follow = (tl_wire_follow_t){.axis = payload[0], .target = 1, .compensation = 2, .silence_us = 50000};
     }
     if (type == TL_WIRE_SET_POINT && kind == 1U) {
-        message.set_point = (tl_wire_set_point_t){.axis = payload[0], .value = (int32_t)random_u32() >> 9,
-                                                  .at_us = fake.t_us + random_u32() % 40000U};
+        message.set_point = (tl_wire_set_point_t){
+            .axis = payload[0], .value = (int32_t)random_u32() >> 9, .at_us = fake.t_us + random_u32() % 40000U};
     }
     if (type == TL_WIRE_REBOOT && kind == 2U) {
         message.reboot.key = TL_WIRE_KEY;

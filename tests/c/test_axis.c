@@ -2,7 +2,9 @@
 
 #include <math.h>
 
-void setUp(void) { fake_new(2); }
+void setUp(void) {
+    fake_new(2);
+}
 void tearDown(void) {}
 
 static const tl_wire_limits_t limits = {
@@ -252,8 +254,8 @@ static void test_the_reference_keeps_its_limits(void) {
     srand(7);
     for (int run = 0; run < 60; run++) {
         const uint32_t rate = rates[run % 3];
-        const tl_reference_limits_t within = tl_reference_limits(
-            (500 + rand() % 20000) * TL_COUNT_ONE, (5000 + rand() % 200000) * TL_COUNT_ONE, rate);
+        const tl_reference_limits_t within =
+            tl_reference_limits((500 + rand() % 20000) * TL_COUNT_ONE, (5000 + rand() % 200000) * TL_COUNT_ONE, rate);
         tl_reference_t reference;
         tl_reference_set(&reference, 0);
         int32_t target = 0;

@@ -147,12 +147,12 @@ static void test_nothing_that_is_switched_makes_the_axis_jump(void) {
     start(&rising, TL_MODE_FULL, COUNTS(-400));
     const tl_deg_q16_t c = angle(&rising, COUNTS(500));
     int32_t q = hold(c, 600);
-#define SWITCH(action, goal)                                                                                 \
-    action;                                                                                                  \
-    TEST_ASSERT_EQUAL_INT32(q, k.q);                                                                         \
-    TEST_ASSERT_INT32_WITHIN(most, q, tl_compensator_step(&k, c));                                           \
-    q = hold(c, 1000);                                                                                       \
-    TEST_ASSERT_INT32_WITHIN(COUNTS(1), COUNTS(goal), q);                                                    \
+#define SWITCH(action, goal)                                                                                           \
+    action;                                                                                                            \
+    TEST_ASSERT_EQUAL_INT32(q, k.q);                                                                                   \
+    TEST_ASSERT_INT32_WITHIN(most, q, tl_compensator_step(&k, c));                                                     \
+    q = hold(c, 1000);                                                                                                 \
+    TEST_ASSERT_INT32_WITHIN(COUNTS(1), COUNTS(goal), q);                                                              \
     TEST_ASSERT_EQUAL_INT32(0, tl_compensator_rest(&k))
 
     SWITCH(tl_compensator_set_strength(&k, TL_RATIO_ONE / 2), 500 + 75);

@@ -51,8 +51,7 @@ static void test_it_reaches_back_half_a_second_and_no_less(void) {
     for (uint32_t ms = 0; ms <= 2000; ms++) {
         tl_history_push(&history, start + 1000U * ms, (tl_count_q8_t)(ms * 256));
         if (ms >= TL_HISTORY_SPAN_MS) {
-            check(start + 1000U * (ms - TL_HISTORY_SPAN_MS),
-                  (tl_count_q8_t)((ms - TL_HISTORY_SPAN_MS) * 256));
+            check(start + 1000U * (ms - TL_HISTORY_SPAN_MS), (tl_count_q8_t)((ms - TL_HISTORY_SPAN_MS) * 256));
             check_status(start + 1000U * (ms - TL_HISTORY_SPAN_MS) - 2000, TL_HISTORY_TOO_OLD);
         }
     }

@@ -6,7 +6,9 @@
 static tl_lookup_t lookup;
 static uint32_t flags;
 
-void setUp(void) { flags = 0; }
+void setUp(void) {
+    flags = 0;
+}
 void tearDown(void) {}
 
 static void load(const tl_table_t *table) {

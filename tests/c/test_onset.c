@@ -310,11 +310,11 @@ static void test_frames_out_of_order_are_ignored(void) {
 static void test_configurations_out_of_range_are_refused(void) {
     const tl_onset_config_t good = tl_onset_defaults();
     TEST_ASSERT_TRUE(tl_onset_init(&detector, &good));
-#define REFUSE(field, value)                                                                                 \
-    do {                                                                                                     \
-        tl_onset_config_t bad = good;                                                                        \
-        bad.field = (value);                                                                                 \
-        TEST_ASSERT_FALSE_MESSAGE(tl_onset_init(&detector, &bad), #field);                                   \
+#define REFUSE(field, value)                                                                                           \
+    do {                                                                                                               \
+        tl_onset_config_t bad = good;                                                                                  \
+        bad.field = (value);                                                                                           \
+        TEST_ASSERT_FALSE_MESSAGE(tl_onset_init(&detector, &bad), #field);                                             \
     } while (0)
     REFUSE(delay_us, 400001);
     REFUSE(guard_us, 400001);

@@ -2,7 +2,9 @@
 
 #include "tautline/tl_crc.h"
 
-void setUp(void) { fake_new(1); }
+void setUp(void) {
+    fake_new(1);
+}
 void tearDown(void) {}
 
 static uint8_t blob[3][TL_TABLE_SIZE_MAX];
@@ -34,7 +36,9 @@ static uint32_t in_use(void) {
     return 0;
 }
 
-static void restart(void) { fake_start(1, TL_WIRE_BOOT_POWER); }
+static void restart(void) {
+    fake_start(1, TL_WIRE_BOOT_POWER);
+}
 
 static void test_the_newest_table_is_used_and_survives_a_restart(void) {
     make_tables();
@@ -182,7 +186,7 @@ static void test_uploads_that_cannot_be_are_refused_and_change_nothing(void) {
     fake_upload(0, blob[0], size);
     const uint32_t operations = fake.operations;
     TEST_ASSERT_EQUAL(TL_UPLOAD_AXIS, fake_upload(1, blob[1], size));
-    TEST_ASSERT_EQUAL(TL_UPLOAD_SIZE, tl_app_table_end(&app, 0)); // nothing was sent
+    TEST_ASSERT_EQUAL(TL_UPLOAD_SIZE, tl_app_table_end(&app, 0));                    // nothing was sent
     TEST_ASSERT_EQUAL(TL_UPLOAD_SIZE, tl_app_table_data(&app, 0, 256, blob[1], 10)); // not from the start
     static uint8_t zeros[5000];
     TEST_ASSERT_EQUAL(TL_UPLOAD_SIZE, fake_upload(0, zeros, sizeof(zeros)));

@@ -7,7 +7,9 @@
 static uint8_t blob[4096];
 static tl_table_t read;
 
-void setUp(void) { memset(blob, 0xA5, sizeof blob); }
+void setUp(void) {
+    memset(blob, 0xA5, sizeof blob);
+}
 void tearDown(void) {}
 
 // Written down from the layout in tl_table.h; the CRC is zlib's.
@@ -25,7 +27,7 @@ static const uint8_t golden[] = {
     0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, // reserved
     0x2C, 0x01, 0x00, 0x00, 0x2C, 0x00, 0x00, 0x00, // B 300, 44
     0xFF, 0xFF, 0xFF, 0xFF, 0x45, 0x23, 0x01, 0x00, // f -1, 0x12345
-    0x8F, 0x1F, 0xCE, 0x70, // CRC-32
+    0x8F, 0x1F, 0xCE, 0x70,                         // CRC-32
 };
 
 static tl_table_t golden_table(void) {
@@ -135,11 +137,11 @@ static void test_any_flipped_bit_is_refused(void) {
 
 // Content -----------------------------------------------------------------------------------------
 
-#define REFUSED(reason, change)                                                                              \
-    do {                                                                                                     \
-        tl_table_t t = table_fixture(1);                                                                     \
-        change;                                                                                              \
-        TEST_ASSERT_EQUAL_INT_MESSAGE(TL_TABLE_##reason, tl_table_check(&t, TL_TABLE_ANY_AXIS), #change);     \
+#define REFUSED(reason, change)                                                                                        \
+    do {                                                                                                               \
+        tl_table_t t = table_fixture(1);                                                                               \
+        change;                                                                                                        \
+        TEST_ASSERT_EQUAL_INT_MESSAGE(TL_TABLE_##reason, tl_table_check(&t, TL_TABLE_ANY_AXIS), #change);              \
     } while (0)
 
 static void test_unfit_content_is_refused_with_its_reason(void) {
@@ -198,8 +200,8 @@ static void test_spans_that_saturate_are_refused(void) {
     REFUSED(BAD_SATURATES, t.width[0] = INT32_MAX);
     // p + B/2 at the last node, exactly at the bound and one half beyond it
     REFUSED(OK, (t.q0 = TL_TABLE_VALUE_MAX - (157 << 14) - 150 * TL_COUNT_ONE, t.q_min = t.q0, t.q_max = t.q0 + 1));
-    REFUSED(BAD_SATURATES, (t.q0 = TL_TABLE_VALUE_MAX - (157 << 14) - 150 * TL_COUNT_ONE + 1, t.q_min = t.q0,
-                            t.q_max = t.q0 + 1));
+    REFUSED(BAD_SATURATES,
+            (t.q0 = TL_TABLE_VALUE_MAX - (157 << 14) - 150 * TL_COUNT_ONE + 1, t.q_min = t.q0, t.q_max = t.q0 + 1));
     // a grid that would leave 32 bits
     REFUSED(BAD_SATURATES, (t.step_log2 = 23));
 }
@@ -228,8 +230,8 @@ static void test_every_reason_has_a_text(void) {
     for (int i = 0; i < TL_TABLE_REASON_COUNT; i++) {
         TEST_ASSERT_GREATER_THAN(4, strlen(tl_table_reason_text((tl_table_reason_t)i)));
         for (int j = 0; j < i; j++) {
-            TEST_ASSERT_NOT_EQUAL(0, strcmp(tl_table_reason_text((tl_table_reason_t)i),
-                                            tl_table_reason_text((tl_table_reason_t)j)));
+            TEST_ASSERT_NOT_EQUAL(
+                0, strcmp(tl_table_reason_text((tl_table_reason_t)i), tl_table_reason_text((tl_table_reason_t)j)));
         }
     }
     TEST_ASSERT_EQUAL_STRING("unknown reason", tl_table_reason_text(TL_TABLE_REASON_COUNT));

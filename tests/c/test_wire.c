@@ -107,7 +107,7 @@ static void test_no_whole_frame_is_lost_in_garbage(void) {
                 garbage += (uint32_t)size;
                 break;
             }
-            case 2: { // cut short
+            case 2: {                                                        // cut short
                 const size_t cut = random_u32() % (size - TL_WIRE_CRC_SIZE); // else noise may complete it
                 memcpy(stream + length, frame, cut);
                 length += cut;

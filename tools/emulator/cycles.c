@@ -1,6 +1,6 @@
-// Runs the control step and the onset update over random valid tables, commands and plants, for measure.js to count their
-// cycles: the very objects of the image, in RAM like there. BKPT 0xd0 begins a measurement of the kind in r0, 0xd1 ends it,
-// 0xd2 ends the program.
+// Runs the control step and the onset update over random valid tables, commands and plants, for measure.js to count
+// their cycles: the very objects of the image, in RAM like there. BKPT 0xd0 begins a measurement of the kind in r0,
+// 0xd1 ends it, 0xd2 ends the program.
 #include <string.h>
 
 #include "pico.h"
@@ -26,9 +26,12 @@ static uint32_t any(void) {
     return seed;
 }
 
-static int32_t between(int32_t low, int32_t high) { return low + (int32_t)(any() % ((uint32_t)(high - low) + 1u)); }
+static int32_t between(int32_t low, int32_t high) {
+    return low + (int32_t)(any() % ((uint32_t)(high - low) + 1u));
+}
 
-// -- a port without registers: what remains is the step itself ---------------------------------------------------------
+// -- a port without registers: what remains is the step itself
+// ---------------------------------------------------------
 
 static int32_t encoder_count;
 static int32_t current;
@@ -54,11 +57,16 @@ static int32_t __not_in_flash_func(read_current)(void *context, uint8_t axis) {
     return current;
 }
 
-static const tl_port_t port = {
-    .name = "cycles", .axes = 1, .control_hz = RATE_HZ, .time_us = no_time, .encoder = read_encoder, .drive = take_drive,
-    .current_ma = read_current};
+static const tl_port_t port = {.name = "cycles",
+                               .axes = 1,
+                               .control_hz = RATE_HZ,
+                               .time_us = no_time,
+                               .encoder = read_encoder,
+                               .drive = take_drive,
+                               .current_ma = read_current};
 
-// -- random valid tables ---------------------------------------------------------------------------------------------------
+// -- random valid tables
+// ---------------------------------------------------------------------------------------------------
 
 static tl_axis_t axis;
 static tl_motion_t motion;
@@ -105,7 +113,8 @@ static void make_table(tl_table_t *table) {
     } while (tl_table_check(table, 0) != TL_TABLE_OK);
 }
 
-// -- a motor that follows well enough, and sometimes does not -----------------------------------------------------------------
+// -- a motor that follows well enough, and sometimes does not
+// -----------------------------------------------------------------
 
 static int64_t plant_q16;
 
@@ -150,7 +159,8 @@ static void start_axis(void) {
 static tl_deg_q16_t any_angle(void) {
     const tl_lookup_t *lookup = &axis.lookup;
     const int32_t span = lookup->c_high / 2 - lookup->c_low / 2;
-    return tl_add_sat(lookup->c_low / 2 + lookup->c_high / 2, between(-span, span) + between(-span / 4 - 1, span / 4 + 1));
+    return tl_add_sat(lookup->c_low / 2 + lookup->c_high / 2,
+                      between(-span, span) + between(-span / 4 - 1, span / 4 + 1));
 }
 
 static void follow_tip(tl_us_t *now_us) {
@@ -176,9 +186,17 @@ static void follow_tip(tl_us_t *now_us) {
 
 static void other_modes(tl_us_t *now_us) {
     tl_axis_enable(&axis);
-    tl_motion_config_t config = {.low = -400000, .high = 400000, .speed = {between(300, 4000) * 256}, .speed_count = 1,
-                                 .cycles = 3, .transit = 6000 * 256, .acceleration = 200000 * 256, .approach = 500 * 256,
-                                 .stroke_max = 1300 * 256, .host_timeout_us = 20000, .rate_hz = RATE_HZ};
+    tl_motion_config_t config = {.low = -400000,
+                                 .high = 400000,
+                                 .speed = {between(300, 4000) * 256},
+                                 .speed_count = 1,
+                                 .cycles = 3,
+                                 .transit = 6000 * 256,
+                                 .acceleration = 200000 * 256,
+                                 .approach = 500 * 256,
+                                 .stroke_max = 1300 * 256,
+                                 .host_timeout_us = 20000,
+                                 .rate_hz = RATE_HZ};
     bool late;
     for (int i = 0; i < TICKS; i++) {
         *now_us += 1000000 / RATE_HZ;
@@ -233,8 +251,11 @@ static void onsets(void) {
                 tl_history_push(&history, now_us, q);
             }
             tip = q - tip > width / 2 ? q - width / 2 : (tip - q > width / 2 ? q + width / 2 : tip);
-            const tl_marker_t marker = {.arrival_us = now_us, .u = tip / 8 + between(-400, 400), .v = between(-400, 400),
-                                        .sigma = between(0, 1) * 200, .valid = between(0, 30) != 0,
+            const tl_marker_t marker = {.arrival_us = now_us,
+                                        .u = tip / 8 + between(-400, 400),
+                                        .v = between(-400, 400),
+                                        .sigma = between(0, 1) * 200,
+                                        .valid = between(0, 30) != 0,
                                         .other_motion = between(0, 500) == 0};
             tl_onset_t onset;
             BEGIN(ONSET);
@@ -244,7 +265,8 @@ static void onsets(void) {
     }
 }
 
-// The plainest way of one look-up, as a yardstick: linear interpolation with a 64-bit product, as arm_linear_interp_q31 has it.
+// The plainest way of one look-up, as a yardstick: linear interpolation with a 64-bit product, as arm_linear_interp_q31
+// has it.
 static int32_t __not_in_flash_func(plain_lookup)(const int32_t *y, int32_t x, uint32_t nodes) {
     const int32_t index = x >> 20;
     if (index >= (int32_t)nodes - 1) {

@@ -1,4 +1,5 @@
-/// Teleoperation from C: sends the tip's bending angle to a board 250 times a second. libusb and common/ are all it needs.
+/// Teleoperation from C: sends the tip's bending angle to a board 250 times a second. libusb and common/ are all it
+/// needs.
 ///
 ///     stream [AXIS] [SECONDS]
 ///
@@ -21,8 +22,8 @@
 #define TIMEOUT_MS   500U
 #define LEAD_US      8000U ///< a set-point holds so long after it was sent
 #define DEG_Q16      65536.0
-#define TIP          1U    ///< follow's target: configurations, through the tables
-#define FULL         2U   ///< its compensation: f_remain and backlash
+#define TIP          1U      ///< follow's target: configurations, through the tables
+#define FULL         2U      ///< its compensation: f_remain and backlash
 #define SILENCE_US   300000U ///< without a set-point for so long the axis comes to rest
 #define PI           3.14159265358979323846
 
@@ -31,7 +32,9 @@ static tl_wire_parser_t parser;
 static uint16_t sequence;
 
 /// Where the tip shall be at t_s, deg from where it was at the start.
-static double demand(double t_s) { return 10.0 * sin(2.0 * PI * t_s / 4.0); }
+static double demand(double t_s) {
+    return 10.0 * sin(2.0 * PI * t_s / 4.0);
+}
 
 static void fail(const char *what, int error) {
     fprintf(stderr, "stream: %s: %s\n", what, error < 0 ? libusb_error_name(error) : "no answer");
@@ -65,7 +68,8 @@ static void request(uint8_t type, const void *message, uint8_t expected, tl_wire
         while (tl_wire_parse(&parser, &at, &left, &frame)) {
             if (frame.sequence == sequence && tl_wire_decode(frame.type, frame.payload, frame.size, answer)) {
                 if (frame.type == TL_WIRE_ERROR) {
-                    fprintf(stderr, "stream: the board refused request 0x%02x for reason %u (tl_wire.h: TL_WIRE_REASONS)\n",
+                    fprintf(stderr,
+                            "stream: the board refused request 0x%02x for reason %u (tl_wire.h: TL_WIRE_REASONS)\n",
                             (unsigned)answer->error.request, (unsigned)answer->error.reason);
                     exit(1);
                 }
@@ -152,8 +156,8 @@ int main(int argc, char **argv) {
     const double took = now_s() - began;
     request(TL_WIRE_ENABLE, &(tl_wire_enable_t){.axis = axis, .on = 0}, TL_WIRE_ACK, &answer);
     request(TL_WIRE_GET_COUNTERS, &(tl_wire_get_counters_t){.clear = 0}, TL_WIRE_COUNTERS, &answer);
-    printf("%ld set-points in %.2f s, %ld late; the board took %" PRIu32 " and dropped %" PRIu32 "\n", count, took, late,
-           answer.counters.set_points, answer.counters.set_points_dropped);
+    printf("%ld set-points in %.2f s, %ld late; the board took %" PRIu32 " and dropped %" PRIu32 "\n", count, took,
+           late, answer.counters.set_points, answer.counters.set_points_dropped);
     libusb_release_interface(device, 0);
     libusb_close(device);
     libusb_exit(context);

@@ -9,16 +9,16 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-typedef int32_t tl_count_q8_t; ///< motor position or width: encoder counts, Q23.8: +-8.3 M counts, 1/256 count
-typedef int32_t tl_deg_q16_t;  ///< configuration (bending angle): degrees, Q15.16: +-32768 deg, 15 udeg
-typedef int32_t tl_px_q12_t;   ///< image position: pixels, Q19.12: +-524288 px, 0.25 mpx
+typedef int32_t tl_count_q8_t;  ///< motor position or width: encoder counts, Q23.8: +-8.3 M counts, 1/256 count
+typedef int32_t tl_deg_q16_t;   ///< configuration (bending angle): degrees, Q15.16: +-32768 deg, 15 udeg
+typedef int32_t tl_px_q12_t;    ///< image position: pixels, Q19.12: +-524288 px, 0.25 mpx
 typedef int32_t tl_ratio_q15_t; ///< dimensionless, Q16.15; 32768 is 1
-typedef int32_t tl_duty_q15_t; ///< motor drive, -32768 (full reverse) to 32768 (full forward)
-typedef uint64_t tl_us_t;      ///< time since the board's start, microseconds
+typedef int32_t tl_duty_q15_t;  ///< motor drive, -32768 (full reverse) to 32768 (full forward)
+typedef uint64_t tl_us_t;       ///< time since the board's start, microseconds
 
 #define TL_COUNT_ONE ((tl_count_q8_t)1 << 8)
-#define TL_DEG_ONE ((tl_deg_q16_t)1 << 16)
-#define TL_PX_ONE ((tl_px_q12_t)1 << 12)
+#define TL_DEG_ONE   ((tl_deg_q16_t)1 << 16)
+#define TL_PX_ONE    ((tl_px_q12_t)1 << 12)
 #define TL_RATIO_ONE ((tl_ratio_q15_t)1 << 15)
 
 static inline int32_t tl_add_sat(int32_t a, int32_t b) {
@@ -43,7 +43,9 @@ static inline int32_t tl_clamp(int32_t x, int32_t low, int32_t high) {
     return x < low ? low : (x > high ? high : x);
 }
 
-static inline int32_t tl_abs_sat(int32_t x) { return x == INT32_MIN ? INT32_MAX : (x < 0 ? -x : x); }
+static inline int32_t tl_abs_sat(int32_t x) {
+    return x == INT32_MIN ? INT32_MAX : (x < 0 ? -x : x);
+}
 
 /// Upper half of the 64-bit product, by four 16-bit ones: exact, about 17 cycles on a Cortex-M0+.
 static inline uint32_t tl_mul_high(uint32_t a, uint32_t b) {

@@ -64,28 +64,28 @@ typedef enum { TL_AXIS_BENDING = 0, TL_AXIS_TRANSLATION = 1, TL_AXIS_ROTATION = 
 typedef enum { TL_UNIT_MM = 0, TL_UNIT_DEG = 1 } tl_unit_t;
 
 /// Why a table is refused: name, and the text that board and host show.
-#define TL_TABLE_REASONS(X)                                                                                  \
-    X(SHORT, "the blob is shorter than a table's header")                                                    \
-    X(MAGIC, "not a table: the magic number is missing")                                                     \
-    X(FORMAT, "the table has another format version: flash matching firmware or write the table again")      \
-    X(SIZE, "the size in the header is not the blob's size")                                                 \
-    X(CRC, "the CRC-32 does not match: the table was damaged on its way")                                    \
-    X(RESERVED, "reserved bytes, or the grid of a table without nodes, are not zero")                        \
-    X(AXIS, "the table is for another axis, or for none that exists")                                        \
-    X(KIND, "the kind of axis is not bending, translation or rotation")                                      \
-    X(UNIT, "the unit is not mm or deg")                                                                     \
-    X(SCALE, "the scale is zero units per count")                                                            \
-    X(NODES, "a table has no node (identity) or 2 to 257 nodes")                                             \
-    X(STEP, "the grid step is not 2^0 to 2^23 Q8 counts")                                                    \
-    X(RANGE, "the motor range is empty or reaches beyond the grid")                                          \
-    X(SATURATES, "a span saturates: a position with half its width, or an angle, is too large to compute with") \
-    X(STRENGTH, "the strength is not between 0 and 1")                                                       \
-    X(LIMITS, "a speed, acceleration, band or slope limit is out of its range")                              \
-    X(DELAY, "the camera delay is more than 2 s")                                                            \
-    X(COARSE, "the coarse kinematics is flat or falls where f rises: check the sign of its gain")            \
-    X(WIDTH_NEGATIVE, "a backlash width is negative")                                                        \
-    X(WIDTH_STEEP, "the backlash width changes by 2 or more per unit of motion (|B'| >= 2): no unique inverse") \
-    X(NOT_MONOTONE, "f_remain is not strictly rising or strictly falling")                                   \
+#define TL_TABLE_REASONS(X)                                                                                            \
+    X(SHORT, "the blob is shorter than a table's header")                                                              \
+    X(MAGIC, "not a table: the magic number is missing")                                                               \
+    X(FORMAT, "the table has another format version: flash matching firmware or write the table again")                \
+    X(SIZE, "the size in the header is not the blob's size")                                                           \
+    X(CRC, "the CRC-32 does not match: the table was damaged on its way")                                              \
+    X(RESERVED, "reserved bytes, or the grid of a table without nodes, are not zero")                                  \
+    X(AXIS, "the table is for another axis, or for none that exists")                                                  \
+    X(KIND, "the kind of axis is not bending, translation or rotation")                                                \
+    X(UNIT, "the unit is not mm or deg")                                                                               \
+    X(SCALE, "the scale is zero units per count")                                                                      \
+    X(NODES, "a table has no node (identity) or 2 to 257 nodes")                                                       \
+    X(STEP, "the grid step is not 2^0 to 2^23 Q8 counts")                                                              \
+    X(RANGE, "the motor range is empty or reaches beyond the grid")                                                    \
+    X(SATURATES, "a span saturates: a position with half its width, or an angle, is too large to compute with")        \
+    X(STRENGTH, "the strength is not between 0 and 1")                                                                 \
+    X(LIMITS, "a speed, acceleration, band or slope limit is out of its range")                                        \
+    X(DELAY, "the camera delay is more than 2 s")                                                                      \
+    X(COARSE, "the coarse kinematics is flat or falls where f rises: check the sign of its gain")                      \
+    X(WIDTH_NEGATIVE, "a backlash width is negative")                                                                  \
+    X(WIDTH_STEEP, "the backlash width changes by 2 or more per unit of motion (|B'| >= 2): no unique inverse")        \
+    X(NOT_MONOTONE, "f_remain is not strictly rising or strictly falling")                                             \
     X(FLAT, "f_remain is flatter somewhere than the stated least slope, and no flat speed is given to cross it")
 
 #define TL_TABLE_REASON_NAME(name, text) TL_TABLE_BAD_##name,
@@ -109,8 +109,8 @@ typedef struct {
     int32_t takeup_speed_q8;   ///< counts/s
     int32_t takeup_accel;      ///< counts/s^2
     tl_count_q8_t band;
-    int32_t slope_min_q28;  ///< deg/count
-    int32_t flat_speed_q8;  ///< counts/s
+    int32_t slope_min_q28; ///< deg/count
+    int32_t flat_speed_q8; ///< counts/s
     uint32_t delay_us;
     uint32_t created_s;
     uint8_t model_id[8];

@@ -24,12 +24,12 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#define TL_WIRE_MAJOR       1
-#define TL_WIRE_MINOR       0
-#define TL_WIRE_USB_VENDOR  0x1209U ///< pid.codes
-#define TL_WIRE_USB_PRODUCT 0x0001U ///< its test product: for development, never to be sold under
+#define TL_WIRE_MAJOR            1
+#define TL_WIRE_MINOR            0
+#define TL_WIRE_USB_VENDOR       0x1209U ///< pid.codes
+#define TL_WIRE_USB_PRODUCT      0x0001U ///< its test product: for development, never to be sold under
 #define TL_WIRE_USB_MANUFACTURER "tautline"
-#define TL_WIRE_USB_PACKET  64U ///< of both bulk endpoints, 0x01 and 0x81, of interface 0; interface 1 is DFU
+#define TL_WIRE_USB_PACKET       64U ///< of both bulk endpoints, 0x01 and 0x81, of interface 0; interface 1 is DFU
 
 #define TL_WIRE_MAGIC       0x7E54U
 #define TL_WIRE_HEADER_SIZE 8U
@@ -37,11 +37,11 @@
 #define TL_WIRE_PAYLOAD_MAX 256U
 #define TL_WIRE_FRAME_MAX   (TL_WIRE_HEADER_SIZE + TL_WIRE_PAYLOAD_MAX + TL_WIRE_CRC_SIZE)
 
-#define TL_WIRE_AXES_MAX 4U
-#define TL_WIRE_ALL_AXES 0xFFU ///< accepted as `axis` by enable (off only), safe_stop, clear_fault, telemetry
-#define TL_WIRE_BATCH_SAMPLES 8U ///< telemetry samples in a frame
-#define TL_WIRE_DIVIDER_MAX 60U ///< of telemetry: its period fits 16 bits of microseconds
-#define TL_WIRE_KEY      0x74617574U ///< what reboot asks for, so that no stray byte restarts a board
+#define TL_WIRE_AXES_MAX      4U
+#define TL_WIRE_ALL_AXES      0xFFU ///< accepted as `axis` by enable (off only), safe_stop, clear_fault, telemetry
+#define TL_WIRE_BATCH_SAMPLES 8U    ///< telemetry samples in a frame
+#define TL_WIRE_DIVIDER_MAX   60U   ///< of telemetry: its period fits 16 bits of microseconds
+#define TL_WIRE_KEY           0x74617574U ///< what reboot asks for, so that no stray byte restarts a board
 
 // Field lists: F(kind, name, doc) is one value, A(kind, name, count, doc) an array. Kinds: u8 u16 u32 u64 i8 i16 i32,
 // and text (count bytes, padded with 0). Suffixes as in tl_fixed.h; _q8 counts, _q16 deg, _q12 px, _q15 ratio or duty.
@@ -65,7 +65,7 @@
 #define TL_WIRE_FIELDS_FOLLOW(F, A)                                                                                    \
     F(u8, axis, "enabled, at rest")                                                                                    \
     F(u8, target, "what set_point's value is: 0 motor position, 1 configuration, through the tables")                  \
-    F(u8, compensation, "of a configuration: 0 coarse kinematics alone, 1 and backlash, 2 f_remain and backlash") \
+    F(u8, compensation, "of a configuration: 0 coarse kinematics alone, 1 and backlash, 2 f_remain and backlash")      \
     F(u32, silence_us, "without a set_point for so long the axis comes to rest and holds; 0: the default, 100 ms")
 
 #define TL_WIRE_FIELDS_SET_POINT(F, A)                                                                                 \
@@ -418,7 +418,7 @@ typedef enum { TL_WIRE_MESSAGES(TL_WIRE_TYPE_) } tl_wire_type_t;
     TL_WIRE_SIZE_##NAME = 0U TL_WIRE_FIELDS_##NAME(TL_WIRE_SIZE_F_, TL_WIRE_SIZE_A_),
 enum { TL_WIRE_MESSAGES(TL_WIRE_SIZE_) }; ///< bytes of payload
 
-#define TL_WIRE_CODES_(LIST, list, CODE) typedef enum { TL_WIRE_##LIST(CODE) } tl_wire_##list##_t;
+#define TL_WIRE_CODES_(LIST, list, CODE)  typedef enum { TL_WIRE_##LIST(CODE) } tl_wire_##list##_t;
 #define TL_WIRE_REASON_(code, NAME, text) TL_WIRE_REASON_##NAME = (code),
 #define TL_WIRE_FAULT_(code, NAME, text)  TL_WIRE_FAULT_##NAME = (code),
 #define TL_WIRE_MODE_(code, NAME, text)   TL_WIRE_MODE_##NAME = (code),
@@ -457,7 +457,7 @@ typedef struct {
 /// Finds frames in a stream of bytes. All zero is a parser that has seen nothing.
 typedef struct {
     uint16_t fill;
-    uint16_t consumed; ///< bytes of the frame returned last, dropped on the next call
+    uint16_t consumed;  ///< bytes of the frame returned last, dropped on the next call
     uint32_t bytes_bad; ///< bytes that belonged to no whole frame, wraps
     uint8_t buffer[TL_WIRE_FRAME_MAX];
 } tl_wire_parser_t;

@@ -74,7 +74,9 @@ tl_upload_t tl_app_table_data(tl_app_t *app, uint8_t axis, uint32_t offset, cons
     return TL_UPLOAD_OK;
 }
 
-void tl_app_table_abort(tl_app_t *app) { app->upload_size = 0; }
+void tl_app_table_abort(tl_app_t *app) {
+    app->upload_size = 0;
+}
 
 tl_upload_t tl_app_table_end(tl_app_t *app, uint8_t axis) {
     if (axis >= app->port->axes) {

@@ -1,7 +1,7 @@
 // The control step, in a file of its own so that a port can put everything that it reaches where no flash is read.
 #include "tautline/tl_app.h"
 
-#define LATE_FAULT   20000U // us without a control step that a driven motor may not see
+#define LATE_FAULT 20000U // us without a control step that a driven motor may not see
 
 void tl_app_control(tl_app_t *app) {
     const tl_port_t *port = app->port;

@@ -3,12 +3,14 @@
 #include <string.h>
 
 #define AT_ONCE_US   50000U // longest time that a set-point without one takes
-#define ENCODER_JUMP 2000 // counts in one step: above any motor's speed, below a glitch's
+#define ENCODER_JUMP 2000   // counts in one step: above any motor's speed, below a glitch's
 
 static const tl_servo_gains_t default_gains = {
     .proportional = 900, .integral = 12000, .derivative = 600, .feed_forward = 1640, .inertia = 4900, .friction = 1300};
 
-static void event(tl_axis_t *axis, tl_wire_event_code_t code) { axis->events = (uint8_t)(axis->events | (1U << code)); }
+static void event(tl_axis_t *axis, tl_wire_event_code_t code) {
+    axis->events = (uint8_t)(axis->events | (1U << code));
+}
 
 static void drive(tl_axis_t *axis, tl_duty_q15_t duty) {
     axis->duty = duty;

@@ -105,8 +105,7 @@ bool tl_calibration_marker(tl_calibration_t *calibration, const tl_wire_marker_t
         .valid = marker->valid != 0,
         .other_motion = marker->other_motion != 0,
     };
-    return finished(calibration,
-                    tl_onset_sample(&calibration->detector, &calibration->history, &sample, onset));
+    return finished(calibration, tl_onset_sample(&calibration->detector, &calibration->history, &sample, onset));
 }
 
 bool tl_calibration_poll(tl_calibration_t *calibration, tl_us_t now_us, tl_onset_t *onset) {

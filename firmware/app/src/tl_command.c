@@ -8,9 +8,15 @@ typedef struct {
     uint8_t reason;
 } answer_t;
 
-static answer_t refuse(uint8_t reason) { return (answer_t){.reason = reason}; }
-static answer_t done(uint8_t reason) { return (answer_t){.type = TL_WIRE_ACK, .reason = reason}; }
-static answer_t with(uint8_t type) { return (answer_t){.type = type}; }
+static answer_t refuse(uint8_t reason) {
+    return (answer_t){.reason = reason};
+}
+static answer_t done(uint8_t reason) {
+    return (answer_t){.type = TL_WIRE_ACK, .reason = reason};
+}
+static answer_t with(uint8_t type) {
+    return (answer_t){.type = type};
+}
 
 static void copy_text(char *out, size_t room, const char *text) {
     for (size_t i = 0; i < room && text[i] != '\0'; i++) {
@@ -77,8 +83,7 @@ static void counters(tl_app_t *app, bool clear, tl_us_t now_us, tl_wire_counters
 
 static uint8_t set_point(tl_app_t *app, const tl_wire_set_point_t *request, tl_us_t now_us) {
     bool late = false;
-    const uint8_t reason =
-        tl_axis_set_point(&app->axes[request->axis], request->value, request->at_us, now_us, &late);
+    const uint8_t reason = tl_axis_set_point(&app->axes[request->axis], request->value, request->at_us, now_us, &late);
     app->counters.set_points += reason == 0 ? 1U : 0U;
     app->counters.set_points_dropped += reason == 0 ? 0U : 1U;
     app->counters.set_points_late += late ? 1U : 0U;

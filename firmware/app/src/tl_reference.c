@@ -70,7 +70,9 @@ static void advance(tl_reference_t *reference, int32_t velocity) {
     reference->velocity = velocity;
 }
 
-static bool within(int32_t x, int32_t most) { return x <= most && x >= -most; }
+static bool within(int32_t x, int32_t most) {
+    return x <= most && x >= -most;
+}
 
 void tl_reference_step(tl_reference_t *reference, tl_count_q8_t target, tl_count_q8_t low, tl_count_q8_t high,
                        const tl_reference_limits_t *limits) {

@@ -3,7 +3,9 @@
 #define ERROR_MAX (128 * TL_COUNT_ONE) // beyond it proportional drive is saturated at any useful gain
 #define REST_BAND TL_COUNT_ONE
 
-static bool in_range(int32_t value) { return value >= 0 && value <= TL_SERVO_GAIN_MAX; }
+static bool in_range(int32_t value) {
+    return value >= 0 && value <= TL_SERVO_GAIN_MAX;
+}
 
 bool tl_servo_configure(tl_servo_t *servo, const tl_servo_gains_t *gains, uint32_t rate_hz) {
     if (!in_range(gains->proportional) || !in_range(gains->integral) || !in_range(gains->derivative) ||
@@ -33,7 +35,9 @@ void tl_servo_reset(tl_servo_t *servo, tl_count_q8_t q) {
 }
 
 // x * factor / 2^shift for |x| and factor below 2^15 or a product below 2^31.
-static int32_t scale(int32_t x, int32_t factor, unsigned shift) { return (x * factor) >> shift; }
+static int32_t scale(int32_t x, int32_t factor, unsigned shift) {
+    return (x * factor) >> shift;
+}
 
 void tl_servo_watch(tl_servo_t *servo, tl_count_q8_t q) {
     // Speed below 2^23 (Q8), rate_inverse below 2^15: the product of speed / 2^7 fits.
@@ -58,8 +62,7 @@ tl_duty_q15_t tl_servo_step(tl_servo_t *servo, tl_count_q8_t q, tl_count_q8_t re
     servo->wanted = velocity;
     const int32_t lag = tl_clamp(wanted - servo->velocity / 256, -32767, 32767);
     int32_t sum = scale(error, servo->gains.proportional, 8) + scale(lag, servo->derivative, 10) +
-                  scale(wanted, servo->feed_forward, 10) + scale(change, servo->inertia, 12) +
-                  (servo->integral >> 14);
+                  scale(wanted, servo->feed_forward, 10) + scale(change, servo->inertia, 12) + (servo->integral >> 14);
     sum += velocity > 0 ? servo->gains.friction : (velocity < 0 ? -servo->gains.friction : 0);
     const tl_duty_q15_t driven = tl_clamp(sum, -limit, limit);
     servo->saturated = driven != sum;

@@ -1,18 +1,18 @@
 #include "tautline/tl_usb.h"
 
-#include <string.h>
 #include <device/dcd.h>
+#include <string.h>
 #include <tusb.h>
 
 enum { INTERFACE_VENDOR, INTERFACE_DFU, INTERFACES };
 enum { STRING_LANGUAGE, STRING_MANUFACTURER, STRING_PRODUCT, STRING_SERIAL, STRING_VENDOR, STRING_AXIS };
 
-#define ENDPOINT_OUT   0x01
-#define ENDPOINT_IN    0x81
-#define REQUEST_MS_OS  0x01
-#define MS_OS_INDEX    0x07
-#define POWER_MA       100
-#define MANIFEST_MS    50U // typical flash erase and eight pages
+#define ENDPOINT_OUT  0x01
+#define ENDPOINT_IN   0x81
+#define REQUEST_MS_OS 0x01
+#define MS_OS_INDEX   0x07
+#define POWER_MA      100
+#define MANIFEST_MS   50U // typical flash erase and eight pages
 
 static tl_app_t *app;
 
@@ -35,7 +35,9 @@ static const tusb_desc_device_t device_descriptor = {
     .bNumConfigurations = 1,
 };
 
-uint8_t const *tud_descriptor_device_cb(void) { return (const uint8_t *)&device_descriptor; }
+uint8_t const *tud_descriptor_device_cb(void) {
+    return (const uint8_t *)&device_descriptor;
+}
 
 #define CONFIGURATION_SIZE(axes) (TUD_CONFIG_DESC_LEN + TUD_VENDOR_DESC_LEN + TUD_DFU_DESC_LEN(axes))
 static uint8_t configuration[CONFIGURATION_SIZE(TL_WIRE_AXES_MAX)];
@@ -73,7 +75,9 @@ static void make_configuration(uint8_t axes) {
     memcpy(out, functional, sizeof(functional));
 }
 
-uint8_t const *tud_descriptor_configuration_cb(uint8_t index) { return index == 0U ? configuration : NULL; }
+uint8_t const *tud_descriptor_configuration_cb(uint8_t index) {
+    return index == 0U ? configuration : NULL;
+}
 
 // -- strings ----------------------------------------------------------------------------------------------------
 
@@ -139,9 +143,14 @@ uint16_t const *tud_descriptor_string_cb(uint8_t index, uint16_t language) {
         U16_TO_U8S_LE(42), NAME, U16_TO_U8S_LE(80), GUID(nn)
 
 static const uint8_t ms_os_descriptor[] = {
-    U16_TO_U8S_LE(10), U16_TO_U8S_LE(MS_OS_20_SET_HEADER_DESCRIPTOR), U32_TO_U8S_LE(0x06030000), // Windows 8.1
+    U16_TO_U8S_LE(10),
+    U16_TO_U8S_LE(MS_OS_20_SET_HEADER_DESCRIPTOR),
+    U32_TO_U8S_LE(0x06030000), // Windows 8.1
     U16_TO_U8S_LE(MS_OS_SIZE),
-    U16_TO_U8S_LE(8), U16_TO_U8S_LE(MS_OS_20_SUBSET_HEADER_CONFIGURATION), 0, 0,
+    U16_TO_U8S_LE(8),
+    U16_TO_U8S_LE(MS_OS_20_SUBSET_HEADER_CONFIGURATION),
+    0,
+    0,
     U16_TO_U8S_LE(8 + INTERFACES * FUNCTION_SIZE),
     FUNCTION(INTERFACE_VENDOR, '0'),
     FUNCTION(INTERFACE_DFU, '1'),
@@ -153,7 +162,9 @@ static const uint8_t bos_descriptor[] = {
     TUD_BOS_MS_OS_20_DESCRIPTOR(MS_OS_SIZE, REQUEST_MS_OS),
 };
 
-uint8_t const *tud_descriptor_bos_cb(void) { return bos_descriptor; }
+uint8_t const *tud_descriptor_bos_cb(void) {
+    return bos_descriptor;
+}
 
 bool tud_vendor_control_xfer_cb(uint8_t port, uint8_t stage, tusb_control_request_t const *request) {
     const bool ours = request->bmRequestType_bit.type == TUSB_REQ_TYPE_VENDOR &&
@@ -207,9 +218,15 @@ void __wrap_dcd_event_handler(dcd_event_t const *event, bool in_isr) {
 
 // -- bus state --------------------------------------------------------------------------------------------------
 
-void tud_mount_cb(void) { tl_app_bus(app, true); }
-void tud_umount_cb(void) { tl_app_bus(app, false); }
-void tud_resume_cb(void) { tl_app_bus(app, tud_mounted()); }
+void tud_mount_cb(void) {
+    tl_app_bus(app, true);
+}
+void tud_umount_cb(void) {
+    tl_app_bus(app, false);
+}
+void tud_resume_cb(void) {
+    tl_app_bus(app, tud_mounted());
+}
 
 void tud_suspend_cb(bool remote_wakeup_allowed) {
     (void)remote_wakeup_allowed;
@@ -246,7 +263,9 @@ void tud_dfu_download_cb(uint8_t alternate, uint16_t block, uint8_t const *data,
     tud_dfu_finish_flashing(dfu_status(tl_app_table_data(app, alternate, offset, data, length)));
 }
 
-void tud_dfu_manifest_cb(uint8_t alternate) { tud_dfu_finish_flashing(dfu_status(tl_app_table_end(app, alternate))); }
+void tud_dfu_manifest_cb(uint8_t alternate) {
+    tud_dfu_finish_flashing(dfu_status(tl_app_table_end(app, alternate)));
+}
 
 uint16_t tud_dfu_upload_cb(uint8_t alternate, uint16_t block, uint8_t *data, uint16_t length) {
     return (uint16_t)tl_app_table_read(app, alternate, (uint32_t)block * length, data, length);

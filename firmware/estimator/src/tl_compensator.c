@@ -196,4 +196,6 @@ void tl_compensator_set_table(tl_compensator_t *k, const tl_lookup_t *lookup) {
     settle(k, before);
 }
 
-tl_count_q8_t tl_compensator_rest(const tl_compensator_t *k) { return (tl_count_q8_t)tl_takeup_rest(&k->takeup); }
+tl_count_q8_t tl_compensator_rest(const tl_compensator_t *k) {
+    return (tl_count_q8_t)tl_takeup_rest(&k->takeup);
+}

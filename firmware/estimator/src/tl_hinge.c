@@ -12,8 +12,7 @@ static int32_t travel(const tl_onset_detector_t *d, int32_t i, tl_count_q8_t ori
     return d->direction < 0 ? tl_sub_sat(origin, q) : tl_sub_sat(q, origin);
 }
 
-tl_hinge_point_t tl_hinge_point(const tl_onset_detector_t *d, int32_t i, tl_count_q8_t origin,
-                                int32_t scale) {
+tl_hinge_point_t tl_hinge_point(const tl_onset_detector_t *d, int32_t i, tl_count_q8_t origin, int32_t scale) {
     const tl_onset_sample_t *s = sample_at(d, i);
     return (tl_hinge_point_t){
         .x = tl_clamp(travel(d, i, origin) / ((int32_t)1 << scale), -TRAVEL_MAX, TRAVEL_MAX),
@@ -103,8 +102,7 @@ bool tl_hinge_meet(const tl_onset_sums_t *line, const tl_onset_sums_t *level, in
         tl_real_sub(tl_real_div(tl_real(level->u, 0), level_w), tl_real_div(tl_real(line->u, 0), line_w));
     const tl_real_t gap_v =
         tl_real_sub(tl_real_div(tl_real(level->v, 0), level_w), tl_real_div(tl_real(line->v, 0), line_w));
-    const tl_real_t along =
-        tl_real_add(tl_real_mul(tl_real(cu, 0), gap_u), tl_real_mul(tl_real(cv, 0), gap_v));
+    const tl_real_t along = tl_real_add(tl_real_mul(tl_real(cu, 0), gap_u), tl_real_mul(tl_real(cv, 0), gap_v));
     const tl_real_t from_mean = tl_real_div(tl_real_mul(along, d), c2);
     const tl_real_t mean_x = tl_real_div(tl_real(line->x, 0), line_w);
     const tl_real_t b2 = tl_real_div(c2, tl_real_mul(d, d));
@@ -207,9 +205,8 @@ tl_real_t tl_hinge_glance(const tl_onset_detector_t *d) {
             next *= 2;
         }
     }
-    return best.denominator == 0
-               ? tl_real(0, 0)
-               : tl_real_div(best.numerator, tl_real_mul(best.denominator, tl_real(d->all.w, 0)));
+    return best.denominator == 0 ? tl_real(0, 0)
+                                 : tl_real_div(best.numerator, tl_real_mul(best.denominator, tl_real(d->all.w, 0)));
 }
 
 /// The best of the samples as knots: its place in the window, -1 where there is none.
@@ -335,8 +332,7 @@ tl_real_t tl_hinge_blind(const tl_onset_detector_t *d, tl_real_t slope, tl_real_
     begin_walk(d, &walk);
     // slope^2 C_xx / W >= gain
     const tl_real_t unit_slope = tl_real_mul(slope, tl_real(1, walk.scale));
-    const tl_real_t needed =
-        tl_real_div(tl_real_mul(gain, tl_real(d->all.w, 0)), tl_real_mul(unit_slope, unit_slope));
+    const tl_real_t needed = tl_real_div(tl_real_mul(gain, tl_real(d->all.w, 0)), tl_real_mul(unit_slope, unit_slope));
     while (walk_on(d, &walk)) {
         if (!tl_real_less(gain_at(&walk.beyond, &d->all).denominator, needed)) {
             const int32_t seen = travel(d, walk.k, d->reversal.q1);

@@ -74,8 +74,7 @@ tl_history_status_t tl_history_at(const tl_history_t *history, tl_us_t t_us, tl_
     const uint32_t steps = age_us / TL_HISTORY_STEP_US;
     const uint32_t rest_us = age_us % TL_HISTORY_STEP_US;
     const int32_t newer = history->q[(count - 1U - steps) & RING_MASK];
-    *q = rest_us == 0
-             ? newer
-             : interpolate(newer, history->q[(count - 2U - steps) & RING_MASK], rest_us, TL_HISTORY_STEP_US);
+    *q = rest_us == 0 ? newer
+                      : interpolate(newer, history->q[(count - 2U - steps) & RING_MASK], rest_us, TL_HISTORY_STEP_US);
     return TL_HISTORY_OK;
 }

@@ -31,8 +31,12 @@ static void derive_span(tl_lookup_t *lookup, unsigned i) {
     lookup->has_flat |= lookup->flat[i];
 }
 
-static int32_t half_down(int32_t x) { return x >> 1; }
-static int32_t half_up(int32_t x) { return (x >> 1) + (x & 1); }
+static int32_t half_down(int32_t x) {
+    return x >> 1;
+}
+static int32_t half_up(int32_t x) {
+    return (x >> 1) + (x & 1);
+}
 
 static void derive_grid(tl_lookup_t *lookup) {
     const tl_table_t *table = &lookup->table;

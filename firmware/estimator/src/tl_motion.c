@@ -80,14 +80,12 @@ static void end_measuring(tl_motion_t *m) {
     const int64_t further = braking_distance(m->acceleration, m->steps) + q32(m->config.approach);
     const bool rising = m->direction > 0;
     m->phase = TRAVELLING;
-    m->target =
-        rising ? smaller(m->position + further, high_end(m)) : larger(m->position - further, low_end(m));
+    m->target = rising ? smaller(m->position + further, high_end(m)) : larger(m->position - further, low_end(m));
     if (!is_forward(m)) {
         return;
     }
     if (m->leg == 0) { // from here to the far end the pass has its turning points
-        const int64_t way_q8 =
-            (rising ? far_end(m) - m->target : m->target - far_end(m)) / ((int64_t)1 << 24);
+        const int64_t way_q8 = (rising ? far_end(m) - m->target : m->target - far_end(m)) / ((int64_t)1 << 24);
         m->first = m->target;
         m->half_step = q32((int64_t)((uint64_t)way_q8 * m->half_step_share >> 32));
     }

@@ -31,12 +31,11 @@ tl_onset_config_t tl_onset_defaults(void) {
 bool tl_onset_init(tl_onset_detector_t *detector, const tl_onset_config_t *config) {
     memset(detector, 0, sizeof *detector);
     const bool valid = config->delay_us <= 400000 && config->guard_us <= 400000 && config->timeout_us > 0 &&
-                       config->timeout_us <= 600000000 && config->lost_us > 0 &&
-                       config->lost_us <= 10000000 && config->turn > 0 && config->sigma_wanted > 0 &&
-                       config->sigma_usable >= config->sigma_wanted && config->noise_px > 0 &&
-                       config->noise_px <= 8 * TL_PX_ONE && config->curvature < 1U << 20 &&
-                       config->threshold > 0 && config->frames_min >= 3 &&
-                       config->frames_max >= config->frames_min && config->frames_max < TL_ONSET_WINDOW - 1;
+                       config->timeout_us <= 600000000 && config->lost_us > 0 && config->lost_us <= 10000000 &&
+                       config->turn > 0 && config->sigma_wanted > 0 && config->sigma_usable >= config->sigma_wanted &&
+                       config->noise_px > 0 && config->noise_px <= 8 * TL_PX_ONE && config->curvature < 1U << 20 &&
+                       config->threshold > 0 && config->frames_min >= 3 && config->frames_max >= config->frames_min &&
+                       config->frames_max < TL_ONSET_WINDOW - 1;
     if (!valid) {
         return false;
     }
@@ -182,8 +181,7 @@ static void decide(tl_onset_detector_t *d, bool ended, tl_onset_t *onset) {
 static bool slows_down(tl_onset_detector_t *d, int32_t i, int32_t before) {
     const bool last = i + 1 == before;
     const tl_count_q8_t q = last ? d->reversal.q1 : sample_at(d, i + 1)->q;
-    const uint32_t us =
-        (last ? (uint32_t)d->reversal.turn_us : sample_at(d, i + 1)->t_us) - sample_at(d, i)->t_us;
+    const uint32_t us = (last ? (uint32_t)d->reversal.turn_us : sample_at(d, i + 1)->t_us) - sample_at(d, i)->t_us;
     const int64_t way = magnitude(tl_sub_sat(q, sample_at(d, i)->q));
     return us <= d->config.lost_us && way * 8000000 < (int64_t)speed_between(d, i - 1, i) * us * 7;
 }
@@ -377,8 +375,7 @@ static void take(tl_onset_detector_t *d, const tl_onset_sample_t *sample) {
 }
 
 /// A sample that its neighbours vouch for.
-static void take_sample(tl_onset_detector_t *d, const tl_onset_sample_t *sample, tl_us_t scene_us,
-                        tl_onset_t *onset) {
+static void take_sample(tl_onset_detector_t *d, const tl_onset_sample_t *sample, tl_us_t scene_us, tl_onset_t *onset) {
     if (d->phase == FOLLOWING) {
         take(d, sample);
         return;
@@ -408,19 +405,17 @@ static int64_t squared_distance(int64_t u, int64_t v) {
 /// Whether the image was elsewhere for one frame: off the middle of its neighbours by more than OUTLIER sigma, and
 /// by more than 0.7 of what lies between them: a start or a jump between them puts it off by half at most, whenever
 /// the frames came. All within +-4096 px.
-static bool is_outlier(const tl_onset_detector_t *d, const tl_onset_sample_t *before,
-                       const tl_onset_sample_t *sample, const tl_onset_sample_t *after) {
+static bool is_outlier(const tl_onset_detector_t *d, const tl_onset_sample_t *before, const tl_onset_sample_t *sample,
+                       const tl_onset_sample_t *after) {
     const int64_t off = squared_distance((2 * (int64_t)sample->u - before->u - after->u) / 32,
                                          (2 * (int64_t)sample->v - before->v - after->v) / 32); // Q16 px^2
-    const int64_t apart =
-        squared_distance(((int64_t)after->u - before->u) / 16, ((int64_t)after->v - before->v) / 16);
+    const int64_t apart = squared_distance(((int64_t)after->u - before->u) / 16, ((int64_t)after->v - before->v) / 16);
     const int64_t variance = d->noise_sum / ((int64_t)d->noise_dof * sample->weight);
     return off > OUTLIER * OUTLIER * variance && 2 * off > apart;
 }
 
 /// A frame with its marker waits for the next one, which tells whether to believe it.
-static void take_frame(tl_onset_detector_t *d, const tl_onset_sample_t *sample, tl_us_t scene_us,
-                       tl_onset_t *onset) {
+static void take_frame(tl_onset_detector_t *d, const tl_onset_sample_t *sample, tl_us_t scene_us, tl_onset_t *onset) {
     const tl_onset_sample_t waiting = d->waiting;
     const tl_us_t waiting_us = d->seen_us;
     d->waiting = *sample;
@@ -460,8 +455,7 @@ bool tl_onset_sample(tl_onset_detector_t *detector, const tl_history_t *history,
         }
         return d->told;
     }
-    tl_onset_sample_t sample = {0, marker->u, marker->v, (uint32_t)scene_us,
-                                weight_of(&d->config, marker->sigma)};
+    tl_onset_sample_t sample = {0, marker->u, marker->v, (uint32_t)scene_us, weight_of(&d->config, marker->sigma)};
     if (marker->valid && tl_history_at(history, scene_us, &sample.q) == TL_HISTORY_OK) {
         take_frame(d, &sample, scene_us, onset);
     } else {
@@ -470,8 +464,7 @@ bool tl_onset_sample(tl_onset_detector_t *detector, const tl_history_t *history,
     return d->told;
 }
 
-bool tl_onset_poll(tl_onset_detector_t *detector, const tl_history_t *history, tl_us_t now_us,
-                   tl_onset_t *onset) {
+bool tl_onset_poll(tl_onset_detector_t *detector, const tl_history_t *history, tl_us_t now_us, tl_onset_t *onset) {
     tl_onset_detector_t *d = detector;
     d->told = false;
     if (now_us < (tl_us_t)d->config.delay_us + POLL_LAG_US) {

@@ -2,7 +2,9 @@
 
 // Where p has just been solved for, 2 |q - p| is B(p) but for rounding: less than (2 + |B'|) 1.5 of the last bit. It is
 // kept smaller than B(p) by that, so that comparing with it may ask for a solution in vain but never misses one.
-static uint32_t width_at(uint32_t twice_apart) { return twice_apart > 6U ? twice_apart - 6U : 0; }
+static uint32_t width_at(uint32_t twice_apart) {
+    return twice_apart > 6U ? twice_apart - 6U : 0;
+}
 
 void tl_play_start(tl_play_t *play, const tl_lookup_t *lookup, tl_count_q8_t p) {
     play->lookup = lookup;

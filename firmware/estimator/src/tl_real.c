@@ -66,8 +66,7 @@ tl_real_t tl_real_add(tl_real_t a, tl_real_t b) {
     if (b == 0 || shift > 30) {
         return a;
     }
-    return tl_real((int64_t)mantissa(a) * ((int64_t)1 << 30) +
-                       (int64_t)mantissa(b) * ((int64_t)1 << (30 - shift)),
+    return tl_real((int64_t)mantissa(a) * ((int64_t)1 << 30) + (int64_t)mantissa(b) * ((int64_t)1 << (30 - shift)),
                    exponent(a) - 30);
 }
 

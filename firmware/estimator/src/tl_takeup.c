@@ -1,8 +1,12 @@
 #include "tl_takeup.h"
 
-static int64_t at_least_1(int64_t value) { return value > 0 ? value : 1; }
+static int64_t at_least_1(int64_t value) {
+    return value > 0 ? value : 1;
+}
 
-void tl_takeup_start(tl_takeup_t *takeup) { *takeup = (tl_takeup_t){.heading = 1}; }
+void tl_takeup_start(tl_takeup_t *takeup) {
+    *takeup = (tl_takeup_t){.heading = 1};
+}
 
 void tl_takeup_set_limits(tl_takeup_t *takeup, const tl_table_t *table, uint32_t rate_hz) {
     const int64_t rate = (int64_t)rate_hz;
@@ -20,7 +24,9 @@ void tl_takeup_add(tl_takeup_t *takeup, int64_t jump_q8) {
     takeup->spare_q36 += jump;
 }
 
-void tl_takeup_stop(tl_takeup_t *takeup) { takeup->ahead_q36 = takeup->spare_q36 = takeup->speed_q36 = 0; }
+void tl_takeup_stop(tl_takeup_t *takeup) {
+    takeup->ahead_q36 = takeup->spare_q36 = takeup->speed_q36 = 0;
+}
 
 // From rest: new limits, and the way to what is left. False if nothing is.
 static bool set_off(tl_takeup_t *takeup) {

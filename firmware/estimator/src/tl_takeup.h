@@ -27,6 +27,8 @@ static inline uint32_t tl_takeup_rest(const tl_takeup_t *takeup) {
     return (uint32_t)((uint64_t)(rest + ((int64_t)1 << (TL_TAKEUP_FRACTION_BITS - 1))) >> TL_TAKEUP_FRACTION_BITS);
 }
 
-static inline bool tl_takeup_done(const tl_takeup_t *takeup) { return (takeup->ahead_q36 | takeup->speed_q36) == 0; }
+static inline bool tl_takeup_done(const tl_takeup_t *takeup) {
+    return (takeup->ahead_q36 | takeup->speed_q36) == 0;
+}
 
 #endif

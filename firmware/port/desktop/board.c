@@ -103,7 +103,9 @@ static void port_reboot(void *context, bool bootloader) {
     restart = bootloader ? 2 : 1;
 }
 
-uint32_t tusb_time_millis_api(void) { return (uint32_t)(state.t_us / 1000U); }
+uint32_t tusb_time_millis_api(void) {
+    return (uint32_t)(state.t_us / 1000U);
+}
 
 // -- power and time ---------------------------------------------------------------------------------------------
 
@@ -134,9 +136,15 @@ bool board_open(const board_options_t *options) {
     return true;
 }
 
-const board_state_t *board_state(void) { return &state; }
-const tl_app_t *board_app(void) { return &app; }
-bool board_on_bus(void) { return state.powered && !state.bootloader; }
+const board_state_t *board_state(void) {
+    return &state;
+}
+const tl_app_t *board_app(void) {
+    return &app;
+}
+bool board_on_bus(void) {
+    return state.powered && !state.bootloader;
+}
 
 void board_start(tl_wire_boot_t reason) {
     port.boot = (uint8_t)reason;
@@ -160,8 +168,12 @@ void board_start(tl_wire_boot_t reason) {
     tl_usb_init(&app);
 }
 
-void board_cut(uint32_t operations) { state.cut_in = operations; }
-void board_hang(void) { state.hung = true; }
+void board_cut(uint32_t operations) {
+    state.cut_in = operations;
+}
+void board_hang(void) {
+    state.hung = true;
+}
 
 void board_task(void) {
     if (!state.powered || state.bootloader || state.hung) {
@@ -201,9 +213,13 @@ void board_step(void) {
     }
 }
 
-int32_t board_log(uint64_t index, uint8_t axis) { return log_q8[(index - 1U) % BOARD_LOG][axis]; }
+int32_t board_log(uint64_t index, uint8_t axis) {
+    return log_q8[(index - 1U) % BOARD_LOG][axis];
+}
 
-int32_t board_true_q8(uint8_t axis) { return (int32_t)(uint32_t)(uint64_t)llround(motors[axis].position * 256.0); }
+int32_t board_true_q8(uint8_t axis) {
+    return (int32_t)(uint32_t)(uint64_t)llround(motors[axis].position * 256.0);
+}
 
 void board_place(uint8_t axis, int32_t q_q8) {
     const int32_t before = motor_counts(&motors[axis]);

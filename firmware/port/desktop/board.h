@@ -17,15 +17,15 @@ typedef struct {
 } board_options_t;
 
 typedef struct {
-    tl_us_t t_us;         // of the world, never falls
-    tl_us_t boot_us;      // when the board last started: its own clock is t_us - boot_us
-    bool powered;         // false after a power cut
-    bool bootloader;      // it waits there for firmware
-    bool hung;            // the main loop stands still
+    tl_us_t t_us;    // of the world, never falls
+    tl_us_t boot_us; // when the board last started: its own clock is t_us - boot_us
+    bool powered;    // false after a power cut
+    bool bootloader; // it waits there for firmware
+    bool hung;       // the main loop stands still
     uint32_t starts;
     uint32_t flash_operations; // since the process began
-    uint32_t cut_in;      // flash operations until the power is cut; 0: never
-    uint64_t log_end;     // milliseconds logged since the process began
+    uint32_t cut_in;           // flash operations until the power is cut; 0: never
+    uint64_t log_end;          // milliseconds logged since the process began
 } board_state_t;
 
 // False: the flash file cannot be used, with a message on stderr.

@@ -103,10 +103,18 @@ bool dcd_deinit(uint8_t port) {
 }
 
 // One thread: nothing to keep out.
-void dcd_int_enable(uint8_t port) { (void)port; }
-void dcd_int_disable(uint8_t port) { (void)port; }
-void dcd_int_handler(uint8_t port) { (void)port; }
-void dcd_remote_wakeup(uint8_t port) { (void)port; }
+void dcd_int_enable(uint8_t port) {
+    (void)port;
+}
+void dcd_int_disable(uint8_t port) {
+    (void)port;
+}
+void dcd_int_handler(uint8_t port) {
+    (void)port;
+}
+void dcd_remote_wakeup(uint8_t port) {
+    (void)port;
+}
 
 void dcd_sof_enable(uint8_t port, bool enable) {
     (void)port;

@@ -110,10 +110,14 @@ static void serve(const service_t *usb, const service_t *sim, long parent) {
 
 int main(int argc, char **argv) {
     static const struct option options[] = {
-        {"usbip", required_argument, NULL, 'u'}, {"sim", required_argument, NULL, 's'},
-        {"flash", required_argument, NULL, 'f'}, {"axes", required_argument, NULL, 'a'},
-        {"rate", required_argument, NULL, 'r'},  {"serial", required_argument, NULL, 'n'},
-        {"realtime", no_argument, NULL, 't'},    {"parent", required_argument, NULL, 'p'},
+        {"usbip", required_argument, NULL, 'u'},
+        {"sim", required_argument, NULL, 's'},
+        {"flash", required_argument, NULL, 'f'},
+        {"axes", required_argument, NULL, 'a'},
+        {"rate", required_argument, NULL, 'r'},
+        {"serial", required_argument, NULL, 'n'},
+        {"realtime", no_argument, NULL, 't'},
+        {"parent", required_argument, NULL, 'p'},
         {NULL, 0, NULL, 0},
     };
     board_options_t board = {.axes = 1, .control_hz = 5000, .serial = "DESKTOP-1"};

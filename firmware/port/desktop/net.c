@@ -86,7 +86,9 @@ void net_consume(net_connection_t *connection, size_t size) {
     memmove(connection->in, connection->in + size, connection->in_fill);
 }
 
-size_t net_room(const net_connection_t *connection) { return sizeof(connection->out) - connection->out_fill; }
+size_t net_room(const net_connection_t *connection) {
+    return sizeof(connection->out) - connection->out_fill;
+}
 
 void net_put(net_connection_t *connection, const void *bytes, size_t size) {
     if (size > net_room(connection)) {

@@ -11,7 +11,7 @@
 #define NET_OUT (1024 * 1024)
 
 typedef struct {
-    int fd; // -1: free
+    int fd;       // -1: free
     bool closing; // once all is written
     size_t in_fill;
     size_t out_fill;

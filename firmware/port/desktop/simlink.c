@@ -23,7 +23,7 @@ static uint64_t told;               // milliseconds of the log that were reporte
 static bool realtime;
 static bool quit;
 static bool cable = true;
-static tl_us_t paced_us; // world time at
+static tl_us_t paced_us;  // world time at
 static uint64_t paced_at; // this wall-clock time, us
 
 static uint64_t wall_us(void) {
@@ -37,7 +37,9 @@ static void pace_from_here(void) {
     paced_at = wall_us();
 }
 
-static tl_us_t wall_limit(void) { return paced_us + (wall_us() - paced_at); }
+static tl_us_t wall_limit(void) {
+    return paced_us + (wall_us() - paced_at);
+}
 
 __attribute__((format(printf, 2, 3))) static void put(net_connection_t *connection, const char *format, ...) {
     char text[512];
@@ -89,13 +91,15 @@ static void report_state(net_connection_t *connection) {
         put(connection,
             "%s{\"q_q8\": %" PRId32 ", \"q_ref_q8\": %" PRId32 ", \"duty_q15\": %" PRId32
             ", \"mode\": %u, \"fault\": %u, \"flags\": %u}",
-            i == 0 ? "" : ", ", axis->q, tl_reference_q(&axis->reference), axis->duty, axis->mode,
-            axis->fault, tl_axis_flags(axis));
+            i == 0 ? "" : ", ", axis->q, tl_reference_q(&axis->reference), axis->duty, axis->mode, axis->fault,
+            tl_axis_flags(axis));
     }
     put(connection, "]}\n");
 }
 
-static void ok(net_connection_t *connection) { put(connection, "{\"t_us\": %" PRIu64 "}\n", board_state()->t_us); }
+static void ok(net_connection_t *connection) {
+    put(connection, "{\"t_us\": %" PRIu64 "}\n", board_state()->t_us);
+}
 
 // A whole decimal number of at most `most`; false where there is none.
 static bool number(const char *text, long long least, long long most, long long *value) {
@@ -227,7 +231,9 @@ bool simlink_run(void) {
     return ran;
 }
 
-int simlink_wait(void) { return realtime ? 1 : -1; }
+int simlink_wait(void) {
+    return realtime ? 1 : -1;
+}
 
 void simlink_closed(net_connection_t *connection) {
     net_close(connection);
@@ -237,5 +243,9 @@ void simlink_closed(net_connection_t *connection) {
     }
 }
 
-bool simlink_quit(void) { return quit; }
-bool simlink_cable(void) { return cable; }
+bool simlink_quit(void) {
+    return quit;
+}
+bool simlink_cable(void) {
+    return cable;
+}

@@ -380,7 +380,9 @@ void usbip_plug(bool on) {
     }
 }
 
-bool usbip_attached(void) { return importer != NULL; }
+bool usbip_attached(void) {
+    return importer != NULL;
+}
 
 void usbip_receive(void) {
     for (size_t i = 0; i < USBIP_CONNECTIONS; i++) {

@@ -10,7 +10,7 @@ enum {
     PWM_HZ = 20000,
     CLOCK_HZ = 125000000,
     PERIOD = CLOCK_HZ / PWM_HZ,
-    SENSE_BEFORE_END = CLOCK_HZ / 1000000, // the ADC holds its sample within this time
+    SENSE_BEFORE_END = CLOCK_HZ / 1000000,       // the ADC holds its sample within this time
     DEAD_TIME = CLOCK_HZ / 1000000 * 450 / 1000, // DRV8833: 450 ns in which neither side conducts
     SHUNT_MILLIOHM = 470,                        // of the Motor 2040
     ADC_FULL_SCALE_MV = 3300,
@@ -19,7 +19,9 @@ enum {
 
 static unsigned sense_axis;
 
-static inline unsigned pin_p(unsigned axis) { return MOTOR2040_MOTOR_A_P_PIN + 2 * axis; }
+static inline unsigned pin_p(unsigned axis) {
+    return MOTOR2040_MOTOR_A_P_PIN + 2 * axis;
+}
 
 static void __not_in_flash_func(set_levels)(unsigned axis, uint32_t p, uint32_t n) {
     // Both inputs of a bridge are the two channels of one slice: one write, so that they change in the same period.
@@ -43,8 +45,7 @@ void bridge_init(void) {
         gpio_set_function(pin_p(axis), GPIO_FUNC_PWM);
         gpio_set_function(pin_p(axis) + 1, GPIO_FUNC_PWM);
     }
-    const unsigned address_pins[] = {MOTOR2040_ADC_ADDR_0_PIN, MOTOR2040_ADC_ADDR_1_PIN,
-                                     MOTOR2040_ADC_ADDR_2_PIN};
+    const unsigned address_pins[] = {MOTOR2040_ADC_ADDR_0_PIN, MOTOR2040_ADC_ADDR_1_PIN, MOTOR2040_ADC_ADDR_2_PIN};
     for (unsigned i = 0; i < 3; i++) {
         gpio_init(address_pins[i]);
         gpio_set_dir(address_pins[i], GPIO_OUT);
@@ -58,7 +59,8 @@ void bridge_init(void) {
 void bridge_align(uint32_t ticks) {
     pwm_set_mask_enabled(0);
     for (unsigned axis = 0; axis < MOTOR2040_NUM_MOTORS; axis++) {
-        pwm_set_counter(pwm_gpio_to_slice_num(pin_p(axis)), (uint16_t)((2 * PERIOD - SENSE_BEFORE_END - ticks % PERIOD) % PERIOD));
+        pwm_set_counter(pwm_gpio_to_slice_num(pin_p(axis)),
+                        (uint16_t)((2 * PERIOD - SENSE_BEFORE_END - ticks % PERIOD) % PERIOD));
     }
     uint32_t mask = 0;
     for (unsigned axis = 0; axis < MOTOR2040_NUM_MOTORS; axis++) {
@@ -82,9 +84,13 @@ void __not_in_flash_func(bridge_drive)(unsigned axis, tl_duty_q15_t duty) {
     }
 }
 
-void __not_in_flash_func(bridge_coast)(unsigned axis) { set_levels(axis, 0, 0); }
+void __not_in_flash_func(bridge_coast)(unsigned axis) {
+    set_levels(axis, 0, 0);
+}
 
-void __not_in_flash_func(bridge_sense_start)(void) { hw_set_bits(&adc_hw->cs, ADC_CS_START_ONCE_BITS); }
+void __not_in_flash_func(bridge_sense_start)(void) {
+    hw_set_bits(&adc_hw->cs, ADC_CS_START_ONCE_BITS);
+}
 
 int32_t __not_in_flash_func(bridge_sense_finish)(unsigned *axis) {
     const uint32_t millivolt = (uint32_t)adc_hw->result * ADC_FULL_SCALE_MV >> 12;

@@ -9,12 +9,12 @@
 /// All bridges off (coasting), PWM running at 20 kHz, ADC ready.
 void bridge_init(void);
 
-/// Sets the phase of the PWM: bridge_sense_start() is going to be called `ticks` of the system clock after now, and then
-/// every multiple of 50 us, and meets the end of a period, when a bridge that drives at all is driving.
+/// Sets the phase of the PWM: bridge_sense_start() is going to be called `ticks` of the system clock after now, and
+/// then every multiple of 50 us, and meets the end of a period, when a bridge that drives at all is driving.
 void bridge_align(uint32_t ticks);
 
-/// Drives axis 0 to 3: slow decay, so that the motor's voltage is proportional to `duty` (saturated at +-32768); 0 brakes.
-/// The time that the bridge takes to switch over (450 ns) is added, so that small duties act. About 40 cycles.
+/// Drives axis 0 to 3: slow decay, so that the motor's voltage is proportional to `duty` (saturated at +-32768); 0
+/// brakes. The time that the bridge takes to switch over (450 ns) is added, so that small duties act. About 40 cycles.
 void bridge_drive(unsigned axis, tl_duty_q15_t duty);
 
 /// Both sides low: the motor is free and draws nothing. This is also the state after any reset.
@@ -23,8 +23,9 @@ void bridge_coast(unsigned axis);
 /// Starts measuring a current; once per control tick. The multiplexer was set a tick ago and has settled.
 void bridge_sense_start(void);
 
-/// The result, at least 2 us after bridge_sense_start: stores the axis (each in turn) and returns the size of its motor's
-/// current, mA, 0 to 1700 (DRV8833 limits it at 425). It is sampled while the bridge drives: 0 below a duty of 4 %.
+/// The result, at least 2 us after bridge_sense_start: stores the axis (each in turn) and returns the size of its
+/// motor's current, mA, 0 to 1700 (DRV8833 limits it at 425). It is sampled while the bridge drives: 0 below a duty of
+/// 4 %.
 int32_t bridge_sense_finish(unsigned *axis);
 
 #endif

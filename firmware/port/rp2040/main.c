@@ -1,4 +1,5 @@
-// The app on a Pimoroni Motor 2040: tl_port.h on real registers, the control step on a hardware timer, the task in the main loop.
+// The app on a Pimoroni Motor 2040: tl_port.h on real registers, the control step on a hardware timer, the task in the
+// main loop.
 #include <string.h>
 
 #include "bridge.h"
@@ -46,8 +47,8 @@ static struct {
     int32_t current_ma[MOTOR2040_NUM_MOTORS];
 } board;
 
-static const uint8_t encoder_pins[] = {MOTOR2040_ENCODER_A_A_PIN, MOTOR2040_ENCODER_B_A_PIN,
-                                       MOTOR2040_ENCODER_C_A_PIN, MOTOR2040_ENCODER_D_A_PIN};
+static const uint8_t encoder_pins[] = {MOTOR2040_ENCODER_A_A_PIN, MOTOR2040_ENCODER_B_A_PIN, MOTOR2040_ENCODER_C_A_PIN,
+                                       MOTOR2040_ENCODER_D_A_PIN};
 
 // -- tl_port.h --------------------------------------------------------------------------------------------------
 

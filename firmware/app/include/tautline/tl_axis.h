@@ -13,12 +13,12 @@
 #include "tautline/tl_reference.h"
 #include "tautline/tl_servo.h"
 
-#define TL_AXIS_QUEUE      32U      ///< set-points ahead of time
-#define TL_AXIS_SAMPLES    16U      ///< telemetry samples waiting for the task, a power of two
-#define TL_AXIS_SILENCE_US 100000U  ///< default
+#define TL_AXIS_QUEUE          32U     ///< set-points ahead of time
+#define TL_AXIS_SAMPLES        16U     ///< telemetry samples waiting for the task, a power of two
+#define TL_AXIS_SILENCE_US     100000U ///< default
 #define TL_AXIS_SILENCE_MAX_US 60000000U
-#define TL_AXIS_AHEAD_US   10000000U ///< a set-point may lie this far ahead
-#define TL_AXIS_RANGE_MAX  (4000000 * TL_COUNT_ONE)
+#define TL_AXIS_AHEAD_US       10000000U ///< a set-point may lie this far ahead
+#define TL_AXIS_RANGE_MAX      (4000000 * TL_COUNT_ONE)
 
 typedef struct {
     uint32_t ticks;
@@ -38,19 +38,19 @@ typedef struct {
 typedef struct {
     const tl_port_t *port;
     uint8_t index;
-    uint8_t mode;   ///< tl_wire_mode_t
-    uint8_t fault;  ///< tl_wire_fault_t
-    uint8_t events; ///< bit n: tl_wire_event_code_t n came; the task clears it
-    uint16_t noted;        ///< tl_wire_flag_t that came in this millisecond
-    uint16_t noted_before; ///< in the last
-    uint8_t slot;   ///< ticks since the millisecond began
+    uint8_t mode;                                  ///< tl_wire_mode_t
+    uint8_t fault;                                 ///< tl_wire_fault_t
+    uint8_t events;                                ///< bit n: tl_wire_event_code_t n came; the task clears it
+    uint16_t noted;                                ///< tl_wire_flag_t that came in this millisecond
+    uint16_t noted_before;                         ///< in the last
+    uint8_t slot;                                  ///< ticks since the millisecond began
     uint8_t play_slot, history_slot, current_slot; ///< what is done in which
     bool silent;
     bool has_table;
-    uint32_t phase;     ///< of the millisecond, up to rate_hz
-    uint32_t rate_hz;   ///< of the control step
-    int32_t encoder;    ///< as read last, counts
-    tl_count_q8_t q;    ///< position
+    uint32_t phase;   ///< of the millisecond, up to rate_hz
+    uint32_t rate_hz; ///< of the control step
+    int32_t encoder;  ///< as read last, counts
+    tl_count_q8_t q;  ///< position
     tl_duty_q15_t duty;
     tl_count_q8_t lowest, highest; ///< where the reference may be: wider only where the axis was enabled outside
     tl_count_q8_t move_target;

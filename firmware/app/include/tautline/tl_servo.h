@@ -11,7 +11,7 @@
 #include "tautline/tl_fixed.h"
 
 #define TL_SERVO_FILTER_HZ 80
-#define TL_SERVO_GAIN_MAX  32767       ///< of each gain
+#define TL_SERVO_GAIN_MAX  32767         ///< of each gain
 #define TL_SERVO_SPEED_MAX (30000 * 256) ///< Q8 counts/s
 
 /// Gains in duty Q15, each 0 to TL_SERVO_GAIN_MAX.
@@ -30,14 +30,14 @@ typedef struct {
     int32_t integral_step; ///< duty Q29 for each Q8 count and tick
     int32_t derivative;    ///< duty Q15 for 1024 counts/s
     int32_t feed_forward;
-    int32_t inertia;       ///< duty Q15 for 4096 (counts/s Q8) of change in a tick
-    int32_t change_max;    ///< that `inertia` takes without overflow
-    int32_t wanted;        ///< reference's speed in the last tick, counts/s Q8
-    int32_t alpha, beta;   ///< filter, Q15; beta in (counts/s Q8) for each (count Q8)
-    int32_t rate_inverse;  ///< 1 / rate, Q24
-    int32_t integral;      ///< duty Q29
-    int32_t predicted;     ///< position, count Q8
-    int32_t velocity;      ///< counts/s Q8
+    int32_t inertia;      ///< duty Q15 for 4096 (counts/s Q8) of change in a tick
+    int32_t change_max;   ///< that `inertia` takes without overflow
+    int32_t wanted;       ///< reference's speed in the last tick, counts/s Q8
+    int32_t alpha, beta;  ///< filter, Q15; beta in (counts/s Q8) for each (count Q8)
+    int32_t rate_inverse; ///< 1 / rate, Q24
+    int32_t integral;     ///< duty Q29
+    int32_t predicted;    ///< position, count Q8
+    int32_t velocity;     ///< counts/s Q8
     bool saturated;
 } tl_servo_t;
 

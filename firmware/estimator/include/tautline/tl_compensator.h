@@ -3,10 +3,11 @@
 ///     p* = f^-1(c*),   q* = p* + s k B(p*) / 2 - e      (eqs. 4 and 5 with p as the state)
 ///
 /// s is the side of the backlash the motor pushes from: +1 once p* rises, -1 once it falls, unchanged at rest. Until
-/// the first motion it is 0, and the motor stays where in the backlash it was. k is the strength, 0..1. e is what is still to be taken up: whatever would make q*
-/// jump (a reversal, a change of strength, mode or table, starting away from the command) goes into e, and e
-/// returns to zero along a trapezoid within the table's take-up speed and acceleration. So q* never jumps, and
-/// the feed itself is never delayed: while e is not zero the motor moves by the feed plus the take-up.
+/// the first motion it is 0, and the motor stays where in the backlash it was. k is the strength, 0..1. e is what is
+/// still to be taken up: whatever would make q* jump (a reversal, a change of strength, mode or table, starting away
+/// from the command) goes into e, and e returns to zero along a trapezoid within the table's take-up speed and
+/// acceleration. So q* never jumps, and the feed itself is never delayed: while e is not zero the motor moves by the
+/// feed plus the take-up.
 ///
 /// Rising and falling are those of p*, whatever the sign of f'. s changes only after p* has turned back by more
 /// than the table's band, so a command that jitters by less never crosses the backlash.
@@ -30,13 +31,13 @@ typedef enum {
 } tl_mode_t;
 
 /// State of the last step.
-#define TL_COMPENSATOR_BELOW    1U  ///< c* is beyond the table's range, at its lower end in p: saturated
-#define TL_COMPENSATOR_ABOVE    2U  ///< ... at its upper end in p
-#define TL_COMPENSATOR_CLIPPED  4U  ///< the motor would have had to leave [q_min, q_max]: saturated
-#define TL_COMPENSATOR_TAKE_UP  8U  ///< e is not zero: the take-up is under way
-#define TL_COMPENSATOR_LIMITED  16U ///< the feed is held back by speed_max: p lags behind c*
-#define TL_COMPENSATOR_FLAT     32U ///< the feed crosses a flat span at the flat speed
-#define TL_COMPENSATOR_NO_SIDE  64U ///< no motion yet: the side of the backlash is not known
+#define TL_COMPENSATOR_BELOW   1U  ///< c* is beyond the table's range, at its lower end in p: saturated
+#define TL_COMPENSATOR_ABOVE   2U  ///< ... at its upper end in p
+#define TL_COMPENSATOR_CLIPPED 4U  ///< the motor would have had to leave [q_min, q_max]: saturated
+#define TL_COMPENSATOR_TAKE_UP 8U  ///< e is not zero: the take-up is under way
+#define TL_COMPENSATOR_LIMITED 16U ///< the feed is held back by speed_max: p lags behind c*
+#define TL_COMPENSATOR_FLAT    32U ///< the feed crosses a flat span at the flat speed
+#define TL_COMPENSATOR_NO_SIDE 64U ///< no motion yet: the side of the backlash is not known
 
 /// A motor speed per tick: whole Q8 counts, and a fraction in 2^-32 of one. 0.1 count/s at 10 kHz is 0.0026 a tick.
 typedef struct {
@@ -64,11 +65,11 @@ typedef struct {
     uint32_t mode;         ///< tl_mode_t
     uint32_t strength_q15; ///< k
     int32_t side;          ///< s
-    int32_t start_offset;  ///< q - p* at the start: where the motor stays while s is 0, as far as it is within the width
-    tl_deg_q16_t c;        ///< the last command
-    tl_count_q8_t p;       ///< p*, after limits
-    tl_count_q8_t anchor;  ///< furthest p in the direction of `side`
-    tl_count_q8_t q;       ///< q*, the last output
+    int32_t start_offset; ///< q - p* at the start: where the motor stays while s is 0, as far as it is within the width
+    tl_deg_q16_t c;       ///< the last command
+    tl_count_q8_t p;      ///< p*, after limits
+    tl_count_q8_t anchor; ///< furthest p in the direction of `side`
+    tl_count_q8_t q;      ///< q*, the last output
     uint32_t feed_fraction; ///< part of a Q8 count that a limited feed has saved up
     tl_per_tick_t feed_max;
     tl_per_tick_t feed_flat;
@@ -77,7 +78,8 @@ typedef struct {
 } tl_compensator_t;
 
 /// Switches on: the motor is at `q` and stays there in this tick; what is missing to the backlash around the command
-/// `c` is taken up within limits. Strength comes from the table. rate_hz: control ticks per second, 16 to 100000. Five divisions.
+/// `c` is taken up within limits. Strength comes from the table. rate_hz: control ticks per second, 16 to 100000. Five
+/// divisions.
 void tl_compensator_start(tl_compensator_t *compensator, const tl_lookup_t *lookup, uint32_t rate_hz, tl_mode_t mode,
                           tl_count_q8_t q, tl_deg_q16_t c);
 
@@ -87,8 +89,8 @@ tl_count_q8_t tl_compensator_step(tl_compensator_t *compensator, tl_deg_q16_t c)
 /// Changes that never move the output by themselves; what they change is taken up from the next step on.
 void tl_compensator_set_mode(tl_compensator_t *compensator, tl_mode_t mode);
 void tl_compensator_set_strength(tl_compensator_t *compensator, int32_t strength_q15); ///< clamped to 0..1
-/// Another table for the same axis; the strength stays. Five divisions. The limits of its take-up hold once the take-up that is
-/// under way has come to rest (it brakes at once).
+/// Another table for the same axis; the strength stays. Five divisions. The limits of its take-up hold once the take-up
+/// that is under way has come to rest (it brakes at once).
 void tl_compensator_set_table(tl_compensator_t *compensator, const tl_lookup_t *lookup);
 
 /// What is still to be taken up, Q8 counts, signed as in q* = ... - e.

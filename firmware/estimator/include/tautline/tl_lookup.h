@@ -35,7 +35,7 @@ typedef struct {
     int32_t angle_first; ///< f ^ turn at the first and the last node
     int32_t angle_last;
     tl_count_q8_t low_first, low_last, high_first, high_last; ///< where q meets the ends of both envelopes
-    uint32_t has_flat;   ///< some spans are flatter than the stated slope
+    uint32_t has_flat;                                        ///< some spans are flatter than the stated slope
     tl_table_t table;
     tl_deg_q16_t c_low;  ///< least and greatest f over [q_min, q_max]
     tl_deg_q16_t c_high; ///<

@@ -51,8 +51,8 @@ typedef enum {
 
 typedef enum {
     TL_MOTION_OK = 0,
-    TL_MOTION_BAD_RANGE, ///< high - low must exceed 2 stroke_max; both, and the start, within +-4 M counts
-    TL_MOTION_BAD_SPEED, ///< 1 to TL_MOTION_SPEEDS speeds, each at least 1/4 count/s and at most transit
+    TL_MOTION_BAD_RANGE,        ///< high - low must exceed 2 stroke_max; both, and the start, within +-4 M counts
+    TL_MOTION_BAD_SPEED,        ///< 1 to TL_MOTION_SPEEDS speeds, each at least 1/4 count/s and at most transit
     TL_MOTION_BAD_ACCELERATION, ///< below resolution, or too small to stop from transit within stroke_max
     TL_MOTION_BAD_STROKE,       ///< approach at least 1 count, stroke_max at least 2 approach
     TL_MOTION_BAD_CYCLES,       ///< 1 to 100
@@ -87,7 +87,7 @@ typedef struct {
     int64_t first;            ///< where the first turning point of this pass could have been
     int64_t half_step;        ///< half the distance of this pass's turning points
     uint32_t half_step_share; ///< of the way from `first` to the far end, Q32
-    uint32_t steps; ///< ticks that braking takes: (steps - 1) acceleration < speed <= steps acceleration
+    uint32_t steps;           ///< ticks that braking takes: (steps - 1) acceleration < speed <= steps acceleration
     uint32_t measuring_steps[TL_MOTION_SPEEDS]; ///< the same at each measuring speed
     uint32_t quiet_ticks;                       ///< since the last frame
     uint32_t timeout_ticks;

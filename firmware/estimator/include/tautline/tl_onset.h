@@ -81,14 +81,14 @@ typedef struct {
     tl_count_q8_t sigma;      ///< of width, TL_ONSET_UNKNOWN without an image start
     tl_count_q8_t stop;       ///< how far beyond q1, along the approach, the image stopped; TL_ONSET_UNKNOWN
     tl_count_q8_t sigma_stop; ///< of stop, TL_ONSET_UNKNOWN
-    int32_t speed_stop; ///< |dq/dt| on the approach, Q8 counts/s: stop / speed_stop is true - nominal t_delay
-    int32_t speed_start; ///< |dq/dt| across the image start, Q8 counts/s
-    int32_t slope;       ///< |d(image)/dq| after the start, px Q12 for 256 counts
-    tl_px_q12_t noise;   ///< of the marker, each coordinate, as measured so far
-    int8_t direction;    ///< sign of dq after the turn
-    uint8_t reason;      ///< tl_onset_reason_t; TL_ONSET_USED: it counts
-    bool started;        ///< the image was seen to start: the tip follows again, the stroke may end
-    uint16_t frames;     ///< valid samples between the turn and the end of the reversal
+    int32_t speed_stop;       ///< |dq/dt| on the approach, Q8 counts/s: stop / speed_stop is true - nominal t_delay
+    int32_t speed_start;      ///< |dq/dt| across the image start, Q8 counts/s
+    int32_t slope;            ///< |d(image)/dq| after the start, px Q12 for 256 counts
+    tl_px_q12_t noise;        ///< of the marker, each coordinate, as measured so far
+    int8_t direction;         ///< sign of dq after the turn
+    uint8_t reason;           ///< tl_onset_reason_t; TL_ONSET_USED: it counts
+    bool started;             ///< the image was seen to start: the tip follows again, the stroke may end
+    uint16_t frames;          ///< valid samples between the turn and the end of the reversal
 } tl_onset_t;
 
 /// One frame's marker.
@@ -103,20 +103,19 @@ typedef struct {
 /// tl_onset_defaults() fills it in; speeds and lengths there suit the reference rig (0.001 mm a count, 25
 /// Hz).
 typedef struct {
-    uint32_t delay_us;   ///< nominal t_delay, 0 to 400000; 80000
-    uint32_t guard_us;   ///< t_delay's uncertainty: frames this close after a turn are in neither line; 20000
-    uint32_t lost_us;    ///< a marker away for longer spoils the reversal; 400000
-    uint32_t timeout_us; ///< longest time from a turn to its onset; 30000000
-    tl_count_q8_t turn;  ///< a retreat from the extreme by this much is a turn; 4 counts
+    uint32_t delay_us;          ///< nominal t_delay, 0 to 400000; 80000
+    uint32_t guard_us;          ///< t_delay's uncertainty: frames this close after a turn are in neither line; 20000
+    uint32_t lost_us;           ///< a marker away for longer spoils the reversal; 400000
+    uint32_t timeout_us;        ///< longest time from a turn to its onset; 30000000
+    tl_count_q8_t turn;         ///< a retreat from the extreme by this much is a turn; 4 counts
     tl_count_q8_t sigma_wanted; ///< an onset as good as this is finished; 1.5 counts
     tl_count_q8_t sigma_usable; ///< one worse than this is not used; 25 counts
     tl_px_q12_t noise_px;       ///< marker noise to begin with where a sample states none; 0.1 px
-    uint32_t
-        curvature; ///< relative change of slope along the path, 1/2^20 for a count; 400 is 0.38/mm at 1 um
-    uint16_t threshold; ///< likelihood ratio (2 ln) that confirms, Q4; 24: fewer than 1e-4 false alarms in
-                        ///< 200 frames
-    uint8_t frames_min; ///< fewest frames after the knot, 3 or more; 4
-    uint8_t frames_max; ///< frames after the knot that end a reversal in any case, < TL_ONSET_WINDOW - 1; 32
+    uint32_t curvature;         ///< relative change of slope along the path, 1/2^20 for a count; 400 is 0.38/mm at 1 um
+    uint16_t threshold;         ///< likelihood ratio (2 ln) that confirms, Q4; 24: fewer than 1e-4 false alarms in
+                                ///< 200 frames
+    uint8_t frames_min;         ///< fewest frames after the knot, 3 or more; 4
+    uint8_t frames_max;         ///< frames after the knot that end a reversal in any case, < TL_ONSET_WINDOW - 1; 32
 } tl_onset_config_t;
 
 typedef struct {
@@ -178,8 +177,7 @@ bool tl_onset_sample(tl_onset_detector_t *detector, const tl_history_t *history,
                      tl_onset_t *onset);
 
 /// Ends a reversal whose time is out or whose frames no longer come. True as above.
-bool tl_onset_poll(tl_onset_detector_t *detector, const tl_history_t *history, tl_us_t now_us,
-                   tl_onset_t *onset);
+bool tl_onset_poll(tl_onset_detector_t *detector, const tl_history_t *history, tl_us_t now_us, tl_onset_t *onset);
 
 #ifdef __cplusplus
 }
