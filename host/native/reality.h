@@ -1,0 +1,44 @@
+// The transmission of a second, independent instrument: other equations than those of effects.h, for blind tests.
+#ifndef TAUTLINE_REALITY_H
+#define TAUTLINE_REALITY_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+struct reality {
+    double softness;     // bristles: share of the slack over which they bend before they slide; 0 is a hard play
+    double latch;        // unit: friction that only one way has to break loose; > 0 rising, < 0 falling
+    double latch_travel; // unit: travel in which what it held back is caught up (half a cosine)
+    double viscosity;    // s: slack per speed, saturating at speed_scale
+    double speed_scale;  // unit/s
+    double dashpot;      // s: two equal viscous elements in series, half of it each
+    double creep_share;  // of the motion that two Kelvin elements give late
+    double creep_time;   // s: of the faster; the other is 5 times slower
+    double static_grip;  // unit: stretch at which the tip breaks loose; 0 slides
+    double kinetic_grip; // share of static_grip that stays stretched after a slip
+    double grip_scatter; // relative, of the static grip from slip to slip
+    double ring_hz;      // a tip that rings: natural frequency, 0 none
+    double ring_damping; // of critical
+    double bulge;        // unit: Bouc-Wen hysteresis inside the envelopes
+    double bulge_travel; // unit
+};
+
+struct reality_tables {
+    const double *grid, *width;
+    size_t nodes;
+};
+
+// q, extra_width (factor) of every sample -> p, the coordinate that f_remain bends; and which way the tip was last
+// carried (+1, -1, 0). Times rise strictly.
+void reality_transmission(const struct reality *r, const struct reality_tables *tables, const double *t_s,
+                          const double *q, const double *width_factor, size_t n, double start, uint64_t seed, double *p,
+                          double *way);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

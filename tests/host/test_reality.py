@@ -1,0 +1,83 @@
+"""The second instrument of the blind cases: with nothing switched on it is the nominal model's, by other equations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tautline import _native, trajectory
+from tautline.diagnose.cases import Label, make
+from tautline.diagnose.reality import KNOWN, UNKNOWN, Plant, Truth, record
+from tautline.geometry import project
+from tautline.instrument import preset
+
+
+def test_the_pin_in_its_slot_is_the_play() -> None:
+    plant = preset("random", seed=3)
+    t = np.arange(0.0, 40.0, 1e-3)
+    q = 3.0 * np.sin(0.6 * t) + 1.2 * np.sin(2.0 * t)
+    p, way = _native.reality_transmission({}, plant.grid, plant.width, t, q, np.ones_like(t))
+    assert np.abs(p - _native.play_forward(q, plant.grid, plant.width, np.nan)).max() < 1e-9
+    assert set(np.unique(way)) == {-1.0, 0.0, 1.0}
+
+
+def test_bristles_bend_by_travel_and_not_by_the_step() -> None:
+    plant = preset("constant")
+    t = np.arange(0.0, 20.0, 1e-3)
+    q = 2.0 * np.sin(t)
+    coarse = np.arange(0, len(t), 5)
+    soft = {"softness": 0.5}
+    fine, _ = _native.reality_transmission(soft, plant.grid, plant.width, t, q, np.ones_like(t))
+    rough, _ = _native.reality_transmission(soft, plant.grid, plant.width, t[coarse], q[coarse], np.ones(len(coarse)))
+    assert np.abs(fine[coarse] - rough).max() < 5e-3
+    hard = _native.play_forward(q, plant.grid, plant.width, np.nan)
+    assert 0.02 < np.abs(fine - hard).max() < 0.5 * 0.625
+
+
+def test_nothing_switched_on_is_seen_where_the_model_says() -> None:
+    instrument = preset("reference")
+    rig = instrument.rig
+    plant = Plant(rig, instrument.grid, instrument.width, instrument.c_deg, noise_px=0.0)
+    motion = trajectory.sines(rig.actuator, 2.0, 20.0).with_sway(2.0, 20.0, 9.0)
+    recording = record(plant, Truth(), motion, 0.0, 4, "nothing")
+    marker = recording.marker
+    assert marker is not None and rig.camera is not None
+    scene = marker.t_s - rig.camera.delay_s
+    every = np.union1d(motion.t_s, scene)
+    c = instrument.move(every, np.interp(every, motion.t_s, motion.q))[np.searchsorted(every, scene)]
+    others = [np.interp(scene, motion.t_s, x) for x in (motion.translation_mm, motion.rotation_deg) if x is not None]
+    seen = np.column_stack([marker.u_px, marker.v_px])
+    assert np.nanmax(np.abs(seen - project(rig, c, *others))) < 0.05  # a chain of 96 joints is nearly an arc
+
+
+@pytest.mark.parametrize("name", [*KNOWN, *UNKNOWN])
+def test_every_effect_moves_the_marker(name: str) -> None:
+    instrument = preset("reference")
+    rig = instrument.rig
+    plant = Plant(rig, instrument.grid, instrument.width, instrument.c_deg, noise_px=0.0)
+    values = (KNOWN.get(name) or UNKNOWN[name])(np.random.default_rng(2), rig)
+    if name == "registration.shift":
+        values["slip_time"] = 10.0
+    motion = trajectory.trapezoids(rig.actuator, 2.0, 3.0, 4, 20.0, 1.0).with_sway(2.0, 20.0, 9.0)
+    load = 20.0 * np.sin(motion.t_s)
+    without, with_it = (record(plant, truth, motion, 0.0, 4, "case", load) for truth in (Truth(), Truth(values)))
+    seen = []
+    for marker in (without.marker, with_it.marker):
+        assert marker is not None
+        seen.append(np.column_stack([marker.u_px, marker.v_px, marker.t_s]))
+    n = min(map(len, seen))
+    pixels_and_time = np.nanmax(np.abs(seen[0][:n] - seen[1][:n]), axis=0)
+    if name == "actuator.encoder_periodic":  # the encoder errs, not the motor
+        assert np.abs(without.motor.q - with_it.motor.q).max() > 0.01
+    elif name == "acquisition.delay":
+        assert pixels_and_time[2] > 0.01
+    else:
+        assert pixels_and_time[:2].max() > 0.05
+
+
+def test_a_label_is_sealed_and_cases_repeat() -> None:
+    label = Label("single", ("transmission.lag",), True, {"dashpot": 0.1})
+    assert label.sealed("a") != label.sealed("b") and len(label.sealed("a")) == 64
+    first, second = make(7, "single"), make(7, "single")
+    assert first.label == second.label
+    assert np.array_equal(first.tests[0].motor.q, second.tests[0].motor.q)
