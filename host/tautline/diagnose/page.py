@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -83,6 +84,7 @@ def _board(document: Mapping[str, Any]) -> str:
     return " ".join(parts)
 
 
+@mpl.rc_context(figures.STYLE)
 def chain(document: Mapping[str, Any]) -> Figure:
     """The stages as boxes, the one that the gap belongs to filled."""
     made, axes = figures.figure(10.5, 1.0)
@@ -113,6 +115,7 @@ def chain(document: Mapping[str, Any]) -> Figure:
     return made
 
 
+@mpl.rc_context(figures.STYLE)
 def residuals(diagnosis: Diagnosis) -> Figure:
     """Over the session's time, both models."""
     made, axes = figures.figure(10.5, 3.0)
@@ -128,10 +131,11 @@ def residuals(diagnosis: Diagnosis) -> Figure:
     ax.set_xlabel("time in the session (s)")
     ax.set_ylabel(f"residual ({diagnosis.document['unit']})")
     ax.set_ylim(bottom=0)
-    ax.legend(loc="upper right", markerscale=6)
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, markerscale=6)
     return made
 
 
+@mpl.rc_context(figures.STYLE)
 def candidates(document: Mapping[str, Any]) -> Figure:
     rows = [(c["id"], c["probability"]) for c in document["candidates"][:6]]
     rows += [("unknown", document["probability_unknown"]), ("no gap", document["probability_none"])]
@@ -146,6 +150,7 @@ def candidates(document: Mapping[str, Any]) -> Figure:
     return made
 
 
+@mpl.rc_context(figures.STYLE)
 def conditions(diagnosis: Diagnosis) -> Figure:
     shown = diagnosis.conditions[:4]
     made, axes = figures.figure(10.5, 2.4, 1, len(shown))
