@@ -11,11 +11,6 @@ using namespace nb::literals;
 
 namespace {
 
-#define REALITY_FIELDS(X)                                                                                              \
-    X(softness)                                                                                                        \
-    X(latch) X(latch_travel) X(viscosity) X(speed_scale) X(dashpot) X(creep_share) X(creep_time) X(static_grip)        \
-        X(kinetic_grip) X(grip_scatter) X(ring_hz) X(ring_damping) X(bulge) X(bulge_travel)
-
 nb::object transmission(const nb::dict &given, ArrayIn<double> grid, ArrayIn<double> width, ArrayIn<double> t_s,
                         ArrayIn<double> q, ArrayIn<double> width_factor, double start, uint64_t seed) {
     reality r = {};
@@ -23,7 +18,7 @@ nb::object transmission(const nb::dict &given, ArrayIn<double> grid, ArrayIn<dou
     for (auto [key, value] : given) {
         const std::string name = nb::cast<std::string>(key);
         bool known = false;
-#define X(field)                                                                                                       \
+#define X(field, meaning)                                                                                              \
     if (name == #field) {                                                                                              \
         r.field = nb::cast<double>(value);                                                                             \
         known = true;                                                                                                  \
@@ -48,6 +43,11 @@ nb::object transmission(const nb::dict &given, ArrayIn<double> grid, ArrayIn<dou
 } // namespace
 
 void bind_reality(nb::module_ &m) {
+    nb::list fields;
+#define X(field, meaning) fields.append(nb::make_tuple(#field, meaning));
+    REALITY_FIELDS(X)
+#undef X
+    m.attr("reality_fields") = fields; // (name, meaning)
     m.def("reality_transmission", &transmission, "parameters"_a, "grid"_a, "width"_a, "t_s"_a, "q"_a, "width_factor"_a,
           "start"_a = std::nan(""), "seed"_a = 0,
           "(p, way) of a transmission with other physics than simulate_effects' (reality.h), for blind tests.");

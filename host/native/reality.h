@@ -9,22 +9,28 @@
 extern "C" {
 #endif
 
+// NAME(meaning). 0 is absent; a travel, time or scale that is not given is 1.
+#define REALITY_FIELDS(X)                                                                                              \
+    X(softness, "bristles: share of the slack over which they bend before they slide; 0 is a hard play")               \
+    X(latch, "unit: friction that only one way has to break loose; > 0 rising, < 0 falling")                           \
+    X(latch_travel, "unit: travel in which what it held back is caught up (half a cosine)")                            \
+    X(viscosity, "s: slack per speed, saturating at speed_scale")                                                      \
+    X(speed_scale, "unit/s")                                                                                           \
+    X(dashpot, "s: two equal viscous elements in series, half of it each")                                             \
+    X(creep_share, "of the motion that two Kelvin elements give late")                                                 \
+    X(creep_time, "s: of the faster; the other is 5 times slower")                                                     \
+    X(static_grip, "unit: stretch at which the tip breaks loose; 0 slides")                                            \
+    X(kinetic_grip, "share of static_grip that stays stretched after a slip")                                          \
+    X(grip_scatter, "relative, of the static grip from slip to slip")                                                  \
+    X(ring_hz, "a tip that rings: natural frequency, 0 none")                                                          \
+    X(ring_damping, "of critical")                                                                                     \
+    X(bulge, "unit: Bouc-Wen hysteresis inside the envelopes")                                                         \
+    X(bulge_travel, "unit")
+
 struct reality {
-    double softness;     // bristles: share of the slack over which they bend before they slide; 0 is a hard play
-    double latch;        // unit: friction that only one way has to break loose; > 0 rising, < 0 falling
-    double latch_travel; // unit: travel in which what it held back is caught up (half a cosine)
-    double viscosity;    // s: slack per speed, saturating at speed_scale
-    double speed_scale;  // unit/s
-    double dashpot;      // s: two equal viscous elements in series, half of it each
-    double creep_share;  // of the motion that two Kelvin elements give late
-    double creep_time;   // s: of the faster; the other is 5 times slower
-    double static_grip;  // unit: stretch at which the tip breaks loose; 0 slides
-    double kinetic_grip; // share of static_grip that stays stretched after a slip
-    double grip_scatter; // relative, of the static grip from slip to slip
-    double ring_hz;      // a tip that rings: natural frequency, 0 none
-    double ring_damping; // of critical
-    double bulge;        // unit: Bouc-Wen hysteresis inside the envelopes
-    double bulge_travel; // unit
+#define X(name, meaning) double name;
+    REALITY_FIELDS(X)
+#undef X
 };
 
 struct reality_tables {

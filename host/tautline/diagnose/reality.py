@@ -45,10 +45,7 @@ class Truth:
         return float(self.values.get(name, otherwise))
 
 
-_TRANSMISSION = (
-    "softness", "latch", "latch_travel", "viscosity", "speed_scale", "dashpot", "creep_share", "creep_time",
-    "static_grip", "kinetic_grip", "grip_scatter", "ring_hz", "ring_damping", "bulge", "bulge_travel",
-)  # fmt: skip
+_TRANSMISSION = tuple(name for name, _ in _native.reality_fields)
 
 
 def record(
