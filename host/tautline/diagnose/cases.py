@@ -17,12 +17,10 @@ from tautline.recording import Recording
 from tautline.rig import Rig
 from tautline.trajectory import Trajectory
 
-KINDS = ("none", "single", "pair", "unknown")
-
 
 @dataclass(frozen=True)
 class Label:
-    kind: str  # of KINDS
+    kind: str  # none, single, pair or unknown
     effects: tuple[str, ...]  # library ids, or names of UNKNOWN
     throughout: bool  # else only after the calibration
     values: Mapping[str, float]

@@ -25,7 +25,7 @@ _EXPLAINS = 0.3  # share of the squares from which on an effect with a path has 
 _SHIFT_TIMES = 32  # steps in which a shift's time is searched for, and again within two of them
 _REMEMBERS = 3.0  # an autocorrelation of 1 / this, where scatter has forgotten, says that it is none
 _REPEATS = 2.5  # a residual of which 1 / this repeats is no scatter at all
-_TEMPERATURE = 4.0  # real residuals tell less than independent samples would: every model is a little wrong
+TEMPERATURE = 4.0  # real residuals tell less than independent samples would: every model is a little wrong
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def candidates(
 
 def probabilities(ordered: Sequence[Candidate], effective: float, base: float) -> Array:
     """(len + 1,): of each candidate to be the leading effect, and last of `base` (the log-likelihood without any)."""
-    score = np.array([c.penalised(effective) for c in ordered] + [2.0 * base]) / (2.0 * _TEMPERATURE)
+    score = np.array([c.penalised(effective) for c in ordered] + [2.0 * base]) / (2.0 * TEMPERATURE)
     weight = np.exp(score - score.max())
     result: Array = weight / weight.sum()
     return result

@@ -236,7 +236,7 @@ def _held_out(fitter: Fitter, fit: Fit) -> list[Array]:
 
 
 def _as_good(other: Candidate, one: Candidate, effective: float) -> bool:
-    return abs(other.penalised(effective) - one.penalised(effective)) < 2 * decide._TEMPERATURE * math.log(8.0)
+    return abs(other.penalised(effective) - one.penalised(effective)) < 2 * decide.TEMPERATURE * math.log(8.0)
 
 
 def _shapley(fitter: Fitter, named: Sequence[Candidate], fit: Fit, before: float) -> list[float]:
