@@ -9,10 +9,10 @@ import time
 
 import click
 
-from tautline.calibrate import calibrate
-from tautline.diagnose.cases import make
+from tautline.blindtest.cases import make
+from tautline.blindtest.reality import KNOWN, UNKNOWN
+from tautline.calibration.calibrate import calibrate
 from tautline.diagnose.diagnosis import diagnose
-from tautline.diagnose.reality import KNOWN, UNKNOWN
 
 
 @click.command()

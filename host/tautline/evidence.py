@@ -13,12 +13,12 @@ from typing import Self
 import numpy as np
 import pandas as pd
 
+from tautline.calibration.observations import observe
 from tautline.columns import read_columns
 from tautline.errors import TautError
 from tautline.folders import write_file
 from tautline.geometry import pose, project
 from tautline.model import Model
-from tautline.observations import observe
 from tautline.recording import Motor, Recording, timeline
 
 Array = np.ndarray

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from tautline.backlash import paper_knots
+from tautline.calibration.backlash import paper_knots
 from tautline.errors import TautError
 from tautline.evidence import STAGES, Evidence, Run
 from tautline.model import Model

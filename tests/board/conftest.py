@@ -16,10 +16,10 @@ from pathlib import Path
 
 import pytest
 
-from tautline import wire
-from tautline.board import Board, find, open_board
+from tautline.device import wire
+from tautline.device.board import Board, find, open_board
 from tautline.errors import TautError
-from tautline.simlink import PROGRAM, DesktopBoard, SimLink
+from tautline.simulated.simlink import PROGRAM, DesktopBoard, SimLink
 
 _EMULATED = Path(__file__).resolve().parents[2] / "tools" / "emulator" / "board.js"
 

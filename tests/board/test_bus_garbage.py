@@ -16,8 +16,8 @@ from pathlib import Path
 
 import pytest
 
-from tautline.simlink import PROGRAM, DesktopBoard
-from tautline.usbip import devices
+from tautline.device.usbip import devices
+from tautline.simulated.simlink import PROGRAM, DesktopBoard
 
 _SANITIZED = Path(__file__).resolve().parents[2] / "build/clang-san/firmware/port/desktop/tautline-board"
 _SUBMIT = struct.Struct(">IIIIIiiiii8s")

@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 
 from conftest import Bench
-from tautline import wire
-from tautline.board import Board
-from tautline.calibrate import calibrate
+from tautline.calibration.calibrate import calibrate
+from tautline.device import wire
+from tautline.device.board import Board
 from tautline.errors import TautError
-from tautline.instrument import Instrument, preset
-from tautline.live import Frame, Live, LockstepEye, PointEye, open_live
-from tautline.marker import Sighting
+from tautline.live.session import MotionOptions, calibrate_live, record_calibration
+from tautline.live.setup import Frame, Live, LockstepEye, PointEye, open_live
 from tautline.recording import load
 from tautline.rig import Rig
-from tautline.session import MotionOptions, calibrate_live, record_calibration
-from tautline.simlink import Plant
+from tautline.simulated.instrument import Instrument, preset
+from tautline.simulated.simlink import Plant
+from tautline.vision.marker import Sighting
 
 SHORT = MotionOptions(cycles=3, speeds=(0.7,))
 

@@ -17,12 +17,13 @@ from click.testing import CliRunner
 from test_tables import model
 
 from conftest import Bench
-from tautline import tables, wire
+from tautline import tables
 from tautline.cli import taut
+from tautline.device import wire
 from tautline.errors import TautError
 from tautline.model import Model
 from tautline.recording import load
-from tautline.simlink import DesktopBoard
+from tautline.simulated.simlink import DesktopBoard
 
 EXAMPLES = Path(__file__).parents[2] / "tools" / "examples"
 
@@ -101,7 +102,7 @@ def test_record_the_motor_and_the_marker(tmp_path: Path) -> None:
 def paced() -> Any:
     """A board that runs by the wall clock, with a table."""
     with DesktopBoard(realtime=True, serial="PACED") as desktop:
-        from tautline.board import open_board
+        from tautline.device.board import open_board
 
         with open_board(desktop.where) as board:
             board.load_table(0, tables.encode(model()))

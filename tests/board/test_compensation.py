@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 
 from conftest import Bench
-from tautline import wire
-from tautline.following import follow_run, record
-from tautline.instrument import Instrument, preset, reference_rig
-from tautline.live import Live, PointEye
+from tautline.device import wire
+from tautline.live.following import follow_run, record
+from tautline.live.session import MotionOptions, calibrate_live
+from tautline.live.setup import Live, PointEye
 from tautline.model import Model
 from tautline.rig import Coarse
-from tautline.session import MotionOptions, calibrate_live
-from tautline.simlink import Plant
+from tautline.simulated.instrument import Instrument, preset, reference_rig
+from tautline.simulated.simlink import Plant
 
 FALLING = replace(reference_rig(), coarse=Coarse(-12.0, 3.0))
 

@@ -10,8 +10,8 @@ import usb.core
 import usb.util
 
 from conftest import Bench
-from tautline import wire
-from tautline.board import Board, BoardGone, BoardRefused, Found, check_protocol, find, open_board
+from tautline.device import wire
+from tautline.device.board import Board, BoardGone, BoardRefused, Found, check_protocol, find, open_board
 from tautline.errors import TautError
 
 

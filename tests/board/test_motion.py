@@ -7,8 +7,8 @@ import pytest
 from test_tables import blob
 
 from conftest import Bench
-from tautline import wire
-from tautline.board import Board, BoardGone, BoardRefused
+from tautline.device import wire
+from tautline.device.board import Board, BoardGone, BoardRefused
 
 
 def telemetry(board: Board) -> list[wire.Message]:

@@ -9,12 +9,13 @@ import pytest
 import usb.core
 
 from conftest import Bench, bench_of
-from tautline import tables, wire
-from tautline.board import Board, BoardGone
-from tautline.dfu import Dfu
+from tautline import tables
+from tautline.device import wire
+from tautline.device.board import Board, BoardGone
+from tautline.device.dfu import Dfu
 from tautline.errors import TautError
-from tautline.instrument import preset, reference_rig
 from tautline.model import Model
+from tautline.simulated.instrument import preset, reference_rig
 
 DNLOAD_IDLE = 5  # DFU 1.1, bState
 GRID = np.linspace(-5.0, 5.0, 257)

@@ -13,7 +13,7 @@ import pytest
 from test_tables import blob
 
 from conftest import Bench
-from tautline import wire
+from tautline.device import wire
 
 HERE = Path(__file__).parent
 SYSTEM_PYTHON = "/usr/bin/python3"
@@ -74,7 +74,7 @@ import usb.backend.libusb1
 import libusb_package
 if {library!r} == "system":
     libusb_package.get_libusb1_backend = usb.backend.libusb1.get_backend
-from tautline.board import find, open_board, BoardRefused
+from tautline.device.board import find, open_board, BoardRefused
 (found,) = find()
 assert found.where.startswith("usb:") and not found.busy, found
 with open_board() as board, board.reading():
@@ -100,8 +100,8 @@ def test_the_device_is_lost_under_libusb(bench: Bench) -> None:
     """A pulled plug is BoardGone, as on USB/IP."""
     port = bench.process.ports["sim"] if bench.process else pytest.skip("needs a simulated board")
     script = f"""
-from tautline.board import open_board, BoardGone
-from tautline.simlink import SimLink
+from tautline.device.board import open_board, BoardGone
+from tautline.simulated.simlink import SimLink
 with open_board() as board:
     board.sync()
     link = SimLink({port})

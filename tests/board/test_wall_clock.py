@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tautline.board import open_board
-from tautline.calibrate import calibrate
-from tautline.following import follow_run
+from tautline.calibration.calibrate import calibrate
+from tautline.device.board import open_board
 from tautline.geometry import project
-from tautline.instrument import Instrument, preset
-from tautline.live import CameraEye, Live
-from tautline.marker import Sighting
+from tautline.live.following import follow_run
+from tautline.live.session import MotionOptions, record_calibration
+from tautline.live.setup import CameraEye, Live
 from tautline.recording import load
-from tautline.session import MotionOptions, record_calibration
-from tautline.simlink import DesktopBoard, SimLink
+from tautline.simulated.instrument import Instrument, preset
+from tautline.simulated.simlink import DesktopBoard, SimLink
+from tautline.vision.marker import Sighting
 
 DELAY_S = 0.080
 

@@ -20,7 +20,7 @@ import gi
 gi.require_version("UMockdev", "1.0")
 from gi.repository import GLib, UMockdev  # noqa: E402
 
-_protocol = Path(__file__).resolve().parents[2] / "host" / "tautline" / "usbip.py"
+_protocol = Path(__file__).resolve().parents[2] / "host" / "tautline" / "device" / "usbip.py"
 _spec = importlib.util.spec_from_file_location("usbip", _protocol)
 assert _spec is not None and _spec.loader is not None
 usbip = importlib.util.module_from_spec(_spec)

@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tautline import tables, wire
-from tautline.board import open_board
-from tautline.instrument import preset
-from tautline.live import Live, PointEye
+from tautline import tables
+from tautline.device import wire
+from tautline.device.board import open_board
+from tautline.live.session import MotionOptions, calibrate_live
+from tautline.live.setup import Live, PointEye
 from tautline.model import Model
-from tautline.session import MotionOptions, calibrate_live
-from tautline.simlink import PROGRAM, DesktopBoard, Plant
+from tautline.simulated.instrument import preset
+from tautline.simulated.simlink import PROGRAM, DesktopBoard, Plant
 
 ROOT = Path(__file__).resolve().parents[2]
 EMULATED = ROOT / "tools" / "emulator" / "board.js"

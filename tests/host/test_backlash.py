@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tautline.backlash import fit_paper, fit_widths, paper_knots
-from tautline.onset import BOUND, BRACKET, HINGE, Onset
+from tautline.calibration.backlash import fit_paper, fit_widths, paper_knots
+from tautline.calibration.onset import BOUND, BRACKET, HINGE, Onset
 
 GRID = np.linspace(-5.0, 5.0, 1025)
 

@@ -11,9 +11,9 @@ import pandas as pd
 import pytest
 from cli_runner import Finished, Taut
 
-from tautline import instrument, simulate, trajectory
 from tautline.model import Model
 from tautline.recording import Recording, save
+from tautline.simulated import instrument, simulate, trajectory
 
 RIG = instrument.reference_rig()
 PLANT = instrument.preset("reference", RIG)

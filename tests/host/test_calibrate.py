@@ -7,18 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tautline.calibrate import JOINT, ONSETS, Options, calibrate
+from tautline.calibration.calibrate import JOINT, ONSETS, Options, calibrate
+from tautline.calibration.playfit import Frozen
 from tautline.errors import TautError
 from tautline.geometry import project
-from tautline.instrument import Instrument, preset, reference_rig
 from tautline.model import Model
-from tautline.playfit import Frozen
 from tautline.predict import predict
 from tautline.recording import Angle, Marker, Motor
 from tautline.rig import Actuator, Coarse, Rig
-from tautline.simulate import Simulation, run
-from tautline.timing import FrameTiming
-from tautline.trajectory import Trajectory, back_and_forth, random_smooth, sines, through, trapezoids
+from tautline.simulated.instrument import Instrument, preset, reference_rig
+from tautline.simulated.simulate import Simulation, run
+from tautline.simulated.trajectory import Trajectory, back_and_forth, random_smooth, sines, through, trapezoids
+from tautline.vision.timing import FrameTiming
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 from tools.paper import scenes
@@ -169,7 +169,7 @@ def test_an_angle_sensor_alone_needs_no_camera():
 
 
 def _angle_track(made: Simulation, rig: Rig):
-    from tautline.observations import observe
+    from tautline.calibration.observations import observe
 
     return observe([made.recording], rig)[0]
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tautline.clock import STEADY, Clock
+from tautline.device.clock import STEADY, Clock
 
 
 @given(

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tautline.calibrate import calibrate
+from tautline.calibration.calibrate import calibrate
 from tautline.predict import predict
 from tautline.recording import Recording, load
 from tautline.rig import Rig

@@ -6,15 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tautline import effects, simulate, trajectory
-from tautline.calibrate import calibrate
+from tautline import effects
+from tautline.calibration.calibrate import calibrate
 from tautline.diagnose.diagnosis import diagnose
 from tautline.effects import LIBRARY, STAGES
-from tautline.instrument import preset, reference_rig
 from tautline.model import Model
 from tautline.predict import predict
 from tautline.recording import Marker, Recording, load_all, save
 from tautline.rig import Rig
+from tautline.simulated import simulate, trajectory
+from tautline.simulated.instrument import preset, reference_rig
 
 NOISE = 0.05
 RIG = reference_rig()

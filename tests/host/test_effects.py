@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from tautline import _native, effects, geometry
 from tautline.effects import LIBRARY, simulate
-from tautline.instrument import preset, reference_rig
 from tautline.model import Model
 from tautline.recording import Motor
+from tautline.simulated.instrument import preset, reference_rig
 
 RIG = reference_rig()
 GRID = np.linspace(-5.0, 5.0, 201)

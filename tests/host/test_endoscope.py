@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 import pytest
 
-from tautline.camera import SimulatedCamera, VideoCamera
-from tautline.endoscope import Endoscope, Look, load_background
 from tautline.errors import TautError
-from tautline.instrument import reference_rig
 from tautline.rig import Rig
-from tautline.timing import FrameTiming
+from tautline.simulated.endoscope import Endoscope, Look, load_background
+from tautline.simulated.instrument import reference_rig
+from tautline.vision.camera import SimulatedCamera, VideoCamera
+from tautline.vision.timing import FrameTiming
 
 RIG = reference_rig()
 QUIET = Look(noise=0.0, glint=0.0, vignetting=0.0)

@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 import pytest
 
-from tautline.colour import MarkerColour, pick
-from tautline.endoscope import Endoscope, Look, load_background
 from tautline.errors import TautError
-from tautline.instrument import reference_rig
-from tautline.marker import Sighting, Tracker, find_colour, track_video
 from tautline.recording import Video
+from tautline.simulated.endoscope import Endoscope, Look, load_background
+from tautline.simulated.instrument import reference_rig
+from tautline.vision.colour import MarkerColour, pick
+from tautline.vision.marker import Sighting, Tracker, find_colour, track_video
 
 RIG = reference_rig()
 COLOURS = {

@@ -11,11 +11,11 @@ import pytest
 from click.testing import CliRunner, Result
 
 from tautline.cli.marker import command
-from tautline.colour import MarkerColour
-from tautline.endoscope import Endoscope
 from tautline.errors import TautError
-from tautline.instrument import reference_rig
-from tautline.marker import Tracker
+from tautline.simulated.endoscope import Endoscope
+from tautline.simulated.instrument import reference_rig
+from tautline.vision.colour import MarkerColour
+from tautline.vision.marker import Tracker
 
 SCOPE = Endoscope(reference_rig())
 

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tautline.instrument import Instrument, preset, reference_rig
-from tautline.observations import observe
-from tautline.onset import BOUND, BRACKET, HINGE, find_delay, find_onsets, fit_hinge, fit_jump
+from tautline.calibration.observations import observe
+from tautline.calibration.onset import BOUND, BRACKET, HINGE, find_delay, find_onsets, fit_hinge, fit_jump
 from tautline.recording import Motor
-from tautline.simulate import run
-from tautline.timing import FrameTiming
-from tautline.trajectory import back_and_forth, through
+from tautline.simulated.instrument import Instrument, preset, reference_rig
+from tautline.simulated.simulate import run
+from tautline.simulated.trajectory import back_and_forth, through
+from tautline.vision.timing import FrameTiming
 
 RIG = reference_rig()
 

@@ -7,16 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tautline.calibration.observations import noise_of, observe
+from tautline.calibration.playfit import Curves, Frozen, PlayFit, table
+from tautline.calibration.remaining import monotone, view_of
 from tautline.geometry import project
-from tautline.instrument import preset, reference_rig
 from tautline.model import between_counts, is_backlash_table
-from tautline.observations import noise_of, observe
-from tautline.playfit import Curves, Frozen, PlayFit, table
 from tautline.recording import Motor
-from tautline.remaining import monotone, view_of
-from tautline.simulate import run
+from tautline.simulated.instrument import preset, reference_rig
+from tautline.simulated.simulate import run
+from tautline.simulated.trajectory import random_smooth
 from tautline.splines import Basis
-from tautline.trajectory import random_smooth
 
 RIG = reference_rig()
 

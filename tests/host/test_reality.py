@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tautline import _native, trajectory
-from tautline.diagnose.cases import Label, make
-from tautline.diagnose.reality import KNOWN, UNKNOWN, Plant, Truth, record
+from tautline import _native
+from tautline.blindtest.cases import Label, make
+from tautline.blindtest.reality import KNOWN, UNKNOWN, Plant, Truth, record
 from tautline.geometry import project
-from tautline.instrument import preset
+from tautline.simulated import trajectory
+from tautline.simulated.instrument import preset
 
 
 def test_the_pin_in_its_slot_is_the_play() -> None:

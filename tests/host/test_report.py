@@ -13,13 +13,14 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from tautline import evidence, instrument, report, simulate, trajectory
+from tautline import evidence, report
 from tautline.cli.compare import command as compare
 from tautline.cli.report import command as rewrite
 from tautline.errors import TautError
 from tautline.model import Model
 from tautline.recording import Recording
 from tautline.rig import Actuator, Coarse, Rig
+from tautline.simulated import instrument, simulate, trajectory
 
 
 def true_model(plant: instrument.Instrument, onsets: list[dict[str, Any]], **extra: Any) -> Model:

@@ -15,15 +15,15 @@ from hypothesis import strategies as st
 
 from tautline import recording as recordings
 from tautline.cli.simulate import MOTIONS, command
-from tautline.endoscope import Endoscope
 from tautline.errors import TautError
 from tautline.geometry import project
-from tautline.instrument import PRESETS, Instrument, preset, reference_rig
-from tautline.marker import track_video
 from tautline.rig import Rig
-from tautline.simulate import run, simulate
-from tautline.timing import FrameTiming
-from tautline.trajectory import Trajectory, back_and_forth, random_smooth, sines, through, trapezoids
+from tautline.simulated.endoscope import Endoscope
+from tautline.simulated.instrument import PRESETS, Instrument, preset, reference_rig
+from tautline.simulated.simulate import run, simulate
+from tautline.simulated.trajectory import Trajectory, back_and_forth, random_smooth, sines, through, trapezoids
+from tautline.vision.marker import track_video
+from tautline.vision.timing import FrameTiming
 
 RIG = reference_rig()
 ACTUATOR = RIG.actuator

@@ -13,8 +13,8 @@ import pytest
 import usb.core
 import usb.util
 
-from tautline import usbip
-from tautline.usbip_backend import Backend
+from tautline.device import usbip
+from tautline.device.usbip_backend import Backend
 
 DEVICE = struct.pack("<BBHBBBBHHHBBBB", 18, 1, 0x0210, 0, 0, 0, 64, 0xCAFE, 0x4011, 0x0107, 0, 0, 3, 1)
 ENDPOINTS = [0x01, 0x81, 0x02, 0x82, 0x83]

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tautline import wire
+from tautline.device import wire
 
 LIMIT = 2**31 - 1
 

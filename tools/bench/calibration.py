@@ -6,13 +6,13 @@ import time
 
 import numpy as np
 
-from tautline.calibrate import calibrate
-from tautline.colour import pick
-from tautline.endoscope import Endoscope
-from tautline.instrument import preset, reference_rig
-from tautline.marker import Tracker
-from tautline.simulate import run as simulated
-from tautline.trajectory import back_and_forth
+from tautline.calibration.calibrate import calibrate
+from tautline.simulated.endoscope import Endoscope
+from tautline.simulated.instrument import preset, reference_rig
+from tautline.simulated.simulate import run as simulated
+from tautline.simulated.trajectory import back_and_forth
+from tautline.vision.colour import pick
+from tautline.vision.marker import Tracker
 
 
 def run() -> list[tuple[str, float, str]]:

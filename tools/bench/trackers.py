@@ -18,10 +18,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from tautline.colour import MarkerColour, pick
-from tautline.endoscope import Endoscope, Look
-from tautline.instrument import reference_rig
-from tautline.marker import Tracker
+from tautline.simulated.endoscope import Endoscope, Look
+from tautline.simulated.instrument import reference_rig
+from tautline.vision.colour import MarkerColour, pick
+from tautline.vision.marker import Tracker
 
 Array = np.ndarray
 Find = Callable[[Array], "tuple[float, float] | None"]

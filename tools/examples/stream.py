@@ -10,8 +10,8 @@ from __future__ import annotations
 import argparse
 import math
 
-from tautline.board import open_board
-from tautline.stream import SetPoints
+from tautline.device.board import open_board
+from tautline.device.stream import SetPoints
 
 RATE_HZ = 250.0
 

@@ -13,7 +13,7 @@ from scipy.interpolate import PchipInterpolator
 from tools.paper import scenes
 
 from tautline import _native, evidence, figures, geometry, tables
-from tautline.calibrate import Options, calibrate
+from tautline.calibration.calibrate import Options, calibrate
 from tautline.evidence import STAGES
 from tautline.model import Model
 from tautline.recording import Recording

@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tautline import geometry, simulate, trajectory
-from tautline.instrument import Instrument, preset, reference_rig
+from tautline import geometry
 from tautline.recording import Recording
 from tautline.rig import Actuator, Coarse, HandEye, Rig
-from tautline.timing import FrameTiming
+from tautline.simulated import simulate, trajectory
+from tautline.simulated.instrument import Instrument, preset, reference_rig
+from tautline.vision.timing import FrameTiming
 
 Array = np.ndarray
 

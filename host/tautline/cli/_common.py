@@ -111,7 +111,7 @@ def tracked(recording: Recording, rig: Rig, progress: Progress) -> Recording:
     """With the marker's track, from the video where there is no marker.csv."""
     if recording.marker is not None or recording.video is None or not rig.has_camera:
         return recording
-    from tautline.marker import track_video
+    from tautline.vision.marker import track_video
 
     return replace(recording, marker=track_video(recording.video, progress=progress))
 

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tautline.errors import TautError
-from tautline.instrument import PRESETS
 from tautline.model import Model
 from tautline.rig import Rig
+from tautline.simulated.instrument import PRESETS
 
 if TYPE_CHECKING:
-    from tautline.live import Live
+    from tautline.live.setup import Live
 
 board_option = click.option(
     "--board",
@@ -81,8 +81,8 @@ def live_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @contextmanager
 def opened(live: LiveOptions, rig_path: Path | None, seed: int = 0, model: Model | None = None) -> Iterator[Live]:
     """The live set-up that the options name. The rig is --rig's, else the model's, else the simulation's own."""
-    from tautline.colour import MarkerColour
-    from tautline.live import open_live
+    from tautline.live.setup import open_live
+    from tautline.vision.colour import MarkerColour
 
     if live.simulate is not None and live.simulate not in PRESETS:
         raise click.UsageError(f"--simulate {live.simulate}: choose one of {', '.join(PRESETS)}")

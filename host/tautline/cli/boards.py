@@ -18,7 +18,7 @@ def command(board: str | None, as_json: bool) -> None:
 
     A board that another program uses, or that speaks another protocol, is listed and left alone.
     """
-    from tautline.board import find
+    from tautline.device.board import find
 
     rows = [_describe(found) for found in find(board)]
     if board is not None and not rows:
@@ -27,7 +27,7 @@ def command(board: str | None, as_json: bool) -> None:
 
 
 def _describe(found: Any) -> dict[str, Any]:
-    from tautline.board import Board
+    from tautline.device.board import Board
 
     row: dict[str, Any] = {
         "board": found.where,
@@ -55,7 +55,8 @@ def _describe(found: Any) -> dict[str, Any]:
 
 
 def _axis(board: Any, axis: int) -> dict[str, Any]:
-    from tautline import tables, wire
+    from tautline import tables
+    from tautline.device import wire
 
     status = board.status(axis)
     row = {

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import click
 
 from tautline import report
-from tautline.calibrate import Calibration, Options, calibrate
+from tautline.calibration.calibrate import Calibration, Options, calibrate
 from tautline.cli._common import (
     emit,
     folder_option,
@@ -117,7 +117,7 @@ def _live(
     video: bool,
     seed: int,
 ) -> tuple[Calibration, list[str]]:
-    from tautline.session import MotionOptions, calibrate_live
+    from tautline.live.session import MotionOptions, calibrate_live
 
     if len(speeds) > 4:
         raise click.UsageError("--speed may be given up to four times")

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from tautline.cli._common import emit, folder_option, json_option, log, progress_bar
-from tautline.instrument import PRESETS
+from tautline.simulated.instrument import PRESETS
 
 
 @click.command("demo")
@@ -33,11 +33,11 @@ def run(
     from tautline import report, tables
     from tautline.evidence import Evidence, Run
     from tautline.folders import check_replaceable
-    from tautline.following import follow_run
-    from tautline.live import open_live
+    from tautline.live.following import follow_run
+    from tautline.live.session import calibrate_live
+    from tautline.live.setup import open_live
     from tautline.model import MODEL_FILE, Model
     from tautline.recording import load
-    from tautline.session import calibrate_live
 
     model_folder, recording_folder = out / "model", out / "recording"
     check_replaceable(model_folder, MODEL_FILE)

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from tautline import report
-from tautline.calibrate import calibrate
+from tautline.calibration.calibrate import calibrate
 from tautline.cli._common import (
     emit,
     folder_option,

@@ -21,7 +21,7 @@ def command(model_path: Path, board: str | None, axis: int, as_json: bool) -> No
     The table is checked by the board before it replaces the one in use; a failure leaves the old one.
     """
     from tautline import tables
-    from tautline.board import open_board
+    from tautline.device.board import open_board
     from tautline.effects import BY_ID
     from tautline.model import Model
 

@@ -52,7 +52,7 @@ def command(
 
     With MODEL, its tables are loaded first (and its rig is used); without, those in the board are used as they are.
     """
-    from tautline.following import follow_run
+    from tautline.live.following import follow_run
     from tautline.model import Model
 
     model = Model.load(model_path) if model_path is not None else None

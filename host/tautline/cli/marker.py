@@ -8,11 +8,11 @@ import click
 import cv2
 import numpy as np
 
-from tautline.camera import VideoCamera, sample_video
 from tautline.cli._common import emit, json_option, progress_bar
-from tautline.colour import COLOUR_FILE, MarkerColour, pick
 from tautline.errors import TautError
-from tautline.marker import Sighting, Tracker, find_colour
+from tautline.vision.camera import VideoCamera, sample_video
+from tautline.vision.colour import COLOUR_FILE, MarkerColour, pick
+from tautline.vision.marker import Sighting, Tracker, find_colour
 
 _STILL_FRAMES = 60  # that are tracked to say how well the marker can be seen
 _WARM_UP = 15  # frames of a device that pass while it finds its exposure

@@ -17,7 +17,7 @@ from tautline.cli._live import board_option
 @json_option
 def command(board: str | None, once: bool, as_json: bool) -> None:
     """Watch a board's axes: mode, positions, drive, faults, and everything that was dropped. Ctrl-C ends it."""
-    from tautline.board import open_board
+    from tautline.device.board import open_board
 
     with open_board(board) as opened:
         if once or as_json:
@@ -33,7 +33,7 @@ def command(board: str | None, once: bool, as_json: bool) -> None:
 
 
 def _state(board: Any) -> dict[str, Any]:
-    from tautline import wire
+    from tautline.device import wire
 
     axes = []
     for axis in range(board.axes):

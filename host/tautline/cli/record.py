@@ -40,7 +40,7 @@ def command(
     as_json: bool,
 ) -> None:
     """Record motor, marker and video from a board and a camera. Ctrl-C ends it early and keeps what there is."""
-    from tautline.following import record
+    from tautline.live.following import record
 
     with opened(live, rig_path, seed) as setup, progress_bar("record") as progress:
         result = record(setup, out, motion, speed=speed, duration_s=duration, video=video, seed=seed, progress=progress)

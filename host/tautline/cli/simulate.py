@@ -9,13 +9,13 @@ from pathlib import Path
 import click
 
 from tautline.cli._common import emit, folder_option, json_option, progress_bar
-from tautline.endoscope import Endoscope, load_background
 from tautline.errors import TautError
-from tautline.instrument import PRESETS, preset, reference_rig
 from tautline.rig import Actuator, Rig
-from tautline.simulate import run
-from tautline.timing import FrameTiming
-from tautline.trajectory import Trajectory, back_and_forth, random_smooth, sines, trapezoids
+from tautline.simulated.endoscope import Endoscope, load_background
+from tautline.simulated.instrument import PRESETS, preset, reference_rig
+from tautline.simulated.simulate import run
+from tautline.simulated.trajectory import Trajectory, back_and_forth, random_smooth, sines, trapezoids
+from tautline.vision.timing import FrameTiming
 
 
 @dataclass(frozen=True)

@@ -43,8 +43,8 @@ def command(
 
     While stdin says nothing new for longer than --silence, nothing is sent, and the board brings the axis to rest.
     """
-    from tautline.board import open_board
-    from tautline.stream import SetPoints
+    from tautline.device.board import open_board
+    from tautline.device.stream import SetPoints
 
     ended = False
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from tautline import wire
-from tautline.board import Board
-from tautline.following import FULL
+from tautline.device import wire
+from tautline.device.board import Board
+from tautline.live.following import FULL
 
 _LEAD_US = 8_000  # a set-point holds so long after it was sent: the board moves there in a straight line
 _ALIGN_S = 0.25

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from tautline import wire
-from tautline.calibrate import Calibration, Options, calibrate
+from tautline.calibration.calibrate import Calibration, Options, calibrate
+from tautline.device import wire
 from tautline.errors import TautError
 from tautline.geometry import project
-from tautline.live import Live, Recorder
+from tautline.live.setup import Live, Recorder
 from tautline.recording import load
 
 Array = np.ndarray

@@ -15,9 +15,9 @@ import libusb_package
 import usb.core
 import usb.util
 
-from tautline import usbip_backend, wire
-from tautline.clock import Clock
-from tautline.dfu import Dfu, DfuError
+from tautline.device import usbip_backend, wire
+from tautline.device.clock import Clock
+from tautline.device.dfu import Dfu, DfuError
 from tautline.errors import TautError
 
 ENVIRONMENT = "TAUTLINE_BOARD"

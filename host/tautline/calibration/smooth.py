@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from tautline.backlash import WidthCurve
-from tautline.observations import Mask, Track
-from tautline.playfit import Curves, Fitted, Frozen, PlayFit
+from tautline.calibration.backlash import WidthCurve
+from tautline.calibration.observations import Mask, Track
+from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit
 from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]

@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 
 from tautline._native import MARKER_CLIPPED, MARKER_CUT_OFF, MARKER_FOUND, marker_measure
-from tautline.camera import VideoCamera, sample_video
-from tautline.colour import COLOUR_FILE, MarkerColour, candidates
 from tautline.errors import TautError
 from tautline.recording import Marker, Video
+from tautline.vision.camera import VideoCamera, sample_video
+from tautline.vision.colour import COLOUR_FILE, MarkerColour, candidates
 
 Array = np.ndarray
 Progress = Callable[[float, str], None]

@@ -12,9 +12,9 @@ from typing import Protocol, Self
 import cv2
 import numpy as np
 
-from tautline.endoscope import Endoscope
 from tautline.errors import TautError
-from tautline.timing import FrameTiming
+from tautline.simulated.endoscope import Endoscope
+from tautline.vision.timing import FrameTiming
 
 Array = np.ndarray
 # The instrument at the times (n,) s: c in deg, translation in mm, rotation in deg, each (n,) or a scalar.

@@ -16,8 +16,8 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_matrix
 
 from tautline import _native
+from tautline.calibration.observations import Mask, Track, corners
 from tautline.model import STEEPEST
-from tautline.observations import Mask, Track, corners
 from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]

@@ -10,17 +10,17 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
-from tautline.backlash import WidthCurve, fit_paper, fit_widths
+from tautline.calibration.backlash import WidthCurve, fit_paper, fit_widths
+from tautline.calibration.observations import Track, observe
+from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, find_delay, find_onsets
+from tautline.calibration.playfit import NODES, Fitted, table
+from tautline.calibration.remaining import Remaining, fit_remaining, morphological, pose_of, posed
+from tautline.calibration.smooth import Domain, fit_jointly, fit_passes, freeze, overlap
 from tautline.errors import TautError
 from tautline.geometry import coarse_range_deg
 from tautline.model import Model
-from tautline.observations import Track, observe
-from tautline.onset import BOUND, BRACKET, HINGE, Delay, Onset, find_delay, find_onsets
-from tautline.playfit import NODES, Fitted, table
 from tautline.recording import Recording
-from tautline.remaining import Remaining, fit_remaining, morphological, pose_of, posed
 from tautline.rig import Rig
-from tautline.smooth import Domain, fit_jointly, fit_passes, freeze, overlap
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]

@@ -9,15 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from tautline import trajectory, wire
 from tautline.columns import read_columns
+from tautline.device import wire
 from tautline.errors import TautError
 from tautline.geometry import coarse_range_deg, pose
-from tautline.live import Frame, Live, Recorder
+from tautline.live.session import driving, set_range
+from tautline.live.setup import Frame, Live, Recorder
 from tautline.model import Model
 from tautline.recording import load_motor
 from tautline.rig import Actuator
-from tautline.session import driving, set_range
+from tautline.simulated import trajectory
 
 Array = np.ndarray
 Progress = Callable[[float, str], None] | None

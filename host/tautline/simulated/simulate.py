@@ -13,17 +13,17 @@ import numpy as np
 import pandas as pd
 
 from tautline import recording as recordings
-from tautline.camera import SimulatedCamera, VideoFile
-from tautline.colour import COLOUR_FILE, pick
-from tautline.endoscope import Endoscope
 from tautline.errors import TautError
 from tautline.folders import write_file
 from tautline.geometry import project
-from tautline.instrument import Instrument
 from tautline.recording import Angle, Marker, Motor, Recording
 from tautline.rig import Rig
-from tautline.timing import FrameTiming
-from tautline.trajectory import Trajectory
+from tautline.simulated.endoscope import Endoscope
+from tautline.simulated.instrument import Instrument
+from tautline.simulated.trajectory import Trajectory
+from tautline.vision.camera import SimulatedCamera, VideoFile
+from tautline.vision.colour import COLOUR_FILE, pick
+from tautline.vision.timing import FrameTiming
 
 Array = np.ndarray
 Progress = Callable[[float, str], None]

@@ -17,18 +17,18 @@ from typing import IO, Any, Protocol
 import cv2
 import numpy as np
 
-from tautline import wire
-from tautline.board import Board, open_board
-from tautline.camera import Camera, SimulatedCamera, VideoCamera
-from tautline.colour import MarkerColour, pick
-from tautline.endoscope import Endoscope
+from tautline.device import wire
+from tautline.device.board import Board, open_board
 from tautline.errors import TautError
 from tautline.geometry import coarse_range_deg, project
-from tautline.instrument import preset
-from tautline.marker import Sighting, Tracker
 from tautline.rig import Rig
-from tautline.simlink import DesktopBoard, Plant
-from tautline.timing import FrameTiming
+from tautline.simulated.endoscope import Endoscope
+from tautline.simulated.instrument import preset
+from tautline.simulated.simlink import DesktopBoard, Plant
+from tautline.vision.camera import Camera, SimulatedCamera, VideoCamera
+from tautline.vision.colour import MarkerColour, pick
+from tautline.vision.marker import Sighting, Tracker
+from tautline.vision.timing import FrameTiming
 
 Array = np.ndarray
 _STEP_S = 0.02

@@ -12,11 +12,11 @@ from scipy.interpolate import make_smoothing_spline
 from scipy.ndimage import binary_closing, binary_fill_holes
 from scipy.optimize import isotonic_regression
 
+from tautline.calibration.observations import Track
+from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit, View
+from tautline.calibration.smooth import SPANS, Domain
 from tautline.geometry import pose, project_with_slope
-from tautline.observations import Track
-from tautline.playfit import Curves, Fitted, Frozen, PlayFit, View
 from tautline.rig import Rig
-from tautline.smooth import SPANS, Domain
 from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]

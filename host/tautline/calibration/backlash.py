@@ -12,9 +12,9 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import brentq
 from scipy.special import log_ndtr
 
+from tautline.calibration.onset import BOUND, BRACKET, HINGE, Onset
+from tautline.calibration.playfit import table
 from tautline.model import STEEPEST
-from tautline.onset import BOUND, BRACKET, HINGE, Onset
-from tautline.playfit import table
 from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import _native
-from tautline.observations import Track, turning_hysteresis
+from tautline.calibration.observations import Track, turning_hysteresis
 from tautline.rig import Rig
 
 Array = npt.NDArray[np.float64]

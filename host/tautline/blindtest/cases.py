@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from tautline import trajectory
-from tautline.diagnose.reality import KNOWN, UNKNOWN, Plant, Truth, record
-from tautline.instrument import preset, reference_rig
+from tautline.blindtest.reality import KNOWN, UNKNOWN, Plant, Truth, record
 from tautline.recording import Recording
 from tautline.rig import Rig
-from tautline.trajectory import Trajectory
+from tautline.simulated import trajectory
+from tautline.simulated.instrument import preset, reference_rig
+from tautline.simulated.trajectory import Trajectory
 
 
 @dataclass(frozen=True)

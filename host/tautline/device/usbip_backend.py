@@ -12,7 +12,7 @@ from typing import Any
 import usb.backend
 import usb.core
 
-from tautline import usbip
+from tautline.device import usbip
 
 _DEVICE_TO_HOST = 0x80
 _GET_DESCRIPTOR, _SET_CONFIGURATION, _GET_CONFIGURATION = 6, 9, 8

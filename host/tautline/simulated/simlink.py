@@ -19,11 +19,11 @@ from typing import Any, Self
 import numpy as np
 
 from tautline.errors import TautError
-from tautline.instrument import Instrument
+from tautline.simulated.instrument import Instrument
 
 Array = np.ndarray
 PROGRAM = "TAUTLINE_DESKTOP_BOARD"  # environment: the program, where it is not built in the usual place
-_BUILT = Path(__file__).resolve().parents[2] / "build" / "gcc" / "firmware" / "port" / "desktop" / "tautline-board"
+_BUILT = Path(__file__).resolve().parents[3] / "build" / "gcc" / "firmware" / "port" / "desktop" / "tautline-board"
 _START_S = 10.0
 _ANSWER_S = 60.0
 _Q8 = 256.0

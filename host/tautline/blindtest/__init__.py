@@ -1,0 +1,1 @@
+"""Diagnoses checked on data whose effect is withheld."""

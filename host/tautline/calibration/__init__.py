@@ -1,0 +1,1 @@
+"""From a recording to B(q), f_remain and the delay."""

@@ -1,0 +1,1 @@
+"""The actuator board: messages, transport, firmware update."""

@@ -1,0 +1,1 @@
+"""A board and a camera at work together."""

@@ -1,0 +1,1 @@
+"""The simulated world: instrument, endoscope, motions and the board that drives it."""

@@ -1,0 +1,1 @@
+"""Cameras and the marker in their pictures."""
