@@ -19,7 +19,7 @@
 #ifndef TL_APP_BUILD
 #define TL_APP_BUILD "release" ///< shown in the identity, at most 31 characters
 #endif
-#define TL_APP_VERSION {0, 1, 0}
+#define TL_APP_VERSION {0, 1, 0} ///< the host package's too: pyproject.toml reads it here
 
 /// What became of a table that the host sent.
 typedef enum {
