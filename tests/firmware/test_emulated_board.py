@@ -44,7 +44,10 @@ def calibrated() -> tuple[Model, float]:
         return found.model, plant.now_s
 
 
-def test_a_calibration_gives_the_desktop_boards_tables(request: pytest.FixtureRequest) -> None:
+def test_a_calibration_gives_the_desktop_boards_tables(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(PROGRAM, raising=False)
     desktop, _ = calibrated()
     request.getfixturevalue("emulated")
     image, moved_s = calibrated()

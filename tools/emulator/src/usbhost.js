@@ -4,6 +4,7 @@ const FRAME_NANOS = 1e6;
 const SLOT_NANOS = 50e3;  // one full-speed bulk transaction of 64 bytes, tokens and gaps included
 const RESET_NANOS = 1e6; // 10 ms and more on a real bus; nothing in the device depends on it
 const SUSPEND_NANOS = 3e6;
+const ADDRESS_NANOS = 2e6; // that a device may take to answer to its new address
 const ADDRESS = 1;
 const READ_AHEAD_ENDPOINT = 1;     // as a host program that keeps reads pending; a simulated one reads once per slice of time
 const READ_AHEAD_MAX = 64 * 1024;
@@ -64,6 +65,7 @@ export class UsbHost {
         this.frameAlarm = this.clock.createAlarm(() => this.#frame());
         this.slotAlarm = this.clock.createAlarm(() => this.#slot());
         this.resetAlarm = this.clock.createAlarm(() => this.#enumerate());
+        this.addressAlarm = this.clock.createAlarm(() => this.#describe());
         this.suspendAlarm = this.clock.createAlarm(() => chip.usbCtrl.suspend());
         this.frameAlarm.schedule(FRAME_NANOS);
     }
@@ -74,6 +76,7 @@ export class UsbHost {
         this.frameAlarm?.cancel();
         this.slotAlarm?.cancel();
         this.resetAlarm?.cancel();
+        this.addressAlarm?.cancel();
         this.suspendAlarm?.cancel();
         this.#forget();
         this.chip = null;
@@ -148,9 +151,15 @@ export class UsbHost {
     }
 
     #enumerate() {
+        this.#sequence([{ setup: () => setupPacket(0, SET_ADDRESS, ADDRESS, 0, 0), then: () => {
+            this.address = ADDRESS;
+            this.addressAlarm.schedule(ADDRESS_NANOS);
+        } }]);
+    }
+
+    #describe() {
         const descriptor = (kind, length) => setupPacket(0x80, GET_DESCRIPTOR, kind << 8, 0, length);
         this.#sequence([
-            { setup: () => setupPacket(0, SET_ADDRESS, ADDRESS, 0, 0), then: () => { this.address = ADDRESS; } },
             { setup: () => descriptor(1, 18), then: (data) => { this.deviceDescriptor = data; } },
             { setup: () => descriptor(2, 9), then: (data) => { this.configDescriptor = data; } },
             { setup: () => descriptor(2, this.configDescriptor[2] | (this.configDescriptor[3] << 8)),
