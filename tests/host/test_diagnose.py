@@ -170,3 +170,33 @@ def test_the_load_of_a_real_instrument_is_named_at_three_loads():
     assert document["unit"] == "deg" and document["verdict"] == "effect"
     assert [effect["id"] for effect in document["effects"]] == ["transmission.load_dependence"]
     assert document["gap"]["shrink"] > 0.9
+
+
+def test_a_sensor_that_counts_has_the_noise_of_its_step():
+    from tautline.diagnose import gap
+    from tautline.diagnose.segment import Segment
+    from tautline.recording import Motor
+
+    t = np.arange(0.0, 20.0, 0.01)
+    q = 30.0 * np.sin(0.5 * t)
+    resting = np.full((len(t), 1), 17.0)
+    moving = np.round(q / 0.09)[:, None] * 0.09
+    for observed in (np.where(t[:, None] < 10.0, moving, resting), moving):
+        segment = Segment("s", Motor(t, np.where(t < 10.0, q, q[1000]), None), t, observed, t >= 0.0, 0.0, False)
+        assert gap.noise_floor([segment], [observed - q[:, None]]) == pytest.approx(0.09 / np.sqrt(12.0), rel=0.2)
+
+
+@pytest.mark.parametrize("period_s", [4.0, 20.0])
+def test_every_other_block_holds_both_ways(period_s):
+    """On a single way width and offset are one: a half of the blocks that never saw the other way predicts nothing."""
+    from tautline.diagnose import gap
+    from tautline.diagnose.segment import Segment
+    from tautline.recording import Motor
+
+    t = np.arange(0.0, 30.0, 0.01)
+    q = 4.0 * np.sin(2 * np.pi * t / period_s)
+    segment = Segment("s", Motor(t, q, None), t, q[:, None], t > 1.0, 0.0, False)
+    number = gap.blocks(segment)
+    rises = np.gradient(q)[t > 1.0] > 0
+    for half in (0, 1):
+        assert 0.2 < rises[number % 2 == half].mean() < 0.8

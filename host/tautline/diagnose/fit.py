@@ -112,6 +112,10 @@ class Fitter:
         before = self._width_basis.size + self._remaining_basis.size
         self.static_columns = slice(before, before + 6)  # of Linear.nominal, with a camera
         self.floor = 1.0
+        # An obstacle that begins outside of what was reached would be another gain and offset, and no obstacle.
+        ends = np.sort(model.remaining(np.array([low, high])))
+        inset = 0.05 * float(ends[1] - ends[0])
+        self._contact = (float(ends[0]) + inset, float(ends[1]) - inset)
 
     def nominal(self) -> Fit:
         """The recalibrated model without any effect."""
@@ -252,7 +256,8 @@ class Fitter:
             delay, at = delay + float(step[at + 6]), at + 7
         values = dict(state.values)
         for i, (parameter, _) in enumerate(hypothesis.parameters):
-            values[parameter.name] = inside(parameter.name, values[parameter.name] + float(step[at + i]))
+            value = inside(parameter.name, values[parameter.name] + float(step[at + i]))
+            values[parameter.name] = float(np.clip(value, *self._contact)) if parameter.name == "contact_c" else value
         return State(replace(model, width=width, c_deg=c_deg, delay_s=delay), static, values)
 
 

@@ -14,6 +14,8 @@ Array = npt.NDArray[np.float64]
 
 _STILL_S = 0.6  # a motor at rest for so long has left its own transients behind
 BLOCK_S = 8.0  # of a manoeuvre: longer than a residual remembers
+_CUT_INTO = (12, 9)  # blocks, tried in turn where the motor's turns make none
+_EACH_WAY = 0.2  # share of the motion that either way must have
 
 
 def rms(residuals: Sequence[Array]) -> float:
@@ -24,7 +26,9 @@ def rms(residuals: Sequence[Array]) -> float:
 
 def noise_floor(segments: Sequence[Segment], residuals: Sequence[Array]) -> float:
     """Per coordinate: the scatter of what was observed while the motor stood still, about a straight line through each
-    rest; where it hardly ever rests, the residual's second differences, which a smooth misfit does not reach."""
+    rest; where it hardly ever rests, the residual's second differences, which a smooth misfit does not reach. Never
+    below what the sensor's own step scatters: one that rests within a step shows no noise at all."""
+    least = float(max(_step(s.observed) for s in segments) / np.sqrt(12.0))
     squares, freedom = 0.0, 0
     for segment in segments:
         for stretch in still_stretches(segment):
@@ -37,9 +41,15 @@ def noise_floor(segments: Sequence[Segment], residuals: Sequence[Array]) -> floa
             squares += float(np.sum(left**2))
             freedom += left.size - 2 * seen.shape[1]
     if freedom >= 60:
-        return float(np.sqrt(squares / freedom))
+        return max(float(np.sqrt(squares / freedom)), least)
     bends = np.concatenate([np.diff(r, n=2, axis=0).ravel() for r in residuals if len(r) > 2])
-    return float(1.4826 * np.median(np.abs(bends)) / np.sqrt(6.0))
+    return max(float(1.4826 * np.median(np.abs(bends)) / np.sqrt(6.0)), least)
+
+
+def _step(observed: Array) -> float:
+    """The step in which a sensor counts, 0 where its values hardly repeat."""
+    steps = [np.diff(np.unique(np.round(column, 9))) for column in observed.T]
+    return max((float(np.median(s)) for s in steps if 0 < len(s) < len(observed) // 2), default=0.0)
 
 
 def still_stretches(segment: Segment) -> list[slice]:
@@ -67,20 +77,30 @@ def _moving_times(motor: Motor) -> Array:
 
 def blocks(segment: Segment) -> npt.NDArray[np.int64]:
     """(scored,) the number of the block of manoeuvres that each scored observation is in: blocks end where the motor
-    turns, after BLOCK_S at the least."""
+    turns, after BLOCK_S at the least. Where the motor turns too rarely for every other block to hold both ways (width
+    and offset are one on a single way), they are cut out of the passes, and where that cannot be, there is one."""
     t = segment.arrival_s[segment.scored]
-    q = np.interp(t, segment.motor.t_s, segment.motor.q)
     number = np.zeros(len(t), dtype=np.int64)
     if len(t) < 3:
         return number
+    q = np.interp(t, segment.motor.t_s, segment.motor.q)
+    way = np.sign(np.gradient(q))
     turns = t[1:-1][np.diff(np.sign(np.diff(q))) != 0]
     edges, last = [], t[0]
     for turn in turns:
         if turn - last >= BLOCK_S:
             edges.append(turn)
             last = turn
-    number[:] = np.searchsorted(np.array(edges), t, side="right")
-    return number
+    for cuts in (np.array(edges), *(np.linspace(t[0], t[-1], n + 1)[1:-1] for n in _CUT_INTO)):
+        number[:] = np.searchsorted(cuts, t, side="right")
+        if all(_goes_both_ways(way[number % 2 == half]) for half in (0, 1)):
+            return number
+    return np.zeros_like(number)
+
+
+def _goes_both_ways(way: Array) -> bool:
+    moving = int(np.count_nonzero(way))
+    return bool(min(np.count_nonzero(way > 0), np.count_nonzero(way < 0)) > _EACH_WAY * max(moving, 1))
 
 
 def memory(residuals: Sequence[Array]) -> float:
