@@ -178,11 +178,10 @@ def test_a_sensor_that_counts_has_the_noise_of_its_step():
     from tautline.recording import Motor
 
     t = np.arange(0.0, 20.0, 0.01)
-    q = 30.0 * np.sin(0.5 * t)
-    resting = np.full((len(t), 1), 17.0)
-    moving = np.round(q / 0.09)[:, None] * 0.09
-    for observed in (np.where(t[:, None] < 10.0, moving, resting), moving):
-        segment = Segment("s", Motor(t, np.where(t < 10.0, q, q[1000]), None), t, observed, t >= 0.0, 0.0, False)
+    for rests_from in (10.0, 30.0):
+        q = 30.0 * np.sin(0.5 * np.minimum(t, rests_from))
+        observed = np.round(q / 0.09)[:, None] * 0.09
+        segment = Segment("s", Motor(t, q, None), t, observed, t >= 0.0, 0.0, False)
         assert gap.noise_floor([segment], [observed - q[:, None]]) == pytest.approx(0.09 / np.sqrt(12.0), rel=0.2)
 
 
