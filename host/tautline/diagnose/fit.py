@@ -1,9 +1,9 @@
 """Fits one hypothesis (no effect, one or several) to all recordings at once, the nominal model free where it may move.
 
-The nominal that is shared by all recordings: B and f_remain as corrections in cubic B-splines, the static registration
-and the delay. Its Jacobian is analytic along the play: on an envelope p + side B(p)/2 = q moves by
-dp = -side dB(p)/2 / (1 + side B'(p)/2), and inside the backlash p keeps what it had when an envelope last carried it.
-The effects' Jacobian is a difference quotient of the simulation.
+The nominal that is shared by all recordings: B and f_remain as corrections in cubic B-splines and a factor on what of
+them these cannot follow, the static registration and the delay. Its Jacobian is analytic along the play: on an
+envelope p + side B(p)/2 = q moves by dp = -side dB(p)/2 / (1 + side B'(p)/2), and inside the backlash p keeps what it
+had when an envelope last carried it. The effects' Jacobian is a difference quotient of the simulation.
 """
 
 from __future__ import annotations
@@ -106,10 +106,16 @@ class Fitter:
         gain = abs(model.rig.coarse.gain)
         # Priors keep what the motion does not excite where calibration left it.
         prior = [np.full(self._width_basis.size, 0.03 * span), np.full(self._remaining_basis.size, 0.1 * gain * span)]
+        prior.append(np.ones(2))
+        # What the splines cannot follow: an effect that was there during calibration left its ripple in it.
+        self._details = tuple(
+            _beyond(basis, model.q, values)
+            for basis, values in ((self._width_basis, model.width), (self._remaining_basis, model.c_deg))
+        )
         if self.px:
             prior += [np.full(3, 3.0), np.full(3, 2.0), np.full(1, 0.02)]
         self._prior = np.concatenate(prior)
-        before = self._width_basis.size + self._remaining_basis.size
+        before = self._width_basis.size + self._remaining_basis.size + 2
         self.static_columns = slice(before, before + 6)  # of Linear.nominal, with a camera
         self.floor = 1.0
         # An obstacle that begins outside of what was reached would be another gain and offset, and no obstacle.
@@ -127,6 +133,10 @@ class Fitter:
 
     def start(self) -> State:
         return State(self.model, dict.fromkeys(_STATIC, 0.0) if self.px else {})
+
+    def spread(self, hypothesis: Hypothesis) -> Array:
+        """Standard deviations of the prior: of the nominal's corrections, then of the effects' parameters."""
+        return np.concatenate([self._prior, [30.0 * self.scale(p) for p, _ in hypothesis.parameters]])
 
     def paths(self, state: State, hypothesis: Hypothesis) -> list[Path]:
         """Of every recording."""
@@ -166,6 +176,8 @@ class Fitter:
         columns_c = [
             d_width[:, None] * self._width_basis.design(p).toarray(),
             self._remaining_basis.design(p).toarray(),
+            (d_width * np.interp(p, model.q, self._details[0]))[:, None],
+            np.interp(p, model.q, self._details[1])[:, None],
         ]
         d_c = np.concatenate(columns_c, axis=1)
         if not self.px:
@@ -217,8 +229,7 @@ class Fitter:
             limit = self._limit(linear.residual)
             cost = robust_cost(linear.residual, limit)
             weight = np.minimum(1.0, limit / np.maximum(np.abs(linear.residual), 1e-12))
-            spread = [30.0 * self.scale(p) for p, _ in hypothesis.parameters]
-            prior = np.concatenate([self._prior, spread])
+            prior = self.spread(hypothesis)
             weighted = jacobian * weight[:, None]
             normal = jacobian.T @ weighted / self.floor**2
             gradient = weighted.T @ linear.residual / self.floor**2
@@ -248,9 +259,10 @@ class Fitter:
     def _moved(self, state: State, hypothesis: Hypothesis, step: Array) -> State:
         model = state.model
         b, f = self._width_basis.size, self._remaining_basis.size
-        width = allowed_width(model.q, model.width + self._width_basis.value(step[:b], model.q))
-        c_deg = model.c_deg + self._remaining_basis.value(step[b : b + f], model.q)
-        static, delay, at = state.static, model.delay_s, b + f
+        width = model.width + self._width_basis.value(step[:b], model.q) + step[b + f] * self._details[0]
+        width = allowed_width(model.q, width)
+        c_deg = model.c_deg + self._remaining_basis.value(step[b : b + f], model.q) + step[b + f + 1] * self._details[1]
+        static, delay, at = state.static, model.delay_s, b + f + 2
         if self.px:
             static = {name: state.static[name] + float(step[at + i]) for i, name in enumerate(_STATIC)}
             delay, at = delay + float(step[at + 6]), at + 7
@@ -259,6 +271,15 @@ class Fitter:
             value = inside(parameter.name, values[parameter.name] + float(step[at + i]))
             values[parameter.name] = float(np.clip(value, *self._contact)) if parameter.name == "contact_c" else value
         return State(replace(model, width=width, c_deg=c_deg, delay_s=delay), static, values)
+
+
+def _beyond(basis: Basis, grid: Array, values: Array) -> Array:
+    """What of a curve on a grid the basis cannot follow."""
+    reached = (grid >= basis.low) & (grid <= basis.high)
+    design = basis.design(grid).toarray()
+    coefficients = np.linalg.lstsq(design[reached], values[reached], rcond=None)[0]
+    left: Array = np.where(reached, values - design @ coefficients, 0.0)
+    return left
 
 
 def moves_tip(parameter: Parameter) -> bool:
