@@ -1,0 +1,317 @@
+"""Most cycles that a function of a linked Cortex-M0+ image can take: the longest path through its machine code.
+
+No run is needed: every branch may go either way, every call takes its callee's bound, every loop goes round as often
+as `Knowledge` says. So it holds for every input, and is too high where the data forbid a path. Zero wait states: for
+code and data in RAM that no other bus master uses. Cycles: Cortex-M0+ Technical Reference Manual, table 3-1, with the
+fast multiplier.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+_CASE = re.compile(r"__gnu_thumb1_case_([us])([qh])i")  # libgcc's switch: a table of offsets / 2 behind the call
+_LINE = re.compile(r"^\s*([0-9a-f]+):\t([0-9a-f ]+?)\s*\t(\S+)(?:\t([^@<]*)(?:<([^>]+)>)?.*)?$")
+_HEAD = re.compile(r"^([0-9a-f]{8}) <(.+)>:$")
+
+
+NEVER = -(10**12)  # cycles of a path that is never taken
+
+
+class Unbounded(Exception):
+    """The code does something whose cost cannot be told; the text says what to add where."""
+
+
+@dataclass(frozen=True)
+class Instruction:
+    """One line of the disassembly. target: of a direct branch or call, else 0."""
+
+    address: int
+    size: int
+    name: str
+    operands: str
+    target: int
+
+    @property
+    def registers(self) -> int:
+        """How many a push, pop or load/store multiple moves."""
+        found = re.search(r"\{(.*?)\}", self.operands)
+        count = 0
+        for part in found[1].split(",") if found else []:
+            ends = re.findall(r"\d+", part)
+            count += int(ends[1]) - int(ends[0]) + 1 if "-" in part else 1
+        return count
+
+    @property
+    def cycles(self) -> int:
+        """Without a branch's; a taken branch costs one more."""
+        name, operands = self.name, self.operands
+        if name in ("push", "pop", "ldmia", "stmia", "ldm", "stm"):
+            return self.registers + (3 if name == "pop" and "pc" in operands else 1)
+        if name.startswith(("ldr", "str")):
+            return 2
+        if name == "bl" or name in ("mrs", "msr", "dmb", "dsb", "isb"):
+            return 3
+        if name in ("bx", "blx", "b", "b.n", "b.w") or self.writes_pc:
+            return 2
+        return 1
+
+    @property
+    def on_the_bus(self) -> bool:
+        return self.name.startswith(("ldr", "str", "ldm", "stm")) and not re.search(r"\[(pc|sp)", self.operands)
+
+    @property
+    def writes_pc(self) -> bool:
+        return self.name in ("mov", "add") and self.operands.lstrip().startswith("pc")
+
+    @property
+    def conditional(self) -> bool:
+        return re.fullmatch(r"b(eq|ne|cs|cc|mi|pl|vs|vc|hi|ls|ge|lt|gt|le|hs|lo)(\.[nw])?", self.name) is not None
+
+
+class Code:
+    """The disassembly of an ELF file."""
+
+    def __init__(self, elf: Path) -> None:
+        self.at: dict[int, Instruction] = {}
+        self.words: dict[int, int] = {}  # byte address -> byte, of data among the code
+        self.starts: dict[str, int] = {}
+        self.names: dict[int, str] = {}
+        listing = subprocess.run(["arm-none-eabi-objdump", "-d", str(elf)], check=True, capture_output=True, text=True)
+        for line in listing.stdout.splitlines():
+            if head := _HEAD.match(line):
+                self.starts[head[2]] = int(head[1], 16)
+                self.names.setdefault(int(head[1], 16), head[2])
+            elif found := _LINE.match(line):
+                self._take(int(found[1], 16), found[2].replace(" ", ""), found[3], found[4] or "")
+
+    def _take(self, address: int, digits: str, name: str, operands: str) -> None:
+        size = len(digits) // 2
+        if name.startswith("."):
+            for i, byte in enumerate(int(digits, 16).to_bytes(size, "little")):
+                self.words[address + i] = byte
+            return
+        branch = re.match(r"b", name) and name not in ("bx", "blx", "bics", "bkpt")
+        target = int(operands.split()[0], 16) if branch and operands.strip() else 0
+        self.at[address] = Instruction(address, size, name, operands.strip(), target)
+
+    def owner(self, address: int) -> str:
+        return self.names[max(start for start in self.names if start <= address)]
+
+    def where(self, address: int) -> str:
+        name = self.owner(address)
+        return f"{name}+{address - self.starts[name]:#x}"
+
+
+Graph = dict[int, dict[int, int]]  # node -> its successors and the cycles from the one to the other
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What the code does not say. Functions by name.
+
+    loops: most times that the way back to a loop's head is taken for each time that the loop is entered (its rounds
+    where it is tested at the head, one less where it is tested at the end), in the order of the heads' addresses.
+    known: functions whose cost is given; NEVER: paths that call them are left out. pointers: where calls through
+    registers may lead. waits: cycles that each load and store of a function may wait for the bus (not those from the
+    stack or beside the code).
+    """
+
+    loops: Mapping[str, Sequence[int]] = field(default_factory=dict)
+    known: Mapping[str, int] = field(default_factory=dict)
+    pointers: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    waits: Mapping[str, int] = field(default_factory=dict)
+
+
+class Bound:
+    """Bounds of functions; every call it meets is worked out once."""
+
+    def __init__(self, code: Code, knowledge: Knowledge) -> None:
+        self.code, self.knowledge = code, knowledge
+        self._found: dict[int, int] = {}
+        self._above: list[int] = []
+
+    def of(self, name: str) -> int:
+        """Cycles from the function's first instruction to its return, both included; the call is not. NEVER (or less)
+        if each of its paths is left out."""
+        return self._function(self.code.starts[name])
+
+    @property
+    def functions(self) -> set[str]:
+        """What has been looked at so far: the functions reached."""
+        return {self.code.names[start] for start in self._found}
+
+    def _function(self, start: int) -> int:
+        name = self.code.names[start]
+        if name in self.knowledge.known:
+            return self.knowledge.known[name]
+        if start in self._found:
+            return self._found[start]
+        if start in self._above:
+            raise Unbounded(f"{name} is recursive")
+        self._above.append(start)
+        graph, ends = self._graph(start)
+        heads = sorted(self._heads(graph, start))
+        rounds = self.knowledge.loops.get(name, ())
+        if len(rounds) != len(heads):
+            raise Unbounded(f"{name} has {len(heads)} loops, {len(rounds)} are bounded: "
+                            f"{', '.join(self.code.where(head) for head in heads)}")  # fmt: skip
+        arrive = self._longest(graph, start, dict(zip(heads, rounds, strict=True)))
+        self._found[start] = max((arrive[node] + cycles for node, cycles in ends.items()), default=NEVER)
+        self._above.pop()
+        return self._found[start]
+
+    # -- a function's graph: its instructions, with the cost of what they call ----------------------------------------
+
+    def _graph(self, start: int) -> tuple[Graph, dict[int, int]]:
+        graph: Graph = {}
+        ends: dict[int, int] = {}
+        open_ = [start]
+        while open_:
+            address = open_.pop()
+            if address in graph:
+                continue
+            graph[address] = {}
+            for target, cycles in self._successors(start, self.code.at[address]):
+                if target == 0:
+                    ends[address] = max(ends.get(address, NEVER), cycles)
+                elif target != start and target in self.code.names and target != address + self.code.at[address].size:
+                    ends[address] = max(ends.get(address, NEVER), cycles + self._function(target))  # a tail call
+                else:
+                    graph[address][target] = max(graph[address].get(target, NEVER), cycles)
+                    open_.append(target)
+        return graph, ends
+
+    def _successors(self, start: int, here: Instruction) -> Iterator[tuple[int, int]]:
+        """(address, cycles); address 0 is the return."""
+        after = here.address + here.size
+        if here.conditional:
+            yield after, 1
+            yield here.target, 2
+        elif here.name in ("b", "b.n", "b.w"):
+            yield here.target, 2
+        elif here.name == "bl":
+            yield from self._call(start, here, after)
+        elif here.name == "blx":
+            yield after, here.cycles + self._through_pointer(start, here)
+        elif here.name == "bx" and here.operands != "lr":
+            yield 0, here.cycles + self._through_pointer(start, here)
+        elif here.name == "bx" or (here.name == "pop" and "pc" in here.operands) or here.writes_pc:
+            if here.writes_pc and "lr" not in here.operands:
+                raise Unbounded(f"a computed jump at {self.code.where(here.address)}")
+            yield 0, here.cycles
+        elif here.name in ("bkpt", "udf"):
+            return  # the end of the program
+        else:
+            wait = self.knowledge.waits.get(self.code.names[start], 0) if here.on_the_bus else 0
+            yield after, here.cycles + wait
+
+    def _call(self, start: int, here: Instruction, after: int) -> Iterator[tuple[int, int]]:
+        name = self.code.names.get(here.target)
+        if name is None:  # a far jump within the function
+            yield here.target, here.cycles
+        elif found := _CASE.search(name):
+            for target in self._cases(after, signed=found[1] == "s", size=1 if found[2] == "q" else 2):
+                yield target, here.cycles + self._function(here.target)
+        else:
+            yield after, here.cycles + self._function(here.target)
+
+    def _cases(self, table: int, *, signed: bool, size: int) -> Iterator[int]:
+        at = table
+        while at in self.code.words:
+            offset = int.from_bytes(bytes(self.code.words.get(at + i, 0) for i in range(size)), "little", signed=signed)
+            if table + 2 * offset in self.code.at:  # else it is the padding behind the table
+                yield table + 2 * offset
+            at += size
+
+    def _through_pointer(self, start: int, here: Instruction) -> int:
+        name = self.code.names[start]
+        if veneer := re.fullmatch(r"__(.+)_veneer", name):
+            return self.of(veneer[1])
+        if name not in self.knowledge.pointers:
+            raise Unbounded(f"{self.code.where(here.address)} calls through a pointer")
+        return max(self.of(target) for target in self.knowledge.pointers[name])
+
+    # -- the longest path ----------------------------------------------------------------------------------------------
+
+    def _heads(self, graph: Graph, start: int) -> list[int]:
+        heads = []
+        for part in _components(graph, start):
+            if len(part) > 1 or part[0] in graph[part[0]]:
+                head = self._head(graph, part, start)
+                heads += [head, *self._heads(_within(graph, part, head), head)]
+        return heads
+
+    def _head(self, graph: Graph, part: Iterable[int], start: int) -> int:
+        inside = set(part)
+        entries = {target for node, to in graph.items() if node not in inside for target in to if target in inside}
+        entries |= {start} & inside
+        if len(entries) != 1:
+            raise Unbounded(f"a loop with several entries at {self.code.where(min(inside))}")
+        return entries.pop()
+
+    def _longest(self, graph: Graph, start: int, rounds: Mapping[int, int]) -> dict[int, int]:
+        """Most cycles from `start` to before each node, loops included."""
+        arrive = {start: 0}
+        for part in _components(graph, start):
+            if len(part) == 1 and part[0] not in graph[part[0]]:
+                inner = {part[0]: 0}
+                head = part[0]
+            else:
+                head = self._head(graph, part, start)
+                inner = self._longest(_within(graph, part, head), head, rounds)
+                once = max(inner[node] + graph[node][head] for node in part if head in graph[node])
+                arrive[head] += rounds[head] * max(once, 0)
+            for node in part:
+                arrive[node] = max(arrive.get(node, NEVER), arrive[head] + inner[node])
+            inside = set(part)
+            for node in part:
+                for target, cycles in graph[node].items():
+                    if target not in inside:
+                        arrive[target] = max(arrive.get(target, NEVER), arrive[node] + cycles)
+        return arrive
+
+
+def _within(graph: Graph, part: Iterable[int], head: int) -> Graph:
+    """A loop's body: its nodes without the way back to its head."""
+    inside = set(part)
+    return {node: {t: c for t, c in graph[node].items() if t in inside and t != head} for node in inside}
+
+
+def _components(graph: Graph, start: int) -> list[list[int]]:
+    """Strongly connected components reached from `start`, in an order that every edge between them follows (Tarjan)."""
+    number: dict[int, int] = {}
+    low: dict[int, int] = {}
+    path: list[int] = []
+    on_path: set[int] = set()
+    found: list[list[int]] = []
+    work = [(start, iter(graph[start]))]
+    number[start] = low[start] = 0
+    path.append(start)
+    on_path.add(start)
+    while work:
+        node, targets = work[-1]
+        for target in targets:
+            if target not in number:
+                number[target] = low[target] = len(number)
+                path.append(target)
+                on_path.add(target)
+                work.append((target, iter(graph[target])))
+                break
+            if target in on_path:
+                low[node] = min(low[node], number[target])
+        else:
+            work.pop()
+            if work:
+                low[work[-1][0]] = min(low[work[-1][0]], low[node])
+            if low[node] == number[node]:
+                part = []
+                while not part or part[-1] != node:
+                    part.append(path.pop())
+                    on_path.discard(part[-1])
+                found.append(part)
+    return found[::-1]
