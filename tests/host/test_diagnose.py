@@ -178,11 +178,10 @@ def test_a_sensor_that_counts_has_the_noise_of_its_step():
     from tautline.recording import Motor
 
     t = np.arange(0.0, 20.0, 0.01)
-    for rests_from in (10.0, 30.0):
-        q = 30.0 * np.sin(0.5 * np.minimum(t, rests_from))
-        observed = np.round(q / 0.09)[:, None] * 0.09
-        segment = Segment("s", Motor(t, q, None), t, observed, t >= 0.0, 0.0, False)
-        assert gap.noise_floor([segment], [observed - q[:, None]]) == pytest.approx(0.09 / np.sqrt(12.0), rel=0.2)
+    q = 30.0 * np.sin(0.5 * np.minimum(t, 10.0))
+    observed = np.round(q / 0.09)[:, None] * 0.09
+    segment = Segment("s", Motor(t, q, None), t, observed, t >= 0.0, 0.0, False)
+    assert gap.noise_floor([segment], [observed - q[:, None]]) == pytest.approx(0.09 / np.sqrt(12.0))
 
 
 @pytest.mark.parametrize("period_s", [4.0, 20.0])

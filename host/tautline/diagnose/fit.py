@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import block_diag
 
 from tautline import effects
 from tautline.diagnose.segment import Segment
@@ -23,6 +24,7 @@ from tautline.splines import Basis
 Array = npt.NDArray[np.float64]
 
 _WIDTH_PIECES, _REMAINING_PIECES = 12, 22
+_ROUGH = 0.001  # second difference of a correction's neighbouring coefficients, share of its range
 _STATIC = tuple(p.name for p in effects.BY_ID["registration.static"].amplitudes)
 _OUTLIER = 6.0  # robust standard deviations: a residual beyond is pulled in, unless it is one of many
 _RARE = 0.01  # a misfit that lasts longer than this share of a recording is no outlier
@@ -115,6 +117,9 @@ class Fitter:
         if self.px:
             prior += [np.full(3, 3.0), np.full(3, 2.0), np.full(1, 0.02)]
         self._prior = np.concatenate(prior)
+        self._bending = block_diag(
+            _bending(self._width_basis.size, _ROUGH * span), _bending(self._remaining_basis.size, _ROUGH * gain * span)
+        )
         before = self._width_basis.size + self._remaining_basis.size + 2
         self.static_columns = slice(before, before + 6)  # of Linear.nominal, with a camera
         self.floor = 1.0
@@ -137,6 +142,14 @@ class Fitter:
     def spread(self, hypothesis: Hypothesis) -> Array:
         """Standard deviations of the prior: of the nominal's corrections, then of the effects' parameters."""
         return np.concatenate([self._prior, [30.0 * self.scale(p) for p, _ in hypothesis.parameters]])
+
+    def stiffness(self, hypothesis: Hypothesis) -> Array:
+        """The prior's inverse covariance: 1 / spread^2, and B and f_remain move smoothly: where a motion hardly reaches
+        they go with what is beside them."""
+        stiff = np.diag(1 / self.spread(hypothesis) ** 2)
+        n = len(self._bending)
+        stiff[:n, :n] += self._bending
+        return stiff
 
     def paths(self, state: State, hypothesis: Hypothesis) -> list[Path]:
         """Of every recording."""
@@ -229,13 +242,13 @@ class Fitter:
             limit = self._limit(linear.residual)
             cost = robust_cost(linear.residual, limit)
             weight = np.minimum(1.0, limit / np.maximum(np.abs(linear.residual), 1e-12))
-            prior = self.spread(hypothesis)
+            prior = self.stiffness(hypothesis)
             weighted = jacobian * weight[:, None]
             normal = jacobian.T @ weighted / self.floor**2
             gradient = weighted.T @ linear.residual / self.floor**2
             improved = False
-            for _ in range(4):
-                damped = normal + np.diag(1 / prior**2 + damping * np.diag(normal))
+            for _ in range(8):
+                damped = normal + prior + damping * np.diag(np.diag(normal))
                 step = np.linalg.solve(damped, gradient)
                 trial = self._moved(state, hypothesis, step)
                 trial_cost = robust_cost(self.residual(trial, hypothesis), limit)
@@ -271,6 +284,12 @@ class Fitter:
             value = inside(parameter.name, values[parameter.name] + float(step[at + i]))
             values[parameter.name] = float(np.clip(value, *self._contact)) if parameter.name == "contact_c" else value
         return State(replace(model, width=width, c_deg=c_deg, delay_s=delay), static, values)
+
+
+def _bending(size: int, scale: float) -> Array:
+    """Inverse covariance of coefficients whose second differences scatter by `scale`."""
+    bends = np.diff(np.eye(size), n=2, axis=0) / scale
+    return np.asarray(bends.T @ bends)
 
 
 def _beyond(basis: Basis, grid: Array, values: Array) -> Array:
