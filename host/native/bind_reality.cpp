@@ -40,6 +40,15 @@ nb::object transmission(const nb::dict &given, ArrayIn<double> grid, ArrayIn<dou
     return nb::make_tuple(p, way);
 }
 
+ArrayOut<double> rocking(ArrayIn<double> p, ArrayIn<double> way, double travel) {
+    if (way.shape(0) != p.shape(0) || !(travel > 0.0)) {
+        throw std::invalid_argument("p and way need one length, travel must be above 0");
+    }
+    auto lies = new_array<double>(p.shape(0));
+    reality_rocking(p.data(), way.data(), p.shape(0), travel, lies.data());
+    return lies;
+}
+
 } // namespace
 
 void bind_reality(nb::module_ &m) {
@@ -51,4 +60,6 @@ void bind_reality(nb::module_ &m) {
     m.def("reality_transmission", &transmission, "parameters"_a, "grid"_a, "width"_a, "t_s"_a, "q"_a, "width_factor"_a,
           "start"_a = std::nan(""), "seed"_a = 0,
           "(p, way) of a transmission with other physics than simulate_effects' (reality.h), for blind tests.");
+    m.def("reality_rocking", &rocking, "p"_a, "way"_a, "travel"_a,
+          "Which way the instrument lies in its channel, -1 to 1 (reality.h).");
 }

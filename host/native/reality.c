@@ -2,24 +2,26 @@
 
 #include <math.h>
 
-static double table_at(const struct reality_tables *t, double x) {
-    size_t low = 0, high = t->nodes - 1;
+// The straight piece of the width's table that holds x: value there and its slope. `near` is where to look first.
+static double table_at(const struct reality_tables *t, double x, size_t *near, double *slope) {
+    const size_t last = t->nodes - 2;
+    size_t i = *near;
+    *slope = 0.0;
     if (x <= t->grid[0]) {
         return t->width[0];
     }
-    if (x >= t->grid[high]) {
-        return t->width[high];
+    if (x >= t->grid[last + 1]) {
+        return t->width[last + 1];
     }
-    while (high - low > 1) {
-        const size_t middle = (low + high) / 2;
-        if (t->grid[middle] <= x) {
-            low = middle;
-        } else {
-            high = middle;
-        }
+    while (i > 0 && t->grid[i] > x) {
+        i--;
     }
-    const double share = (x - t->grid[low]) / (t->grid[high] - t->grid[low]);
-    return t->width[low] + share * (t->width[high] - t->width[low]);
+    while (i < last && t->grid[i + 1] <= x) {
+        i++;
+    }
+    *near = i;
+    *slope = (t->width[i + 1] - t->width[i]) / (t->grid[i + 1] - t->grid[i]);
+    return t->width[i] + *slope * (x - t->grid[i]);
 }
 
 static double uniform(uint64_t *state) { // splitmix64
@@ -30,14 +32,17 @@ static double uniform(uint64_t *state) { // splitmix64
 }
 
 // The pin in its slot: engagement z from -1 to 1, the pin is at q - z B/2. The slot is as wide as B where the pin is.
-static double pin_at(const struct reality_tables *t, double q, double z, double scale, double extra, double from) {
+static double pin_at(const struct reality_tables *t, double q, double z, double scale, double extra, double from,
+                     size_t *near) {
     double p = from;
     for (int i = 0; i < 40; i++) {
-        const double next = q - 0.5 * z * (scale * table_at(t, p) + extra);
-        if (fabs(next - p) < 1e-12) {
+        double slope = 0.0;
+        const double off = q - 0.5 * z * (scale * table_at(t, p, near, &slope) + extra) - p;
+        if (fabs(off) < 1e-12) {
             break;
         }
-        p = 0.5 * (p + next); // damped: the map's slope stays within (-1, 1)
+        // Newton on a piece; damped where it goes to and fro between two of them.
+        p += i < 8 ? off / fmax(1.0 + 0.5 * z * scale * slope, 0.1) : 0.5 * off;
     }
     return p;
 }
@@ -49,6 +54,7 @@ void reality_transmission(const struct reality *r, const struct reality_tables *
     double speed = 0.0, first = pin, second = pin, kelvin_fast = pin, kelvin_slow = pin, grip = pin;
     double threshold = r->static_grip, ring = pin, ring_speed = 0.0, bent = 0.0, carried = 0.0, held = 0.0, since = 0.0;
     uint64_t random = seed;
+    size_t near = 0;
     for (size_t k = 0; k < n; k++) {
         const double dt = k ? t_s[k] - t_s[k - 1] : 0.0;
         const double dq = k ? q[k] - q[k - 1] : 0.0;
@@ -57,7 +63,8 @@ void reality_transmission(const struct reality *r, const struct reality_tables *
         }
         const double scale = width_factor[k];
         const double extra = r->viscosity * fabs(speed) / (1.0 + fabs(speed) / r->speed_scale);
-        const double width = fmax(scale * table_at(tables, pin) + extra, 1e-9);
+        double slope = 0.0;
+        const double width = fmax(scale * table_at(tables, pin, &near, &slope) + extra, 1e-9);
         double drive = q[k];
         const double favoured = r->latch > 0.0 ? 1.0 : -1.0;
         if (r->latch != 0.0) {
@@ -82,7 +89,7 @@ void reality_transmission(const struct reality *r, const struct reality_tables *
             if (r->softness > 0.0) {
                 to = limit + r->softness - (r->softness - fmin(over, r->softness)) * exp(-free / r->softness);
             }
-            pin = pin_at(tables, source, dq > 0.0 ? to : -to, scale, extra, pin);
+            pin = pin_at(tables, source, dq > 0.0 ? to : -to, scale, extra, pin, &near);
             if (carried * dq < 0.0) {
                 since = 0.0;
             }
@@ -131,5 +138,14 @@ void reality_transmission(const struct reality *r, const struct reality_tables *
         }
         p[k] = out;
         way[k] = carried;
+    }
+}
+
+void reality_rocking(const double *p, const double *way, size_t n, double travel, double *lies) {
+    double state = 0.0;
+    for (size_t k = 0; k < n; k++) {
+        const double step = k ? fabs(p[k] - p[k - 1]) : 0.0;
+        state += (way[k] - state) * -expm1(-step / travel);
+        lies[k] = state;
     }
 }

@@ -44,6 +44,10 @@ void reality_transmission(const struct reality *r, const struct reality_tables *
                           const double *q, const double *width_factor, size_t n, double start, uint64_t seed, double *p,
                           double *way);
 
+// lies[k], -1 to 1: which way the instrument lies in its channel; friction of the tip as it moves to p[k], carried
+// `way`, turns it over within about `travel` (unit, > 0) of motion.
+void reality_rocking(const double *p, const double *way, size_t n, double travel, double *lies);
+
 #ifdef __cplusplus
 }
 #endif

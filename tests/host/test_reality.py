@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tautline import _native
-from tautline.blindtest.cases import Label, make
-from tautline.blindtest.reality import KNOWN, UNKNOWN, Plant, Truth, record
+from tautline.blindtest.cases import VISIBLE, make
+from tautline.blindtest.draws import KNOWN, UNKNOWN
+from tautline.blindtest.reality import Plant, Truth, record
 from tautline.geometry import project
 from tautline.simulated import trajectory
 from tautline.simulated.instrument import preset
@@ -76,9 +79,43 @@ def test_every_effect_moves_the_marker(name: str) -> None:
         assert pixels_and_time[:2].max() > 0.05
 
 
-def test_a_label_is_sealed_and_cases_repeat() -> None:
-    label = Label("single", ("transmission.lag",), True, {"dashpot": 0.1})
-    assert label.sealed("a") != label.sealed("b") and len(label.sealed("a")) == 64
+def test_cases_repeat_by_seed_and_differ_by_effect() -> None:
     first, second = make(7, "single"), make(7, "single")
     assert first.label == second.label
     assert np.array_equal(first.tests[0].motor.q, second.tests[0].motor.q)
+    assert np.array_equal(first.further.marker.u_px, second.further.marker.u_px)
+    lag, creep = (make(7, "single", (name,)) for name in ("transmission.lag", "transmission.creep"))
+    assert lag.label.noise_px != creep.label.noise_px
+    assert make(8, "single").label != first.label
+
+
+def test_what_recalibration_swallows_is_not_identifiable() -> None:
+    nothing = make(3, "none").label
+    assert nothing.effects == () and nothing.left == ()
+    strong = make(3, "single", ("registration.shift",)).label
+    assert strong.identifiable and strong.left[0] >= VISIBLE * strong.noise_px
+    assert not replace(strong, left=(1.9 * strong.noise_px,)).identifiable
+
+
+def test_two_truths_at_one_seed_share_noise_and_frames() -> None:
+    instrument = preset("reference")
+    rig = instrument.rig
+    motion = trajectory.sines(rig.actuator, 2.0, 10.0)
+    seen = []
+    for noise, truth in ((0.0, Truth()), (0.05, Truth()), (0.05, Truth({"unsteady": 0.01, "stalls": 0.2}))):
+        plant = Plant(rig, instrument.grid, instrument.width, instrument.c_deg, noise)
+        marker = record(plant, truth, motion, 0.0, 4, "case").marker
+        assert marker is not None
+        seen.append(marker)
+    assert np.array_equal(seen[0].t_s, seen[1].t_s) and np.array_equal(seen[1].t_s, seen[2].t_s)
+    assert 0.04 < np.std(seen[1].u_px - seen[0].u_px) < 0.06
+
+
+def test_a_stalled_video_repeats_a_frame_to_the_last_bit() -> None:
+    instrument = preset("reference")
+    rig = instrument.rig
+    plant = Plant(rig, instrument.grid, instrument.width, instrument.c_deg, 0.05)
+    motion = trajectory.sines(rig.actuator, 2.0, 20.0)
+    marker = record(plant, Truth({"stalls": 0.3, "stall_s": 0.5}), motion, 0.0, 4, "case").marker
+    assert marker is not None
+    assert 10 < np.sum(np.diff(marker.u_px) == 0.0) < 400

@@ -1,34 +1,63 @@
-"""Blind cases: recordings of the second instrument, with labels that stay sealed until the diagnoses are written."""
+"""Blind cases: recordings of the second instrument, and what was switched on, which stays sealed until the diagnoses
+are written."""
 
 from __future__ import annotations
 
-import hashlib
-import json
+import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+import scipy.linalg
 
-from tautline.blindtest.reality import KNOWN, UNKNOWN, Plant, Truth, record
+from tautline.blindtest.draws import KNOWN, UNKNOWN
+from tautline.blindtest.reality import Plant, Truth, record
+from tautline.diagnose.fit import Fitter, Hypothesis
+from tautline.diagnose.segment import prepare
+from tautline.model import Model
 from tautline.recording import Recording
 from tautline.rig import Rig
 from tautline.simulated import trajectory
 from tautline.simulated.instrument import preset, reference_rig
 from tautline.simulated.trajectory import Trajectory
 
+Array = npt.NDArray[np.float64]
+
+KINDS = ("single", "pair", "unknown", "none")
+SCORED_FROM = 1_000_000  # seeds below are for tuning
+VISIBLE = 2.0  # times the noise: what a recalibration leaves of an effect that counts as identifiable
+_DRAWS = 8  # tries for an effect that can be seen
+_SEEN = 0.8  # share of each recording's frames that must show the marker
+# What is there already while calibrating and could be anything that calibration measures is no effect then.
+_ONLY_AFTER = {"registration.static", "acquisition.delay", "configuration.contact"}
+# The load is there all along, what is recorded is how much of it; a shift happens when it does.
+_ONLY_THROUGHOUT = {"transmission.load_dependence", "registration.shift"}
+
 
 @dataclass(frozen=True)
 class Label:
-    kind: str  # none, single, pair or unknown
-    effects: tuple[str, ...]  # library ids, or names of UNKNOWN
+    kind: str  # of KINDS
+    effects: tuple[str, ...]  # library ids, or one name of UNKNOWN
+    seed: int
     throughout: bool  # else only after the calibration
     values: Mapping[str, float]
+    noise_px: float
+    left: tuple[float, ...]  # of each effect: its gap on the tests after a recalibration, px rms per coordinate
 
-    def sealed(self, salt: str) -> str:
-        """A commitment to the label: SHA-256 over salt and label."""
-        text = json.dumps([self.kind, self.effects, self.throughout, dict(self.values)], sort_keys=True)
-        return hashlib.sha256((salt + text).encode()).hexdigest()
+    @property
+    def identifiable(self) -> bool:
+        return all(left >= VISIBLE * self.noise_px for left in self.left)
+
+    def to_json(self) -> dict[str, Any]:
+        lists = {"effects": list(self.effects), "left": list(self.left)}
+        return {**asdict(self), **lists, "identifiable": self.identifiable}
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any]) -> Label:
+        known = {name: document[name] for name in cls.__dataclass_fields__}
+        return cls(**{**known, "effects": tuple(known["effects"]), "left": tuple(known["left"])})
 
 
 @dataclass(frozen=True)
@@ -40,37 +69,94 @@ class Case:
     label: Label
 
 
+@dataclass(frozen=True)
+class _Session:
+    """One set-up and its motions: calibration, two tests, a further motion."""
+
+    plant: Plant
+    motions: list[Trajectory]
+    starts_s: list[float]  # into the session
+    seeds: list[int]
+    loads: list[Array | None]
+    one_clock: bool  # recordings tell the session's time; else each begins at 0
+
+    def record(self, plant: Plant, truth: Truth, throughout: bool, which: int) -> Recording:
+        there = truth if throughout or which > 0 else Truth()
+        start = self.starts_s[which]
+        own = start if self.one_clock else 0.0
+        name = ("calibration", "test-1", "test-2", "further")[which]
+        return record(plant, there, self.motions[which], start, self.seeds[which], name, self.loads[which], own)
+
+
 def make(seed: int, kind: str, effects: tuple[str, ...] = ()) -> Case:
-    """The case of a seed. `effects` fixes what is switched on; else it is drawn."""
-    rng = np.random.default_rng([seed, 0xCA5E])
+    """The case of a seed. `effects` fixes what is switched on; else it is drawn. What is too weak to be seen is drawn
+    again, up to _DRAWS times."""
+    rng = np.random.default_rng([seed, 0xCA5E, zlib.crc32(" ".join((kind, *effects)).encode())])
     rig = _rig(rng)
     instrument = preset("random" if rng.random() < 0.7 else "reference", rig, int(rng.integers(1 << 30)))
-    plant = Plant(
-        rig, instrument.grid, instrument.width, instrument.c_deg, float(np.exp(rng.uniform(np.log(0.02), np.log(0.1))))
-    )
+    noise = float(np.exp(rng.uniform(np.log(0.02), np.log(0.1))))
+    plant = Plant(rig, instrument.grid, instrument.width, instrument.c_deg, noise)
     chosen = effects or _drawn(rng, kind)
-    values: dict[str, float] = {}
-    for name in chosen:
-        values |= (KNOWN.get(name) or UNKNOWN[name])(rng, rig)
-    throughout = bool(rng.random() < 0.5) and not {
-        "registration.static",
-        "acquisition.delay",
-        "configuration.contact",
-    } & set(chosen)
-    if "transmission.load_dependence" in chosen:
-        throughout = True  # the load is there all along; what is recorded is how much of it
     loaded = "transmission.load_dependence" in chosen or rng.random() < 0.15
     motions = _motions(rng, rig)
-    starts = np.concatenate([[0.0], np.cumsum([m.duration_s + 5.0 for m in motions])])
-    if "registration.shift" in chosen:
-        values["slip_time"] = float(starts[1] + rng.uniform(0.25, 0.75) * motions[1].duration_s)
-        throughout = True  # it happens when it happens
-    recordings = []
-    for i, (motion, start) in enumerate(zip(motions, starts, strict=False)):
-        truth = Truth(values if throughout or i > 0 else {})
-        load = _load(rng, motion, i) if loaded else None
-        recordings.append(record(plant, truth, motion, float(start), int(rng.integers(1 << 30)), f"motion-{i}", load))
-    return Case(rig, recordings[0], recordings[1:3], recordings[3], Label(kind, chosen, throughout, values))
+    starts = list(np.concatenate([[0.0], np.cumsum([m.duration_s + 5.0 for m in motions])[:-1]]))
+    seeds = [int(s) for s in rng.integers(1 << 30, size=4)]
+    loads = [_load(rng, motion, i) if loaded else None for i, motion in enumerate(motions)]
+    session = _Session(plant, motions, starts, seeds, loads, bool(rng.random() < 0.5))
+    throughout, values, left = _visible(rng, session, chosen)
+    recordings = [session.record(plant, Truth(values), throughout, i) for i in range(4)]
+    label = Label(kind, chosen, seed, throughout, values, noise, left)
+    return Case(rig, recordings[0], recordings[1:3], recordings[3], label)
+
+
+def _visible(
+    rng: np.random.Generator, session: _Session, chosen: tuple[str, ...]
+) -> tuple[bool, dict[str, float], tuple[float, ...]]:
+    """Whether the effects are there throughout, their amplitudes, and what of each one's gap on the tests a
+    recalibration leaves (px rms per coordinate): the strongest of up to _DRAWS draws that end with the first that is
+    identifiable."""
+    best: tuple[bool, dict[str, float], tuple[float, ...]] = (False, {}, ())
+    for _ in range(_DRAWS):
+        throughout = bool(rng.random() < 0.5) and not _ONLY_AFTER & set(chosen)
+        if _ONLY_THROUGHOUT & set(chosen):
+            throughout = True
+        drawn = [(KNOWN.get(name) or UNKNOWN[name])(rng, session.plant.rig) for name in chosen]
+        for name, values in zip(chosen, drawn, strict=True):
+            if name == "registration.shift":
+                within = float(rng.uniform(0.25, 0.75)) * session.motions[1].duration_s
+                values["slip_time"] = session.starts_s[1] + within
+        left = tuple(_left(session, Truth(values), throughout) for values in drawn)
+        if not best[2] or min(left) > min(best[2]):
+            best = throughout, {k: v for values in drawn for k, v in values.items()}, left
+        if not chosen or min(best[2]) >= VISIBLE * session.plant.noise_px:
+            break
+    return best
+
+
+def _left(session: _Session, truth: Truth, throughout: bool) -> float:
+    """What the true nominal model with B, f_remain, registration and delay free, one for all recordings, cannot follow
+    of the tests, were there no noise: the least-squares residual of its linearisation, px rms per coordinate. 0 where
+    the marker is hardly seen."""
+    plant = session.plant
+    model = Model(
+        plant.rig,
+        plant.grid,
+        plant.width,
+        np.zeros_like(plant.grid),
+        plant.c_deg,
+        plant.rig.camera.delay_s if plant.rig.camera else 0.0,
+        plant.rig.actuator.range,
+    )
+    silent = Plant(plant.rig, plant.grid, plant.width, plant.c_deg, 0.0)
+    recordings = [session.record(silent, truth, throughout, i) for i in range(3)]
+    if any(r.marker is None or r.marker.valid.mean() < _SEEN for r in recordings):
+        return 0.0
+    fitter = Fitter(model, prepare(model, recordings[0], recordings[1:]))
+    start = fitter.start()
+    linear = fitter.linearise(start, Hypothesis())
+    weighted = scipy.linalg.lstsq(linear.nominal, linear.residual, cond=1e-9, lapack_driver="gelsy")[0]
+    rest = (linear.residual - linear.nominal @ weighted)[linear.rows[0].stop :]
+    return float(np.sqrt(np.mean(rest**2)))
 
 
 def _drawn(rng: np.random.Generator, kind: str) -> tuple[str, ...]:
@@ -94,7 +180,7 @@ def _rig(rng: np.random.Generator) -> Rig:
 def _motions(rng: np.random.Generator, rig: Rig) -> list[Trajectory]:
     """A calibration (two speeds, rests), two tests at several speeds with rests and the other axes moving, one more."""
     span = rig.actuator.span
-    speed = float(rng.uniform(0.05, 0.09)) * span
+    speed = float(rng.uniform(0.07, 0.11)) * span
     calibration = trajectory.back_and_forth(rig.actuator, [speed, 2.2 * speed], 0.22 * span, 20, 10 * speed, 0.4)
 
     def steps(rate: float, share: float, cycles: int, dwell: float) -> Trajectory:
@@ -110,8 +196,8 @@ def _motions(rng: np.random.Generator, rig: Rig) -> list[Trajectory]:
     return [calibration, first, sway(second), sway(third)]
 
 
-def _load(rng: np.random.Generator, motion: Trajectory, which: int) -> np.ndarray:
+def _load(rng: np.random.Generator, motion: Trajectory, which: int) -> Array:
     """mNm, slowly going up and down."""
     level = rng.uniform(10, 50)
     swing = 0.0 if which == 0 else rng.uniform(5, 25)
-    return level + swing * np.sin(2 * np.pi * motion.t_s / rng.uniform(20, 40))
+    return np.asarray(level + swing * np.sin(2 * np.pi * motion.t_s / rng.uniform(20, 40)))

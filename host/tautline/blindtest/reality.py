@@ -2,12 +2,12 @@
 
 The transmission is a pin in a slot with bristles, latches, dashpots, Kelvin elements and gripping walls (reality.h);
 the bending section is a chain of discrete elastic joints; the lens a fisheye or Brown-Conrady's with a rolling shutter;
-the instrument rocks in its channel. What `Truth` switches on is what a case's label says.
+the instrument rocks in its channel. What `Truth` switches on is what a case's label says; draws.py says how strongly.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,6 +22,7 @@ from tautline.simulated.trajectory import Trajectory
 
 Array = npt.NDArray[np.float64]
 _JOINTS = 96
+_ENCODER_EVERY = 4  # of the motion's samples, 1 ms apart
 
 
 @dataclass(frozen=True)
@@ -49,128 +50,180 @@ _TRANSMISSION = tuple(name for name, _ in _native.reality_fields)
 
 
 def record(
-    plant: Plant, truth: Truth, motion: Trajectory, session_s: float, seed: int, name: str, load: Array | None = None
+    plant: Plant,
+    truth: Truth,
+    motion: Trajectory,
+    session_s: float,
+    seed: int,
+    name: str,
+    load: Array | None = None,
+    starts_s: float = 0.0,
 ) -> Recording:
-    """Drives the plant along `motion`, which starts `session_s` into the session; what it was goes nowhere."""
-    rng = np.random.default_rng([seed, 0xB11D])
+    """Drives the plant along `motion`, which starts `session_s` into the session; its own clock then says `starts_s`.
+    What it was goes nowhere. Two truths at one seed share frame times, noise and lost frames."""
+    clock, scatter, noise, loss = (np.random.default_rng([seed, 0xB11D, i]) for i in range(4))
     rig = plant.rig
     camera = rig.camera
     assert camera is not None
     t = motion.t_s
-    when = t + session_s
-    span = rig.actuator.span
+    tip = _driven(plant, truth, motion, session_s, seed, load, scatter)
+    scene, arrival, shown = _frames(t, rig, truth, clock, scatter)
+    image = _image(rig, truth, motion, scene, session_s, tip)
+    if readout := truth("readout"):  # a row is read the later the lower it is
+        for _ in range(2):
+            late = readout * (np.nan_to_num(image[:, 1], nan=0.5 * camera.height_px) / camera.height_px - 0.5)
+            image = _image(rig, truth, motion, np.clip(scene + late, t[0], t[-1]), session_s, tip)
+    if truth("sliding_marker"):
+        walk = np.cumsum(scatter.normal(0.0, 1.0, len(scene))) * truth("sliding_marker")
+        image = image + walk[:, None] * np.array([0.8, 0.6])
+    if locking := truth("locking"):  # a centroid that is drawn to the pixels' centres
+        image = image - locking * np.sin(2 * np.pi * image / truth("locking_px", 1.0))
+    image = (image + noise.normal(0.0, 1.0, image.shape) * plant.noise_px)[shown]
+    u, v = np.nan_to_num(image, nan=-1.0).T
+    inside = (u >= 0) & (u <= camera.width_px - 1) & (v >= 0) & (v <= camera.height_px - 1)
+    kept = loss.random(len(scene)) > 0.003  # a frame is lost now and then
+    image, inside, arrival = image[kept], inside[kept], arrival[kept]
+    image = np.where(inside[:, None], image, np.nan)
 
-    q = motion.q.copy()
-    if period := truth("encoder_period"):
+    q = motion.q
+    if period := truth("encoder_period"):  # the encoder errs, not the motor: what is recorded is off by this
         angle = 2 * np.pi * q / period + truth("encoder_phase")
-        # The encoder errs, not the motor: what is recorded is off by this.
-        error = truth("encoder_error") * (np.sin(angle) + 0.15 * np.sin(2 * angle + 1.0))
-    else:
-        error = np.zeros_like(q)
-    true_q = q.copy()
+        q = q + truth("encoder_error") * (np.sin(angle) + 0.15 * np.sin(2 * angle + 1.0))
+    resolution = rig.actuator.encoder_resolution
+    sampled = np.unique(np.append(np.arange(0, len(t), _ENCODER_EVERY), len(t) - 1))
+
+    def column(values: Array | None) -> Array | None:
+        return values[sampled] if values is not None and np.ptp(values) else None
+
+    motor = Motor(
+        t[sampled] + starts_s,
+        np.round(q[sampled] / resolution) * resolution,
+        None,
+        column(motion.translation_mm),
+        column(motion.rotation_deg),
+        None if load is None else load[sampled],
+    )
+    return Recording(name, motor, Marker(arrival + starts_s, image[:, 0], image[:, 1], inside, None), rig=rig)
+
+
+@dataclass(frozen=True)
+class _Tip:
+    """(n,) at the motion's times: bending angle, and which way the instrument lies in its channel, -1 to 1."""
+
+    c_deg: Array
+    lies: Array
+
+
+def _driven(
+    plant: Plant,
+    truth: Truth,
+    motion: Trajectory,
+    session_s: float,
+    seed: int,
+    load: Array | None,
+    scatter: np.random.Generator,
+) -> _Tip:
+    t, span = motion.t_s, plant.rig.actuator.span
+    when = t + session_s
+    q = motion.q
     if rate := truth("lost_counts"):  # fast moves lose counts now and then
-        lost = rng.random(len(q)) < rate * np.abs(np.gradient(q, t)) / span * 1e-3
-        true_q = true_q + np.cumsum(lost * rng.choice([-1.0, 1.0], len(q))) * truth("lost_size")
-    true_q = true_q + truth("creeping_offset") * (1.0 - np.exp(-when / truth("warm_up", 300.0)))
-    factor = np.full(len(q), 1.0) + truth("widening") * (1.0 - np.exp(-when / truth("warm_up", 300.0)))
+        lost = scatter.random(len(q)) < rate * np.abs(np.gradient(q, t)) / span * 1e-3
+        q = q + np.cumsum(lost * scatter.choice([-1.0, 1.0], len(q))) * truth("lost_size")
+    warm = 1.0 - np.exp(-when / truth("warm_up", 300.0))
+    q = q + truth("creeping_offset") * warm
+    factor = 1.0 + truth("widening") * warm
     if load is not None:
-        true_q = true_q + truth("stretch_per_load") * load / (1.0 + 0.003 * np.abs(load))
+        q = q + truth("stretch_per_load") * load / (1.0 + 0.003 * np.abs(load))
         factor = factor * np.exp(truth("capstan_per_load") * load)
+    factor = factor + truth("worn") * np.exp(-0.5 * ((q - truth("worn_at")) / truth("worn_reach", 1.0)) ** 2)
     values = {name: truth(name) for name in _TRANSMISSION if name in truth.values}
     p, way = _native.reality_transmission(
-        values, plant.grid, plant.width, t, np.ascontiguousarray(true_q), np.ascontiguousarray(factor), np.nan, seed
+        values, plant.grid, plant.width, t, np.ascontiguousarray(q), np.ascontiguousarray(factor), np.nan, seed
     )
-    translation = np.zeros_like(t) if motion.translation_mm is None else motion.translation_mm
-    turn = np.zeros_like(t) if motion.rotation_deg is None else motion.rotation_deg
-
     slope = np.gradient(plant.c_deg, plant.grid)
     low, high = plant.grid[0], plant.grid[-1]
     c = np.interp(p, plant.grid, plant.c_deg)
     c = c + slope[0] * np.minimum(p - low, 0) + slope[-1] * np.maximum(p - high, 0)
+    c = c + truth("kink") * np.exp(-0.5 * ((p - truth("kink_at")) / truth("kink_reach", 1.0)) ** 2)
     if load is not None:
         c = c * (1.0 + truth("soften_per_load") * load)
-    c = c + truth("pull_by_translation") * translation + truth("twist") * np.degrees(np.sin(np.radians(turn)))
-    c = c * (1.0 + truth("sag") * np.sin(np.radians(turn)))
+    if motion.translation_mm is not None:
+        c = c + truth("pull_by_translation") * motion.translation_mm
+    if motion.rotation_deg is not None:
+        c = c + truth("twist") * np.degrees(np.sin(np.radians(motion.rotation_deg)))
     if stiffness := truth("obstacle"):
-        side = np.sign(truth("obstacle_side", 1.0))
-        depth = np.maximum(side * c - truth("obstacle_at"), 0.0)
-        # A Hertzian wall against an elastic section: what it gives way by solves d + k d^1.5 = depth.
-        give = depth.copy()
-        for _ in range(25):
-            give = give - (give + stiffness * give**1.5 - depth) / (1.0 + 1.5 * stiffness * np.sqrt(give + 1e-12))
-            give = np.maximum(give, 0.0)
-        c = c - side * (depth - give)
-
-    scene, arrival = _frames(t, rig, truth, rng)
-
-    def at(values: Array) -> Array:
-        return np.asarray(np.interp(scene, t, values))
-
-    point = _chain(rig, at(c), truth("taper"))
-    point[:, 2] += at(translation)
-    a = np.radians(at(turn))
-    base = np.stack(
-        [
-            np.cos(a) * point[:, 0] - np.sin(a) * point[:, 1],
-            np.sin(a) * point[:, 0] + np.cos(a) * point[:, 1],
-            point[:, 2],
-        ],
-        1,
-    )
-    rocked = _rocking(t, p, way, truth)
-    base = _tilted(base, at(rocked)[:, None] * np.array([truth("rock_x"), truth("rock_y"), truth("rock_z")]))
-    moved = expit((scene + session_s - truth("slip_time", 1e12)) / 0.05)
-    for prefix, share in (("mount", np.ones(len(scene))), ("slip", moved)):
-        base = _tilted(base, share[:, None] * np.array([truth(f"{prefix}_r{k}") for k in "xyz"]))
-        base = base + share[:, None] * np.array([truth(f"{prefix}_{k}") for k in "xyz"])
-    base = base + truth("breath") * np.sin(2 * np.pi * truth("breath_hz", 0.25) * (scene + session_s))[
-        :, None
-    ] * np.array([0.3, 1.0, 0.2])
-    hand_eye = rig.hand_eye
-    assert hand_eye is not None
-    seen = base @ rotation_of(hand_eye.rotation_deg).T + np.asarray(hand_eye.translation_mm)
-    focal = 1.0 + truth("zoom") * (1.0 - np.exp(-(scene + session_s) / 200.0))
-    image = _lens(rig, seen, truth, focal)
-    if truth("sliding_marker"):
-        walk = np.cumsum(rng.normal(0.0, 1.0, len(scene))) * truth("sliding_marker")
-        image = image + walk[:, None] * np.array([0.8, 0.6])
-    image = image + rng.normal(0.0, plant.noise_px, image.shape)
-    inside = np.all((image >= 0) & (image <= [camera.width_px - 1, camera.height_px - 1]), axis=1) & np.isfinite(
-        image
-    ).all(1)
-    kept = rng.random(len(scene)) > 0.003  # a frame is lost now and then
-    image, inside, arrival = image[kept], inside[kept], arrival[kept]
-    image = np.where(inside[:, None], image, np.nan)
-
-    resolution = rig.actuator.encoder_resolution
-    measured = np.round((q + error) / resolution) * resolution
-
-    def column(values: Array) -> Array | None:
-        return values if np.ptp(values) else None
-
-    motor = Motor(t, measured, None, column(translation), column(turn), load)
-    return Recording(name, motor, Marker(arrival, image[:, 0], image[:, 1], inside, None), rig=rig)
+        c = _held(c, stiffness, truth("obstacle_at"), float(np.sign(truth("obstacle_side", 1.0))))
+    rocks = any(truth(f"rock_{k}") for k in "xyz")
+    return _Tip(c, _native.reality_rocking(p, way, truth("rock_travel", 0.02)) if rocks else np.zeros_like(t))
 
 
-def _frames(t: Array, rig: Rig, truth: Truth, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Scene and arrival times. An unsteady link delays frames by gamma-distributed times; arrival tells the nominal
-    clock."""
+def _held(c: Array, stiffness: float, at: float, side: float) -> Array:
+    """A Hertzian wall against an elastic section: what it gives way by solves d + k d^1.5 = depth."""
+    result = c.copy()
+    touching = side * c > at
+    depth = side * c[touching] - at
+    give = depth.copy()
+    for _ in range(25):
+        give = give - (give + stiffness * give**1.5 - depth) / (1.0 + 1.5 * stiffness * np.sqrt(give + 1e-12))
+        give = np.maximum(give, 0.0)
+    result[touching] -= side * (depth - give)
+    return result
+
+
+def _frames(
+    t: Array, rig: Rig, truth: Truth, clock: np.random.Generator, scatter: np.random.Generator
+) -> tuple[Array, Array, npt.NDArray[np.int64]]:
+    """Scene and arrival times, and which frame is shown: a link that stalls repeats the last one. An unsteady link
+    delays frames by gamma-distributed times; arrival tells the nominal clock."""
     camera = rig.camera
     assert camera is not None
     period = 1.0 / camera.frame_rate_hz
-    clock = np.arange(t[0] + rng.uniform(0.3, 1.3) * period, t[-1], period)
-    arrival = clock + camera.delay_s + truth("late")
-    scene = clock.copy()
+    ticks = np.arange(t[0] + clock.uniform(0.3, 1.3) * period, t[-1], period)
+    arrival = ticks + camera.delay_s + truth("late")
+    scene = ticks.copy()
     if unsteady := truth("unsteady"):
-        scene = scene + unsteady * (rng.gamma(4.0, 0.5, len(scene)) - 2.0)
-    if truth("skew"):
-        scene = scene + truth("skew") * (clock - t[0])
-    if truth("frozen"):
-        held = rng.random(len(scene)) < truth("frozen")
-        for i in np.flatnonzero(held):
-            if i:
-                scene[i] = scene[i - 1]
-    return np.clip(scene, t[0], t[-1]), arrival
+        scene = scene + unsteady * (scatter.gamma(4.0, 0.5, len(scene)) - 2.0)
+    scene = scene + truth("skew") * (ticks - t[0])
+    shown = np.arange(len(ticks))
+    if rate := truth("stalls"):
+        for start in np.flatnonzero(scatter.random(len(ticks)) < rate * period):
+            held = int(scatter.exponential(truth("stall_s", 0.3)) / period)
+            shown[start : start + held] = shown[start]
+    return np.clip(scene, t[0], t[-1]), arrival, shown
+
+
+def _image(rig: Rig, truth: Truth, motion: Trajectory, scene: Array, session_s: float, tip: _Tip) -> Array:
+    """(n, 2) px of the marker at scene times (n,), without noise."""
+
+    def at(values: Array | None) -> Array:
+        return np.zeros(len(scene)) if values is None else np.interp(scene, motion.t_s, values)
+
+    when = scene + session_s
+    c = at(tip.c_deg)
+    bend = np.radians(c)
+    point = _chain(rig, c, truth("taper"))
+    tangent = np.stack([np.sin(bend), np.zeros_like(bend), np.cos(bend)], axis=1)
+    point = point + truth("beside_x") * np.stack([np.cos(bend), np.zeros_like(bend), -np.sin(bend)], axis=1)
+    point = point + np.array([0.0, truth("beside_y"), 0.0])
+    point[:, 2] += at(motion.translation_mm)
+    rolled = np.zeros((len(scene), 3))
+    rolled[:, 2] = at(motion.rotation_deg)
+    base, along = _tilted(point, rolled), _tilted(tangent, rolled)
+    if sag := truth("sag"):  # a section bends under its own weight: only what pulls across it
+        down = np.radians(truth("sag_towards"))
+        weight = np.array([np.cos(down), np.sin(down), 0.0])
+        base = base + sag * (weight - (along @ weight)[:, None] * along)
+    base = _tilted(base, at(tip.lies)[:, None] * np.array([truth("rock_x"), truth("rock_y"), truth("rock_z")]))
+    moved = expit((when - truth("slip_time", 1e12)) / 0.05)
+    for prefix, share in (("mount", np.ones(len(scene))), ("slip", moved)):
+        base = _tilted(base, share[:, None] * np.array([truth(f"{prefix}_r{k}") for k in "xyz"]))
+        base = base + share[:, None] * np.array([truth(f"{prefix}_{k}") for k in "xyz"])
+    breath = truth("breath") * np.sin(2 * np.pi * truth("breath_hz", 0.25) * when)
+    base = base + breath[:, None] * np.array([0.3, 1.0, 0.2])
+    hand_eye = rig.hand_eye
+    assert hand_eye is not None
+    seen = base @ rotation_of(hand_eye.rotation_deg).T + np.asarray(hand_eye.translation_mm)
+    return _lens(rig, seen, truth, 1.0 + truth("zoom") * (1.0 - np.exp(-when / 200.0)))
 
 
 def _chain(rig: Rig, c_deg: Array, taper: float) -> Array:
@@ -186,20 +239,6 @@ def _chain(rig: Rig, c_deg: Array, taper: float) -> Array:
     x = link * np.sin(bent).sum(1) + kinematics.tip_length_mm * np.sin(end)
     z = link * np.cos(bent).sum(1) + kinematics.tip_length_mm * np.cos(end)
     return np.stack([x, np.zeros_like(x), z], axis=1)
-
-
-def _rocking(t: Array, p: Array, way: Array, truth: Truth) -> Array:
-    """-1 to 1: which way the instrument lies in its channel; friction of the moving tip turns it over within a little
-    travel."""
-    if not any(truth(f"rock_{k}") for k in "xyz"):
-        return np.zeros_like(t)
-    lies = np.empty_like(t)
-    state, travel = 0.0, max(truth("rock_travel", 0.02), 1e-9)
-    steps = np.abs(np.diff(p, prepend=p[0]))
-    for i in range(len(t)):
-        state += (way[i] - state) * (1.0 - np.exp(-steps[i] / travel))
-        lies[i] = state
-    return lies
 
 
 def _tilted(points: Array, degrees: Array) -> Array:
@@ -230,100 +269,3 @@ def _lens(rig: Rig, seen: Array, truth: Truth, focal: Array) -> Array:
             y * radial + truth("decentred") * (r2 + 2 * y * y),
         )
     return np.stack([camera.cx_px + camera.fx_px * focal * x, camera.cy_px + camera.fy_px * focal * y], axis=1)
-
-
-Draw = Callable[[np.random.Generator, Rig], dict[str, float]]
-
-
-def _around(rng: np.random.Generator, low: float, high: float) -> float:
-    """Log-uniform, either sign."""
-    return float(np.exp(rng.uniform(np.log(low), np.log(high))) * rng.choice([-1.0, 1.0]))
-
-
-def _size(rng: np.random.Generator, low: float, high: float) -> float:
-    return abs(_around(rng, low, high))
-
-
-def _six(rng: np.random.Generator, prefix: str, turn: float, move: float) -> dict[str, float]:
-    a, b = rng.normal(size=3), rng.normal(size=3)
-    a, b = a / np.linalg.norm(a) * _size(rng, 0.4 * turn, turn), b / np.linalg.norm(b) * _size(rng, 0.2 * move, move)
-    return {f"{prefix}_r{k}": float(v) for k, v in zip("xyz", a, strict=True)} | {
-        f"{prefix}_{k}": float(v) for k, v in zip("xyz", b, strict=True)
-    }
-
-
-# Effect of the library -> how this instrument does it. Lengths are shares of the motor's range.
-KNOWN: Mapping[str, Draw] = {
-    "actuator.encoder_periodic": lambda g, r: {
-        "encoder_period": _size(g, 0.03, 0.15) * r.actuator.span,
-        "encoder_error": _size(g, 0.0015, 0.006) * r.actuator.span,
-        "encoder_phase": float(g.uniform(0, 6.28)),
-    },
-    "transmission.smooth_onset": lambda g, r: {"softness": float(g.uniform(0.3, 0.9))},
-    "transmission.asymmetric_backlash": lambda g, r: {
-        "latch": _around(g, 0.008, 0.03) * r.actuator.span,
-        "latch_travel": _size(g, 0.03, 0.12) * r.actuator.span,
-    },
-    "transmission.rate_dependent_backlash": lambda g, r: {
-        "viscosity": _size(g, 0.03, 0.12),
-        "speed_scale": 0.6 * r.actuator.span,
-    },
-    "transmission.lag": lambda g, r: {"dashpot": _size(g, 0.03, 0.15)},
-    "transmission.creep": lambda g, r: {"creep_share": _size(g, 0.05, 0.2), "creep_time": _size(g, 0.7, 2.5)},
-    "transmission.stick_slip": lambda g, r: {
-        "static_grip": _size(g, 0.004, 0.015) * r.actuator.span,
-        "kinetic_grip": float(g.uniform(0.0, 0.3)),
-        "grip_scatter": float(g.uniform(0.1, 0.4)),
-    },
-    "transmission.drift": lambda g, r: {
-        "creeping_offset": _around(g, 0.01, 0.04) * r.actuator.span,
-        "widening": float(g.choice([0.0, 1.0])) * _around(g, 0.1, 0.4),
-        "warm_up": _size(g, 200.0, 600.0),
-    },
-    "transmission.load_dependence": lambda g, r: {
-        "stretch_per_load": _around(g, 2e-4, 8e-4) * r.actuator.span,
-        "capstan_per_load": _around(g, 1e-3, 6e-3),
-        "soften_per_load": _around(g, 3e-4, 2e-3),
-    },
-    "configuration.axis_coupling": lambda g, r: {
-        "pull_by_translation": _around(g, 0.1, 0.6),
-        "twist": _around(g, 0.01, 0.06),
-    },
-    "configuration.contact": lambda g, r: {
-        "obstacle": _size(g, 0.3, 3.0),
-        "obstacle_at": float(g.uniform(10.0, 28.0)),
-        "obstacle_side": float(g.choice([-1.0, 1.0])),
-    },
-    "kinematics.nonconstant_curvature": lambda g, r: {"taper": _around(g, 0.15, 0.6)},
-    "registration.static": lambda g, r: _six(g, "mount", 3.0, 1.0),
-    "registration.direction_dependent": lambda g, r: {
-        **{f"rock_{k}": float(v) for k, v in zip("xyz", g.normal(size=3) * _size(g, 0.2, 0.8), strict=True)},
-        "rock_travel": _size(g, 0.001, 0.006) * r.actuator.span,
-    },
-    "registration.shift": lambda g, r: _six(g, "slip", 2.0, 0.8),
-    "camera.distortion": lambda g, r: (
-        {"fisheye": _size(g, 0.15, 0.8)}
-        if g.random() < 0.5
-        else {"barrel": _around(g, 0.04, 0.25), "decentred": _around(g, 0.002, 0.02)}
-    ),
-    "acquisition.delay": lambda g, r: {"late": _around(g, 0.015, 0.05)},
-    "acquisition.jitter": lambda g, r: {"unsteady": _size(g, 0.004, 0.012)},
-}
-
-UNKNOWN: Mapping[str, Draw] = {
-    "breathing": lambda g, r: {"breath": _size(g, 0.05, 0.3), "breath_hz": float(g.uniform(0.15, 0.4))},
-    "zoom": lambda g, r: {"zoom": _around(g, 0.01, 0.05)},
-    "sliding_marker": lambda g, r: {"sliding_marker": _size(g, 0.02, 0.15)},
-    "lost_counts": lambda g, r: {
-        "lost_counts": _size(g, 0.5, 2.0),
-        "lost_size": _size(g, 0.003, 0.012) * r.actuator.span,
-    },
-    "ringing": lambda g, r: {"ring_hz": float(g.uniform(0.5, 2.0)), "ring_damping": float(g.uniform(0.05, 0.3))},
-    "gravity": lambda g, r: {"sag": _around(g, 0.1, 0.5)},
-    "bouc_wen": lambda g, r: {
-        "bulge": _around(g, 0.006, 0.02) * r.actuator.span,
-        "bulge_travel": _size(g, 0.08, 0.3) * r.actuator.span,
-    },
-    "frozen_frames": lambda g, r: {"frozen": float(g.uniform(0.05, 0.3))},
-    "clock_skew": lambda g, r: {"skew": _around(g, 3e-4, 2e-3)},
-}

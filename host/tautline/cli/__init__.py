@@ -25,6 +25,7 @@ COMMANDS = {
     "simulate": "make a recording with a simulated instrument and endoscope",
     "compare": "how B and f_remain changed between models",
     "report": "write a model's report again",
+    "blindtest": "diagnose instruments whose effect is withheld, then open the labels and score",
     "demo": "the whole job on a simulated instrument, without hardware",
 }
 

@@ -6,7 +6,6 @@ A command ends with `emit(result, as_json, text)`. The core's `progress(fraction
 from __future__ import annotations
 
 import json
-import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -15,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 
 from tautline.errors import TautError
+from tautline.plain import plain
 from tautline.recording import Recording, load_all
 from tautline.rig import Rig
 
@@ -70,21 +69,6 @@ def warn(text: str) -> None:
 def emit(result: Mapping[str, Any], as_json: bool, text: str) -> None:
     """The command's result on stdout: one JSON object, or text for a person."""
     click.echo(json.dumps(plain(result), allow_nan=False) if as_json else text)
-
-
-def plain(value: Any) -> Any:
-    """Arrays, paths and numpy scalars as JSON has them; NaN and infinities become null."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Path):
-        return str(value)
-    return value
 
 
 def read_recordings(paths: Sequence[Path], rig_path: Path | None) -> tuple[list[Recording], Rig]:

@@ -14,7 +14,6 @@ from tautline.cli._common import (
     emit,
     folder_option,
     json_option,
-    plain,
     progress_bar,
     read_recordings,
     rig_option,
@@ -23,6 +22,7 @@ from tautline.cli._common import (
 from tautline.diagnose import motion, page
 from tautline.diagnose.diagnosis import Diagnosis, diagnose
 from tautline.folders import replaced, write_file
+from tautline.plain import plain
 
 DOCUMENT = "diagnosis.json"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,8 +43,8 @@ class Candidate:
         return 2.0 * self.log_likelihood - freedom * float(np.log(max(effective, 2.0)))
 
 
-def applicable(fitter: Fitter) -> list[Kind]:
-    """The effects that these recordings could show at all."""
+def applicable(fitter: Fitter, left_out: Collection[str] = ()) -> list[Kind]:
+    """The effects that these recordings could show at all, but for those left out."""
     load = any(s.motor.load_mNm is not None for s in fitter.segments)
     freedom = any(
         values is not None and float(np.ptp(values)) > 0.0
@@ -52,7 +52,7 @@ def applicable(fitter: Fitter) -> list[Kind]:
         for values in (s.motor.translation_mm, s.motor.rotation_deg)
     )
     has = {"": True, "camera": fitter.px, "load": load, "freedom": freedom}
-    kinds = [kind for kind in effects.LIBRARY if has[kind.needs]]
+    kinds = [kind for kind in effects.LIBRARY if has[kind.needs] and kind.id not in left_out]
     return [kind for kind in kinds if fitter.px or kind.id != "acquisition.delay"]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -51,9 +51,14 @@ class Diagnosis:
 
 
 def diagnose(
-    model: Model, calibration: Recording, tests: Sequence[Recording], progress: Progress = lambda fraction, text: None
+    model: Model,
+    calibration: Recording,
+    tests: Sequence[Recording],
+    progress: Progress = lambda fraction, text: None,
+    left_out: Collection[str] = (),
 ) -> Diagnosis:
-    """`model` is what `calibration` gave. Raises TautError where nothing can be scored."""
+    """`model` is what `calibration` gave. `left_out`: effects that the library shall not know. Raises TautError where
+    nothing can be scored."""
     progress(0.0, "preparing")
     segments = prepare(model, calibration, tests)
     fitter = Fitter(model, segments, _load_reference(calibration))
@@ -61,7 +66,7 @@ def diagnose(
     fitter.floor = gap.noise_floor(segments, frozen.residuals)
     base = fitter.nominal()
     floor = fitter.floor = gap.noise_floor(segments, base.residuals)
-    kinds = decide.applicable(fitter)
+    kinds = decide.applicable(fitter, left_out)
 
     progress(0.1, "screening")
     ordered, effective = decide.candidates(

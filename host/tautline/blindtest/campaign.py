@@ -1,0 +1,141 @@
+"""A blind campaign: cases are made, diagnosed, and only then opened and scored. What is done is not done again."""
+
+from __future__ import annotations
+
+import json
+import secrets
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tautline.blindtest import sealed, work
+from tautline.blindtest.cases import SCORED_FROM
+from tautline.blindtest.draws import KNOWN, UNKNOWN
+from tautline.blindtest.pool import Pool
+from tautline.errors import TautError
+
+Progress = Callable[[float, str], None]
+
+FORMAT = "blindtest/1"
+GROUPS = ("none", "unknown", "pairs")  # what `only` may name beside effects
+
+
+@dataclass(frozen=True)
+class Order:
+    """How many cases of what."""
+
+    seed: int = SCORED_FROM
+    single: int = 40  # of each known effect
+    unknown: int = 200
+    none: int = 200
+    pairs: int = 60
+    leave_one_out: int = 0  # of each known effect's single cases: how many are also diagnosed without it
+    only: tuple[str, ...] = ()  # effects or GROUPS
+
+    def cases(self) -> list[tuple[int, str, tuple[str, ...]]]:
+        """(seed, kind, effects) of each. The seed of an effect's i-th case is the campaign's + i."""
+        wanted = set(self.only) or {*KNOWN, *UNKNOWN, *GROUPS}
+        unknown = [name for name in UNKNOWN if name in wanted or "unknown" in wanted]
+        result: list[tuple[int, str, tuple[str, ...]]] = []
+        for name in KNOWN:
+            if name in wanted:
+                result += [(self.seed + i, "single", (name,)) for i in range(self.single)]
+        if unknown:
+            several = self.unknown if "unknown" in wanted else self.single * len(unknown)
+            result += [(self.seed + i // len(unknown), "unknown", (unknown[i % len(unknown)],)) for i in range(several)]
+        if "none" in wanted:
+            result += [(self.seed + i, "none", ()) for i in range(self.none)]
+        if "pairs" in wanted:
+            result += [(self.seed + i, "pair", ()) for i in range(self.pairs)]
+        return result
+
+
+def run(order: Order, folder: Path, pool: Pool, progress: Progress) -> list[dict[str, Any]]:
+    """Every case's record (work.score_case), in the plan's order, in the end those with an effect left out. Raises
+    TautError where the folder holds another campaign, or something in it was changed after it was sealed."""
+    campaign = sealed.Campaign(folder)
+    plan = campaign.plan()
+    if plan is None:
+        plan = _make(order, campaign, pool, lambda done: progress(0.1 * done, "making cases"))
+    elif plan["order"] != json.loads(json.dumps(asdict(order))):
+        raise TautError(f"{folder}: holds another campaign (seed {plan['order']['seed']}): name a new folder")
+    committed: dict[str, str] = plan["cases"]
+    names = list(committed)
+
+    todo = [name for name in names if not campaign.diagnosed(name)]
+    tasks = ((name, (campaign.case(name),)) for name in todo)
+    for done, (name, files) in enumerate(pool(work.diagnose_case, tasks), len(names) - len(todo) + 1):
+        campaign.write_diagnosis(name, files)
+        progress(0.1 + 0.7 * done / len(names), f"diagnosed {done} of {len(names)}")
+    campaign.close(names)
+
+    opening = ((name, (campaign.open(name, committed[name]), campaign.diagnosis(name))) for name in names)
+    records: dict[str, dict[str, Any]] = {}
+    for name, record in pool(work.score_case, opening):
+        records[name] = {"name": name, **record}
+        progress(0.8 + 0.05 * len(records) / len(names), "opening labels")
+    found = [records[name] for name in names]
+    found += _without(order, campaign, found, pool, lambda done: progress(0.85 + 0.15 * done, "leaving effects out"))
+    return found
+
+
+def _make(order: Order, campaign: sealed.Campaign, pool: Pool, progress: Callable[[float], None]) -> dict[str, Any]:
+    """The cases in an order that tells nothing."""
+    wanted = order.cases()
+    if not wanted:
+        raise TautError("no case was asked for: raise --cases, --unknown, --none or --pairs")
+    if (campaign.root / sealed.CLOSED).exists():
+        raise TautError(f"{campaign.root}: its {sealed.PLAN} is gone: name a new folder")
+    shuffled = np.random.default_rng([order.seed, 0x5EA1]).permutation(len(wanted))
+    names = {f"case-{at:04d}": wanted[i] for at, i in enumerate(shuffled)}
+    # A campaign that was stopped while cases were made goes on only if it was this one.
+    mark = campaign.root / "making.json"
+    text = sealed.canonical(asdict(order))
+    if mark.exists() and mark.read_bytes() != text:
+        raise TautError(f"{campaign.root}: holds the beginning of another campaign: name a new folder")
+    campaign.root.mkdir(parents=True, exist_ok=True)
+    mark.write_bytes(text)
+    todo = [name for name in names if not campaign.made(name)]
+    tasks = ((name, (*names[name], secrets.token_hex(16))) for name in todo)
+    for done, (name, (visible, hidden)) in enumerate(pool(work.make_case, tasks), len(names) - len(todo) + 1):
+        campaign.write_case(name, visible, hidden)
+        progress(done / len(names))
+    committed = {name: campaign.sealed_commitment(name) for name in names}
+    plan = {"format": FORMAT, "order": asdict(order), "cases": committed}
+    campaign.commit(plan)
+    mark.unlink()
+    return plan
+
+
+def _without(
+    order: Order,
+    campaign: sealed.Campaign,
+    found: Sequence[Mapping[str, Any]],
+    pool: Pool,
+    progress: Callable[[float], None],
+) -> list[dict[str, Any]]:
+    """Single cases diagnosed again by a library that lacks their effect. What is right needs no label: unknown."""
+    chosen: list[Mapping[str, Any]] = []
+    for effect in KNOWN:
+        mine = [r for r in found if r["label"]["kind"] == "single" and r["label"]["effects"] == [effect]]
+        chosen += sorted(mine, key=lambda r: int(r["label"]["seed"]))[: order.leave_one_out]
+    folder = campaign.root / "without"
+    records: list[dict[str, Any]] = []
+
+    def tasks() -> Iterator[tuple[str, tuple[Any, ...]]]:
+        for record in chosen:
+            if not (folder / record["name"]).is_dir():
+                yield record["name"], (campaign.case(record["name"]), tuple(record["label"]["effects"]))
+
+    for name, files in pool(work.diagnose_case, tasks()):
+        sealed.write(folder / name, files)
+        progress(sum(path.is_dir() for path in folder.iterdir()) / len(chosen))
+    for record in chosen:
+        files = sealed.read(folder / record["name"])
+        document, cost = json.loads(files[work.DOCUMENT]), json.loads(files[work.COST])
+        label = {**record["label"], "kind": "left out"}
+        records.append({"name": record["name"], "label": label, "document": document, "realised": None, **cost})
+    return records

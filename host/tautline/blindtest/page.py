@@ -1,0 +1,266 @@
+"""A campaign's result: one table of all methods, as text, result.json and report.html."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+from tautline import figures, report
+from tautline.blindtest import scores
+from tautline.blindtest.campaign import FORMAT
+from tautline.blindtest.cases import SCORED_FROM, Label
+from tautline.blindtest.draws import UNKNOWN
+from tautline.blindtest.scores import Answer, Bin, Share, answer_of
+from tautline.folders import write_file
+from tautline.plain import plain
+
+FILE, RESULT = "report.html", "result.json"
+OURS = "tautline"
+_MOST_LINES = 60  # cases that are printed one by one
+
+# What the table shows: Scores' field, what it means, the goal (None: none).
+ROWS: Sequence[tuple[str, str, str | None]] = (
+    ("top1", "single identifiable effect, right name leads", "90 %"),
+    ("worst", "... worst effect", "75 %"),
+    ("in_set", "... in the ambiguity set", "95 %"),
+    ("set_size", "... mean size of the set", "1.6"),
+    ("stage", "... right stage", "95 %"),
+    ("unknown", "unknown effect called unknown", "90 %"),
+    ("false_known", "... given a known name", None),
+    ("none", "nothing wrong called none", "95 %"),
+    ("false_alarm", "... called an effect", None),
+    ("pairs", "pair, both named", "70 %"),
+    ("pairs_one", "... one of them at least", None),
+    ("left_out", "effect taken out of the library, called unknown", None),
+    ("overall", "single, unknown and none, right verdict", None),
+    ("probability", "mean probability on the truth", "0.66"),
+    ("calibration_error", "expected calibration error", None),
+    ("claim", "claimed less realised shrinkage, mean (points)", "5"),
+    ("claim_size", "... mean of its size (points)", None),
+    ("closed", "closable gap closed on an unseen motion, mean", "90 %"),
+    ("core_s", "core-seconds a case", "10"),
+)
+
+Cases = Sequence[tuple[Label, Answer]]
+
+
+def result(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """result.json: scores of every method, confusion, calibration curve, and every case in a line."""
+    methods = methods_of(records)
+    ours = methods[OURS]
+    rows, columns, counts = scores.confusion(ours)
+    labels = [label for label, _ in ours if label.kind not in ("none", "left out")]
+    scored = {name: scores.score(cases) for name, cases in methods.items()}
+    return {
+        "format": FORMAT,
+        "tuning": any(label.seed < SCORED_FROM for label, _ in ours),
+        "cases": len([1 for label, _ in ours if label.kind != "left out"]),
+        "identifiable": Share(sum(label.identifiable for label in labels), len(labels)).to_json(),
+        "methods": {name: found.to_json() for name, found in scored.items()},
+        "confusion": {"truth": rows, "said": columns, "counts": counts.tolist()},
+        "reliability": [
+            {"low": b.low, "high": b.high, "said": b.said, "right": b.right.to_json()} for b in scores.reliability(ours)
+        ],
+        "each": [_line(record) for record in records],
+    }
+
+
+def methods_of(records: Sequence[Mapping[str, Any]]) -> dict[str, Cases]:
+    """Every method's answers."""
+    labels = [Label.from_json(record["label"]) for record in records]
+    methods: dict[str, Cases] = {
+        OURS: [(label, answer_of(record)) for label, record in zip(labels, records, strict=True)]
+    }
+    return methods
+
+
+def write(records: Sequence[Mapping[str, Any]], folder: Path) -> dict[str, Any]:
+    """result.json and report.html."""
+    document: dict[str, Any] = plain(result(records))
+    write_file(folder / RESULT, json.dumps(document, indent=1, allow_nan=False) + "\n")
+    ours = methods_of(records)[OURS]
+    page = {
+        "title": "Diagnoses of instruments whose effect was withheld",
+        "sentence": sentence(document),
+        "note": "These seeds are for tuning: the figures say nothing about unseen cases." if document["tuning"] else "",
+        "methods": list(document["methods"]),
+        "rows": table(document),
+        "confusion": report.picture(
+            confusion(document["confusion"]),
+            "Confusion",
+            "Truth in rows, verdicts in columns, shares of a row. Below the line: effects outside the library.",
+        ),
+        "reliability": report.picture(
+            reliability(scores.reliability(ours)),
+            "Calibration of the probabilities",
+            "How often the leading answer is right over the probability it was given, with exact 95 % intervals.",
+        ),
+        "shrinkage": report.picture(
+            shrinkage(ours),
+            "Claimed and realised shrinkage",
+            "Realised: on a motion that the diagnosis never saw. Single identifiable effects that have a path.",
+        ),
+        "wrong": [line for line in document["each"] if line["right"] is False],
+    }
+    report.write_page("blindtest.html", page, folder / FILE)
+    return document
+
+
+def sentence(document: Mapping[str, Any]) -> str:
+    ours = document["methods"][OURS]
+    said = {"top1": "named rightly", "unknown": "unknown called unknown", "none": "none called none"}
+    parts = [f"{what}: {_share(ours[name])}" for name, what in said.items() if ours[name]["of"]]
+    return f"{document['cases']} cases. " + "; ".join(parts) + "."
+
+
+def table(document: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """ROWS with a cell for each method; rows that say nothing of any method are left out."""
+    rows = []
+    for name, what, goal in ROWS:
+        cells = [_cell(found, name) for found in document["methods"].values()]
+        if any(cells):
+            rows.append({"what": what, "goal": goal or "", "cells": cells})
+    return rows
+
+
+def text(document: Mapping[str, Any]) -> str:
+    """The table for a terminal; before it the cases one by one if they are few, else those that came out wrong."""
+    each = document["each"]
+    shown = each if len(each) <= _MOST_LINES else [line for line in each if line["right"] is False][:_MOST_LINES]
+    lines = [_sentence_of(line) for line in shown]
+    rows = [["", "goal", *document["methods"]]]
+    rows += [[row["what"], row["goal"], *row["cells"]] for row in table(document)]
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    for row in rows:
+        cells = [cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)]
+        lines.append("  ".join([row[0].ljust(widths[0]), *cells]).rstrip())
+    found = document["identifiable"]
+    lines.append(f"{found['hits']} of {found['of']} cases with an effect are identifiable; only these are scored.")
+    if document["tuning"]:
+        lines.append("Seeds below 1000000 are for tuning: nothing here is a result.")
+    return "\n".join(lines)
+
+
+def _line(record: Mapping[str, Any]) -> dict[str, Any]:
+    label = Label.from_json(record["label"])
+    answer = answer_of(record)
+    gap = record["document"].get("gap")
+    right = {
+        "pair": set(label.effects) <= set(answer.named),
+    }.get(label.kind, answer.verdict == scores.truth(label))
+    return {
+        "name": record["name"],
+        "seed": label.seed,
+        "kind": label.kind,
+        "effects": list(label.effects),
+        "throughout": label.throughout,
+        "identifiable": label.identifiable,
+        "left": [x / label.noise_px for x in label.left],  # times the noise
+        "verdict": answer.verdict,
+        "named": list(answer.named),
+        "probability": (answer.probabilities or {}).get(answer.verdict),
+        "right": right if scores.counts(label) else None,
+        "gap": [gap["before"], gap["after"]] if gap else None,
+        "floor": record["document"].get("noise_floor"),
+        "realised": record["realised"],
+        "core_s": record["core_s"],
+        "error": record["document"].get("error"),
+    }
+
+
+def _sentence_of(line: Mapping[str, Any]) -> str:
+    what = " + ".join(line["effects"]) or "nothing"
+    if line["kind"] == "left out":
+        what += " (left out)"
+    since = "" if not line["effects"] else ", throughout" if line["throughout"] else ", after the calibration"
+    mark = {True: "ok   ", False: "WRONG", None: "-    "}[line["right"]]
+    said = line["error"] or " + ".join(line["named"]) or line["verdict"]
+    probability = "" if line["probability"] is None else f" ({line['probability']:.2f})"
+    gaps = ""
+    if line["gap"] is not None:
+        gaps = f"; gap {line['gap'][0]:.3g} -> {line['gap'][1]:.3g}, noise {line['floor']:.2g}"
+    if line["realised"] is not None:
+        gaps += f"; unseen {line['realised']['before']:.3g} -> {line['realised']['after']:.3g}"
+    return f"{mark} seed {line['seed']} {what}{since}: {said}{probability}{gaps}; {line['core_s']:.1f} s"
+
+
+def _cell(found: Mapping[str, Any], name: str) -> str:
+    if name == "worst":
+        shares = [share["share"] for share in found["per_effect"].values()]
+        return f"{100 * min(shares):.0f} %" if shares else ""
+    value = found[name]
+    if isinstance(value, Mapping):
+        return _share(value) if value["of"] else ""
+    if value is None:
+        return ""
+    return f"{100 * value:.0f} %" if name == "closed" else f"{value:.2f}" if abs(value) < 10 else f"{value:.1f}"
+
+
+def _share(share: Mapping[str, Any]) -> str:
+    low, high = share["interval"]
+    return f"{100 * share['share']:.1f} % ({100 * low:.0f}-{100 * high:.0f}, {share['of']})"
+
+
+@mpl.rc_context(figures.STYLE)
+def confusion(document: Mapping[str, Any]) -> Figure:
+    counts = np.array(document["counts"], dtype=float)
+    counts = counts.reshape(len(document["truth"]), len(document["said"]))
+    share = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1.0)
+    rows, columns = counts.shape
+    made, axes = figures.figure(10.5, 0.24 * rows + 2.4)
+    ax = axes[0, 0]
+    ax.imshow(share, cmap="Blues", vmin=0, vmax=1.25, aspect="auto")
+    for i, j in zip(*np.nonzero(counts), strict=True):
+        ax.text(j, i, f"{counts[i, j]:.0f}", ha="center", va="center", fontsize=7)
+    ax.set_xticks(range(columns), [_short(name) for name in document["said"]], rotation=50, ha="right", fontsize=8)
+    ax.set_yticks(range(rows), [_short(name) for name in document["truth"]], fontsize=8)
+    outside = [i for i, name in enumerate(document["truth"]) if name in UNKNOWN]
+    for edge in (outside[0] - 0.5, outside[-1] + 0.5) if outside else ():
+        ax.axhline(edge, color=figures.INK, linewidth=0.8)
+    ax.grid(False)
+    ax.set_xlabel("verdict")
+    ax.set_ylabel("truth")
+    return made
+
+
+def _short(name: str) -> str:
+    return name.split(".", 1)[-1].replace("_", " ")
+
+
+@mpl.rc_context(figures.STYLE)
+def reliability(bins: Sequence[Bin]) -> Figure:
+    made, axes = figures.figure(5.2, 4.2)
+    ax = axes[0, 0]
+    ax.plot([0, 1], [0, 1], color=figures.GREY, linewidth=0.8, linestyle="--")
+    said = np.array([b.said for b in bins])
+    right = np.array([b.right.value or 0.0 for b in bins])
+    ends = np.array([b.right.interval for b in bins]).reshape(-1, 2)
+    spread = np.abs(ends.T - right)
+    ax.errorbar(said, right, yerr=spread, fmt="o", color=figures.UP, markersize=4, linewidth=1)
+    for b in bins:
+        ax.annotate(str(b.right.of), (b.said, b.right.value or 0.0), (4, -10), textcoords="offset points", fontsize=7)
+    ax.set(xlim=(0, 1.02), ylim=(0, 1.02), xlabel="probability given", ylabel="share that was right")
+    return made
+
+
+@mpl.rc_context(figures.STYLE)
+def shrinkage(cases: Cases) -> Figure:
+    made, axes = figures.figure(5.2, 4.2)
+    ax = axes[0, 0]
+    ax.plot([0, 1], [0, 1], color=figures.GREY, linewidth=0.8, linestyle="--")
+    points = [
+        (answer.claimed, 1.0 - answer.realised["after"] / answer.realised["before"])
+        for label, answer in cases
+        if label.kind == "single" and label.identifiable and answer.named and answer.realised
+        if answer.claimed is not None and label.effects[0] not in scores.PATHLESS
+    ]
+    claimed, realised = np.array(points).reshape(-1, 2).T
+    ax.plot(claimed, np.maximum(realised, -0.2), "o", color=figures.UP, markersize=3, alpha=0.6)
+    ax.set(xlim=(-0.02, 1.02), ylim=(-0.22, 1.02), xlabel="shrinkage claimed", ylabel="realised on an unseen motion")
+    return made

@@ -1,0 +1,249 @@
+"""How right a method was on a campaign's cases. Nothing here knows how an answer came about."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.stats import binomtest
+
+from tautline.blindtest.cases import Label
+from tautline.blindtest.draws import KNOWN, UNKNOWN
+
+NONE, UNEXPLAINED, FAILED = "none", "unknown", "failed"
+# Scatter without a reproducible path: no model can predict it away, so there is no gap to close.
+PATHLESS = frozenset({"transmission.stick_slip", "acquisition.jitter"})
+STAGES: Mapping[str, str] = {name: name.split(".", 1)[0] for name in KNOWN}
+_BINS = 10
+_CLOSABLE = 1.5  # times the noise: a gap on the further motion from which the closed share says something
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What one method says of one case."""
+
+    named: tuple[str, ...]  # effects, the leading one first; empty with NONE, UNEXPLAINED and FAILED
+    verdict: str  # the leading effect, NONE, UNEXPLAINED or FAILED
+    core_s: float
+    possible: frozenset[str] = frozenset()  # named, and what cannot be told from it
+    probabilities: Mapping[str, float] | None = None  # of every effect to be the leading one, NONE and UNEXPLAINED
+    stage: str | None = None
+    claimed: float | None = None  # shrinkage of the gap on motions that it did not fit
+    realised: Mapping[str, float] | None = None  # gap on the further motion: before, after, floor
+
+
+@dataclass(frozen=True)
+class Share:
+    """hits out of `of`, with the exact (Clopper-Pearson) 95 % interval."""
+
+    hits: int
+    of: int
+
+    @property
+    def value(self) -> float | None:
+        return self.hits / self.of if self.of else None
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        if not self.of:
+            return 0.0, 1.0
+        found = binomtest(self.hits, self.of).proportion_ci(0.95, method="exact")
+        return float(found.low), float(found.high)
+
+    def to_json(self) -> dict[str, Any]:
+        return {"hits": self.hits, "of": self.of, "share": self.value, "interval": list(self.interval)}
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Of one method. A mean over nothing is None."""
+
+    top1: Share  # identifiable single effects whose name leads
+    per_effect: Mapping[str, Share]
+    in_set: Share  # ... that are named or among what cannot be told from what is named
+    set_size: float | None  # of such sets, over the identifiable single effects for which one was named
+    probability: float | None  # mean on the truth: identifiable single effects, unknown ones, none
+    stage: Share
+    unknown: Share  # identifiable effects outside the library that are called unknown
+    false_known: Share  # ... that get a name of the library
+    none: Share
+    false_alarm: Share  # nothing, called an effect
+    pairs: Share  # both effects named
+    pairs_one: Share  # at least one of them
+    left_out: Share  # called unknown by a library that lacks the effect
+    overall: Share  # right verdicts over single, unknown and none
+    claim: float | None  # mean of claimed less realised shrinkage, in points
+    claim_size: float | None  # mean of its absolute value
+    closed: float | None  # mean share of the closable gap closed on the further motion, identifiable single effects
+    closed_90: Share  # of these, at least 0.9
+    calibration_error: float | None  # expected, of the leading probability
+    core_s: float | None  # per case
+
+    def to_json(self) -> dict[str, Any]:
+        document: dict[str, Any] = {}
+        for name in asdict(self):
+            value = getattr(self, name)
+            document[name] = value.to_json() if isinstance(value, Share) else value
+        document["per_effect"] = {name: share.to_json() for name, share in self.per_effect.items()}
+        return document
+
+
+@dataclass(frozen=True)
+class Bin:
+    """Answers whose leading probability is within [low, high)."""
+
+    low: float
+    high: float
+    said: float  # mean probability
+    right: Share
+
+
+@dataclass
+class _Tally:
+    answers: list[tuple[Label, Answer]] = field(default_factory=list)
+
+    def share(self, right: Any) -> Share:
+        return Share(sum(bool(right(label, answer)) for label, answer in self.answers), len(self.answers))
+
+
+def answer_of(record: Mapping[str, Any]) -> Answer:
+    """The diagnosis' own answer, from a record of work.score_case."""
+    document, core_s = record["document"], float(record["core_s"])
+    verdict = document["verdict"]
+    if verdict == FAILED:
+        return Answer((), FAILED, core_s)
+    named = tuple(effect["id"] for effect in document["effects"]) if verdict == "effect" else ()
+    others = {other for effect in document["effects"] for other in effect["ambiguous_with"]} if named else set()
+    probabilities = {c["id"]: float(c["probability"]) for c in document["candidates"]}
+    return Answer(
+        named,
+        named[0] if named else verdict,
+        core_s,
+        frozenset({*named, *others}),
+        {**probabilities, NONE: float(document["probability_none"]), UNEXPLAINED: document["probability_unknown"]},
+        document["where"]["stage"],
+        float(document["gap"]["shrink"]),
+        record["realised"],
+    )
+
+
+def truth(label: Label) -> str:
+    """The right verdict of a case with one cause or none."""
+    if label.kind == "none":
+        return NONE
+    return UNEXPLAINED if label.kind in ("unknown", "left out") else label.effects[0]
+
+
+def counts(label: Label) -> bool:
+    """Whether a verdict is scored: where something is there, it must be identifiable."""
+    return label.kind == "none" or label.identifiable
+
+
+def score(cases: Sequence[tuple[Label, Answer]]) -> Scores:
+    groups = {kind: _Tally() for kind in ("single", "unknown", "none", "pair", "left out")}
+    for label, answer in cases:
+        if counts(label):
+            groups[label.kind].answers.append((label, answer))
+    single, unknown, none = groups["single"], groups["unknown"], groups["none"]
+    one_cause = _Tally(single.answers + unknown.answers + none.answers)
+
+    def right(label: Label, answer: Answer) -> bool:
+        return answer.verdict == truth(label)
+
+    per_effect = {
+        name: _Tally([(label, answer) for label, answer in single.answers if label.effects == (name,)]).share(right)
+        for name in KNOWN
+    }
+    shrunk = [_shrinkage(answer) for label, answer in single.answers if label.effects[0] not in PATHLESS]
+    differences = [
+        100.0 * (answer.claimed - realised)
+        for (label, answer) in single.answers
+        if label.effects[0] not in PATHLESS
+        and answer.named
+        and answer.claimed is not None
+        and (realised := _realised(answer)) is not None
+    ]
+    closed = [share for share in shrunk if share is not None]
+    return Scores(
+        top1=single.share(right),
+        per_effect={name: share for name, share in per_effect.items() if share.of},
+        in_set=single.share(lambda label, answer: label.effects[0] in (answer.possible or answer.named)),
+        set_size=_mean([len(a.possible or a.named) for _, a in single.answers if a.named]),
+        probability=_mean([a.probabilities.get(truth(x), 0.0) for x, a in one_cause.answers if a.probabilities]),
+        stage=single.share(lambda label, answer: answer.stage == STAGES[label.effects[0]]),
+        unknown=unknown.share(right),
+        false_known=unknown.share(lambda label, answer: bool(answer.named)),
+        none=none.share(right),
+        false_alarm=none.share(lambda label, answer: bool(answer.named)),
+        pairs=groups["pair"].share(lambda label, answer: set(label.effects) <= set(answer.named)),
+        pairs_one=groups["pair"].share(lambda label, answer: bool(set(label.effects) & set(answer.named))),
+        left_out=groups["left out"].share(right),
+        overall=one_cause.share(right),
+        claim=_mean(differences),
+        claim_size=_mean([abs(d) for d in differences]),
+        closed=_mean(closed),
+        closed_90=Share(sum(share >= 0.9 for share in closed), len(closed)),
+        calibration_error=_calibration_error(reliability(cases)),
+        core_s=_mean([answer.core_s for label, answer in cases if label.kind != "left out"]),
+    )
+
+
+def _realised(answer: Answer) -> float | None:
+    if answer.realised is None:
+        return None
+    return 1.0 - answer.realised["after"] / answer.realised["before"]
+
+
+def _shrinkage(answer: Answer) -> float | None:
+    """Share of the closable gap (its square less the noise's) that is closed on the further motion, -1 to 1; None where
+    hardly any is there to close."""
+    if answer.realised is None:
+        return None
+    before, after, floor = (answer.realised[name] for name in ("before", "after", "floor"))
+    if before < _CLOSABLE * floor:
+        return None
+    return float(np.clip(1.0 - (after**2 - floor**2) / (before**2 - floor**2), -1.0, 1.0))
+
+
+def confusion(cases: Sequence[tuple[Label, Answer]]) -> tuple[list[str], list[str], np.ndarray]:
+    """(rows, columns, counts): truths with one cause (those outside the library by their own name), verdicts."""
+    rows = [*KNOWN, *UNKNOWN, NONE]
+    columns = [*KNOWN, UNEXPLAINED, NONE, FAILED]
+    table = np.zeros((len(rows), len(columns)), dtype=int)
+    for label, answer in cases:
+        if label.kind in ("single", "unknown", "none") and counts(label):
+            table[rows.index((*label.effects, NONE)[0]), columns.index(answer.verdict)] += 1
+    filled = table.sum(axis=1) > 0
+    rows = [name for name, there in zip(rows, filled, strict=True) if there]
+    said = (table.sum(axis=0) > 0) | [name != FAILED for name in columns]
+    columns = [name for name, there in zip(columns, said, strict=True) if there]
+    return rows, columns, table[filled][:, said]
+
+
+def reliability(cases: Sequence[tuple[Label, Answer]]) -> list[Bin]:
+    """How often the most probable answer is right, over its probability; bins without an answer are left out."""
+    said, right = [], []
+    for label, answer in cases:
+        if label.kind in ("single", "unknown", "none") and counts(label) and answer.probabilities:
+            leading = max(answer.probabilities, key=lambda name: (answer.probabilities or {})[name])
+            said.append(answer.probabilities[leading])
+            right.append(leading == truth(label))
+    at = np.minimum((np.array(said) * _BINS).astype(int), _BINS - 1)
+    result = []
+    for i in range(_BINS):
+        here = at == i
+        if here.any():
+            hits = Share(int(np.sum(np.array(right)[here])), int(here.sum()))
+            result.append(Bin(i / _BINS, (i + 1) / _BINS, float(np.mean(np.array(said)[here])), hits))
+    return result
+
+
+def _calibration_error(bins: Sequence[Bin]) -> float | None:
+    total = sum(b.right.of for b in bins)
+    return sum(b.right.of * abs((b.right.value or 0.0) - b.said) for b in bins) / total if total else None
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return float(np.mean(values)) if len(values) else None

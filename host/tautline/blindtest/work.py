@@ -1,0 +1,115 @@
+"""What a campaign's workers do: each a function from files to files, so that a case can be made, diagnosed and scored
+anywhere, and a diagnosis sees nothing but what it was sent."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import time
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from tautline.blindtest import sealed
+from tautline.blindtest.cases import Label, make
+from tautline.calibration.calibrate import calibrate
+from tautline.diagnose.diagnosis import diagnose
+from tautline.diagnose.segment import settled_from
+from tautline.errors import TautError
+from tautline.model import Model
+from tautline.plain import plain
+from tautline.predict import predict
+from tautline.recording import Recording, load, save
+from tautline.rig import Rig
+
+Files = Mapping[str, bytes]
+
+DOCUMENT = "diagnosis.json"
+COST = "cost.json"
+_VISIBLE = ("calibration", "test-1", "test-2")
+
+
+def make_case(seed: int, kind: str, effects: tuple[str, ...], salt: str) -> tuple[Files, Files]:
+    """What may be seen of a case, and what is sealed."""
+    case = make(seed, kind, effects)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        recordings = zip((*_VISIBLE, sealed.FURTHER), (case.calibration, *case.tests, case.further), strict=True)
+        for what, recording in recordings:
+            save(recording, folder / what)
+            (folder / what / "rig.toml").unlink()  # one for all
+        case.rig.save(folder / "rig.toml")
+        files = sealed.read(folder)
+    hidden = {path: content for path, content in files.items() if path.startswith(sealed.FURTHER)}
+    visible = {path: content for path, content in files.items() if path not in hidden}
+    label = sealed.canonical({"salt": salt, "label": plain(case.label.to_json())})
+    return visible, {sealed.LABEL: label, **hidden}
+
+
+def diagnose_case(files: Files, left_out: Collection[str] = ()) -> Files:
+    """What `taut diagnose` says of a case's files: diagnosis.json, nominal/, corrected/, and what it cost."""
+    with threadpool_limits(1), _unpacked(files) as folder:
+        began = time.process_time()
+        try:
+            rig, recordings = recordings_of(folder)
+            model = calibrate(recordings[:1], rig).model
+            calibrated = time.process_time() - began
+            found = diagnose(model, recordings[0], recordings[1:], left_out=left_out)
+            found.nominal.save(folder / "out" / "nominal")
+            found.corrected.save(folder / "out" / "corrected")
+            document: Any = plain(found.document)
+            said = sealed.read(folder / "out")
+        except TautError as error:  # a verdict like any other, and a wrong one
+            calibrated, document, said = 0.0, {"verdict": "failed", "error": str(error)}, {}
+        cost = {"core_s": time.process_time() - began, "calibration_core_s": calibrated}
+    return {**said, DOCUMENT: sealed.canonical(document), COST: sealed.canonical(cost)}
+
+
+def score_case(opened: Files, diagnosis: Files) -> dict[str, Any]:
+    """What a diagnosis is scored by: label, document, cost, the gap on the further motion (px rms per coordinate)."""
+    label = Label.from_json(json.loads(opened[sealed.LABEL])["label"])
+    document = json.loads(diagnosis[DOCUMENT])
+    cost = json.loads(diagnosis[COST])
+    realised = None
+    if document["verdict"] != "failed":
+        with _unpacked({**opened, **diagnosis}) as folder:
+            nominal, corrected = Model.load(folder / "nominal"), Model.load(folder / "corrected")
+            further = load(folder / sealed.FURTHER, nominal.rig)
+            realised = {
+                "before": gap_on(nominal, further, nominal),
+                "after": gap_on(corrected, further, nominal),
+                "floor": label.noise_px,
+            }
+    return {"label": label.to_json(), "document": document, "realised": realised, **cost}
+
+
+def gap_on(model: Model, recording: Recording, nominal: Model) -> float:
+    """Scored from when `nominal` was driven through a full backlash both ways."""
+    marker = recording.marker
+    assert marker is not None
+    seen = np.column_stack([marker.u_px, marker.v_px])
+    arrival_s = marker.t_s
+    scored = marker.valid & (arrival_s - nominal.delay_s >= settled_from(nominal, recording.motor))
+    said = predict(model, recording.motor, arrival_s - model.delay_s).image_px
+    assert said is not None
+    return float(np.sqrt(np.nanmean((seen - said)[scored] ** 2)))
+
+
+def recordings_of(folder: Path) -> tuple[Rig, list[Recording]]:
+    """A case's rig; its calibration and tests."""
+    rig = Rig.load(folder / "rig.toml")
+    return rig, [load(folder / name, rig) for name in _VISIBLE]
+
+
+@contextmanager
+def _unpacked(files: Files) -> Iterator[Path]:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for path, content in files.items():
+            (folder / path).parent.mkdir(parents=True, exist_ok=True)
+            (folder / path).write_bytes(content)
+        yield folder

@@ -1,0 +1,70 @@
+"""taut blindtest"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from tautline.blindtest import page
+from tautline.blindtest.campaign import GROUPS, Order, run
+from tautline.blindtest.draws import KNOWN, UNKNOWN
+from tautline.blindtest.pool import pool
+from tautline.cli._common import emit, folder_option, json_option, progress_bar
+
+_QUICK = Order(single=1, unknown=4, none=3, pairs=1)
+
+
+@click.command("blindtest")
+@folder_option("--out", "Folder of the campaign. One that was interrupted goes on where it was.")
+@click.option("--seed", type=int, help="Of the campaign; tuning is done below 1000000. Default: 1000000, scored.")
+@click.option("--cases", type=click.IntRange(0), help="Of each known effect alone. Default: 40.")
+@click.option("--unknown", type=click.IntRange(0), help="With an effect outside the library. Default: 200.")
+@click.option("--none", type=click.IntRange(0), help="With nothing unmodelled. Default: 200.")
+@click.option("--pairs", type=click.IntRange(0), help="With two known effects. Default: 60.")
+@click.option(
+    "--leave-one-out",
+    type=click.IntRange(0),
+    help="Of each known effect's cases: how many are also diagnosed without it in the library. Default: 0.",
+)
+@click.option(
+    "--only",
+    multiple=True,
+    metavar="EFFECT",
+    type=click.Choice([*GROUPS, *KNOWN, *UNKNOWN]),
+    help=f"Cases of this alone: an effect, or {', '.join(GROUPS)}. May be given several times.",
+)
+@click.option("--quick", is_flag=True, help="Some 25 cases, two minutes on two cores.")
+@click.option("--jobs", type=click.IntRange(1), help="Processes. Default: one on each core.")
+@click.option("--dask", "dask_address", metavar="ADDRESS", help="Work on a Dask cluster: its scheduler's address.")
+@json_option
+def command(
+    out: Path,
+    seed: int | None,
+    cases: int | None,
+    unknown: int | None,
+    none: int | None,
+    pairs: int | None,
+    leave_one_out: int | None,
+    only: tuple[str, ...],
+    quick: bool,
+    jobs: int | None,
+    dask_address: str | None,
+    as_json: bool,
+) -> None:
+    """Diagnoses instruments whose effect is withheld, then opens the labels and scores."""
+    order = _QUICK if quick else Order()
+    given = {
+        "seed": seed,
+        "single": cases,
+        "unknown": unknown,
+        "none": none,
+        "pairs": pairs,
+        "leave_one_out": leave_one_out,
+    }
+    order = replace(order, only=only, **{name: value for name, value in given.items() if value is not None})
+    with progress_bar("blind test") as progress, pool(jobs, dask_address) as workers:
+        records = run(order, out, workers, progress)
+    result = page.write(records, out)
+    emit(result, as_json, page.text(result) + f"\n{out / page.FILE}")

@@ -1,0 +1,221 @@
+"""taut blindtest: labels stay sealed until all diagnoses are written, nothing changes unseen, scores are right."""
+
+import functools
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.host.cli_runner import Taut
+from tests.host.test_diagnose import true_model
+
+from tautline.blindtest import campaign, page, scores, sealed, work
+from tautline.blindtest.campaign import Order
+from tautline.blindtest.cases import Label, make
+from tautline.blindtest.pool import pool
+from tautline.blindtest.scores import Answer, Share
+from tautline.errors import TautError
+from tautline.recording import load_all
+from tautline.rig import Rig
+
+LAG, CREEP = "transmission.lag", "transmission.creep"
+
+
+def label(kind: str, *effects: str, left: float = 1.0) -> Label:
+    return Label(kind, effects, 5, True, {}, 0.05, (left,) * len(effects))
+
+
+def said(verdict: str, *named: str, p: float = 0.8, **others) -> Answer:
+    return Answer(named, verdict, 2.0, frozenset(named), {verdict: p}, **others)
+
+
+def test_shares_have_exact_binomial_intervals():
+    # Clopper and Pearson's for 8 of 10, and the closed form where none or all are right: 1 - 0.025^(1/n).
+    assert Share(8, 10).interval == pytest.approx((0.4439, 0.9748), abs=1e-4)
+    assert Share(0, 30).interval == pytest.approx((0.0, 1 - 0.025 ** (1 / 30)))
+    assert Share(30, 30).interval == pytest.approx((0.025 ** (1 / 30), 1.0))
+    assert Share(0, 0).value is None and Share(0, 0).interval == (0.0, 1.0)
+
+
+def test_a_small_campaign_is_scored_as_counted_by_hand():
+    gap = {"before": 1.0, "after": 0.1, "floor": 0.05}
+    ambiguous = Answer((CREEP,), CREEP, 4.0, frozenset({CREEP, LAG}), {CREEP: 0.6, LAG: 0.4}, "transmission", 0.8, gap)
+    cases = [
+        (label("single", LAG), said(LAG, LAG, stage="transmission", claimed=0.95, realised=gap)),
+        (label("single", LAG), ambiguous),  # wrong name, right set, right stage
+        (label("single", LAG, left=0.01), said("none")),  # too weak to be seen: not scored
+        (label("single", CREEP), said("unknown", stage="camera")),
+        (label("unknown", "zoom"), said("unknown")),
+        (label("unknown", "zoom"), said(LAG, LAG)),
+        (label("none"), said("none")),
+        (label("pair", LAG, CREEP), said(CREEP, CREEP, LAG)),
+        (label("pair", LAG, CREEP), said(CREEP, CREEP)),
+        (label("left out", LAG), said("unknown")),
+    ]
+    found = scores.score(cases)
+    assert (found.top1, found.in_set, found.stage) == (Share(1, 3), Share(2, 3), Share(2, 3))
+    assert found.per_effect == {LAG: Share(1, 2), CREEP: Share(0, 1)}
+    assert found.set_size == pytest.approx(1.5)
+    assert (found.unknown, found.false_known) == (Share(1, 2), Share(1, 2))
+    assert (found.none, found.false_alarm) == (Share(1, 1), Share(0, 1))
+    assert (found.pairs, found.pairs_one, found.left_out) == (Share(1, 2), Share(2, 2), Share(1, 1))
+    assert found.overall == Share(3, 6)
+    assert found.probability == pytest.approx((0.8 + 0.4 + 0.0 + 0.8 + 0.0 + 0.8) / 6)
+    # Realised 90 %, of what could be closed (1 - 0.01 + 0.0025 - 0.0025) / (1 - 0.0025).
+    assert found.claim == pytest.approx((5.0 - 10.0) / 2) and found.claim_size == pytest.approx(7.5)
+    assert found.closed == pytest.approx((1 - 0.01) / (1 - 0.0025))
+    assert found.closed_90 == Share(2, 2)
+    assert found.core_s == pytest.approx((8 * 2.0 + 4.0) / 9)
+    rows, columns, counts = scores.confusion(cases)
+    assert rows == [LAG, CREEP, "zoom", "none"]
+    assert counts[0, columns.index(LAG)] == 1 and counts[0, columns.index(CREEP)] == 1
+    assert counts[2, columns.index("unknown")] == 1 and counts.sum() == 6
+
+
+def test_probabilities_that_are_right_as_often_as_they_say_have_no_calibration_error():
+    rng = np.random.default_rng(1)
+
+    def campaign_of(bias: float):
+        for p in rng.uniform(0.5, 0.99, 4000):
+            right = rng.random() < p - bias
+            yield label("none"), said("none" if right else "unknown", p=p)
+
+    honest, boastful = (scores.score(list(campaign_of(bias))) for bias in (0.0, 0.2))
+    assert honest.calibration_error < 0.03
+    assert boastful.calibration_error == pytest.approx(0.2, abs=0.03)
+
+
+def test_an_order_lists_its_cases_and_names_their_seeds():
+    order = Order(seed=50, single=2, unknown=3, none=1, pairs=1)
+    cases = order.cases()
+    assert len(cases) == 18 * 2 + 3 + 1 + 1
+    assert (51, "single", (LAG,)) in cases and (50, "none", ()) in cases
+    assert Order(seed=9, single=1, only=(LAG, "zoom")).cases() == [
+        (9, "single", (LAG,)),
+        (9, "unknown", ("zoom",)),
+    ]
+
+
+def stub(files, left_out=()):
+    """A diagnosis that finds nothing, at once."""
+    document = {
+        "verdict": "unknown" if left_out else "none",
+        "effects": [],
+        "candidates": [{"id": LAG, "probability": 0.1}],
+        "probability_none": 0.9,
+        "probability_unknown": 0.0,
+        "noise_floor": 0.05,
+        "where": {"stage": None},
+        "gap": {"before": 0.05, "after": 0.05, "shrink": 0.0},
+    }
+    cost = {"core_s": 0.1, "calibration_core_s": 0.0}
+    return {work.DOCUMENT: sealed.canonical(document), work.COST: sealed.canonical(cost), **MODELS}
+
+
+MODELS: dict[str, bytes] = {}
+made_once = functools.cache(make)
+
+
+@pytest.fixture
+def stubbed(monkeypatch, tmp_path):
+    for name in ("nominal", "corrected"):
+        true_model().save(tmp_path / "models" / name)
+    MODELS.update(sealed.read(tmp_path / "models"))
+    monkeypatch.setattr(work, "diagnose_case", stub)
+    monkeypatch.setattr(work, "make", made_once)
+
+
+ORDER = Order(seed=40, single=1, none=1, leave_one_out=1, only=(LAG, "none"))
+
+
+def conduct(folder, order=ORDER, progress=lambda fraction, text: None):
+    with pool(1, None) as here:
+        return campaign.run(order, folder, here, progress)
+
+
+def test_what_a_diagnosis_sees_does_not_tell_the_label(tmp_path, stubbed):
+    records = conduct(tmp_path / "out")
+    assert [r["label"]["kind"] for r in records].count("left out") == 1
+    assert {r["label"]["kind"] for r in records} == {"single", "none", "left out"}
+    for case in (tmp_path / "out" / "cases").iterdir():
+        files = sealed.read(case)
+        assert set(files) == {"rig.toml"} | {
+            f"{folder}/{name}.csv" for folder in ("calibration", "test-1", "test-2") for name in ("motor", "marker")
+        }
+        for content in files.values():
+            assert b"lag" not in content and b"dashpot" not in content and b"seed" not in content
+        paths = [case / name for name in ("calibration", "test-1", "test-2")]
+        recordings = load_all(paths, Rig.load(case / "rig.toml"))
+        assert all(r.warnings == () for r in recordings)
+
+
+@pytest.mark.parametrize(
+    "what",
+    ["sealed/case-0000/label.json", "sealed/case-0000/further/marker.csv", "diagnoses/case-0001/diagnosis.json"],
+)
+def test_what_was_changed_after_sealing_is_an_error(tmp_path, stubbed, what):
+    conduct(tmp_path / "out")
+    path = tmp_path / "out" / what
+    text = path.read_text()
+    path.write_text(text.replace("0", "1", 1))
+    assert path.read_text() != text
+    with pytest.raises(TautError, match="was changed after it was"):
+        conduct(tmp_path / "out")
+    path.write_text(text)
+    assert len(conduct(tmp_path / "out")) == 3
+    if what.startswith("diagnoses"):  # its list of hashes changed along with it
+        path.write_text(text.replace("0", "1", 1))
+        files = {name: data for name, data in sealed.read(path.parent).items() if name != sealed.LIST}
+        sealed.Campaign(tmp_path / "out").write_diagnosis("case-0001", files)
+        with pytest.raises(TautError, match="was changed after it was"):
+            conduct(tmp_path / "out")
+
+
+def test_labels_cannot_be_opened_before_every_diagnosis_is_written(tmp_path, stubbed):
+    def stop(fraction, text):
+        if text.startswith("diagnosed 1"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        conduct(tmp_path / "out", progress=stop)
+    folder = sealed.Campaign(tmp_path / "out")
+    assert folder.diagnosed("case-0000") and not folder.diagnosed("case-0001")
+    with pytest.raises(TautError, match="stays sealed until every diagnosis is written"):
+        folder.open("case-0000", folder.plan()["cases"]["case-0000"])
+
+
+@pytest.mark.parametrize("stage", ["making cases", "diagnosed 1", "opening"])
+def test_an_interrupted_campaign_goes_on_where_it_was(tmp_path, stubbed, monkeypatch, stage):
+    whole = conduct(tmp_path / "whole")
+    done = []
+    for name in ("make_case", "diagnose_case"):
+        function = getattr(work, name)
+        monkeypatch.setattr(work, name, lambda *a, f=function, n=name, **k: (done.append(n), f(*a, **k))[1])
+
+    def stop(fraction, text):
+        if text.startswith(stage):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        conduct(tmp_path / "out", progress=stop)
+    resumed = conduct(tmp_path / "out")
+    assert sorted(done) == ["diagnose_case"] * 3 + ["make_case"] * 2  # nothing twice
+    assert page.result(resumed)["methods"] == page.result(whole)["methods"]
+    with pytest.raises(TautError, match="another campaign"):
+        conduct(tmp_path / "out", replace(ORDER, seed=41))
+
+
+def test_the_command_makes_diagnoses_and_scores(tmp_path, monkeypatch, capsys):
+    taut = Taut(monkeypatch, capsys)
+    arguments = ["blindtest", "--out", tmp_path / "out", "--seed", 3, "--only", "none", "--only", "registration.shift"]
+    done = taut(*arguments, "--none", 1, "--cases", 1, "--jobs", 1, "--json")
+    assert done.code == 0, done.err
+    document = json.loads(done.out)
+    assert document == json.loads((tmp_path / "out" / "result.json").read_text())
+    assert document["cases"] == 2 and document["tuning"]
+    assert document["methods"]["tautline"]["overall"]["of"] == 2
+    assert np.sum(document["confusion"]["counts"]) == 2
+    shift = next(line for line in document["each"] if line["effects"])
+    assert shift["realised"]["before"] > 2 * shift["realised"]["floor"]
+    html = (tmp_path / "out" / "report.html").read_text()
+    assert "registration.shift" not in html.split("<h2>")[0] and "single identifiable effect" in html
