@@ -202,3 +202,23 @@ def test_well_formed_nonsense(bench: Bench, seed: int) -> None:
         bench.run(0.5)
         board.ask("clear_fault", axis=wire.wire.ALL_AXES)
         assert board.ask("hello", protocol_major=wire.wire.MAJOR).axes == board.axes
+
+
+@pytest.mark.parametrize("endpoint", [0x01, 0x81])
+def test_a_halted_endpoint_answers_stall_until_it_is_cleared(board: Board, endpoint: int) -> None:
+    """SET_FEATURE(ENDPOINT_HALT) and CLEAR_FEATURE as any host may send them; nothing that is whole is lost later."""
+    board.sync()
+    device = board._device
+    device.ctrl_transfer(0x02, 3, 0, endpoint, None)
+    assert bytes(device.ctrl_transfer(0x82, 0, 0, endpoint, 2)) == b"\1\0"
+    with pytest.raises(usb.core.USBError) as stalled:
+        if endpoint & 0x80:
+            device.read(endpoint, 64, 500)
+        else:
+            device.write(endpoint, bytes(64), 500)
+    assert stalled.value.errno == errno.EPIPE
+    for _ in range(2):  # once more than is needed
+        device.clear_halt(endpoint)
+    assert bytes(device.ctrl_transfer(0x82, 0, 0, endpoint, 2)) == b"\0\0"
+    for _ in range(5):
+        assert board.sync() > 0

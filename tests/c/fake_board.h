@@ -19,6 +19,7 @@ typedef struct {
     double speed[TL_WIRE_AXES_MAX];
     tl_duty_q15_t duty[TL_WIRE_AXES_MAX];
     int32_t current_ma;
+    bool slipped[TL_WIRE_AXES_MAX]; // until the app has asked
     bool blocked;
     uint8_t flash[FAKE_FLASH];
     uint32_t operations;
@@ -42,6 +43,12 @@ static int32_t fake_encoder(void *context, uint8_t axis) {
 }
 static void fake_drive(void *context, uint8_t axis, tl_duty_q15_t duty) {
     ((fake_t *)context)->duty[axis] = duty;
+}
+static bool fake_edges_lost(void *context, uint8_t axis) {
+    bool *slipped = &((fake_t *)context)->slipped[axis];
+    const bool lost = *slipped;
+    *slipped = false;
+    return lost;
 }
 static int32_t fake_current(void *context, uint8_t axis) {
     (void)axis;
@@ -128,6 +135,7 @@ static inline void fake_start(uint8_t axes, tl_wire_boot_t boot) {
                             .control_hz = FAKE_HZ,
                             .time_us = fake_time,
                             .encoder = fake_encoder,
+                            .edges_lost = fake_edges_lost,
                             .drive = fake_drive,
                             .current_ma = fake_current,
                             .flash = fake.flash,

@@ -94,6 +94,19 @@ static void test_too_much_current_faults_after_its_mean(void) {
     assert_safe(0, TL_WIRE_FAULT_CURRENT);
 }
 
+static void test_lost_edges_fault_moving_or_off(void) {
+    fake_enable(0, 1);
+    TEST_ASSERT_EQUAL(0, move(0, 2000));
+    fake_run_ms(20);
+    fake.slipped[0] = true;
+    fake_run_ms(2);
+    assert_safe(0, TL_WIRE_FAULT_EDGES);
+    TEST_ASSERT_EQUAL(TL_WIRE_FAULT_NONE, fake_status(1).fault);
+    fake.slipped[1] = true;
+    fake_run_ms(2);
+    assert_safe(1, TL_WIRE_FAULT_EDGES);
+}
+
 static void test_an_encoder_that_jumps_faults_even_when_off(void) {
     fake.position[0] += 5000.0;
     fake_run_ms(1);
@@ -476,6 +489,7 @@ int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_a_blocked_motor_faults);
     RUN_TEST(test_too_much_current_faults_after_its_mean);
+    RUN_TEST(test_lost_edges_fault_moving_or_off);
     RUN_TEST(test_an_encoder_that_jumps_faults_even_when_off);
     RUN_TEST(test_safe_stop_works_from_every_state);
     RUN_TEST(test_late_control_steps_fault_a_driven_axis_only);

@@ -7,7 +7,7 @@
 #include "tautline/tl_axis.h"
 #include "tautline/tl_onset.h"
 
-enum { STEP_TIP, STEP_OTHER, ONSET, LOOKUP, LOOKUP_PLAIN, EMPTY };
+enum { STEP_TIP, STEP_OTHER, ONSET, LOOKUP, LOOKUP_YARDSTICK, EMPTY };
 enum { TABLES = 40, TICKS = 400, RATE_HZ = 5000, REVERSALS = 60 };
 
 #define BEGIN(kind)                                                                                                    \
@@ -265,9 +265,11 @@ static void onsets(void) {
     }
 }
 
-// The plainest way of one look-up, as a yardstick: linear interpolation with a 64-bit product, as arm_linear_interp_q31
-// has it.
-static int32_t __not_in_flash_func(plain_lookup)(const int32_t *y, int32_t x, uint32_t nodes) {
+#ifdef TAUTLINE_CMSIS_DSP
+#include "dsp/interpolation_functions.h"
+#else
+// The plainest way of one look-up: linear interpolation between y[index] and the next, x is Q12.20.
+static int32_t __not_in_flash_func(arm_linear_interp_q31)(const int32_t *y, int32_t x, uint32_t nodes) {
     const int32_t index = x >> 20;
     if (index >= (int32_t)nodes - 1) {
         return y[nodes - 1];
@@ -278,6 +280,7 @@ static int32_t __not_in_flash_func(plain_lookup)(const int32_t *y, int32_t x, ui
     const int32_t fraction = (x & 0xfffff) << 11;
     return (int32_t)(((int64_t)y[index] * (0x7fffffff - fraction) + (int64_t)y[index + 1] * fraction) >> 31);
 }
+#endif
 
 static void lookups(void) {
     volatile int32_t sink;
@@ -289,8 +292,8 @@ static void lookups(void) {
         sink = tl_lookup_width(&axis.lookup, p, &flags);
         END();
         const int32_t x = between(0, (table->nodes << 20) - 1);
-        BEGIN(LOOKUP_PLAIN);
-        sink = plain_lookup(table->width, x, table->nodes);
+        BEGIN(LOOKUP_YARDSTICK);
+        sink = arm_linear_interp_q31(table->width, x, table->nodes);
         END();
         BEGIN(EMPTY);
         END();

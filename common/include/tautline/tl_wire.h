@@ -335,7 +335,8 @@
     C(5, OVERRUN, "control steps came late")                                                                           \
     C(6, WATCHDOG, "the firmware hung and was restarted by the watchdog")                                              \
     C(7, STOPPED, "stopped by safe_stop")                                                                              \
-    C(8, ENCODER, "the encoder jumped")
+    C(8, ENCODER, "the encoder jumped")                                                                                \
+    C(9, EDGES, "encoder edges were lost: the position is off by some counts")
 
 #define TL_WIRE_MODES(C)                                                                                               \
     C(0, OFF, "motor off")                                                                                             \

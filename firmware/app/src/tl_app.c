@@ -271,11 +271,23 @@ void tl_app_receive(tl_app_t *app, const uint8_t *bytes, size_t size) {
     app->counters.bytes_bad = app->parser.bytes_bad;
 }
 
+// Within POLL_US of its loss a position is no longer trusted.
+static void poll_encoders(tl_app_t *app, tl_us_t now_us) {
+    for (uint8_t i = 0; i < app->port->axes; i++) {
+        if (app->port->edges_lost(app->port->context, i)) {
+            const uint32_t state = app->port->lock(app->port->context);
+            tl_axis_fail(&app->axes[i], TL_WIRE_FAULT_EDGES, now_us);
+            app->port->unlock(app->port->context, state);
+        }
+    }
+}
+
 void tl_app_task(tl_app_t *app) {
     const tl_us_t now_us = app->port->time_us(app->port->context);
     if (now_us - app->polled_us >= POLL_US) {
         app->polled_us = now_us;
         poll_calibration(app, now_us);
+        poll_encoders(app, now_us);
         if (app->steps != app->steps_fed) {
             app->steps_fed = app->steps;
             app->port->watchdog_feed(app->port->context);

@@ -56,6 +56,12 @@ static void lose_power(void) {
     }
 }
 
+static bool port_edges_lost(void *context, uint8_t axis) {
+    (void)context;
+    (void)axis;
+    return false; // it counts as fast as its motors turn
+}
+
 static bool port_erase(void *context, uint32_t offset) {
     (void)context;
     if (!state.powered) {
@@ -122,6 +128,7 @@ bool board_open(const board_options_t *options) {
         .control_hz = options->control_hz,
         .time_us = port_time,
         .encoder = port_encoder,
+        .edges_lost = port_edges_lost,
         .drive = port_drive,
         .current_ma = port_current,
         .flash = flash_bytes,

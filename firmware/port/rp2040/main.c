@@ -70,6 +70,11 @@ static int32_t __not_in_flash_func(port_encoder)(void *context, uint8_t axis) {
     return quadrature_count(axis);
 }
 
+static bool port_edges_lost(void *context, uint8_t axis) {
+    (void)context;
+    return quadrature_slipped(axis);
+}
+
 static void __not_in_flash_func(port_drive)(void *context, uint8_t axis, tl_duty_q15_t duty) {
     (void)context;
     bridge_drive(axis, duty);
@@ -194,6 +199,7 @@ int main(void) {
         .control_hz = TAUTLINE_CONTROL_HZ,
         .time_us = port_time_us,
         .encoder = port_encoder,
+        .edges_lost = port_edges_lost,
         .drive = port_drive,
         .current_ma = port_current_ma,
         .flash = (const uint8_t *)(XIP_BASE + TABLE_OFFSET),

@@ -37,7 +37,7 @@ int32_t __not_in_flash_func(quadrature_count)(unsigned axis) {
     return (int32_t)pio0->rxf[axis];
 }
 
-bool __not_in_flash_func(quadrature_slipped)(unsigned axis) {
+bool quadrature_slipped(unsigned axis) {
     const uint32_t flag = 1u << axis;
     if (!(pio0->irq & flag)) {
         return false;

@@ -6,7 +6,7 @@ const SENSE_PINS = [22, 24, 25];             // of the multiplexer, lowest first
 const DEAD_TIME_US = 0.45;                   // DRV8833: neither side conducts while it switches over
 const SHUNT_OHM = 0.47;
 const ADC_VOLT = 3.3;
-const QUADRATURE = [0b00, 0b01, 0b11, 0b10]; // B << 1 | A as the count rises
+const QUADRATURE = [0b00, 0b10, 0b11, 0b01]; // B << 1 | A as the motor turns forward
 
 export const STEP_US = 25;
 const LOG_US = 1000;

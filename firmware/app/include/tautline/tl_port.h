@@ -24,6 +24,8 @@ typedef struct {
     tl_us_t (*time_us)(void *context);
     /// Quadrature counts since the start, wraps; control step.
     int32_t (*encoder)(void *context, uint8_t axis);
+    /// Whether edges of an encoder were lost since the last call: its count is off from then on. Task.
+    bool (*edges_lost)(void *context, uint8_t axis);
     /// Drive of the H-bridge, held until the next call: 0 shorts the motor (it brakes). Both threads, under the lock.
     void (*drive)(void *context, uint8_t axis, tl_duty_q15_t duty);
     /// Motor current, mA, the latest sample (a port may sample one axis a step); control step.
