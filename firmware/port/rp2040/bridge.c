@@ -11,8 +11,8 @@ enum {
     CLOCK_HZ = 125000000,
     PERIOD = CLOCK_HZ / PWM_HZ,
     SENSE_BEFORE_END = CLOCK_HZ / 1000000,       // the ADC holds its sample within this time
-    DEAD_TIME = CLOCK_HZ / 1000000 * 450 / 1000, // DRV8833: 450 ns in which neither side conducts
-    SHUNT_MILLIOHM = 470,                        // of the Motor 2040
+    DEAD_TIME = CLOCK_HZ / 1000000 * 450 / 1000, // t_DEAD of TI's DRV8833 data sheet: neither side conducts
+    SHUNT_MILLIOHM = 470, // motor2040.hpp of Pimoroni's pimoroni-pico, gain 1; its offset of -5 mA is left out
     ADC_FULL_SCALE_MV = 3300,
     ADC_SHARED_INPUT = MOTOR2040_SHARED_ADC_PIN - 26,
 };

@@ -9,7 +9,8 @@
 /// Once per axis, before anything else uses PIO 0.
 void quadrature_init(unsigned axis, unsigned pin_a);
 
-/// Edges counted since the start, up while B leads A (forward, on Pimoroni's motors); wraps at 2^32. From any context, about 40 cycles.
+/// Edges counted since the start, up while B leads A (forward, on Pimoroni's motors); wraps at 2^32. From any context,
+/// about 40 cycles.
 int32_t quadrature_count(unsigned axis);
 
 /// Whether an edge was lost (A and B changed within one round, 80 ns) since the last call.
