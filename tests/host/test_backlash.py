@@ -109,3 +109,17 @@ def test_brackets_intersect():
 def test_without_widths_there_is_no_curve():
     stuck = Onset(0, 0.0, np.nan, 1, -0.4, 0.4, np.inf, 0.8, np.inf, BOUND, True)
     assert fit_widths([stuck], GRID) is None and fit_paper([stuck], GRID) is None
+
+
+def test_brackets_that_contradict_each_other_give_their_middle_and_a_large_sigma():
+    rng = np.random.default_rng(4)
+    truth = rng.uniform(0.0, 0.5, 60)  # as if the image moved by itself
+    centre = np.linspace(-4, 4, 60)
+    onsets = [
+        Onset(0, k, k + 0.5, 1, p - w / 2, p + w / 2, 1e-3, w - half, w + half, BRACKET, True)
+        for k, (p, w, half) in enumerate(zip(centre, truth, np.where(np.arange(60) % 3, 2e-3, 1e-6), strict=True))
+    ]
+    curve = fit_widths(onsets, GRID)
+    inside = np.abs(GRID) < 3.5
+    assert np.abs(curve.width[inside] - 0.25).max() < 0.15
+    assert curve.sigma[inside].min() > 0.01

@@ -9,6 +9,7 @@ import pytest
 
 from tautline.calibration.calibrate import JOINT, ONSETS, Options, calibrate
 from tautline.calibration.playfit import Frozen
+from tautline.effects import simulate as simulate_effects
 from tautline.errors import TautError
 from tautline.geometry import project
 from tautline.model import Model
@@ -320,3 +321,18 @@ def test_another_axis_that_moves_all_the_time_leaves_the_pose():
     print(f"another axis moves all the time: prediction {over:.3f} x the noise")
     assert over < 1.3
     assert any("rests on the pose" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(("share", "tau_s"), [(0.06, 0.8), (0.18, 1.6)])
+def test_a_tip_that_creeps_on_after_the_motor_turned_hides_no_onset(share, tau_s):
+    rng = np.random.default_rng(int(1e3 * share))
+    plant = preset("random", RIG, 611)
+    recording = record(RIG, plant, motion(RIG, reversals=14), 611).recording
+    t = recording.marker.t_s
+    law = Model(RIG, plant.grid, plant.width, np.zeros_like(plant.grid), plant.c_deg, 0.0873, (-4.0, 4.0))
+    seen = simulate_effects(law, recording.motor, t - 0.0873, {"creep_share": share, "creep_time": tau_s}).image_px
+    seen = seen + rng.normal(0.0, NOISE, seen.shape)
+    found = calibrate([replace(recording, marker=Marker(t, *seen.T, np.ones(len(t), bool)))], RIG)
+    width, delay = width_error(found.model, plant), abs(found.model.delay_s - 0.0873)
+    print(f"creep of {share:.2f} over {tau_s} s: B(q) {1e3 * width:.1f} um rms, delay {1e3 * delay:.1f} ms off")
+    assert width < 0.02 * plant.width.mean() and delay < 0.012

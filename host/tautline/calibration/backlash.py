@@ -269,7 +269,9 @@ class _Fit:
         """-log likelihood of each width with its first two derivatives by B(p)."""
         value = self.design[use] @ coefficients
         size = np.where(self.boxed[use], self.high[use] - self.low[use], 1.0)
-        soft = np.maximum(sharpness * size / 2, 1e-9)
+        soft = np.maximum(
+            sharpness * size / 2, max(self.excess, 1e-9)
+        )  # brackets that contradict each other are no walls
         cost, first, second = _box((value - self.low[use]) / soft, (value - self.high[use]) / soft)
         gauss = ~self.boxed[use]
         z = (value - self.w[use]) / self.spread[use]

@@ -27,6 +27,8 @@ _SUDDEN = 0.35  # of the window's mean slope: a path that starts slower is no hi
 _NOMINAL_S = 0.03  # standard deviation of a nominal delay
 _PER_TERM = 3.5  # chi-square that one more term of a path must explain: between AIC (2) and BIC (4.5)
 _DELAY_REACH_S = 0.12  # the delay is looked for this far around the nominal one
+_SETTLE_S = np.geomspace(0.2, 8.0, 16)  # time constants of a tip that creeps; the first one is a lag's
+_SETTLES = 0.9  # share of the squares after a turn that creeping must explain
 
 
 @dataclass(frozen=True)
@@ -165,6 +167,7 @@ class _Stroke:
     direction: int
     frames: npt.NDArray[np.intp]
     travel: Array  # (frames,) motor travel since the turn
+    z: Array  # (frames, channels) whitened positions, without what the tip still creeps the old way
     departure: int | None  # first frame (index into frames) at which the image has left its level
     first: bool
 
@@ -184,7 +187,7 @@ def _strokes(track: Track, rig: Rig, delay_s: float) -> list[_Stroke]:
     scene = track.scene_s(delay_s)
     at = track.motor_at(scene)
     inside = track.within_motor(scene)
-    strokes = []
+    strokes: list[_Stroke] = []
     for k in range(len(edges) - 1):
         a, b = int(edges[k]), int(edges[k + 1])
         q1 = float(q[a])
@@ -192,11 +195,46 @@ def _strokes(track: Track, rig: Rig, delay_s: float) -> list[_Stroke]:
         start, end = float(motor.t_s[a]), float(motor.t_s[b])
         frames = np.flatnonzero((scene >= start) & (scene < end) & inside)
         travel = np.maximum(direction * (at[frames] - q1), 0.0)
-        tail = 0 if k == 0 else _tail(track.y[frames] / track.sigma[frames, None])
-        frames, travel = frames[tail:], travel[tail:]
         z = track.y[frames] / track.sigma[frames, None]
-        strokes.append(_Stroke(start, end, q1, direction, frames, travel, _departure(z), k == 0))
+        if k > 0:
+            creep = _settling(scene[frames] - start, z, _heading(strokes[-1].z))
+            z = z - creep
+            tail = 0 if creep.any() else _tail(z)
+            frames, travel, z = frames[tail:], travel[tail:], z[tail:]
+        strokes.append(_Stroke(start, end, q1, direction, frames, travel, z, _departure(z), k == 0))
     return strokes
+
+
+def _heading(z: Array) -> Array:
+    """(channels,) which way the image moved last; 0 where it hardly did."""
+    last = z[-8:]
+    if len(last) < 4:
+        return np.zeros(z.shape[1])
+    way: Array = last[-2:].mean(axis=0) - last[:2].mean(axis=0)
+    size = float(np.linalg.norm(way))
+    return way / size if size > 10.0 else np.zeros_like(way)
+
+
+def _settling(since_s: Array, z: Array, heading: Array) -> Array:
+    """(n, channels) what the tip goes on moving along `heading` after the motor turned at 0 s: A (1 - exp(-t / tau)),
+    fitted to the frames before it comes back. 0 where it does not, or for no longer than a lag (_tail)."""
+    none = np.zeros_like(z)
+    if len(z) < 10 or not heading.any():
+        return none
+    ahead = np.convolve((z - z[0]) @ heading, np.ones(3) / 3, mode="valid")
+    stop = int(np.argmax(ahead))  # two frames before the middle of the furthest three
+    if ahead[stop] < 8.0 or stop < 6:
+        return none
+    best, least = none, np.inf
+    for tau in _SETTLE_S:
+        gone = 1.0 - np.exp(-since_s / tau)
+        basis = np.column_stack([np.ones(stop), gone[:stop]])
+        coefficients, *_ = np.linalg.lstsq(basis, z[:stop], rcond=None)
+        squares = float(np.sum((z[:stop] - basis @ coefficients) ** 2))
+        if squares < least:
+            least, best = squares, gone[:, None] * coefficients[1] if tau > _SETTLE_S[0] else none
+    level = float(np.sum((z[:stop] - z[:stop].mean(axis=0)) ** 2))
+    return best if least - z[:stop].size < (1.0 - _SETTLES) * level else none
 
 
 def _tail(z: Array) -> int:
@@ -268,7 +306,7 @@ def _onset(number: int, track: Track, before: _Stroke, after: _Stroke, rig: Rig,
         return replace(nothing, kind=BOUND, low=reach, used=True, reason="nothing moved: the stroke is shorter than B")
     if not on_envelope:
         return replace(nothing, reason="the tip was not on an envelope before it")
-    window = _fit_window(track, after)
+    window = _fit_window(after)
     if window is None:
         return replace(nothing, reason="too few frames around the onset")
     x, y, order, hinge = window
@@ -322,13 +360,12 @@ def _with_clock_and_counts(onset: Onset, track: Track, delay_sigma: float, resol
     return replace(onset, sigma=float(np.hypot(onset.sigma, extra)))
 
 
-def _fit_window(track: Track, stroke: _Stroke) -> tuple[Array, Array, int, Hinge] | None:
+def _fit_window(stroke: _Stroke) -> tuple[Array, Array, int, Hinge] | None:
     """The longest window after the onset that a polynomial of order 3 or less follows within the noise, the best order
     for it, and the hinge on it, averaged over the orders."""
     departure = stroke.departure
     assert departure is not None
-    frames, travel = stroke.frames, stroke.travel
-    z = track.y[frames] / track.sigma[frames, None]
+    frames, travel, z = stroke.frames, stroke.travel, stroke.z
     after = min(len(frames) - departure, _LONGEST)
     while True:
         stop = departure + max(after, 4)
@@ -427,18 +464,18 @@ class _Stop:
     q1: float
     direction: int  # before the turn
     frames: npt.NDArray[np.intp]
+    z: Array  # (frames, channels) as in _Stroke
     order: int
 
     @property
     def freedom(self) -> int:
-        return int(max(1, (len(self.frames) - 1 - self.order) * self.track.y.shape[1]))
+        return int(max(1, (len(self.frames) - 1 - self.order) * self.z.shape[1]))
 
     def squares(self, delays: Array) -> Array:
         scene = self.track.t_s[self.frames][None, :] - delays[:, None]
         behind = np.minimum(self.direction * (self.track.motor_at(scene.ravel()).reshape(scene.shape) - self.q1), 0.0)
         behind = np.where(scene < self.turn_s, behind, 0.0)
-        z = self.track.y[self.frames] / self.track.sigma[self.frames, None]
-        return _profile(behind, self.order, z)[0]
+        return _profile(behind, self.order, self.z)[0]
 
 
 def _stops(track: Track, rig: Rig, delay_s: float) -> list[_Stop]:
@@ -447,16 +484,19 @@ def _stops(track: Track, rig: Rig, delay_s: float) -> list[_Stop]:
     for before, after in pairwise(strokes):
         if before.departure is None or not track.others_still(before.end_s - 0.5, after.end_s):
             continue
-        moving = before.frames[before.departure :]
+        moving = len(before.frames) - before.departure
         # Where the tip starts gradually, it has begun before it is noticed.
-        still = after.frames if after.departure is None else after.frames[: int(0.7 * after.departure)]
-        still = still[:_BEFORE]
-        if len(moving) < 4 or len(still) < 3:
+        still = len(after.frames) if after.departure is None else int(0.7 * after.departure)
+        still = min(still, _BEFORE)
+        if moving < 4 or still < 3:
             continue
-        count = min(len(moving), _BEFORE)
+        count = min(moving, _BEFORE)
         while True:
-            frames = np.concatenate([moving[-count:], still])
-            stop = _Stop(track, after.start_s, after.q1, -after.direction, frames, 2 if count > 6 else 1)
+            frames = np.concatenate([before.frames[-count:], after.frames[:still]])
+            z = np.concatenate(
+                [track.y[before.frames[-count:]] / track.sigma[before.frames[-count:], None], after.z[:still]]
+            )
+            stop = _Stop(track, after.start_s, after.q1, -after.direction, frames, z, 2 if count > 6 else 1)
             nearby = delay_s + np.linspace(-0.03, 0.03, 13)
             if count <= 6 or stop.squares(nearby).min() < stop.freedom + 4.0 * np.sqrt(2.0 * stop.freedom):
                 break
