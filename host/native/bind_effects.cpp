@@ -1,6 +1,8 @@
+#include "arrays.h"
 #include "effects.h"
+#include "sight.h"
 
-#include <cmath>
+#include <cstring>
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
@@ -14,79 +16,146 @@ using namespace nb::literals;
 
 namespace {
 
-using Values = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Values = ArrayIn<double>;
+using Marks = ArrayIn<unsigned char>;
 
-template <typename T> nb::ndarray<nb::numpy, T, nb::ndim<1>> owned(T *data, size_t n) {
-    nb::capsule owner(data, [](void *p) noexcept { delete[] static_cast<T *>(p); });
-    return nb::ndarray<nb::numpy, T, nb::ndim<1>>(data, {n}, owner);
+template <typename T> struct Field {
+    const char *name;
+    double T::*member;
+};
+const Field<effect_parameters> EFFECTS[] = {
+#define X(name, absent, unit, meaning) {#name, &effect_parameters::name},
+    EFFECT_PARAMETERS(X)
+#undef X
+};
+const Field<sight_parameters> SIGHTS[] = {
+#define X(name, unit, meaning) {#name, &sight_parameters::name},
+    SIGHT_PARAMETERS(X)
+#undef X
+};
+
+template <typename T, std::size_t N> void fill(T &into, const nb::dict &values, const Field<T> (&fields)[N]) {
+    for (auto [key, value] : values) {
+        const std::string name = nb::cast<std::string>(key);
+        bool known = false;
+        for (const auto &field : fields) {
+            if (name == field.name) {
+                into.*field.member = nb::cast<double>(value);
+                known = true;
+            }
+        }
+        if (!known) {
+            throw std::invalid_argument("no effect has a parameter '" + name + "'");
+        }
+    }
 }
 
-const double *column(const std::optional<Values> &values, size_t n, const char *name) {
+template <typename T> const T *column(const std::optional<ArrayIn<T>> &values, size_t n, const char *name) {
     if (!values) {
         return nullptr;
     }
     if (values->shape(0) != n) {
-        throw std::invalid_argument(std::string(name) + " must be as long as t_s");
+        throw std::invalid_argument(std::string(name) + " has a wrong length");
     }
     return values->data();
 }
 
 nb::object simulate(const nb::dict &parameters, Values grid, Values width, Values c_deg, Values t_s, Values q,
-                    std::optional<Values> translation, std::optional<Values> rotation, std::optional<Values> load,
-                    double p0) {
+                    Values at_s, std::optional<Values> translation, std::optional<Values> rotation,
+                    std::optional<Values> load, double session_s, double p0) {
     effect_parameters e = {
 #define X(name, absent, unit, meaning) absent,
         EFFECT_PARAMETERS(X)
 #undef X
     };
-    for (auto [key, value] : parameters) {
-        const std::string name = nb::cast<std::string>(key);
-        bool known = false;
-#define X(field, absent, unit, meaning)                                                                                \
-    if (name == #field) {                                                                                              \
-        e.field = nb::cast<double>(value);                                                                             \
-        known = true;                                                                                                  \
-    }
-        EFFECT_PARAMETERS(X)
-#undef X
-        if (!known) {
-            throw std::invalid_argument("no effect has a parameter '" + name + "'");
-        }
-    }
-    const size_t nodes = grid.shape(0);
-    const size_t n = t_s.shape(0);
+    fill(e, parameters, EFFECTS);
+    const size_t nodes = grid.shape(0), knots = t_s.shape(0), n = at_s.shape(0);
     if (nodes < 2 || width.shape(0) != nodes || c_deg.shape(0) != nodes) {
         throw std::invalid_argument("grid, width and c_deg must have one length, 2 or more");
     }
-    if (q.shape(0) != n) {
-        throw std::invalid_argument("q must be as long as t_s");
+    if (knots < 1 || q.shape(0) != knots) {
+        throw std::invalid_argument("q must be as long as t_s, 1 or more");
     }
     const effect_tables tables = {grid.data(), width.data(), c_deg.data(), nodes};
-    const effect_motion motion = {t_s.data(),
-                                  q.data(),
-                                  column(translation, n, "translation"),
-                                  column(rotation, n, "rotation"),
-                                  column(load, n, "load"),
-                                  n};
-    auto *c_out = new double[n];
-    auto *p_out = new double[n];
-    auto *side_out = new signed char[n];
+    const effect_motion motion = {t_s.data(), q.data(), column(load, knots, "load"), knots};
+    const effect_times times = {at_s.data(), column(translation, n, "translation"), column(rotation, n, "rotation"), n,
+                                session_s};
+    auto c = new_array<double>(n), p = new_array<double>(n), tip = new_array<double>(n), gain = new_array<double>(n),
+         way = new_array<double>(n);
+    auto side = new_array<signed char>(n);
+    const effect_path path = {c.data(), p.data(), tip.data(), gain.data(), way.data(), side.data()};
     {
         nb::gil_scoped_release unlocked;
-        effects_simulate(&e, &tables, &motion, p0, c_out, p_out, side_out);
+        effects_simulate(&e, &tables, &motion, &times, p0, &path);
     }
-    return nb::make_tuple(owned(c_out, n), owned(p_out, n), owned(side_out, n));
+    return nb::make_tuple(c, p, tip, gain, way, side);
+}
+
+ArrayOut<unsigned char> thin(Values t_s, Values values, Values tolerance, double rest_s) {
+    const size_t samples = t_s.shape(0), channels = tolerance.shape(0);
+    if (channels < 1 || channels > EFFECT_CHANNELS || values.shape(0) != channels * samples) {
+        throw std::invalid_argument("values must be 1 to 4 channels, each as long as t_s");
+    }
+    auto keep = new_array<unsigned char>(samples);
+    nb::gil_scoped_release unlocked;
+    effects_thin(t_s.data(), samples, values.data(), tolerance.data(), channels, rest_s, keep.data());
+    return keep;
+}
+
+using Table = nb::ndarray<nb::numpy, double>;
+
+Table table(double *data, std::initializer_list<size_t> shape) {
+    nb::capsule owner(data, [](void *p) noexcept { delete[] static_cast<double *>(p); });
+    return Table(data, shape, owner);
+}
+
+nb::object see(const nb::dict &parameters, Values rig, Values c_deg, std::optional<Values> translation,
+               std::optional<Values> rotation, std::optional<Values> way, std::optional<Marks> shifted, bool slopes) {
+    sight_parameters e = {};
+    fill(e, parameters, SIGHTS);
+    sight_rig r;
+    if (rig.shape(0) * sizeof(double) != sizeof r) {
+        throw std::invalid_argument("rig must be the numbers of sight_rig");
+    }
+    std::memcpy(&r, rig.data(), sizeof r);
+    const size_t n = c_deg.shape(0);
+    const sight_pose pose = {
+        c_deg.data(),          column(translation, n, "translation"), column(rotation, n, "rotation"),
+        column(way, n, "way"), column(shifted, n, "shifted"),         n};
+    auto *image = new double[2 * n];
+    auto *by_c = slopes ? new double[2 * n] : nullptr;
+    auto *by_static = slopes ? new double[2 * n * SIGHT_STATIC] : nullptr;
+    {
+        nb::gil_scoped_release unlocked;
+        sight_image(&e, &r, &pose, image, by_c, by_static);
+    }
+    if (!slopes) {
+        return nb::cast(table(image, {n, 2}));
+    }
+    return nb::make_tuple(table(image, {n, 2}), table(by_c, {n, 2}), table(by_static, {n, 2, SIGHT_STATIC}));
 }
 
 } // namespace
 
 void bind_effects(nb::module_ &m) {
-    nb::list table;
-#define X(name, absent, unit, meaning) table.append(nb::make_tuple(#name, double(absent), unit, meaning));
+    nb::list path, sight;
+#define X(name, absent, unit, meaning) path.append(nb::make_tuple(#name, double(absent), unit, meaning));
     EFFECT_PARAMETERS(X)
 #undef X
-    m.attr("effect_parameters") = table; // (name, value when absent, unit, meaning)
-    m.def("simulate_effects", &simulate, "parameters"_a, "grid"_a, "width"_a, "c_deg"_a, "t_s"_a, "q"_a,
-          "translation"_a = nb::none(), "rotation"_a = nb::none(), "load"_a = nb::none(), "p0"_a = std::nan(""),
-          "(c_deg, p, side) of every motor sample: the transmission with the named effects (effects.h).");
+#define X(name, unit, meaning) sight.append(nb::make_tuple(#name, 0.0, unit, meaning));
+    SIGHT_PARAMETERS(X)
+#undef X
+    m.attr("effect_parameters") = path; // (name, value when absent, unit, meaning): what moves the tip
+    m.attr("sight_parameters") = sight; // and what changes where it is seen
+    m.def("simulate_effects", simulate, "parameters"_a, "grid"_a, "width"_a, "c_deg"_a, "t_s"_a, "q"_a, "at_s"_a,
+          "translation"_a = nb::none(), "rotation"_a = nb::none(), "load"_a = nb::none(), "session_s"_a = 0.0,
+          "p0"_a = NAN,
+          "c (deg), p, tip, gain, way and side at rising times at_s; tables are linear on `grid`; t_s, q and load are "
+          "knots, translation and rotation are at at_s. See effects.h.");
+    m.def("thin", thin, "t_s"_a, "values"_a, "tolerance"_a, "rest_s"_a,
+          "1 where a sample must stay for straight lines to be within tolerance. See effects.h.");
+    m.def("see", see, "parameters"_a, "rig"_a, "c_deg"_a, "translation"_a = nb::none(), "rotation"_a = nb::none(),
+          "way"_a = nb::none(), "shifted"_a = nb::none(), "slopes"_a = false,
+          "The image (n, 2) px; with slopes also its derivatives by c (n, 2) and by a static registration (n, 2, 6). "
+          "rig: the numbers of struct sight_rig in order. See sight.h.");
 }

@@ -3,6 +3,8 @@
 #include <math.h>
 
 enum { PLAYS = 9 }; // thresholds that stand for a spread one: the corner becomes a polygon of as many pieces
+static const double SLOWER = 5.0;   // the creep's second element
+static const double SPEED_S = 0.02; // over which the width notices a speed: shorter than any motion's own time
 
 struct span_cursor {
     size_t i; // the span looked at last: motion is continuous, so the next is near
@@ -69,113 +71,295 @@ static double envelope(const struct effect_tables *tables, struct span_cursor *c
     return grid[i] + (x - low) * (grid[i + 1] - grid[i]) / (high - low);
 }
 
+// What asymmetry still holds back after so much travel.
+static double held_back(const struct effect_parameters *e, double since) {
+    return fabs(e->asymmetry) * exp(-pow(since / e->asymmetry_travel, e->asymmetry_form));
+}
+
 struct play {
     double p;
-    double late; // what asymmetry still holds back on the side that it delays
+    double since; // travel since the delayed side began to carry
     struct span_cursor width_at, low_at, high_at;
     signed char side;
 };
 
-struct play_step {
-    double q, moved, scale, extra, asymmetry, asymmetry_travel;
+// What holds for all plays at one moment.
+struct drive {
+    double q, scale, extra;
 };
 
-static void play_move(const struct effect_tables *tables, struct play *play, const struct play_step *step) {
-    const double width = step->scale * interpolate(tables, tables->width, &play->width_at, play->p) + step->extra;
-    const double late_up = step->asymmetry > 0.0 ? play->late : 0.0;
-    const double late_down = step->asymmetry < 0.0 ? play->late : 0.0;
-    const double up = step->q - late_up;
-    const double down = step->q + late_down;
-    if (up > play->p + 0.5 * width) {
-        play->p = envelope(tables, &play->low_at, up, 1.0, step->scale, step->extra);
-        play->side = 1;
-    } else if (down < play->p - 0.5 * width) {
-        play->p = envelope(tables, &play->high_at, down, -1.0, step->scale, step->extra);
-        play->side = -1;
-    } else {
-        return;
+// Moves the play to `drive`. Returns how much of q's last step carried it.
+static double play_move(const struct effect_parameters *e, const struct effect_tables *tables, struct play *play,
+                        const struct drive *drive, double spread) {
+    const double scale = drive->scale * spread;
+    const double half = 0.5 * (scale * interpolate(tables, tables->width, &play->width_at, play->p) + drive->extra);
+    const double delayed = e->asymmetry > 0.0 ? 1.0 : -1.0;
+    for (int s = -1; s <= 1; s += 2) {
+        const int waits = e->asymmetry != 0.0 && s * delayed > 0.0;
+        double since = play->side == s ? play->since : 0.0;
+        double late = waits ? held_back(e, since) : 0.0;
+        const double carried = s * (drive->q - play->p) - half - late;
+        if (carried <= 0.0) {
+            continue;
+        }
+        if (waits) {
+            since += carried;
+            late = held_back(e, since);
+        }
+        play->p = envelope(tables, s > 0 ? &play->low_at : &play->high_at, drive->q - s * late, s, scale, drive->extra);
+        play->side = (signed char)s;
+        play->since = since;
+        return carried;
     }
-    const double delayed = step->asymmetry > 0.0 ? 1.0 : -1.0;
-    if (play->side * delayed < 0.0) {
-        play->late = fabs(step->asymmetry);
-    } else if (play->late != 0.0) {
-        play->late *= exp(-fabs(step->moved) / step->asymmetry_travel);
+    return 0.0;
+}
+
+// A first-order element whose input goes from u0 to u1 in a straight line.
+static double follow(double y, double u0, double u1, double dt, double time) {
+    if (time <= 0.0) {
+        return u1;
+    }
+    if (dt <= 0.0) {
+        return y;
+    }
+    const double decay = exp(-dt / time);
+    const double lead = (u1 - u0) * time / dt;
+    return u1 - lead + (y - u0 + lead) * decay;
+}
+
+struct late {
+    double first, second; // the lag's stages
+    double fast, slow;    // the creep's elements
+    double held;          // where stick-slip holds the tip
+};
+
+// One step in which the centre goes straight from u0 to u1.
+static void late_move(const struct effect_parameters *e, struct late *late, double u0, double u1, double dt) {
+    double v0 = u0, v1 = u1;
+    if (e->lag > 0.0) {
+        const double one = e->lag * (1.0 - e->lag_second);
+        const double two = e->lag * e->lag_second;
+        // The second stage's input bends: it is cut into straight pieces shorter than the stages.
+        const int pieces = two > 0.0 ? (int)fmin(16.0, 1.0 + dt / (0.3 * two)) : 1;
+        for (int i = 0; i < pieces; i++) {
+            const double from = u0 + (u1 - u0) * i / pieces;
+            const double to = u0 + (u1 - u0) * (i + 1) / pieces;
+            const double before = late->first;
+            late->first = follow(before, from, to, dt / pieces, one);
+            v0 = late->second;
+            late->second = follow(v0, before, late->first, dt / pieces, two);
+            v1 = late->second;
+            if (e->creep_share != 0.0) {
+                late->fast = follow(late->fast, v0, v1, dt / pieces, e->creep_time);
+                late->slow = follow(late->slow, v0, v1, dt / pieces, SLOWER * e->creep_time);
+            }
+        }
+    } else {
+        late->second = v1;
+        if (e->creep_share != 0.0) {
+            late->fast = follow(late->fast, v0, v1, dt, e->creep_time);
+            late->slow = follow(late->slow, v0, v1, dt, SLOWER * e->creep_time);
+        }
     }
 }
 
+static double late_tip(const struct effect_parameters *e, struct late *late) {
+    double tip = late->second;
+    if (e->creep_share != 0.0) {
+        tip -= e->creep_share * (tip - (1.0 - e->creep_slow) * late->fast - e->creep_slow * late->slow);
+    }
+    if (e->stick > 0.0) {
+        late->held += e->stick * trunc((tip - late->held) / e->stick); // as many jumps as it takes
+        tip = late->held;
+    }
+    return tip;
+}
+
+// c and dc/df for f_remain's value f.
+static double configured(const struct effect_parameters *e, double f, double middle, double load, double added,
+                         double *gain) {
+    *gain = 1.0 + e->gain_per_load * load;
+    double c = middle + (f - middle) * *gain + added;
+    const double beyond = (c - e->contact_c) * e->contact_side;
+    if (beyond > 0.0 && e->contact_hold != 0.0) {
+        const double soft = e->contact_soft;
+        const double yields = soft > 0.0 ? exp(-beyond / soft) : 0.0;
+        c -= e->contact_hold * (beyond - soft * (1.0 - yields)) * e->contact_side;
+        *gain *= 1.0 - e->contact_hold * (1.0 - yields);
+    }
+    return c;
+}
+
+// -1 to 1: quantiles of the thresholds' distribution, mean 0 when spread evenly.
+static double threshold(const struct effect_parameters *e, int i, int plays) {
+    const double u = (i + 0.5) / plays;
+    const double even = 2.0 * u - 1.0;
+    const double tail = 0.5 * (-log1p(-u) - 1.0);
+    return even + e->onset_tail * (tail - even);
+}
+
 void effects_simulate(const struct effect_parameters *e, const struct effect_tables *tables,
-                      const struct effect_motion *motion, double p0, double *c_deg, double *p, signed char *side) {
+                      const struct effect_motion *motion, const struct effect_times *times, double p0,
+                      const struct effect_path *path) {
     const double turn = 6.283185307179586 / e->encoder_period;
     const int plays = e->onset_spread != 0.0 ? PLAYS : 1;
+    const int wobbles = e->encoder_sin != 0.0 || e->encoder_cos != 0.0;
+    const int remembers = e->lag > 0.0 || e->creep_share != 0.0;
+    const double usual_speed = 0.1 * (tables->grid[tables->nodes - 1] - tables->grid[0]);
+    const double resting = 1e-5 * usual_speed;
+    const double c_middle = tables->c_deg[tables->nodes / 2];
+    double spread[PLAYS];
+    for (int i = 0; i < plays; i++) {
+        spread[i] = plays > 1 ? fmax(0.0, 1.0 + e->onset_spread * threshold(e, i, plays)) : 1.0;
+    }
     struct play play[PLAYS] = {0};
     struct span_cursor c_at = {0};
-    double lagged = 0.0, slow = 0.0, held = 0.0, before = 0.0, speed = 0.0;
-    const size_t middle_node = tables->nodes / 2;
-    const double c_middle = tables->c_deg[middle_node];
+    struct late late = {0};
+    double before_t = 0.0, before_q = 0.0, centre = 0.0, speed = 0.0, lies = 0.0;
+    const size_t last = motion->knots - 1;
+    size_t knot = 0, asked = 0;
+    int started = 0, unsettled = 0;
 
-    for (size_t k = 0; k < motion->samples; k++) {
-        const double dt = k > 0 ? motion->t_s[k] - motion->t_s[k - 1] : 0.0;
-        const double load = motion->load ? motion->load[k] : 0.0;
-        double q = motion->q[k];
-        q += e->encoder_sin * sin(turn * q) + e->encoder_cos * cos(turn * q);
-        q += e->offset_drift * motion->t_s[k] + e->offset_per_load * load;
-        if (k == 0) {
-            before = q;
+    while (asked < times->count) {
+        // The next moment: a knot, a time that is asked for, or one shortly after while the width follows the speed.
+        int at_knot = knot <= last && motion->t_s[knot] <= times->t_s[asked];
+        double t = at_knot ? motion->t_s[knot] : times->t_s[asked];
+        const int between = unsettled && t > before_t + 0.25 * SPEED_S;
+        if (between) {
+            t = before_t + 0.25 * SPEED_S;
+            at_knot = 0;
         }
-        const double moved = q - before;
-        before = q;
-        // Encoder steps make the difference quotient spiky: 20 ms is shorter than any motion's own time.
-        if (dt > 0.0 && e->width_per_speed != 0.0 && (moved != 0.0 || e->width_held == 0.0)) {
-            speed += (moved / dt - speed) * (1.0 - exp(-dt / 0.02));
-        }
-        struct play_step step = {
-            .q = q,
-            .moved = moved,
-            .scale = fmax(0.0, (1.0 + e->width_per_load * load) * (1.0 + e->width_drift * motion->t_s[k])),
-            .extra = e->width_per_speed * fabs(speed),
-            .asymmetry = e->asymmetry,
-            .asymmetry_travel = e->asymmetry_travel,
-        };
-        double sum = 0.0;
-        const double scale = step.scale;
-        for (int i = 0; i < plays; i++) {
-            const double x = plays > 1 ? (2.0 * i + 1.0) / plays - 1.0 : 0.0;
-            step.scale = scale * fmax(0.0, 1.0 + e->onset_spread * x);
-            if (k == 0) {
-                play[i].p = isnan(p0) ? q : p0;
-                play[i].late = fabs(e->asymmetry);
+        double q, load = 0.0;
+        if (at_knot || knot == 0 || knot > last) {
+            const size_t k = knot > last ? last : knot;
+            q = motion->q[k];
+            load = motion->load ? motion->load[k] : 0.0;
+        } else {
+            const double span = motion->t_s[knot] - motion->t_s[knot - 1];
+            const double share = span > 0.0 ? (t - motion->t_s[knot - 1]) / span : 1.0;
+            q = motion->q[knot - 1] + share * (motion->q[knot] - motion->q[knot - 1]);
+            if (motion->load) {
+                load = motion->load[knot - 1] + share * (motion->load[knot] - motion->load[knot - 1]);
             }
-            play_move(tables, &play[i], &step);
+        }
+        const double rest = q;
+        if (wobbles) {
+            q += e->encoder_sin * sin(turn * q) + e->encoder_cos * cos(turn * q);
+        }
+        const double session = t + times->session_s;
+        const double gone = e->drift_decay > 0.0 ? (1.0 - exp(-e->drift_decay * session)) / e->drift_decay : session;
+        const double dt = started ? t - before_t : 0.0;
+        const double moved = started ? rest - before_q : 0.0;
+        if (dt > 0.0 && e->width_per_speed != 0.0 && (fabs(moved) > resting * dt || e->width_held == 0.0)) {
+            speed += (moved / dt - speed) * (1.0 - exp(-dt / SPEED_S));
+            unsettled = fabs(moved / dt - speed) > 0.01 * usual_speed;
+        }
+        const double relative = fabs(speed) / usual_speed;
+        const struct drive drive = {
+            .q = q + e->offset_drift * gone + e->offset_per_load * load,
+            .scale = fmax(0.0, (1.0 + e->width_per_load * load) * (1.0 + e->width_drift * gone)),
+            .extra = e->width_per_speed == 0.0 || relative == 0.0
+                         ? 0.0
+                         : fmax(0.0, e->width_per_speed * usual_speed * pow(relative, e->speed_exponent)),
+        };
+        const double from = centre;
+        double sum = 0.0, carried = 0.0;
+        for (int i = 0; i < plays; i++) {
+            if (!started) {
+                play[i].p = isnan(p0) ? drive.q : p0;
+            }
+            carried = fmax(carried, play_move(e, tables, &play[i], &drive, spread[i]));
             sum += play[i].p;
         }
-        const double centre = sum / plays;
-        p[k] = centre;
-        side[k] = play[plays / 2].side;
+        centre = sum / plays;
+        if (!started) {
+            late = (struct late){centre, centre, centre, centre, centre};
+        }
+        if (remembers && started) {
+            // Caught within the step: at rest before, on the move after.
+            const double share = plays == 1 && moved != 0.0 ? fmin(carried / fabs(moved), 1.0) : 1.0;
+            if (share < 1.0 - 1e-9) {
+                late_move(e, &late, from, from, (1.0 - share) * dt);
+            }
+            late_move(e, &late, from, centre, share * dt);
+        } else {
+            late.second = centre;
+        }
+        const signed char side = play[plays / 2].side;
+        if (started && e->tilt_travel > 0.0) {
+            lies += (side - lies) * (1.0 - exp(-fabs(centre - from) / e->tilt_travel));
+        } else {
+            lies = side;
+        }
+        started = 1;
+        before_t = t;
+        before_q = rest;
+        const double tip = late_tip(e, &late);
+        unsettled = unsettled || (at_knot && e->width_per_speed != 0.0);
+        knot += (size_t)at_knot;
+        if (t < times->t_s[asked]) {
+            continue;
+        }
+        double added = 0.0;
+        if (times->translation) {
+            added += e->c_per_translation * times->translation[asked];
+        }
+        if (times->rotation) {
+            added += e->c_per_rotation * times->rotation[asked];
+        }
+        path->c_deg[asked] =
+            configured(e, configuration(tables, &c_at, tip), c_middle, load, added, &path->gain[asked]);
+        path->p[asked] = centre;
+        path->tip[asked] = tip;
+        path->way[asked] = lies;
+        path->side[asked] = side;
+        asked++;
+    }
+}
 
-        if (k == 0) {
-            lagged = slow = held = centre;
+void effects_thin(const double *t_s, size_t samples, const double *values, const double *tolerance, size_t channels,
+                  double rest_s, unsigned char *keep) {
+    for (size_t k = 0; k < samples; k++) {
+        keep[k] = k == 0 || k + 1 == samples;
+    }
+    // The ends of rests.
+    for (size_t k = 1, begin = 0; k <= samples; k++) {
+        int same = k < samples;
+        for (size_t c = 0; same && c < channels; c++) {
+            same = values[c * samples + k] == values[c * samples + k - 1];
         }
-        lagged = e->lag > 0.0 ? lagged + (centre - lagged) * (1.0 - exp(-dt / e->lag)) : centre;
-        if (e->creep_share != 0.0) {
-            slow += (lagged - slow) * (1.0 - exp(-dt / e->creep_time));
+        if (!same) {
+            if (t_s[k - 1] - t_s[begin] > rest_s) {
+                keep[begin] = keep[k - 1] = 1;
+            }
+            begin = k;
         }
-        const double late = e->creep_share != 0.0 ? lagged - e->creep_share * (lagged - slow) : lagged;
-        if (fabs(late - held) >= e->stick) {
-            held = late;
+    }
+    // Slopes from `start` on that pass all samples since within tolerance: a sample whose own slope is outside ends the
+    // piece at the one before.
+    double low[EFFECT_CHANNELS], high[EFFECT_CHANNELS];
+    size_t start = 0;
+    for (size_t k = 1; k < samples; k++) {
+        int fits = k > start + 1;
+        for (size_t c = 0; fits && c < channels; c++) {
+            const double *v = values + c * samples;
+            const double slope = (v[k] - v[start]) / (t_s[k] - t_s[start]);
+            fits = slope >= low[c] && slope <= high[c];
         }
-
-        double c = configuration(tables, &c_at, held);
-        c = c_middle + (c - c_middle) * (1.0 + e->gain_per_load * load);
-        if (motion->translation) {
-            c += e->c_per_translation * motion->translation[k];
+        if (!fits && k > start + 1) {
+            start = k - 1;
+            keep[start] = 1;
         }
-        if (motion->rotation) {
-            c += e->c_per_rotation * motion->rotation[k];
+        const double dt = t_s[k] - t_s[start];
+        for (size_t c = 0; c < channels; c++) {
+            const double *v = values + c * samples;
+            const double least = (v[k] - tolerance[c] - v[start]) / dt;
+            const double most = (v[k] + tolerance[c] - v[start]) / dt;
+            low[c] = k > start + 1 ? fmax(low[c], least) : least;
+            high[c] = k > start + 1 ? fmin(high[c], most) : most;
         }
-        const double beyond = (c - e->contact_c) * e->contact_side;
-        if (beyond > 0.0) {
-            c -= e->contact_hold * beyond * e->contact_side;
+        if (keep[k]) {
+            start = k;
         }
-        c_deg[k] = c;
     }
 }

@@ -2,27 +2,28 @@
 
 Every effect is a nested extension of the chain motor -> transmission -> configuration -> kinematics -> registration ->
 camera -> acquisition: a few named parameters, and with its amplitudes at zero it is absent. What moves the tip is
-simulated in C (host/native/effects.h names those parameters); where the marker is seen is computed here.
+simulated in C (host/native/effects.h names those parameters), and so is where the marker is seen (sight.h).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from tautline import _native, geometry
 from tautline.model import Model
 from tautline.recording import Motor
-from tautline.rig import Camera, Kinematics
+from tautline.rig import Camera, Rig
 
 Array = npt.NDArray[np.float64]
 
 STAGES = ("actuator", "transmission", "configuration", "kinematics", "registration", "camera", "acquisition")
-NATIVE = frozenset(name for name, *_ in _native.effect_parameters)
+NATIVE = frozenset(name for name, *_ in _native.effect_parameters)  # what moves the tip
+SIGHT = frozenset(name for name, *_ in _native.sight_parameters)  # what changes where it is seen
 
 
 @dataclass(frozen=True)
@@ -70,39 +71,47 @@ LIBRARY: tuple[Kind, ...] = (
     Kind(
         "actuator.encoder_periodic",
         (Parameter("encoder_sin", "unit", 2e-3), Parameter("encoder_cos", "unit", 2e-3)),
-        (Parameter("encoder_period", "unit", 0.05, (0.02, 0.03, 0.045, 0.065, 0.1, 0.14, 0.2, 0.3)),),
+        (Parameter("encoder_period", "unit", 0.05, (0.02, 0.3)),),  # from the shortest to the longest
         "once-per-turn error of the measured motor position",
     ),
     Kind(
         "transmission.smooth_onset",
         (Parameter("onset_spread", "", 0.2, probe=2.5),),
-        (),
+        (Parameter("onset_tail", "", 0.5, (0.0, 1.0)),),
         "motion starts gradually instead of at a corner",
     ),
     Kind(
         "transmission.asymmetric_backlash",
         (Parameter("asymmetry", "unit", 5e-3, one_way=True),),
-        (Parameter("asymmetry_travel", "unit", 0.05, (0.01, 0.03, 0.08, 0.2)),),
+        (
+            Parameter("asymmetry_travel", "unit", 0.05, (0.01, 0.03, 0.08, 0.2)),
+            Parameter("asymmetry_form", "", 1.0, (1.0, 2.0)),
+        ),
         "after turning one way the tip starts late and catches up",
     ),
     Kind(
         "transmission.rate_dependent_backlash",
         (Parameter("width_per_speed", "s", 0.02),),
-        (Parameter("width_held", "", 1.0, (0.0, 1.0)),),
+        (Parameter("speed_exponent", "", 0.5, (1.0, 0.5)), Parameter("width_held", "", 1.0, (0.0, 1.0))),
         "the width grows with speed",
     ),
-    Kind("transmission.lag", (Parameter("lag", "s", 0.02),), (), "the tip lags, viscous, first order"),
+    Kind(
+        "transmission.lag",
+        (Parameter("lag", "s", 0.02),),
+        (Parameter("lag_second", "", 0.2, (0.0, 0.5)),),
+        "the tip lags, viscous, first order",
+    ),
     Kind(
         "transmission.creep",
         (Parameter("creep_share", "", 0.05),),
-        (Parameter("creep_time", "s", 1.0, (0.7, 2.0, 6.0)),),
+        (Parameter("creep_time", "s", 1.0, (0.5, 1.5, 5.0)), Parameter("creep_slow", "", 0.3, (0.0, 0.5))),
         "the tip goes on moving after the motor stops",
     ),
     Kind("transmission.stick_slip", (Parameter("stick", "unit", 5e-3),), (), "the tip moves in jumps"),
     Kind(
         "transmission.drift",
         (Parameter("offset_drift", "unit/s", 5e-5), Parameter("width_drift", "1/s", 5e-4)),
-        (),
+        (Parameter("drift_decay", "1/s", 5e-3, (0.0, 0.01)),),
         "width or offset changes with time",
         folded=True,
     ),
@@ -127,7 +136,11 @@ LIBRARY: tuple[Kind, ...] = (
     Kind(
         "configuration.contact",
         (Parameter("contact_hold", "", 0.3),),
-        (Parameter("contact_c", "deg", 10.0), Parameter("contact_side", "", 1.0, (1.0, -1.0))),
+        (
+            Parameter("contact_c", "deg", 10.0),
+            Parameter("contact_side", "", 1.0, (1.0, -1.0)),
+            Parameter("contact_soft", "deg", 2.0, (0.0, 3.0)),
+        ),
         "an obstacle holds the tip back beyond some bending angle",
     ),
     Kind(
@@ -141,7 +154,7 @@ LIBRARY: tuple[Kind, ...] = (
     Kind(
         "registration.direction_dependent",
         (Parameter("tilt_x", "deg", 0.3), Parameter("tilt_y", "deg", 0.3), Parameter("tilt_z", "deg", 0.3)),
-        (),
+        (Parameter("tilt_pivot", "mm", 5.0, (0.0,)), Parameter("tilt_travel", "unit", 2e-3, (0.0, 4e-3))),
         "the registration tilts with the direction of motion",
         needs="camera",
     ),
@@ -155,7 +168,11 @@ LIBRARY: tuple[Kind, ...] = (
     ),
     Kind(
         "camera.distortion",
-        (Parameter("k1", "", 0.05), Parameter("k2", "", 0.05), Parameter("p1", "", 0.01), Parameter("p2", "", 0.01)),
+        (
+            *(Parameter(name, "", 0.05) for name in ("k1", "k2")),
+            *(Parameter(name, "", 0.01) for name in ("p1", "p2")),
+            Parameter("k3", "", 0.05),
+        ),
         (),
         "the lens distorts otherwise than the rig says",
         needs="camera",
@@ -169,12 +186,22 @@ BY_ID: Mapping[str, Kind] = {kind.id: kind for kind in LIBRARY}
 
 @dataclass(frozen=True)
 class Path:
-    """What the simulation says at a number of scene times. All (n,) but image_px (n, 2), NaN without a camera."""
+    """Where the tip is at a number of scene times. All (n,)."""
 
+    scene_s: Array
+    translation_mm: Array | None  # of the instrument; None where it never moves
+    rotation_deg: Array | None
     c_deg: Array
     p: Array  # the play's centre coordinate
+    tip: Array  # the same after lag, creep and stick-slip: c = f_remain(tip) but for the configuration's effects
+    gain: Array  # dc / df_remain
+    way: Array  # which way the instrument lies in its channel, -1 to 1
     side: Array  # the envelope that last carried the tip: +1 rising q, -1 falling, 0 not yet
-    image_px: Array
+
+
+@dataclass(frozen=True)
+class Seen(Path):
+    image_px: Array  # (n, 2), NaN without a camera
 
 
 def of_model(model: Model) -> dict[str, float]:
@@ -195,125 +222,103 @@ def simulate(
     start_deg: float | None = None,
     load_reference: float = 0.0,
     clock_offset_s: float = 0.0,
-) -> Path:
+) -> Seen:
     """The model with effects of these parameters (names of LIBRARY, values absolute) at scene times (n,), in any order.
     `motor` is used as it is: tautline.model.between_counts takes an encoder's steps out. clock_offset_s is added to its
     times where an effect depends on the time of the session (drift, shift). load_reference, mNm, is the load at which
     the model's tables hold. Stick-slip and jitter scatter at random: what is here is one course of the former, and
     nothing of the latter."""
-    scene = np.asarray(scene_s, dtype=float) - parameters.get("delay", 0.0)
-    c, p, side = _moved(model, motor, scene, parameters, start_deg, load_reference, clock_offset_s)
-    return seen(model, motor, scene, parameters, clock_offset_s, c, p, side)
+    path = follow(model, motor, scene_s, parameters, start_deg, load_reference, clock_offset_s)
+    px = image(model, path, parameters, clock_offset_s) if model.rig.has_camera else np.full((len(path.p), 2), np.nan)
+    return Seen(**{f.name: getattr(path, f.name) for f in fields(Path)}, image_px=px)
 
 
-def seen(
+def follow(
     model: Model,
     motor: Motor,
-    scene: Array,
+    scene_s: npt.ArrayLike,
     parameters: Mapping[str, float],
-    clock_offset_s: float,
-    c_deg: Array,
-    p: Array,
-    side: Array,
+    start_deg: float | None = None,
+    load_reference: float = 0.0,
+    clock_offset_s: float = 0.0,
 ) -> Path:
-    """The path of a tip that moved so, at scene times (n,): what comes after the configuration."""
-    if not model.rig.has_camera:
-        return Path(c_deg, p, side, np.full((len(c_deg), 2), np.nan))
-    translation = 0.0 if motor.translation_mm is None else np.interp(scene, motor.t_s, motor.translation_mm)
-    turn = 0.0 if motor.rotation_deg is None else np.interp(scene, motor.t_s, motor.rotation_deg)
-    after = scene + clock_offset_s >= parameters.get("shift_time", np.inf)
-    return Path(c_deg, p, side, image(model, c_deg, translation, turn, parameters, side, after))
-
-
-def _moved(
-    model: Model,
-    motor: Motor,
-    scene: Array,
-    parameters: Mapping[str, float],
-    start_deg: float | None,
-    load_reference: float,
-    clock_offset_s: float,
-) -> tuple[Array, Array, Array]:
-    """c, p and side at scene times (n,)."""
-    times = np.concatenate([motor.t_s, scene])
-    order = np.argsort(times, kind="stable")
-
-    def at_all(values: Array | None, reference: float = 0.0) -> Array | None:
-        if values is None:
-            return None
-        joined = np.concatenate([values, np.interp(scene, motor.t_s, values)])
-        return np.ascontiguousarray(joined[order] - reference)
-
-    sampled = _native.simulate_effects(
+    """Where the tip is, as in `simulate`."""
+    scene = np.asarray(scene_s, dtype=float) - parameters.get("delay", 0.0)
+    order = np.argsort(scene, kind="stable") if len(scene) > 1 and (np.diff(scene) < 0).any() else None
+    rising = scene if order is None else scene[order]
+    translation, rotation = (
+        None if values is None else np.interp(rising, motor.t_s, values)
+        for values in (motor.translation_mm, motor.rotation_deg)
+    )
+    moved = _native.simulate_effects(
         {name: value for name, value in parameters.items() if name in NATIVE},
         model.q,
         model.width,
         model.c_deg,
-        np.ascontiguousarray(times[order] + clock_offset_s),
-        at_all(motor.q),
-        at_all(motor.translation_mm),
-        at_all(motor.rotation_deg),
-        at_all(motor.load_mNm, load_reference),
+        motor.t_s,
+        motor.q,
+        rising,
+        translation,
+        rotation,
+        None if motor.load_mNm is None else motor.load_mNm - load_reference,
+        clock_offset_s,
         np.nan if start_deg is None else float(model.remaining_inverse(start_deg)),
     )
-    restored = []
-    for values in sampled:
-        back = np.empty(len(times))
-        back[order] = values
-        restored.append(back[len(motor.t_s) :])
-    c, p, side = restored
-    return c, p, side
+    found = (rising, translation, rotation, *moved)
+    if order is None:
+        return Path(*found)
+    back = np.argsort(order, kind="stable")
+    return Path(*(None if values is None else values[back] for values in found))  # type: ignore[arg-type]
 
 
-def image(
-    model: Model,
-    c_deg: Array,
-    translation_mm: npt.ArrayLike,
-    rotation_deg: npt.ArrayLike,
-    parameters: Mapping[str, float],
-    side: Array,
-    after_shift: npt.NDArray[np.bool_],
-) -> Array:
+def image(model: Model, path: Path, parameters: Mapping[str, float], clock_offset_s: float = 0.0) -> Array:
     """Where the marker is seen, (n, 2) px, with the effects of kinematics, registration and camera."""
-    rig = model.rig
+    return _see(model, path, parameters, clock_offset_s, False)  # type: ignore[no-any-return]
+
+
+def image_with_slopes(
+    model: Model, path: Path, parameters: Mapping[str, float], clock_offset_s: float = 0.0
+) -> tuple[Array, Array, Array]:
+    """The image and its derivatives: by c (n, 2) px per deg, by a further static registration (n, 2, 6)."""
+    return _see(model, path, parameters, clock_offset_s, True)  # type: ignore[no-any-return]
+
+
+def _see(model: Model, path: Path, parameters: Mapping[str, float], clock_offset_s: float, slopes: bool) -> Any:
+    shifted = None
+    if "shift_time" in parameters:
+        shifted = (path.scene_s + clock_offset_s >= parameters["shift_time"]).view(np.uint8)
+    return _native.see(
+        {name: value for name, value in parameters.items() if name in SIGHT},
+        sight_rig(model.rig),
+        path.c_deg,
+        path.translation_mm,
+        path.rotation_deg,
+        path.way,
+        shifted,
+        slopes,
+    )
+
+
+def sight_rig(rig: Rig) -> Array:
+    """The numbers of struct sight_rig (host/native/sight.h)."""
     assert rig.kinematics and rig.camera and rig.hand_eye
-    bend = tip_bend(rig.kinematics, c_deg, parameters.get("curvature_gradient", 0.0))
-    bend[:, 2] += np.asarray(translation_mm, dtype=float)
-    base = geometry.about_base_z(rotation_deg, bend)
-    tilt = np.array([parameters.get(f"tilt_{axis}", 0.0) for axis in "xyz"])
-    if tilt.any():
-        for way in (-1.0, 1.0):
-            held = side == way
-            base[held] = base[held] @ Rotation.from_rotvec(way * tilt, degrees=True).as_matrix().T
-    for prefix, here in (("static", np.ones(len(c_deg), dtype=bool)), ("shift", after_shift)):
-        turn = np.array([parameters.get(f"{prefix}_r{axis}", 0.0) for axis in "xyz"])
-        move = np.array([parameters.get(f"{prefix}_{axis}", 0.0) for axis in "xyz"])
-        if turn.any() or move.any():
-            base[here] = base[here] @ Rotation.from_rotvec(turn, degrees=True).as_matrix().T + move
-    return geometry.to_image(distorted(rig.camera, parameters), geometry.to_camera(rig.hand_eye, base))[0]
-
-
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
-
-
-def tip_bend(kinematics: Kinematics, c_deg: Array, gradient: float) -> Array:
-    """The marker (n, 3) mm in the section's frame when the curvature runs linearly from (1 - gradient) at the base to
-    (1 + gradient) at the tip, times its mean c / length."""
-    if gradient == 0.0:
-        return geometry.tip_bend(kinematics, c_deg)[0]
-    c = np.radians(np.asarray(c_deg, dtype=float))[:, None]
-    s = 0.5 * (_NODES + 1.0)
-    angle = c * (s + gradient * (s * s - s))
-    length, tip = kinematics.bending_length_mm, kinematics.tip_length_mm
-    x = 0.5 * length * (np.sin(angle) @ _WEIGHTS) + tip * np.sin(c[:, 0])
-    z = 0.5 * length * (np.cos(angle) @ _WEIGHTS) + tip * np.cos(c[:, 0])
-    return np.stack([x, np.zeros_like(x), z], axis=1)
+    camera = rig.camera
+    return np.array(
+        [
+            rig.kinematics.bending_length_mm,
+            rig.kinematics.tip_length_mm,
+            *geometry.rotation(rig.hand_eye.rotation_deg).ravel(),
+            *rig.hand_eye.translation_mm,
+            *(camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px),
+            *camera.distortion,
+        ]
+    )
 
 
 def distorted(camera: Camera, parameters: Mapping[str, float]) -> Camera:
     """The camera with the effect's distortion on top of the rig's."""
-    added = tuple(parameters.get(name, 0.0) for name in ("k1", "k2", "p1", "p2"))
-    if not any(added):
-        return camera
-    k1, k2, p1, p2, k3 = camera.distortion
-    return replace(camera, distortion=(k1 + added[0], k2 + added[1], p1 + added[2], p2 + added[3], k3))
+    k1, k2, p1, p2, k3 = (
+        here + parameters.get(name, 0.0)
+        for here, name in zip(camera.distortion, ("k1", "k2", "p1", "p2", "k3"), strict=True)
+    )
+    return replace(camera, distortion=(k1, k2, p1, p2, k3))

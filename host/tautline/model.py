@@ -118,6 +118,19 @@ def is_backlash_table(grid: Array, width: Array) -> bool:
     return bool((step > 0).all() and (width >= 0).all() and (np.abs(np.diff(width)) < 2 * step).all())
 
 
+def allowed_width(grid: Array, width: Array, steepest: float = STEEPEST) -> Array:
+    """The nearest lawful backlash table from below: width >= 0, |width'| <= steepest."""
+    step = steepest * np.diff(grid)
+    lawful: Array = np.maximum(width, 0.0)
+    if (np.abs(np.diff(lawful)) <= step).all():
+        return lawful
+    reach = np.concatenate([[0.0], np.cumsum(step)])
+    rising: Array = reach + np.minimum.accumulate(lawful - reach)
+    both: Array = np.minimum.accumulate((rising + reach)[::-1])[::-1] - reach
+    cut: Array = np.maximum(both, 0.0)
+    return cut
+
+
 def interpolate(x: npt.ArrayLike, grid: Array, values: Array) -> Array:
     """Linear between the points of a rising grid, going on beyond its ends with the slope of the last span."""
     x = np.asarray(x, dtype=float)

@@ -38,6 +38,11 @@ class Basis:
         """(size,) where each coefficient acts."""
         return np.asarray(self.low + self.step * np.arange(-1, self.spans + 2), dtype=float)
 
+    @property
+    def native(self) -> tuple[float, float, int]:
+        """How C knows it: low, step, size."""
+        return self.low, self.step, self.size
+
     def clip(self, x: Array) -> Array:
         inside: Array = np.clip(x, self.low, self.high - 1e-9 * (self.high - self.low))
         return inside

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from tautline import _native, effects, geometry
 from tautline.effects import LIBRARY, simulate
 from tautline.model import Model
 from tautline.recording import Motor
 from tautline.simulated.instrument import preset, reference_rig
+from tautline.splines import Basis
 
 RIG = reference_rig()
 GRID = np.linspace(-5.0, 5.0, 201)
@@ -46,10 +48,12 @@ def test_absent_effects_leave_the_play_as_it_is(seed):
     c = np.cumsum(rng.uniform(0.1, 3.0, n))
     q = rng.uniform(grid[0] - 2, grid[-1] + 2, 60)
     p0 = np.nan if rng.random() < 0.5 else float(rng.uniform(grid[0], grid[-1]))
-    c_deg, p, side = _native.simulate_effects({}, grid, width, c, np.arange(60.0), q, p0=p0)
+    t = np.arange(60.0)
+    c_deg, p, tip, gain, way, side = _native.simulate_effects({}, grid, width, c, t, q, t, p0=p0)
     expected, held, _ = _native.play_trace(q, grid, width, p0)
     np.testing.assert_allclose(p, expected, atol=1e-10)
-    assert np.array_equal(side, held)
+    assert np.array_equal(side, held) and np.array_equal(way, held)
+    assert np.array_equal(tip, p) and np.all(gain == 1.0)
     inside = (p >= grid[0]) & (p <= grid[-1])
     np.testing.assert_allclose(c_deg[inside], np.interp(p[inside], grid, c), atol=1e-9)
 
@@ -197,9 +201,177 @@ def test_curvature_against_a_fine_chain(c, gradient):
     angle = np.radians(c) * (s + gradient * (s * s - s))
     x = kinematics.bending_length_mm * np.mean(np.sin(angle)) + kinematics.tip_length_mm * np.sin(np.radians(c))
     z = kinematics.bending_length_mm * np.mean(np.cos(angle)) + kinematics.tip_length_mm * np.cos(np.radians(c))
-    np.testing.assert_allclose(effects.tip_bend(kinematics, np.array([c]), gradient)[0], [x, 0, z], atol=1e-6)
+    expected = geometry.to_image(RIG.camera, geometry.to_camera(RIG.hand_eye, np.array([[x, 0.0, z]])))[0]
+    seen = _native.see({"curvature_gradient": gradient}, effects.sight_rig(RIG), np.array([c]))
+    np.testing.assert_allclose(seen, expected, atol=1e-4)
+
+
+def registered(base, way, shifted, values):
+    """The registration's effects, by scipy's rotations."""
+
+    def turned(points, prefix, factor, pivot=0.0):
+        centre = np.array([0.0, 0.0, pivot])
+        vectors = np.outer(factor, [values[f"{prefix}{axis}"] for axis in "xyz"])
+        return Rotation.from_rotvec(vectors, degrees=True).apply(points - centre) + centre
+
+    base = turned(base, "tilt_", way, values["tilt_pivot"])
+    for prefix, factor in (("static", np.ones(len(way))), ("shift", shifted.astype(float))):
+        base = turned(base, f"{prefix}_r", factor)
+        base = base + np.outer(factor, [values[f"{prefix}_{axis}"] for axis in "xyz"])
+    return base
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_the_image_and_its_slopes(seed):
+    rng = np.random.default_rng(seed)
+    n = 20
+    names = [name for name, *_ in _native.sight_parameters]
+    values = dict(zip(names, rng.normal(0, 1, len(names)) * 0.3, strict=True))
+    values |= {name: 0.1 * values[name] for name in ("k1", "k2", "p1", "p2", "k3")}
+    values["curvature_gradient"] = 0.0 if seed % 2 else float(np.clip(values["curvature_gradient"], -0.9, 0.9))
+    c, way = rng.uniform(-50, 50, n), rng.choice([-1.0, -0.3, 0.0, 0.6, 1.0], n)
+    c[0] = 1e-3
+    translation, turn, shifted = rng.normal(0, 2, n), rng.normal(0, 30, n), rng.random(n) < 0.5
+
+    def see(c_deg, changed=values):
+        return _native.see(
+            changed, effects.sight_rig(RIG), c_deg, translation, turn, way, shifted.view(np.uint8), slopes=True
+        )
+
+    image, by_c, _ = see(c)
+    if values["curvature_gradient"] == 0.0:
+        bend = geometry.tip_bend(RIG.kinematics, c)[0] + np.outer(translation, [0, 0, 1])
+        base = registered(geometry.about_base_z(turn, bend), way, shifted, values)
+        camera = effects.distorted(RIG.camera, values)
+        expected = geometry.to_image(camera, geometry.to_camera(RIG.hand_eye, base))[0]
+        np.testing.assert_allclose(image, expected, atol=1e-8)
+    step = 1e-4
+    np.testing.assert_allclose(by_c, (see(c + step)[0] - see(c - step)[0]) / (2 * step), atol=1e-4, rtol=1e-5)
+    # A further static registration: its moves, and its turns where the static one has not turned yet.
+    for i, name in enumerate(["static_rx", "static_ry", "static_rz", "static_x", "static_y", "static_z"]):
+        free = {**values, "static_rx": 0.0, "static_ry": 0.0, "static_rz": 0.0} if i < 3 else values
+        high, low = (see(c, {**free, name: free[name] + s})[0] for s in (step, -step))
+        expected = (high - low) / (2 * step)
+        np.testing.assert_allclose(see(c, free)[2][:, :, i], expected, atol=1e-4, rtol=1e-5)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_a_thinned_motion_stays_within_tolerance(seed):
+    rng = np.random.default_rng(seed)
+    t = np.cumsum(rng.uniform(0.001, 0.02, 400))
+    walk = np.cumsum(np.where(rng.random(400) < 0.3, 0.0, rng.normal(0, 0.01, 400)))
+    walk[100:160] = walk[100]
+    other = np.sin(t * rng.uniform(0.1, 5))
+    other[100:160] = other[100]
+    tolerance = rng.uniform(1e-3, 0.1, 2)
+    keep = _native.thin(t, np.concatenate([walk, other]), tolerance, 0.1).astype(bool)
+    for values, most in zip((walk, other), tolerance, strict=True):
+        assert np.abs(np.interp(t, t[keep], values[keep]) - values).max() <= most * (1 + 1e-9)
+    assert keep[[0, 100, 159, 399]].all()
+
+
+def dense(basis, x):
+    return basis.design(x).toarray()
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_normal_equations_are_those_of_the_dense_jacobian(seed):
+    rng = np.random.default_rng(seed)
+    n, seen, count, first = 30, int(rng.integers(1, 3)), 5, int(rng.integers(1, 5))
+    width, follow = Basis(-2.0, 3.0, 4), Basis(-2.0, 3.0, 7)
+    p, tip = rng.uniform(-2.5, 3.5, (2, n))
+    by_width, by_follow = rng.normal(size=(2, n))
+    by_c, residual, weight = rng.normal(size=(3, n, seen))
+    weight = weight**2
+    columns = rng.normal(size=(n, seen, count))
+    curves = np.hstack([by_width[:, None] * dense(width, p), by_follow[:, None] * dense(follow, tip)])
+    jacobian = np.concatenate([by_c[:, :, None] * curves[:, None, :], columns], axis=2).reshape(n * seen, -1)
+    weighted = jacobian * weight.reshape(-1, 1)
+    m = jacobian.shape[1]
+
+    def added(columns, matrix, gradient, first=0):
+        _native.normal_add(
+            p, tip, by_width, by_follow, by_c, columns, residual, weight, width.native, follow.native, matrix, gradient,
+            first=first,
+        )  # fmt: skip
+        return matrix, gradient
+
+    expected = weighted.T @ jacobian, weighted.T @ residual.ravel()
+    found = added(columns, np.zeros((m, m)), np.zeros(m))
+    for a, b in zip(found, expected, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-6)  # the reference stops short of the last knot
+    # The same in two steps: the first columns, then the others on top.
+    cut = m - count + first
+    part = added(np.ascontiguousarray(columns[:, :, :first]), np.zeros((cut, cut)), np.zeros(cut))
+    matrix, gradient = np.zeros((m, m)), np.zeros(m)
+    matrix[:cut, :cut], gradient[:cut] = part
+    for a, b in zip(added(columns, matrix, gradient, first), expected, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-6)  # the reference stops short of the last knot
+
+
+REMEMBERING = [
+    {"lag": 0.08},
+    {"lag": 0.08, "lag_second": 0.4},
+    {"creep_share": 0.2, "creep_time": 0.5, "creep_slow": 0.5},
+    {"lag": 0.05, "creep_share": 0.2, "creep_time": 0.5},
+    {"asymmetry": 0.3, "asymmetry_travel": 0.6, "asymmetry_form": 2.0},
+    {"width_per_speed": 0.1},
+    {"onset_spread": 0.6, "onset_tail": 1.0},
+    {"stick": 0.0937},
+]
+
+
+@pytest.mark.parametrize("parameters", REMEMBERING, ids=lambda p: "+".join(p))
+def test_few_knots_say_the_same_as_many_samples(parameters):
+    """Straight lines between corners, asked for at 25 Hz, against ten thousand samples per second."""
+    corners = np.array([(0, 0), (2, 4), (2.5, 4), (4.5, -4), (5, -4), (6, 1), (7, -2), (8, -2)], dtype=float)
+    t = np.arange(0.0, 8.0, 1e-4)
+    fine = Motor(t, np.interp(t, *corners.T), None)
+    coarse = Motor(np.ascontiguousarray(corners[:, 0]), np.ascontiguousarray(corners[:, 1]), None)
+    scene = np.arange(0.3, 7.9, 0.04)
+    model = made(1.0)
+    many, few = (simulate(model, motor, scene, parameters).tip for motor in (fine, coarse))
+    np.testing.assert_allclose(few, many, atol=0.0937 + 1e-9 if "stick" in parameters else 4e-3)
+    assert np.sqrt(np.mean((few - many) ** 2)) < (0.02 if "stick" in parameters else 1e-3)
+
+
+def test_late_catching_up_has_the_form_that_is_asked_for():
+    model = made(1.0)
+    t = np.arange(12.0, 18.0, 0.01)
+    plain = simulate(model, STROKES, t, {}).p
+    q = np.interp(t, STROKES.t_s, STROKES.q)
+    travel = q + 4 - 1.0  # since an unhindered tip would move
+    for form in (1.0, 2.0):
+        values = {"asymmetry": 0.3, "asymmetry_travel": 0.5, "asymmetry_form": form}
+        behind = plain - simulate(model, STROKES, t, values).p
+        late = travel - 0.3 > 0.02
+        expected = 0.3 * np.exp(-(((travel[late] - 0.3) / 0.5) ** form))
+        # The travel counts from where the tip is caught: 0.3 later, less what it has caught up meanwhile.
+        np.testing.assert_allclose(behind[late], expected, atol=2e-2)
+
+
+def test_speed_drift_contact_and_rocking_have_their_shapes():
+    model = made(1.0)
+    fast = width_seen({"width_per_speed": 0.3, "speed_exponent": 0.5}, model=model) - 1.0
+    assert fast == pytest.approx(0.3 * np.sqrt(8 / 6), abs=2e-2)  # a tenth of the grid's span is 1 mm/s
+    t = np.array([4.0])
+    away = (
+        simulate(model, STROKES, t, {"offset_drift": 0.1, "drift_decay": 0.5}, clock_offset_s=10.0).p
+        - simulate(model, STROKES, t, {}).p
+    )
+    assert away == pytest.approx(0.1 * (1 - np.exp(-0.5 * 14.0)) / 0.5, abs=1e-6)
+    t = np.arange(1.0, 27.0, 0.1)
+    plain = simulate(MODEL, STROKES, t, {}).c_deg
+    held = {"contact_hold": 0.75, "contact_c": 10.0, "contact_side": 1.0, "contact_soft": 4.0}
+    beyond = np.maximum(plain - 10.0, 0.0)
+    expected = plain - 0.75 * (beyond - 4.0 * (1 - np.exp(-beyond / 4.0)))
+    np.testing.assert_allclose(simulate(MODEL, STROKES, t, held).c_deg, expected, atol=1e-9)
+    rocked = simulate(model, STROKES, np.array([11.9, 13.8, 17.9]), {"tilt_travel": 0.5}).way
+    assert rocked[0] < -0.99 and -1 < rocked[1] < 0.9 and rocked[2] > 0.99
 
 
 def test_a_parameter_that_no_effect_has_is_refused():
     with pytest.raises(ValueError, match="no effect has a parameter 'nonsense'"):
-        _native.simulate_effects({"nonsense": 1.0}, GRID, MODEL.width, MODEL.c_deg, np.arange(3.0), np.zeros(3))
+        _native.simulate_effects(
+            {"nonsense": 1.0}, GRID, MODEL.width, MODEL.c_deg, np.arange(3.0), np.zeros(3), np.arange(3.0)
+        )

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
 
 from tautline.blindtest.draws import KNOWN, UNKNOWN
 from tautline.blindtest.reality import Plant, Truth, record
 from tautline.diagnose.fit import Fitter, Hypothesis
+from tautline.diagnose.gap import rms
 from tautline.diagnose.segment import prepare
 from tautline.model import Model
 from tautline.recording import Recording
@@ -152,11 +152,7 @@ def _left(session: _Session, truth: Truth, throughout: bool) -> float:
     if any(r.marker is None or r.marker.valid.mean() < _SEEN for r in recordings):
         return 0.0
     fitter = Fitter(model, prepare(model, recordings[0], recordings[1:]))
-    start = fitter.start()
-    linear = fitter.linearise(start, Hypothesis())
-    weighted = scipy.linalg.lstsq(linear.nominal, linear.residual, cond=1e-9, lapack_driver="gelsy")[0]
-    rest = (linear.residual - linear.nominal @ weighted)[linear.rows[0].stop :]
-    return float(np.sqrt(np.mean(rest**2)))
+    return rms(fitter.left(fitter.rows(fitter.start(), Hypothesis()))[1:])
 
 
 def _drawn(rng: np.random.Generator, kind: str) -> tuple[str, ...]:

@@ -13,8 +13,7 @@ from scipy.optimize import brentq
 from scipy.special import log_ndtr
 
 from tautline.calibration.onset import BOUND, BRACKET, HINGE, Onset
-from tautline.calibration.playfit import table
-from tautline.model import STEEPEST
+from tautline.model import STEEPEST, allowed_width
 from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
@@ -68,7 +67,7 @@ def fit_paper(onsets: Sequence[Onset], grid: Array) -> WidthCurve | None:
     curve = on_grid @ coefficients
     spread = np.sqrt(np.maximum(np.sum((on_grid @ np.linalg.inv(system)) * on_grid, axis=1), 0.0))
     excess = float(np.sqrt(np.mean((w - design @ coefficients) ** 2)))
-    lawful = table(curve, grid)
+    lawful = allowed_width(grid, curve)
     notes = ("the spline was limited to B >= 0 and |B'| <= 1.8",) if np.abs(lawful - curve).max() > 1e-9 else ()
     return WidthCurve(grid, lawful, spread, (float(p.min()), float(p.max())), excess, notes)
 
@@ -85,7 +84,7 @@ def fit_widths(onsets: Sequence[Onset], grid: Array, smoothing: float | None = N
     low, high = float(fit.p.min()), float(fit.p.max())
     held = np.clip(grid, low, high)
     curve = fit.basis.value(fit.coefficients, held)
-    lawful = table(curve, grid)
+    lawful = allowed_width(grid, curve)
     if np.abs(lawful - curve).max() > 1e-3 * max(curve.max(), 1e-9):
         fit.notes.append("B(q) is limited by B >= 0 or |B'| <= 1.8")
     beyond = np.abs(grid - held)

@@ -13,12 +13,12 @@ from threadpoolctl import threadpool_limits
 from tautline.calibration.backlash import WidthCurve, fit_paper, fit_widths
 from tautline.calibration.observations import Track, observe
 from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, find_delay, find_onsets
-from tautline.calibration.playfit import NODES, Fitted, table
+from tautline.calibration.playfit import NODES, Fitted
 from tautline.calibration.remaining import Remaining, fit_remaining, morphological, pose_of, posed
 from tautline.calibration.smooth import Domain, fit_jointly, fit_passes, freeze, overlap
 from tautline.errors import TautError
 from tautline.geometry import coarse_range_deg
-from tautline.model import Model
+from tautline.model import Model, allowed_width
 from tautline.recording import Recording
 from tautline.rig import Rig
 
@@ -258,7 +258,9 @@ class _Session:
         if curve is not None:
             low, high = (min(low, curve.measured[0]), max(high, curve.measured[1])) if low < high else curve.measured
         width = joint.fit.width(joint.curves)
-        return table(np.interp(np.clip(self.grid, low, high), self.grid, width), self.grid) if low < high else width
+        if low >= high:
+            return width
+        return allowed_width(self.grid, np.interp(np.clip(self.grid, low, high), self.grid, width))
 
     def _moves(self) -> bool:
         """Whether the tip was seen to move by more than noise."""
@@ -327,7 +329,7 @@ class _Session:
         share = far * far * (3 - 2 * far)
         inside = (self.grid >= p[0]) & (self.grid <= p[-1])
         share = np.where(inside, share, 0.0)
-        width = table((1 - share) * curve.width + share * other, self.grid)
+        width = allowed_width(self.grid, (1 - share) * curve.width + share * other)
         sigma = np.hypot((1 - share) * curve.sigma, share * passes.width_sigma(self.grid))
         if share.max() > 0.5:
             where = self.grid[share > 0.5]

@@ -17,7 +17,7 @@ from scipy.sparse import csr_matrix
 
 from tautline import _native
 from tautline.calibration.observations import Mask, Track, corners
-from tautline.model import STEEPEST
+from tautline.model import STEEPEST, allowed_width
 from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
@@ -109,7 +109,7 @@ class PlayFit:
         self.grid = np.linspace(self.backlash.low, self.backlash.high, NODES)
 
     def width(self, curves: Curves) -> Array:
-        return table(self.backlash.value(curves.backlash, self.grid), self.grid)
+        return allowed_width(self.grid, self.backlash.value(curves.backlash, self.grid))
 
     def residuals(self, curves: Curves) -> tuple[list[Array], list[Mask]]:
         """Per track: (y - model)/sigma (n, k), and which frames count."""
@@ -351,18 +351,6 @@ class Fitted:
     @property
     def delay_sigma(self) -> float:
         return float(np.sqrt(self.covariance[-1, -1])) if self.fit.fit_delay else 0.0
-
-
-def table(width: Array, grid: Array, steepest: float = STEEPEST) -> Array:
-    """The nearest lawful backlash table from below: width >= 0, |width'| <= steepest."""
-    step = steepest * np.diff(grid)
-    lawful = np.maximum(width, 0.0)
-    if (np.abs(np.diff(lawful)) <= step).all():
-        return lawful
-    reach = np.concatenate([[0.0], np.cumsum(step)])
-    rising: Array = reach + np.minimum.accumulate(lawful - reach)
-    both: Array = np.minimum.accumulate((rising + reach)[::-1])[::-1] - reach
-    return np.maximum(both, 0.0)
 
 
 def _factor(system: Array) -> tuple[Array, bool]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,9 +10,10 @@ import numpy.typing as npt
 
 from tautline import effects
 from tautline.diagnose import repeats
-from tautline.diagnose.fit import Fit, Fitter, inside, moves_tip, outlier_limit, velocity
+from tautline.diagnose.fit import Fit, Fitter, outlier_limit, velocity
 from tautline.diagnose.gap import memory
-from tautline.effects import Kind, Path
+from tautline.diagnose.screen import Screened, screen
+from tautline.effects import Kind
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -22,7 +22,6 @@ EVENTS = ("transmission.stick_slip", "acquisition.jitter")  # no reproducible pa
 _REFITS = 6  # effects refitted in full after screening
 _BOTH_SCOPES = 3  # of them also in the other scope
 _EXPLAINS = 0.3  # share of the squares from which on an effect with a path has a say before scatter has
-_SHIFT_TIMES = 32  # steps in which a shift's time is searched for, and again within two of them
 _REMEMBERS = 3.0  # an autocorrelation of 1 / this, where scatter has forgotten, says that it is none
 _REPEATS = 2.5  # a residual of which 1 / this repeats is no scatter at all
 TEMPERATURE = 4.0  # real residuals tell less than independent samples would: every model is a little wrong
@@ -63,12 +62,12 @@ def candidates(
     refitted in full: each in the scope that screens better, the best of them in the other scope too."""
     limits = outlier_limits(fitter, base)
     rss0 = robust_rss(base, limits)
-    seen: dict[str, dict[bool, _Screened]] = {}
-    for entry in _screen(fitter, base, kinds):
+    seen: dict[str, dict[bool, Screened]] = {}
+    for entry in screen(fitter, base, [kind for kind in kinds if kind.id not in EVENTS], limits):
         seen.setdefault(entry.kind.id, {}).setdefault(entry.only_tests, entry)
     fits: dict[tuple[str, bool], Fit] = {}
 
-    def refit(entry: _Screened) -> None:
+    def refit(entry: Screened) -> None:
         progress(min(1.0, len(fits) / (refits + 3)), f"fitting {entry.kind.id}")
         start = {**base.state.values, **entry.values}
         found = fitter.fit(base.hypothesis.plus(entry.kind, entry.only_tests), start, start=base.state)
@@ -138,103 +137,6 @@ def outlier_limits(fitter: Fitter, base: Fit) -> list[float]:
 def robust_rss(fit: Fit, limits: Sequence[float]) -> float:
     """Sum of squares with outliers pulled in."""
     return sum(float(np.sum(np.minimum(np.abs(r), limit) ** 2)) for r, limit in zip(fit.residuals, limits, strict=True))
-
-
-@dataclass(frozen=True)
-class _Screened:
-    gain: float  # share of the sum of squares that the effect would take
-    kind: Kind
-    only_tests: bool
-    values: dict[str, float]  # to start from
-
-
-def _screen(fitter: Fitter, base: Fit, kinds: Iterable[Kind]) -> list[_Screened]:
-    """Best first. A linear score: residual and effect's Jacobian, both with what the nominal model would absorb
-    projected out."""
-    linear = fitter.linearise(base.state, base.hypothesis)
-    nominal = np.column_stack([linear.nominal, fitter.effect_jacobian(base.state, base.hypothesis)])
-    q, r = np.linalg.qr(nominal)
-    q = q[:, np.abs(np.diag(r)) > 1e-9 * np.abs(np.diag(r)).max()]
-    moved = fitter.paths(base.state, base.hypothesis)
-    limit = np.concatenate(
-        [np.full(x.size, most) for x, most in zip(base.residuals, outlier_limits(fitter, base), strict=True)]
-    )
-    residual = np.clip(linear.residual, -limit, limit)
-    residual = residual - q @ (q.T @ residual)
-    rss = float(residual @ residual)
-    session = np.concatenate(
-        [np.repeat((s.arrival_s + s.offset_s)[s.scored], s.observed.shape[1]) for s in fitter.segments]
-    )
-    calibration = np.zeros(len(residual), dtype=bool)
-    calibration[linear.rows[0]] = True
-    result: list[_Screened] = []
-
-    def score(kind: Kind, values: dict[str, float], sign: float) -> None:
-        if kind.id == "registration.shift":  # the static transform, from its time on
-            full = np.where(session[:, None] >= values["shift_time"], linear.nominal[:, fitter.static_columns], 0.0)
-        else:
-            full = _columns(fitter, base, kind, values, linear.residual, moved, sign)
-        for only in (True, False):
-            columns = np.where(calibration[:, None], 0.0, full) if only else full
-            free = columns - q @ (q.T @ columns)
-            size = np.linalg.norm(columns, axis=0)
-            if not (np.linalg.norm(free, axis=0) > 1e-3 * np.maximum(size, 1e-12)).any():
-                continue
-            amplitude, *_ = np.linalg.lstsq(free, residual, rcond=1e-6)
-            gain = 1.0 - float(np.sum((residual - free @ amplitude) ** 2)) / rss
-            start = dict(values)
-            for parameter, a in zip(kind.amplitudes, amplitude, strict=True):
-                reach = 10.0 * fitter.scale(parameter)
-                value = inside(parameter.name, float(np.clip(a, -reach, reach)))
-                if value == 0.0 or (parameter.one_way and value * sign < 0.0):
-                    gain, value = 0.0, 0.2 * sign * fitter.scale(parameter)  # the other way round than it can be
-                start[parameter.name] = value
-            result.append(_Screened(gain, kind, only, start))
-
-    for kind in kinds:
-        if kind.id in EVENTS or kind in base.hypothesis.kinds:
-            continue
-        signs = (1.0, -1.0) if any(p.one_way for p in kind.amplitudes) else (1.0,)
-        for values, sign in itertools.product(_shape_starts(fitter, base, kind), signs):
-            score(kind, values, sign)
-        if kind.id == "registration.shift":
-            coarse = max((s for s in result if s.kind is kind), key=lambda s: s.gain, default=None)
-            step = float(np.ptp(session)) / _SHIFT_TIMES
-            if coarse is not None:
-                for later in np.linspace(-step, step, _SHIFT_TIMES)[1:-1]:
-                    score(kind, {"shift_time": coarse.values["shift_time"] + float(later)}, 1.0)
-    return sorted(result, key=lambda entry: -entry.gain)
-
-
-def _columns(
-    fitter: Fitter, base: Fit, kind: Kind, shapes: Mapping[str, float], here: Array, moved: Sequence[Path], sign: float
-) -> Array:
-    """d prediction / d amplitude, rows as in Linear, the effect in every recording. `here`, `moved`: the base's."""
-    hypothesis = base.hypothesis.plus(kind, False)
-    columns = []
-    for parameter in kind.amplitudes:
-        step = sign * parameter.probe * fitter.scale(parameter)
-        values = {**base.state.values, **shapes, **{p.name: 0.0 for p in kind.amplitudes}, parameter.name: step}
-        same = None if moves_tip(parameter) else moved
-        columns.append((here - fitter.residual(replace(base.state, values=values), hypothesis, same)) / step)
-    return np.column_stack(columns)
-
-
-def _shape_starts(fitter: Fitter, base: Fit, kind: Kind) -> list[dict[str, float]]:
-    choices = []
-    for parameter in kind.shapes:
-        if parameter.name == "contact_c":
-            c = np.concatenate([s.predict(base.state.model, {}, 0.0)[0].c_deg for s in fitter.segments])
-            values = list(np.quantile(c, [0.1, 0.25, 0.5, 0.75, 0.9]))
-        elif parameter.name == "shift_time":
-            begin = min(float(s.arrival_s[0]) + s.offset_s for s in fitter.segments)
-            end = max(float(s.arrival_s[-1]) + s.offset_s for s in fitter.segments)
-            values = list(np.linspace(begin, end, _SHIFT_TIMES + 1)[1:-1])
-        else:
-            unit = fitter.model.rig.actuator.span if parameter.unit == "unit" else 1.0
-            values = [v * unit for v in parameter.shape]
-        choices.append([(parameter.name, float(v)) for v in values])
-    return [dict(choice) for choice in itertools.product(*choices)]
 
 
 def _event(fitter: Fitter, judged: Fit, base: Fit, kind: Kind, without: float, share: float) -> Candidate:

@@ -15,11 +15,11 @@ from scipy.spatial.transform import Rotation
 from tautline import effects
 from tautline.diagnose import decide, gap, motion, where
 from tautline.diagnose.decide import Candidate
-from tautline.diagnose.fit import Fit, Fitter, Hypothesis, State, allowed_width
+from tautline.diagnose.fit import Fit, Fitter, Hypothesis, State
 from tautline.diagnose.segment import Segment, prepare
 from tautline.effects import Kind
 from tautline.geometry import rotation
-from tautline.model import Effect, Model
+from tautline.model import Effect, Model, allowed_width
 from tautline.recording import Recording
 from tautline.rig import HandEye
 

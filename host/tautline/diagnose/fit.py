@@ -15,18 +15,22 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
 
-from tautline import effects
+from tautline import _native, effects
 from tautline.diagnose.segment import Segment
 from tautline.effects import Kind, Parameter, Path
-from tautline.model import STEEPEST, Model
+from tautline.model import Model, allowed_width
 from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
 
 _WIDTH_PIECES, _REMAINING_PIECES = 12, 22
 _ROUGH = 0.001  # second difference of a correction's neighbouring coefficients, share of its range
+STATIC_COLUMNS = slice(2, 8)  # of Rows.columns, with a camera
 _STATIC = tuple(p.name for p in effects.BY_ID["registration.static"].amplitudes)
 _OUTLIER = 6.0  # robust standard deviations: a residual beyond is pulled in, unless it is one of many
+_DIFFERENCE = 0.05  # of a parameter's scale: the step of its difference quotient
+_SMALL_GAIN = 1e-4  # of the cost: two steps in a row that gain less are the last
+_FAR = 30.0  # of a parameter's scale: its prior
 _RARE = 0.01  # a misfit that lasts longer than this share of a recording is no outlier
 
 
@@ -76,12 +80,26 @@ class State:
 
 
 @dataclass(frozen=True)
-class Linear:
-    """Residuals and Jacobians at a state, rows of all scored coordinates of all recordings."""
+class Rows:
+    """One recording's scored observations, linearised in the nominal: d prediction = by_c dc + columns dx, where
+    dc = by_width dB(p) + by_follow df(tip) and x are the factors on details, static registration and delay."""
 
-    residual: Array  # (n,)
-    nominal: Array  # (n, m)
-    rows: list[slice]  # of each segment
+    path: Path  # at all observations
+    p: Array  # (n,) of the scored ones, as the next three
+    tip: Array
+    by_width: Array
+    by_follow: Array
+    by_c: Array  # (n, k)
+    columns: Array  # (n, k, 9), or (n, 1, 2) without a camera
+    residual: Array  # (n, k)
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Normal equations: unknowns are B's and f_remain's coefficients, static registration, delay, and what is added."""
+
+    matrix: Array  # (m, m)
+    gradient: Array  # (m,)
 
 
 @dataclass(frozen=True)
@@ -120,8 +138,6 @@ class Fitter:
         self._bending = block_diag(
             _bending(self._width_basis.size, _ROUGH * span), _bending(self._remaining_basis.size, _ROUGH * gain * span)
         )
-        before = self._width_basis.size + self._remaining_basis.size + 2
-        self.static_columns = slice(before, before + 6)  # of Linear.nominal, with a camera
         self.floor = 1.0
         # An obstacle that begins outside of what was reached would be another gain and offset, and no obstacle.
         ends = np.sort(model.remaining(np.array([low, high])))
@@ -139,9 +155,78 @@ class Fitter:
     def start(self) -> State:
         return State(self.model, dict.fromkeys(_STATIC, 0.0) if self.px else {})
 
+    def residuals(self, state: State, hypothesis: Hypothesis) -> list[Array]:
+        """Of each recording, (scored, k)."""
+        found = []
+        for segment in self.segments:
+            _, predicted = segment.predict(state.model, state.at(segment, hypothesis), self.load_reference)
+            found.append((segment.observed - predicted)[segment.scored])
+        return found
+
+    def rows(self, state: State, hypothesis: Hypothesis) -> list[Rows]:
+        """Of each recording."""
+        slope_b = np.gradient(state.model.width, state.model.q)
+        slope_f = np.gradient(state.model.c_deg, state.model.q)
+        return [self._rows(segment, state, hypothesis, slope_b, slope_f) for segment in self.segments]
+
+    def _rows(self, segment: Segment, state: State, hypothesis: Hypothesis, slope_b: Array, slope_f: Array) -> Rows:
+        model, parameters, keep = state.model, state.at(segment, hypothesis), segment.scored
+        path = segment.follow(model, parameters, self.load_reference)
+        p, tip, gain, side = path.p[keep], path.tip[keep], path.gain[keep], path.side[keep].astype(float)
+        steep = np.maximum(1 + side * np.interp(p, model.q, slope_b) / 2, 0.1)
+        by_width = gain * np.interp(tip, model.q, slope_f) * -side / 2 / steep
+        details = np.column_stack(
+            [by_width * np.interp(p, model.q, self._details[0]), gain * np.interp(tip, model.q, self._details[1])]
+        )
+        if not self.px:
+            residual = segment.observed[keep] - path.c_deg[keep, None]
+            return Rows(path, p, tip, by_width, gain, np.ones((len(p), 1)), details[:, None, :], residual)
+        seen, by_c, by_static = effects.image_with_slopes(model, path, parameters, segment.offset_s)
+        by_delay = -velocity(segment, path.c_deg)[:, None] * by_c
+        columns = np.concatenate(
+            [by_c[keep][:, :, None] * details[:, None, :], by_static[keep], by_delay[keep][:, :, None]], axis=2
+        )
+        return Rows(path, p, tip, by_width, gain, by_c[keep], columns, (segment.observed - seen)[keep])
+
+    def normal(
+        self, rows: Rows, extra: Array | None = None, weight: Array | None = None, known: Normal | None = None
+    ) -> Normal:
+        """Of one recording. extra (n, k, m): further columns, their unknowns behind the others. known: the same without
+        `extra`, which then need not be summed again."""
+        columns, first = rows.columns, rows.columns.shape[2]
+        before = self._width_basis.size + self._remaining_basis.size + first
+        if extra is not None:
+            columns = np.concatenate([columns, extra], axis=2)
+        size = before - first + columns.shape[2]
+        matrix, gradient = np.zeros((size, size)), np.zeros(size)
+        if known is not None:
+            matrix[:before, :before], gradient[:before] = known.matrix, known.gradient
+        _native.normal_add(
+            *(rows.p, rows.tip, rows.by_width, rows.by_follow, rows.by_c, np.ascontiguousarray(columns)),
+            *(rows.residual, weight, self._width_basis.native, self._remaining_basis.native, matrix, gradient),
+            first=0 if known is None else first,
+        )
+        return Normal(matrix, gradient)
+
+    def left(self, rows: Sequence[Rows]) -> list[Array]:
+        """What a step of the nominal, as far as it likes, leaves of each recording's residual: least squares of the
+        linearisation."""
+        parts = [self.normal(row) for row in rows]
+        matrix = np.asarray(sum(part.matrix for part in parts))
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-12 * float(np.diag(matrix).max())))
+        inverse = np.linalg.pinv(matrix * np.outer(scale, scale), rcond=1e-12, hermitian=True)
+        step = scale * (inverse @ (scale * np.asarray(sum(part.gradient for part in parts))))
+        b, f = self._width_basis.size, self._remaining_basis.size
+        found = []
+        for row in rows:
+            width = self._width_basis.value(step[:b], row.p)
+            c = row.by_width * width + row.by_follow * self._remaining_basis.value(step[b : b + f], row.tip)
+            found.append(row.residual - row.by_c * c[:, None] - row.columns @ step[b + f :])
+        return found
+
     def spread(self, hypothesis: Hypothesis) -> Array:
         """Standard deviations of the prior: of the nominal's corrections, then of the effects' parameters."""
-        return np.concatenate([self._prior, [30.0 * self.scale(p) for p, _ in hypothesis.parameters]])
+        return np.concatenate([self._prior, [_FAR * self.scale(p) for p, _ in hypothesis.parameters]])
 
     def stiffness(self, hypothesis: Hypothesis) -> Array:
         """The prior's inverse covariance: 1 / spread^2, and B and f_remain move smoothly: where a motion hardly reaches
@@ -151,123 +236,71 @@ class Fitter:
         stiff[:n, :n] += self._bending
         return stiff
 
-    def paths(self, state: State, hypothesis: Hypothesis) -> list[Path]:
-        """Of every recording."""
-        return [s.predict(state.model, state.at(s, hypothesis), self.load_reference)[0] for s in self.segments]
+    def effect_columns(self, state: State, hypothesis: Hypothesis, rows: Sequence[Rows]) -> list[Array]:
+        """Of each recording (n, k, m) by difference quotients, one column for each of the hypothesis' parameters."""
+        found = []
+        for segment, row in zip(self.segments, rows, strict=True):
+            columns = np.zeros((*row.residual.shape, len(hypothesis.parameters)))
+            for i, (parameter, only) in enumerate(hypothesis.parameters):
+                if not (only and segment.calibration):
+                    step = _DIFFERENCE * self.scale(parameter)
+                    values = {**state.values, parameter.name: state.values[parameter.name] + step}
+                    changed = self.residual_at(segment, replace(state, values=values), hypothesis, parameter, row)
+                    columns[:, :, i] = (row.residual - changed) / step
+            found.append(columns)
+        return found
 
-    def residual(self, state: State, hypothesis: Hypothesis, moved: Sequence[Path] | None = None) -> Array:
-        """`moved` as in Segment.predict, one for each recording."""
-        return np.concatenate([r.ravel() for r in self._residuals(state, hypothesis, moved)])
-
-    def _residuals(self, state: State, hypothesis: Hypothesis, moved: Sequence[Path] | None = None) -> list[Array]:
-        residuals = []
-        for i, segment in enumerate(self.segments):
-            parameters = state.at(segment, hypothesis)
-            known = moved[i] if moved else None
-            _, predicted = segment.predict(state.model, parameters, self.load_reference, known)
-            residuals.append((segment.observed - predicted)[segment.scored])
-        return residuals
-
-    def linearise(self, state: State, hypothesis: Hypothesis) -> Linear:
-        residuals, jacobians, rows, at = [], [], [], 0
-        for segment in self.segments:
-            residual, jacobian = self._linear_segment(segment, state, hypothesis)
-            residuals.append(residual)
-            jacobians.append(jacobian)
-            rows.append(slice(at, at + len(residual)))
-            at += len(residual)
-        return Linear(np.concatenate(residuals), np.concatenate(jacobians), rows)
-
-    def _linear_segment(self, segment: Segment, state: State, hypothesis: Hypothesis) -> tuple[Array, Array]:
-        model, parameters = state.model, state.at(segment, hypothesis)
-        path, predicted = segment.predict(model, parameters, self.load_reference)
-        keep = segment.scored
-        p, side, c = path.p[keep], path.side[keep], path.c_deg[keep]
-        slope_b = np.interp(p, model.q, np.gradient(model.width, model.q))
-        slope_f = np.interp(p, model.q, np.gradient(model.c_deg, model.q))
-        d_width = slope_f * -side / 2 / np.maximum(1 + side * slope_b / 2, 0.1)
-        columns_c = [
-            d_width[:, None] * self._width_basis.design(p).toarray(),
-            self._remaining_basis.design(p).toarray(),
-            (d_width * np.interp(p, model.q, self._details[0]))[:, None],
-            np.interp(p, model.q, self._details[1])[:, None],
-        ]
-        d_c = np.concatenate(columns_c, axis=1)
-        if not self.px:
-            return (segment.observed[keep] - predicted[keep]).ravel(), d_c
-        motor = segment.motor
-        scene = segment.arrival_s[keep] - model.delay_s
-        translation = 0.0 if motor.translation_mm is None else np.interp(scene, motor.t_s, motor.translation_mm)
-        turn = 0.0 if motor.rotation_deg is None else np.interp(scene, motor.t_s, motor.rotation_deg)
-        after = scene + segment.offset_s >= parameters.get("shift_time", np.inf)
-
-        def image(angle: Array, changed: Mapping[str, float]) -> Array:
-            return effects.image(model, angle, translation, turn, changed, side, after)
-
-        here = predicted[keep]
-        per_deg = (image(c + 0.01, parameters) - here) / 0.01
-        columns = [per_deg[:, :, None] * d_c[:, None, :]]
-        for name in _STATIC:
-            step = 0.01
-            moved = image(c, {**parameters, name: parameters.get(name, 0.0) + step})
-            columns.append(((moved - here) / step)[:, :, None])
-        columns.append((-velocity(segment, path.c_deg)[keep, None] * per_deg)[:, :, None])
-        jacobian = np.concatenate(columns, axis=2)
-        return (segment.observed[keep] - here).ravel(), jacobian.reshape(-1, jacobian.shape[2])
-
-    def effect_jacobian(self, state: State, hypothesis: Hypothesis) -> Array:
-        """(n, k) by difference quotients, one column for each of the hypothesis' parameters."""
-        if not hypothesis.parameters:
-            return np.empty((sum(self._counts()), 0))
-        moved = self.paths(state, hypothesis)
-        base = self.residual(state, hypothesis, moved)
-        columns = []
-        for parameter, _ in hypothesis.parameters:
-            step = 0.05 * self.scale(parameter)
-            here = state.values[parameter.name]
-            changed = replace(state, values={**state.values, parameter.name: here + step})
-            same = None if moves_tip(parameter) else moved
-            columns.append((base - self.residual(changed, hypothesis, same)) / step)
-        return np.column_stack(columns)
+    def residual_at(
+        self, segment: Segment, state: State, hypothesis: Hypothesis, parameter: Parameter, row: Rows
+    ) -> Array:
+        """(scored, k) where only `parameter` differs from where `row` is."""
+        values = state.at(segment, hypothesis)
+        path = segment.follow(state.model, values, self.load_reference) if moves_tip(parameter) else row.path
+        return (segment.observed - segment.seen(state.model, values, path))[segment.scored]
 
     def fit(
-        self, hypothesis: Hypothesis, values: Mapping[str, float], start: State | None = None, iterations: int = 8
+        self, hypothesis: Hypothesis, values: Mapping[str, float], start: State | None = None, iterations: int = 12
     ) -> Fit:
         """Levenberg-Marquardt from `values`, the nominal from `start` (default: as calibrated)."""
         state = replace(start or self.start(), values=dict(values))
-        damping = 1e-4
+        rows = self.rows(state, hypothesis)
+        prior = self.floor**2 * self.stiffness(hypothesis)
+        damping, small = 1e-4, 0
         for _ in range(iterations):
-            linear = self.linearise(state, hypothesis)
-            jacobian = np.column_stack([linear.nominal, self.effect_jacobian(state, hypothesis)])
-            limit = self._limit(linear.residual)
-            cost = robust_cost(linear.residual, limit)
-            weight = np.minimum(1.0, limit / np.maximum(np.abs(linear.residual), 1e-12))
-            prior = self.stiffness(hypothesis)
-            weighted = jacobian * weight[:, None]
-            normal = jacobian.T @ weighted / self.floor**2
-            gradient = weighted.T @ linear.residual / self.floor**2
-            improved = False
+            limits = [outlier_limit(row.residual) for row in rows]
+            cost = _cost(rows, limits)
+            matrix, gradient = prior.copy(), np.zeros(len(prior))
+            for row, columns, limit in zip(rows, self.effect_columns(state, hypothesis, rows), limits, strict=True):
+                weight = np.minimum(1.0, limit / np.maximum(np.abs(row.residual), 1e-12))
+                part = self.normal(row, columns, weight)
+                matrix += part.matrix
+                gradient += part.gradient
+            self._pin(state, hypothesis, matrix, gradient)
+            gain = 0.0
             for _ in range(8):
-                damped = normal + prior + damping * np.diag(np.diag(normal))
-                step = np.linalg.solve(damped, gradient)
+                step = np.asarray(np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), gradient), dtype=float)
                 trial = self._moved(state, hypothesis, step)
-                trial_cost = robust_cost(self.residual(trial, hypothesis), limit)
+                trial_rows = self.rows(trial, hypothesis)
+                trial_cost = _cost(trial_rows, limits)
                 if trial_cost < cost:
                     gain = (cost - trial_cost) / cost
-                    state, cost, damping, improved = trial, trial_cost, damping / 5, True
+                    state, rows, damping = trial, trial_rows, damping / 10
                     break
                 damping = max(damping, 1e-6) * 10
-            if not improved or gain < 1e-4:
+            small = small + 1 if gain < _SMALL_GAIN else 0
+            if gain == 0.0 or small == 2:
                 break
-        return Fit(hypothesis, state, self._residuals(state, hypothesis))
+        return Fit(hypothesis, state, [row.residual for row in rows])
 
-    def _counts(self) -> list[int]:
-        return [int(s.scored.sum()) * s.observed.shape[1] for s in self.segments]
-
-    def _limit(self, residual: Array) -> Array:
-        """(n,) per recording: one that fits badly throughout is not an outlier of those that fit."""
-        parts = np.split(residual, np.cumsum(self._counts())[:-1])
-        return np.concatenate([np.full(len(r), outlier_limit(r)) for r in parts])
+    def _pin(self, state: State, hypothesis: Hypothesis, matrix: Array, gradient: Array) -> None:
+        """Keeps a parameter at the end of its range where the step would lead beyond it."""
+        first = len(gradient) - len(hypothesis.parameters)
+        for i, (parameter, _) in enumerate(hypothesis.parameters, first):
+            value = state.values[parameter.name]
+            onward = value + float(np.sign(gradient[i])) * 1e-6 * self.scale(parameter)
+            if inside(parameter.name, onward) == value:
+                matrix[i, :] = matrix[:, i] = gradient[i] = 0.0
+                matrix[i, i] = 1.0
 
     def _moved(self, state: State, hypothesis: Hypothesis, step: Array) -> State:
         model = state.model
@@ -308,30 +341,29 @@ def moves_tip(parameter: Parameter) -> bool:
 
 def inside(name: str, value: float) -> float:
     """A parameter kept where it means something."""
-    if name in ("onset_spread", "creep_share", "contact_hold"):
-        return min(max(value, 0.0), 1.0)
-    if name in ("lag", "stick", "width_per_speed"):
-        return max(value, 0.0)
-    if name in ("asymmetry_travel", "creep_time", "encoder_period"):
-        return max(value, 1e-3)
-    return value
+    low, high = _RANGES.get(name, (-np.inf, np.inf))
+    return min(max(value, low), high)
 
 
-def allowed_width(grid: Array, width: Array) -> Array:
-    """B >= 0 and |B'| <= 1.8, by cutting what exceeds it."""
-    width = np.maximum(width, 0.0)
-    steepest = STEEPEST * np.diff(grid)
-    for i in range(1, len(width)):
-        width[i] = min(width[i], width[i - 1] + steepest[i - 1])
-    for i in range(len(width) - 2, -1, -1):
-        width[i] = min(width[i], width[i + 1] + steepest[i])
-    return width
+_RANGES = {
+    **dict.fromkeys(("onset_spread", "onset_tail", "creep_share", "creep_slow", "contact_hold"), (0.0, 1.0)),
+    **dict.fromkeys(("lag", "stick", "width_per_speed", "contact_soft", "tilt_travel", "drift_decay"), (0.0, np.inf)),
+    **dict.fromkeys(("asymmetry_travel", "creep_time", "encoder_period"), (1e-3, np.inf)),
+    "lag_second": (0.0, 0.5),
+    "asymmetry_form": (0.5, 4.0),
+    "speed_exponent": (0.1, 3.0),
+    "curvature_gradient": (-0.95, 0.95),
+}
 
 
-def robust_cost(residual: Array, limit: Array) -> float:
-    """Huber's: quadratic to the limit, linear beyond."""
-    size = np.abs(residual)
-    return float(np.sum(np.where(size < limit, size**2, 2 * limit * size - limit**2)))
+def _cost(rows: Sequence[Rows], limits: Sequence[float]) -> float:
+    """Huber's: quadratic to the recording's limit, linear beyond: one that fits badly throughout is not an outlier of
+    those that fit."""
+    total = 0.0
+    for row, limit in zip(rows, limits, strict=True):
+        size = np.abs(row.residual)
+        total += float(np.sum(np.where(size < limit, size**2, 2 * limit * size - limit**2)))
+    return total
 
 
 def velocity(segment: Segment, c_deg: Array) -> Array:

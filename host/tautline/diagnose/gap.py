@@ -54,25 +54,25 @@ def _step(observed: Array) -> float:
 
 def still_stretches(segment: Segment) -> list[slice]:
     """Observations while the motor and the other degrees of freedom were at rest, a slice each."""
-    moving = _moving_times(segment.motor)
-    if len(moving) == 0:
+    starts, ends = _moves(segment.motor)
+    if len(starts) == 0:
         return [slice(0, len(segment.arrival_s))]
-    at = np.searchsorted(moving, segment.arrival_s)
-    before = np.where(at > 0, moving[np.maximum(at - 1, 0)], -np.inf)
-    after = np.where(at < len(moving), moving[np.minimum(at, len(moving) - 1)], np.inf)
+    at = np.searchsorted(ends, segment.arrival_s)
+    before = np.where(at > 0, ends[np.maximum(at - 1, 0)], -np.inf)
+    after = np.where(at < len(starts), starts[np.minimum(at, len(starts) - 1)], np.inf)
     # The frame's delay is well below _STILL_S: a frame counts when the motor rested before and after it.
     still = (segment.arrival_s - before > _STILL_S) & (after > segment.arrival_s)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]])))
     return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
-def _moving_times(motor: Motor) -> Array:
-    moved = np.zeros(len(motor.t_s), dtype=bool)
+def _moves(motor: Motor) -> tuple[Array, Array]:
+    """Times from and to which a degree of freedom moved."""
+    moved = np.zeros(len(motor.t_s) - 1, dtype=bool)
     for values in (motor.q, motor.translation_mm, motor.rotation_deg):
         if values is not None:
-            moved[1:] |= np.diff(values) != 0
-    times: Array = motor.t_s[moved]
-    return times
+            moved |= np.diff(values) != 0
+    return motor.t_s[:-1][moved], motor.t_s[1:][moved]
 
 
 def blocks(segment: Segment) -> npt.NDArray[np.int64]:

@@ -7,14 +7,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import solveh_banded
 
-from tautline.effects import Path, seen, simulate
+from tautline import _native, effects
+from tautline.effects import Path
 from tautline.errors import TautError
 from tautline.model import Model, between_counts
 from tautline.recording import Motor, Recording
 
 Array = npt.NDArray[np.float64]
-_MOTOR_STEP_S = 0.008  # motor samples nearer together than this only matter where the motor turns
+# How far the lines between a motor's knots may be from its samples: less than a camera sees.
+_TOLERANCE_COUNTS, _TOLERANCE_MM, _TOLERANCE_DEG, _TOLERANCE_LOAD = 1.0, 5e-4, 5e-3, 1e-3
+_REST_S = 0.05  # a motor that stands still for longer rests
 
 
 @dataclass(frozen=True)
@@ -22,7 +26,7 @@ class Segment:
     """One recording. Observations (n, k): k = 2 px from the marker or k = 1 deg from the angle."""
 
     name: str
-    motor: Motor  # between the encoder's counts, thinned
+    motor: Motor  # between the encoder's counts; knots of straight lines
     arrival_s: Array  # (n,)
     observed: Array  # (n, k)
     scored: npt.NDArray[np.bool_]  # (n,) after a full backlash in both directions
@@ -33,20 +37,21 @@ class Segment:
     def unit(self) -> str:
         return "px" if self.observed.shape[1] == 2 else "deg"
 
-    def predict(
-        self, model: Model, parameters: Mapping[str, float], load_reference: float, moved: Path | None = None
-    ) -> tuple[Path, Array]:
-        """The path at the observations and the prediction (n, k). `moved`: a path of the same model whose parameters
-        differ only after the configuration: how the tip moves is taken from it."""
+    def follow(self, model: Model, parameters: Mapping[str, float], load_reference: float) -> Path:
+        """Where the tip is at the observations."""
         scene = self.arrival_s - (model.delay_s if self.unit == "px" else 0.0)
-        if moved is None:
-            path = simulate(
-                model, self.motor, scene, parameters, load_reference=load_reference, clock_offset_s=self.offset_s
-            )
-        else:
-            scene = scene - parameters.get("delay", 0.0)
-            path = seen(model, self.motor, scene, parameters, self.offset_s, moved.c_deg, moved.p, moved.side)
-        return path, path.image_px if self.unit == "px" else path.c_deg[:, None]
+        return effects.follow(
+            model, self.motor, scene, parameters, load_reference=load_reference, clock_offset_s=self.offset_s
+        )
+
+    def seen(self, model: Model, parameters: Mapping[str, float], path: Path) -> Array:
+        """(n, k) what is observed of a tip that moves so."""
+        return effects.image(model, path, parameters, self.offset_s) if self.unit == "px" else path.c_deg[:, None]
+
+    def predict(self, model: Model, parameters: Mapping[str, float], load_reference: float) -> tuple[Path, Array]:
+        """The path at the observations and the prediction (n, k)."""
+        path = self.follow(model, parameters, load_reference)
+        return path, self.seen(model, parameters, path)
 
     def part(self, keep: npt.NDArray[np.bool_]) -> Segment:
         """The same recording scored only where `keep` (n,) says."""
@@ -111,25 +116,53 @@ def settled_from(model: Model, motor: Motor) -> float:
 
 
 def _thinned(motor: Motor, resolution: float) -> Motor:
-    """Every turning point is kept, and otherwise one sample in _MOTOR_STEP_S."""
-    step = float(np.median(np.diff(motor.t_s)))
-    stride = int(_MOTOR_STEP_S / step)
-    if stride < 2:
-        return motor
-    keep = np.zeros(len(motor.t_s), dtype=bool)
-    keep[::stride] = keep[0] = keep[-1] = True
-    change = np.flatnonzero(np.abs(np.diff(motor.q)) > 1e-6 * resolution)
-    turns = change[1:][np.diff(np.sign(np.diff(motor.q)[change])) != 0]
-    keep[turns] = True
+    """Straight lines between few knots, within what cannot be seen of the samples; rests stay rests."""
+    given = [motor.q, motor.translation_mm, motor.rotation_deg, motor.load_mNm]
+    tolerances = [
+        _TOLERANCE_COUNTS * resolution,
+        _TOLERANCE_MM,
+        _TOLERANCE_DEG,
+        0.0 if motor.load_mNm is None else _TOLERANCE_LOAD * float(np.ptp(motor.load_mNm)),
+    ]
+    channels = [(v, tolerance) for v, tolerance in zip(given, tolerances, strict=True) if v is not None]
+    keep = _native.thin(
+        motor.t_s,
+        np.concatenate([values for values, _ in channels]),
+        np.array([tolerance for _, tolerance in channels]),
+        _REST_S,
+    ).astype(bool)
 
     def taken(values: Array | None) -> Array | None:
-        return None if values is None else np.ascontiguousarray(values[keep])
+        return None if values is None else values[keep]
 
     return Motor(
-        np.ascontiguousarray(motor.t_s[keep]),
-        np.ascontiguousarray(motor.q[keep]),
+        motor.t_s[keep],
+        _levelled(motor.t_s, motor.q, np.flatnonzero(keep)),
         None,
         taken(motor.translation_mm),
         taken(motor.rotation_deg),
         taken(motor.load_mNm),
     )
+
+
+def _levelled(t_s: Array, values: Array, knots: npt.NDArray[np.intp]) -> Array:
+    """(knots,) values at the knots of the straight lines that fit all samples best: an encoder's steps average out.
+    Where nothing moves between two knots they stay as they are."""
+    t, v = t_s[knots], values[knots]
+    fixed = np.zeros(len(v), dtype=bool)
+    rests = np.flatnonzero(np.diff(v) == 0)
+    fixed[rests] = fixed[rests + 1] = True
+    if len(knots) < 2 or fixed.all():
+        return v
+    left = np.clip(np.searchsorted(knots, np.arange(len(t_s)), side="right") - 1, 0, len(knots) - 2)
+    share = (t_s - t[left]) / (t[left + 1] - t[left])
+    off = values - ((1 - share) * v[left] + share * v[left + 1])
+    count = len(v)
+    diagonal = np.bincount(left, (1 - share) ** 2, count) + np.bincount(left + 1, share**2, count)
+    beside = np.bincount(left, share * (1 - share), count)
+    force = np.bincount(left, (1 - share) * off, count) + np.bincount(left + 1, share * off, count)
+    diagonal[fixed], force[fixed] = 1.0, 0.0
+    beside[:-1][fixed[:-1] | fixed[1:]] = 0.0
+    system = np.stack([np.concatenate([[0.0], beside[:-1]]), diagonal + 1e-9])
+    level: Array = v + np.asarray(solveh_banded(system, force))
+    return level

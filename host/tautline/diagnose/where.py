@@ -79,7 +79,7 @@ def axis_values(segment: Segment, path: Path) -> dict[str, Array]:
     others = {"translation": motor.translation_mm, "rotation": motor.rotation_deg, "load": motor.load_mNm}
     values |= {name: np.interp(t, motor.t_s, v) for name, v in others.items() if v is not None}
     if segment.unit == "px":
-        values |= {"u": path.image_px[:, 0], "v": path.image_px[:, 1]}
+        values |= {"u": segment.observed[:, 0], "v": segment.observed[:, 1]}
     return values
 
 

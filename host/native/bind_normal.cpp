@@ -1,0 +1,56 @@
+#include "arrays.h"
+#include "normal.h"
+
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
+#include <optional>
+#include <stdexcept>
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace {
+
+using Values = ArrayIn<double>;
+using Rows = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Columns = nb::ndarray<const double, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
+using Square = nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Vector = nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+
+void add(Values p, Values tip, Values by_width, Values by_follow, Rows by_c, Columns columns, Rows residual,
+         std::optional<Rows> weight, nb::tuple width, nb::tuple follow, Square matrix, Vector gradient, size_t first) {
+    const auto basis = [](const nb::tuple &of) {
+        return normal_basis{nb::cast<double>(of[0]), nb::cast<double>(of[1]), nb::cast<size_t>(of[2])};
+    };
+    const normal_basis b = basis(width), f = basis(follow);
+    const size_t frames = p.shape(0), seen = by_c.shape(1), count = columns.shape(2), m = b.size + f.size + count;
+    const auto right = [&](const Rows &rows) { return rows.shape(0) == frames && rows.shape(1) == seen; };
+    if (seen > NORMAL_SEEN || count > NORMAL_COLUMNS || tip.shape(0) != frames || by_width.shape(0) != frames ||
+        by_follow.shape(0) != frames || !right(by_c) || !right(residual) || (weight && !right(*weight)) ||
+        columns.shape(0) != frames || columns.shape(1) != seen || matrix.shape(0) != m || matrix.shape(1) != m ||
+        gradient.shape(0) != m || first > count || b.size < 4 || f.size < 4) {
+        throw std::invalid_argument("shapes of a linearisation do not fit each other");
+    }
+    const normal_rows rows = {p.data(),
+                              tip.data(),
+                              by_width.data(),
+                              by_follow.data(),
+                              by_c.data(),
+                              columns.data(),
+                              residual.data(),
+                              weight ? weight->data() : nullptr,
+                              frames,
+                              seen,
+                              count};
+    nb::gil_scoped_release unlocked;
+    normal_add(&rows, &b, &f, first, matrix.data(), gradient.data());
+}
+
+} // namespace
+
+void bind_normal(nb::module_ &m) {
+    m.def("normal_add", add, "p"_a, "tip"_a, "by_width"_a, "by_follow"_a, "by_c"_a, "columns"_a, "residual"_a,
+          "weight"_a.none(), "width"_a, "follow"_a, "matrix"_a, "gradient"_a, "first"_a = 0,
+          "Adds J'WJ and J'Wr to matrix and gradient. width, follow: (low, step, size) of the splines. See normal.h.");
+}

@@ -1,0 +1,74 @@
+#include "normal.h"
+
+enum { CUBIC = 4, CURVES = 2 * CUBIC };
+
+// The four splines that are not zero at x: the first one's index and all values.
+static size_t spline(const struct normal_basis *basis, double x, double *value) {
+    const size_t spans = basis->size - 3;
+    double u = (x - basis->low) / basis->step;
+    u = u > 0.0 ? u : 0.0;
+    u = u < (double)spans ? u : (double)spans;
+    size_t span = (size_t)u;
+    span = span < spans ? span : spans - 1;
+    const double t = u - (double)span, s = 1.0 - t;
+    value[0] = s * s * s / 6.0;
+    value[1] = (3.0 * t * t * t - 6.0 * t * t + 4.0) / 6.0;
+    value[2] = (3.0 * s * s * s - 6.0 * s * s + 4.0) / 6.0;
+    value[3] = t * t * t / 6.0;
+    return span;
+}
+
+void normal_add(const struct normal_rows *rows, const struct normal_basis *width, const struct normal_basis *follow,
+                size_t first, double *matrix, double *gradient) {
+    const size_t curves = width->size + follow->size, m = curves + rows->count, count = rows->count;
+    for (size_t n = 0; n < rows->frames; n++) {
+        double c[CURVES]; // dc by the curves' coefficients
+        size_t at[CURVES];
+        const size_t in_width = spline(width, rows->p[n], c);
+        const size_t in_follow = width->size + spline(follow, rows->tip[n], c + CUBIC);
+        for (size_t i = 0; i < CUBIC; i++) {
+            c[i] *= rows->by_width[n];
+            c[CUBIC + i] *= rows->by_follow[n];
+            at[i] = in_width + i;
+            at[CUBIC + i] = in_follow + i;
+        }
+        double square = 0.0, force = 0.0, cross[NORMAL_COLUMNS] = {0};
+        for (size_t k = 0; k < rows->seen; k++) {
+            const size_t row = n * rows->seen + k;
+            const double weight = rows->weight ? rows->weight[row] : 1.0;
+            const double by_c = weight * rows->by_c[row];
+            const double *columns = rows->columns + row * count;
+            square += by_c * rows->by_c[row];
+            force += by_c * rows->residual[row];
+            for (size_t j = first; j < count; j++) {
+                const double part = weight * columns[j];
+                cross[j] += by_c * columns[j];
+                gradient[curves + j] += part * rows->residual[row];
+                double *into = matrix + (curves + j) * m + curves;
+                for (size_t i = 0; i <= j; i++) {
+                    into[i] += part * columns[i];
+                }
+            }
+        }
+        for (size_t j = first; j < count; j++) {
+            double *into = matrix + (curves + j) * m;
+            for (size_t i = 0; i < CURVES; i++) {
+                into[at[i]] += cross[j] * c[i];
+            }
+        }
+        if (first == 0) {
+            for (size_t i = 0; i < CURVES; i++) {
+                gradient[at[i]] += force * c[i];
+                double *into = matrix + at[i] * m;
+                for (size_t j = 0; j <= i; j++) {
+                    into[at[j]] += square * c[i] * c[j];
+                }
+            }
+        }
+    }
+    for (size_t j = 0; j < m; j++) { // what was written lies below the diagonal
+        for (size_t i = j + 1; i < m; i++) {
+            matrix[j * m + i] = matrix[i * m + j];
+        }
+    }
+}

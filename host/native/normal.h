@@ -1,0 +1,40 @@
+// Normal equations of a fit whose unknowns are two curves in cubic B-splines and a few columns that touch every row:
+// a row has eight entries of the curves, so nothing as large as rows times unknowns is ever made.
+#ifndef TAUTLINE_NORMAL_H
+#define TAUTLINE_NORMAL_H
+
+#include <stddef.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+// `size` uniform cubic B-splines over [low, low + (size - 3) step]; arguments beyond are moved to the nearer end.
+struct normal_basis {
+    double low, step;
+    size_t size; // 4 or more
+};
+
+// A frame has `seen` coordinates (1 or 2), each a row: d prediction = by_c dc + columns dx, where
+// dc = by_width dB(p) + by_follow df(tip).
+struct normal_rows {
+    const double *p, *tip, *by_width, *by_follow; // (frames)
+    const double *by_c;                           // (frames, seen)
+    const double *columns;                        // (frames, seen, count)
+    const double *residual;                       // (frames, seen)
+    const double *weight;                         // (frames, seen), or NULL for ones
+    size_t frames, seen, count;
+};
+
+enum { NORMAL_SEEN = 2, NORMAL_COLUMNS = 64 };
+
+// Adds J'WJ to matrix (m, m) and J'Wr to gradient (m), m = width.size + follow.size + count, unknowns in that order:
+// all of it with first 0, else only the rows (and their mirrored columns) of columns from `first` on. matrix must be
+// symmetric before. About 0.3 us a frame with 8 columns.
+void normal_add(const struct normal_rows *rows, const struct normal_basis *width, const struct normal_basis *follow,
+                size_t first, double *matrix, double *gradient);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

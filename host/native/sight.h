@@ -1,0 +1,69 @@
+// From the bending angle to the image, with the effects of kinematics, registration and camera, and its derivatives.
+#ifndef TAUTLINE_SIGHT_H
+#define TAUTLINE_SIGHT_H
+
+#include <stddef.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+// NAME(unit, meaning). Zero means absent. Turns are rotation vectors.
+#define SIGHT_PARAMETERS(X)                                                                                            \
+    X(curvature_gradient, "", "kinematics.nonconstant_curvature: curvature from (1 - g) at the base to (1 + g)")       \
+    X(tilt_x, "deg", "registration.direction_dependent: turn times `way`")                                             \
+    X(tilt_y, "deg", "registration.direction_dependent")                                                               \
+    X(tilt_z, "deg", "registration.direction_dependent")                                                               \
+    X(tilt_pivot, "mm", "registration.direction_dependent: where on the base's z axis it turns")                       \
+    X(static_rx, "deg", "registration.static: turn, then move")                                                        \
+    X(static_ry, "deg", "registration.static")                                                                         \
+    X(static_rz, "deg", "registration.static")                                                                         \
+    X(static_x, "mm", "registration.static")                                                                           \
+    X(static_y, "mm", "registration.static")                                                                           \
+    X(static_z, "mm", "registration.static")                                                                           \
+    X(shift_rx, "deg", "registration.shift: after the static one, from its time on")                                   \
+    X(shift_ry, "deg", "registration.shift")                                                                           \
+    X(shift_rz, "deg", "registration.shift")                                                                           \
+    X(shift_x, "mm", "registration.shift")                                                                             \
+    X(shift_y, "mm", "registration.shift")                                                                             \
+    X(shift_z, "mm", "registration.shift")                                                                             \
+    X(k1, "", "camera.distortion: added to the rig's")                                                                 \
+    X(k2, "", "camera.distortion")                                                                                     \
+    X(p1, "", "camera.distortion")                                                                                     \
+    X(p2, "", "camera.distortion")                                                                                     \
+    X(k3, "", "camera.distortion")
+
+struct sight_parameters {
+#define X(name, unit, meaning) double name;
+    SIGHT_PARAMETERS(X)
+#undef X
+};
+
+// What the rig says; arrays of doubles alone, so that it can be filled in one go.
+struct sight_rig {
+    double bending_length, tip_length;  // mm
+    double hand_eye[9], translation[3]; // X_cam = R X_base + t, R row by row
+    double fx, fy, cx, cy;              // px
+    double distortion[5];               // OpenCV's k1 k2 p1 p2 k3
+};
+
+// (count) each, or NULL for zeros.
+struct sight_pose {
+    const double *c_deg; // not NULL
+    const double *translation, *rotation, *way;
+    const unsigned char *shifted; // whether the registration's shift has happened
+    size_t count;
+};
+
+enum { SIGHT_STATIC = 6 };
+
+// image (count, 2) px, NaN where a point is not in front of the camera. by_c (count, 2) px per deg of c and by_static
+// (count, 2, 6) px per deg or mm of a further static registration (turn x y z, move x y z), or both NULL.
+// About 0.15 us a point, 0.3 us with the derivatives.
+void sight_image(const struct sight_parameters *e, const struct sight_rig *rig, const struct sight_pose *pose,
+                 double *image, double *by_c, double *by_static);
+
+#ifdef __cplusplus
+}
+#endif
+#endif
