@@ -9,11 +9,12 @@ import pytest
 from tests.host.cli_runner import Taut
 from tests.host.test_diagnose import true_model
 
-from tautline.blindtest import campaign, page, scores, sealed, work
+from tautline.blindtest import baselines, campaign, compare, page, scores, sealed, work
 from tautline.blindtest.campaign import Order
 from tautline.blindtest.cases import Label, make
 from tautline.blindtest.pool import pool
 from tautline.blindtest.scores import Answer, Share
+from tautline.calibration.calibrate import calibrate
 from tautline.errors import TautError
 from tautline.recording import load_all
 from tautline.rig import Rig
@@ -219,3 +220,54 @@ def test_the_command_makes_diagnoses_and_scores(tmp_path, monkeypatch, capsys):
     assert shift["realised"]["before"] > 2 * shift["realised"]["floor"]
     html = (tmp_path / "out" / "report.html").read_text()
     assert "registration.shift" not in html.split("<h2>")[0] and "single identifiable effect" in html
+
+
+def calibrated(files, left_out=()):
+    with work._unpacked(files) as folder:
+        rig, recordings = work.recordings_of(folder)
+        model = calibrate(recordings[:1], rig).model
+        for name in ("nominal", "corrected"):
+            model.save(folder / "out" / name)
+        return {**stub(files), **sealed.read(folder / "out")}
+
+
+def test_baselines_answer_on_the_same_cases(tmp_path, stubbed, monkeypatch):
+    monkeypatch.setattr(work, "diagnose_case", calibrated)
+    records = conduct(tmp_path / "out", replace(ORDER, leave_one_out=0))
+    methods = ["majority", "joint", "bic"]
+    with pool(1, None) as here:
+        answered = compare.answers(methods, records, tmp_path / "out", here, lambda fraction, text: None)
+    result = page.result(answered)
+    assert list(result["methods"]) == ["tautline", *methods]
+    single = next(r for r in answered if r["label"]["kind"] == "single")
+    nothing = next(r for r in answered if r["label"]["kind"] == "none")
+    assert single["answers"]["majority"] == nothing["answers"]["majority"]
+    for method in ("joint", "bic"):
+        assert nothing["answers"][method]["verdict"] == "none"
+        assert single["answers"][method]["realised"]["before"] > 2 * single["label"]["noise_px"]
+        assert result["methods"][method]["overall"]["of"] == 2
+
+
+@pytest.mark.parametrize("method", ["process", "narx"])
+def test_what_only_shrinks_the_gap_is_not_scored_on_names(method):
+    pytest.importorskip(baselines.NEEDS[method])
+    case = made_once(3, "single", ("configuration.axis_coupling",))
+    model = calibrate([case.calibration], case.rig).model
+    evidence = baselines.Evidence(model, [case.calibration, *case.tests], case.further)
+    answer = baselines.ON_CASES[method](evidence)
+    assert answer.realised["after"] < 0.6 * answer.realised["before"]  # it follows the other axes
+    assert scores.from_json(json.loads(json.dumps(scores.to_json(answer)))) == answer
+    found = scores.score([(case.label, answer)])
+    assert found.top1.of == 0 and found.closed > 0.5
+
+
+def test_a_forest_knows_what_it_was_trained_on():
+    pytest.importorskip("sklearn")
+    rng = np.random.default_rng(4)
+    centres = {LAG: 0.0, "unknown": 4.0, "none": 8.0}
+    verdicts = tuple(np.repeat(list(centres), 30))
+    seen = np.array([centres[v] for v in verdicts])[:, None] + rng.normal(0.0, 0.5, (90, 3))
+    forest = baselines.Forest(seen, verdicts)
+    answer = forest.answer(np.full(3, 4.1), 1.0)
+    assert answer.verdict == "unknown" and answer.named == () and sum(answer.probabilities.values()) == pytest.approx(1)
+    assert forest.answer(np.zeros(3), 1.0).named == (LAG,)

@@ -77,6 +77,12 @@ def methods_of(records: Sequence[Mapping[str, Any]]) -> dict[str, Cases]:
     methods: dict[str, Cases] = {
         OURS: [(label, answer_of(record)) for label, record in zip(labels, records, strict=True)]
     }
+    for name in {name: None for record in records for name in record.get("answers", {})}:
+        methods[name] = [
+            (label, scores.from_json(record["answers"][name]))
+            for label, record in zip(labels, records, strict=True)
+            if name in record["answers"]
+        ]
     return methods
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import multiprocessing
 import os
 import signal
@@ -52,7 +53,7 @@ def _processes(jobs: int) -> Iterator[Pool]:
 @contextmanager
 def _dask(address: str) -> Iterator[Pool]:
     try:
-        from dask import distributed
+        distributed: Any = importlib.import_module("dask.distributed")
     except ImportError as error:
         raise TautError("--dask needs Dask: pip install 'tautline[campaign]'") from error
     try:

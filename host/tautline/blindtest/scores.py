@@ -32,6 +32,7 @@ class Answer:
     stage: str | None = None
     claimed: float | None = None  # shrinkage of the gap on motions that it did not fit
     realised: Mapping[str, float] | None = None  # gap on the further motion: before, after, floor
+    names: bool = True  # else it only shrinks the gap
 
 
 @dataclass(frozen=True)
@@ -129,6 +130,15 @@ def answer_of(record: Mapping[str, Any]) -> Answer:
     )
 
 
+def to_json(answer: Answer) -> dict[str, Any]:
+    return {**asdict(answer), "possible": sorted(answer.possible), "named": list(answer.named)}
+
+
+def from_json(document: Mapping[str, Any]) -> Answer:
+    sets = {"possible": frozenset(document["possible"]), "named": tuple(document["named"])}
+    return Answer(**{**document, **sets})
+
+
 def truth(label: Label) -> str:
     """The right verdict of a case with one cause or none."""
     if label.kind == "none":
@@ -143,9 +153,12 @@ def counts(label: Label) -> bool:
 
 def score(cases: Sequence[tuple[Label, Answer]]) -> Scores:
     groups = {kind: _Tally() for kind in ("single", "unknown", "none", "pair", "left out")}
+    shrinking = _Tally()
     for label, answer in cases:
-        if counts(label):
+        if counts(label) and answer.names:
             groups[label.kind].answers.append((label, answer))
+        if label.kind == "single" and label.identifiable and not set(label.effects) & PATHLESS:
+            shrinking.answers.append((label, answer))
     single, unknown, none = groups["single"], groups["unknown"], groups["none"]
     one_cause = _Tally(single.answers + unknown.answers + none.answers)
 
@@ -156,16 +169,9 @@ def score(cases: Sequence[tuple[Label, Answer]]) -> Scores:
         name: _Tally([(label, answer) for label, answer in single.answers if label.effects == (name,)]).share(right)
         for name in KNOWN
     }
-    shrunk = [_shrinkage(answer) for label, answer in single.answers if label.effects[0] not in PATHLESS]
-    differences = [
-        100.0 * (answer.claimed - realised)
-        for (label, answer) in single.answers
-        if label.effects[0] not in PATHLESS
-        and answer.named
-        and answer.claimed is not None
-        and (realised := _realised(answer)) is not None
-    ]
-    closed = [share for share in shrunk if share is not None]
+    claims = [(a.claimed, _realised(a)) for _, a in shrinking.answers if a.named or not a.names]
+    differences = [100.0 * (said - done) for said, done in claims if said is not None and done is not None]
+    closed = [share for _, answer in shrinking.answers if (share := _shrinkage(answer)) is not None]
     return Scores(
         top1=single.share(right),
         per_effect={name: share for name, share in per_effect.items() if share.of},

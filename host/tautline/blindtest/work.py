@@ -6,16 +6,18 @@ from __future__ import annotations
 import json
 import tempfile
 import time
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from tautline.blindtest import sealed
+from tautline.blindtest import baselines, scores, sealed
 from tautline.blindtest.cases import Label, make
+from tautline.blindtest.scores import FAILED, Answer
 from tautline.calibration.calibrate import calibrate
 from tautline.diagnose.diagnosis import diagnose
 from tautline.diagnose.segment import settled_from
@@ -64,7 +66,7 @@ def diagnose_case(files: Files, left_out: Collection[str] = ()) -> Files:
             document: Any = plain(found.document)
             said = sealed.read(folder / "out")
         except TautError as error:  # a verdict like any other, and a wrong one
-            calibrated, document, said = 0.0, {"verdict": "failed", "error": str(error)}, {}
+            calibrated, document, said = 0.0, {"verdict": FAILED, "error": str(error)}, {}
         cost = {"core_s": time.process_time() - began, "calibration_core_s": calibrated}
     return {**said, DOCUMENT: sealed.canonical(document), COST: sealed.canonical(cost)}
 
@@ -75,7 +77,7 @@ def score_case(opened: Files, diagnosis: Files) -> dict[str, Any]:
     document = json.loads(diagnosis[DOCUMENT])
     cost = json.loads(diagnosis[COST])
     realised = None
-    if document["verdict"] != "failed":
+    if document["verdict"] != FAILED:
         with _unpacked({**opened, **diagnosis}) as folder:
             nominal, corrected = Model.load(folder / "nominal"), Model.load(folder / "corrected")
             further = load(folder / sealed.FURTHER, nominal.rig)
@@ -85,6 +87,47 @@ def score_case(opened: Files, diagnosis: Files) -> dict[str, Any]:
                 "floor": label.noise_px,
             }
     return {"label": label.to_json(), "document": document, "realised": realised, **cost}
+
+
+def learn_case(seed: int, kind: str, effects: tuple[str, ...]) -> dict[str, Any]:
+    """Features and right verdict of a case to train on; no features where it cannot be scored."""
+    with threadpool_limits(1):
+        case = make(seed, kind, effects)
+        recordings = [case.calibration, *case.tests]
+        try:
+            evidence = baselines.Evidence(calibrate(recordings[:1], case.rig).model, recordings)
+            found = baselines.features(evidence).tolist()
+        except (TautError, np.linalg.LinAlgError):
+            found = None
+        return {"features": found, "verdict": scores.truth(case.label)}
+
+
+def baseline_case(visible: Files, opened: Files, diagnosis: Files, methods: Sequence[str]) -> dict[str, Any]:
+    """The answers of baselines by name, and `features` for a forest. They start from the model that the diagnosis
+    started from, and pay for it too."""
+    label = Label.from_json(json.loads(opened[sealed.LABEL])["label"])
+    calibrated = json.loads(diagnosis[COST])["calibration_core_s"]
+    answers: dict[str, Any] = {}
+    with threadpool_limits(1), _unpacked({**visible, **opened, **diagnosis}) as folder:
+        began = time.process_time()
+        try:
+            rig, recordings = recordings_of(folder)
+            further = load(folder / sealed.FURTHER, rig)
+            evidence = baselines.Evidence(Model.load(folder / "nominal"), recordings, further)
+            answers["features"] = baselines.features(evidence).tolist()
+        except (TautError, np.linalg.LinAlgError):
+            return {method: scores.to_json(Answer((), FAILED, calibrated)) for method in methods}
+        common = calibrated + time.process_time() - began
+        answers["features_core_s"] = common
+        for method in methods:
+            try:
+                answer = baselines.ON_CASES[method](evidence)
+            except (TautError, np.linalg.LinAlgError):
+                answer = Answer((), FAILED, 0.0)
+            realised = None if answer.realised is None else {**answer.realised, "floor": label.noise_px}
+            spent = answer.core_s + (common if answer.names else calibrated)
+            answers[method] = scores.to_json(replace(answer, core_s=spent, realised=realised))
+    return answers
 
 
 def gap_on(model: Model, recording: Recording, nominal: Model) -> float:

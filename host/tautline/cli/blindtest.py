@@ -7,13 +7,15 @@ from pathlib import Path
 
 import click
 
-from tautline.blindtest import page
+from tautline.blindtest import compare, page
+from tautline.blindtest.baselines import METHODS
 from tautline.blindtest.campaign import GROUPS, Order, run
 from tautline.blindtest.draws import KNOWN, UNKNOWN
 from tautline.blindtest.pool import pool
 from tautline.cli._common import emit, folder_option, json_option, progress_bar
 
 _QUICK = Order(single=1, unknown=4, none=3, pairs=1)
+_QUICK_BASELINES = ("majority", "joint", "bic")
 
 
 @click.command("blindtest")
@@ -35,6 +37,13 @@ _QUICK = Order(single=1, unknown=4, none=3, pairs=1)
     type=click.Choice([*GROUPS, *KNOWN, *UNKNOWN]),
     help=f"Cases of this alone: an effect, or {', '.join(GROUPS)}. May be given several times.",
 )
+@click.option(
+    "--baselines",
+    multiple=True,
+    type=click.Choice([*METHODS, "none"]),
+    help="What to score on the same cases too. May be given several times. Default: all whose packages are installed; "
+    f"{', '.join(_QUICK_BASELINES)} with --quick, none with --only.",
+)
 @click.option("--quick", is_flag=True, help="Some 25 cases, two minutes on two cores.")
 @click.option("--jobs", type=click.IntRange(1), help="Processes. Default: one on each core.")
 @click.option("--dask", "dask_address", metavar="ADDRESS", help="Work on a Dask cluster: its scheduler's address.")
@@ -48,6 +57,7 @@ def command(
     pairs: int | None,
     leave_one_out: int | None,
     only: tuple[str, ...],
+    baselines: tuple[str, ...],
     quick: bool,
     jobs: int | None,
     dask_address: str | None,
@@ -64,7 +74,14 @@ def command(
         "leave_one_out": leave_one_out,
     }
     order = replace(order, only=only, **{name: value for name, value in given.items() if value is not None})
+    wanted = baselines or (("none",) if only else _QUICK_BASELINES if quick else None)
+    methods = compare.available(wanted if wanted is None else [name for name in wanted if name != "none"])
     with progress_bar("blind test") as progress, pool(jobs, dask_address) as workers:
-        records = run(order, out, workers, progress)
+        share = 0.7 if methods else 1.0
+        records = run(order, out, workers, lambda done, text: progress(share * done, text))
+        if methods:
+            records = compare.answers(
+                methods, records, out, workers, lambda done, text: progress(share + (1.0 - share) * done, text)
+            )
     result = page.write(records, out)
     emit(result, as_json, page.text(result) + f"\n{out / page.FILE}")

@@ -1,0 +1,345 @@
+"""What others would do with the same cases: each baseline's answer, from the same files and the same simulation.
+
+majority   the campaign's commonest verdict, whatever the case
+joint      the parameters of all effects fitted at once; the one that is shifted most, in its own scale, is named
+bic        one effect at a time on top of the recalibrated model, the Bayesian information criterion as in the textbook
+forest     a random forest on features of the residual, trained on cases of tuning seeds
+process    a Gaussian process of the residual over what the motor did (shrinkage only: it names nothing)
+narx       the same by polynomial regression on the motor's history, terms chosen by SysIdentPy (shrinkage only)
+
+joint and bic call it none where the gap is within _NO_GAP noises, and unknown where what they found leaves more than
+_LEFT of what a recalibration leaves: without such a rule they could do neither.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+import warnings
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline import effects
+from tautline.blindtest.scores import FAILED, NONE, STAGES, UNEXPLAINED, Answer
+from tautline.diagnose import decide, gap, where
+from tautline.diagnose.fit import Fit, Fitter, Hypothesis, moves_tip
+from tautline.diagnose.segment import Segment, prepare
+from tautline.effects import Kind
+from tautline.model import Model
+from tautline.recording import Recording
+
+Array = npt.NDArray[np.float64]
+
+METHODS = ("majority", "joint", "bic", "forest", "process", "narx")
+NEEDS = {"forest": "sklearn", "process": "sklearn", "narx": "sysidentpy"}  # packages beyond tautline's own
+
+_NO_GAP = 1.25
+_LEFT = 0.3
+_REFITTED = 4  # effects that bic fits in full, the best of a linear step
+_TREES = 300
+_POINTS = 250  # of a Gaussian process
+_HISTORY_S = (0.0, 0.1, 0.3, 1.0)  # of the motor that narx sees
+_TERMS = 12
+
+
+@dataclass(frozen=True)
+class Start:
+    """An effect after one linear step from the recalibrated model."""
+
+    kind: Kind
+    only_tests: bool
+    gain: float  # share of the sum of squares that it takes
+    values: Mapping[str, float]
+
+
+class Evidence:
+    """What every baseline of a case starts from. `further`: what a shrinkage is realised on."""
+
+    def __init__(self, model: Model, recordings: Sequence[Recording], further: Recording | None = None) -> None:
+        """The calibration first; `model` is what it gave."""
+        load = recordings[0].motor.load_mNm
+        segments = prepare(model, recordings[0], [*recordings[1:], *([further] if further else [])])
+        self.further = segments.pop() if further else None
+        self.fitter = Fitter(model, segments, 0.0 if load is None else float(np.median(load)))
+        self.tests = segments[1:]
+        self.frozen = [self.residual(s) for s in segments]
+        self.fitter.floor = self.floor = gap.noise_floor(segments, self.frozen)
+
+    def residual(self, segment: Segment, fit: Fit | None = None) -> Array:
+        """(scored, k) of the calibrated model, or of a fit."""
+        model, at = (fit.state.model, fit.state.at(segment, fit.hypothesis)) if fit else (self.fitter.model, {})
+        _, predicted = segment.predict(model, at, self.fitter.load_reference)
+        return np.asarray((segment.observed - predicted)[segment.scored])
+
+    @cached_property
+    def base(self) -> Fit:
+        return self.fitter.nominal()
+
+    @cached_property
+    def kinds(self) -> list[Kind]:
+        return decide.applicable(self.fitter)
+
+    @cached_property
+    def starts(self) -> list[Start]:
+        """Of every effect and scope the best shape, best first."""
+        fitter, base = self.fitter, self.base
+        linear = fitter.linearise(base.state, base.hypothesis)
+        basis, scale = np.linalg.qr(linear.nominal)
+        basis = basis[:, np.abs(np.diag(scale)) > 1e-9 * np.abs(np.diag(scale)).max()]
+        moved = fitter.paths(base.state, base.hypothesis)
+        residual = linear.residual - basis @ (basis.T @ linear.residual)
+        best: dict[tuple[str, bool], Start] = {}
+        for kind in self.kinds:
+            for shapes in self._shapes(kind):
+                columns = self._columns(kind, shapes, linear.residual, moved)
+                for only in (True, False):
+                    used = columns.copy()
+                    if only:
+                        used[linear.rows[0]] = 0.0
+                    used -= basis @ (basis.T @ used)
+                    amplitude = np.linalg.lstsq(used, residual, rcond=1e-6)[0]
+                    left = residual - used @ amplitude
+                    gain = 1.0 - float(left @ left) / float(residual @ residual)
+                    if gain > best.get((kind.id, only), Start(kind, only, -1.0, {})).gain:
+                        named = {p.name: float(a) for p, a in zip(kind.amplitudes, amplitude, strict=True)}
+                        best[kind.id, only] = Start(kind, only, gain, {**shapes, **named})
+        return sorted(best.values(), key=lambda start: -start.gain)
+
+    def _shapes(self, kind: Kind) -> list[dict[str, float]]:
+        span = self.fitter.model.rig.actuator.span
+        choices: list[list[tuple[str, float]]] = []
+        for parameter in kind.shapes:
+            if parameter.name == "contact_c":
+                c = np.concatenate([path.c_deg for path in self.fitter.paths(self.base.state, Hypothesis())])
+                values = [float(v) for v in np.quantile(c, [0.1, 0.3, 0.7, 0.9])]
+            elif parameter.name == "shift_time":
+                first, last = self.fitter.segments[1], self.fitter.segments[-1]
+                ends = (first.arrival_s[0] + first.offset_s, last.arrival_s[-1] + last.offset_s)
+                values = [float(v) for v in np.linspace(*ends, 18)[1:-1]]
+            else:
+                values = [v * (span if parameter.unit == "unit" else 1.0) for v in parameter.shape]
+            choices.append([(parameter.name, v) for v in values])
+        return [dict(choice) for choice in itertools.product(*choices)]
+
+    def _columns(self, kind: Kind, shapes: Mapping[str, float], here: Array, moved: Sequence[effects.Path]) -> Array:
+        """d prediction / d amplitude, all recordings."""
+        base = self.base
+        hypothesis = base.hypothesis.plus(kind, False)
+        columns = []
+        for parameter in kind.amplitudes:
+            step = parameter.probe * self.fitter.scale(parameter)
+            values = {**shapes, **{p.name: 0.0 for p in kind.amplitudes}, parameter.name: step}
+            same = None if moves_tip(parameter) else moved
+            there = self.fitter.residual(replace(base.state, values=values), hypothesis, same)
+            columns.append((here - there) / step)
+        return np.column_stack(columns)
+
+    def answer(self, fit: Fit, named: Kind, began: float) -> Answer:
+        """With the rules for none and unknown."""
+        before = gap.rms(self.frozen[1:])
+        after = gap.rms(fit.residuals[1:])
+        left = (after**2 - self.floor**2) / max(gap.rms(self.base.residuals[1:]) ** 2 - self.floor**2, 1e-12)
+        verdict = NONE if before < _NO_GAP * self.floor else UNEXPLAINED if left > _LEFT else named.id
+        found = (named.id,) if verdict == named.id else ()
+        realised = None
+        if self.further is not None:
+            frozen = gap.rms([self.residual(self.further)])
+            then = gap.rms([self.residual(self.further, fit)]) if found else frozen
+            realised = {"before": frozen, "after": then, "floor": self.floor}
+        claimed = 1.0 - after / before if found else 0.0
+        core_s = time.process_time() - began
+        return Answer(found, verdict, core_s, frozenset(found), None, STAGES[named.id], claimed, realised)
+
+
+def joint(evidence: Evidence) -> Answer:
+    began = time.process_time()
+    fitter = evidence.fitter
+    hypothesis = Hypothesis()
+    values: dict[str, float] = {}
+    seen: set[str] = set()
+    for start in evidence.starts:
+        if start.kind.id not in seen:
+            seen.add(start.kind.id)
+            hypothesis = hypothesis.plus(start.kind, start.only_tests)
+            values |= {**start.values, **{p.name: 0.0 for p in start.kind.amplitudes}}
+    fit = fitter.fit(hypothesis, values, start=evidence.base.state, iterations=3)
+
+    def shift(kind: Kind) -> float:
+        return max(abs(fit.state.values[p.name]) / fitter.scale(p) for p in kind.amplitudes)
+
+    return evidence.answer(fit, max(hypothesis.kinds, key=shift), began)
+
+
+def bic(evidence: Evidence) -> Answer:
+    began = time.process_time()
+    fitter = evidence.fitter
+    count = sum(r.size for r in evidence.base.residuals)
+
+    def criterion(fit: Fit) -> float:
+        squares = sum(float(np.sum(r**2)) for r in fit.residuals)
+        return count * float(np.log(squares / count)) + fit.freedom * float(np.log(count))
+
+    fits = [
+        fitter.fit(
+            Hypothesis().plus(start.kind, start.only_tests), start.values, start=evidence.base.state, iterations=4
+        )
+        for start in evidence.starts[:_REFITTED]
+    ]
+    best = min(fits, key=criterion)
+    answer = evidence.answer(best, best.hypothesis.kinds[0], began)
+    if criterion(evidence.base) <= criterion(best):
+        return replace(answer, named=(), verdict=NONE, possible=frozenset())
+    return answer
+
+
+def features(evidence: Evidence) -> Array:
+    """(n,) of a case, the same n for every case: sizes of the gap, where it is, what each effect would take of it."""
+    floor = evidence.floor
+    numbers = [np.log(gap.rms(r) / floor) for r in (evidence.frozen[1:], evidence.base.residuals[1:])]
+    numbers += [np.log(gap.rms([r]) / floor) for r in (*evidence.frozen, *evidence.base.residuals)]
+    numbers.append(np.log(gap.memory(evidence.base.residuals[1:])))
+    everything = np.concatenate([r.ravel() for r in evidence.base.residuals[1:]])
+    numbers.append(float(np.log(np.mean(everything**4) / np.mean(everything**2) ** 2)))
+    paths = evidence.fitter.paths(evidence.fitter.start(), Hypothesis())[1:]
+    for residuals in (evidence.frozen[1:], evidence.base.residuals[1:]):
+        shares = {c.axis: c.share for c in where.conditions(evidence.tests, paths, residuals)}
+        numbers += [shares.get(axis, -1.0) for axis in where.AXES]
+    gains = {(start.kind.id, start.only_tests): start.gain for start in evidence.starts}
+    numbers += [gains.get((kind.id, only), -1.0) for kind in effects.LIBRARY for only in (True, False)]
+    return np.array(numbers, dtype=float)
+
+
+@dataclass(frozen=True)
+class Forest:
+    """Trained on features (n, k) and verdicts (n,)."""
+
+    features: Array
+    verdicts: tuple[str, ...]
+
+    @cached_property
+    def _trees(self):  # type: ignore[no-untyped-def]
+        from sklearn.ensemble import RandomForestClassifier
+
+        made = RandomForestClassifier(_TREES, class_weight="balanced", min_samples_leaf=2, random_state=0)
+        return made.fit(self.features, list(self.verdicts))
+
+    def answer(self, case: Array, core_s: float) -> Answer:
+        began = time.process_time()
+        said = dict(zip(self._trees.classes_, self._trees.predict_proba(case[None])[0].tolist(), strict=True))
+        verdict = max(said, key=lambda name: said[name])
+        named = () if verdict in (NONE, UNEXPLAINED) else (verdict,)
+        stage = STAGES.get(max((name for name in said if name in STAGES), key=lambda name: said[name]))
+        spent = core_s + time.process_time() - began
+        return Answer(named, verdict, spent, frozenset(named), said, stage)
+
+
+def majority(truths: Sequence[str]) -> Answer:
+    """`truths`: of the campaign's own cases; no other baseline is told them."""
+    commonest = Counter(truths).most_common(1)[0][0]
+    named = () if commonest in (NONE, UNEXPLAINED) else (commonest,)
+    return Answer(named, commonest, 0.0, frozenset(named), None, STAGES.get(commonest))
+
+
+def _history(segment: Segment, span: float, since_s: float) -> Array:
+    """(scored, 8): what the motor did, in shares of its range; other axes and load in what they reach."""
+    motor, t = segment.motor, segment.arrival_s
+    q = np.interp(t, motor.t_s, motor.q) / span
+    rate = np.gradient(q, t)
+    way, last, travel = 0.0, q[0], np.zeros_like(q)
+    ways = np.zeros_like(q)
+    for i in range(len(q)):
+        step = np.sign(rate[i]) if abs(rate[i]) > 1e-3 else 0.0
+        if step not in (0.0, way):
+            way, last = step, q[i]
+        ways[i], travel[i] = way, min(abs(q[i] - last), 0.3)
+    others = [
+        np.zeros_like(q) if values is None else np.interp(t, motor.t_s, values) / size
+        for values, size in ((motor.translation_mm, 3.0), (motor.rotation_deg, 30.0), (motor.load_mNm, 40.0))
+    ]
+    columns = [q, ways, 4.0 * travel, 4.0 * np.abs(rate), *others, (t + segment.offset_s - since_s) / 200.0]
+    return np.column_stack(columns)[segment.scored]
+
+
+def process(evidence: Evidence) -> Answer:
+    """A Gaussian process, ARD squared exponential, on _POINTS frames of the tests; claimed on the blocks left out."""
+    from sklearn.exceptions import ConvergenceWarning
+    from sklearn.gaussian_process import GaussianProcessRegressor
+    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+
+    def learn(x: Array, y: Array) -> Callable[[Array], Array]:
+        chosen = np.random.default_rng(3).permutation(len(x))[:_POINTS]
+        size = float(np.std(y))
+        kernel = ConstantKernel(1.0) * RBF(np.full(x.shape[1], 0.5), (0.02, 50.0)) + WhiteKernel(0.1, (1e-5, 10.0))
+        made = GaussianProcessRegressor(kernel, random_state=0)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ConvergenceWarning)
+            made.fit(x[chosen], y[chosen] / size)
+        return lambda at: np.asarray(made.predict(at)).reshape(len(at), -1) * size
+
+    return _learned(evidence, learn)
+
+
+def narx(evidence: Evidence) -> Answer:
+    """Polynomials of second order in the motor's history, _TERMS chosen by forward regression."""
+    from sysidentpy.basis_function import Polynomial
+    from sysidentpy.model_structure_selection import FROLS
+    from sysidentpy.parameter_estimation import LeastSquares
+
+    def ahead(x: Array) -> Array:  # a model of lag 1 sees the row before: that one must be the frame's own
+        return np.concatenate([x[1:], x[-1:]])
+
+    def learn(x: Array, y: Array) -> Callable[[Array], Array]:
+        models = []
+        for column in y.T:
+            made = FROLS(
+                order_selection=False,
+                n_terms=_TERMS,
+                xlag=[[1]] * x.shape[1],
+                ylag=1,
+                model_type="NFIR",
+                basis_function=Polynomial(degree=2),
+                estimator=LeastSquares(),
+            )
+            models.append(made.fit(X=ahead(x), y=column[:, None]))
+
+        def said(at: Array) -> Array:
+            blank = np.zeros((len(at), 1))
+            return np.column_stack([made.predict(X=ahead(at), y=blank)[:, 0] for made in models])
+
+        return said
+
+    return _learned(evidence, learn, lags=_HISTORY_S)
+
+
+def _learned(
+    evidence: Evidence, learn: Callable[[Array, Array], Callable[[Array], Array]], lags: Sequence[float] = ()
+) -> Answer:
+    began = time.process_time()
+    assert evidence.further is not None
+    span = evidence.fitter.model.rig.actuator.span
+    since = evidence.tests[0].arrival_s[0] + evidence.tests[0].offset_s
+
+    def seen(segment: Segment) -> Array:
+        rows = _history(segment, span, since)
+        times = segment.arrival_s[segment.scored]
+        late = [np.interp(times - lag, segment.motor.t_s, segment.motor.q)[:, None] / span for lag in lags[1:]]
+        return np.concatenate([rows, *late], axis=1)
+
+    x = np.concatenate([seen(s) for s in evidence.tests])
+    y = np.concatenate(evidence.frozen[1:])
+    odd = np.concatenate([gap.blocks(s) % 2 == 1 for s in evidence.tests])
+    if not 0 < odd.sum() < len(odd):
+        odd = np.arange(len(odd)) % 2 == 1
+    claimed = 1.0 - gap.rms([y[odd] - learn(x[~odd], y[~odd])(x[odd])]) / gap.rms([y[odd]])
+    frozen = evidence.residual(evidence.further)
+    after = frozen - learn(x, y)(seen(evidence.further))
+    realised = {"before": gap.rms([frozen]), "after": gap.rms([after]), "floor": evidence.floor}
+    return Answer((), FAILED, time.process_time() - began, claimed=claimed, realised=realised, names=False)
+
+
+ON_CASES: Mapping[str, Callable[[Evidence], Answer]] = {"joint": joint, "bic": bic, "process": process, "narx": narx}
