@@ -13,7 +13,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from tautline import effects
-from tautline.diagnose import decide, gap, motion, where
+from tautline.diagnose import decide, flexible, gap, motion, where
 from tautline.diagnose.decide import Candidate
 from tautline.diagnose.fit import Fit, Fitter, Hypothesis, State
 from tautline.diagnose.segment import Segment, prepare
@@ -132,6 +132,7 @@ def diagnose(
     boot = gap.bootstrap(before, after, [gap.blocks(s) for s in segments[1:]])
     shrink = 1.0 - after_rms / before_rms if before_rms > 0 else 0.0
     shapley = _shapley(fitter, named_out, current, before_rms)
+    rest = flexible.close(segments[1:], after, floor) if after_rms > _NO_GAP * floor else None
     document: dict[str, Any] = {
         "format": FORMAT,
         "unit": segments[0].unit,
@@ -147,6 +148,7 @@ def diagnose(
             "closable_shrink": (1.0 - left) if verdict == "effect" and not event else 0.0,
         },
         "gap_recalibrated": {"before": recalibrated},
+        "flexible": rest.to_json() if rest else None,  # what a Gaussian process closes of the gap after
         "effects": [
             {
                 "id": c.kind.id,

@@ -19,16 +19,16 @@ _ASKED, _USED = 60, 6
 def share(segments: Sequence[Segment], residuals: Sequence[Array]) -> float:
     """Of the power, 0 to 1, that the _USED nearest observations from other manoeuvres predict: near in motor
     position, travel since the reversal, direction, speed and the other axes. Scatter without a path gives 0."""
-    features, seen, manoeuvres, count = [], [], [], 0
+    inputs, seen, manoeuvres, count = [], [], [], 0
     for segment, residual in zip(segments, residuals, strict=True):
-        features.append(_features(segment)[segment.scored])
+        inputs.append(features(segment)[segment.scored])
         seen.append(residual)
         block = gap.blocks(segment)
         manoeuvres.append(block + count)
         count += int(block.max(initial=0)) + 1
     if count < 2:
         return 0.0
-    where, values, manoeuvre = np.concatenate(features), np.concatenate(seen), np.concatenate(manoeuvres)
+    where, values, manoeuvre = np.concatenate(inputs), np.concatenate(seen), np.concatenate(manoeuvres)
     near = np.asarray(cKDTree(where).query(where, k=min(_ASKED, len(where)))[1])
     other = manoeuvre[near] != manoeuvre[:, None]
     used = other & (np.cumsum(other, axis=1) <= _USED)
@@ -40,7 +40,7 @@ def share(segments: Sequence[Segment], residuals: Sequence[Array]) -> float:
     return float(np.clip(1.0 - left / max(float(np.sum(values[full] ** 2)), 1e-300), 0.0, 1.0))
 
 
-def _features(segment: Segment) -> Array:
+def features(segment: Segment) -> Array:
     """(n, 6) in units in which a neighbour at distance 0.05 behaves alike."""
     motor, t = segment.motor, segment.arrival_s
     span = float(np.ptp(motor.q)) or 1.0

@@ -1,0 +1,124 @@
+"""How far a flexible model would close a gap: a Gaussian process that knows no physics, only what was measured."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.diagnose import gap, repeats
+from tautline.diagnose.segment import Segment
+
+Array = npt.NDArray[np.float64]
+
+_LENGTHS_FROM, _TRAINED_ON, _SCORED_ON = 200, 700, 3000  # observations: for length scales, of either half, in all
+_SHORTEST, _LONGEST = 0.05, 20.0  # length scales, of an input's standard deviation
+
+
+@dataclass(frozen=True)
+class Flexible:
+    """rms per coordinate of the residuals that it was given, and of what it leaves of them."""
+
+    before: float
+    after: float
+    floor: float
+
+    @property
+    def shrink(self) -> float:
+        return max(0.0, 1.0 - self.after / max(self.before, 1e-300))
+
+    @property
+    def closable_shrink(self) -> float:
+        """Of the power above the noise floor, 0 to 1; 0 where there is none."""
+        open_before = self.before**2 - self.floor**2
+        if open_before <= 0.0:
+            return 0.0
+        return float(np.clip(1.0 - (self.after**2 - self.floor**2) / open_before, 0.0, 1.0))
+
+    def to_json(self) -> dict[str, float]:
+        return {
+            "before": self.before,
+            "after": self.after,
+            "shrink": self.shrink,
+            "closable_shrink": self.closable_shrink,
+        }
+
+
+def close(segments: Sequence[Segment], residuals: Sequence[Array], floor: float) -> Flexible | None:
+    """What a Gaussian process of motor position, travel since the reversal, direction, speed, the other axes, the load
+    and the session's time closes of `residuals` (each recording's scored ones): each half of the blocks is predicted by
+    a process that was trained on the other half. None where there are not two halves. About a second."""
+    inputs, half = _inputs(segments), _halves(segments)
+    seen = np.concatenate(residuals)
+    if any(np.count_nonzero(half == h) < 50 for h in (0, 1)):
+        return None
+    inputs = (inputs - inputs.mean(axis=0)) / inputs.std(axis=0)
+    before = after = 0.0
+    count = 0
+    for trained in (0, 1):
+        known = _some(np.flatnonzero(half == trained), _TRAINED_ON)
+        asked = _some(np.flatnonzero(half != trained), _SCORED_ON // 2)
+        said = _process(inputs[known], seen[known], floor, inputs[asked])
+        before += float(np.sum(seen[asked] ** 2))
+        after += float(np.sum((seen[asked] - said) ** 2))
+        count += seen[asked].size
+    return Flexible(float(np.sqrt(before / count)), float(np.sqrt(after / count)), floor)
+
+
+def _process(inputs: Array, seen: Array, floor: float, asked: Array) -> Array:
+    """The mean (m, k) at `asked` (m, d) of a process trained on `seen` (n, k) at `inputs` (n, d)."""
+    # Half a second to import: only a diagnosis needs it.
+    from sklearn.exceptions import ConvergenceWarning
+    from sklearn.gaussian_process import GaussianProcessRegressor
+    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+
+    scale = float(np.sqrt(np.mean(seen**2))) or 1.0
+    noise = max((floor / scale) ** 2, 1e-4)
+    lengths = np.full(inputs.shape[1], 1.0)
+    kernel = ConstantKernel(1.0, (1e-3, 1e2)) * RBF(lengths, (_SHORTEST, _LONGEST)) + WhiteKernel(
+        noise, (0.5 * noise, 10.0)
+    )
+    few = _some(np.arange(len(inputs)), _LENGTHS_FROM)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)  # an input that tells nothing ends at a bound
+        found = GaussianProcessRegressor(kernel).fit(inputs[few], seen[few] / scale)
+    process = GaussianProcessRegressor(found.kernel_, optimizer=None).fit(inputs, seen / scale)
+    said: Array = scale * process.predict(asked)
+    return said.reshape(len(asked), seen.shape[1])
+
+
+def _inputs(segments: Sequence[Segment]) -> Array:
+    """(n, d) at the scored observations of all recordings; only what varies."""
+    parts = []
+    for segment in segments:
+        t = segment.arrival_s
+        load = segment.motor.load_mNm
+        columns = (
+            repeats.features(segment),
+            t + segment.offset_s,
+            np.zeros_like(t) if load is None else np.interp(t, segment.motor.t_s, load),
+        )
+        parts.append(np.column_stack(columns)[segment.scored])
+    inputs = np.concatenate(parts)
+    varies: Array = inputs[:, np.ptp(inputs, axis=0) > 1e-9]
+    return varies
+
+
+def _halves(segments: Sequence[Segment]) -> npt.NDArray[np.int64]:
+    """(n,) 0 or 1: every other block of manoeuvres."""
+    count, halves = 0, []
+    for segment in segments:
+        block = gap.blocks(segment) + count
+        halves.append(block % 2)
+        count = int(block.max(initial=count - 1)) + 1
+    return np.concatenate(halves)
+
+
+def _some(index: npt.NDArray[np.int64], most: int) -> npt.NDArray[np.int64]:
+    """At most so many, evenly."""
+    if len(index) <= most:
+        return index
+    return index[np.linspace(0, len(index) - 1, most).astype(np.int64)]

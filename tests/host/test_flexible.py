@@ -1,0 +1,62 @@
+"""How far a model that knows no physics would close a gap: what repeats it finds, what does not it leaves."""
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tautline.diagnose import flexible
+from tautline.diagnose.segment import Segment
+from tautline.recording import Motor
+
+NOISE = 0.05
+
+
+def segment(seed: int, seconds: float = 100.0) -> Segment:
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, seconds, 0.01)
+    q = 4.0 * np.sin(2 * np.pi * t / 7.3 + seed)
+    frames = np.arange(1.0, seconds - 1.0, 0.04)
+    return Segment(f"s{seed}", Motor(t, q, None), frames, rng.normal(0, 1, (len(frames), 2)), frames > 3.0, 0.0, False)
+
+
+SEGMENTS = [segment(1), segment(2)]
+
+
+def noise(seed: int) -> list[np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return [rng.normal(0.0, NOISE, (int(s.scored.sum()), 2)) for s in SEGMENTS]
+
+
+def motor(s: Segment) -> np.ndarray:
+    return np.interp(s.arrival_s, s.motor.t_s, s.motor.q)[s.scored]
+
+
+def test_what_goes_with_position_and_direction_is_closed():
+    residuals = [
+        r + np.column_stack([0.6 * np.sin(1.5 * motor(s)), 0.4 * np.sign(np.gradient(motor(s)))])
+        for s, r in zip(SEGMENTS, noise(3), strict=True)
+    ]
+    began = time.process_time()
+    found = flexible.close(SEGMENTS, residuals, NOISE)
+    assert time.process_time() - began < 4.0
+    assert found is not None and found.closable_shrink > 0.9
+    assert found.before == pytest.approx(np.sqrt(np.mean(np.concatenate(residuals) ** 2)), rel=0.05)
+
+
+def test_noise_is_left_as_it_is():
+    found = flexible.close(SEGMENTS, noise(4), NOISE)
+    assert found is not None and found.shrink < 0.03 and found.after < 1.05 * found.before
+
+
+def test_scatter_larger_than_the_floor_is_not_called_closable():
+    residuals = [8.0 * r for r in noise(5)]
+    found = flexible.close(SEGMENTS, residuals, NOISE)
+    assert found is not None and found.closable_shrink < 0.1
+
+
+def test_one_block_has_no_other_half():
+    one = SEGMENTS[0]
+    ramp = replace(one, motor=replace(one.motor, q=0.05 * one.motor.t_s))
+    assert flexible.close([ramp], [np.zeros((int(ramp.scored.sum()), 2))], NOISE) is None
