@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from threadpoolctl import threadpool_limits
 
 from tautline.diagnose import gap, repeats
 from tautline.diagnose.segment import Segment
@@ -58,13 +59,14 @@ def close(segments: Sequence[Segment], residuals: Sequence[Array], floor: float)
     inputs = (inputs - inputs.mean(axis=0)) / inputs.std(axis=0)
     before = after = 0.0
     count = 0
-    for trained in (0, 1):
-        known = _some(np.flatnonzero(half == trained), _TRAINED_ON)
-        asked = _some(np.flatnonzero(half != trained), _SCORED_ON // 2)
-        said = _process(inputs[known], seen[known], floor, inputs[asked])
-        before += float(np.sum(seen[asked] ** 2))
-        after += float(np.sum((seen[asked] - said) ** 2))
-        count += seen[asked].size
+    with threadpool_limits(1):  # many small systems
+        for trained in (0, 1):
+            known = _some(np.flatnonzero(half == trained), _TRAINED_ON)
+            asked = _some(np.flatnonzero(half != trained), _SCORED_ON // 2)
+            said = _process(inputs[known], seen[known], floor, inputs[asked])
+            before += float(np.sum(seen[asked] ** 2))
+            after += float(np.sum((seen[asked] - said) ** 2))
+            count += seen[asked].size
     return Flexible(float(np.sqrt(before / count)), float(np.sqrt(after / count)), floor)
 
 
