@@ -13,12 +13,11 @@ _LEFT of what a recalibration leaves: without such a rule they could do neither.
 
 from __future__ import annotations
 
-import itertools
 import time
 import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -27,7 +26,8 @@ import numpy.typing as npt
 from tautline import effects
 from tautline.blindtest.scores import FAILED, NONE, STAGES, UNEXPLAINED, Answer
 from tautline.diagnose import decide, gap, where
-from tautline.diagnose.fit import Fit, Fitter, Hypothesis, moves_tip
+from tautline.diagnose.fit import Fit, Fitter, Hypothesis
+from tautline.diagnose.screen import Screened, screen
 from tautline.diagnose.segment import Segment, prepare
 from tautline.effects import Kind
 from tautline.model import Model
@@ -45,16 +45,6 @@ _TREES = 300
 _POINTS = 250  # of a Gaussian process
 _HISTORY_S = (0.0, 0.1, 0.3, 1.0)  # of the motor that narx sees
 _TERMS = 12
-
-
-@dataclass(frozen=True)
-class Start:
-    """An effect after one linear step from the recalibrated model."""
-
-    kind: Kind
-    only_tests: bool
-    gain: float  # share of the sum of squares that it takes
-    values: Mapping[str, float]
 
 
 class Evidence:
@@ -81,79 +71,40 @@ class Evidence:
         return self.fitter.nominal()
 
     @cached_property
-    def kinds(self) -> list[Kind]:
-        return decide.applicable(self.fitter)
+    def screened(self) -> dict[tuple[str, bool], Screened]:
+        """Every effect in both scopes (id, tests only) after a linear step from the recalibrated model, best first."""
+        kinds = decide.applicable(self.fitter)
+        best: dict[tuple[str, bool], Screened] = {}
+        for entry in screen(self.fitter, self.base, kinds, decide.outlier_limits(self.fitter, self.base)):
+            best.setdefault((entry.kind.id, entry.only_tests), entry)
+        return best
 
-    @cached_property
-    def starts(self) -> list[Start]:
-        """Of every effect and scope the best shape, best first."""
-        fitter, base = self.fitter, self.base
-        linear = fitter.linearise(base.state, base.hypothesis)
-        basis, scale = np.linalg.qr(linear.nominal)
-        basis = basis[:, np.abs(np.diag(scale)) > 1e-9 * np.abs(np.diag(scale)).max()]
-        moved = fitter.paths(base.state, base.hypothesis)
-        residual = linear.residual - basis @ (basis.T @ linear.residual)
-        best: dict[tuple[str, bool], Start] = {}
-        for kind in self.kinds:
-            for shapes in self._shapes(kind):
-                columns = self._columns(kind, shapes, linear.residual, moved)
-                for only in (True, False):
-                    used = columns.copy()
-                    if only:
-                        used[linear.rows[0]] = 0.0
-                    used -= basis @ (basis.T @ used)
-                    amplitude = np.linalg.lstsq(used, residual, rcond=1e-6)[0]
-                    left = residual - used @ amplitude
-                    gain = 1.0 - float(left @ left) / float(residual @ residual)
-                    if gain > best.get((kind.id, only), Start(kind, only, -1.0, {})).gain:
-                        named = {p.name: float(a) for p, a in zip(kind.amplitudes, amplitude, strict=True)}
-                        best[kind.id, only] = Start(kind, only, gain, {**shapes, **named})
-        return sorted(best.values(), key=lambda start: -start.gain)
-
-    def _shapes(self, kind: Kind) -> list[dict[str, float]]:
-        span = self.fitter.model.rig.actuator.span
-        choices: list[list[tuple[str, float]]] = []
-        for parameter in kind.shapes:
-            if parameter.name == "contact_c":
-                c = np.concatenate([path.c_deg for path in self.fitter.paths(self.base.state, Hypothesis())])
-                values = [float(v) for v in np.quantile(c, [0.1, 0.3, 0.7, 0.9])]
-            elif parameter.name == "shift_time":
-                first, last = self.fitter.segments[1], self.fitter.segments[-1]
-                ends = (first.arrival_s[0] + first.offset_s, last.arrival_s[-1] + last.offset_s)
-                values = [float(v) for v in np.linspace(*ends, 18)[1:-1]]
-            else:
-                values = [v * (span if parameter.unit == "unit" else 1.0) for v in parameter.shape]
-            choices.append([(parameter.name, v) for v in values])
-        return [dict(choice) for choice in itertools.product(*choices)]
-
-    def _columns(self, kind: Kind, shapes: Mapping[str, float], here: Array, moved: Sequence[effects.Path]) -> Array:
-        """d prediction / d amplitude, all recordings."""
-        base = self.base
-        hypothesis = base.hypothesis.plus(kind, False)
-        columns = []
-        for parameter in kind.amplitudes:
-            step = parameter.probe * self.fitter.scale(parameter)
-            values = {**shapes, **{p.name: 0.0 for p in kind.amplitudes}, parameter.name: step}
-            same = None if moves_tip(parameter) else moved
-            there = self.fitter.residual(replace(base.state, values=values), hypothesis, same)
-            columns.append((here - there) / step)
-        return np.column_stack(columns)
-
-    def answer(self, fit: Fit, named: Kind, began: float) -> Answer:
-        """With the rules for none and unknown."""
-        before = gap.rms(self.frozen[1:])
-        after = gap.rms(fit.residuals[1:])
-        left = (after**2 - self.floor**2) / max(gap.rms(self.base.residuals[1:]) ** 2 - self.floor**2, 1e-12)
-        verdict = NONE if before < _NO_GAP * self.floor else UNEXPLAINED if left > _LEFT else named.id
-        found = (named.id,) if verdict == named.id else ()
+    def answer(self, fit: Fit, leading: Kind | None, began: float) -> Answer:
+        """With the rules for none and unknown; no effect at all is none."""
+        before, after, recalibrated = (gap.rms(r[1:]) for r in (self.frozen, fit.residuals, self.base.residuals))
+        left = (after**2 - self.floor**2) / max(recalibrated**2 - self.floor**2, 1e-12)
+        named: tuple[str, ...] = ()
+        if leading is None or before < _NO_GAP * self.floor:
+            verdict = NONE
+        elif left > _LEFT:
+            verdict = UNEXPLAINED
+        else:
+            verdict, named = leading.id, (leading.id,)
         realised = None
         if self.further is not None:
             frozen = gap.rms([self.residual(self.further)])
-            then = gap.rms([self.residual(self.further, fit)]) if found else frozen
+            then = gap.rms([self.residual(self.further, fit)]) if named else frozen
             realised = {"before": frozen, "after": then, "floor": self.floor}
-        claimed = 1.0 - after / before if found else 0.0
-        core_s = time.process_time() - began
-        return Answer(found, verdict, core_s, frozenset(found), None, STAGES[named.id], claimed, realised)
+        return Answer(
+            named,
+            verdict,
+            time.process_time() - began,
+            frozenset(named),
+            None,
+            leading.stage if leading else None,
+            1.0 - after / before if named else 0.0,
+            realised,
+        )
 
 
 def joint(evidence: Evidence) -> Answer:
@@ -162,7 +113,7 @@ def joint(evidence: Evidence) -> Answer:
     hypothesis = Hypothesis()
     values: dict[str, float] = {}
     seen: set[str] = set()
-    for start in evidence.starts:
+    for start in evidence.screened.values():
         if start.kind.id not in seen:
             seen.add(start.kind.id)
             hypothesis = hypothesis.plus(start.kind, start.only_tests)
@@ -184,17 +135,14 @@ def bic(evidence: Evidence) -> Answer:
         squares = sum(float(np.sum(r**2)) for r in fit.residuals)
         return count * float(np.log(squares / count)) + fit.freedom * float(np.log(count))
 
+    leading = list({name: None for name, _ in evidence.screened})[:_REFITTED]
     fits = [
-        fitter.fit(
-            Hypothesis().plus(start.kind, start.only_tests), start.values, start=evidence.base.state, iterations=4
-        )
-        for start in evidence.starts[:_REFITTED]
+        fitter.fit(Hypothesis().plus(entry.kind, only), entry.values, start=evidence.base.state, iterations=4)
+        for (name, only), entry in evidence.screened.items()
+        if name in leading
     ]
-    best = min(fits, key=criterion)
-    answer = evidence.answer(best, best.hypothesis.kinds[0], began)
-    if criterion(evidence.base) <= criterion(best):
-        return replace(answer, named=(), verdict=NONE, possible=frozenset())
-    return answer
+    best = min([evidence.base, *fits], key=criterion)
+    return evidence.answer(best, best.hypothesis.kinds[0] if best.hypothesis.kinds else None, began)
 
 
 def features(evidence: Evidence) -> Array:
@@ -205,11 +153,12 @@ def features(evidence: Evidence) -> Array:
     numbers.append(np.log(gap.memory(evidence.base.residuals[1:])))
     everything = np.concatenate([r.ravel() for r in evidence.base.residuals[1:]])
     numbers.append(float(np.log(np.mean(everything**4) / np.mean(everything**2) ** 2)))
-    paths = evidence.fitter.paths(evidence.fitter.start(), Hypothesis())[1:]
+    fitter = evidence.fitter
+    paths = [s.follow(fitter.model, {}, fitter.load_reference) for s in evidence.tests]
     for residuals in (evidence.frozen[1:], evidence.base.residuals[1:]):
         shares = {c.axis: c.share for c in where.conditions(evidence.tests, paths, residuals)}
         numbers += [shares.get(axis, -1.0) for axis in where.AXES]
-    gains = {(start.kind.id, start.only_tests): start.gain for start in evidence.starts}
+    gains = {key: entry.gain for key, entry in evidence.screened.items()}
     numbers += [gains.get((kind.id, only), -1.0) for kind in effects.LIBRARY for only in (True, False)]
     return np.array(numbers, dtype=float)
 
