@@ -99,12 +99,15 @@ class Code:
         target = int(operands.split()[0], 16) if branch and operands.strip() else 0
         self.at[address] = Instruction(address, size, name, operands.strip(), target)
 
+    def _start(self, address: int) -> int:
+        return max(start for start in self.names if start <= address)
+
     def owner(self, address: int) -> str:
-        return self.names[max(start for start in self.names if start <= address)]
+        """The function that an instruction belongs to."""
+        return self.names[self._start(address)]
 
     def where(self, address: int) -> str:
-        name = self.owner(address)
-        return f"{name}+{address - self.starts[name]:#x}"
+        return f"{self.owner(address)}+{address - self._start(address):#x}"
 
 
 Graph = dict[int, dict[int, int]]  # node -> its successors and the cycles from the one to the other
@@ -230,8 +233,9 @@ class Bound:
 
     def _through_pointer(self, start: int, here: Instruction) -> int:
         name = self.code.names[start]
-        if veneer := re.fullmatch(r"__(.+)_veneer", name):
-            return self.of(veneer[1])
+        if re.fullmatch(r"__.+_veneer", name):  # the linker's long jump: its target is the word behind it
+            at = (here.address + here.size + 3) & ~3
+            return self._function(int.from_bytes(bytes(self.code.words[at + i] for i in range(4)), "little") & ~1)
         if name not in self.knowledge.pointers:
             raise Unbounded(f"{self.code.where(here.address)} calls through a pointer")
         return max(self.of(target) for target in self.knowledge.pointers[name])

@@ -8,7 +8,7 @@
 #include "tautline/tl_onset.h"
 
 enum { STEP_TIP, STEP_OTHER, ONSET, LOOKUP, LOOKUP_YARDSTICK, EMPTY };
-enum { TABLES = 40, TICKS = 400, RATE_HZ = 5000, REVERSALS = 60 };
+enum { TABLES = 40, TICKS = 400, RATE_HZ = 5000, REVERSALS = 160 };
 
 #define BEGIN(kind)                                                                                                    \
     do {                                                                                                               \
@@ -234,29 +234,61 @@ static void other_modes(tl_us_t *now_us) {
     axis.motion = NULL;
 }
 
-static void onsets(void) {
+// -- frames of a tip with play: steady strokes, dithering, pauses, lost and late frames, wrong settings
+// ---------------------------------------------------------------------------------
+
+static tl_onset_config_t any_onset_config(void) {
     tl_onset_config_t config = tl_onset_defaults();
-    tl_us_t now_us = 1000000;
+    if (between(0, 2) > 0) {
+        config.delay_us = (uint32_t)between(0, 400) * 1000U;
+        config.guard_us = (uint32_t)between(0, 40) * 1000U;
+        config.lost_us = (uint32_t)between(50, 2000) * 1000U;
+        config.timeout_us = (uint32_t)between(1, 30) * 1000000U;
+        config.turn = between(1, 64) * 256;
+        config.sigma_wanted = between(1, 2000);
+        config.sigma_usable = config.sigma_wanted * between(1, 30);
+        config.noise_px = between(1, 2000);
+        config.curvature = (uint32_t)between(0, 4000);
+        config.threshold = (uint16_t)(between(4, 60) * 16);
+        config.frames_min = (uint8_t)between(3, 8);
+        config.frames_max = (uint8_t)between(config.frames_min, TL_ONSET_WINDOW - 2);
+    }
+    return config;
+}
+
+static void onsets(void) {
+    tl_us_t now_us = (1ULL << 32) - 60000000U; // the high word of the time changes on the way
     int32_t q = 0, tip = 0, way = 1;
-    tl_history_init(&history);
-    tl_onset_init(&detector, &config);
-    for (int i = 0; i < REVERSALS; i++) {
-        const int32_t width = between(200, 1500) * 256;
-        const int32_t frames = between(20, 160);
+    for (int32_t i = 0; i < REVERSALS; i++) {
+        if (i % 6 == 0) {
+            const tl_onset_config_t config = any_onset_config();
+            tl_history_init(&history);
+            if (!tl_onset_init(&detector, &config)) {
+                const tl_onset_config_t defaults = tl_onset_defaults();
+                tl_onset_init(&detector, &defaults);
+            }
+        }
+        const int32_t width = between(0, 1500) * 256;
+        const int32_t frames = between(3, 160);
+        const int32_t speed = between(0, 9) == 0 ? 0 : between(1, 2000); // Q8 counts/ms
+        const int32_t dither = between(0, 5) == 0 ? between(1, 40) * 256 : 0;
+        const int32_t noise = between(0, 3) == 0 ? between(0, 100000) : 400;
+        const int32_t gain = between(1, 5) == 1 ? 0 : between(-6, 6); // of the image, 1/16 of q
         way = -way;
         for (int32_t frame = 0; frame < frames; frame++) {
-            for (int ms = 0; ms < 40; ms++) {
+            const int32_t late = between(0, 40) == 0 ? between(0, 700) : 40; // ms to the next frame
+            for (int32_t ms = 0; ms < late; ms++) {
                 now_us += 1000;
-                q += way * 4 * 256 * between(1, 3) / 10;
+                q = tl_clamp(q + way * speed + (dither > 0 ? between(-dither, dither) : 0), -200000000, 200000000);
                 tl_history_push(&history, now_us, q);
             }
             tip = q - tip > width / 2 ? q - width / 2 : (tip - q > width / 2 ? q + width / 2 : tip);
-            const tl_marker_t marker = {.arrival_us = now_us,
-                                        .u = tip / 8 + between(-400, 400),
-                                        .v = between(-400, 400),
-                                        .sigma = between(0, 1) * 200,
+            const tl_marker_t marker = {.arrival_us = now_us - (tl_us_t)between(0, 20) * 500U,
+                                        .u = tl_clamp(tip / 16 * gain + between(-noise, noise), -(1 << 24), 1 << 24),
+                                        .v = tl_clamp(tip / 64 * gain + between(-noise, noise), -(1 << 24), 1 << 24),
+                                        .sigma = between(0, 1) * between(1, 4000),
                                         .valid = between(0, 30) != 0,
-                                        .other_motion = between(0, 500) == 0};
+                                        .other_motion = between(0, 300) == 0};
             tl_onset_t onset;
             BEGIN(ONSET);
             tl_onset_sample(&detector, &history, &marker, &onset);

@@ -1,5 +1,5 @@
-// What TinyUSB 0.18 leaves out where a host clears an endpoint's halt (CLEAR_FEATURE), halted or not: the transfer that was
-// under way is neither ended nor free to start again, so that the endpoint would never move data again. Linked by
+// What TinyUSB 0.18 leaves out where a host clears an endpoint's halt (CLEAR_FEATURE), halted or not: the transfer that
+// was under way is neither ended nor free to start again, so that the endpoint would never move data again. Linked by
 // --wrap=dcd_edpt_clear_stall.
 #include "device/dcd.h"
 #include "hardware/structs/usb.h"
