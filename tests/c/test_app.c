@@ -150,7 +150,7 @@ static void check_invariants(void) {
             TEST_ASSERT_EQUAL(TL_WIRE_MODE_OFF, axis->mode);
         }
         TEST_ASSERT_TRUE(abs(fake.duty[i]) <= axis->limits.duty_q15);
-        TEST_ASSERT_TRUE(axis->queue_used <= TL_AXIS_QUEUE);
+        TEST_ASSERT_TRUE(axis->stream.used <= TL_STREAM_SIZE);
         TEST_ASSERT_TRUE((app.calibration.axis == axis) || axis->history == NULL);
     }
 }

@@ -7,7 +7,7 @@
 #include "tautline/tl_axis.h"
 #include "tautline/tl_onset.h"
 
-enum { STEP_TIP, STEP_OTHER, ONSET, LOOKUP, LOOKUP_YARDSTICK, EMPTY };
+enum { STEP_TIP, STEP_OTHER, WATCH, ONSET, LOOKUP, LOOKUP_YARDSTICK, EMPTY };
 enum { TABLES = 40, TICKS = 400, RATE_HZ = 5000, REVERSALS = 160 };
 
 #define BEGIN(kind)                                                                                                    \
@@ -130,6 +130,11 @@ static void __not_in_flash_func(step)(uint32_t kind, tl_us_t now_us) {
     BEGIN(kind);
     tl_axis_step(&axis, now_us);
     END();
+    if (axis.slot == 0) {
+        BEGIN(WATCH);
+        tl_axis_watch(&axis, now_us);
+        END();
+    }
     if (axis.sample_head - axis.sample_tail > (uint32_t)between(0, 31)) {
         axis.sample_tail = axis.sample_head;
     }

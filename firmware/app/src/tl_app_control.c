@@ -18,5 +18,11 @@ void tl_app_control(tl_app_t *app) {
         }
         tl_axis_step(&app->axes[i], now_us);
     }
+    // Each axis after the last tick of its millisecond: tl_axis_init() begins axis i with a tick less than axis i - 1.
+    const uint32_t ticks = app->axes[0].ticks, slot = app->slot + 1U;
+    app->slot = slot < ticks ? slot : 0U;
+    for (uint32_t i = app->slot; i < port->axes; i += ticks) {
+        tl_axis_watch(&app->axes[i], now_us);
+    }
     app->steps = app->steps + 1U;
 }

@@ -67,7 +67,7 @@ uint8_t tl_calibration_start(tl_calibration_t *calibration, tl_axis_t *axis, con
         .approach = request->approach_q8,
         .stroke_max = request->stroke_max_q8,
         .host_timeout_us = request->host_timeout_us,
-        .rate_hz = axis->port->control_hz,
+        .rate_hz = TL_AXIS_PLAN_HZ,
     };
     while (motion->speed_count < TL_MOTION_SPEEDS && request->speed_q8_s[motion->speed_count] != 0) {
         motion->speed[motion->speed_count] = request->speed_q8_s[motion->speed_count];

@@ -57,7 +57,7 @@ static void status(const tl_app_t *app, uint8_t index, tl_us_t now_us, tl_wire_s
         .t_us = now_us,
         .fault_us = axis->fault_us,
         .q_q8 = axis->q,
-        .q_ref_q8 = tl_reference_q(&axis->reference),
+        .q_ref_q8 = axis->path.q,
         .c_ref_q16 = axis->c_ref,
         .c_est_q16 = axis->has_table ? tl_play_angle(&axis->play) : 0,
         .duty_q15 = axis->duty,

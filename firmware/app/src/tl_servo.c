@@ -1,76 +1,51 @@
 #include "tautline/tl_servo.h"
 
-#define ERROR_MAX (128 * TL_COUNT_ONE) // beyond it proportional drive is saturated at any useful gain
-#define REST_BAND TL_COUNT_ONE
+#define ERROR_MAX    (128 * TL_COUNT_ONE) // beyond it proportional drive is saturated at any useful gain
+#define REST_BAND    TL_COUNT_ONE
+#define VELOCITY_MAX (1 << 30) // 64 counts a tick
 
-static bool in_range(int32_t value) {
-    return value >= 0 && value <= TL_SERVO_GAIN_MAX;
-}
-
-bool tl_servo_configure(tl_servo_t *servo, const tl_servo_gains_t *gains, uint32_t rate_hz) {
-    if (!in_range(gains->proportional) || !in_range(gains->integral) || !in_range(gains->derivative) ||
-        !in_range(gains->feed_forward) || !in_range(gains->inertia) || !in_range(gains->friction)) {
-        return false;
-    }
-    const int32_t rate = (int32_t)rate_hz;
-    servo->gains = *gains;
-    servo->integral_step = gains->integral * 64 / rate; // Q29 - Q15 - Q8 of the error = 2^6
-    servo->derivative = gains->derivative * 128 / 125;
-    servo->feed_forward = gains->feed_forward * 128 / 125;
-    servo->inertia = gains->inertia * (rate / 10) / 625; // rate * 4096 / 256 / 100000
-    servo->change_max = INT32_MAX / (servo->inertia + 1);
-    const int32_t omega = TL_SERVO_FILTER_HZ * 6283 / 1000; // rad/s
-    servo->alpha = 2 * omega * 32768 / rate;
-    servo->beta = (omega * omega / rate) * 128; // Q7: omega^2 / rate is of the order of 50
-    servo->rate_inverse = (1 << 24) / rate;
-    return true;
-}
-
-void tl_servo_reset(tl_servo_t *servo, tl_count_q8_t q) {
-    servo->integral = 0;
-    servo->predicted = q;
-    servo->velocity = 0;
-    servo->wanted = 0;
-    servo->saturated = false;
-}
-
-// x * factor / 2^shift for |x| and factor below 2^15 or a product below 2^31.
-static int32_t scale(int32_t x, int32_t factor, unsigned shift) {
-    return (x * factor) >> shift;
-}
-
-void tl_servo_watch(tl_servo_t *servo, tl_count_q8_t q) {
-    // Speed below 2^23 (Q8), rate_inverse below 2^15: the product of speed / 2^7 fits.
-    servo->predicted = tl_add_sat(servo->predicted, scale(servo->velocity / 128, servo->rate_inverse, 17));
-    const int32_t residual = tl_sub_sat(q, servo->predicted);
+// The filter follows the encoder; static inline, as it is a part of every step.
+static inline void observe(tl_servo_t *servo, tl_count_q8_t q) {
+    const uint32_t position = (uint32_t)q << 8;
+    const uint32_t predicted = servo->predicted + (uint32_t)(servo->velocity >> 8);
+    const int32_t residual = (int32_t)(position - predicted) >> 8;
     if (residual > ERROR_MAX || residual < -ERROR_MAX) { // set to another position, or lost: start again
-        servo->predicted = q;
+        servo->predicted = position;
         servo->velocity = 0;
         return;
     }
-    servo->predicted += scale(residual, servo->alpha, 15);
-    const int32_t velocity = servo->velocity + scale(residual, servo->beta, 7);
-    servo->velocity = tl_clamp(velocity, -TL_SERVO_SPEED_MAX, TL_SERVO_SPEED_MAX);
+    servo->predicted = predicted + (uint32_t)(residual * servo->alpha >> 7);
+    servo->velocity = tl_clamp(servo->velocity + residual * servo->beta, -VELOCITY_MAX, VELOCITY_MAX);
 }
 
-tl_duty_q15_t tl_servo_step(tl_servo_t *servo, tl_count_q8_t q, tl_count_q8_t reference, int32_t velocity,
-                            tl_duty_q15_t limit) {
-    tl_servo_watch(servo, q);
-    const int32_t error = tl_clamp(reference - q, -ERROR_MAX, ERROR_MAX);
-    const int32_t wanted = velocity / 256;
-    const int32_t change = tl_clamp(velocity - servo->wanted, -servo->change_max, servo->change_max);
-    servo->wanted = velocity;
-    const int32_t lag = tl_clamp(wanted - servo->velocity / 256, -32767, 32767);
-    int32_t sum = scale(error, servo->gains.proportional, 8) + scale(lag, servo->derivative, 10) +
-                  scale(wanted, servo->feed_forward, 10) + scale(change, servo->inertia, 12) + (servo->integral >> 14);
-    sum += velocity > 0 ? servo->gains.friction : (velocity < 0 ? -servo->gains.friction : 0);
-    const tl_duty_q15_t driven = tl_clamp(sum, -limit, limit);
-    servo->saturated = driven != sum;
-    const bool winding = servo->saturated && (sum > 0) == (error > 0);
-    const bool resting = velocity == 0 && error <= REST_BAND && error >= -REST_BAND;
-    if (!winding && !resting) {
-        const int32_t most = limit << 14;
-        servo->integral = tl_clamp(servo->integral + error * servo->integral_step, -most, most);
+void tl_servo_watch(tl_servo_t *servo, tl_count_q8_t q) {
+    observe(servo, q);
+}
+
+tl_duty_q15_t tl_servo_step(tl_servo_t *servo, tl_count_q8_t q, const tl_path_t *path, tl_duty_q15_t limit) {
+    observe(servo, q);
+    // Each product is below 2^31: an error in 15 bits, a speed or a change of it in 15 by a gain in 16.
+    const int32_t speed = path->speed;
+    const int32_t lag = tl_clamp((speed - servo->velocity) >> servo->speed_down, -32767, 32767);
+    int32_t sum = lag * servo->derivative >> 10;
+    sum += (speed >> servo->speed_down) * servo->feed_forward >> 10;
+    sum += (path->bend >> servo->bend_down) * servo->inertia >> 10;
+    if (speed != 0) {
+        sum += speed > 0 ? servo->friction : -servo->friction;
     }
-    return driven;
+    const int32_t error = tl_clamp(path->q - q, -ERROR_MAX, ERROR_MAX);
+    const int32_t integral = servo->integral;
+    sum += (error * servo->proportional >> 8) + (integral >> 14);
+    if (sum > limit || sum < -limit) {
+        servo->saturated = true;
+        sum = sum > 0 ? limit : -limit;
+        if ((sum > 0) == (error > 0)) {
+            return sum;
+        }
+    }
+    if (speed != 0 || error > REST_BAND || error < -REST_BAND) {
+        const int32_t most = limit << 14;
+        servo->integral = tl_clamp(integral + error * servo->integral_step, -most, most);
+    }
+    return sum;
 }

@@ -51,14 +51,19 @@ static tl_count_q8_t pushed(const tl_compensator_t *k, int32_t half) {
     return k->p + (k->side > 0 ? half : (k->side < 0 ? -half : tl_clamp(k->start_offset, -half, half)));
 }
 
-static tl_count_q8_t feed(const tl_compensator_t *k, int32_t half) {
+static tl_count_q8_t fed(const tl_compensator_t *k, int32_t half) {
     const tl_table_t *table = &k->lookup->table;
     return tl_clamp(pushed(k, half), table->q_min, table->q_max);
 }
 
+static tl_count_q8_t fed_anew(tl_compensator_t *k) {
+    k->half = half_width(k);
+    return fed(k, k->half);
+}
+
 // The feed goes from `before` to `after` at once; the motor takes the difference up.
 static void absorb(tl_compensator_t *k, tl_count_q8_t after, tl_count_q8_t before) {
-    tl_takeup_add(&k->takeup, (int64_t)after - before);
+    tl_takeup_add(&k->takeup, after - before);
 }
 
 // One tick -------------------------------------------------------------------------------------------
@@ -91,7 +96,7 @@ static const tl_per_tick_t *flat_limit(tl_compensator_t *k, tl_count_q8_t *goal)
             return &k->feed_max;
         }
     }
-    k->flags |= TL_COMPENSATOR_FLAT;
+    k->feed_flags |= TL_COMPENSATOR_FLAT;
     return &k->feed_flat;
 }
 
@@ -109,47 +114,60 @@ static void advance(tl_compensator_t *k, tl_count_q8_t goal) {
         way = tl_clamp(way, -allowed, allowed);
     }
     k->p += way;
-    k->flags |= k->p != wanted ? TL_COMPENSATOR_LIMITED : 0;
+    k->feed_flags |= k->p != wanted ? TL_COMPENSATOR_LIMITED : 0;
 }
 
 // The motor stays within its range; from outside of it only the way inwards is open.
-static tl_count_q8_t within_range(tl_compensator_t *k, tl_count_q8_t fed, tl_count_q8_t wanted) {
+static tl_count_q8_t within_range(tl_compensator_t *k, tl_count_q8_t feed, tl_count_q8_t wanted, uint32_t *flags) {
     const tl_table_t *table = &k->lookup->table;
     const tl_count_q8_t low = k->q < table->q_min ? k->q : table->q_min;
     const tl_count_q8_t high = k->q > table->q_max ? k->q : table->q_max;
     const tl_count_q8_t q = tl_clamp(wanted, low, high);
     if (q != wanted) { // the take-up begins again from here
         tl_takeup_stop(&k->takeup);
-        absorb(k, fed, q);
-        k->flags |= TL_COMPENSATOR_CLIPPED;
+        absorb(k, feed, q);
+        *flags |= TL_COMPENSATOR_CLIPPED;
     }
     return q;
 }
 
-tl_count_q8_t tl_compensator_step(tl_compensator_t *k, tl_deg_q16_t c) {
-    const tl_table_t *table = &k->lookup->table;
+void tl_compensator_feed(tl_compensator_t *k, tl_deg_q16_t c) {
     k->c = c;
-    k->flags = 0;
-    const tl_count_q8_t goal = target(k, c, &k->flags);
+    k->feed_flags = 0;
+    const tl_count_q8_t goal = target(k, c, &k->feed_flags);
     if (goal != k->p) {
         advance(k, goal);
     }
-    const int32_t half = half_width(k);
+}
+
+void tl_compensator_turn(tl_compensator_t *k) {
+    k->half = half_width(k);
     if (turned(k)) {
-        const tl_count_q8_t before = feed(k, half);
+        const tl_count_q8_t before = fed(k, k->half);
         k->side = k->p > k->anchor ? 1 : -1;
         k->anchor = k->p;
-        absorb(k, feed(k, half), before);
+        absorb(k, fed(k, k->half), before);
     }
+}
+
+tl_count_q8_t tl_compensator_take_up(tl_compensator_t *k) {
+    const tl_table_t *table = &k->lookup->table;
+    uint32_t flags = k->feed_flags;
     tl_takeup_step(&k->takeup);
-    const tl_count_q8_t push = pushed(k, half), fed = tl_clamp(push, table->q_min, table->q_max);
+    const tl_count_q8_t push = pushed(k, k->half), feed = tl_clamp(push, table->q_min, table->q_max);
     // Modulo 2^32: e alone may need one bit more, but q* is never far from where it was.
-    const tl_count_q8_t wanted = (int32_t)((uint32_t)fed - tl_takeup_rest(&k->takeup));
-    k->q = wanted >= table->q_min && wanted <= table->q_max ? wanted : within_range(k, fed, wanted);
-    k->flags |= push != fed ? TL_COMPENSATOR_CLIPPED : 0;
-    k->flags |= k->side == 0 ? TL_COMPENSATOR_NO_SIDE : 0;
-    k->flags |= tl_takeup_done(&k->takeup) ? 0 : TL_COMPENSATOR_TAKE_UP;
+    const tl_count_q8_t wanted = (int32_t)((uint32_t)feed - tl_takeup_rest(&k->takeup));
+    k->q = wanted >= table->q_min && wanted <= table->q_max ? wanted : within_range(k, feed, wanted, &flags);
+    flags |= push != feed ? TL_COMPENSATOR_CLIPPED : 0;
+    flags |= k->side == 0 ? TL_COMPENSATOR_NO_SIDE : 0;
+    k->flags = flags | (tl_takeup_done(&k->takeup) ? 0 : TL_COMPENSATOR_TAKE_UP);
     return k->q;
+}
+
+tl_count_q8_t tl_compensator_step(tl_compensator_t *k, tl_deg_q16_t c) {
+    tl_compensator_feed(k, c);
+    tl_compensator_turn(k);
+    return tl_compensator_take_up(k);
 }
 
 // Settings -------------------------------------------------------------------------------------------
@@ -165,32 +183,32 @@ void tl_compensator_start(tl_compensator_t *k, const tl_lookup_t *lookup, uint32
     k->q = tl_clamp(q, -TL_TABLE_VALUE_MAX, TL_TABLE_VALUE_MAX);
     set_limits(k, &lookup->table);
     k->start_offset = tl_sub_sat(k->q, k->p);
-    absorb(k, feed(k, half_width(k)), k->q);
+    absorb(k, fed_anew(k), k->q);
 }
 
 // p* again for the last command under new settings, with the direction's memory moved along.
-static void settle(tl_compensator_t *k, tl_count_q8_t feed_before) {
+static void settle(tl_compensator_t *k, tl_count_q8_t before) {
     uint32_t flags = 0;
     const tl_count_q8_t p = target(k, k->c, &flags);
     k->anchor = tl_add_sat(k->anchor, p - k->p);
     k->p = p;
-    absorb(k, feed(k, half_width(k)), feed_before);
+    absorb(k, fed_anew(k), before);
 }
 
 void tl_compensator_set_mode(tl_compensator_t *k, tl_mode_t mode) {
-    const tl_count_q8_t before = feed(k, half_width(k));
+    const tl_count_q8_t before = fed_anew(k);
     k->mode = mode;
     settle(k, before);
 }
 
 void tl_compensator_set_strength(tl_compensator_t *k, int32_t strength_q15) {
-    const tl_count_q8_t before = feed(k, half_width(k));
+    const tl_count_q8_t before = fed_anew(k);
     k->strength_q15 = (uint32_t)tl_clamp(strength_q15, 0, TL_RATIO_ONE);
-    absorb(k, feed(k, half_width(k)), before);
+    absorb(k, fed_anew(k), before);
 }
 
 void tl_compensator_set_table(tl_compensator_t *k, const tl_lookup_t *lookup) {
-    const tl_count_q8_t before = feed(k, half_width(k));
+    const tl_count_q8_t before = fed_anew(k);
     k->lookup = lookup;
     set_limits(k, &lookup->table);
     settle(k, before);

@@ -18,8 +18,8 @@ void tl_takeup_set_limits(tl_takeup_t *takeup, const tl_table_t *table, uint32_t
     takeup->limits_pending = 1;
 }
 
-void tl_takeup_add(tl_takeup_t *takeup, int64_t jump_q8) {
-    const int64_t jump = (int64_t)((uint64_t)(takeup->heading > 0 ? jump_q8 : -jump_q8) << TL_TAKEUP_FRACTION_BITS);
+void tl_takeup_add(tl_takeup_t *takeup, int32_t jump_q8) {
+    const int64_t jump = (int64_t)(takeup->heading > 0 ? jump_q8 : -jump_q8) * ((int64_t)1 << TL_TAKEUP_FRACTION_BITS);
     takeup->ahead_q36 += jump;
     takeup->spare_q36 += jump;
 }

@@ -12,8 +12,8 @@ void tl_takeup_start(tl_takeup_t *takeup);
 /// The limits of `table` at `rate_hz` ticks a second, from the next rest on.
 void tl_takeup_set_limits(tl_takeup_t *takeup, const tl_table_t *table, uint32_t rate_hz);
 
-/// `jump` Q8 counts more are to be taken up: |jump| < 2^32.
-void tl_takeup_add(tl_takeup_t *takeup, int64_t jump_q8);
+/// `jump` Q8 counts more are to be taken up.
+void tl_takeup_add(tl_takeup_t *takeup, int32_t jump_q8);
 
 /// One tick.
 void tl_takeup_step(tl_takeup_t *takeup);

@@ -141,7 +141,8 @@ int main(int argc, char **argv) {
             board.axes = (uint8_t)integer(optarg, 1, TL_WIRE_AXES_MAX, "--axes takes 1 to 4");
             break;
         case 'r':
-            board.control_hz = (uint32_t)integer(optarg, 1000, 10000, "--rate takes 1000 to 10000 Hz");
+            board.control_hz =
+                (uint32_t)integer(optarg, 1000, 10000, "--rate takes 1000, 2000, 4000, 5000, 8000 or 10000 Hz");
             break;
         case 'n':
             board.serial = optarg;
@@ -159,8 +160,8 @@ int main(int argc, char **argv) {
     if (usb_port < 0 || sim_port < 0 || optind != argc) {
         usage("--usbip and --sim are needed, and nothing but options");
     }
-    if (1000000U % board.control_hz != 0U || 1000000U / board.control_hz % 25U != 0U) {
-        usage("--rate takes a rate whose period is a multiple of 25 us, such as 1000, 2000, 2500, 4000, 5000 or 10000");
+    if (1000000U % board.control_hz != 0U || board.control_hz % TL_AXIS_PLAN_HZ != 0U) {
+        usage("--rate takes 1000, 2000, 4000, 5000, 8000 or 10000 Hz");
     }
     const size_t length = strlen(board.serial);
     if (length == 0U || length > 31U ||

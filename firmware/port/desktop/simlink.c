@@ -91,8 +91,7 @@ static void report_state(net_connection_t *connection) {
         put(connection,
             "%s{\"q_q8\": %" PRId32 ", \"q_ref_q8\": %" PRId32 ", \"duty_q15\": %" PRId32
             ", \"mode\": %u, \"fault\": %u, \"flags\": %u}",
-            i == 0 ? "" : ", ", axis->q, tl_reference_q(&axis->reference), axis->duty, axis->mode, axis->fault,
-            tl_axis_flags(axis));
+            i == 0 ? "" : ", ", axis->q, axis->path.q, axis->duty, axis->mode, axis->fault, tl_axis_flags(axis));
     }
     put(connection, "]}\n");
 }

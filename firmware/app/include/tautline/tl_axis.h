@@ -1,30 +1,32 @@
 /// One axis: where its motor is, where it should be, what drives it there, and what is wrong.
 ///
-/// tl_axis_step() is the control step; everything else belongs to the task and must be called under the port's lock.
-/// Any fault puts the axis into its safe state: motor off, compensation off, until the fault is cleared.
+/// tl_axis_step() is the control step (tl_axis_step.c, with all that it needs); everything else belongs to the task
+/// and must be called under the port's lock. Any fault puts the axis into its safe state: motor off, compensation off,
+/// until the fault is cleared.
+///
+/// The control step has two rates. On every tick: encoder, servo, duty, and whether the motor follows. Once a
+/// millisecond, in TL_AXIS_JOBS jobs that are spread over its ticks, it plans: set-points, inverse with take-up, limits
+/// on speed and acceleration. tl_path.h joins what is planned. Planning looks ahead, so that a set-point with a time is
+/// met at that time. Also once a millisecond, but after the motors have their duty, comes tl_axis_watch().
 #ifndef TAUTLINE_TL_AXIS_H
 #define TAUTLINE_TL_AXIS_H
 
 #include "tautline/tl_compensator.h"
 #include "tautline/tl_history.h"
 #include "tautline/tl_motion.h"
+#include "tautline/tl_path.h"
 #include "tautline/tl_play.h"
 #include "tautline/tl_port.h"
-#include "tautline/tl_reference.h"
 #include "tautline/tl_servo.h"
+#include "tautline/tl_stream.h"
 
-#define TL_AXIS_QUEUE          32U     ///< set-points ahead of time
+#define TL_AXIS_PLAN_HZ        1000U ///< control_hz is a multiple of it
+#define TL_AXIS_JOBS           5U
 #define TL_AXIS_SAMPLES        16U     ///< telemetry samples waiting for the task, a power of two
 #define TL_AXIS_SILENCE_US     100000U ///< default
 #define TL_AXIS_SILENCE_MAX_US 60000000U
 #define TL_AXIS_AHEAD_US       10000000U ///< a set-point may lie this far ahead
 #define TL_AXIS_RANGE_MAX      (4000000 * TL_COUNT_ONE)
-
-typedef struct {
-    uint32_t ticks;
-    int32_t end;   ///< value at its end
-    int64_t slope; ///< value per tick, 24 more bits
-} tl_segment_t;
 
 typedef struct {
     tl_us_t t_us;
@@ -34,49 +36,47 @@ typedef struct {
     uint16_t flags;
 } tl_sample_t;
 
-/// What the control step needs on each tick comes first: near offsets are cheap on a Cortex-M0+.
+/// What every tick needs comes first: near offsets are cheap on a Cortex-M0+.
 typedef struct {
     const tl_port_t *port;
     uint8_t index;
-    uint8_t mode;                                  ///< tl_wire_mode_t
-    uint8_t fault;                                 ///< tl_wire_fault_t
-    uint8_t events;                                ///< bit n: tl_wire_event_code_t n came; the task clears it
-    uint16_t noted;                                ///< tl_wire_flag_t that came in this millisecond
-    uint16_t noted_before;                         ///< in the last
-    uint8_t slot;                                  ///< ticks since the millisecond began
-    uint8_t play_slot, history_slot, current_slot; ///< what is done in which
+    uint8_t mode;   ///< tl_wire_mode_t
+    uint8_t fault;  ///< tl_wire_fault_t
+    uint8_t events; ///< bit n: tl_wire_event_code_t n came; the task clears it
     bool silent;
     bool has_table;
-    uint32_t phase;   ///< of the millisecond, up to rate_hz
-    uint32_t rate_hz; ///< of the control step
-    int32_t encoder;  ///< as read last, counts
-    tl_count_q8_t q;  ///< position
+    uint16_t noted;        ///< tl_wire_flag_t that came in this millisecond
+    uint16_t noted_before; ///< in the last
+    uint32_t ticks;        ///< of a millisecond
+    uint32_t slot;         ///< ticks since the millisecond began
+    int32_t encoder;       ///< as read last, counts
+    tl_count_q8_t q;       ///< position
     tl_duty_q15_t duty;
+    tl_path_t path;          ///< where it should be now
+    tl_wire_limits_t limits; ///< as set; the table's are respected, too
+    tl_servo_t servo;
+
+    tl_count_q8_t target;          ///< of the reference
     tl_count_q8_t lowest, highest; ///< where the reference may be: wider only where the axis was enabled outside
-    tl_count_q8_t move_target;
     tl_reference_t reference;
     tl_reference_limits_t travel;
-    uint8_t queue_first, queue_used;
-    uint32_t segment_ticks; ///< left of the first segment
-    int64_t value;          ///< of the set-point stream now, 24 more bits
-    uint32_t patience;      ///< ticks until a follower's sender counts as silent
-    tl_deg_q16_t c_ref;
-    tl_motion_t *motion;   ///< while calibrating, else NULL
-    tl_history_t *history; ///< likewise
-
-    tl_servo_t servo;
+    tl_reference_limits_t move; ///< `travel` with the speed of the move under way
+    tl_count_q8_t move_target;
+    uint32_t lead_us;       ///< by which the time that is planned for is ahead
+    uint32_t patience;      ///< milliseconds until a follower's sender counts as silent
+    tl_deg_q16_t c_ref;     ///< demanded now
+    tl_deg_q16_t c_next[2]; ///< in one and in two milliseconds
+    tl_motion_t *motion;    ///< while calibrating, else NULL
+    tl_history_t *history;  ///< likewise
     tl_play_t play;
     tl_compensator_t compensator;
-    tl_wire_limits_t limits;    ///< as set; the table's are respected, too
-    tl_reference_limits_t move; ///< `travel` with the speed of the move under way
-    tl_count_q8_t low, high;    ///< position limits in force
+
+    tl_count_q8_t low, high; ///< position limits in force
     int32_t current_ma;
     int32_t current_mean_q8;
     tl_us_t fault_us;
     int32_t strength_q15;
     int32_t takeup_accel; ///< counts/s2, as the table says; `lookup` has what the axis' limits leave of it
-    tl_us_t queue_end_us;
-    int32_t queue_end;
     uint32_t silence_us;
     tl_us_t heard_us; ///< when the last set-point came
 
@@ -84,7 +84,7 @@ typedef struct {
     uint8_t skipped;
     volatile uint32_t sample_head, sample_tail; ///< written, taken
     uint32_t samples_dropped;
-    tl_segment_t queue[TL_AXIS_QUEUE];
+    tl_stream_t stream;
     tl_sample_t samples[TL_AXIS_SAMPLES];
     tl_lookup_t lookup;
 } tl_axis_t;
@@ -92,8 +92,35 @@ typedef struct {
 /// Off, at position 0, without a table, with default limits and gains.
 void tl_axis_init(tl_axis_t *axis, const tl_port_t *port, uint8_t index);
 
-/// The control step at `now_us`: reads the encoder, drives the motor.
+/// The control step at `now_us`: reads the encoder, drives the motor. At port->control_hz.
 void tl_axis_step(tl_axis_t *axis, tl_us_t now_us);
+
+static inline bool tl_axis_is_following(const tl_axis_t *axis) {
+    return axis->mode == TL_WIRE_MODE_FOLLOW_MOTOR || axis->mode == TL_WIRE_MODE_FOLLOW_TIP;
+}
+
+static inline void tl_axis_event(tl_axis_t *axis, tl_wire_event_code_t code) {
+    axis->events = (uint8_t)(axis->events | (1U << code));
+}
+
+static inline void tl_axis_drive(tl_axis_t *axis, tl_duty_q15_t duty) {
+    const tl_port_t *port = axis->port;
+    axis->duty = duty;
+    port->drive(port->context, axis->index, duty);
+}
+
+/// Forward play, encoder history, current limit, telemetry: after the step in which axis->slot came back to 0.
+void tl_axis_watch(tl_axis_t *axis, tl_us_t now_us);
+
+/// Parts of the control step: set-points in, reference out.
+void tl_axis_listen(tl_axis_t *axis, tl_us_t now_us);
+void tl_axis_plan(tl_axis_t *axis);
+/// Job 0 to TL_AXIS_JOBS - 1 of this millisecond; from `job` on the rest, where it has fewer ticks (below 5 kHz).
+void tl_axis_job(tl_axis_t *axis, uint32_t job, tl_us_t now_us);
+void tl_axis_catch_up(tl_axis_t *axis, uint32_t job, tl_us_t now_us);
+
+/// At rest where the motor is: what switching on begins from.
+void tl_axis_rest(tl_axis_t *axis);
 
 /// tl_wire_flag_t now, and those that came within the last millisecond.
 uint16_t tl_axis_flags(const tl_axis_t *axis);

@@ -14,11 +14,12 @@
 
 typedef struct {
     void *context;
-    const char *name;    ///< "desktop", "rp2040"; at most 15 characters, lives for ever
-    const char *serial;  ///< USB serial number, at most 31 characters of A-Z a-z 0-9 -, lives for ever
-    uint8_t axes;        ///< 1 to TL_WIRE_AXES_MAX
-    uint8_t boot;        ///< tl_boot_t: why it started
-    uint32_t control_hz; ///< 1000 to 10000, a divisor of 1000000
+    const char *name;   ///< "desktop", "rp2040"; at most 15 characters, lives for ever
+    const char *serial; ///< USB serial number, at most 31 characters of A-Z a-z 0-9 -, lives for ever
+    uint8_t axes;       ///< 1 to TL_WIRE_AXES_MAX
+    uint8_t boot;       ///< tl_boot_t: why it started
+    uint32_t
+        control_hz; ///< 1000, 2000, 4000, 5000, 8000 or 10000: a period is whole microseconds, a millisecond periods
 
     /// Microseconds since the start, never falls. Both threads.
     tl_us_t (*time_us)(void *context);

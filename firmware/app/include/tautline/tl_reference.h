@@ -18,6 +18,8 @@ typedef struct {
     int32_t speed;        ///< counts/tick Q24
     int32_t acceleration; ///< counts/tick2 Q24
     tl_count_q8_t stop;   ///< within which it stops from its greatest speed
+    uint32_t ticks;       ///< 1 / (2 acceleration): ticks Q8 for a speed Q24, times 2^(32 + ticks_down)
+    uint32_t ticks_down;
 } tl_reference_limits_t;
 
 typedef struct {
@@ -49,11 +51,6 @@ static inline tl_count_q8_t tl_reference_q(const tl_reference_t *reference) {
 
 static inline bool tl_reference_rests_at(const tl_reference_t *reference, tl_count_q8_t q) {
     return reference->q == q && reference->fraction == 0U && reference->velocity == 0;
-}
-
-/// Speed, Q8 counts/s.
-static inline int32_t tl_reference_speed(const tl_reference_t *reference, uint32_t rate_hz) {
-    return ((reference->velocity >> 8) * (int32_t)rate_hz) >> 8;
 }
 
 #endif

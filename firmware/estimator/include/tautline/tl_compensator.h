@@ -61,10 +61,12 @@ typedef struct {
 
 typedef struct {
     const tl_lookup_t *lookup; ///< must outlive the compensator or the next set_table
-    uint32_t flags;
-    uint32_t mode;         ///< tl_mode_t
-    uint32_t strength_q15; ///< k
-    int32_t side;          ///< s
+    uint32_t flags;            ///< of the last whole tick
+    uint32_t feed_flags;       ///< of its first part
+    uint32_t mode;             ///< tl_mode_t
+    uint32_t strength_q15;     ///< k
+    int32_t side;              ///< s
+    int32_t half;              ///< k B(p*) / 2
     int32_t start_offset; ///< q - p* at the start: where the motor stays while s is 0, as far as it is within the width
     tl_deg_q16_t c;       ///< the last command
     tl_count_q8_t p;      ///< p*, after limits
@@ -85,6 +87,11 @@ void tl_compensator_start(tl_compensator_t *compensator, const tl_lookup_t *look
 
 /// One tick: the motor position to go to for the command c*. O(1), bounded, no division.
 tl_count_q8_t tl_compensator_step(tl_compensator_t *compensator, tl_deg_q16_t c);
+
+/// Its three parts, for a controller that spreads them over time: in this order, the other functions anywhere between.
+void tl_compensator_feed(tl_compensator_t *compensator, tl_deg_q16_t c); ///< p*
+void tl_compensator_turn(tl_compensator_t *compensator);                 ///< B(p*) and the side
+tl_count_q8_t tl_compensator_take_up(tl_compensator_t *compensator);     ///< e and q*
 
 /// Changes that never move the output by themselves; what they change is taken up from the next step on.
 void tl_compensator_set_mode(tl_compensator_t *compensator, tl_mode_t mode);

@@ -1,0 +1,112 @@
+// The control step of one axis. A port puts this file, and all that it reaches, where no flash is read.
+#include "tautline/tl_axis.h"
+
+#define ENCODER_JUMP 2000 // counts in one step: above any motor's speed, below a glitch's
+
+void tl_axis_fail(tl_axis_t *axis, tl_wire_fault_t fault, tl_us_t now_us) {
+    tl_axis_drive(axis, 0);
+    axis->mode = TL_WIRE_MODE_OFF;
+    axis->stream.used = 0;
+    axis->motion = NULL;
+    if (axis->fault == TL_WIRE_FAULT_NONE) {
+        axis->fault = (uint8_t)fault;
+        axis->fault_us = now_us;
+        tl_axis_event(axis, TL_WIRE_EVENT_FAULT);
+    }
+}
+
+void tl_axis_stop(tl_axis_t *axis, bool then_off) {
+    if (axis->mode == TL_WIRE_MODE_OFF || (axis->mode == TL_WIRE_MODE_HOLD && !then_off)) {
+        return;
+    }
+    axis->stream.used = 0;
+    axis->motion = NULL;
+    axis->mode = then_off ? TL_WIRE_MODE_STOPPING_OFF : TL_WIRE_MODE_STOPPING;
+}
+
+void tl_axis_silence(tl_axis_t *axis) {
+    if (tl_axis_is_following(axis)) {
+        tl_axis_stop(axis, false);
+        axis->silent = true;
+        tl_axis_event(axis, TL_WIRE_EVENT_SILENT);
+    }
+}
+
+void tl_axis_rest(tl_axis_t *axis) {
+    axis->target = axis->q;
+    tl_reference_set(&axis->reference, axis->q);
+    tl_path_set(&axis->path, axis->q);
+}
+
+// -- on every tick ----------------------------------------------------------------------------------------------
+
+static void measure(tl_axis_t *axis, tl_us_t now_us) {
+    const tl_port_t *port = axis->port;
+    const int32_t encoder = port->encoder(port->context, axis->index);
+    int32_t moved = (int32_t)((uint32_t)encoder - (uint32_t)axis->encoder);
+    axis->encoder = encoder;
+    if (moved > ENCODER_JUMP || moved < -ENCODER_JUMP) {
+        tl_axis_fail(axis, TL_WIRE_FAULT_ENCODER, now_us);
+        moved = 0;
+    }
+    axis->q += moved * TL_COUNT_ONE; // the plan clamps it
+}
+
+static inline void do_job(tl_axis_t *axis, uint32_t job, tl_us_t now_us) {
+    const bool tip = axis->mode == TL_WIRE_MODE_FOLLOW_TIP;
+    switch (job) {
+    case 0U:
+        tl_axis_listen(axis, now_us);
+        break;
+    case 1U:
+        if (tip) {
+            tl_compensator_feed(&axis->compensator, axis->c_next[1]);
+        }
+        break;
+    case 2U:
+        if (tip) {
+            tl_compensator_turn(&axis->compensator);
+        }
+        break;
+    case 3U:
+        if (tip) {
+            axis->target = tl_compensator_take_up(&axis->compensator);
+        } else if (axis->mode == TL_WIRE_MODE_CALIBRATE) {
+            axis->target = tl_motion_tick(axis->motion).q;
+        }
+        break;
+    default:
+        tl_axis_plan(axis);
+        break;
+    }
+}
+
+void tl_axis_job(tl_axis_t *axis, uint32_t job, tl_us_t now_us) {
+    do_job(axis, job, now_us);
+}
+
+void tl_axis_step(tl_axis_t *axis, tl_us_t now_us) {
+    measure(axis, now_us);
+    if (axis->mode == TL_WIRE_MODE_OFF) {
+        axis->path.q = axis->q;
+        tl_servo_watch(&axis->servo, axis->q);
+        tl_axis_drive(axis, 0);
+    } else {
+        if (axis->slot == 0U) {
+            tl_path_begin(&axis->path, &axis->reference);
+        }
+        tl_path_tick(&axis->path);
+        tl_axis_drive(axis, tl_servo_step(&axis->servo, axis->q, &axis->path, axis->limits.duty_q15));
+    }
+    const uint32_t slot = axis->slot, next = slot + 1U;
+    axis->slot = next;
+    if (slot < TL_AXIS_JOBS) {
+        do_job(axis, slot, now_us);
+    }
+    if (next == axis->ticks) {
+        axis->slot = 0;
+        if (next < TL_AXIS_JOBS) { // a millisecond has fewer ticks than jobs: below 5 kHz
+            tl_axis_catch_up(axis, next, now_us);
+        }
+    }
+}

@@ -1,0 +1,27 @@
+#include "tautline/tl_path.h"
+
+void tl_path_init(tl_path_t *path, tl_count_q8_t q, uint32_t ticks) {
+    path->share = (65536U + ticks / 2U) / ticks;
+    tl_path_set(path, q);
+}
+
+void tl_path_set(tl_path_t *path, tl_count_q8_t q) { // field by field: the control step has no memset
+    path->q = path->base = q;
+    path->speed = path->bend = path->offset = path->velocity = 0;
+}
+
+// x * share / 2^16, for |x| < 2^30
+static inline int32_t part(int32_t x, uint32_t share) {
+    return (x >> 16) * (int32_t)share + (int32_t)(((uint32_t)x & 0xFFFFU) * share >> 16);
+}
+
+void tl_path_begin(tl_path_t *path, const tl_reference_t *reference) {
+    // From (r[k-1] + r[k]) / 2 at speed v[k] to (r[k] + r[k+1]) / 2 at v[k+1], where v[k] = r[k] - r[k-1]. Ticks are
+    // in the middles of their intervals: this is half of one before the beginning.
+    const int32_t before = path->velocity, after = reference->velocity;
+    path->velocity = after;
+    path->base = reference->q;
+    path->bend = part(part(after - before, path->share), path->share);
+    path->speed = part(before, path->share);
+    path->offset = (int32_t)reference->fraction - after - before / 2 - path->speed / 2 + path->bend / 8;
+}
