@@ -60,3 +60,19 @@ def test_one_block_has_no_other_half():
     one = SEGMENTS[0]
     ramp = replace(one, motor=replace(one.motor, q=0.05 * one.motor.t_s))
     assert flexible.close([ramp], [np.zeros((int(ramp.scored.sum()), 2))], NOISE) is None
+
+
+def test_a_swing_of_its_own_period_is_found_and_closed():
+    residuals = [
+        r + 0.5 * np.sin(2 * np.pi * (s.arrival_s[s.scored] + s.offset_s) / 3.1)[:, None]
+        for s, r in zip(SEGMENTS, noise(6), strict=True)
+    ]
+    found = flexible.close(SEGMENTS, residuals, NOISE)
+    assert found is not None and found.swing_s == pytest.approx(3.1, rel=0.02)
+    assert found.closable_shrink > 0.9
+
+
+def test_what_the_motor_makes_is_no_swing():
+    residuals = [r + 0.1 * motor(s)[:, None] for s, r in zip(SEGMENTS, noise(7), strict=True)]
+    found = flexible.close(SEGMENTS, residuals, NOISE)
+    assert found is not None and found.swing_s is None and found.closable_shrink > 0.9

@@ -19,7 +19,7 @@ from tautline.cli._common import (
     rig_option,
     tracked,
 )
-from tautline.diagnose import motion, page
+from tautline.diagnose import motion, page, words
 from tautline.diagnose.diagnosis import Diagnosis, diagnose
 from tautline.folders import replaced, write_file
 from tautline.plain import plain
@@ -45,7 +45,7 @@ def command(
             found.model, recordings[0], recordings[1:], lambda fraction, text: progress(0.3 + 0.65 * fraction, text)
         )
         save(diagnosis, out)
-    emit(diagnosis.document, as_json, f"{page.sentence(diagnosis.document)}\n{out / page.FILE}")
+    emit(diagnosis.document, as_json, words.text(diagnosis.document, str(out)))
 
 
 def save(diagnosis: Diagnosis, out: Path) -> None:

@@ -16,6 +16,8 @@ from tautline.diagnose.segment import Segment
 Array = npt.NDArray[np.float64]
 
 _LENGTHS_FROM, _TRAINED_ON, _SCORED_ON = 200, 700, 3000  # observations: for length scales, of either half, in all
+_RATES = np.arange(0.05, 2.0, 0.003)  # Hz, of a swing: breathing, a heart, a loose mount
+_SWINGS, _DRIVEN = 0.25, 0.05  # shares of the residual's power that make a swing, of a motion's that drive it
 _SHORTEST, _LONGEST = 0.05, 20.0  # length scales, of an input's standard deviation
 
 
@@ -26,6 +28,7 @@ class Flexible:
     before: float
     after: float
     floor: float
+    swing_s: float | None  # the period in which they swing, whatever motor and axes do; None where they do not
 
     @property
     def shrink(self) -> float:
@@ -45,14 +48,16 @@ class Flexible:
             "after": self.after,
             "shrink": self.shrink,
             "closable_shrink": self.closable_shrink,
+            **({} if self.swing_s is None else {"swing_s": self.swing_s}),
         }
 
 
 def close(segments: Sequence[Segment], residuals: Sequence[Array], floor: float) -> Flexible | None:
-    """What a Gaussian process of motor position, travel since the reversal, direction, speed, the other axes, the load
-    and the session's time closes of `residuals` (each recording's scored ones): each half of the blocks is predicted by
-    a process that was trained on the other half. None where there are not two halves. About a second."""
-    inputs, half = _inputs(segments), _halves(segments)
+    """What a Gaussian process of motor position, travel since the reversal, direction, speed, the other axes, the load,
+    the session's time and a swing's phase closes of `residuals` (each recording's scored ones): each half of the blocks
+    is predicted by a process trained on the other half. None where there are not two halves. About a second."""
+    swing_s = _swing(segments, residuals)
+    inputs, half = _inputs(segments, swing_s), _halves(segments)
     seen = np.concatenate(residuals)
     if any(np.count_nonzero(half == h) < 50 for h in (0, 1)):
         return None
@@ -67,7 +72,7 @@ def close(segments: Sequence[Segment], residuals: Sequence[Array], floor: float)
             before += float(np.sum(seen[asked] ** 2))
             after += float(np.sum((seen[asked] - said) ** 2))
             count += seen[asked].size
-    return Flexible(float(np.sqrt(before / count)), float(np.sqrt(after / count)), floor)
+    return Flexible(float(np.sqrt(before / count)), float(np.sqrt(after / count)), floor, swing_s)
 
 
 def _process(inputs: Array, seen: Array, floor: float, asked: Array) -> Array:
@@ -92,21 +97,54 @@ def _process(inputs: Array, seen: Array, floor: float, asked: Array) -> Array:
     return said.reshape(len(asked), seen.shape[1])
 
 
-def _inputs(segments: Sequence[Segment]) -> Array:
+def _inputs(segments: Sequence[Segment], swing_s: float | None) -> Array:
     """(n, d) at the scored observations of all recordings; only what varies."""
     parts = []
     for segment in segments:
         t = segment.arrival_s
         load = segment.motor.load_mNm
-        columns = (
+        columns: tuple[Array, ...] = (
             repeats.features(segment),
             t + segment.offset_s,
             np.zeros_like(t) if load is None else np.interp(t, segment.motor.t_s, load),
         )
+        if swing_s is not None:
+            phase = 2.0 * np.pi * (t + segment.offset_s) / swing_s
+            columns = (*columns, np.sin(phase), np.cos(phase))
         parts.append(np.column_stack(columns)[segment.scored])
     inputs = np.concatenate(parts)
     varies: Array = inputs[:, np.ptp(inputs, axis=0) > 1e-9]
     return varies
+
+
+def _swing(segments: Sequence[Segment], residuals: Sequence[Array]) -> float | None:
+    """The period, s, of a swing that takes _SWINGS of the residuals' power and that neither the motor nor another axis
+    makes."""
+    taken, driven, total = np.zeros(len(_RATES)), np.zeros(len(_RATES)), 0.0
+    for segment, residual in zip(segments, residuals, strict=True):
+        at = _some(np.arange(len(residual)), _SCORED_ON // 2)
+        t, motor = segment.arrival_s[segment.scored][at], segment.motor
+        if len(t) < 10:
+            continue
+        moves = [
+            np.interp(t, motor.t_s, x) for x in (motor.q, motor.translation_mm, motor.rotation_deg) if x is not None
+        ]
+        drives = np.column_stack([*moves, *(np.gradient(x) for x in moves)])
+        turned = np.exp(2j * np.pi * _RATES[:, None] * t)
+        taken += np.sum(_shares(turned, residual[at]) * np.var(residual[at], axis=0) * len(residual), axis=1)
+        driven = np.maximum(driven, np.max(_shares(turned, drives), axis=1))
+        total += float(np.sum(np.var(residual[at], axis=0))) * len(residual)
+    best = int(np.argmax(taken))
+    if taken[best] < _SWINGS * total or driven[best] > _DRIVEN:
+        return None
+    return float(1.0 / _RATES[best])
+
+
+def _shares(turned: npt.NDArray[np.complex128], values: Array) -> Array:
+    """(rates, k) of each column's variance that a sinusoid of each rate takes."""
+    apart = values - values.mean(axis=0)
+    power = np.maximum(np.sum(apart**2, axis=0), 1e-300)
+    return np.asarray(2.0 * np.abs(turned @ apart) ** 2 / (len(values) * power))
 
 
 def _halves(segments: Sequence[Segment]) -> npt.NDArray[np.int64]:

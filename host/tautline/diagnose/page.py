@@ -8,157 +8,214 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tautline import figures, report
+from tautline.diagnose import where, words
 from tautline.diagnose.diagnosis import Diagnosis
-from tautline.effects import BY_ID, STAGES
+from tautline.diagnose.where import Condition
+from tautline.effects import BY_ID, STAGES, Parameter
 
 FILE = "report.html"
 
-
-def sentence(document: Mapping[str, Any]) -> str:
-    """Verdict, effect and shrinkage."""
-    gap, unit = document["gap"], document["unit"]
-    before = f"{gap['before']:.3g} {unit} rms"
-    if document["verdict"] == "none":
-        noise = f"{document['noise_floor']:.2g} {unit}"
-        return f"No gap beyond noise: {before} on motions the calibration never saw, noise {noise}."
-    if document["verdict"] == "unknown":
-        return (
-            f"A gap of {before} that no known effect explains; it is {document['signature'] or 'everywhere'}. "
-            f"The leading guess is {document['candidates'][0]['id']}."
-        )
-    names = [effect["id"] for effect in document["effects"]]
-    says = " and ".join(f"{name} ({BY_ID[name].says})" for name in names)
-    first = document["effects"][0]
-    text = (
-        f"{says}: adding it shrinks the gap from {before} to {gap['after']:.3g} {unit} ({100 * gap['shrink']:.0f} %)."
-    )
-    if document["verdict"] == "effect" and first["id"] in ("transmission.stick_slip", "acquisition.jitter"):
-        text = f"{says}: {before}. It has no reproducible path, so no model can predict it away."
-    if first["ambiguous_with"]:
-        text += f" These motions cannot tell it from {', '.join(first['ambiguous_with'])}."
-    return text
+_CANDIDATES = 6
+_MANY_POINTS = 2500
+_TITLES = {
+    "q": "motor position",
+    "direction": "direction of the motor",
+    "speed": "motor speed",
+    "phase": "time since the reversal",
+    "time": "time in the session",
+    "translation": "translation",
+    "rotation": "rotation",
+    "u": "image position, across",
+    "v": "image position, down",
+    "load": "load",
+}
 
 
 def write(diagnosis: Diagnosis, folder: Path) -> Path:
     document = diagnosis.document
-    following = document["next_motion"]
+    unit = diagnosis.nominal.rig.actuator.unit
+    named = document["verdict"] == "effect"
     page = {
-        "title": "Where model and instrument part",
-        "sentence": sentence(document),
+        "title": "Where model and robot part",
+        "source": _source(diagnosis),
+        "sentence": words.sentence(document),
         "document": document,
-        "chain": report.picture(chain(document), "The chain", "The stage that the gap belongs to is marked."),
+        "named": named,
+        "digits": words.digits,
+        "percent": words.percent,
+        "steps": words.steps(document, folder.name or "."),
+        "flexible": words.flexible(document),
+        "chain": _chain(document),
         "residuals": report.picture(
             residuals(diagnosis),
             "Residual before and after",
-            "On data the fit did not see. Grey: the calibrated model. Red: with what was named.",
+            "Distance between prediction and measurement over the session, on data that the fit did not see. "
+            + ("Grey: the calibrated model. Red: with what was named." if named else "The calibrated model."),
         ),
-        "candidates": report.picture(candidates(document), "Candidates", "Probability to be the leading effect."),
-        "conditions": report.picture(
-            conditions(diagnosis),
-            "Where it is",
-            "Mean residual (lines) and its rms (area) over the axes that tell most.",
-        )
-        if diagnosis.conditions
-        else None,
-        "next": f"Run {following['file']} next: {following['why']}. It tells the leading candidates apart best."
-        if following
-        else "",
-        "board": _board(document),
+        "candidates": [
+            {
+                "name": name,
+                "says": BY_ID[name].says if name in BY_ID else "",
+                "percent": words.percent(p),
+                "width": f"{100 * p:.1f}",
+                "closes": closes,
+            }
+            for name, p, closes in words.rows(document, _CANDIDATES)
+        ],
+        "parameters": [row for effect in document["effects"] for row in _parameters(effect, unit)],
+        "conditions": _conditions(diagnosis, unit),
+        "colours": "Blue: mean residual across the image; orange: down."
+        if document["unit"] == "px"
+        else "Blue: mean residual.",
     }
     path = folder / FILE
     report.write_page("diagnosis.html", page, path)
     return path
 
 
-def _board(document: Mapping[str, Any]) -> str:
-    carried = [e["id"] for e in document["effects"] if e["loads_on_board"]]
-    left = [e["id"] for e in document["effects"] if not e["loads_on_board"]]
-    parts = []
-    if carried:
-        parts.append(f"The board's tables carry {', '.join(carried)}: load corrected/ with taut flash.")
-    if left:
-        parts.append(f"The board's tables cannot carry {', '.join(left)}.")
-    return " ".join(parts)
+def _source(diagnosis: Diagnosis) -> str:
+    names = [segment.name for segment in diagnosis.segments]
+    seconds = sum(float(np.ptp(segment.motor.t_s)) for segment in diagnosis.segments)
+    return f"calibrated on {names[0]}, tested on {words.listed(names[1:])}; {seconds:.0f} s in all"
+
+
+def _chain(document: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The stages in order, each with the largest share of the gap that one of its effects closes."""
+    named = {effect["id"].split(".")[0] for effect in document["effects"]}
+    marked = document["where"]["stage"]
+    stages = []
+    for stage in STAGES:
+        found = [c for c in document["candidates"] if c["id"].startswith(stage + ".")]
+        closes = max((c["shrink"] for c in found), default=0.0)
+        share = sum(e["shrink"] for e in document["effects"] if e["id"].startswith(stage + "."))
+        says = f"{words.percent(share)} of the gap" if stage in named and share > 0.005 else ""
+        if not says and closes > 0.005 and document["verdict"] != "none":
+            says = f"could close {words.percent(closes)}"
+        certain = document["verdict"] == "effect"
+        mark = ("named" if certain else "guess") if stage == marked or stage in named else ""
+        stages.append({"name": stage, "mark": mark, "says": says})
+    return stages
+
+
+def _parameters(effect: Mapping[str, Any], unit: str) -> list[dict[str, str]]:
+    kind = BY_ID[effect["id"]]
+    known = {p.name: p for p in (*kind.amplitudes, *kind.shapes)}
+    since = bool(effect["parameters"].get("since_calibration", 0.0))
+    return [
+        {
+            "effect": effect["id"],
+            "name": name.replace("_", " "),
+            "value": f"{words.digits(value)} {_unit(known[name], unit)}".strip(),
+            "since": "since the calibration" if since else "all along",
+            "share": words.percent(effect["shrink"]),
+            "with": ", ".join(effect["ambiguous_with"]),
+        }
+        for name, value in effect["parameters"].items()
+        if name in known
+    ]
+
+
+def _unit(parameter: Parameter, unit: str) -> str:
+    return parameter.unit.replace("unit", unit)
+
+
+def _conditions(diagnosis: Diagnosis, unit: str) -> list[dict[str, Any]]:
+    """A picture for every axis, the most telling first."""
+    if diagnosis.document["verdict"] == "effect":
+        reference = float(diagnosis.corrected.extra.get("load_reference_mNm", 0.0))
+        tests = diagnosis.segments[1:]
+        paths = [segment.predict(diagnosis.nominal, {}, reference)[0] for segment in tests]
+        after = {c.axis: c for c in where.conditions(tests, paths, diagnosis.after)}
+    else:
+        after = {}
+    top = max(float(np.sqrt(c.power.max())) for c in diagnosis.conditions) if diagnosis.conditions else 1.0
+    pictures = []
+    for condition in diagnosis.conditions:
+        title = _TITLES.get(condition.axis, condition.axis)
+        drawn = _condition(diagnosis, condition, after.get(condition.axis), unit, top)
+        caption = f"{words.percent(condition.share)} of the gap's power goes with it; largest {condition.says}."
+        pictures.append({"title": title, "picture": report.picture(drawn, title, caption)})
+    return pictures
 
 
 @mpl.rc_context(figures.STYLE)
-def chain(document: Mapping[str, Any]) -> Figure:
-    """The stages as boxes, the one that the gap belongs to filled."""
-    made, axes = figures.figure(10.5, 1.0)
-    ax = axes[0, 0]
-    ax.set_axis_off()
-    ax.set_xlim(0, len(STAGES))
-    ax.set_ylim(0, 1)
-    marked = document["where"]["stage"]
-    for i, stage in enumerate(STAGES):
-        here = stage == marked
-        ax.text(
-            i + 0.5,
-            0.5,
-            stage,
-            ha="center",
-            va="center",
-            fontsize=10,
-            color="white" if here else figures.INK,
-            fontweight="bold" if here else "normal",
-            bbox={
-                "boxstyle": "round,pad=0.6",
-                "facecolor": figures.MODEL if here else "white",
-                "edgecolor": figures.GREY,
-            },
-        )
-        if i:
-            ax.annotate("", (i + 0.10, 0.5), (i - 0.10, 0.5), arrowprops={"arrowstyle": "->", "color": figures.GREY})
+def _condition(diagnosis: Diagnosis, condition: Condition, after: Condition | None, unit: str, top: float) -> Figure:
+    made, axes = figures.figure(3.5, 2.2)
+    ax: Axes = axes[0, 0]
+    floor = diagnosis.document["noise_floor"]
+    x, rms = condition.centres, np.sqrt(condition.power)
+    colours = (figures.UP, figures.DOWN)
+    if condition.axis == "direction":
+        shown = {-1: "falls", 0: "rests", 1: "rises"}
+        at = np.sign(np.round(x)).astype(int)
+        ax.bar(at, rms, width=0.6, color=figures.PALE)
+        for values, colour in zip(condition.mean.T, colours, strict=False):
+            ax.plot(at, values, "o", color=colour, markersize=4)
+        if after is not None:
+            ax.plot(np.sign(np.round(after.centres)), np.sqrt(after.power), "_", color=figures.MODEL, markersize=22)
+        ax.set_xticks(list(shown), list(shown.values()))
+        ax.set_xlim(-1.5, 1.5)
+    else:
+        ax.fill_between(x, 0, rms, color=figures.PALE)
+        for values, colour in zip(condition.mean.T, colours, strict=False):
+            ax.plot(x, values, color=colour, linewidth=1.2)
+        if after is not None:
+            ax.plot(after.centres, np.sqrt(after.power), color=figures.MODEL, linewidth=1.8)
+        ax.margins(x=0)
+        of = where.AXES[condition.axis][2].replace("unit", unit)
+        ax.set_xlabel(f"{_TITLES.get(condition.axis, condition.axis)} ({of})")
+    ax.axhline(floor, color=figures.INK, linewidth=0.8, linestyle="--")
+    low = min(0.0, float(condition.mean.min()))
+    ax.set_ylim(1.08 * low, 1.08 * top)
+    ax.set_ylabel(f"residual ({diagnosis.document['unit']})")
     return made
 
 
 @mpl.rc_context(figures.STYLE)
 def residuals(diagnosis: Diagnosis) -> Figure:
     """Over the session's time, both models."""
-    made, axes = figures.figure(10.5, 3.0)
+    made, axes = figures.figure(10.5, 2.8)
     ax = axes[0, 0]
-    for i, (segment, before, after) in enumerate(
-        zip(diagnosis.segments[1:], diagnosis.before, diagnosis.after, strict=True)
-    ):
-        t = segment.arrival_s[segment.scored] + segment.offset_s
-        for values, colour, label in ((before, figures.GREY, "calibrated model"), (after, figures.MODEL, "corrected")):
-            size = np.sqrt(np.mean(values**2, axis=1))
-            ax.plot(t, size, ".", markersize=1.5, color=colour, label=label if i == 0 else None, rasterized=True)
+    named = diagnosis.document["verdict"] == "effect"
+    series = [(diagnosis.before, figures.GREY, "calibrated model")]
+    if named:
+        series.append((diagnosis.after, figures.MODEL, "corrected"))
+    tests = diagnosis.segments[1:]
+    every = max(1, sum(int(segment.scored.sum()) for segment in tests) // _MANY_POINTS)
+    for values, colour, label in series:
+        for i, (segment, residual) in enumerate(zip(tests, values, strict=True)):
+            t = segment.arrival_s[segment.scored] + segment.offset_s
+            size = np.sqrt(np.mean(residual**2, axis=1))
+            ax.plot(
+                t[::every],
+                size[::every],
+                ".",
+                markersize=2.5,
+                color=colour,
+                label=label if i == 0 else None,
+                rasterized=True,
+            )
     ax.axhline(diagnosis.document["noise_floor"], color=figures.INK, linewidth=0.8, linestyle="--", label="noise")
+    for segment in tests:
+        start = float(segment.motor.t_s[0]) + segment.offset_s
+        ax.axvline(start, color=figures.GREY, linewidth=0.6)
+        ax.annotate(
+            segment.name,
+            (start, 1.0),
+            (3, -3),
+            xycoords=("data", "axes fraction"),
+            textcoords="offset points",
+            va="top",
+            fontsize=8,
+            color=figures.INK,
+        )
+    ax.margins(x=0.01)
     ax.set_xlabel("time in the session (s)")
     ax.set_ylabel(f"residual ({diagnosis.document['unit']})")
     ax.set_ylim(bottom=0)
-    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, markerscale=6)
-    return made
-
-
-@mpl.rc_context(figures.STYLE)
-def candidates(document: Mapping[str, Any]) -> Figure:
-    rows = [(c["id"], c["probability"]) for c in document["candidates"][:6]]
-    rows += [("unknown", document["probability_unknown"]), ("no gap", document["probability_none"])]
-    made, axes = figures.figure(10.5, 0.32 * len(rows) + 0.6)
-    ax = axes[0, 0]
-    ax.barh([name for name, _ in rows], [p for _, p in rows], color=figures.UP, height=0.6)
-    for i, (_, p) in enumerate(rows):
-        ax.text(p + 0.01, i, f"{100 * p:.0f} %", va="center", fontsize=8)
-    ax.invert_yaxis()
-    ax.set_xlim(0, 1.08)
-    ax.set_xlabel("probability")
-    return made
-
-
-@mpl.rc_context(figures.STYLE)
-def conditions(diagnosis: Diagnosis) -> Figure:
-    shown = diagnosis.conditions[:4]
-    made, axes = figures.figure(10.5, 2.4, 1, len(shown))
-    for ax, condition in zip(axes[0], shown, strict=True):
-        ax.fill_between(condition.centres, 0, np.sqrt(condition.power), color=figures.PALE)
-        for values, colour in zip(condition.mean.T, (figures.UP, figures.DOWN), strict=False):
-            ax.plot(condition.centres, values, color=colour)
-        ax.set_title(f"{condition.axis}: {100 * condition.share:.0f} %")
-        ax.set_xlabel(condition.says)
-    axes[0, 0].set_ylabel(f"residual ({diagnosis.document['unit']})")
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, markerscale=4)
     return made
