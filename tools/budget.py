@@ -225,7 +225,8 @@ def branches_of(code_: Code, root: str) -> list[int]:
     """Addresses of the conditional branches that `root` reaches, in functions of ours."""
     objects = [*BUILD.glob("*/libtautline_*.a"), *BUILD.glob("CMakeFiles/cycles.dir/**/tl_*.c.o*")]
     ours = set(re.findall(r" [tT] (\w\S*)", _run("arm-none-eabi-nm", "--defined-only", *map(str, objects))))
-    reaches = reached(code(BUILD / "cycles.elf")[1], [root]) & ours
+    calls = {name: to for name, to in code(BUILD / "cycles.elf")[1].items() if name != CATCH_UP}
+    reaches = reached(calls, [root]) & ours
     return sorted(at for at, here in code_.at.items() if here.conditional and code_.owner(at) in reaches)
 
 
@@ -301,7 +302,7 @@ def rows(with_branches: bool = False) -> list[Row]:
         Row("control step with tables, measured", worst["step_tip"], 800, "cycles", 600),
         Row("control step with tables, any path", cost.step, 950, "cycles", 600),
         Row("control step with tables, mean", cost.measured["step_tip"]["mean"], 600, "cycles"),
-        Row("control step, other modes, measured", worst["step_other"], 1050, "cycles"),
+        Row("control step, other modes, measured", worst["step_other"], 2200, "cycles"),
         Row("control step, calibration, any path", cost.step_any, 3300, "cycles"),
         Row("once a millisecond beside it, measured", worst["watch"], 900, "cycles"),
         Row(f"{AXES} axes at {CONTROL_HZ} Hz, any path", load, 25, "% of the core"),

@@ -168,19 +168,35 @@ static tl_deg_q16_t any_angle(void) {
                       between(-span, span) + between(-span / 4 - 1, span / 4 + 1));
 }
 
-static void follow_tip(tl_us_t *now_us) {
+// Motor on, at rest, no fault: from there every mode begins.
+static void hold(tl_us_t *now_us) {
+    axis.fault = 0;
     tl_axis_enable(&axis);
-    if (tl_axis_follow(&axis, true, (uint8_t)between(0, 5) % 3u, 50000000, *now_us) != 0) {
+    tl_axis_stop(&axis, false);
+    for (int i = 0; i < 5 * TICKS && axis.mode != TL_WIRE_MODE_HOLD; i++) {
+        *now_us += 1000000 / RATE_HZ;
+        step(STEP_OTHER, *now_us);
+        axis.fault = 0;
+        tl_axis_enable(&axis);
+    }
+}
+
+static void follow_tip(tl_us_t *now_us) {
+    hold(now_us);
+    const uint32_t silence_us = between(0, 5) == 0 ? (uint32_t)between(5000, 60000) : 50000000U;
+    if (tl_axis_follow(&axis, true, (uint8_t)between(0, 5) % 3u, silence_us, *now_us) != 0) {
         return;
     }
+    const int32_t often = between(5, 60); // a set-point in so many ticks
+    const int32_t jitter = between(0, 2) * between(1, 30000);
     bool late;
     for (int i = 0; i < TICKS; i++) {
         *now_us += 1000000 / RATE_HZ;
-        if (between(0, 20) == 0) {
+        if (between(0, often) == 0) {
             const tl_us_t at = between(0, 1) == 0 ? 0 : *now_us + (tl_us_t)between(1000, 60000);
             tl_axis_set_point(&axis, any_angle(), at, *now_us, &late);
         } else if (between(0, 5) == 0) {
-            tl_axis_set_point(&axis, axis.c_ref + between(-300, 300), 0, *now_us, &late); // jitter
+            tl_axis_set_point(&axis, axis.c_ref + between(-jitter, jitter), 0, *now_us, &late);
         }
         if (between(0, 40) == 0) {
             tl_axis_set_strength(&axis, between(0, 32768));
@@ -189,19 +205,46 @@ static void follow_tip(tl_us_t *now_us) {
     }
 }
 
+static void calibrate(tl_us_t *now_us) {
+    hold(now_us);
+    const int32_t stroke = between(20, 800) * 256;
+    const int32_t q = tl_reference_q(&axis.reference);
+    tl_motion_config_t config = {.low = q - between(-stroke, 3 * stroke),
+                                 .speed_count = (uint8_t)between(1, TL_MOTION_SPEEDS),
+                                 .cycles = (uint8_t)between(1, 4),
+                                 .transit = between(2000, 16000) * 256,
+                                 .acceleration = between(100000, 4000000) * 256,
+                                 .approach = between(256, stroke / 2),
+                                 .stroke_max = stroke,
+                                 .host_timeout_us = between(0, 2) == 0 ? (uint32_t)between(5000, 60000) : 0U,
+                                 .rate_hz = TL_AXIS_PLAN_HZ};
+    config.high = config.low + 2 * stroke + between(1, 4000) * 256;
+    for (uint8_t i = 0; i < TL_MOTION_SPEEDS; i++) {
+        config.speed[i] = between(0, 1) == 0 ? config.transit : between(64, config.transit);
+    }
+    if (tl_motion_start(&motion, &config, q) != TL_MOTION_OK) {
+        return;
+    }
+    tl_axis_calibrate(&axis, &motion, &history);
+    for (int i = 0; i < 5 * TICKS; i++) {
+        *now_us += 1000000 / RATE_HZ;
+        if (between(0, 30) == 0) {
+            tl_motion_onset(&motion, (int8_t)(2 * between(0, 1) - 1));
+        }
+        if (between(0, 150) == 0) {
+            tl_motion_frame(&motion);
+        }
+        if (between(0, 4000) == 0) {
+            tl_motion_stop(&motion);
+        }
+        step(STEP_OTHER, *now_us);
+    }
+    axis.motion = NULL;
+    tl_axis_stop(&axis, false);
+}
+
 static void other_modes(tl_us_t *now_us) {
-    tl_axis_enable(&axis);
-    tl_motion_config_t config = {.low = -400000,
-                                 .high = 400000,
-                                 .speed = {between(300, 4000) * 256},
-                                 .speed_count = 1,
-                                 .cycles = 3,
-                                 .transit = 6000 * 256,
-                                 .acceleration = 200000 * 256,
-                                 .approach = 500 * 256,
-                                 .stroke_max = 1300 * 256,
-                                 .host_timeout_us = 20000,
-                                 .rate_hz = RATE_HZ};
+    hold(now_us);
     bool late;
     for (int i = 0; i < TICKS; i++) {
         *now_us += 1000000 / RATE_HZ;
@@ -209,7 +252,7 @@ static void other_modes(tl_us_t *now_us) {
         case 0:
             axis.fault = 0;
             tl_axis_enable(&axis);
-            tl_axis_move(&axis, between(-2000000, 2000000), between(0, 1) * between(1, 5000 * 256));
+            tl_axis_move(&axis, between(axis.low, axis.high), between(0, 1) * between(1, 5000 * 256));
             break;
         case 1:
             tl_axis_stop(&axis, between(0, 1) == 0);
@@ -222,11 +265,6 @@ static void other_modes(tl_us_t *now_us) {
             }
             break;
         case 3:
-            if (tl_motion_start(&motion, &config, tl_reference_q(&axis.reference)) == TL_MOTION_OK) {
-                tl_axis_calibrate(&axis, &motion, &history);
-            }
-            break;
-        case 4:
             if (between(0, 3) == 0) {
                 plant_q16 += (int64_t)between(-3000, 3000) * 65536; // a glitch
             }
@@ -236,7 +274,6 @@ static void other_modes(tl_us_t *now_us) {
         }
         step(STEP_OTHER, *now_us);
     }
-    axis.motion = NULL;
 }
 
 // -- frames of a tip with play: steady strokes, dithering, pauses, lost and late frames, wrong settings
@@ -341,10 +378,11 @@ static void lookups(void) {
 int main(void) {
     for (uint32_t table = 1; table <= TABLES; table++) {
         seed = table * 2654435761u;
-        tl_us_t now_us = 0;
+        tl_us_t now_us = (1ULL << 32) - 1000000U; // the high word of the time changes on the way
         start_axis();
         follow_tip(&now_us);
         other_modes(&now_us);
+        calibrate(&now_us);
         follow_tip(&now_us);
         if (axis.lookup.table.nodes > 1) {
             lookups();
