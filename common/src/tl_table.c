@@ -157,11 +157,10 @@ static tl_table_reason_t check_header(const tl_table_t *t, uint8_t axis) {
     return TL_TABLE_OK;
 }
 
-bool tl_table_span_is_flat(const tl_table_t *table, unsigned span) {
+uint32_t tl_table_flat_below(const tl_table_t *table) {
     // deg Q16 per step of Q8 counts, times 2^20 / step, is deg per count in Q28.
-    const int32_t rise = table->angle[span + 1U] - table->angle[span];
-    const uint64_t magnitude = (uint32_t)(rise < 0 ? -rise : rise);
-    return magnitude << 20 < (uint64_t)(uint32_t)table->slope_min_q28 << table->step_log2;
+    const uint64_t least = ((uint64_t)(uint32_t)table->slope_min_q28 << table->step_log2) + 0xFFFFFU;
+    return least >> 52 != 0 ? UINT32_MAX : (uint32_t)(least >> 20);
 }
 
 static tl_table_reason_t check_nodes(const tl_table_t *t) {
@@ -193,8 +192,9 @@ static tl_table_reason_t check_nodes(const tl_table_t *t) {
     if (rises != (t->coarse_c_max > t->coarse_c_min)) {
         return TL_TABLE_BAD_COARSE;
     }
+    const uint32_t flat_below = tl_table_flat_below(t);
     for (unsigned i = 0; i + 1U < t->nodes && t->flat_speed_q8 == 0; i++) {
-        if (tl_table_span_is_flat(t, i)) {
+        if ((uint32_t)tl_abs_sat(t->angle[i + 1U] - t->angle[i]) < flat_below) {
             return TL_TABLE_BAD_FLAT;
         }
     }

@@ -130,8 +130,8 @@ size_t tl_table_encode(const tl_table_t *table, uint8_t *blob, size_t capacity);
 /// content of `table` is unspecified and must not be used. Safe on any bytes.
 tl_table_reason_t tl_table_decode(const uint8_t *blob, size_t size, uint8_t axis, tl_table_t *table);
 
-/// Whether f is flatter than the stated least slope between nodes `span` and `span` + 1. O(1).
-bool tl_table_span_is_flat(const tl_table_t *table, unsigned span);
+/// The change of f (deg Q16) across a span of the grid below which it is flatter than the stated least slope. O(1).
+uint32_t tl_table_flat_below(const tl_table_t *table);
 
 /// A sentence for a person; never NULL, lives for ever.
 const char *tl_table_reason_text(tl_table_reason_t reason);

@@ -1,11 +1,13 @@
 /// A loaded table: B(p), f(p) and their inverses, ready for the control loop.
 ///
-/// Loading checks the blob and derives from it one reciprocal per span, so that a step needs no division and
-/// no 64-bit product. All functions are pure but tl_lookup_load(); any number of readers may share a loaded
-/// table. To change tables, load into another tl_lookup_t and hand the control loop its pointer.
+/// Loading checks the blob and derives from it one small reciprocal per span of f, so that a step needs no division and
+/// no 64-bit product. An inverse looks for its span among the nodes, takes a first estimate by the reciprocal (11 bits)
+/// and mends it by what is then left (20 bits). All functions are pure but tl_lookup_load(); any number of readers may
+/// share a loaded table. To change tables, load into another tl_lookup_t and hand the control loop its pointer.
 ///
-/// Memory: 8.6 kB each, owned by the caller, no pointers inside. Cost on a Cortex-M0+ (-O2, no wait states): width and
-/// angle 65 to 95 cycles, an inverse 145, whatever the input. Loading takes 6 ms at most at 125 MHz.
+/// Memory: 2.7 kB each, owned by the caller, no pointers inside. Cost on a Cortex-M0+ (-O2, no wait states): width and
+/// angle 65 to 95 cycles, f's inverse 150, an envelope's 300, whatever the input. Loading takes 4 ms at most at 125
+/// MHz.
 ///
 /// Every function takes any int32_t and saturates. `flags` (never NULL) is ORed with TL_LOOKUP_BELOW or
 /// TL_LOOKUP_ABOVE where the argument was outside the grid, else left alone.
@@ -19,13 +21,6 @@
 
 #define TL_LOOKUP_SPANS 256U
 
-/// The inverse of one rising function of p, span by span: 256 keys, then 256 ratios, so that one index serves both.
-/// Key: the function at the span's first node; INT32_MAX after the last span. Ratio: step over the span's rise, a
-/// mantissa with the shift in its low 6 bits (tl_lookup.c).
-typedef struct {
-    int32_t word[2U * TL_LOOKUP_SPANS];
-} tl_inverse_t;
-
 typedef struct {
     // Read in every step: at the front, where one instruction reaches them.
     tl_count_q8_t q0;
@@ -34,17 +29,15 @@ typedef struct {
     int32_t turn;        ///< -1 where f falls, else 0: x ^ -1 reverses the order without overflow
     int32_t angle_first; ///< f ^ turn at the first and the last node
     int32_t angle_last;
+    uint32_t has_flat;                                        ///< some spans are flatter than the stated slope:
+    uint32_t flat_below;                                      ///< f changes by less across them
     tl_count_q8_t low_first, low_last, high_first, high_last; ///< where q meets the ends of both envelopes
-    uint32_t has_flat;                                        ///< some spans are flatter than the stated slope
-    tl_table_t table;
-    tl_deg_q16_t c_low;  ///< least and greatest f over [q_min, q_max]
-    tl_deg_q16_t c_high; ///<
-    tl_scale_t coarse;   ///< |dc/dq| of the coarse kinematics
+    tl_deg_q16_t c_low;                                       ///< least and greatest f over [q_min, q_max]
+    tl_deg_q16_t c_high;
+    tl_scale_t coarse; ///< |dc/dq| of the coarse kinematics
     tl_scale_t coarse_inverse;
-    uint8_t flat[TL_LOOKUP_SPANS]; ///< 1 where the span is flatter than the stated slope
-    tl_inverse_t angle;            ///< of f ^ turn
-    tl_inverse_t low;              ///< of 2p + B
-    tl_inverse_t high;             ///< of 2p - B
+    tl_table_t table;                ///< `angle` goes on after the last node with what no angle reaches
+    uint16_t ratio[TL_LOOKUP_SPANS]; ///< 1 / rise of f in each span (tl_lookup.c)
 } tl_lookup_t;
 
 /// Decodes, checks and derives. On any reason but TL_TABLE_OK `lookup` must not be used.
@@ -59,11 +52,12 @@ tl_count_q8_t tl_lookup_width(const tl_lookup_t *lookup, tl_count_q8_t p, uint32
 /// f(p), held beyond the grid's ends; the coarse kinematics without nodes.
 tl_deg_q16_t tl_lookup_angle(const tl_lookup_t *lookup, tl_count_q8_t p, uint32_t *flags);
 
-/// p with f(p) = c, at the grid's end where c is beyond f's range. Within 1/128 count of the exact solution.
+/// p with f(p) = c, at the grid's end where c is beyond f's range. Within 1/128 count of the exact solution, or 2^-19
+/// of a step where that is more.
 tl_count_q8_t tl_lookup_angle_inverse(const tl_lookup_t *lookup, tl_deg_q16_t c, uint32_t *flags);
 
 /// p with p + B(p)/2 = q (p_lo), and with p - B(p)/2 = q (p_hi): unique while |B'| < 2. Beyond the grid B is
-/// held. Within 1/128 count of the exact solution.
+/// held. As exact.
 tl_count_q8_t tl_lookup_p_low(const tl_lookup_t *lookup, tl_count_q8_t q, uint32_t *flags);
 tl_count_q8_t tl_lookup_p_high(const tl_lookup_t *lookup, tl_count_q8_t q, uint32_t *flags);
 
