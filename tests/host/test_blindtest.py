@@ -250,7 +250,7 @@ def test_baselines_answer_on_the_same_cases(tmp_path, stubbed, monkeypatch):
 
 @pytest.mark.parametrize("method", ["process", "narx"])
 def test_what_only_shrinks_the_gap_is_not_scored_on_names(method):
-    pytest.importorskip(baselines.NEEDS[method])
+    pytest.importorskip(baselines.NEEDS.get(method, "tautline"))
     case = made_once(3, "single", ("configuration.axis_coupling",))
     model = calibrate([case.calibration], case.rig).model
     evidence = baselines.Evidence(model, [case.calibration, *case.tests], case.further)
@@ -262,7 +262,6 @@ def test_what_only_shrinks_the_gap_is_not_scored_on_names(method):
 
 
 def test_a_forest_knows_what_it_was_trained_on():
-    pytest.importorskip("sklearn")
     rng = np.random.default_rng(4)
     centres = {LAG: 0.0, "unknown": 4.0, "none": 8.0}
     verdicts = tuple(np.repeat(list(centres), 30))
@@ -271,3 +270,28 @@ def test_a_forest_knows_what_it_was_trained_on():
     answer = forest.answer(np.full(3, 4.1), 1.0)
     assert answer.verdict == "unknown" and answer.named == () and sum(answer.probabilities.values()) == pytest.approx(1)
     assert forest.answer(np.zeros(3), 1.0).named == (LAG,)
+
+
+def test_workers_on_this_machine_give_what_this_process_gives():
+    tasks = [(str(i), ({"a": bytes([i])},)) for i in range(5)]
+    with pool(1, None) as here, pool(2, None) as others:
+        assert dict(here(sealed.commitment, iter(tasks))) == dict(others(sealed.commitment, iter(tasks)))
+
+
+@pytest.mark.long
+def test_a_dask_cluster_does_the_same_work(tmp_path, monkeypatch, capsys):
+    distributed = pytest.importorskip("distributed")
+    taut = Taut(monkeypatch, capsys)
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        arguments = ["blindtest", "--seed", 3, "--only", "none", "--none", 2, "--json"]
+        on_dask = taut(*arguments, "--out", tmp_path / "dask", "--dask", cluster.scheduler_address)
+    assert on_dask.code == 0, on_dask.err
+    here = taut(*arguments, "--out", tmp_path / "here", "--jobs", 1)
+    verdicts = [[line["verdict"] for line in json.loads(done.out)["each"]] for done in (on_dask, here)]
+    assert verdicts[0] == verdicts[1] == ["none", "none"]
+
+
+def test_a_cluster_that_does_not_answer_is_one_line():
+    pytest.importorskip("distributed")
+    with pytest.raises(TautError, match="no Dask scheduler answers"), pool(None, "tcp://127.0.0.1:9"):
+        pass

@@ -36,7 +36,7 @@ from tautline.recording import Recording
 Array = npt.NDArray[np.float64]
 
 METHODS = ("majority", "joint", "bic", "forest", "process", "narx")
-NEEDS = {"forest": "sklearn", "process": "sklearn", "narx": "sysidentpy"}  # packages beyond tautline's own
+NEEDS = {"narx": "sysidentpy"}  # packages beyond tautline's own
 
 _NO_GAP = 1.25
 _LEFT = 0.3

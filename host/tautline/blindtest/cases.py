@@ -30,8 +30,14 @@ SCORED_FROM = 1_000_000  # seeds below are for tuning
 VISIBLE = 2.0  # times the noise: what a recalibration leaves of an effect that counts as identifiable
 _DRAWS = 8  # tries for an effect that can be seen
 _SEEN = 0.8  # share of each recording's frames that must show the marker
-# What is there already while calibrating and could be anything that calibration measures is no effect then.
-_ONLY_AFTER = {"registration.static", "acquisition.delay", "configuration.contact"}
+# What is there already while calibrating and could be anything that calibration measures is no effect then: an obstacle
+# is a kink of f_remain, an encoder's ripple, one of both envelopes, another B with another f_remain.
+_ONLY_AFTER = {
+    "actuator.encoder_periodic",
+    "configuration.contact",
+    "registration.static",
+    "acquisition.delay",
+}
 # The load is there all along, what is recorded is how much of it; a shift happens when it does.
 _ONLY_THROUGHOUT = {"transmission.load_dependence", "registration.shift"}
 

@@ -120,9 +120,17 @@ def write(records: Sequence[Mapping[str, Any]], folder: Path) -> dict[str, Any]:
 
 def sentence(document: Mapping[str, Any]) -> str:
     ours = document["methods"][OURS]
-    said = {"top1": "named rightly", "unknown": "unknown called unknown", "none": "none called none"}
-    parts = [f"{what}: {_share(ours[name])}" for name, what in said.items() if ours[name]["of"]]
-    return f"{document['cases']} cases. " + "; ".join(parts) + "."
+    said = {
+        "top1": "single effects named rightly",
+        "unknown": "effects outside the library called unknown",
+        "none": "sound instruments called sound",
+    }
+    parts = [
+        f"{ours[name]['hits']} of {ours[name]['of']} {what} ({100 * ours[name]['share']:.0f} %)"
+        for name, what in said.items()
+        if ours[name]["of"]
+    ]
+    return f"{document['cases']} cases: " + ", ".join(parts) + "."
 
 
 def table(document: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -223,7 +231,8 @@ def confusion(document: Mapping[str, Any]) -> Figure:
     ax = axes[0, 0]
     ax.imshow(share, cmap="Blues", vmin=0, vmax=1.25, aspect="auto")
     for i, j in zip(*np.nonzero(counts), strict=True):
-        ax.text(j, i, f"{counts[i, j]:.0f}", ha="center", va="center", fontsize=7)
+        colour = "white" if share[i, j] > 0.6 else figures.INK
+        ax.text(j, i, f"{counts[i, j]:.0f}", ha="center", va="center", fontsize=7, color=colour)
     ax.set_xticks(range(columns), [_short(name) for name in document["said"]], rotation=50, ha="right", fontsize=8)
     ax.set_yticks(range(rows), [_short(name) for name in document["truth"]], fontsize=8)
     outside = [i for i, name in enumerate(document["truth"]) if name in UNKNOWN]

@@ -57,7 +57,7 @@ def _dask(address: str) -> Iterator[Pool]:
     except ImportError as error:
         raise TautError("--dask needs Dask: pip install 'tautline[campaign]'") from error
     try:
-        client = distributed.Client(address, timeout="10s")
+        client = distributed.Client(address, timeout="5s")
     except OSError as error:
         raise TautError(f"no Dask scheduler answers at {address}: start one with 'dask scheduler'") from error
     with client:
