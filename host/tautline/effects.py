@@ -52,8 +52,14 @@ class Kind:
 
     @property
     def on_board(self) -> bool:
-        """Whether the board's tables can carry it: only what ends up in B and f_remain themselves."""
-        return self.id == "transmission.drift"
+        """Whether the tables of a corrected model, as they are, put the tip where that model says: what ends up in B
+        and f_remain themselves, and what only changes how the tip is seen."""
+        return self.id == "transmission.drift" or self.stage in ("kinematics", "registration", "camera", "acquisition")
+
+    @property
+    def repeats(self) -> bool:
+        """Whether it has a path that a prediction can follow; the others scatter."""
+        return self.id not in ("transmission.stick_slip", "acquisition.jitter")
 
     @property
     def stage(self) -> str:
@@ -204,12 +210,13 @@ class Seen(Path):
     image_px: Array  # (n, 2), NaN without a camera
 
 
-def of_model(model: Model) -> dict[str, float]:
-    """The parameters of a corrected model's effects that its tables, rig and delay do not hold already."""
+def of_model(model: Model, scatter: bool = False) -> dict[str, float]:
+    """The parameters of a corrected model's effects that its tables, rig and delay do not hold already. `scatter`: also
+    of those that have no path to predict (one course of stick-slip)."""
     return {
         name: value
         for effect in model.effects
-        if not BY_ID[effect.id].folded
+        if not BY_ID[effect.id].folded and (scatter or BY_ID[effect.id].repeats)
         for name, value in effect.parameters.items()
     }
 
@@ -274,6 +281,22 @@ def follow(
 def image(model: Model, path: Path, parameters: Mapping[str, float], clock_offset_s: float = 0.0) -> Array:
     """Where the marker is seen, (n, 2) px, with the effects of kinematics, registration and camera."""
     return _see(model, path, parameters, clock_offset_s, False)  # type: ignore[no-any-return]
+
+
+def see(
+    model: Model,
+    c_deg: Array,
+    way: Array,
+    translation_mm: npt.ArrayLike,
+    rotation_deg: npt.ArrayLike,
+    parameters: Mapping[str, float],
+) -> Array:
+    """As `image`, of tips whose c and way (n,) are known and whose registration does not change."""
+    n = np.ones(len(c_deg))
+    known = {name: value for name, value in parameters.items() if name in SIGHT}
+    rig = sight_rig(model.rig)
+    translation, rotation = n * np.asarray(translation_mm), n * np.asarray(rotation_deg)
+    return _native.see(known, rig, c_deg, translation, rotation, way, None, False)  # type: ignore[no-any-return]
 
 
 def image_with_slopes(

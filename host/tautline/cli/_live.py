@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tautline.errors import TautError
-from tautline.model import Model
+from tautline.model import MODEL_FILE, Model
 from tautline.rig import Rig
 from tautline.simulated.instrument import PRESETS
 
@@ -38,10 +38,11 @@ colour_option = click.option(
 )
 simulate_option = click.option(
     "--simulate",
-    metavar="PRESET",
+    metavar="PRESET|MODEL",
     is_flag=False,
     flag_value="reference",
-    help=f"Instead of a board: a desktop board with a simulated instrument ({', '.join(PRESETS)}), in virtual time.",
+    help=f"Instead of a board: a desktop board in virtual time, with a simulated instrument ({', '.join(PRESETS)}) or "
+    "that of a model's folder, the effects of a diagnosis included.",
 )
 
 
@@ -84,8 +85,8 @@ def opened(live: LiveOptions, rig_path: Path | None, seed: int = 0, model: Model
     from tautline.live.setup import open_live
     from tautline.vision.colour import MarkerColour
 
-    if live.simulate is not None and live.simulate not in PRESETS:
-        raise click.UsageError(f"--simulate {live.simulate}: choose one of {', '.join(PRESETS)}")
+    if live.simulate is not None and live.simulate not in PRESETS and not (Path(live.simulate) / MODEL_FILE).is_file():
+        raise click.UsageError(f"--simulate {live.simulate}: choose one of {', '.join(PRESETS)}, or a model's folder")
     rig = Rig.load(rig_path) if rig_path is not None else (model.rig if model is not None else None)
     if live.simulate is None and rig is None:
         raise TautError("no rig: name the set-up's file with --rig")

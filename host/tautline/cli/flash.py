@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from tautline.cli._common import emit, json_option, progress_bar, warn
+from tautline.cli._common import emit, json_option, progress_bar
 from tautline.cli._live import axis_option, board_option
 
 
@@ -14,21 +14,31 @@ from tautline.cli._live import axis_option, board_option
 @click.argument("model_path", metavar="MODEL", type=click.Path(path_type=Path))
 @board_option
 @axis_option
+@click.option(
+    "--without-effects",
+    is_flag=True,
+    help="Load B and f_remain of a corrected model though the tables cannot carry its effects.",
+)
 @json_option
-def command(model_path: Path, board: str | None, axis: int, as_json: bool) -> None:
+def command(model_path: Path, board: str | None, axis: int, without_effects: bool, as_json: bool) -> None:
     """Load MODEL's tables into an axis of a board, read them back and compare them byte for byte.
 
-    The table is checked by the board before it replaces the one in use; a failure leaves the old one.
+    The table is checked by the board before it replaces the one in use; a failure leaves the old one. A corrected model
+    (taut diagnose) whose effects the tables cannot carry, such as lag, is refused unless --without-effects is given.
     """
     from tautline import tables
     from tautline.device.board import open_board
     from tautline.effects import BY_ID
+    from tautline.errors import TautError
     from tautline.model import Model
 
     model = Model.load(model_path)
     left = [effect.id for effect in model.effects if not BY_ID[effect.id].on_board]
-    if left:
-        warn(f"the board's tables cannot carry {', '.join(left)}: loaded are B and f_remain alone")
+    if left and not without_effects:
+        raise TautError(
+            f"{model_path}: the board's tables cannot carry {', '.join(left)}: load B and f_remain alone with "
+            "--without-effects, or the model that was calibrated"
+        )
     blob = tables.encode(model, axis=axis)
     with open_board(board) as opened, progress_bar("flash") as progress:
         opened.load_table(axis, blob, progress)
@@ -44,6 +54,7 @@ def command(model_path: Path, board: str | None, axis: int, as_json: bool) -> No
             "model_id": table.model_id.hex(),
             "table_crc": status.table_crc,
             "verified": True,
+            "without_effects": left,
         },
         as_json,
         f"{serial} axis {axis}: model {table.model_id.hex()}, {len(table.q)} nodes, {len(blob)} bytes, read back equal",

@@ -12,7 +12,7 @@ from tautline.cli._common import emit, folder_option, json_option, progress_bar
 from tautline.errors import TautError
 from tautline.rig import Actuator, Rig
 from tautline.simulated.endoscope import Endoscope, load_background
-from tautline.simulated.instrument import PRESETS, preset, reference_rig
+from tautline.simulated.instrument import PRESETS, of_name
 from tautline.simulated.simulate import run
 from tautline.simulated.trajectory import Trajectory, back_and_forth, random_smooth, sines, trapezoids
 from tautline.vision.timing import FrameTiming
@@ -72,7 +72,13 @@ MOTIONS = tuple(_MOTIONS)
     type=click.Path(path_type=Path),
     help="The rig file. Default: 10 mm of cable, 120 deg of bending, an endoscope of 720 x 576 at 25 Hz.",
 )
-@click.option("--instrument", type=click.Choice(PRESETS), default="reference", show_default=True)
+@click.option(
+    "--instrument",
+    metavar="PRESET|MODEL",
+    default="reference",
+    show_default=True,
+    help=f"{', '.join(PRESETS)}; or a model's folder: its instrument with the effects that a diagnosis added.",
+)
 @click.option(
     "--motion",
     type=click.Choice(MOTIONS),
@@ -136,14 +142,18 @@ def command(
 
     truth.csv holds the bending angle c and the play's centre p at the motor's times, truth.json B(q) and f_remain(q).
     """
-    rig = Rig.load(rig_path) if rig_path else reference_rig()
+    rig = Rig.load(rig_path) if rig_path else None
+    made = of_name(instrument, rig, seed)
+    rig = rig or made.rig
     video = video or lossless or background is not None
     if video and not rig.has_camera:
         raise TautError(f"{rig_path}: has no [camera] to draw a video with: add one, or leave --video out")
-    made = preset(instrument, rig, seed)
+    if video and not made.drawn:
+        raise TautError(f"{instrument}: its effects change what is seen, which no drawn video shows: leave --video out")
     trajectory = _MOTIONS[motion](rig.actuator, _Wish(speeds, amplitude, reversals, dwell, duration, seed))
     if any(sway):
         trajectory = trajectory.with_sway(*sway, period_s=20.0)
+    jitter = jitter or made.jitter_s
     timing = FrameTiming.of(rig, jitter_s=jitter, lost=lost, seed=seed)
     if delay is not None:
         timing = FrameTiming.of(rig, delay_s=delay, jitter_s=jitter, lost=lost, seed=seed)

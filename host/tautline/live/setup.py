@@ -23,7 +23,7 @@ from tautline.errors import TautError
 from tautline.geometry import coarse_range_deg, project
 from tautline.rig import Rig
 from tautline.simulated.endoscope import Endoscope
-from tautline.simulated.instrument import preset
+from tautline.simulated.instrument import of_name
 from tautline.simulated.simlink import DesktopBoard, Plant
 from tautline.vision.camera import Camera, SimulatedCamera, VideoCamera
 from tautline.vision.colour import MarkerColour, pick
@@ -92,7 +92,7 @@ class PointEye:
 
     def __init__(self, plant: Plant, noise_px: float = 0.05, seed: int = 0) -> None:
         self._plant, self._noise = plant, noise_px
-        self._frames = FrameTiming.of(plant.instrument.rig).frames()
+        self._frames = FrameTiming.of(plant.instrument.rig, jitter_s=plant.instrument.jitter_s).frames()
         self._rng = np.random.default_rng([seed, 0xE1E])
 
     def look(self) -> Frame:
@@ -100,9 +100,7 @@ class PointEye:
         while arrival_s < self._plant.now_s:  # frames that passed while nobody looked
             scene_s, arrival_s = next(self._frames)
         self._plant.advance_to(arrival_s)
-        c_deg, translation, rotation = self._plant.scene(np.array([scene_s]))
-        u, v = project(self._plant.instrument.rig, c_deg, translation, rotation)[0]
-        u, v = np.array([u, v]) + self._rng.normal(0.0, self._noise, 2)
+        u, v = self._plant.marker(np.array([scene_s]))[0] + self._rng.normal(0.0, self._noise, 2)
         return Frame(round(arrival_s * 1e6), Sighting(float(u), float(v), self._noise, 15.0), None)
 
     def close(self) -> None:
@@ -302,14 +300,15 @@ def open_live(
     pictures: bool = True,
     seed: int = 0,
 ) -> Iterator[Live]:
-    """`simulate` names an instrument preset and starts a desktop board; else `board` and `camera` are opened.
+    """`simulate` names an instrument preset, or the folder of a model whose effects it then has, and starts a desktop
+    board; else `board` and `camera` are opened.
 
     at: where the motor is, the rig's unit; else the board's count holds. pictures: False replaces the rendered
     endoscope by the marker's projection, which is faster.
     """
     with ExitStack() as stack:
         if simulate is not None:
-            instrument = preset(simulate, rig, seed)
+            instrument = of_name(simulate, rig, seed)
             desktop = stack.enter_context(DesktopBoard(axes=max(axis + 1, 1)))
             opened = stack.enter_context(open_board(desktop.where))
             link = desktop.link()
@@ -319,7 +318,7 @@ def open_live(
                 opened.ask("set_position", axis=axis, q=at / instrument.rig.actuator.encoder_resolution)
             plant = Plant(link, instrument, axis)
             live = Live(opened, instrument.rig, axis, None, plant)
-            if pictures and instrument.rig.has_camera:
+            if pictures and instrument.drawn and instrument.rig.has_camera:
                 endoscope = Endoscope(instrument.rig, seed=seed)
                 middle = 0.5 * sum(coarse_range_deg(instrument.rig))
                 place = project(instrument.rig, middle)[0]

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy.special import erf
 
-from tautline import _native
+from tautline import _native, effects
 from tautline.errors import TautError
+from tautline.geometry import project
+from tautline.model import MODEL_FILE, Model
+from tautline.recording import Motor
 from tautline.rig import Actuator, Camera, Coarse, HandEye, Kinematics, Rig
 
 Array = np.ndarray
@@ -16,6 +21,15 @@ Law = Callable[[Array], Array]
 
 _NODES = 4097  # of the true tables: 2.7 um apart on 11 mm of cable, straight in between
 _BEYOND = 0.05  # share of the range that the true laws go on for beyond either end of it
+
+
+@dataclass(frozen=True)
+class Course:
+    """Where an instrument went, (n,) each."""
+
+    p: Array  # unit of q
+    c_deg: Array
+    way: Array  # which way it lies in its channel, -1 to 1
 
 
 class Instrument:
@@ -42,6 +56,8 @@ class Instrument:
         if not (np.all(rise > 0) or np.all(rise < 0)):
             raise TautError("instrument: f_remain must rise or fall everywhere")
         self.p = float("nan")
+        self.jitter_s = 0.0  # of its camera's frames, rms
+        self.drawn = True  # whether the endoscope's pictures, which know the rig alone, show where it is
 
     @classmethod
     def of(cls, rig: Rig, backlash: Law, remaining: Law, name: str = "own") -> Instrument:
@@ -78,10 +94,71 @@ class Instrument:
         """c in deg at the motor positions q (see `centre`)."""
         return self.bend(self.centre(t_s, q))
 
+    def course(self, t_s: Array, q: Array, translation_mm: Array | None, rotation_deg: Array | None) -> Course:
+        """As `centre`, with the other degrees of freedom at the same times (None: at rest at 0)."""
+        p = self.centre(t_s, q)
+        return Course(p, self.bend(p), np.zeros_like(p))
+
+    def see(self, c_deg: Array, way: Array, translation_mm: Array | float, rotation_deg: Array | float) -> Array:
+        """Where the marker is seen (n, 2), px; `way` as in Course."""
+        return project(self.rig, c_deg, translation_mm, rotation_deg)
+
     def backlash(self, p: Array) -> Array:
         """B(p), unit of q."""
         width: Array = np.interp(p, self.grid, self.width)
         return width
+
+
+class Corrected(Instrument):
+    """The instrument of a model with the effects that a diagnosis added, all of them simulated: a controller can be
+    tried against it. Without a load column the load stays where the model was calibrated."""
+
+    def __init__(self, model: Model, name: str) -> None:
+        beyond = _BEYOND * model.rig.actuator.span
+        grid = np.concatenate([[model.q[0] - beyond], model.q, [model.q[-1] + beyond]])
+        width = np.concatenate([model.width[:1], model.width, model.width[-1:]])
+        super().__init__(model.rig, grid, width, model.remaining(grid), name)
+        self._model, self._effects = model, effects.of_model(model, scatter=True)
+        self.jitter_s = self._effects.pop("jitter", 0.0)
+        self.drawn = not any(name in effects.SIGHT for name in self._effects)
+        self.reset()
+
+    def reset(self, p: float = float("nan")) -> None:
+        super().reset(p)
+        self._start_deg = None if np.isnan(p) else float(self._model.remaining(p))
+        self._past = np.empty((2, 0))
+
+    def centre(self, t_s: Array, q: Array) -> Array:
+        return self.course(t_s, q, None, None).p
+
+    def move(self, t_s: Array, q: Array) -> Array:
+        return self.course(t_s, q, None, None).c_deg
+
+    def course(self, t_s: Array, q: Array, translation_mm: Array | None, rotation_deg: Array | None) -> Course:
+        new = np.array([np.atleast_1d(t_s), np.atleast_1d(q)], dtype=np.float64)
+        if not new.size:
+            return Course(*np.empty((3, 0)))
+        t, moved = past = np.concatenate([self._past, new], axis=1)
+        # What is past is kept as the corners of straight lines: a call costs what is new.
+        self._past = past[:, _native.thin(t, moved, np.array([1e-9 * self.rig.actuator.span]), 0.05).view(bool)]
+
+        def whole(values: Array | None) -> Array | None:
+            return None if values is None else np.interp(t, new[0], values)
+
+        motor = Motor(t, moved, None, whole(translation_mm), whole(rotation_deg))
+        path = effects.follow(self._model, motor, new[0], self._effects, self._start_deg)
+        self.p = float(path.p[-1])
+        return Course(path.p, path.c_deg, path.way)
+
+    def see(self, c_deg: Array, way: Array, translation_mm: Array | float, rotation_deg: Array | float) -> Array:
+        return effects.see(self._model, c_deg, way, translation_mm, rotation_deg, self._effects)
+
+
+def of_name(name: str, rig: Rig | None = None, seed: int = 0) -> Instrument:
+    """A preset, or the folder of a model: its instrument with all its effects (the rig is then the model's)."""
+    if name not in PRESETS and (Path(name) / MODEL_FILE).is_file():
+        return Corrected(Model.load(name), name)
+    return preset(name, rig, seed)
 
 
 def reference_rig() -> Rig:
@@ -186,5 +263,5 @@ def preset(name: str, rig: Rig | None = None, seed: int = 0) -> Instrument:
     constant: B an eighth of half the range, f_remain = f_coarse. davinci: a rigid cable-driven tool. random: by `seed`.
     """
     if name not in _PRESETS:
-        raise TautError(f"no instrument is called '{name}': choose one of {', '.join(PRESETS)}")
+        raise TautError(f"no instrument is called '{name}': choose one of {', '.join(PRESETS)}, or a model's folder")
     return _PRESETS[name](rig or reference_rig(), seed)

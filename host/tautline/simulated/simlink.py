@@ -125,6 +125,7 @@ class Plant:
         self._q: list[Array] = []
         self._p: list[Array] = []
         self._c: list[Array] = []
+        self._way: list[Array] = []
         instrument.reset()
         state = link.ask("state")
         self._boot_us = state["t_us"] - state["board_us"]
@@ -133,8 +134,10 @@ class Plant:
     def _append(self, t_s: Array, q: Array) -> None:
         self._t.append(t_s)
         self._q.append(q)
-        self._p.append(self.instrument.centre(t_s, q))
-        self._c.append(self.instrument.bend(self._p[-1]))
+        course = self.instrument.course(t_s, q, None, None)
+        self._p.append(course.p)
+        self._c.append(course.c_deg)
+        self._way.append(course.way)
 
     @property
     def now_s(self) -> float:
@@ -157,8 +160,15 @@ class Plant:
 
     def scene(self, t_s: Array) -> tuple[Array, float, float]:
         """What a simulated camera asks for: c at past times, translation, rotation."""
+        return self._recent(t_s, self._c), 0.0, 0.0
+
+    def marker(self, t_s: Array) -> Array:
+        """Where the marker was seen (n, 2) at past times, px."""
+        return self.instrument.see(self._recent(t_s, self._c), self._recent(t_s, self._way), 0.0, 0.0)
+
+    def _recent(self, t_s: Array, values: list[Array]) -> Array:
         recent = 1
         while recent < len(self._t) and self._t[-recent][0] > t_s.min():
             recent += 1
-        t, c = np.concatenate(self._t[-recent:]), np.concatenate(self._c[-recent:])
-        return np.interp(t_s, t, c), 0.0, 0.0
+        found: Array = np.interp(t_s, np.concatenate(self._t[-recent:]), np.concatenate(values[-recent:]))
+        return found

@@ -15,7 +15,6 @@ import pandas as pd
 from tautline import recording as recordings
 from tautline.errors import TautError
 from tautline.folders import write_file
-from tautline.geometry import project
 from tautline.recording import Angle, Marker, Motor, Recording
 from tautline.rig import Rig
 from tautline.simulated.endoscope import Endoscope
@@ -136,7 +135,7 @@ def run(
     if not trajectory.duration_s > 0:
         raise TautError("a simulation needs a motion that lasts: give it a longer duration")
     rng = np.random.default_rng([seed, 0x51A])
-    timing = timing or FrameTiming.of(rig, seed=seed)
+    timing = timing or FrameTiming.of(rig, jitter_s=instrument.jitter_s, seed=seed)
     t = trajectory.t_s
     others = (trajectory.translation_mm, trajectory.rotation_deg)
 
@@ -148,14 +147,15 @@ def run(
     # Over all the times that anyone looks at: what a frame shows between two encoder samples is exact too.
     every = np.unique(np.concatenate([t, scene, angle_t]))
     instrument.reset(start_p)
-    p = instrument.centre(every, np.interp(every, t, trajectory.q))
-    c = instrument.bend(p)
+    at_every = (None if x is None else np.interp(every, t, x) for x in others)
+    course = instrument.course(every, np.interp(every, t, trajectory.q), *at_every)
+    p, c = course.p, course.c_deg
 
     marker = angle = None
     if rig.has_camera:
         at = np.searchsorted(every, scene)
         translation, rotation = (0.0 if x is None else np.interp(scene, t, x) for x in others)
-        image = project(instrument.rig, c[at], translation, rotation) + rng.normal(0.0, noise_px, (len(at), 2))
+        image = instrument.see(c[at], course.way[at], translation, rotation) + rng.normal(0.0, noise_px, (len(at), 2))
         camera = rig.camera
         assert camera is not None  # has_camera
         inside = np.all((image >= 0) & (image <= [camera.width_px - 1, camera.height_px - 1]), axis=1)
