@@ -145,8 +145,12 @@ def timeline(recordings: Sequence[Recording]) -> Timeline:
 
 def load_motor(path: str | Path, rig: Rig, warnings: list[str] | None = None) -> Motor:
     """motor.csv of a recording's folder, in the rig's unit. All that a prediction needs."""
+    return read_motor(_folder(path) / "motor.csv", rig, warnings)
+
+
+def read_motor(file: Path, rig: Rig, warnings: list[str] | None = None) -> Motor:
+    """A file with the columns of motor.csv."""
     warnings = [] if warnings is None else warnings
-    file = _folder(path) / "motor.csv"
     unit = rig.actuator.unit
     q_name, other = f"q_{unit}", "q_deg" if unit == "mm" else "q_mm"
     expected = f"t_s,{q_name}"

@@ -100,6 +100,7 @@ def test_the_simulated_instrument_does_what_the_corrected_model_predicts(kind, t
     assert isinstance(instrument, Corrected)
     motion = trajectory.trapezoids(RIG.actuator, 0.9, 2.6, 2, 8.0, 0.8).with_sway(2.0, 20.0, 20.0)
     made = simulate.run(instrument.rig, instrument, motion, noise_px=0.0)
+    assert instrument.rig.camera.delay_s == pytest.approx(model.delay_s)
     exact = replace(made.recording.motor, q=motion.q)
     marker = made.recording.marker
     late = made.scene_s > 4.0
@@ -143,3 +144,26 @@ def test_flash_wants_to_be_told_before_it_leaves_an_effect_out(tmp_path, monkeyp
     done = Taut(monkeypatch, capsys)("flash", tmp_path / "model", "--board", "usbip:127.0.0.1:1")
     assert done.code == 1 and done.err.count("\n") == 1
     assert "cannot carry transmission.lag" in done.err and "--without-effects" in done.err
+
+
+def test_the_next_motion_stays_within_the_rig_and_asks_for_no_axis_that_never_moved():
+    from tautline.diagnose import motion
+    from tautline.diagnose.fit import Fitter
+
+    for others in (True, False):
+        made = LAST if others else replace(LAST, translation_mm=None, rotation_deg=None)
+        segment = Segment("last", made, T[::10], np.zeros((len(T[::10]), 2)), T[::10] > 12.0, 0.0, False)
+        fitter = Fitter(MODEL, [segment, segment])
+        start = fitter.start()
+        fits = [
+            Fit(Hypothesis((BY_ID[name],), (True,)), replace(start, values=values(BY_ID[name])), [])
+            for name in ("transmission.lag", "kinematics.nonconstant_curvature")
+        ]
+        found = motion.best(fitter, fits)
+        table = motion.table(found.motion, "mm")
+        low, high = RIG.actuator.range
+        assert table["q_mm"].between(low, high).all()
+        assert np.abs(np.diff(table["q_mm"]) / np.diff(table["t_s"])).max() <= 1.05 * max(
+            np.abs(np.gradient(LAST.q, LAST.t_s)).max(), 0.02 * RIG.actuator.span
+        )
+        assert ("translation_mm" in table) <= others

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from tautline.cli._common import emit, folder_option, json_option, progress_bar, rig_option
+from tautline.cli._common import emit, folder_option, json_option, progress_bar, rig_option, warn
 from tautline.cli._live import LiveOptions, live_options, opened
 
 
@@ -44,6 +44,8 @@ def command(
 
     with opened(live, rig_path, seed) as setup, progress_bar("record") as progress:
         result = record(setup, out, motion, speed=speed, duration_s=duration, video=video, seed=seed, progress=progress)
+    if result["other_axes"]:
+        warn(f"{motion}: {' and '.join(result['other_axes'])} were not moved: the board's axis is the bending motor's")
     emit(
         result,
         as_json,

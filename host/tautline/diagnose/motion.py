@@ -56,6 +56,11 @@ def _simulated(fitter: Fitter, fit: Fit, motion: Trajectory) -> np.ndarray:
     return path.image_px if fitter.px else path.c_deg[:, None]
 
 
+def _sways(motor: Motor) -> bool:
+    """Whether the set-up moves another axis: what it cannot do nobody should be asked for."""
+    return any(x is not None and float(np.ptp(x)) > 0.0 for x in (motor.translation_mm, motor.rotation_deg))
+
+
 def _motions(fitter: Fitter) -> list[tuple[str, Trajectory]]:
     actuator = fitter.model.rig.actuator
     span = actuator.span
@@ -73,7 +78,7 @@ def _motions(fitter: Fitter) -> list[tuple[str, Trajectory]]:
         ("fast strokes with long rests", steps(speed, 8.0)),
         ("two sines over the whole range", trajectory.sines(actuator, speed, 60.0)),
     ]
-    if fitter.px:
+    if fitter.px and any(_sways(s.motor) for s in fitter.segments):
         swaying = [(f"{why} while the other axes sway", m.with_sway(2.0, 20.0, 17.0)) for why, m in motions[1:]]
         motions += swaying
     return motions

@@ -16,7 +16,7 @@ from tautline.geometry import coarse_range_deg, pose
 from tautline.live.session import driving, set_range
 from tautline.live.setup import Frame, Live, Recorder
 from tautline.model import Model
-from tautline.recording import load_motor
+from tautline.recording import read_motor
 from tautline.rig import Actuator
 from tautline.simulated import trajectory
 
@@ -281,10 +281,19 @@ def record(
         "recording": folder,
         "seconds": (live.now_us() - began) * 1e-6,
         "motor_samples": samples[0],
+        "other_axes": other_axes(motion),
         **counts,
         "telemetry_dropped": int(live.board.counters().telemetry_dropped),
         "messages_missed": live.board.missed,
     }
+
+
+def other_axes(motion: str) -> list[str]:
+    """Columns of a motion's file that this board's axis does not move."""
+    if not Path(motion).is_file():
+        return []
+    header = Path(motion).read_text(encoding="utf-8").split("\n", 1)[0].split(",")
+    return [name for name in ("translation_mm", "rotation_deg") if name in header]
 
 
 def _motor_trajectory(live: Live, what: str, speed: float | None, seconds: float, seed: int) -> tuple[Array, Array]:
@@ -292,7 +301,10 @@ def _motor_trajectory(live: Live, what: str, speed: float | None, seconds: float
     if what not in ("trapezoids", "smooth"):
         if not Path(what).is_file():
             raise TautError(f"--motion {what}: neither a file nor a shape (none, trapezoids, smooth)")
-        motor = load_motor(Path(what), live.rig)
+        motor = read_motor(Path(what), live.rig)
+        low, high = actuator.range
+        if motor.q.min() < low - 1e-6 or motor.q.max() > high + 1e-6:
+            raise TautError(f"{what}: goes beyond the rig's range, {low:g} to {high:g} {actuator.unit}")
         return motor.t_s, motor.q
     speed = speed or min(15.0 / abs(live.rig.coarse.gain), 0.5 * live.top_speed)
     if what == "smooth":

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -114,10 +114,13 @@ class Corrected(Instrument):
     tried against it. Without a load column the load stays where the model was calibrated."""
 
     def __init__(self, model: Model, name: str) -> None:
-        beyond = _BEYOND * model.rig.actuator.span
+        rig = model.rig
+        if rig.camera is not None:
+            rig = replace(rig, camera=replace(rig.camera, delay_s=model.delay_s))
+        beyond = _BEYOND * rig.actuator.span
         grid = np.concatenate([[model.q[0] - beyond], model.q, [model.q[-1] + beyond]])
         width = np.concatenate([model.width[:1], model.width, model.width[-1:]])
-        super().__init__(model.rig, grid, width, model.remaining(grid), name)
+        super().__init__(rig, grid, width, model.remaining(grid), name)
         self._model, self._effects = model, effects.of_model(model, scatter=True)
         self.jitter_s = self._effects.pop("jitter", 0.0)
         self.drawn = not any(name in effects.SIGHT for name in self._effects)
