@@ -49,14 +49,15 @@ def _connect(board: DesktopBoard, which: str) -> socket.socket:
 
 def _import(board: DesktopBoard) -> socket.socket | None:
     """The device, or None while the server still believes that it is in use."""
-    client = _connect(board, "usbip")
-    client.sendall(struct.pack(">HHI", 0x0111, 0x8003, 0) + b"1-1".ljust(32, b"\0"))
-    answer = client.recv(8, socket.MSG_WAITALL)
-    if len(answer) == 8 and struct.unpack(">HHI", answer)[2] == 0:
+    with contextlib.ExitStack() as unless_imported:
+        client = unless_imported.enter_context(_connect(board, "usbip"))
+        client.sendall(struct.pack(">HHI", 0x0111, 0x8003, 0) + b"1-1".ljust(32, b"\0"))
+        answer = client.recv(8, socket.MSG_WAITALL)
+        if len(answer) < 8 or struct.unpack(">HHI", answer)[2] != 0:
+            return None
         client.recv(312, socket.MSG_WAITALL)
+        unless_imported.pop_all()
         return client
-    client.close()
-    return None
 
 
 def _submit(
