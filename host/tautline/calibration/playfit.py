@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve
-from scipy.sparse import csr_matrix
 
 from tautline import _native
 from tautline.calibration.observations import Mask, Track, corners
@@ -136,49 +135,43 @@ class PlayFit:
         mf, mb = self.follow.size, self.backlash.size
         total = channels * mf + mb + 1
         matrix, gradient = np.zeros((total, total)), np.zeros(total)
-        cut = channels * mf
+        # For each channel: where its unknowns and those that all share (backlash, delay) are, and their own sums.
+        shared = np.arange(channels * mf, total)
+        places = [np.concatenate([shared[:mb], np.arange(k * mf, (k + 1) * mf), shared[mb:]]) for k in range(channels)]
+        sums = [(np.zeros((len(at), len(at))), np.zeros(len(at))) for at in places]
         for frozen, sim, r, w in zip(self.tracks, self.simulated, rows, weights, strict=True):
             keep = w > 0
             if not keep.any():
                 continue
             p, track = sim.p[keep], frozen.track
             inverse = 1.0 / track.sigma[keep]
-            follow, backlash = self.follow.design(p), self.backlash.design(p)
             slope = self.follow.slope(curves.follow, p)
-            _, by_s = self._seen_at(track, self.follow.value(curves.follow, p), keep, curves.delay_s)
-            steep = self.backlash.slope(curves.backlash, p)
+            by_s = self._seen_at(track, self.follow.value(curves.follow, p), keep, curves.delay_s)
+            by_s = by_s * inverse[:, None]
             side = sim.side[keep].astype(float)
-            denominator = np.maximum(1.0 + 0.5 * side * steep, 0.05)
-            by_width = -0.5 * side / denominator  # dp/dB
-            by_delay = -sim.speed[keep] * sim.moving[keep] / denominator if track.delayed else np.zeros(len(p))
-            for k in range(r.shape[1]):
-                channel = 0 if self.view is not None else k
-                block = slice(channel * mf, (channel + 1) * mf)
-                h = by_s[:, k] * inverse
-                hp = h * slope[:, channel]
-                wk, rk = w[keep], r[keep, k]
-                matrix[block, block] += _gram(follow, wk * h * h, follow)
-                gradient[block] += follow.T @ (wk * h * rk)
-                if self.fit_backlash:
-                    g = hp * by_width
-                    matrix[block, cut : cut + mb] += _gram(follow, wk * h * g, backlash)
-                    matrix[cut : cut + mb, cut : cut + mb] += _gram(backlash, wk * g * g, backlash)
-                    gradient[cut : cut + mb] += backlash.T @ (wk * g * rk)
-                if self.fit_delay:
-                    e = hp * by_delay
-                    matrix[block, -1] += follow.T @ (wk * h * e)
-                    matrix[-1, -1] += float(wk @ (e * e))
-                    gradient[-1] += float(wk @ (e * rk))
-                    if self.fit_backlash:
-                        matrix[cut : cut + mb, -1] += backlash.T @ (wk * hp * by_width * e)
-        upper = np.triu(matrix)
-        return upper + np.triu(matrix, 1).T, gradient
+            denominator = np.maximum(1.0 + 0.5 * side * self.backlash.slope(curves.backlash, p), 0.05)
+            by_width = -0.5 * side / denominator * self.fit_backlash  # dp/dB
+            by_delay = -sim.speed[keep] * sim.moving[keep] / denominator * (track.delayed and self.fit_delay)
+            for channel, own in enumerate(sums):
+                of = slice(None) if self.view is not None else slice(channel, channel + 1)
+                h = np.ascontiguousarray(by_s[:, of])
+                steep = slope[:, channel]
+                weight = np.ascontiguousarray(np.broadcast_to(w[keep, None], h.shape))
+                _native.normal_add(
+                    *(p, p, steep * by_width, np.ones(len(p)), h, (h * (steep * by_delay)[:, None])[:, :, None]),
+                    *(np.ascontiguousarray(r[keep, of]), weight, self.backlash.native, self.follow.native, *own),
+                )
+        for at, (part, force) in zip(places, sums, strict=True):
+            matrix[np.ix_(at, at)] += part
+            gradient[at] += force
+        return matrix, gradient
 
-    def _seen_at(self, track: Track, s: Array, keep: Mask, delay_s: float) -> tuple[Array, Array]:
+    def _seen_at(self, track: Track, s: Array, keep: Mask, delay_s: float) -> Array:
+        """dy/ds (kept, coordinates)."""
         if self.view is None:
-            return s, np.ones_like(s)
+            return np.ones_like(s)
         translation, rotation = track.others_at(track.scene_s(delay_s)[keep])
-        return self.view(s[:, 0], translation, rotation)
+        return self.view(s[:, 0], translation, rotation)[1]
 
     # ---- the fit
 
@@ -228,6 +221,13 @@ class PlayFit:
         penalty, _ = self._penalty(curves, scale)
         covariance = np.asarray(np.linalg.inv(matrix + penalty + 1e-12 * np.eye(len(matrix))) * scale * scale)
         return Fitted(self, curves, scale, rows, masks, weights, covariance)
+
+    def step(self, curves: Curves, rows: list[Array], masks: list[Mask]) -> Curves:
+        """One Gauss-Newton step of all counted frames alike; after `residuals` with the same curves."""
+        matrix, gradient = self.normal(curves, rows, [m.astype(float) for m in masks])
+        system = matrix + self._penalty(curves, 1.0)[0]
+        ridge = 1e-9 * np.eye(len(system)) * np.trace(system) / len(system)
+        return self._moved(curves, np.asarray(np.linalg.solve(system + ridge, gradient)))
 
     def _moved(self, curves: Curves, step: Array) -> Curves:
         channels = curves.follow.shape[1]
@@ -357,10 +357,6 @@ def _factor(system: Array) -> tuple[Array, bool]:
     ridge = 1e-9 * np.diag(np.diag(system)) + 1e-12 * np.eye(len(system))
     factor: tuple[Array, bool] = cho_factor(system + ridge, check_finite=False)
     return factor
-
-
-def _gram(left: csr_matrix, weight: Array, right: csr_matrix) -> Array:
-    return np.asarray((left.multiply(weight[:, None]).T @ right).toarray())
 
 
 def _again(weights: list[Array], masks: list[Mask]) -> list[Array]:

@@ -166,11 +166,7 @@ def _scan(
                 continue
             if settled_only and not _both_ways(fit, masks, domain):
                 continue
-            matrix, gradient = fit.normal(curves, rows, [m.astype(float) for m in masks])
-            penalty, _ = fit._penalty(curves, 1.0)
-            system = matrix + penalty
-            step = np.linalg.solve(system + 1e-9 * np.eye(len(system)) * np.trace(system) / len(system), gradient)
-            curves = fit._moved(curves, step)
+            curves = fit.step(curves, rows, masks)
             rows, masks = fit.residuals(curves)
             cost = float(np.mean(np.concatenate([np.abs(r[m]).ravel() for r, m in zip(rows, masks, strict=True)])))
             if best is None or cost < best[0]:
