@@ -3,8 +3,8 @@
 #include <math.h>
 
 enum { PLAYS = 9 }; // thresholds that stand for a spread one: the corner becomes a polygon of as many pieces
-static const double SLOWER = 5.0;   // the creep's second element
-static const double SPEED_S = 0.02; // over which the width notices a speed: shorter than any motion's own time
+static const double SLOWER = 5.0;      // the creep's second element
+static const double SHORTEST_S = 2e-3; // least step while a width follows the speed
 
 struct span_cursor {
     size_t i; // the span looked at last: motion is continuous, so the next is near
@@ -86,6 +86,7 @@ struct play {
 // What holds for all plays at one moment.
 struct drive {
     double q, scale, extra;
+    double way; // of the motor, where a play is carried only in it; else 0
 };
 
 // Moves the play to `drive`. Returns how much of q's last step carried it.
@@ -95,6 +96,9 @@ static double play_move(const struct effect_parameters *e, const struct effect_t
     const double half = 0.5 * (scale * interpolate(tables, tables->width, &play->width_at, play->p) + drive->extra);
     const double delayed = e->asymmetry > 0.0 ? 1.0 : -1.0;
     for (int s = -1; s <= 1; s += 2) {
+        if (s * drive->way < 0.0) {
+            continue;
+        }
         const int waits = e->asymmetry != 0.0 && s * delayed > 0.0;
         double since = play->side == s ? play->since : 0.0;
         double late = waits ? held_back(e, since) : 0.0;
@@ -207,6 +211,7 @@ void effects_simulate(const struct effect_parameters *e, const struct effect_tab
     const int remembers = e->lag > 0.0 || e->creep_share != 0.0;
     const double usual_speed = 0.1 * (tables->grid[tables->nodes - 1] - tables->grid[0]);
     const double resting = 1e-5 * usual_speed;
+    const double follows = fmax(0.25 * e->speed_time, SHORTEST_S);
     const double c_middle = tables->c_deg[tables->nodes / 2];
     double spread[PLAYS];
     for (int i = 0; i < plays; i++) {
@@ -224,9 +229,9 @@ void effects_simulate(const struct effect_parameters *e, const struct effect_tab
         // The next moment: a knot, a time that is asked for, or one shortly after while the width follows the speed.
         int at_knot = knot <= last && motion->t_s[knot] <= times->t_s[asked];
         double t = at_knot ? motion->t_s[knot] : times->t_s[asked];
-        const int between = unsettled && t > before_t + 0.25 * SPEED_S;
+        const int between = unsettled && t > before_t + follows;
         if (between) {
-            t = before_t + 0.25 * SPEED_S;
+            t = before_t + follows;
             at_knot = 0;
         }
         double q, load = 0.0;
@@ -251,12 +256,13 @@ void effects_simulate(const struct effect_parameters *e, const struct effect_tab
         const double dt = started ? t - before_t : 0.0;
         const double moved = started ? rest - before_q : 0.0;
         if (dt > 0.0 && e->width_per_speed != 0.0 && (fabs(moved) > resting * dt || e->width_held == 0.0)) {
-            speed += (moved / dt - speed) * (1.0 - exp(-dt / SPEED_S));
+            speed += (moved / dt - speed) * (1.0 - exp(-dt / e->speed_time));
             unsettled = fabs(moved / dt - speed) > 0.01 * usual_speed;
         }
         const double relative = fabs(speed) / usual_speed;
         const struct drive drive = {
             .q = q + e->offset_drift * gone + e->offset_per_load * load,
+            .way = e->width_held != 0.0 && e->width_per_speed != 0.0 ? (moved > 0.0 ? 1.0 : -1.0) : 0.0,
             .scale = fmax(0.0, (1.0 + e->width_per_load * load) * (1.0 + e->width_drift * gone)),
             .extra = e->width_per_speed == 0.0 || relative == 0.0
                          ? 0.0

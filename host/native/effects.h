@@ -21,8 +21,9 @@ extern "C" {
     X(asymmetry_form, 1, "", "transmission.asymmetric_backlash: exponent; 1 exponential, 2 slow at first")             \
     X(width_per_speed, 0, "s", "transmission.rate_dependent_backlash: width added per speed, at a tenth of the grid")  \
     X(speed_exponent, 1, "", "transmission.rate_dependent_backlash: of the speed that the width grows with")           \
+    X(speed_time, 0.02, "s", "transmission.rate_dependent_backlash: time in which the width follows the speed")        \
     X(width_held, 0, "",                                                                                               \
-      "transmission.rate_dependent_backlash: 1 if the width stays while the motor rests, 0 if it closes")              \
+      "transmission.rate_dependent_backlash: 1 if a motor that rests or turns moves nothing, 0 if closing")            \
     X(lag, 0, "s", "transmission.lag: time constant")                                                                  \
     X(lag_second, 0, "", "transmission.lag: share of it in a second stage; 0 to 0.5")                                  \
     X(creep_share, 0, "", "transmission.creep: share of the motion that comes late; 0 to 1")                           \

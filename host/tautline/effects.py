@@ -98,7 +98,11 @@ LIBRARY: tuple[Kind, ...] = (
     Kind(
         "transmission.rate_dependent_backlash",
         (Parameter("width_per_speed", "s", 0.02),),
-        (Parameter("speed_exponent", "", 0.5, (1.0, 0.5)), Parameter("width_held", "", 1.0, (0.0, 1.0))),
+        (
+            Parameter("speed_exponent", "", 0.5, (1.0, 0.5)),
+            Parameter("speed_time", "s", 0.02, (0.02, 0.2)),
+            Parameter("width_held", "", 1.0, (0.0, 1.0)),
+        ),
         "the width grows with speed",
     ),
     Kind(
@@ -145,7 +149,7 @@ LIBRARY: tuple[Kind, ...] = (
         (
             Parameter("contact_c", "deg", 10.0),
             Parameter("contact_side", "", 1.0, (1.0, -1.0)),
-            Parameter("contact_soft", "deg", 2.0, (0.0, 3.0)),
+            Parameter("contact_soft", "deg", 2.0, (1.0, 5.0)),
         ),
         "an obstacle holds the tip back beyond some bending angle",
     ),

@@ -69,9 +69,8 @@ def candidates(
 
     def refit(entry: Screened) -> None:
         progress(min(1.0, len(fits) / (refits + 3)), f"fitting {entry.kind.id}")
-        start = {**base.state.values, **entry.values}
-        found = fitter.fit(base.hypothesis.plus(entry.kind, entry.only_tests), start, start=base.state)
-        fits[entry.kind.id, entry.only_tests] = found
+        starts = [entry.values, *entry.others]
+        fits[entry.kind.id, entry.only_tests] = fitter.extend(base, entry.kind, entry.only_tests, starts)
 
     for scopes in list(seen.values())[:refits]:
         refit(next(iter(scopes.values())))

@@ -30,6 +30,7 @@ _STATIC = tuple(p.name for p in effects.BY_ID["registration.static"].amplitudes)
 _OUTLIER = 6.0  # robust standard deviations: a residual beyond is pulled in, unless it is one of many
 _DIFFERENCE = 0.05  # of a parameter's scale: the step of its difference quotient
 _SMALL_GAIN = 1e-4  # of the cost: two steps in a row that gain less are the last
+_ROUGH_STEPS = 3  # after which two starts are compared
 _FAR = 30.0  # of a parameter's scale: its prior
 _RARE = 0.01  # a misfit that lasts longer than this share of a recording is no outlier
 
@@ -258,8 +259,21 @@ class Fitter:
         path = segment.follow(state.model, values, self.load_reference) if moves_tip(parameter) else row.path
         return (segment.observed - segment.seen(state.model, values, path))[segment.scored]
 
+    def extend(self, base: Fit, kind: Kind, only_tests: bool, starts: Sequence[Mapping[str, float]]) -> Fit:
+        """`base` with one more effect, from each of `starts` of its parameters; the nominal starts as base has it and
+        as it was calibrated (a recalibration bends towards the effect and finds back slowly). The best one goes on."""
+        hypothesis = base.hypothesis.plus(kind, only_tests)
+        rough = [
+            self.fit(hypothesis, {**base.state.values, **values}, nominal, _ROUGH_STEPS)
+            for values in starts
+            for nominal in (base.state, self.start())
+        ]
+        limits = [min(map(outlier_limit, each)) for each in zip(*(found.residuals for found in rough), strict=True)]
+        best = min(rough, key=lambda found: _cost(found.residuals, limits))
+        return self.fit(hypothesis, best.state.values, best.state)
+
     def fit(
-        self, hypothesis: Hypothesis, values: Mapping[str, float], start: State | None = None, iterations: int = 12
+        self, hypothesis: Hypothesis, values: Mapping[str, float], start: State | None = None, iterations: int = 16
     ) -> Fit:
         """Levenberg-Marquardt from `values`, the nominal from `start` (default: as calibrated)."""
         state = replace(start or self.start(), values=dict(values))
@@ -268,7 +282,7 @@ class Fitter:
         damping, small = 1e-4, 0
         for _ in range(iterations):
             limits = [outlier_limit(row.residual) for row in rows]
-            cost = _cost(rows, limits)
+            cost = _cost([row.residual for row in rows], limits)
             matrix, gradient = prior.copy(), np.zeros(len(prior))
             for row, columns, limit in zip(rows, self.effect_columns(state, hypothesis, rows), limits, strict=True):
                 weight = np.minimum(1.0, limit / np.maximum(np.abs(row.residual), 1e-12))
@@ -281,7 +295,7 @@ class Fitter:
                 step = np.asarray(np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), gradient), dtype=float)
                 trial = self._moved(state, hypothesis, step)
                 trial_rows = self.rows(trial, hypothesis)
-                trial_cost = _cost(trial_rows, limits)
+                trial_cost = _cost([row.residual for row in trial_rows], limits)
                 if trial_cost < cost:
                     gain = (cost - trial_cost) / cost
                     state, rows, damping = trial, trial_rows, damping / 10
@@ -347,21 +361,25 @@ def inside(name: str, value: float) -> float:
 
 _RANGES = {
     **dict.fromkeys(("onset_spread", "onset_tail", "creep_share", "creep_slow", "contact_hold"), (0.0, 1.0)),
-    **dict.fromkeys(("lag", "stick", "width_per_speed", "contact_soft", "tilt_travel", "drift_decay"), (0.0, np.inf)),
+    **dict.fromkeys(
+        ("lag", "stick", "width_per_speed", "contact_soft", "tilt_travel", "drift_decay"),
+        (0.0, np.inf),
+    ),
     **dict.fromkeys(("asymmetry_travel", "creep_time", "encoder_period"), (1e-3, np.inf)),
     "lag_second": (0.0, 0.5),
     "asymmetry_form": (0.5, 4.0),
     "speed_exponent": (0.1, 3.0),
+    "speed_time": (2e-3, 1.0),
     "curvature_gradient": (-0.95, 0.95),
 }
 
 
-def _cost(rows: Sequence[Rows], limits: Sequence[float]) -> float:
+def _cost(residuals: Sequence[Array], limits: Sequence[float]) -> float:
     """Huber's: quadratic to the recording's limit, linear beyond: one that fits badly throughout is not an outlier of
     those that fit."""
     total = 0.0
-    for row, limit in zip(rows, limits, strict=True):
-        size = np.abs(row.residual)
+    for residual, limit in zip(residuals, limits, strict=True):
+        size = np.abs(residual)
         total += float(np.sum(np.where(size < limit, size**2, 2 * limit * size - limit**2)))
     return total
 

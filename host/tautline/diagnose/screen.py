@@ -23,6 +23,7 @@ Array = npt.NDArray[np.float64]
 _SHIFT_STEP_S = 0.5  # within which a shift's time is found first; then to a frame
 _PERIODS_PER_RANGE = 0.4  # step of 1 / encoder_period times the motor's range: phases stay together over it
 _FREE = 1e-3  # share of a column's norm that the nominal must leave of it
+_OTHERS = 1  # further starts of an effect's shapes
 _RANK = 1e-6  # of the free columns' normal matrix, scaled to ones
 
 
@@ -32,16 +33,21 @@ class Screened:
     kind: Kind
     only_tests: bool
     values: dict[str, float]  # to start from
+    others: tuple[dict[str, float], ...] = ()  # the next best ones with other shapes
 
 
 def screen(fitter: Fitter, base: Fit, kinds: Iterable[Kind], limits: Sequence[float]) -> list[Screened]:
-    """Best first: every kind with every start of its shapes, in all recordings and in the tests only. limits: of each
-    recording, what residuals are cut to. Effects that the nominal absorbs, or without a path, are left out."""
+    """Every kind, in all recordings and in the tests only, best first. limits: of each recording, what residuals are
+    cut to. Effects that the nominal absorbs are left out."""
     scan = _Scan(fitter, base, limits)
     found: list[Screened] = []
     for kind in kinds:
         if kind not in base.hypothesis.kinds:
-            found += scan.kind(kind)
+            starts = sorted(scan.kind(kind), key=lambda entry: -entry.gain)
+            for scope in (True, False):
+                best = [entry for entry in starts if entry.only_tests == scope][: 1 + _OTHERS]
+                if best:
+                    found.append(replace(best[0], others=tuple(entry.values for entry in best[1:])))
     return sorted(found, key=lambda entry: -entry.gain)
 
 
