@@ -17,7 +17,7 @@ import time
 import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -118,7 +118,7 @@ def joint(evidence: Evidence) -> Answer:
             seen.add(start.kind.id)
             hypothesis = hypothesis.plus(start.kind, start.only_tests)
             values |= {**start.values, **{p.name: 0.0 for p in start.kind.amplitudes}}
-    fit = fitter.fit(hypothesis, values, start=evidence.base.state, iterations=3)
+    fit = fitter.descend(hypothesis, replace(evidence.base.state, values=values), 3)
 
     def shift(kind: Kind) -> float:
         return max(abs(fit.state.values[p.name]) / fitter.scale(p) for p in kind.amplitudes)
@@ -137,7 +137,7 @@ def bic(evidence: Evidence) -> Answer:
 
     leading = list({name: None for name, _ in evidence.screened})[:_REFITTED]
     fits = [
-        fitter.fit(Hypothesis().plus(entry.kind, only), entry.values, start=evidence.base.state, iterations=4)
+        fitter.fit(Hypothesis().plus(entry.kind, only), entry.values, evidence.base.state, entry.others)
         for (name, only), entry in evidence.screened.items()
         if name in leading
     ]

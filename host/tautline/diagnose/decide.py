@@ -69,8 +69,9 @@ def candidates(
 
     def refit(entry: Screened) -> None:
         progress(min(1.0, len(fits) / (refits + 3)), f"fitting {entry.kind.id}")
-        starts = [entry.values, *entry.others]
-        fits[entry.kind.id, entry.only_tests] = fitter.extend(base, entry.kind, entry.only_tests, starts)
+        hypothesis = base.hypothesis.plus(entry.kind, entry.only_tests)
+        start = {**base.state.values, **entry.values}
+        fits[entry.kind.id, entry.only_tests] = fitter.fit(hypothesis, start, base.state, entry.others)
 
     for scopes in list(seen.values())[:refits]:
         refit(next(iter(scopes.values())))

@@ -233,7 +233,7 @@ def _held_out(fitter: Fitter, fit: Fit) -> list[Array]:
         parts = [p for p in parts if p.scored.any()]
         partial = Fitter(fitter.model, parts, fitter.load_reference)
         partial.floor = fitter.floor
-        found = partial.fit(fit.hypothesis, fit.state.values, start=fit.state, iterations=3)
+        found = partial.descend(fit.hypothesis, fit.state, 3)
         for i, (segment, label) in enumerate(zip(fitter.segments[1:], labels[1:], strict=True)):
             at = found.state.at(segment, fit.hypothesis)
             _, predicted = segment.predict(found.state.model, at, fitter.load_reference)

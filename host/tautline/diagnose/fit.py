@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -28,9 +29,11 @@ _ROUGH = 0.001  # second difference of a correction's neighbouring coefficients,
 STATIC_COLUMNS = slice(2, 8)  # of Rows.columns, with a camera
 _STATIC = tuple(p.name for p in effects.BY_ID["registration.static"].amplitudes)
 _OUTLIER = 6.0  # robust standard deviations: a residual beyond is pulled in, unless it is one of many
+_AHEAD_S = 5e-3  # over which the tip's velocity is taken
 _DIFFERENCE = 0.05  # of a parameter's scale: the step of its difference quotient
-_SMALL_GAIN = 1e-4  # of the cost: two steps in a row that gain less are the last
-_ROUGH_STEPS = 3  # after which two starts are compared
+_SMALL_GAIN = 1e-4  # of the cost: next to nothing
+_COARSE_FRAMES = 2500  # that a fit begins with
+_ROUGH_STEPS, _COARSE_STEPS, _FULL_STEPS = 3, 12, 8  # of each start, of the best one, of all observations
 _FAR = 30.0  # of a parameter's scale: its prior
 _RARE = 0.01  # a misfit that lasts longer than this share of a recording is no outlier
 
@@ -147,7 +150,7 @@ class Fitter:
 
     def nominal(self) -> Fit:
         """The recalibrated model without any effect."""
-        return self.fit(Hypothesis(), {})
+        return self.descend(Hypothesis(), self.start(), _COARSE_STEPS)
 
     def scale(self, parameter: Parameter) -> float:
         """A parameter's natural step in its own unit."""
@@ -183,7 +186,9 @@ class Fitter:
             residual = segment.observed[keep] - path.c_deg[keep, None]
             return Rows(path, p, tip, by_width, gain, np.ones((len(p), 1)), details[:, None, :], residual)
         seen, by_c, by_static = effects.image_with_slopes(model, path, parameters, segment.offset_s)
-        by_delay = -velocity(segment, path.c_deg)[:, None] * by_c
+        sooner = {**parameters, "delay": parameters.get("delay", 0.0) - _AHEAD_S}
+        later = segment.follow(model, sooner, self.load_reference)
+        by_delay = ((path.c_deg - later.c_deg) / _AHEAD_S)[:, None] * by_c
         columns = np.concatenate(
             [by_c[keep][:, :, None] * details[:, None, :], by_static[keep], by_delay[keep][:, :, None]], axis=2
         )
@@ -259,28 +264,48 @@ class Fitter:
         path = segment.follow(state.model, values, self.load_reference) if moves_tip(parameter) else row.path
         return (segment.observed - segment.seen(state.model, values, path))[segment.scored]
 
-    def extend(self, base: Fit, kind: Kind, only_tests: bool, starts: Sequence[Mapping[str, float]]) -> Fit:
-        """`base` with one more effect, from each of `starts` of its parameters; the nominal starts as base has it and
-        as it was calibrated (a recalibration bends towards the effect and finds back slowly). The best one goes on."""
-        hypothesis = base.hypothesis.plus(kind, only_tests)
+    def fit(
+        self,
+        hypothesis: Hypothesis,
+        values: Mapping[str, float],
+        start: State | None = None,
+        others: Sequence[Mapping[str, float]] = (),
+    ) -> Fit:
+        """From `values` and `others` of the effects' parameters; the nominal from `start` and as it was calibrated (a
+        recalibration bends towards an effect and finds back slowly). A few of the observations say which of these is
+        best and how it goes on; all of them end it."""
+        nominals = [self.start()] if start is None else [start, self.start()]
+        coarse = self.coarse
         rough = [
-            self.fit(hypothesis, {**base.state.values, **values}, nominal, _ROUGH_STEPS)
-            for values in starts
-            for nominal in (base.state, self.start())
+            coarse.descend(hypothesis, replace(nominal, values={**values, **each}), _ROUGH_STEPS)
+            for each in ({}, *others)
+            for nominal in nominals
         ]
         limits = [min(map(outlier_limit, each)) for each in zip(*(found.residuals for found in rough), strict=True)]
         best = min(rough, key=lambda found: _cost(found.residuals, limits))
-        return self.fit(hypothesis, best.state.values, best.state)
+        best = coarse.descend(hypothesis, best.state, _COARSE_STEPS)
+        return self.descend(hypothesis, best.state, _FULL_STEPS, patience=1)
 
-    def fit(
-        self, hypothesis: Hypothesis, values: Mapping[str, float], start: State | None = None, iterations: int = 16
-    ) -> Fit:
-        """Levenberg-Marquardt from `values`, the nominal from `start` (default: as calibrated)."""
-        state = replace(start or self.start(), values=dict(values))
+    @property
+    def coarse(self) -> Fitter:
+        """The same with fewer observations."""
+        self._coarse.floor = self.floor
+        return self._coarse
+
+    @cached_property
+    def _coarse(self) -> Fitter:
+        stride = round(sum(int(s.scored.sum()) for s in self.segments) / _COARSE_FRAMES)
+        if stride < 2:
+            return self
+        return Fitter(self.model, [s.every(stride) for s in self.segments], self.load_reference)
+
+    def descend(self, hypothesis: Hypothesis, state: State, most: int, patience: int = 2) -> Fit:
+        """Levenberg-Marquardt, at most so many steps; `patience` that gain next to nothing, one after the other, are
+        the last."""
         rows = self.rows(state, hypothesis)
         prior = self.floor**2 * self.stiffness(hypothesis)
         damping, small = 1e-4, 0
-        for _ in range(iterations):
+        for _ in range(most):
             limits = [outlier_limit(row.residual) for row in rows]
             cost = _cost([row.residual for row in rows], limits)
             matrix, gradient = prior.copy(), np.zeros(len(prior))
@@ -302,7 +327,7 @@ class Fitter:
                     break
                 damping = max(damping, 1e-6) * 10
             small = small + 1 if gain < _SMALL_GAIN else 0
-            if gain == 0.0 or small == 2:
+            if gain == 0.0 or small == patience:
                 break
         return Fit(hypothesis, state, [row.residual for row in rows])
 

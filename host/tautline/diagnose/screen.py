@@ -23,6 +23,8 @@ Array = npt.NDArray[np.float64]
 _SHIFT_STEP_S = 0.5  # within which a shift's time is found first; then to a frame
 _PERIODS_PER_RANGE = 0.4  # step of 1 / encoder_period times the motor's range: phases stay together over it
 _FREE = 1e-3  # share of a column's norm that the nominal must leave of it
+_BEFORE_S = 1e-3
+_NOMINAL = ("registration.static", "acquisition.delay")  # the nominal's own where they hold in all recordings
 _OTHERS = 1  # further starts of an effect's shapes
 _RANK = 1e-6  # of the free columns' normal matrix, scaled to ones
 
@@ -39,11 +41,13 @@ class Screened:
 def screen(fitter: Fitter, base: Fit, kinds: Iterable[Kind], limits: Sequence[float]) -> list[Screened]:
     """Every kind, in all recordings and in the tests only, best first. limits: of each recording, what residuals are
     cut to. Effects that the nominal absorbs are left out."""
-    scan = _Scan(fitter, base, limits)
+    scan = _Scan(fitter.coarse, base, limits)
     found: list[Screened] = []
     for kind in kinds:
         if kind not in base.hypothesis.kinds:
             starts = sorted(scan.kind(kind), key=lambda entry: -entry.gain)
+            if kind.id == "registration.shift" and starts:
+                starts = _Scan(fitter, base, limits).shift(kind, starts[0].values["shift_time"])
             for scope in (True, False):
                 best = [entry for entry in starts if entry.only_tests == scope][: 1 + _OTHERS]
                 if best:
@@ -74,7 +78,7 @@ class _Scan:
 
     def kind(self, kind: Kind) -> list[Screened]:
         if kind.id == "registration.shift":
-            return self._shift(kind)
+            return self.shift(kind)
         if kind.id == "actuator.encoder_periodic":
             return self._encoder(kind)
         signs = (1.0, -1.0) if any(p.one_way for p in kind.amplitudes) else (1.0,)
@@ -105,6 +109,8 @@ class _Scan:
         ]
         scored = []
         for only in (True, False):
+            if not only and kind.id in _NOMINAL:
+                continue
             amplitude, gain = self.gain(parts[1:] if only else parts)
             if amplitude is None:
                 continue
@@ -160,20 +166,22 @@ class _Scan:
             found += self._score(kind, {"encoder_period": 1.0 / rate}, columns, 1.0)
         return found
 
-    def _shift(self, kind: Kind) -> list[Screened]:
-        """The static registration's columns from a time on."""
-        fitter = self.fitter
-        times = [(s.arrival_s + s.offset_s)[s.scored] for s in fitter.segments]
-        coarse = np.arange(min(t[0] for t in times if len(t)), max(t[-1] for t in times if len(t)), _SHIFT_STEP_S)
-        best = self._best_shift(times, coarse)
+    def shift(self, kind: Kind, near: float | None = None) -> list[Screened]:
+        """The static registration's columns from a time on: found roughly, or to a frame `near` a rough one."""
+        times = [(s.arrival_s + s.offset_s)[s.scored] for s in self.fitter.segments]
+        if near is None:
+            ends = [t[[0, -1]] for t in times if len(t)]
+            candidates = np.arange(min(t[0] for t in ends), max(t[1] for t in ends), _SHIFT_STEP_S)
+        else:
+            near += self._delay()
+            candidates = np.sort(np.concatenate([t[np.abs(t - near) <= 1.5 * _SHIFT_STEP_S] for t in times]))
+        best = self._best_shift(times, candidates)
         if best is None:
             return []
-        near = np.concatenate([t[np.abs(t - best[1]) <= _SHIFT_STEP_S] for t in times])
-        best = max(best, self._best_shift(times, near) or best, key=lambda found: found[0])
         gain, time, amplitude = best
         values = {p.name: float(a) for p, a in zip(kind.amplitudes, amplitude, strict=True)}
-        # The scene is older than its arrival; half a frame before the first one that shows the shift.
-        return [Screened(gain, kind, False, {**values, "shift_time": time - self._delay() - 1e-3})]
+        # The scene is older than its arrival; a little before the first frame that shows the shift.
+        return [Screened(gain, kind, False, {**values, "shift_time": time - self._delay() - _BEFORE_S})]
 
     def _delay(self) -> float:
         return self.base.state.model.delay_s + self.base.state.values.get("delay", 0.0)

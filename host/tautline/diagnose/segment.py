@@ -53,6 +53,11 @@ class Segment:
         path = self.follow(model, parameters, load_reference)
         return path, self.seen(model, parameters, path)
 
+    def every(self, stride: int) -> Segment:
+        """The same recording with fewer observations."""
+        kept = slice(None, None, stride)
+        return replace(self, arrival_s=self.arrival_s[kept], observed=self.observed[kept], scored=self.scored[kept])
+
     def part(self, keep: npt.NDArray[np.bool_]) -> Segment:
         """The same recording scored only where `keep` (n,) says."""
         return replace(self, scored=self.scored & keep)
