@@ -223,7 +223,7 @@ def test_the_command_makes_diagnoses_and_scores(tmp_path, monkeypatch, capsys):
 
 
 def calibrated(files, left_out=()):
-    with work._unpacked(files) as folder:
+    with work.unpacked(files) as folder:
         rig, recordings = work.recordings_of(folder)
         model = calibrate(recordings[:1], rig).model
         for name in ("nominal", "corrected"):

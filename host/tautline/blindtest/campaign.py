@@ -72,7 +72,9 @@ def run(order: Order, folder: Path, pool: Pool, progress: Progress) -> list[dict
         progress(0.1 + 0.7 * done / len(names), f"diagnosed {done} of {len(names)}")
     campaign.close(names)
 
-    opening = ((name, (campaign.open(name, committed[name]), campaign.diagnosis(name))) for name in names)
+    opening = (
+        (name, (campaign.case(name), campaign.open(name, committed[name]), campaign.diagnosis(name))) for name in names
+    )
     records: dict[str, dict[str, Any]] = {}
     for name, record in pool(work.score_case, opening):
         records[name] = {"name": name, **record}

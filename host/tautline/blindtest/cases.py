@@ -31,15 +31,18 @@ VISIBLE = 2.0  # times the noise: what a recalibration leaves of an effect that 
 _DRAWS = 8  # tries for an effect that can be seen
 _SEEN = 0.8  # share of each recording's frames that must show the marker
 # What is there already while calibrating and could be anything that calibration measures is no effect then: an obstacle
-# is a kink of f_remain, an encoder's ripple, one of both envelopes, another B with another f_remain.
+# or a kink is f_remain's, a worn spot B's, an encoder's error that of both envelopes: another B with another f_remain.
 _ONLY_AFTER = {
     "actuator.encoder_periodic",
     "configuration.contact",
     "registration.static",
     "acquisition.delay",
+    "kinked_section",
+    "worn_spot",
 }
-# The load is there all along, what is recorded is how much of it; a shift happens when it does.
-_ONLY_THROUGHOUT = {"transmission.load_dependence", "registration.shift"}
+# The load is there all along, what is recorded is how much of it; a shift happens when it does; weight and a marker
+# beside the axis that came later would be a shift most of all.
+_ONLY_THROUGHOUT = {"transmission.load_dependence", "registration.shift", "gravity", "marker_offset"}
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,7 @@ def make_case(seed: int, kind: str, effects: tuple[str, ...], salt: str) -> tupl
 
 def diagnose_case(files: Files, left_out: Collection[str] = ()) -> Files:
     """What `taut diagnose` says of a case's files: diagnosis.json, nominal/, corrected/, and what it cost."""
-    with threadpool_limits(1), _unpacked(files) as folder:
+    with threadpool_limits(1), unpacked(files) as folder:
         began = time.process_time()
         try:
             rig, recordings = recordings_of(folder)
@@ -71,15 +71,20 @@ def diagnose_case(files: Files, left_out: Collection[str] = ()) -> Files:
     return {**said, DOCUMENT: sealed.canonical(document), COST: sealed.canonical(cost)}
 
 
-def score_case(opened: Files, diagnosis: Files) -> dict[str, Any]:
-    """What a diagnosis is scored by: label, document, cost, the gap on the further motion (px rms per coordinate)."""
+def score_case(visible: Files, opened: Files, diagnosis: Files) -> dict[str, Any]:
+    """What a diagnosis is scored by: label, document, cost, the gap on the further motion (px rms per coordinate). What
+    calibration swallowed of an effect, so that its model shows no gap on the tests, is not left in the label either."""
     label = Label.from_json(json.loads(opened[sealed.LABEL])["label"])
     document = json.loads(diagnosis[DOCUMENT])
     cost = json.loads(diagnosis[COST])
     realised = None
     if document["verdict"] != FAILED:
-        with _unpacked({**opened, **diagnosis}) as folder:
+        with unpacked({**visible, **opened, **diagnosis}) as folder:
             nominal, corrected = Model.load(folder / "nominal"), Model.load(folder / "corrected")
+            tests = recordings_of(folder)[1][1:]
+            gap = float(np.sqrt(np.mean([gap_on(nominal, test, nominal) ** 2 for test in tests])))
+            visible_px = float(np.sqrt(max(gap**2 - label.noise_px**2, 0.0)))
+            label = replace(label, left=tuple(min(left, visible_px) for left in label.left))
             further = load(folder / sealed.FURTHER, nominal.rig)
             realised = {
                 "before": gap_on(nominal, further, nominal),
@@ -108,7 +113,7 @@ def baseline_case(visible: Files, opened: Files, diagnosis: Files, methods: Sequ
     label = Label.from_json(json.loads(opened[sealed.LABEL])["label"])
     calibrated = json.loads(diagnosis[COST])["calibration_core_s"]
     answers: dict[str, Any] = {}
-    with threadpool_limits(1), _unpacked({**visible, **opened, **diagnosis}) as folder:
+    with threadpool_limits(1), unpacked({**visible, **opened, **diagnosis}) as folder:
         began = time.process_time()
         try:
             rig, recordings = recordings_of(folder)
@@ -149,7 +154,7 @@ def recordings_of(folder: Path) -> tuple[Rig, list[Recording]]:
 
 
 @contextmanager
-def _unpacked(files: Files) -> Iterator[Path]:
+def unpacked(files: Files) -> Iterator[Path]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for path, content in files.items():
