@@ -295,3 +295,12 @@ def test_a_cluster_that_does_not_answer_is_one_line():
     pytest.importorskip("distributed")
     with pytest.raises(TautError, match="no Dask scheduler answers"), pool(None, "tcp://127.0.0.1:9"):
         pass
+
+
+def test_a_diagnosis_that_fails_is_a_wrong_one_and_the_campaign_goes_on():
+    files = work.diagnose_case({"rig.toml": b"format = 'rig/1'"})
+    record = {"document": json.loads(files[work.DOCUMENT]), "core_s": 0.1, "realised": None}
+    assert "rig.toml" in record["document"]["error"]
+    answer = scores.answer_of(record)
+    found = scores.score([(label("single", LAG), answer), (label("none"), answer)])
+    assert answer.verdict == "failed" and found.overall == Share(0, 2) and found.false_alarm == Share(0, 1)

@@ -97,6 +97,8 @@ def write(records: Sequence[Mapping[str, Any]], folder: Path) -> dict[str, Any]:
         "note": "These seeds are for tuning: the figures say nothing about unseen cases." if document["tuning"] else "",
         "methods": list(document["methods"]),
         "rows": table(document),
+        "naming": naming(document),
+        "effects": effects(document),
         "confusion": report.picture(
             confusion(document["confusion"]),
             "Confusion",
@@ -143,22 +145,41 @@ def table(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     return rows
 
 
+def effects(document: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """How often each effect's name leads: a cell for each method that names effects."""
+    methods = [found["per_effect"] for found in document["methods"].values() if found["per_effect"]]
+    names = methods[0] if methods else {}
+    return [{"what": name, "goal": "75 %", "cells": [_share(found[name]) for found in methods]} for name in names]
+
+
+def naming(document: Mapping[str, Any]) -> list[str]:
+    """The methods that name effects."""
+    return [name for name, found in document["methods"].items() if found["per_effect"]]
+
+
 def text(document: Mapping[str, Any]) -> str:
     """The table for a terminal; before it the cases one by one if they are few, else those that came out wrong."""
     each = document["each"]
     shown = each if len(each) <= _MOST_LINES else [line for line in each if line["right"] is False][:_MOST_LINES]
     lines = [_sentence_of(line) for line in shown]
-    rows = [["", "goal", *document["methods"]]]
-    rows += [[row["what"], row["goal"], *row["cells"]] for row in table(document)]
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    for row in rows:
-        cells = [cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)]
-        lines.append("  ".join([row[0].ljust(widths[0]), *cells]).rstrip())
+    lines += _aligned(["", "goal", *document["methods"]], table(document))
+    if per_effect := effects(document):
+        lines += _aligned(["right name leads", "goal", *naming(document)], per_effect)
     found = document["identifiable"]
     lines.append(f"{found['hits']} of {found['of']} cases with an effect are identifiable; only these are scored.")
     if document["tuning"]:
         lines.append("Seeds below 1000000 are for tuning: nothing here is a result.")
     return "\n".join(lines)
+
+
+def _aligned(head: Sequence[str], body: Sequence[Mapping[str, Any]]) -> list[str]:
+    rows = [list(head), *([row["what"], row["goal"], *row["cells"]] for row in body)]
+    widths = [max(len(row[i]) for row in rows) for i in range(len(head))]
+    lines = []
+    for row in rows:
+        cells = [cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)]
+        lines.append("  ".join([row[0].ljust(widths[0]), *cells]).rstrip())
+    return lines
 
 
 def _line(record: Mapping[str, Any]) -> dict[str, Any]:

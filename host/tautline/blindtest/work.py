@@ -65,8 +65,9 @@ def diagnose_case(files: Files, left_out: Collection[str] = ()) -> Files:
             found.corrected.save(folder / "out" / "corrected")
             document: Any = plain(found.document)
             said = sealed.read(folder / "out")
-        except TautError as error:  # a verdict like any other, and a wrong one
-            calibrated, document, said = 0.0, {"verdict": FAILED, "error": str(error)}, {}
+        except Exception as error:  # a verdict like any other, and a wrong one: the campaign goes on
+            what = str(error) if isinstance(error, TautError) else f"{type(error).__name__}: {error}"
+            calibrated, document, said = 0.0, {"verdict": FAILED, "error": what}, {}
         cost = {"core_s": time.process_time() - began, "calibration_core_s": calibrated}
     return {**said, DOCUMENT: sealed.canonical(document), COST: sealed.canonical(cost)}
 
