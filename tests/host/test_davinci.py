@@ -4,8 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tools.davinci import Tool, find, times
 
 from tautline.calibration.calibrate import calibrate
+from tautline.diagnose import words
 from tautline.predict import predict
 from tautline.recording import Recording, load
 from tautline.rig import Rig
@@ -15,11 +17,10 @@ RATES, LOADS, FROM_S = 5, 4, 5.0
 
 
 def data() -> Path:
-    for folder in Path(__file__).resolve().parents:
-        found = folder / "shared" / "data" / "davinci"
-        if found.is_dir():
-            return found
-    pytest.skip("no shared/data/davinci beside the repository (the tool's public recordings): see tools")
+    found = find()
+    if found is None:
+        pytest.skip("no shared/data/davinci beside the repository: see tools/davinci.py")
+    return found
 
 
 def single_valued(recording: Recording) -> float:
@@ -54,6 +55,63 @@ def test_every_rate_from_every_other_at_the_same_load():
     assert len(gains) == 80
     assert min(gains.values()) >= 5.0
     assert np.median(list(gains.values())) >= 9.0
+
+
+@pytest.fixture(scope="module")
+def tool() -> Tool:
+    return Tool(data())
+
+
+def named(document) -> list[str]:
+    return [effect["id"] for effect in document["effects"]]
+
+
+@pytest.mark.parametrize(("calibration", "tests"), [((2, 0), ((2, 1), (2, 3))), ((1, 2), ((3, 0), (4, 1)))])
+def test_at_three_loads_the_load_is_named_alone(tool, calibration, tests):
+    document = tool.diagnose(calibration, tests).document
+    assert document["unit"] == "deg" and document["verdict"] == "effect"
+    assert named(document) == ["transmission.load_dependence"]
+    assert document["effects"][0]["ambiguous_with"] == []
+    assert document["gap"]["shrink"] > 0.85
+
+
+def test_at_two_loads_drift_would_do_as_well(tool):
+    document = tool.diagnose((2, 0), [(2, 1)]).document
+    assert named(document) == ["transmission.load_dependence"]
+    assert "transmission.drift" in document["effects"][0]["ambiguous_with"]
+    assert times(document) >= 7.0
+    assert any("third one" in step for step in words.steps(document, "out"))
+
+
+@pytest.mark.parametrize(("rate", "one", "other"), [(0, 2, 3), (0, 1, 0), (3, 3, 2)])
+def test_the_gap_at_another_load_shrinks(tool, rate, one, other):
+    """The hardest pairs: neighbours among the high loads, and the slowest runs with less than two periods."""
+    document = tool.diagnose((rate, one), [(rate, other)]).document
+    assert document["effects"][0]["id"] == "transmission.load_dependence"
+    assert times(document) >= 4.0
+
+
+@pytest.mark.long
+def test_the_gap_shrinks_at_every_load_pair(tool):
+    found = [times(document) for *_, document in tool.pairs()]
+    assert len(found) == 60
+    assert min(found) >= 4.0 and np.median(found) >= 7.0
+
+
+@pytest.mark.parametrize("test", [(2, 0), (3, 0)], ids=["the same run", "another rate"])
+def test_at_one_load_nothing_large_is_left(tool, test):
+    document = tool.diagnose((2, 0), [test]).document
+    assert document["verdict"] != "effect" or document["gap"]["after"] < 0.1
+    assert document["gap"]["before"] < 0.12  # of 50 deg that the jaw moves
+    assert "Nothing large is left" in words.sentence(document) or document["verdict"] == "none"
+
+
+@pytest.mark.parametrize("tests", [[(2, 1)], [(2, 1), (2, 3)]], ids=["two", "three"])
+def test_without_the_load_column_it_says_why(tool, tests):
+    document = tool.diagnose((2, 0), tests, with_load=False).document
+    assert document["verdict"] == "unknown" or named(document) == ["transmission.drift"]
+    assert "changed between them" in document["signature"] and "load" in document["signature"]
+    assert document["signature"] in words.sentence(document)
 
 
 def test_the_middle_comes_from_the_passes():

@@ -7,13 +7,11 @@ import numpy as np
 import pytest
 
 from tautline import effects
-from tautline.calibration.calibrate import calibrate
 from tautline.diagnose.diagnosis import diagnose
 from tautline.effects import LIBRARY, STAGES
 from tautline.model import Model
 from tautline.predict import predict
-from tautline.recording import Marker, Recording, load_all, save
-from tautline.rig import Rig
+from tautline.recording import Marker, Recording, save
 from tautline.simulated import simulate, trajectory
 from tautline.simulated.instrument import preset, reference_rig
 
@@ -153,23 +151,6 @@ def test_too_short_a_motion_is_refused_in_one_line():
     still = replace(made[1], motor=replace(made[1].motor, q=np.zeros(len(t))))
     with pytest.raises(Exception, match="full backlash both ways"):
         diagnose(true_model(), made[0], [still])
-
-
-def davinci():
-    from tests.host.test_davinci import data
-
-    return data()
-
-
-def test_the_load_of_a_real_instrument_is_named_at_three_loads():
-    folder = davinci()
-    rig = Rig.load(folder / "rig.toml")
-    made = load_all([folder / name for name in ("freq2-load0", "freq2-load1", "freq2-load3")], rig)
-    found = diagnose(calibrate(made[:1], rig).model, made[0], made[1:])
-    document = found.document
-    assert document["unit"] == "deg" and document["verdict"] == "effect"
-    assert [effect["id"] for effect in document["effects"]] == ["transmission.load_dependence"]
-    assert document["gap"]["shrink"] > 0.9
 
 
 def test_a_sensor_that_counts_has_the_noise_of_its_step():

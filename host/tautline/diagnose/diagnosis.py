@@ -13,7 +13,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from tautline import effects
-from tautline.diagnose import decide, flexible, gap, motion, where
+from tautline.diagnose import confounded, decide, flexible, gap, motion, where
 from tautline.diagnose.decide import Candidate
 from tautline.diagnose.fit import Fit, Fitter, Hypothesis, State
 from tautline.diagnose.segment import Segment, prepare
@@ -35,6 +35,7 @@ _GAP_WORTH = 0.01  # and of the whole gap's: less nobody would model
 # sharply.
 _LEFT_MIDDLE, _LEFT_WIDTH = 0.30, 0.06
 _SWALLOWED = 0.02  # a recalibration that leaves less of the gap's power has closed it
+_STEADY = 0.5  # share of a gap's power that does not change within a recording
 _NO_GAP = 1.25  # times the noise floor
 
 
@@ -67,6 +68,8 @@ def diagnose(
     base = fitter.nominal()
     floor = fitter.floor = gap.noise_floor(segments, base.residuals)
     kinds = decide.applicable(fitter, left_out)
+    hidden = confounded.hidden(kinds, segments)
+    kinds = [kind for kind in kinds if kind.id not in hidden]
 
     progress(0.1, "screening")
     ordered, effective = decide.candidates(
@@ -176,9 +179,12 @@ def diagnose(
             "stage": ordered[0].kind.stage if verdict != "none" else None,
             "conditions": [c.to_json() for c in conditions[:5]],
         },
-        "signature": _signature(conditions, verdict),
+        "signature": _signature(conditions, before)
+        if verdict == "unknown" or any(c.kind.id == confounded.DRIFT for c in named_out)
+        else None,
         "next_motion": {"why": following.why, "file": "next_motion.csv"} if following else None,
     }
+    confounded.told(document, hidden)
     progress(1.0, "done")
     corrected = _corrected(corrected_fit, segments[-1]) if corrected_fit else model
     corrected = replace(corrected, extra={**model.extra, "load_reference_mNm": fitter.load_reference})
@@ -343,8 +349,15 @@ def _logistic(x: float) -> float:
     return 1.0 / (1.0 + math.exp(-min(max(x, -50.0), 50.0)))
 
 
-def _signature(conditions: Sequence[where.Condition], verdict: str) -> str | None:
-    if verdict != "unknown" or not conditions:
+def _signature(conditions: Sequence[where.Condition], residuals: Sequence[Array]) -> str | None:
+    """What a gap without a cause looks like: of an unknown effect, and of a drift, which only says when."""
+    if not conditions:
         return None
     top = [c for c in conditions if c.share > 0.5 * conditions[0].share][:3]
-    return "largest " + ", ".join(c.says for c in top)
+    says = "largest " + ", ".join(c.says for c in top)
+    if where.steady(residuals) > _STEADY:
+        says = (
+            "much the same throughout each recording, as where something changed between them that no column tells: "
+            f"a load, a temperature, the mounting; {says}"
+        )
+    return says

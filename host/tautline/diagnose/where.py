@@ -63,6 +63,12 @@ def conditions(segments: Sequence[Segment], paths: Sequence[Path], residuals: Se
     return sorted(result, key=lambda c: -c.share)
 
 
+def steady(residuals: Sequence[Array]) -> float:
+    """Share of the power, 0 to 1, that is constant within each recording."""
+    power = sum(float(np.sum(r**2)) for r in residuals)
+    return sum(float(np.sum(r.mean(axis=0) ** 2)) * len(r) for r in residuals) / max(power, 1e-300)
+
+
 def axis_values(segment: Segment, path: Path) -> dict[str, Array]:
     """(n,) each, at the recording's observations."""
     motor, t = segment.motor, segment.arrival_s

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from tautline.diagnose.confounded import DRIFT, LOAD
 from tautline.effects import BY_ID
 
 _EVENTS = ("transmission.stick_slip", "acquisition.jitter")
@@ -51,6 +52,8 @@ def sentence(document: Mapping[str, Any]) -> str:
     if others:
         which = "it" if len(effects) == 1 else "the former"
         text += f" These motions cannot tell {which} from {listed(others, 'or')}."
+    if document["signature"]:
+        text += f" The gap is {document['signature']}."
     return text
 
 
@@ -96,7 +99,13 @@ def steps(document: Mapping[str, Any], folder: str) -> list[str]:
         told.append(f"Look at the instrument where the gap is: {where}.")
     effects = document["effects"]
     event = bool(effects) and effects[0]["id"] in _EVENTS
-    if following and (verdict == "unknown" or any(e["ambiguous_with"] for e in effects)):
+    ambiguous = {name for e in effects for name in (e["id"], *e["ambiguous_with"])}
+    if {LOAD, DRIFT} <= ambiguous:
+        told.append(
+            "Record the first load once more, or a third one, and diagnose with it too: a drift does not come back, "
+            "and one slope serves all loads."
+        )
+    elif following and (verdict == "unknown" or any(e["ambiguous_with"] for e in effects)):
         told.append(
             f"Record the motion that tells the leading candidates apart ({following['why']}) and diagnose with it too: "
             f"taut record --motion {folder}/{following['file']} --rig {folder}/nominal/rig.toml --out more"

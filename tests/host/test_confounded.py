@@ -1,0 +1,59 @@
+"""What recordings cannot tell apart because of how they were made."""
+
+import numpy as np
+import pytest
+
+from tautline.diagnose.confounded import DRIFT, LOAD, hidden, load_goes_with_time, told
+from tautline.diagnose.segment import Segment
+from tautline.effects import BY_ID
+from tautline.recording import Motor
+
+T = np.arange(0.0, 40.0, 0.02)
+Q = 4.0 * np.sin(2 * np.pi * T / 9.0)
+
+
+def runs(*loads) -> list[Segment]:
+    """A recording for each load: a number or (n,) mNm."""
+    rng = np.random.default_rng(3)
+    made = []
+    for i, load in enumerate(loads):
+        noisy = None if load is None else load + 0.3 * Q * np.sign(np.gradient(Q)) + rng.normal(0.0, 0.8, len(T))
+        made.append(Segment(f"r{i}", Motor(T, Q, None, None, None, noisy), T, Q[:, None], T > 3.0, 40.0 * i, i == 0))
+    return made
+
+
+@pytest.mark.parametrize(
+    ("loads", "expected"),
+    [
+        ((12.0, 24.0), True),
+        ((24.0, 12.0, 12.2), True),
+        ((12.0, 24.0, 36.0), False),
+        ((12.0, 24.0, 12.0), False),
+        ((12.0, 12.0), False),
+        ((12.0, None), False),
+        ((12.0, 24.0 + 6.0 * np.sin(T / 5.0)), False),
+    ],
+    ids=["two", "and stays", "three", "and back", "one", "unknown", "moving"],
+)
+def test_a_load_that_changes_once_goes_with_time(loads, expected):
+    assert load_goes_with_time(runs(*loads)) is expected
+
+
+def test_what_stands_for_another_shares_its_probability():
+    document = {
+        "effects": [{"id": LOAD, "ambiguous_with": []}],
+        "candidates": [
+            {"id": LOAD, "probability": 0.9, "shrink": 0.8, "identifiable": True},
+            {"id": "transmission.lag", "probability": 0.05, "shrink": 0.1, "identifiable": True},
+        ],
+    }
+    told(document, hidden([BY_ID[LOAD], BY_ID[DRIFT]], runs(12.0, 24.0)))
+    assert document["effects"][0]["ambiguous_with"] == [DRIFT]
+    found = {c["id"]: c for c in document["candidates"]}
+    assert list(found) == [LOAD, DRIFT, "transmission.lag"]
+    assert found[LOAD]["probability"] + found[DRIFT]["probability"] == pytest.approx(0.9)
+    assert not found[LOAD]["identifiable"] and not found[DRIFT]["identifiable"]
+
+
+def test_a_library_without_the_load_hides_nothing():
+    assert hidden([BY_ID[DRIFT]], runs(12.0, 24.0)) == {}
