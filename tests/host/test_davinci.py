@@ -66,7 +66,10 @@ def named(document) -> list[str]:
     return [effect["id"] for effect in document["effects"]]
 
 
-@pytest.mark.parametrize(("calibration", "tests"), [((2, 0), ((2, 1), (2, 3))), ((1, 2), ((3, 0), (4, 1)))])
+@pytest.mark.parametrize(
+    ("calibration", "tests"),
+    [((2, 0), ((2, 1), (2, 3))), pytest.param((1, 2), ((3, 0), (4, 1)), marks=pytest.mark.long)],
+)
 def test_at_three_loads_the_load_is_named_alone(tool, calibration, tests):
     document = tool.diagnose(calibration, tests).document
     assert document["unit"] == "deg" and document["verdict"] == "effect"
@@ -83,7 +86,7 @@ def test_at_two_loads_drift_would_do_as_well(tool):
     assert any("third one" in step for step in words.steps(document, "out"))
 
 
-@pytest.mark.parametrize(("rate", "one", "other"), [(0, 2, 3), (0, 1, 0), (3, 3, 2)])
+@pytest.mark.parametrize(("rate", "one", "other"), [(0, 2, 3), pytest.param(3, 3, 2, marks=pytest.mark.long)])
 def test_the_gap_at_another_load_shrinks(tool, rate, one, other):
     """The hardest pairs: neighbours among the high loads, and the slowest runs with less than two periods."""
     document = tool.diagnose((rate, one), [(rate, other)]).document
@@ -98,7 +101,7 @@ def test_the_gap_shrinks_at_every_load_pair(tool):
     assert min(found) >= 4.0 and np.median(found) >= 7.0
 
 
-@pytest.mark.parametrize("test", [(2, 0), (3, 0)], ids=["the same run", "another rate"])
+@pytest.mark.parametrize("test", [(2, 0), pytest.param((3, 0), marks=pytest.mark.long)])
 def test_at_one_load_nothing_large_is_left(tool, test):
     document = tool.diagnose((2, 0), [test]).document
     assert document["verdict"] != "effect" or document["gap"]["after"] < 0.1
@@ -106,7 +109,7 @@ def test_at_one_load_nothing_large_is_left(tool, test):
     assert "Nothing large is left" in words.sentence(document) or document["verdict"] == "none"
 
 
-@pytest.mark.parametrize("tests", [[(2, 1)], [(2, 1), (2, 3)]], ids=["two", "three"])
+@pytest.mark.parametrize("tests", [[(2, 1)], pytest.param([(2, 1), (2, 3)], marks=pytest.mark.long)])
 def test_without_the_load_column_it_says_why(tool, tests):
     document = tool.diagnose((2, 0), tests, with_load=False).document
     assert document["verdict"] == "unknown" or named(document) == ["transmission.drift"]
