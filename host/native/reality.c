@@ -55,6 +55,7 @@ void reality_transmission(const struct reality *r, const struct reality_tables *
     double threshold = r->static_grip, ring = pin, ring_speed = 0.0, bent = 0.0, carried = 0.0, held = 0.0, since = 0.0;
     uint64_t random = seed;
     size_t near = 0;
+    double straight = pin;
     for (size_t k = 0; k < n; k++) {
         const double dt = k ? t_s[k] - t_s[k - 1] : 0.0;
         const double dq = k ? q[k] - q[k - 1] : 0.0;
@@ -132,7 +133,8 @@ void reality_transmission(const struct reality *r, const struct reality_tables *
             out = ring;
         }
         if (r->bulge != 0.0) {
-            const double move = k ? pin - p[k - 1] : 0.0;
+            const double move = k ? out - straight : 0.0;
+            straight = out;
             bent += move / r->bulge_travel - fabs(move) / r->bulge_travel * bent;
             out += r->bulge * bent * bent * bent;
         }

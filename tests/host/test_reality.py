@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tautline import _native
+from tautline.blindtest import cases
 from tautline.blindtest.cases import VISIBLE, make
 from tautline.blindtest.draws import KNOWN, UNKNOWN
 from tautline.blindtest.reality import Plant, Truth, record
@@ -119,3 +120,22 @@ def test_a_stalled_video_repeats_a_frame_to_the_last_bit() -> None:
     marker = record(plant, Truth({"stalls": 0.3, "stall_s": 0.5}), motion, 0.0, 4, "case").marker
     assert marker is not None
     assert 10 < np.sum(np.diff(marker.u_px) == 0.0) < 400
+
+
+def test_what_an_effect_of_the_library_imitates_is_not_outside_of_it(monkeypatch) -> None:
+    monkeypatch.setattr(cases, "_DRAWS", 1)
+    monkeypatch.setitem(UNKNOWN, "coupling", KNOWN["configuration.axis_coupling"])
+    imitated = make(3, "unknown", ("coupling",)).label
+    assert not imitated.identifiable
+    assert make(3, "unknown", ("worn_spot",)).label.identifiable
+
+
+def test_bouc_wen_bulges_within_the_envelopes_and_forgets_by_travel() -> None:
+    plant = preset("constant")
+    t = np.arange(0.0, 30.0, 1e-3)
+    q = 4.0 * np.sin(0.5 * t)
+    bent = {"bulge": 0.1, "bulge_travel": 0.3}
+    with_it, _ = _native.reality_transmission(bent, plant.grid, plant.width, t, q, np.ones_like(t))
+    without, way = _native.reality_transmission({}, plant.grid, plant.width, t, q, np.ones_like(t))
+    late = np.abs(q) < 1.0  # long after a reversal: settled to the side that it moves to
+    assert np.allclose((with_it - without)[late & (t > 10.0)], 0.1 * way[late & (t > 10.0)], atol=2e-3)

@@ -13,8 +13,10 @@ import numpy.typing as npt
 
 from tautline.blindtest.draws import KNOWN, UNKNOWN
 from tautline.blindtest.reality import Plant, Truth, record
-from tautline.diagnose.fit import Fitter, Hypothesis
+from tautline.diagnose import decide
+from tautline.diagnose.fit import Fit, Fitter, Hypothesis
 from tautline.diagnose.gap import rms
+from tautline.diagnose.screen import Screened, screen
 from tautline.diagnose.segment import prepare
 from tautline.model import Model
 from tautline.recording import Recording
@@ -29,6 +31,7 @@ KINDS = ("single", "pair", "unknown", "none")
 SCORED_FROM = 1_000_000  # seeds below are for tuning
 VISIBLE = 2.0  # times the noise: what a recalibration leaves of an effect that counts as identifiable
 _DRAWS = 8  # tries for an effect that can be seen
+_IMITATORS = 4  # of the library's effects that an effect outside of it is told from
 _SEEN = 0.8  # share of each recording's frames that must show the marker
 # What is there already while calibrating and could be anything that calibration measures is no effect then: an obstacle
 # or a kink is f_remain's, a worn spot B's, an encoder's error that of both envelopes: another B with another f_remain.
@@ -134,7 +137,10 @@ def _visible(
             if name == "registration.shift":
                 within = float(rng.uniform(0.25, 0.75)) * session.motions[1].duration_s
                 values["slip_time"] = session.starts_s[1] + within
-        left = tuple(_left(session, Truth(values), throughout) for values in drawn)
+        left = tuple(
+            _left(session, Truth(values), throughout, name in UNKNOWN)
+            for name, values in zip(chosen, drawn, strict=True)
+        )
         if not best[2] or min(left) > min(best[2]):
             best = throughout, {k: v for values in drawn for k, v in values.items()}, left
         if not chosen or min(best[2]) >= VISIBLE * session.plant.noise_px:
@@ -142,10 +148,11 @@ def _visible(
     return best
 
 
-def _left(session: _Session, truth: Truth, throughout: bool) -> float:
+def _left(session: _Session, truth: Truth, throughout: bool, outside: bool) -> float:
     """What the true nominal model with B, f_remain, registration and delay free, one for all recordings, cannot follow
-    of the tests, were there no noise: the least-squares residual of its linearisation, px rms per coordinate. 0 where
-    the marker is hardly seen."""
+    of the tests, were there no noise: the least-squares residual of its linearisation, px rms per coordinate. Of an
+    effect `outside` the library, what no single effect of the library on top of it can follow either. 0 where the
+    marker is hardly seen."""
     plant = session.plant
     model = Model(
         plant.rig,
@@ -160,8 +167,25 @@ def _left(session: _Session, truth: Truth, throughout: bool) -> float:
     recordings = [session.record(silent, truth, throughout, i) for i in range(3)]
     if any(r.marker is None or r.marker.valid.mean() < _SEEN for r in recordings):
         return 0.0
-    fitter = Fitter(model, prepare(model, recordings[0], recordings[1:]))
-    return rms(fitter.left(fitter.rows(fitter.start(), Hypothesis()))[1:])
+    load = recordings[0].motor.load_mNm
+    segments = prepare(model, recordings[0], recordings[1:])
+    fitter = Fitter(model, segments, 0.0 if load is None else float(np.median(load)))
+    fitter.floor = plant.noise_px
+    left = rms(fitter.left(fitter.rows(fitter.start(), Hypothesis()))[1:])
+    if not outside or left < VISIBLE * plant.noise_px:
+        return left
+    return min(left, *(rms(fit.residuals[1:]) for fit in _imitations(fitter)))
+
+
+def _imitations(fitter: Fitter) -> list[Fit]:
+    """The library's effects that come nearest, one at a time."""
+    base = fitter.nominal()
+    limits = decide.outlier_limits(fitter, base)
+    best: dict[tuple[str, bool], Screened] = {}
+    for entry in screen(fitter, base, decide.applicable(fitter), limits):
+        best.setdefault((entry.kind.id, entry.only_tests), entry)
+    nearest = list(best.values())[:_IMITATORS]
+    return [fitter.fit(Hypothesis().plus(e.kind, e.only_tests), e.values, start=base.state) for e in nearest]
 
 
 def _drawn(rng: np.random.Generator, kind: str) -> tuple[str, ...]:
