@@ -32,7 +32,7 @@ class Order:
     unknown: int = 200
     none: int = 200
     pairs: int = 60
-    leave_one_out: int = 0  # of each known effect's single cases: how many are also diagnosed without it
+    leave_one_out: int = 10  # of each known effect's single cases: how many are also diagnosed without it
     only: tuple[str, ...] = ()  # effects or GROUPS
 
     def cases(self) -> list[tuple[int, str, tuple[str, ...]]]:

@@ -14,7 +14,7 @@ from tautline.blindtest.draws import KNOWN, UNKNOWN
 from tautline.blindtest.pool import pool
 from tautline.cli._common import emit, folder_option, json_option, progress_bar
 
-_QUICK = Order(single=1, unknown=4, none=3, pairs=1)
+_QUICK = Order(single=1, unknown=4, none=3, pairs=1, leave_one_out=0)
 _QUICK_BASELINES = ("majority", "joint", "bic")
 
 
@@ -28,7 +28,8 @@ _QUICK_BASELINES = ("majority", "joint", "bic")
 @click.option(
     "--leave-one-out",
     type=click.IntRange(0),
-    help="Of each known effect's cases: how many are also diagnosed without it in the library. Default: 0.",
+    help="Of each known effect's cases: how many are also diagnosed without it in the library. Default: 10, "
+    "0 with --quick or --only.",
 )
 @click.option(
     "--only",
@@ -64,7 +65,7 @@ def command(
     as_json: bool,
 ) -> None:
     """Diagnoses instruments whose effect is withheld, then opens the labels and scores."""
-    order = _QUICK if quick else Order()
+    order = _QUICK if quick else Order(leave_one_out=0) if only else Order()
     given = {
         "seed": seed,
         "single": cases,
