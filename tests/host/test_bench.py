@@ -12,7 +12,7 @@ from click.testing import CliRunner
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from tools.bench import __main__ as bench
-from tools.bench import calibration, control_step, trackers
+from tools.bench import calibration, control_step, diagnosis, trackers
 
 
 def test_the_command_prints_its_parts(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -20,10 +20,18 @@ def test_the_command_prints_its_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trackers, "run", lambda frames, progress: ([score], ["one is missing"]))
     monkeypatch.setattr(control_step, "run", lambda: [("control step, fixed point", 60.0, "ns")])
     monkeypatch.setattr(calibration, "run", lambda: [("calibration of it", 6.0, "s")])
+    monkeypatch.setattr(diagnosis, "run", lambda: [("blind case, nothing wrong", 2.0, "core s")])
     said = json.loads(CliRunner().invoke(bench.main, ["--json"]).stdout)
     assert said["trackers"][0]["frames_per_s"] == 50_000 and said["notes"] == ["one is missing"]
     text = CliRunner().invoke(bench.main, []).stdout
-    for part in ("ours", "50,000", "control step, fixed point", "calibration of it", "note: one is missing"):
+    for part in (
+        "ours",
+        "50,000",
+        "control step, fixed point",
+        "calibration of it",
+        "nothing wrong",
+        "note: one is missing",
+    ):
         assert part in text
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import click
 from rich.console import Console
 from rich.table import Table
-from tools.bench import calibration, control_step, trackers
+from tools.bench import calibration, control_step, diagnosis, trackers
 
 from tautline.cli._common import log, plain, progress_bar
 from tautline.errors import TautError
@@ -43,6 +43,7 @@ def main(as_json: bool, frames: int) -> None:
     parts: list[tuple[str, str, Callable[[], Rows]]] = [
         ("control_step", "control step", control_step.run),
         ("calibration", "calibration", calibration.run),
+        ("diagnosis", "diagnosis", diagnosis.run),
     ]
     for key, title, part in parts:
         log(f"{title} ...")
