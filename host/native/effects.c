@@ -2,7 +2,7 @@
 
 #include <math.h>
 
-enum { PLAYS = 9 }; // thresholds that stand for a spread one: the corner becomes a polygon of as many pieces
+enum { PLAYS = 21 }; // thresholds that stand for a spread one: the corner becomes a polygon of as many pieces
 static const double SLOWER = 5.0;      // the creep's second element
 static const double SHORTEST_S = 2e-3; // least step while a width follows the speed
 
@@ -202,12 +202,26 @@ static double threshold(const struct effect_parameters *e, int i, int plays) {
     return even + e->onset_tail * (tail - even);
 }
 
+// Where the motor is that reads so: the encoder errs by where its shaft is, x = q + error(x).
+static double shaft(const struct effect_parameters *e, double turn, double q) {
+    double x = q;
+    for (int i = 0; i < 3; i++) {
+        const double s = sin(turn * x), c = cos(turn * x), s2 = 2.0 * s * c, c2 = c * c - s * s;
+        const double error = e->encoder_sin * s + e->encoder_cos * c + e->encoder_sin2 * s2 + e->encoder_cos2 * c2;
+        const double slope =
+            turn * (e->encoder_sin * c - e->encoder_cos * s + 2.0 * e->encoder_sin2 * c2 - 2.0 * e->encoder_cos2 * s2);
+        x -= (x - q - error) / fmax(1.0 - slope, 0.2);
+    }
+    return x;
+}
+
 void effects_simulate(const struct effect_parameters *e, const struct effect_tables *tables,
                       const struct effect_motion *motion, const struct effect_times *times, double p0,
                       const struct effect_path *path) {
     const double turn = 6.283185307179586 / e->encoder_period;
     const int plays = e->onset_spread != 0.0 ? PLAYS : 1;
-    const int wobbles = e->encoder_sin != 0.0 || e->encoder_cos != 0.0;
+    const int wobbles =
+        e->encoder_sin != 0.0 || e->encoder_cos != 0.0 || e->encoder_sin2 != 0.0 || e->encoder_cos2 != 0.0;
     const int remembers = e->lag > 0.0 || e->creep_share != 0.0;
     const double usual_speed = 0.1 * (tables->grid[tables->nodes - 1] - tables->grid[0]);
     const double resting = 1e-5 * usual_speed;
@@ -249,7 +263,7 @@ void effects_simulate(const struct effect_parameters *e, const struct effect_tab
         }
         const double rest = q;
         if (wobbles) {
-            q += e->encoder_sin * sin(turn * q) + e->encoder_cos * cos(turn * q);
+            q = shaft(e, turn, q);
         }
         const double session = t + times->session_s;
         const double gone = e->drift_decay > 0.0 ? (1.0 - exp(-e->drift_decay * session)) / e->drift_decay : session;

@@ -13,6 +13,8 @@ extern "C" {
 #define EFFECT_PARAMETERS(X)                                                                                           \
     X(encoder_sin, 0, "unit", "actuator.encoder_periodic: amplitude in phase with q = 0")                              \
     X(encoder_cos, 0, "unit", "actuator.encoder_periodic: amplitude a quarter turn on")                                \
+    X(encoder_sin2, 0, "unit", "actuator.encoder_periodic: the same twice a turn")                                     \
+    X(encoder_cos2, 0, "unit", "actuator.encoder_periodic: and an eighth of a turn on")                                \
     X(encoder_period, 1, "unit", "actuator.encoder_periodic: q per turn")                                              \
     X(onset_spread, 0, "", "transmission.smooth_onset: spread of the play's thresholds, of B; 0 to 1")                 \
     X(onset_tail, 0, "", "transmission.smooth_onset: 0 thresholds spread evenly, 1 exponentially from the least up")   \
@@ -88,7 +90,7 @@ struct effect_path {
 
 // p0 NaN starts on the centre line. The play is exact at any sampling of a monotone q; lag and creep are exact for the
 // straight lines between knots, asked times and the moments at which the tip is caught.
-// About 80 ns per knot and time; 0.5 us with onset_spread.
+// About 80 ns per knot and time, 1 us with onset_spread.
 void effects_simulate(const struct effect_parameters *e, const struct effect_tables *tables,
                       const struct effect_motion *motion, const struct effect_times *times, double p0,
                       const struct effect_path *path);

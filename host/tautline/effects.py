@@ -76,7 +76,7 @@ def _six(prefix: str) -> tuple[Parameter, ...]:
 LIBRARY: tuple[Kind, ...] = (
     Kind(
         "actuator.encoder_periodic",
-        (Parameter("encoder_sin", "unit", 2e-3), Parameter("encoder_cos", "unit", 2e-3)),
+        tuple(Parameter(f"encoder_{name}", "unit", 2e-3) for name in ("sin", "cos", "sin2", "cos2")),
         (Parameter("encoder_period", "unit", 0.05, (0.02, 0.3)),),  # from the shortest to the longest
         "once-per-turn error of the measured motor position",
     ),

@@ -24,6 +24,7 @@ _SHIFT_STEP_S = 0.5  # within which a shift's time is found first; then to a fra
 _PERIODS_PER_RANGE = 0.4  # step of 1 / encoder_period times the motor's range: phases stay together over it
 _FREE = 1e-3  # share of a column's norm that the nominal must leave of it
 _BEFORE_S = 1e-3
+_WITHIN_S = 2.0  # a shift happens within a recording: between two it is another static registration
 _NOMINAL = ("registration.static", "acquisition.delay")  # the nominal's own where they hold in all recordings
 _OTHERS = 1  # further starts of an effect's shapes
 _RANK = 1e-6  # of the free columns' normal matrix, scaled to ones
@@ -162,7 +163,8 @@ class _Scan:
             columns = []
             for q, slope in zip(carried, by_q, strict=True):
                 angle = 2 * np.pi * rate * q
-                columns.append(np.stack([slope * np.sin(angle)[:, None], slope * np.cos(angle)[:, None]], axis=2))
+                waves = [np.sin(angle), np.cos(angle), np.sin(2 * angle), np.cos(2 * angle)]
+                columns.append(slope[:, :, None] * np.stack(waves, axis=1)[:, None, :])
             found += self._score(kind, {"encoder_period": 1.0 / rate}, columns, 1.0)
         return found
 
@@ -175,7 +177,9 @@ class _Scan:
         else:
             near += self._delay()
             candidates = np.sort(np.concatenate([t[np.abs(t - near) <= 1.5 * _SHIFT_STEP_S] for t in times]))
-        best = self._best_shift(times, candidates)
+        within = [(t[0] + _WITHIN_S, t[-1] - _WITHIN_S) for t in times if len(t)]
+        candidates = np.array([c for c in candidates if any(a <= c <= b for a, b in within)])
+        best = self._best_shift(times, candidates) if len(candidates) else None
         if best is None:
             return []
         gain, time, amplitude = best

@@ -1,0 +1,126 @@
+"""The diagnosis' fits: derivatives against differences, few knots against all samples, starts that lead home."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tautline import effects
+from tautline.diagnose.fit import Fitter, Hypothesis
+from tautline.diagnose.screen import screen
+from tautline.diagnose.segment import prepare
+from tautline.effects import BY_ID
+from tautline.model import Model, between_counts
+from tautline.recording import Marker, Motor, Recording
+from tautline.simulated import simulate, trajectory
+from tautline.simulated.instrument import preset, reference_rig
+
+RIG = reference_rig()
+GRID = np.linspace(-5.0, 5.0, 401)
+INSTRUMENT = preset("reference", RIG)
+MODEL = Model(RIG, GRID, INSTRUMENT.backlash(GRID), np.full(401, 0.003), INSTRUMENT.bend(GRID), 0.08, (-4.0, 4.0))
+NOISE = 0.03
+
+
+def recordings(parameters, throughout=False) -> list[Recording]:
+    """A calibration and a test; the effect in the test, or in both."""
+    rng = np.random.default_rng(5)
+    actuator = RIG.actuator
+    motions = [
+        trajectory.back_and_forth(actuator, [0.8, 1.6], 2.0, 12, 8.0, 0.3),
+        trajectory.trapezoids(actuator, 2.4, 3.0, 6, 20.0, 1.0).with_sway(2.0, 20.0, 17.0),
+    ]
+    made, clock = [], 0.0
+    for i, motion in enumerate(motions):
+        recording = simulate.simulate(RIG, INSTRUMENT, motion, seed=i)
+        t = recording.marker.t_s
+        values = parameters if i or throughout else {}
+        motor = Motor(motion.t_s, motion.q, None, motion.translation_mm, motion.rotation_deg)
+        path = effects.simulate(MODEL, motor, t - 0.08, values, clock_offset_s=clock)
+        seen = path.image_px + rng.normal(0.0, NOISE, (len(t), 2))
+        made.append(replace(recording, marker=Marker(t, seen[:, 0], seen[:, 1], np.ones(len(t), bool)), rig=RIG))
+        clock += recording.motor.t_s[-1]
+    return made
+
+
+def fitter_of(made) -> Fitter:
+    fitter = Fitter(MODEL, prepare(MODEL, made[0], made[1:]))
+    fitter.floor = NOISE
+    return fitter
+
+
+def rms(parts) -> float:
+    return float(np.sqrt(np.mean(np.concatenate([p.ravel() for p in parts]) ** 2)))
+
+
+def test_few_knots_predict_what_all_samples_do():
+    made = recordings({})
+    for segment, recording in zip(prepare(MODEL, made[0], made[1:]), made, strict=True):
+        assert len(segment.motor.t_s) < 0.05 * len(recording.motor.t_s)
+        motor = between_counts(recording.motor, RIG.actuator.encoder_resolution)
+        for values in ({}, {"lag": 0.05}, {"onset_spread": 0.5}, {"creep_share": 0.1}):
+            few = segment.predict(MODEL, values, 0.0)[1]
+            many = effects.simulate(MODEL, motor, segment.arrival_s - MODEL.delay_s, values).image_px
+            assert rms([(few - many)[segment.scored]]) < 0.6 * NOISE
+        # Where the motor rests it rests in both.
+        assert np.sum(np.diff(segment.motor.q) == 0) >= 5
+
+
+def test_the_gradient_is_the_cost_s():
+    fitter = fitter_of(recordings({"c_per_translation": 0.2}))
+    hypothesis = Hypothesis().plus(BY_ID["transmission.lag"], True)
+    state = replace(fitter.start(), values={"lag": 0.03, "lag_second": 0.2})
+    rows = fitter.rows(state, hypothesis)
+    columns = fitter.effect_columns(state, hypothesis, rows)
+    parts = [fitter.normal(row, extra) for row, extra in zip(rows, columns, strict=True)]
+    gradient, matrix = sum(p.gradient for p in parts), sum(p.matrix for p in parts)
+    assert len(gradient) == len(fitter.spread(hypothesis))
+
+    def cost(step):
+        return 0.5 * sum(
+            float(np.sum(r**2)) for r in fitter.residuals(fitter._moved(state, hypothesis, step), hypothesis)
+        )
+
+    size = np.sqrt(sum(float(np.sum(row.residual**2)) for row in rows))
+    for j in range(len(gradient)):
+        reach = 1e-3 * size / np.sqrt(matrix[j, j]) if matrix[j, j] > 0 else 0.0
+        if reach == 0.0:
+            continue
+        step = np.zeros(len(gradient))
+        step[j] = reach
+        slope = (cost(-step) - cost(step)) / (2 * reach)
+        assert slope == pytest.approx(gradient[j], abs=0.02 * size * np.sqrt(matrix[j, j])), j
+
+
+FITTED = [
+    {"encoder_sin": 0.03, "encoder_cos2": 0.005, "encoder_period": 0.47},
+    {"onset_spread": 0.6, "onset_tail": 1.0},
+    {"asymmetry": -0.15, "asymmetry_travel": 0.6, "asymmetry_form": 2.0},
+    {"width_per_speed": 0.08, "speed_exponent": 0.7, "speed_time": 0.05, "width_held": 0.0},
+    {"lag": 0.08},
+    {"creep_share": 0.15, "creep_time": 2.0},
+    {"offset_drift": 0.002, "drift_decay": 0.01},
+    {"contact_hold": 0.7, "contact_c": 15.0, "contact_side": 1.0},
+    {"curvature_gradient": 0.6},
+    {"tilt_x": 0.4, "tilt_y": -0.3, "tilt_travel": 0.02},
+    {"shift_rx": 0.6, "shift_y": 0.3, "shift_time": 104.03},
+    {"k1": -0.2, "p1": 0.01},
+]
+# What is in front of the tip while calibrating already is f_remain.
+CASES = [(p, t) for p in FITTED for t in (False, True) if not (t and "contact_hold" in p)]
+
+
+@pytest.mark.parametrize(
+    ("parameters", "throughout"), CASES, ids=lambda p: next(iter(p)) if isinstance(p, dict) else str(p)
+)
+def test_the_right_effect_is_fitted_down_to_the_noise(parameters, throughout):
+    fitter = fitter_of(recordings(parameters, throughout))
+    base = fitter.nominal()
+    kind = next(k for k in BY_ID.values() if next(iter(parameters)) in {p.name for p in k.amplitudes})
+    limits = [10.0 * float(np.abs(r).max()) for r in base.residuals]
+    entries = {entry.only_tests: entry for entry in screen(fitter, base, [kind], limits)}
+    entry = entries.get(not throughout) or entries[False]
+    found = fitter.fit(Hypothesis().plus(kind, entry.only_tests), entry.values, base.state, entry.others)
+    assert rms(found.residuals) < 1.1 * NOISE, (rms(base.residuals), found.state.values)
+    if "shift_time" in parameters:
+        assert found.state.values["shift_time"] == pytest.approx(parameters["shift_time"], abs=0.05)
