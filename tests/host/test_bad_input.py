@@ -209,3 +209,55 @@ def test_a_video_that_is_none(taut: Taut, folder: Path, tmp_path: Path) -> None:
     (folder / "video.mkv").write_bytes(b"not a video")
     line = taut.refuses("calibrate", folder, "--out", tmp_path / "out")
     assert "video.mkv" in line
+
+
+def still(path: Path) -> None:
+    rows(path / "motor.csv", lambda t: t.assign(q_mm=1.0))
+
+
+def another_rig(path: Path) -> None:
+    other = (path / "rig.toml").read_text().replace("delay_s = 0.08", "delay_s = 0.05")
+    assert other != (path / "rig.toml").read_text()
+    (path / "rig.toml").write_text(other)
+
+
+DIAGNOSE: dict[str, tuple[str, Callable[[Path], object], str]] = {
+    "no marker column": (
+        "test",
+        lambda path: rows(path / "marker.csv", lambda t: t.drop(columns="v_px")),
+        "v_px is missing",
+    ),
+    "nothing seen": ("test", lambda path: (path / "marker.csv").unlink(), "one of them is needed"),
+    "too short": (
+        "test",
+        lambda path: [rows(path / name, lambda t: t[t.t_s < 0.3]) for name in ("motor.csv", "marker.csv")],
+        "full backlash both ways",
+    ),
+    "a test that rests": ("test", still, "full backlash both ways"),
+    "a calibration that rests": ("calibration", still, "the motor does not move"),
+    "the other unit": (
+        "test",
+        lambda path: rows(path / "motor.csv", lambda t: t.rename(columns={"q_mm": "q_deg"})),
+        "expected q_mm",
+    ),
+    "another rig": ("test", another_rig, "say which with --rig"),
+}
+
+
+@pytest.mark.parametrize(("which", "change", "says"), DIAGNOSE.values(), ids=DIAGNOSE)
+def test_diagnose_refuses_in_one_line_and_writes_nothing(taut, tmp_path, which, change, says):
+    for name in ("calibration", "test"):
+        save(moved([-2.0, 1.0, -1.0, 2.0, -2.0], 2.0), tmp_path / name)
+    change(tmp_path / which)
+    done: Finished = taut("diagnose", tmp_path / "calibration", tmp_path / "test", "--out", tmp_path / "out")
+    assert done.code == 1 and done.out == ""
+    last = done.err.strip().splitlines()[-1]
+    assert says in last, done.err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["calibration", "test"]
+
+
+def test_diagnose_looks_at_its_folder_before_it_begins(taut, tmp_path):
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes" / "mine.txt").write_text("kept")
+    done = taut("diagnose", tmp_path / "none", tmp_path / "none", "--out", tmp_path / "notes")
+    assert done.code == 1 and "no diagnosis.json" in done.err

@@ -21,7 +21,7 @@ from tautline.cli._common import (
 )
 from tautline.diagnose import motion, page, words
 from tautline.diagnose.diagnosis import Diagnosis, diagnose
-from tautline.folders import replaced, write_file
+from tautline.folders import check_replaceable, replaced, write_file
 from tautline.plain import plain
 
 DOCUMENT = "diagnosis.json"
@@ -37,6 +37,7 @@ def command(
     calibration_path: Path, test_paths: tuple[Path, ...], rig_path: Path | None, out: Path, as_json: bool
 ) -> None:
     """Where model and instrument part, which effect is the cause, and how far the gap shrinks."""
+    check_replaceable(out, DOCUMENT)
     recordings, rig = read_recordings([calibration_path, *test_paths], rig_path)
     with progress_bar("diagnosing") as progress:
         recordings = [tracked(recording, rig, progress) for recording in recordings]
@@ -44,6 +45,7 @@ def command(
         diagnosis = diagnose(
             found.model, recordings[0], recordings[1:], lambda fraction, text: progress(0.3 + 0.65 * fraction, text)
         )
+        progress(0.96, "writing the report")
         save(diagnosis, out)
     emit(diagnosis.document, as_json, words.text(diagnosis.document, str(out)))
 

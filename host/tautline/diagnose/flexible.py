@@ -17,7 +17,9 @@ Array = npt.NDArray[np.float64]
 
 _LENGTHS_FROM, _TRAINED_ON, _SCORED_ON = 200, 700, 3000  # observations: for length scales, of either half, in all
 _RATES = np.arange(0.05, 2.0, 0.003)  # Hz, of a swing: breathing, a heart, a loose mount
-_SWINGS, _DRIVEN = 0.25, 0.05  # shares of the residual's power that make a swing, of a motion's that drive it
+_HARMONICS = 6  # of a motion, in which it may drive the tip
+_SWINGS = 0.25  # share of the residual's power that makes a swing
+_DRIVEN, _DRIVES = 0.05, 0.4  # shares of a motion's power that drive it: at its rate, at the rate it is a harmonic of
 _SHORTEST, _LONGEST = 0.05, 20.0  # length scales, of an input's standard deviation
 
 
@@ -118,24 +120,26 @@ def _inputs(segments: Sequence[Segment], swing_s: float | None) -> Array:
 
 
 def _swing(segments: Sequence[Segment], residuals: Sequence[Array]) -> float | None:
-    """The period, s, of a swing that takes _SWINGS of the residuals' power and that neither the motor nor another axis
-    makes."""
-    taken, driven, total = np.zeros(len(_RATES)), np.zeros(len(_RATES)), 0.0
+    """The period, s, of a swing that takes _SWINGS of the residuals' power and that in some recording neither the motor
+    nor another axis makes."""
+    taken, driven, total = np.zeros(len(_RATES)), np.ones(len(_RATES), dtype=bool), 0.0
     for segment, residual in zip(segments, residuals, strict=True):
         at = _some(np.arange(len(residual)), _SCORED_ON // 2)
         t, motor = segment.arrival_s[segment.scored][at], segment.motor
         if len(t) < 10:
             continue
-        moves = [
-            np.interp(t, motor.t_s, x) for x in (motor.q, motor.translation_mm, motor.rotation_deg) if x is not None
-        ]
-        drives = np.column_stack([*moves, *(np.gradient(x) for x in moves)])
+        axes = [np.interp(t, motor.t_s, x) for x in (motor.translation_mm, motor.rotation_deg) if x is not None]
+        q = np.interp(t, motor.t_s, motor.q)
+        q_moves = np.column_stack([q, np.gradient(q)])
         turned = np.exp(2j * np.pi * _RATES[:, None] * t)
         taken += np.sum(_shares(turned, residual[at]) * np.var(residual[at], axis=0) * len(residual), axis=1)
-        driven = np.maximum(driven, np.max(_shares(turned, drives), axis=1))
+        here = np.max(_shares(turned, np.column_stack([q_moves, *axes])), axis=1) > _DRIVEN
+        for k in range(2, _HARMONICS + 1):  # what follows the motor's way and stroke swings at its rate's multiples
+            here |= np.max(_shares(np.exp(2j * np.pi * _RATES[:, None] / k * t), q_moves), axis=1) > _DRIVES
+        driven &= here
         total += float(np.sum(np.var(residual[at], axis=0))) * len(residual)
     best = int(np.argmax(taken))
-    if taken[best] < _SWINGS * total or driven[best] > _DRIVEN:
+    if taken[best] < _SWINGS * total or driven[best]:
         return None
     return float(1.0 / _RATES[best])
 

@@ -10,6 +10,7 @@ from tautline.effects import BY_ID
 
 _EVENTS = ("transmission.stick_slip", "acquisition.jitter")
 _SMALL = 3.0  # times the noise: a gap below is called small
+_SHOWN = 0.005  # probability from which on a terminal shows a candidate
 _NO_PATH = "It has no path that repeats, so no model can predict it away."
 
 
@@ -151,6 +152,8 @@ def text(document: Mapping[str, Any], folder: str) -> str:
     lines.append(f"  noise           {digits(document['noise_floor']):>8} {unit} rms")
     lines.append("")
     for name, probability, closes in rows(document, 4):
+        if probability < _SHOWN:
+            continue
         lines.append(f"  {name:<40} {percent(probability):>6}  {closes}".rstrip())
     said = flexible(document)
     if said:
