@@ -122,7 +122,8 @@ def follow(
         plan_t = np.concatenate([[0.0, lead], lead + _SETTLE_S + (t_s - t_s[0])])
         grid = np.arange(0.0, plan_t[-1] + _SETTLE_S, 1.0 / SET_POINT_HZ)
         plan = np.interp(grid, plan_t, np.concatenate([[here, value[0]], value]))
-        start_us = live.now_us() + round(_AHEAD_S * 1e6)
+        # An emulated board may have run ahead of the time that was granted, by what loading a table took.
+        start_us = max(live.now_us(), board.sync()) + round(_AHEAD_S * 1e6)
         sent = 0
         while sent < len(grid):
             now = (live.now_us() - start_us) * 1e-6
