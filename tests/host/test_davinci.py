@@ -83,7 +83,7 @@ def test_at_two_loads_drift_would_do_as_well(tool):
     assert named(document) == ["transmission.load_dependence"]
     assert "transmission.drift" in document["effects"][0]["ambiguous_with"]
     assert times(document) >= 7.0
-    assert any("third one" in step for step in words.steps(document, "out"))
+    assert any("third one" in step.says for step in words.steps(document, "out"))
 
 
 @pytest.mark.parametrize(("rate", "one", "other"), [(0, 2, 3), pytest.param(3, 3, 2, marks=pytest.mark.long)])

@@ -179,3 +179,32 @@ def test_every_other_block_holds_both_ways(period_s):
     rises = np.gradient(q)[t > 1.0] > 0
     for half in (0, 1):
         assert 0.2 < rises[number % 2 == half].mean() < 0.8
+
+
+def test_a_direction_has_a_bin_of_its_own():
+    from tautline.diagnose.where import _condition
+
+    rng = np.random.default_rng(1)
+    way = rng.choice([-1.0, 0.0, 1.0], 900)
+    found = _condition("direction", way, np.where(way < 0, 2.0, 0.1)[:, None])
+    assert list(found.centres) == [-1.0, 0.0, 1.0]
+    assert found.power == pytest.approx([4.0, 0.01, 0.01]) and found.says == "while the motor falls"
+
+
+def test_the_report_says_it_all_and_shows_every_axis(tmp_path):
+    from tautline.diagnose import page, words
+
+    found, _ = diagnosed({"lag": 0.08})
+    text = page.write(found, tmp_path).read_text()
+    assert words.sentence(found.document) in text.replace("&#39;", "'")
+    for stage in STAGES:
+        assert f">{stage}<small>" in text
+    assert 'class="named">transmission' in text
+    for condition in found.conditions:
+        assert page._TITLES[condition.axis] in text
+    for step in words.steps(found.document, tmp_path.name):
+        assert step.command in text
+    assert text.count("<img") == 1 + len(found.conditions)
+    said = words.text(found.document, "out")
+    assert said.startswith(words.sentence(found.document)) and said.endswith("out/report.html")
+    assert "taut flash out/corrected --without-effects" in said

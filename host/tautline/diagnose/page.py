@@ -19,7 +19,8 @@ from tautline.effects import BY_ID, STAGES, Parameter
 
 FILE = "report.html"
 
-_CANDIDATES = 6
+_CANDIDATES = 5
+_GUESS = 0.2  # share of a gap that an effect must close for its stage to be a guess
 _MANY_POINTS = 2500
 _TITLES = {
     "q": "motor position",
@@ -96,7 +97,9 @@ def _chain(document: Mapping[str, Any]) -> list[dict[str, Any]]:
         if not says and closes > 0.005 and document["verdict"] != "none":
             says = f"could close {words.percent(closes)}"
         certain = document["verdict"] == "effect"
-        mark = ("named" if certain else "guess") if stage == marked or stage in named else ""
+        mark = "named" if certain and (stage == marked or stage in named) else ""
+        if not certain and stage == marked and closes > _GUESS:
+            mark = "guess"
         stages.append({"name": stage, "mark": mark, "says": says})
     return stages
 
@@ -113,6 +116,7 @@ def _parameters(effect: Mapping[str, Any], unit: str) -> list[dict[str, str]]:
             "since": "since the calibration" if since else "all along",
             "share": words.percent(effect["shrink"]),
             "with": ", ".join(effect["ambiguous_with"]),
+            "first": name == next(iter(effect["parameters"])),
         }
         for name, value in effect["parameters"].items()
         if name in known

@@ -90,7 +90,12 @@ def axis_values(segment: Segment, path: Path) -> dict[str, Array]:
 
 
 def _condition(name: str, values: Array, residual: Array) -> Condition:
-    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)))
+    levels = np.unique(values)
+    if len(levels) <= 3:  # directions: a bin each
+        middles = 0.5 * (levels[1:] + levels[:-1])
+        edges = np.concatenate([[2 * levels[0] - middles[0]], middles, [2 * levels[-1] - middles[-1]]])
+    else:
+        edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)))
     at = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
     count = np.bincount(at, minlength=len(edges) - 1).astype(float)
     filled = count > 0

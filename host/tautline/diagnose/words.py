@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from tautline.diagnose.confounded import DRIFT, LOAD
@@ -34,7 +35,7 @@ def sentence(document: Mapping[str, Any]) -> str:
             f"and the noise alone is {digits(floor)}."
         )
     if document["verdict"] == "unknown":
-        small = gap["before"] < _SMALL * floor
+        small = _is_small(document)
         return (
             f"{'Nothing large is left: a small' if small else 'A'} gap of {before}, {times}, "
             f"that no known effect explains{'' if small else _seen(document)}."
@@ -67,7 +68,7 @@ def flexible(document: Mapping[str, Any]) -> str:
     found = document.get("flexible")
     if not found:
         return ""
-    swing = found.get("swing_s")
+    swing = _swing(document)
     if swing:
         asked_of = "What is left" if document["verdict"] == "effect" else "The gap"
         text = (
@@ -89,54 +90,75 @@ def flexible(document: Mapping[str, Any]) -> str:
     )
 
 
-def steps(document: Mapping[str, Any], folder: str) -> list[str]:
+@dataclass(frozen=True)
+class Step:
+    says: str
+    command: str = ""
+
+
+def steps(document: Mapping[str, Any], folder: str) -> list[Step]:
     """What to do next, most useful first; `folder` is the diagnosis' own."""
     verdict, following = document["verdict"], document["next_motion"]
-    told = []
-    if verdict == "none":
-        return ["Use the model as it is: these motions show nothing that it lacks."]
-    if verdict == "unknown":
-        where = ", ".join(f"{c['says']} ({c['axis']})" for c in document["where"]["conditions"][:3])
-        told.append(f"Look at the instrument where the gap is: {where}.")
     effects = document["effects"]
     event = bool(effects) and effects[0]["id"] in _EVENTS
+    if verdict == "none" or _is_small(document):
+        return [Step("Use the model as it is: these motions show nothing large that it lacks.")]
+    told = []
+    swing = _swing(document)
+    if swing and not effects:
+        told.append(Step(f"Look for what moves every {swing:.2g} s: breathing, a heartbeat, a loose mount, a fan."))
+    elif verdict == "unknown":
+        where = listed([f"{c['says']} ({c['axis']})" for c in document["where"]["conditions"][:3]])
+        told.append(Step(f"Look at the instrument where the gap is largest: {where}."))
     ambiguous = {name for e in effects for name in (e["id"], *e["ambiguous_with"])}
     if {LOAD, DRIFT} <= ambiguous:
         told.append(
-            "Record the first load once more, or a third one, and diagnose with it too: a drift does not come back, "
-            "and one slope serves all loads."
+            Step(
+                "Record the first load once more, or a third one, and diagnose with it too: no drift comes back, "
+                "and one slope serves all loads."
+            )
         )
     elif following and (verdict == "unknown" or any(e["ambiguous_with"] for e in effects)):
         told.append(
-            f"Record the motion that tells the leading candidates apart ({following['why']}) and diagnose with it too: "
-            f"taut record --motion {folder}/{following['file']} --rig {folder}/nominal/rig.toml --out more"
+            Step(
+                f"Record the motion that tells the leading candidates apart ({following['why']}), and diagnose with it "
+                "too.",
+                f"taut record --motion {folder}/{following['file']} --rig {folder}/nominal/rig.toml --out more",
+            )
         )
-    if effects and not event:
-        told.append(f"Predict with the corrected model: taut predict {folder}/corrected RECORDING --csv OUT.csv")
+    if event:
+        cause = "friction along the transmission" if effects[0]["id"] == "transmission.stick_slip" else "camera timing"
+        told.append(Step(f"Mend the cause, {cause}: no table and no model can."))
+    elif effects:
+        told.append(
+            Step("Predict with the corrected model.", f"taut predict {folder}/corrected RECORDING --csv OUT.csv")
+        )
+        told.append(
+            Step(
+                "Try a controller against the instrument with this effect.",
+                f"taut follow --simulate {folder}/corrected",
+            )
+        )
+        told.append(board(effects, folder))
         if effects[0]["swallowed_by_recalibration"]:
             told.append(
-                "A calibration on all these recordings closes the gap as well, without knowing why: "
-                "taut calibrate CALIBRATION TEST... --out MODEL"
+                Step(
+                    "Or calibrate on all these recordings: that closes the gap as well, without knowing why.",
+                    "taut calibrate CALIBRATION TEST... --out MODEL",
+                )
             )
-    if event:
-        cause = "friction" if effects[0]["id"] == "transmission.stick_slip" else "the camera's timing"
-        told.append(f"Mend {cause}: no table and no model can.")
-    told += board(document, folder)
     return told
 
 
-def board(document: Mapping[str, Any], folder: str) -> list[str]:
+def board(effects: Sequence[Mapping[str, Any]], folder: str) -> Step:
     """What `taut flash` can do about it."""
-    effects = document["effects"]
-    if not effects:
-        return []
     left = [e["id"] for e in effects if not e["loads_on_board"]]
     if left:
-        return [
-            f"The board's tables cannot carry {listed(left)}; B and f_remain alone: "
-            f"taut flash {folder}/corrected --without-effects"
-        ]
-    return [f"Load the corrected tables: taut flash {folder}/corrected"]
+        return Step(
+            f"The board's tables cannot carry {listed(left)}: they take B and f_remain alone.",
+            f"taut flash {folder}/corrected --without-effects",
+        )
+    return Step("Load the corrected tables into the board.", f"taut flash {folder}/corrected")
 
 
 def text(document: Mapping[str, Any], folder: str) -> str:
@@ -158,7 +180,10 @@ def text(document: Mapping[str, Any], folder: str) -> str:
     said = flexible(document)
     if said:
         lines += ["", said]
-    lines += ["", *(f"- {step}" for step in steps(document, folder)), "", f"{folder}/report.html"]
+    lines.append("")
+    for step in steps(document, folder):
+        lines += [f"- {step.says}", *([f"    {step.command}"] if step.command else [])]
+    lines += ["", f"{folder}/report.html"]
     return "\n".join(lines)
 
 
@@ -168,13 +193,29 @@ def rows(document: Mapping[str, Any], most: int) -> list[tuple[str, float, str]]
         (c["id"], c["probability"], f"closes {percent(max(c['shrink'], 0.0))}" if c["shrink"] > 0.005 else "")
         for c in document["candidates"][:most]
     ]
-    found.append(("none of these (unknown)", document["probability_unknown"], ""))
-    found.append(("no gap", document["probability_none"], ""))
+    for name, probability in (
+        ("none of these (unknown)", document["probability_unknown"]),
+        ("no gap", document["probability_none"]),
+    ):
+        if probability >= _SHOWN:
+            found.append((name, probability, ""))
     return sorted(found, key=lambda row: -row[1])
 
 
 def _seen(document: Mapping[str, Any]) -> str:
+    swing = _swing(document)
+    if swing:
+        return f"; it swings with a period of {swing:.2g} s, whatever the motor does"
     return f"; it is {document['signature']}" if document["signature"] else ""
+
+
+def _swing(document: Mapping[str, Any]) -> float | None:
+    found = document.get("flexible")
+    return found.get("swing_s") if found else None
+
+
+def _is_small(document: Mapping[str, Any]) -> bool:
+    return document["verdict"] == "unknown" and bool(document["gap"]["before"] < _SMALL * document["noise_floor"])
 
 
 def _capital(said: str) -> str:
