@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,8 @@ from tautline import tables
 from tautline.cli import taut
 from tautline.device import wire
 from tautline.errors import TautError
-from tautline.model import Model
+from tautline.model import Effect, Model
+from tautline.predict import predict
 from tautline.recording import load
 from tautline.simulated.simlink import DesktopBoard
 
@@ -96,6 +98,33 @@ def test_record_the_motor_and_the_marker(tmp_path: Path) -> None:
     assert made["telemetry_dropped"] == made["messages_missed"] == 0
     with pytest.raises(TautError, match="holds a recording already"):
         run(*arguments)
+
+
+def test_a_motion_from_a_file_against_an_instrument_with_an_effect(folder: Path, tmp_path: Path) -> None:
+    """What a diagnosis asks for next, driven through the board; what the corrected model predicts is what is seen."""
+    made = Model.load(folder)
+    replace(made, effects=(Effect("transmission.lag", {"lag": 0.15}),)).save(tmp_path / "corrected")
+    t = np.arange(0.0, 9.0, 0.01)
+    rows = np.column_stack([t, 3.0 * np.sin(2 * np.pi * t / 4.0), np.sin(t)])
+    np.savetxt(tmp_path / "next.csv", rows, delimiter=",", header="t_s,q_mm,translation_mm", comments="")
+    arguments = ("record", "--simulate", str(tmp_path / "corrected"), "--motion", str(tmp_path / "next.csv"))
+    done = run(*arguments, "--out", str(tmp_path / "more"))
+    assert done["other_axes"] == ["translation_mm"]
+    recording = load(tmp_path / "more")
+    marker = recording.marker
+    assert marker is not None and np.ptp(recording.motor.q) == pytest.approx(6.0, abs=0.05)
+    seen = np.column_stack([marker.u_px, marker.v_px])
+    late = marker.t_s > 6.0
+    errors = {}
+    for name, path in (("with", tmp_path / "corrected"), ("without", folder)):
+        told = predict(Model.load(path), recording.motor, marker.t_s - made.delay_s).image_px
+        assert told is not None
+        errors[name] = float(np.sqrt(np.nanmean((told - seen)[late] ** 2)))
+    assert errors["with"] < 0.1 < 1.0 < errors["without"]
+    rows[:, 1] *= 2.0
+    np.savetxt(tmp_path / "next.csv", rows, delimiter=",", header="t_s,q_mm,translation_mm", comments="")
+    with pytest.raises(TautError, match="beyond the rig's range"):
+        run(*arguments, "--out", str(tmp_path / "wide"))
 
 
 @pytest.fixture
