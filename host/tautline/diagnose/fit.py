@@ -31,9 +31,10 @@ _STATIC = tuple(p.name for p in effects.BY_ID["registration.static"].amplitudes)
 _OUTLIER = 6.0  # robust standard deviations: a residual beyond is pulled in, unless it is one of many
 _AHEAD_S = 5e-3  # over which the tip's velocity is taken
 _DIFFERENCE = 0.05  # of a parameter's scale: the step of its difference quotient
-_SMALL_GAIN = 1e-4  # of the cost: next to nothing
+_SMALL_GAIN, _COARSE_GAIN = 1e-4, 5e-4  # of the cost: next to nothing
 _COARSE_FRAMES = 2500  # that a fit begins with
 _ROUGH_STEPS, _COARSE_STEPS, _FULL_STEPS = 3, 12, 8  # of each start, of the best one, of all observations
+_NOMINAL_STEPS = 16
 _FAR = 30.0  # of a parameter's scale: its prior
 _RARE = 0.01  # a misfit that lasts longer than this share of a recording is no outlier
 
@@ -150,7 +151,9 @@ class Fitter:
 
     def nominal(self) -> Fit:
         """The recalibrated model without any effect."""
-        return self.descend(Hypothesis(), self.start(), _COARSE_STEPS)
+        found = self.descend(Hypothesis(), self.start(), _NOMINAL_STEPS)
+        # Beside an effect as large as an obstacle a descent may stall for once.
+        return self.descend(Hypothesis(), found.state, _NOMINAL_STEPS)
 
     def scale(self, parameter: Parameter) -> float:
         """A parameter's natural step in its own unit."""
@@ -283,8 +286,8 @@ class Fitter:
         ]
         limits = [min(map(outlier_limit, each)) for each in zip(*(found.residuals for found in rough), strict=True)]
         best = min(rough, key=lambda found: _cost(found.residuals, limits))
-        best = coarse.descend(hypothesis, best.state, _COARSE_STEPS)
-        return self.descend(hypothesis, best.state, _FULL_STEPS, patience=1)
+        best = coarse.descend(hypothesis, best.state, _COARSE_STEPS, _COARSE_GAIN)
+        return self.descend(hypothesis, best.state, _FULL_STEPS)
 
     @property
     def coarse(self) -> Fitter:
@@ -299,12 +302,11 @@ class Fitter:
             return self
         return Fitter(self.model, [s.every(stride) for s in self.segments], self.load_reference)
 
-    def descend(self, hypothesis: Hypothesis, state: State, most: int, patience: int = 2) -> Fit:
-        """Levenberg-Marquardt, at most so many steps; `patience` that gain next to nothing, one after the other, are
-        the last."""
+    def descend(self, hypothesis: Hypothesis, state: State, most: int, enough: float = _SMALL_GAIN) -> Fit:
+        """Levenberg-Marquardt, at most so many steps, and no more where one gains less than `enough` of the cost."""
         rows = self.rows(state, hypothesis)
         prior = self.floor**2 * self.stiffness(hypothesis)
-        damping, small = 1e-4, 0
+        damping = 1e-4
         for _ in range(most):
             limits = [outlier_limit(row.residual) for row in rows]
             cost = _cost([row.residual for row in rows], limits)
@@ -326,8 +328,7 @@ class Fitter:
                     state, rows, damping = trial, trial_rows, damping / 10
                     break
                 damping = max(damping, 1e-6) * 10
-            small = small + 1 if gain < _SMALL_GAIN else 0
-            if gain == 0.0 or small == patience:
+            if gain < enough:
                 break
         return Fit(hypothesis, state, [row.residual for row in rows])
 
