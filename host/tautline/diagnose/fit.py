@@ -277,17 +277,12 @@ class Fitter:
         """From `values` and `others` of the effects' parameters; the nominal from `start` and as it was calibrated (a
         recalibration bends towards an effect and finds back slowly). A few of the observations say which of these is
         best and how it goes on; all of them end it."""
-        nominals = [self.start()] if start is None else [start, self.start()]
-        coarse = self.coarse
-        rough = [
-            coarse.descend(hypothesis, replace(nominal, values={**values, **each}), _ROUGH_STEPS)
-            for each in ({}, *others)
-            for nominal in nominals
-        ]
-        limits = [min(map(outlier_limit, each)) for each in zip(*(found.residuals for found in rough), strict=True)]
-        best = min(rough, key=lambda found: _cost(found.residuals, limits))
-        best = coarse.descend(hypothesis, best.state, _COARSE_STEPS, _COARSE_GAIN)
-        return self.descend(hypothesis, best.state, _FULL_STEPS)
+        coarse, found = self.coarse, []
+        for nominal in [self.start()] if start is None else [start, self.start()]:
+            states = [replace(nominal, values={**values, **each}) for each in ({}, *others)]
+            best = _best([coarse.descend(hypothesis, state, _ROUGH_STEPS) for state in states])
+            found.append(coarse.descend(hypothesis, best.state, _COARSE_STEPS, _COARSE_GAIN))
+        return self.descend(hypothesis, _best(found).state, _FULL_STEPS)
 
     @property
     def coarse(self) -> Fitter:
@@ -398,6 +393,12 @@ _RANGES = {
     "speed_time": (2e-3, 1.0),
     "curvature_gradient": (-0.95, 0.95),
 }
+
+
+def _best(fits: Sequence[Fit]) -> Fit:
+    """That leaves least."""
+    limits = [min(map(outlier_limit, each)) for each in zip(*(fit.residuals for fit in fits), strict=True)]
+    return min(fits, key=lambda fit: _cost(fit.residuals, limits))
 
 
 def _cost(residuals: Sequence[Array], limits: Sequence[float]) -> float:
