@@ -306,7 +306,7 @@ def rows(with_branches: bool = False) -> list[Row]:
         Row("control step, calibration, any path", cost.step_any, 3300, "cycles"),
         Row("once a millisecond beside it, measured", worst["watch"], 1200, "cycles"),
         Row(f"{AXES} axes at {CONTROL_HZ} Hz, any path", load, 25, "% of the core"),
-        Row(f"{AXES} axes, worst tick, measured", share * cost.interrupt_measured, 27, "% of its period", 25),
+        Row(f"{AXES} axes, worst tick, measured", share * cost.interrupt_measured, 30, "% of its period", 25),
         Row(f"{AXES} axes, worst tick, any path", share * cost.interrupt, 30, "% of its period", 25),
         Row("branches of the step, not seen both ways", len(cost.one_way["step"]), cost.branches["step"], ""),
         Row("onset update, measured", worst["onset"], 2_000_000, "cycles"),
