@@ -275,7 +275,7 @@ static void test_the_reference_keeps_its_limits(void) {
         const uint32_t rate = rates[run % 3];
         const tl_reference_limits_t within =
             tl_reference_limits((500 + rand() % 20000) * TL_COUNT_ONE, (5000 + rand() % 200000) * TL_COUNT_ONE, rate);
-        tl_reference_t reference;
+        tl_reference_t reference = {.low = low, .high = high};
         tl_reference_set(&reference, 0);
         int32_t target = 0;
         int32_t slope = 0;
@@ -286,14 +286,14 @@ static void test_the_reference_keeps_its_limits(void) {
             }
             target = tl_clamp(target + slope, low, high);
             const int32_t before = reference.velocity;
-            tl_reference_step(&reference, target, low, high, &within);
+            tl_reference_step(&reference, target, &within);
             TEST_ASSERT_TRUE(abs(reference.velocity) <= within.speed);
             TEST_ASSERT_TRUE(abs(reference.velocity - before) <= within.acceleration);
             TEST_ASSERT_TRUE(tl_reference_q(&reference) >= low && tl_reference_q(&reference) <= high);
         }
         slope = 0;
         for (uint32_t i = 0; i < 40U * rate; i++) {
-            tl_reference_step(&reference, target, low, high, &within);
+            tl_reference_step(&reference, target, &within);
             TEST_ASSERT_TRUE(tl_reference_q(&reference) >= low && tl_reference_q(&reference) <= high);
         }
         TEST_ASSERT_TRUE(tl_reference_rests_at(&reference, target));
@@ -301,7 +301,7 @@ static void test_the_reference_keeps_its_limits(void) {
         const int32_t far = target > 0 ? -3000 * TL_COUNT_ONE : 3000 * TL_COUNT_ONE;
         int32_t extreme = 0;
         for (uint32_t i = 0; i < 40U * rate; i++) {
-            tl_reference_step(&reference, far, low, high, &within);
+            tl_reference_step(&reference, far, &within);
             const int32_t beyond = far > 0 ? tl_reference_q(&reference) - far : far - tl_reference_q(&reference);
             extreme = beyond > extreme ? beyond : extreme;
         }
@@ -316,17 +316,17 @@ static void test_the_reference_arrives_exactly(void) {
     for (int k = 0; k < 3; k++) {
         const tl_reference_limits_t within = tl_reference_limits(16000 * TL_COUNT_ONE, 200000 * TL_COUNT_ONE, rates[k]);
         for (int32_t target = 1; target < 3000 * TL_COUNT_ONE; target += 977) {
-            tl_reference_t reference;
+            tl_reference_t reference = {.low = low, .high = high};
             tl_reference_set(&reference, 0);
             for (uint32_t i = 0; i < rates[k]; i++) {
-                tl_reference_step(&reference, target, low, high, &within);
+                tl_reference_step(&reference, target, &within);
             }
             TEST_ASSERT_TRUE(tl_reference_rests_at(&reference, target));
         }
-        tl_reference_t reference; // onto the very end of the range
+        tl_reference_t reference = {.low = low, .high = high}; // onto the very end of the range
         tl_reference_set(&reference, 0);
         for (uint32_t i = 0; i < 2U * rates[k]; i++) {
-            tl_reference_step(&reference, high, low, high, &within);
+            tl_reference_step(&reference, high, &within);
         }
         TEST_ASSERT_TRUE(tl_reference_rests_at(&reference, high));
     }
@@ -335,13 +335,13 @@ static void test_the_reference_arrives_exactly(void) {
 // A smooth target well within the limits is followed without lag.
 static void test_the_reference_does_not_trail_a_moving_target(void) {
     const tl_reference_limits_t within = tl_reference_limits(8000 * TL_COUNT_ONE, 60000 * TL_COUNT_ONE, FAKE_HZ);
-    tl_reference_t reference;
+    tl_reference_t reference = {.low = low, .high = high};
     tl_reference_set(&reference, 0);
     for (uint32_t i = 1; i < 5U * FAKE_HZ; i++) {
         const double t = (double)i / FAKE_HZ;
         const double ramp = t < 0.1 ? t * t / 0.2 : t - 0.05; // starts from rest
         const int32_t target = (int32_t)lround(800.0 * sin(6.0 * ramp) * 256.0);
-        tl_reference_step(&reference, target, low, high, &within);
+        tl_reference_step(&reference, target, &within);
         TEST_ASSERT_INT_WITHIN(256, target, tl_reference_q(&reference));
     }
 }

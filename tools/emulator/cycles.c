@@ -196,7 +196,7 @@ static void follow_tip(tl_us_t *now_us) {
             const tl_us_t at = between(0, 1) == 0 ? 0 : *now_us + (tl_us_t)between(1000, 60000);
             tl_axis_set_point(&axis, any_angle(), at, *now_us, &late);
         } else if (between(0, 5) == 0) {
-            tl_axis_set_point(&axis, axis.c_ref + between(-jitter, jitter), 0, *now_us, &late);
+            tl_axis_set_point(&axis, axis.c_next + between(-jitter, jitter), 0, *now_us, &late);
         }
         if (between(0, 40) == 0) {
             tl_axis_set_strength(&axis, between(0, 32768));

@@ -13,8 +13,8 @@ static const tl_servo_gains_t default_gains = {
 // An axis that stands outside its limits may stay there or come back, not go farther out.
 static void admit(tl_axis_t *axis) {
     const tl_count_q8_t here = tl_reference_q(&axis->reference);
-    axis->lowest = here < axis->low ? here : axis->low;
-    axis->highest = here > axis->high ? here : axis->high;
+    axis->reference.low = here < axis->low ? here : axis->low;
+    axis->reference.high = here > axis->high ? here : axis->high;
 }
 
 static void apply_limits(tl_axis_t *axis) {
@@ -197,10 +197,9 @@ uint8_t tl_axis_follow(tl_axis_t *axis, bool tip, uint8_t compensation, uint32_t
     const tl_count_q8_t q = tl_reference_q(&axis->reference);
     int32_t value = q;
     if (tip) {
-        value = axis->c_ref = tl_play_angle(&axis->play);
-        axis->c_next[0] = axis->c_next[1] = axis->c_ref;
-        tl_compensator_start(&axis->compensator, &axis->lookup, TL_AXIS_PLAN_HZ, (tl_mode_t)compensation, q,
-                             axis->c_ref);
+        value = tl_play_angle(&axis->play);
+        axis->c_ref = axis->c_next = axis->c_last[0] = axis->c_last[1] = value;
+        tl_compensator_start(&axis->compensator, &axis->lookup, TL_AXIS_PLAN_HZ, (tl_mode_t)compensation, q, value);
         tl_compensator_set_strength(&axis->compensator, axis->strength_q15);
     }
     axis->target = q;

@@ -1,28 +1,14 @@
 // Planning one axis: what its control step does once a millisecond, a job in a tick.
 #include "tautline/tl_axis.h"
 
-// Whether the motor follows, and what the host asks for.
+// What the host asks for.
 void tl_axis_listen(tl_axis_t *axis, tl_us_t now_us) {
-    const tl_count_q8_t error = axis->path.q - axis->q; // nothing while off
-    if (error > axis->limits.following_error_q8 || error < -axis->limits.following_error_q8) {
-        tl_axis_fail(axis, TL_WIRE_FAULT_FOLLOWING, now_us);
-    }
     axis->stream.now_us = now_us + axis->lead_us;
-    if (!tl_axis_is_following(axis)) {
-        return;
+    if (axis->mode == TL_WIRE_MODE_FOLLOW_TIP) {
+        axis->c_next = tl_stream_next(&axis->stream);
+    } else if (axis->mode == TL_WIRE_MODE_FOLLOW_MOTOR) {
+        axis->target = tl_stream_next(&axis->stream);
     }
-    if (--axis->patience == 0U) {
-        tl_axis_silence(axis);
-        return;
-    }
-    const int32_t value = tl_stream_next(&axis->stream);
-    if (axis->mode == TL_WIRE_MODE_FOLLOW_MOTOR) {
-        axis->target = value;
-        return;
-    }
-    axis->c_ref = (axis->c_next[0] >> 1) + (axis->c_next[1] >> 1);
-    axis->c_next[0] = axis->c_next[1];
-    axis->c_next[1] = value;
 }
 
 static void come_to_rest(tl_axis_t *axis) {
@@ -39,7 +25,6 @@ static void come_to_rest(tl_axis_t *axis) {
 }
 
 void tl_axis_plan(tl_axis_t *axis) {
-    axis->q = tl_clamp(axis->q, -TL_TABLE_VALUE_MAX, TL_TABLE_VALUE_MAX);
     const tl_reference_limits_t *limits = &axis->travel;
     tl_count_q8_t target = axis->target;
     switch (axis->mode) {
@@ -60,18 +45,10 @@ void tl_axis_plan(tl_axis_t *axis) {
     default:
         break;
     }
-    if (target < axis->lowest || target > axis->highest) {
-        axis->noted |= TL_WIRE_FLAG_SATURATED_RANGE;
-        target = tl_clamp(target, axis->lowest, axis->highest);
-    }
-    tl_reference_step(&axis->reference, target, axis->lowest, axis->highest, limits);
-    if (axis->mode == TL_WIRE_MODE_MOVE) {
-        if (tl_reference_rests_at(&axis->reference, target)) {
-            axis->mode = TL_WIRE_MODE_HOLD;
-            tl_axis_event(axis, TL_WIRE_EVENT_ARRIVED);
-        }
-    } else if (axis->reference.behind) {
-        axis->noted |= TL_WIRE_FLAG_SATURATED_SPEED;
+    tl_reference_step(&axis->reference, target, limits);
+    if (axis->mode == TL_WIRE_MODE_MOVE && tl_reference_rests_at(&axis->reference, target)) {
+        axis->mode = TL_WIRE_MODE_HOLD;
+        tl_axis_event(axis, TL_WIRE_EVENT_ARRIVED);
     }
 }
 

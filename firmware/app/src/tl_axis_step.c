@@ -60,7 +60,7 @@ static inline void do_job(tl_axis_t *axis, uint32_t job, tl_us_t now_us) {
         break;
     case 1U:
         if (tip) {
-            tl_compensator_feed(&axis->compensator, axis->c_next[1]);
+            tl_compensator_feed(&axis->compensator, axis->c_next);
         }
         break;
     case 2U:
@@ -89,11 +89,12 @@ void tl_axis_step(tl_axis_t *axis, tl_us_t now_us) {
     measure(axis, now_us);
     if (axis->mode == TL_WIRE_MODE_OFF) {
         axis->path.q = axis->q;
-        tl_servo_watch(&axis->servo, axis->q);
+        tl_servo_observe(&axis->servo, axis->q);
         tl_axis_drive(axis, 0);
     } else {
         if (axis->slot == 0U) {
             tl_path_begin(&axis->path, &axis->reference);
+            tl_servo_feed(&axis->servo, &axis->path);
         }
         tl_path_tick(&axis->path);
         tl_axis_drive(axis, tl_servo_step(&axis->servo, axis->q, &axis->path, axis->limits.duty_q15));

@@ -2,7 +2,7 @@
 #include "tautline/tl_axis.h"
 
 uint16_t tl_axis_flags(const tl_axis_t *axis) {
-    uint32_t flags = axis->noted_before;
+    uint32_t flags = axis->noted;
     if (axis->mode == TL_WIRE_MODE_FOLLOW_TIP) {
         const uint32_t now = axis->compensator.flags;
         flags |= TL_WIRE_FLAG_COMPENSATING;
@@ -31,13 +31,30 @@ static void watch_current(tl_axis_t *axis, tl_us_t now_us) {
     }
 }
 
+static void watch_motor_and_sender(tl_axis_t *axis, tl_us_t now_us) {
+    const tl_count_q8_t error = axis->path.q - axis->q; // nothing while off
+    if (error > axis->limits.following_error_q8 || error < -axis->limits.following_error_q8) {
+        tl_axis_fail(axis, TL_WIRE_FAULT_FOLLOWING, now_us);
+    }
+    axis->c_ref = (axis->c_last[0] >> 1) + (axis->c_last[1] >> 1);
+    axis->c_last[1] = axis->c_last[0];
+    axis->c_last[0] = axis->c_next;
+    if (tl_axis_is_following(axis) && --axis->patience == 0U) {
+        tl_axis_silence(axis);
+    }
+}
+
 static void sample(tl_axis_t *axis, tl_us_t now_us) {
-    axis->noted_before = axis->noted;
-    axis->noted = 0;
+    uint32_t flags = 0;
     if (axis->servo.saturated) {
         axis->servo.saturated = false;
-        axis->noted_before |= TL_WIRE_FLAG_SATURATED_DUTY;
+        flags |= TL_WIRE_FLAG_SATURATED_DUTY;
     }
+    if (axis->mode != TL_WIRE_MODE_OFF) {
+        flags |= axis->reference.clamped ? TL_WIRE_FLAG_SATURATED_RANGE : 0U;
+        flags |= axis->reference.behind && axis->mode != TL_WIRE_MODE_MOVE ? TL_WIRE_FLAG_SATURATED_SPEED : 0U;
+    }
+    axis->noted = (uint16_t)flags;
     if (axis->divider == 0 || ++axis->skipped < axis->divider) {
         return;
     }
@@ -61,6 +78,7 @@ static void sample(tl_axis_t *axis, tl_us_t now_us) {
 // The play operator's result does not depend on how often it is stepped, but for a reversal's tip: 0.03 counts at
 // 200 000 counts/s2. So is the error of the history, which joins its points by straight lines.
 void tl_axis_watch(tl_axis_t *axis, tl_us_t now_us) {
+    axis->q = tl_clamp(axis->q, -TL_TABLE_VALUE_MAX, TL_TABLE_VALUE_MAX); // a step adds 2000 counts at most
     if (axis->history != NULL) {
         tl_history_push(axis->history, now_us, axis->q);
     }
@@ -68,5 +86,6 @@ void tl_axis_watch(tl_axis_t *axis, tl_us_t now_us) {
         tl_play_step(&axis->play, axis->q);
     }
     watch_current(axis, now_us);
+    watch_motor_and_sender(axis, now_us);
     sample(axis, now_us);
 }

@@ -10,7 +10,7 @@ void tl_path_set(tl_path_t *path, tl_count_q8_t q) { // field by field: the cont
     path->speed = path->bend = path->offset = path->velocity = 0;
 }
 
-// x * share / 2^16, for |x| < 2^30
+// x * share / 2^16, for |x| < 2^30: of a millisecond's change a tick's.
 static inline int32_t part(int32_t x, uint32_t share) {
     return (x >> 16) * (int32_t)share + (int32_t)(((uint32_t)x & 0xFFFFU) * share >> 16);
 }
@@ -21,7 +21,8 @@ void tl_path_begin(tl_path_t *path, const tl_reference_t *reference) {
     const int32_t before = path->velocity, after = reference->velocity;
     path->velocity = after;
     path->base = reference->q;
-    path->bend = part(part(after - before, path->share), path->share);
-    path->speed = part(before, path->share);
-    path->offset = (int32_t)reference->fraction - after - before / 2 - path->speed / 2 + path->bend / 8;
+    const uint32_t share = path->share;
+    const int32_t bend = path->bend = part(part(after - before, share), share);
+    const int32_t speed = path->speed = part(before, share);
+    path->offset = (int32_t)reference->fraction - after - (before >> 1) - (speed >> 1) + (bend >> 3);
 }

@@ -1,51 +1,53 @@
 #include "tautline/tl_servo.h"
 
-#define ERROR_MAX    (128 * TL_COUNT_ONE) // beyond it proportional drive is saturated at any useful gain
-#define REST_BAND    TL_COUNT_ONE
-#define VELOCITY_MAX (1 << 30) // 64 counts a tick
+#define ACCELERATION_MAX (TL_REFERENCE_ACCELERATION_MAX / TL_COUNT_ONE) // counts/s2
+#define SPEED_MAX        (TL_REFERENCE_SPEED_MAX / TL_COUNT_ONE)        // counts/s
 
-// The filter follows the encoder; static inline, as it is a part of every step.
-static inline void observe(tl_servo_t *servo, tl_count_q8_t q) {
-    const uint32_t position = (uint32_t)q << 8;
-    const uint32_t predicted = servo->predicted + (uint32_t)(servo->velocity >> 8);
-    const int32_t residual = (int32_t)(position - predicted) >> 8;
-    if (residual > ERROR_MAX || residual < -ERROR_MAX) { // set to another position, or lost: start again
-        servo->predicted = position;
-        servo->velocity = 0;
-        return;
-    }
-    servo->predicted = predicted + (uint32_t)(residual * servo->alpha >> 7);
-    servo->velocity = tl_clamp(servo->velocity + residual * servo->beta, -VELOCITY_MAX, VELOCITY_MAX);
+static bool in_range(int32_t value) {
+    return value >= 0 && value <= TL_SERVO_GAIN_MAX;
 }
 
-void tl_servo_watch(tl_servo_t *servo, tl_count_q8_t q) {
-    observe(servo, q);
+// Bits to drop, so that `most` (Q24) is left with 15.
+static uint32_t down_to_15_bits(int64_t most) {
+    uint32_t down = 0;
+    while (most >> down >= 32768) {
+        down++;
+    }
+    return down;
 }
 
-tl_duty_q15_t tl_servo_step(tl_servo_t *servo, tl_count_q8_t q, const tl_path_t *path, tl_duty_q15_t limit) {
-    observe(servo, q);
-    // Each product is below 2^31: an error in 15 bits, a speed or a change of it in 15 by a gain in 16.
-    const int32_t speed = path->speed;
-    const int32_t lag = tl_clamp((speed - servo->velocity) >> servo->speed_down, -32767, 32767);
-    int32_t sum = lag * servo->derivative >> 10;
-    sum += (speed >> servo->speed_down) * servo->feed_forward >> 10;
-    sum += (path->bend >> servo->bend_down) * servo->inertia >> 10;
-    if (speed != 0) {
-        sum += speed > 0 ? servo->friction : -servo->friction;
+// A gain for `per` a second (or a second squared: rate^2), in units of 2^(down - 24) a tick, with 10 more bits.
+static int32_t per_unit(int32_t gain, int64_t rate, uint32_t down, int32_t per) {
+    return (int32_t)((((int64_t)gain * rate) << (10U + down)) / per >> 24);
+}
+
+bool tl_servo_configure(tl_servo_t *servo, const tl_servo_gains_t *gains, uint32_t rate_hz) {
+    if (!in_range(gains->proportional) || !in_range(gains->integral) || !in_range(gains->derivative) ||
+        !in_range(gains->feed_forward) || !in_range(gains->inertia) || !in_range(gains->friction)) {
+        return false;
     }
-    const int32_t error = tl_clamp(path->q - q, -ERROR_MAX, ERROR_MAX);
-    const int32_t integral = servo->integral;
-    sum += (error * servo->proportional >> 8) + (integral >> 14);
-    if (sum > limit || sum < -limit) {
-        servo->saturated = true;
-        sum = sum > 0 ? limit : -limit;
-        if ((sum > 0) == (error > 0)) {
-            return sum;
-        }
-    }
-    if (speed != 0 || error > REST_BAND || error < -REST_BAND) {
-        const int32_t most = limit << 14;
-        servo->integral = tl_clamp(integral + error * servo->integral_step, -most, most);
-    }
-    return sum;
+    const int32_t rate = (int32_t)rate_hz;
+    const int64_t rate2 = (int64_t)rate * rate;
+    servo->gains = *gains;
+    servo->proportional = gains->proportional;
+    servo->integral_step = gains->integral * 64 / rate; // Q29 - Q15 - Q8 of the error = 2^6
+    servo->speed_down = down_to_15_bits(((int64_t)SPEED_MAX << 24) / rate);
+    servo->velocity_max = 32767 << servo->speed_down;
+    servo->derivative = per_unit(gains->derivative, rate, servo->speed_down, 1000);
+    servo->path_gain = servo->derivative + per_unit(gains->feed_forward, rate, servo->speed_down, 1000);
+    servo->bend_down = down_to_15_bits(((int64_t)ACCELERATION_MAX << 25) / rate2);
+    servo->bend_per_speed = servo->speed_down + 2U - servo->bend_down;
+    servo->inertia = per_unit(gains->inertia, rate2, servo->bend_down, 100000);
+    const int32_t omega = TL_SERVO_FILTER_HZ * 6283 / 1000; // rad/s
+    servo->alpha = 2 * omega * 32768 / rate;
+    servo->beta = (int32_t)(((int64_t)omega * omega << 16) / rate2);
+    return true;
+}
+
+void tl_servo_reset(tl_servo_t *servo, tl_count_q8_t q) {
+    servo->integral = 0;
+    servo->predicted = (uint32_t)q << 8;
+    servo->velocity = 0;
+    servo->feed = servo->feed_step = 0;
+    servo->saturated = false;
 }

@@ -42,8 +42,8 @@ static int32_t half_width(const tl_compensator_t *k) {
     if (k->mode == TL_MODE_OFF) {
         return 0;
     }
-    const uint32_t width = (uint32_t)tl_lookup_width(k->lookup, k->p, &ends);
-    return (int32_t)((width >> 16) * k->strength_q15 + ((width & 0xFFFFU) * k->strength_q15 >> 16));
+    const uint32_t width = (uint32_t)tl_lookup_width(k->lookup, k->p, &ends), strength = k->strength_q15;
+    return (int32_t)((width >> 16) * strength + ((width & 0xFFFFU) * strength >> 16));
 }
 
 // q* without what is still to be taken up, before the range is minded. p -+ B/2 cannot overflow (TL_TABLE_VALUE_MAX).
@@ -79,42 +79,42 @@ static bool turned(tl_compensator_t *k) {
     return ahead > band || ahead < -band;
 }
 
-// At a flat span's edge the feed slows down. Never further than one span in a tick, so that none is jumped over.
-static const tl_per_tick_t *flat_limit(tl_compensator_t *k, tl_count_q8_t *goal) {
+// On the way to the goal, where spans may be flat: never further than one span in a tick, so that none is jumped over,
+// and to the edge of a flat one first.
+static void approach(tl_compensator_t *k, tl_count_q8_t goal) {
     const tl_lookup_t *lookup = k->lookup;
     const int32_t step = (int32_t)1 << lookup->step_log2;
-    const tl_count_q8_t next = k->p + tl_clamp(*goal - k->p, -step, step);
-    *goal = next;
-    if (!tl_lookup_is_flat(lookup, k->p)) {
-        if (!tl_lookup_is_flat(lookup, next)) {
-            return &k->feed_max;
-        }
+    const tl_count_q8_t p = k->p, next = p + tl_clamp(goal - p, -step, step);
+    k->mind_flat = true;
+    k->within_flat = k->aim = next;
+    if (tl_lookup_is_flat(lookup, next)) {
         const uint32_t into = ((uint32_t)next - (uint32_t)lookup->q0) & ((uint32_t)step - 1U);
-        const tl_count_q8_t edge = next - (int32_t)into + (next > k->p ? 0 : step);
-        if (edge != k->p) {
-            *goal = edge;
-            return &k->feed_max;
-        }
+        const tl_count_q8_t edge = next - (int32_t)into + (next > p ? 0 : step);
+        k->aim = edge != p ? edge : next;
+        k->slow = edge == p;
     }
-    k->feed_flags |= TL_COMPENSATOR_FLAT;
-    return &k->feed_flat;
 }
 
 // Moves p towards its goal, no faster than speed_max, nor than the flat speed within flat spans.
-static void advance(tl_compensator_t *k, tl_count_q8_t goal) {
-    const tl_count_q8_t wanted = goal;
+static void advance(tl_compensator_t *k) {
+    tl_count_q8_t aim = k->aim;
     const tl_per_tick_t *limit = &k->feed_max;
-    if (k->lookup->has_flat && k->mode == TL_MODE_FULL && goal != k->p) {
-        limit = flat_limit(k, &goal);
+    if (k->mind_flat) {
+        const bool here = tl_lookup_is_flat(k->lookup, k->p);
+        if (here || k->slow) {
+            limit = &k->feed_flat;
+            k->feed_flags |= TL_COMPENSATOR_FLAT;
+            aim = here ? k->within_flat : aim;
+        }
     }
-    int32_t way = goal - k->p;
+    int32_t way = aim - k->p;
     if (way > limit->whole || way < -limit->whole) {
-        k->feed_fraction += limit->fraction;
-        const int32_t allowed = limit->whole + (k->feed_fraction < limit->fraction ? 1 : 0);
+        const uint32_t fraction = k->feed_fraction + limit->fraction;
+        k->feed_fraction = fraction;
+        const int32_t allowed = limit->whole + (fraction < limit->fraction ? 1 : 0);
         way = tl_clamp(way, -allowed, allowed);
     }
     k->p += way;
-    k->feed_flags |= k->p != wanted ? TL_COMPENSATOR_LIMITED : 0;
 }
 
 // The motor stays within its range; from outside of it only the way inwards is open.
@@ -124,8 +124,7 @@ static tl_count_q8_t within_range(tl_compensator_t *k, tl_count_q8_t feed, tl_co
     const tl_count_q8_t high = k->q > table->q_max ? k->q : table->q_max;
     const tl_count_q8_t q = tl_clamp(wanted, low, high);
     if (q != wanted) { // the take-up begins again from here
-        tl_takeup_stop(&k->takeup);
-        absorb(k, feed, q);
+        tl_takeup_set(&k->takeup, feed - q);
         *flags |= TL_COMPENSATOR_CLIPPED;
     }
     return q;
@@ -134,19 +133,27 @@ static tl_count_q8_t within_range(tl_compensator_t *k, tl_count_q8_t feed, tl_co
 void tl_compensator_feed(tl_compensator_t *k, tl_deg_q16_t c) {
     k->c = c;
     k->feed_flags = 0;
+    k->mind_flat = k->slow = false;
     const tl_count_q8_t goal = target(k, c, &k->feed_flags);
-    if (goal != k->p) {
-        advance(k, goal);
+    k->goal = k->aim = goal;
+    if (goal != k->p && k->lookup->has_flat && k->mode == TL_MODE_FULL) {
+        approach(k, goal);
     }
 }
 
 void tl_compensator_turn(tl_compensator_t *k) {
-    k->half = half_width(k);
+    if (k->goal != k->p) {
+        advance(k);
+    }
+    k->feed_flags |= k->p != k->goal ? TL_COMPENSATOR_LIMITED : 0;
+    const int32_t half = k->half = half_width(k);
     if (turned(k)) {
-        const tl_count_q8_t before = fed(k, k->half);
-        k->side = k->p > k->anchor ? 1 : -1;
-        k->anchor = k->p;
-        absorb(k, fed(k, k->half), before);
+        const tl_count_q8_t low = k->lookup->table.q_min, high = k->lookup->table.q_max, p = k->p;
+        const tl_count_q8_t before = tl_clamp(pushed(k, half), low, high);
+        const bool up = p > k->anchor;
+        k->side = up ? 1 : -1;
+        k->anchor = p;
+        absorb(k, tl_clamp(up ? p + half : p - half, low, high), before);
     }
 }
 
@@ -172,6 +179,11 @@ tl_count_q8_t tl_compensator_step(tl_compensator_t *k, tl_deg_q16_t c) {
 
 // Settings -------------------------------------------------------------------------------------------
 
+static void stand(tl_compensator_t *k, tl_count_q8_t p) {
+    k->p = k->aim = k->goal = p;
+    k->mind_flat = k->slow = false;
+}
+
 void tl_compensator_start(tl_compensator_t *k, const tl_lookup_t *lookup, uint32_t rate_hz, tl_mode_t mode,
                           tl_count_q8_t q, tl_deg_q16_t c) {
     uint32_t flags = 0;
@@ -179,7 +191,8 @@ void tl_compensator_start(tl_compensator_t *k, const tl_lookup_t *lookup, uint32
     tl_takeup_start(&k->takeup);
     k->rate_hz = rate_hz < RATE_MIN_HZ ? RATE_MIN_HZ : (rate_hz > RATE_MAX_HZ ? RATE_MAX_HZ : rate_hz);
     k->c = c;
-    k->p = k->anchor = target(k, c, &flags);
+    stand(k, target(k, c, &flags));
+    k->anchor = k->p;
     k->q = tl_clamp(q, -TL_TABLE_VALUE_MAX, TL_TABLE_VALUE_MAX);
     set_limits(k, &lookup->table);
     k->start_offset = tl_sub_sat(k->q, k->p);
@@ -191,7 +204,7 @@ static void settle(tl_compensator_t *k, tl_count_q8_t before) {
     uint32_t flags = 0;
     const tl_count_q8_t p = target(k, k->c, &flags);
     k->anchor = tl_add_sat(k->anchor, p - k->p);
-    k->p = p;
+    stand(k, p);
     absorb(k, fed_anew(k), before);
 }
 

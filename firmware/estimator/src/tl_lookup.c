@@ -31,33 +31,7 @@ tl_deg_q16_t tl_lookup_angle(const tl_lookup_t *lookup, tl_count_q8_t p, uint32_
     return lookup->extent == 0 ? tl_lookup_coarse(lookup, p, flags) : on_grid(lookup, lookup->table.angle, p, flags);
 }
 
-bool tl_lookup_is_flat(const tl_lookup_t *lookup, tl_count_q8_t p) {
-    const uint32_t offset = (uint32_t)p - (uint32_t)lookup->q0;
-    if (offset >= lookup->extent) {
-        return false;
-    }
-    const tl_deg_q16_t *node = lookup->table.angle + (offset >> lookup->step_log2);
-    return (uint32_t)tl_abs_sat(node[1] - node[0]) < lookup->flat_below;
-}
-
 // Inverses -------------------------------------------------------------------------------------------
-
-// The last of 256 spans whose `first` value is not above x: eight compares.
-#define FIND_SPAN(span, first, x)                                                                                      \
-    do {                                                                                                               \
-        HALVE(span, first, x, 128U);                                                                                   \
-        HALVE(span, first, x, 64U);                                                                                    \
-        HALVE(span, first, x, 32U);                                                                                    \
-        HALVE(span, first, x, 16U);                                                                                    \
-        HALVE(span, first, x, 8U);                                                                                     \
-        HALVE(span, first, x, 4U);                                                                                     \
-        HALVE(span, first, x, 2U);                                                                                     \
-        HALVE(span, first, x, 1U);                                                                                     \
-    } while (0)
-#define HALVE(span, first, x, half)                                                                                    \
-    if (first(span + (half)) <= (x)) {                                                                                 \
-        (span) += (half);                                                                                              \
-    }
 
 static inline tl_count_q8_t within_span(const tl_lookup_t *lookup, uint32_t span, uint32_t fraction_q31) {
     const uint32_t log2 = lookup->step_log2;
@@ -77,34 +51,50 @@ tl_count_q8_t tl_lookup_angle_inverse(const tl_lookup_t *lookup, tl_deg_q16_t c,
         *flags |= x == lookup->angle_last ? 0 : TL_LOOKUP_ABOVE;
         return lookup->q0 + (int32_t)lookup->extent;
     }
-    const tl_deg_q16_t *angle = lookup->table.angle;
     const int32_t turn = lookup->turn;
-    uint32_t span = 0;
-#define ANGLE(node) (angle[node] ^ turn)
-    FIND_SPAN(span, ANGLE, x);
-    const int32_t start = ANGLE(span);
-    const uint32_t rise = (uint32_t)ANGLE(span + 1U) - (uint32_t)start;
-#undef ANGLE
-    return within_span(lookup, span, tl_fraction((uint32_t)x - (uint32_t)start, rise, lookup->ratio[span]));
+    const tl_deg_q16_t *node = lookup->table.angle;
+#define HALVE(spans) node = (node[spans] ^ turn) <= x ? node + (spans) : node
+    HALVE(128);
+    HALVE(64);
+    HALVE(32);
+    HALVE(16);
+    HALVE(8);
+    HALVE(4);
+    HALVE(2);
+    HALVE(1);
+#undef HALVE
+    const uint32_t span = (uint32_t)(node - lookup->table.angle);
+    const uint32_t start = (uint32_t)(node[0] ^ turn), rise = (uint32_t)(node[1] ^ turn) - start;
+    return within_span(lookup, span, tl_fraction((uint32_t)x - start, rise, lookup->ratio[span]));
 }
 
 // p with 2p + B(p) = 2q, or 2p - B(p) = 2q where `sign` is -1 instead of 0, for q between the envelope's ends.
 static tl_count_q8_t on_envelope(const tl_lookup_t *lookup, tl_count_q8_t q, int32_t sign) {
     const tl_count_q8_t *width = lookup->table.width;
-    const uint32_t log2 = lookup->step_log2 + 1U, spans = lookup->table.nodes - 1U;
-    const uint32_t origin = 2U * (uint32_t)lookup->q0;
-    const uint32_t x = 2U * (uint32_t)q - origin;
+    const uint32_t log2 = lookup->step_log2 + 1U, last = lookup->table.nodes - 1U;
+    // The envelope from its first node on: 32 bits without a sign.
+#define WIDTH(node) ((uint32_t)(width[node] ^ sign) - (uint32_t)sign)
+#define RISE(node)  (((node) << log2) + WIDTH(node) - first)
+    const uint32_t first = WIDTH(0);
+    const uint32_t x = 2U * ((uint32_t)q - (uint32_t)lookup->q0) - first;
     uint32_t span = 0;
-    // From 2 q0 on, to keep the order in 32 bits with -B(q0) to B(q0) for the first node: x and its spans are above
-    // that.
-    const uint32_t lift = ((uint32_t)(width[0] ^ sign) - (uint32_t)sign);
-#define RISE(node)  (((node) << log2) + ((uint32_t)(width[node] ^ sign) - (uint32_t)sign) - lift)
-#define FIRST(node) ((node) < spans ? RISE(node) : UINT32_MAX)
-    FIND_SPAN(span, FIRST, x - lift);
+#define HALVE(spans)                                                                                                   \
+    if (span + (spans) < last && RISE(span + (spans)) <= x) {                                                          \
+        span += (spans);                                                                                               \
+    }
+    HALVE(128U)
+    HALVE(64U)
+    HALVE(32U)
+    HALVE(16U)
+    HALVE(8U)
+    HALVE(4U)
+    HALVE(2U)
+    HALVE(1U)
+#undef HALVE
     const uint32_t start = RISE(span), rise = RISE(span + 1U) - start;
-#undef FIRST
 #undef RISE
-    return within_span(lookup, span, tl_fraction(x - lift - start, rise, tl_ratio_of(rise)));
+#undef WIDTH
+    return within_span(lookup, span, tl_fraction(x - start, rise, tl_ratio_of(rise)));
 }
 
 tl_count_q8_t tl_lookup_p_low(const tl_lookup_t *lookup, tl_count_q8_t q, uint32_t *flags) {

@@ -18,14 +18,10 @@ void tl_takeup_set_limits(tl_takeup_t *takeup, const tl_table_t *table, uint32_t
     takeup->limits_pending = 1;
 }
 
-void tl_takeup_add(tl_takeup_t *takeup, int32_t jump_q8) {
-    const int64_t jump = (int64_t)(takeup->heading > 0 ? jump_q8 : -jump_q8) * ((int64_t)1 << TL_TAKEUP_FRACTION_BITS);
-    takeup->ahead_q36 += jump;
-    takeup->spare_q36 += jump;
-}
-
-void tl_takeup_stop(tl_takeup_t *takeup) {
-    takeup->ahead_q36 = takeup->spare_q36 = takeup->speed_q36 = 0;
+void tl_takeup_set(tl_takeup_t *takeup, int32_t rest_q8) {
+    const int64_t rest = (int64_t)(takeup->heading > 0 ? rest_q8 : -rest_q8) * ((int64_t)1 << TL_TAKEUP_FRACTION_BITS);
+    takeup->ahead_q36 = takeup->spare_q36 = rest;
+    takeup->speed_q36 = 0;
 }
 
 // From rest: new limits, and the way to what is left. False if nothing is.

@@ -13,13 +13,17 @@ void tl_takeup_start(tl_takeup_t *takeup);
 void tl_takeup_set_limits(tl_takeup_t *takeup, const tl_table_t *table, uint32_t rate_hz);
 
 /// `jump` Q8 counts more are to be taken up.
-void tl_takeup_add(tl_takeup_t *takeup, int32_t jump_q8);
+static inline void tl_takeup_add(tl_takeup_t *takeup, int32_t jump_q8) {
+    const int64_t jump = (int64_t)(takeup->heading > 0 ? jump_q8 : -jump_q8) * ((int64_t)1 << TL_TAKEUP_FRACTION_BITS);
+    takeup->ahead_q36 += jump;
+    takeup->spare_q36 += jump;
+}
 
 /// One tick.
 void tl_takeup_step(tl_takeup_t *takeup);
 
-/// Stops dead, with nothing left to take up.
-void tl_takeup_stop(tl_takeup_t *takeup);
+/// Stops dead, with `rest` Q8 counts to take up.
+void tl_takeup_set(tl_takeup_t *takeup, int32_t rest_q8);
 
 /// What is left, rounded to a Q8 count, modulo 2^32. Positive: q has yet to rise.
 static inline uint32_t tl_takeup_rest(const tl_takeup_t *takeup) {

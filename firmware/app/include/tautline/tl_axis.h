@@ -45,27 +45,26 @@ typedef struct {
     uint8_t events; ///< bit n: tl_wire_event_code_t n came; the task clears it
     bool silent;
     bool has_table;
-    uint16_t noted;        ///< tl_wire_flag_t that came in this millisecond
-    uint16_t noted_before; ///< in the last
-    uint32_t ticks;        ///< of a millisecond
-    uint32_t slot;         ///< ticks since the millisecond began
-    int32_t encoder;       ///< as read last, counts
-    tl_count_q8_t q;       ///< position
+    uint16_t noted;  ///< tl_wire_flag_t of the last millisecond
+    uint32_t ticks;  ///< of a millisecond
+    uint32_t slot;   ///< ticks since the millisecond began
+    int32_t encoder; ///< as read last, counts
+    tl_count_q8_t q; ///< position
     tl_duty_q15_t duty;
     tl_path_t path;          ///< where it should be now
     tl_wire_limits_t limits; ///< as set; the table's are respected, too
     tl_servo_t servo;
 
-    tl_count_q8_t target;          ///< of the reference
-    tl_count_q8_t lowest, highest; ///< where the reference may be: wider only where the axis was enabled outside
+    tl_count_q8_t target; ///< of the reference
     tl_reference_t reference;
     tl_reference_limits_t travel;
     tl_reference_limits_t move; ///< `travel` with the speed of the move under way
     tl_count_q8_t move_target;
     uint32_t lead_us;       ///< by which the time that is planned for is ahead
     uint32_t patience;      ///< milliseconds until a follower's sender counts as silent
-    tl_deg_q16_t c_ref;     ///< demanded now
-    tl_deg_q16_t c_next[2]; ///< in one and in two milliseconds
+    tl_deg_q16_t c_next;    ///< demanded two milliseconds from now,
+    tl_deg_q16_t c_last[2]; ///< in one, and now: half a millisecond after the watch, and before
+    tl_deg_q16_t c_ref;     ///< demanded at the last watch
     tl_motion_t *motion;    ///< while calibrating, else NULL
     tl_history_t *history;  ///< likewise
     tl_play_t play;

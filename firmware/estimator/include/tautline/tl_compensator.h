@@ -70,9 +70,14 @@ typedef struct {
     int32_t start_offset; ///< q - p* at the start: where the motor stays while s is 0, as far as it is within the width
     tl_deg_q16_t c;       ///< the last command
     tl_count_q8_t p;      ///< p*, after limits
-    tl_count_q8_t anchor; ///< furthest p in the direction of `side`
-    tl_count_q8_t q;      ///< q*, the last output
-    uint32_t feed_fraction; ///< part of a Q8 count that a limited feed has saved up
+    tl_count_q8_t goal;   ///< p* without limits on the feed
+    tl_count_q8_t aim;    ///< how far of the way there this tick may go, if the speed allows,
+    tl_count_q8_t within_flat; ///< and if p is within a flat span already
+    bool mind_flat;            ///< flat spans are to be minded on the way
+    bool slow;                 ///< this tick goes at the flat speed
+    tl_count_q8_t anchor;      ///< furthest p in the direction of `side`
+    tl_count_q8_t q;           ///< q*, the last output
+    uint32_t feed_fraction;    ///< part of a Q8 count that a limited feed has saved up
     tl_per_tick_t feed_max;
     tl_per_tick_t feed_flat;
     tl_takeup_t takeup; ///< e
