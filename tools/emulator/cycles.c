@@ -37,7 +37,7 @@ static int32_t encoder_count;
 static int32_t current;
 static tl_duty_q15_t driven;
 
-static tl_us_t no_time(void *context) {
+static tl_us_t __not_in_flash_func(no_time)(void *context) {
     (void)context;
     return 0;
 }
@@ -128,7 +128,7 @@ static void turn_motor(void) {
 static void __not_in_flash_func(step)(uint32_t kind, tl_us_t now_us) {
     turn_motor();
     BEGIN(kind);
-    tl_axis_step(&axis, now_us);
+    tl_axis_step(&axis);
     END();
     if (axis.slot == 0) {
         BEGIN(WATCH);

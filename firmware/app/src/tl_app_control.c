@@ -16,7 +16,7 @@ void tl_app_control(tl_app_t *app) {
         if (late && app->axes[i].mode != TL_WIRE_MODE_OFF) {
             tl_axis_fail(&app->axes[i], TL_WIRE_FAULT_OVERRUN, now_us);
         }
-        tl_axis_step(&app->axes[i], now_us);
+        tl_axis_step(&app->axes[i]);
     }
     // Each axis after the last tick of its millisecond: tl_axis_init() begins axis i with a tick less than axis i - 1.
     const uint32_t ticks = app->axes[0].ticks, slot = app->slot + 1U;

@@ -106,9 +106,8 @@ void tl_axis_init(tl_axis_t *axis, const tl_port_t *port, uint8_t index) {
     // A point that is planned in this millisecond is the middle of the curve's second next, and ticks are the middles
     // of theirs.
     const uint32_t period_us = 1000000U / port->control_hz;
-    axis->lead_us = 5U * PLAN_US / 2U - period_us / 2U;
-    axis->stream.now_us =
-        port->time_us(port->context) + (1U + index % axis->ticks) * period_us + axis->lead_us - PLAN_US;
+    axis->lead_us = 3U * PLAN_US / 2U + period_us / 2U;
+    axis->stream.now_us = port->time_us(port->context) + axis->lead_us + index % axis->ticks * period_us;
     tl_path_init(&axis->path, 0, axis->ticks);
     axis->limits = (tl_wire_limits_t){
         .axis = index,

@@ -2,8 +2,8 @@
 #include "tautline/tl_axis.h"
 
 // What the host asks for.
-void tl_axis_listen(tl_axis_t *axis, tl_us_t now_us) {
-    axis->stream.now_us = now_us + axis->lead_us;
+void tl_axis_listen(tl_axis_t *axis) {
+    axis->stream.now_us += 1000000U / TL_AXIS_PLAN_HZ; // tl_axis_watch() keeps it to the clock
     if (axis->mode == TL_WIRE_MODE_FOLLOW_TIP) {
         axis->c_next = tl_stream_next(&axis->stream);
     } else if (axis->mode == TL_WIRE_MODE_FOLLOW_MOTOR) {
@@ -52,8 +52,8 @@ void tl_axis_plan(tl_axis_t *axis) {
     }
 }
 
-void tl_axis_catch_up(tl_axis_t *axis, uint32_t job, tl_us_t now_us) {
+void tl_axis_catch_up(tl_axis_t *axis, uint32_t job) {
     for (; job < TL_AXIS_JOBS; job++) {
-        tl_axis_job(axis, job, now_us);
+        tl_axis_job(axis, job);
     }
 }

@@ -1,7 +1,7 @@
 // The control step of one axis. A port puts this file, and all that it reaches, where no flash is read.
 #include "tautline/tl_axis.h"
 
-#define ENCODER_JUMP 2000 // counts in one step: above any motor's speed, below a glitch's
+#define ENCODER_JUMP 2048U // counts in one step: above any motor's speed, below a glitch's
 
 void tl_axis_fail(tl_axis_t *axis, tl_wire_fault_t fault, tl_us_t now_us) {
     tl_axis_drive(axis, 0);
@@ -40,23 +40,23 @@ void tl_axis_rest(tl_axis_t *axis) {
 
 // -- on every tick ----------------------------------------------------------------------------------------------
 
-static void measure(tl_axis_t *axis, tl_us_t now_us) {
+static inline void measure(tl_axis_t *axis) {
     const tl_port_t *port = axis->port;
     const int32_t encoder = port->encoder(port->context, axis->index);
     int32_t moved = (int32_t)((uint32_t)encoder - (uint32_t)axis->encoder);
     axis->encoder = encoder;
-    if (moved > ENCODER_JUMP || moved < -ENCODER_JUMP) {
-        tl_axis_fail(axis, TL_WIRE_FAULT_ENCODER, now_us);
+    if ((uint32_t)moved + ENCODER_JUMP >= 2U * ENCODER_JUMP) {
+        tl_axis_fail(axis, TL_WIRE_FAULT_ENCODER, port->time_us(port->context));
         moved = 0;
     }
     axis->q += moved * TL_COUNT_ONE; // the plan clamps it
 }
 
-static inline void do_job(tl_axis_t *axis, uint32_t job, tl_us_t now_us) {
+static inline void do_job(tl_axis_t *axis, uint32_t job) {
     const bool tip = axis->mode == TL_WIRE_MODE_FOLLOW_TIP;
     switch (job) {
     case 0U:
-        tl_axis_listen(axis, now_us);
+        tl_axis_listen(axis);
         break;
     case 1U:
         if (tip) {
@@ -81,12 +81,12 @@ static inline void do_job(tl_axis_t *axis, uint32_t job, tl_us_t now_us) {
     }
 }
 
-void tl_axis_job(tl_axis_t *axis, uint32_t job, tl_us_t now_us) {
-    do_job(axis, job, now_us);
+void tl_axis_job(tl_axis_t *axis, uint32_t job) {
+    do_job(axis, job);
 }
 
-void tl_axis_step(tl_axis_t *axis, tl_us_t now_us) {
-    measure(axis, now_us);
+void tl_axis_step(tl_axis_t *axis) {
+    measure(axis);
     if (axis->mode == TL_WIRE_MODE_OFF) {
         axis->path.q = axis->q;
         tl_servo_observe(&axis->servo, axis->q);
@@ -102,12 +102,12 @@ void tl_axis_step(tl_axis_t *axis, tl_us_t now_us) {
     const uint32_t slot = axis->slot, next = slot + 1U;
     axis->slot = next;
     if (slot < TL_AXIS_JOBS) {
-        do_job(axis, slot, now_us);
+        do_job(axis, slot);
     }
     if (next == axis->ticks) {
         axis->slot = 0;
         if (next < TL_AXIS_JOBS) { // a millisecond has fewer ticks than jobs: below 5 kHz
-            tl_axis_catch_up(axis, next, now_us);
+            tl_axis_catch_up(axis, next);
         }
     }
 }

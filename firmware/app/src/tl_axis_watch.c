@@ -85,6 +85,7 @@ void tl_axis_watch(tl_axis_t *axis, tl_us_t now_us) {
     if (axis->has_table) {
         tl_play_step(&axis->play, axis->q);
     }
+    axis->stream.now_us = now_us + axis->lead_us;
     watch_current(axis, now_us);
     watch_motor_and_sender(axis, now_us);
     sample(axis, now_us);

@@ -24,5 +24,5 @@ void tl_path_begin(tl_path_t *path, const tl_reference_t *reference) {
     const uint32_t share = path->share;
     const int32_t bend = path->bend = part(part(after - before, share), share);
     const int32_t speed = path->speed = part(before, share);
-    path->offset = (int32_t)reference->fraction - after - (before >> 1) - (speed >> 1) + (bend >> 3);
+    path->offset = 0x8000 + (int32_t)reference->fraction - after - (before >> 1) - (speed >> 1) + (bend >> 3);
 }

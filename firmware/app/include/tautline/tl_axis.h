@@ -60,7 +60,7 @@ typedef struct {
     tl_reference_limits_t travel;
     tl_reference_limits_t move; ///< `travel` with the speed of the move under way
     tl_count_q8_t move_target;
-    uint32_t lead_us;       ///< by which the time that is planned for is ahead
+    uint32_t lead_us;       ///< by which the time that is planned for is ahead of the last tick of its millisecond
     uint32_t patience;      ///< milliseconds until a follower's sender counts as silent
     tl_deg_q16_t c_next;    ///< demanded two milliseconds from now,
     tl_deg_q16_t c_last[2]; ///< in one, and now: half a millisecond after the watch, and before
@@ -91,8 +91,8 @@ typedef struct {
 /// Off, at position 0, without a table, with default limits and gains.
 void tl_axis_init(tl_axis_t *axis, const tl_port_t *port, uint8_t index);
 
-/// The control step at `now_us`: reads the encoder, drives the motor. At port->control_hz.
-void tl_axis_step(tl_axis_t *axis, tl_us_t now_us);
+/// The control step: reads the encoder, drives the motor. At port->control_hz.
+void tl_axis_step(tl_axis_t *axis);
 
 static inline bool tl_axis_is_following(const tl_axis_t *axis) {
     return axis->mode == TL_WIRE_MODE_FOLLOW_MOTOR || axis->mode == TL_WIRE_MODE_FOLLOW_TIP;
@@ -112,11 +112,11 @@ static inline void tl_axis_drive(tl_axis_t *axis, tl_duty_q15_t duty) {
 void tl_axis_watch(tl_axis_t *axis, tl_us_t now_us);
 
 /// Parts of the control step: set-points in, reference out.
-void tl_axis_listen(tl_axis_t *axis, tl_us_t now_us);
+void tl_axis_listen(tl_axis_t *axis);
 void tl_axis_plan(tl_axis_t *axis);
 /// Job 0 to TL_AXIS_JOBS - 1 of this millisecond; from `job` on the rest, where it has fewer ticks (below 5 kHz).
-void tl_axis_job(tl_axis_t *axis, uint32_t job, tl_us_t now_us);
-void tl_axis_catch_up(tl_axis_t *axis, uint32_t job, tl_us_t now_us);
+void tl_axis_job(tl_axis_t *axis, uint32_t job);
+void tl_axis_catch_up(tl_axis_t *axis, uint32_t job);
 
 /// At rest where the motor is: what switching on begins from.
 void tl_axis_rest(tl_axis_t *axis);

@@ -16,7 +16,7 @@ typedef struct {
     int32_t speed;      ///< counts/tick Q24
     int32_t bend;       ///< change of speed a tick
     tl_count_q8_t base; ///< a position nearby
-    int32_t offset;     ///< from it, counts Q24
+    int32_t offset;     ///< from it, counts Q24, and half of a Q8 count for rounding
     int32_t velocity;   ///< of the point at which the last millisecond began, counts/ms Q24
     uint32_t share;     ///< 1 / ticks of a millisecond, Q16
 } tl_path_t;
@@ -34,7 +34,7 @@ void tl_path_begin(tl_path_t *path, const tl_reference_t *reference);
 static inline void tl_path_tick(tl_path_t *path) {
     path->offset += path->speed;
     path->speed += path->bend;
-    path->q = path->base + ((path->offset + 0x8000) >> 16);
+    path->q = path->base + (path->offset >> 16);
 }
 
 #endif
