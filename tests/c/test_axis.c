@@ -332,6 +332,28 @@ static void test_the_reference_arrives_exactly(void) {
     }
 }
 
+// Whatever the limits: a target is reached exactly, without leaving speed and acceleration.
+static void test_the_reference_comes_to_rest_with_any_limits(void) {
+    const uint32_t rates[] = {1000, 5000, 10000};
+    srand(11);
+    for (int run = 0; run < 3000; run++) {
+        const uint32_t rate = rates[run % 3];
+        const int32_t speed = (500 + rand() % 20000) * TL_COUNT_ONE;
+        const int32_t acceleration = (5000 + rand() % 200000) * TL_COUNT_ONE;
+        const tl_reference_limits_t within = tl_reference_limits(speed, acceleration, rate);
+        tl_reference_t reference = {.low = low, .high = high};
+        tl_reference_set(&reference, 0);
+        const int32_t target = rand() % (2 * high) - high;
+        for (uint32_t i = 0; i < 20U * rate && !tl_reference_rests_at(&reference, target); i++) {
+            const int32_t before = reference.velocity;
+            tl_reference_step(&reference, target, &within);
+            TEST_ASSERT_TRUE(abs(reference.velocity) <= within.speed);
+            TEST_ASSERT_TRUE(abs(reference.velocity - before) <= within.acceleration);
+        }
+        TEST_ASSERT_TRUE(tl_reference_rests_at(&reference, target));
+    }
+}
+
 // A smooth target well within the limits is followed without lag.
 static void test_the_reference_does_not_trail_a_moving_target(void) {
     const tl_reference_limits_t within = tl_reference_limits(8000 * TL_COUNT_ONE, 60000 * TL_COUNT_ONE, FAKE_HZ);
@@ -508,6 +530,7 @@ int main(void) {
     RUN_TEST(test_enabling_and_disabling_never_jump);
     RUN_TEST(test_the_reference_keeps_its_limits);
     RUN_TEST(test_the_reference_arrives_exactly);
+    RUN_TEST(test_the_reference_comes_to_rest_with_any_limits);
     RUN_TEST(test_the_reference_does_not_trail_a_moving_target);
     RUN_TEST(test_positions_beyond_the_limits_are_held_at_the_end);
     RUN_TEST(test_an_axis_outside_its_limits_may_stay_and_come_back);

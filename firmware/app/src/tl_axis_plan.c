@@ -12,15 +12,19 @@ void tl_axis_listen(tl_axis_t *axis) {
 }
 
 static void come_to_rest(tl_axis_t *axis) {
-    if (tl_reference_brake(&axis->reference, &axis->travel)) {
-        tl_reference_set(&axis->reference, tl_reference_q(&axis->reference));
-        tl_axis_event(axis, TL_WIRE_EVENT_RESTED);
-        if (axis->mode == TL_WIRE_MODE_STOPPING) {
-            axis->mode = TL_WIRE_MODE_HOLD;
-        } else {
-            axis->mode = TL_WIRE_MODE_OFF;
-            tl_axis_drive(axis, 0);
-        }
+    if (!tl_reference_brake(&axis->reference, &axis->travel)) {
+        return;
+    }
+    tl_reference_set(&axis->reference, tl_reference_q(&axis->reference));
+    if (!tl_path_rests(&axis->path)) {
+        return; // a millisecond or two later
+    }
+    tl_axis_event(axis, TL_WIRE_EVENT_RESTED);
+    if (axis->mode == TL_WIRE_MODE_STOPPING) {
+        axis->mode = TL_WIRE_MODE_HOLD;
+    } else {
+        axis->mode = TL_WIRE_MODE_OFF;
+        tl_axis_drive(axis, 0);
     }
 }
 
@@ -46,7 +50,8 @@ void tl_axis_plan(tl_axis_t *axis) {
         break;
     }
     tl_reference_step(&axis->reference, target, limits);
-    if (axis->mode == TL_WIRE_MODE_MOVE && tl_reference_rests_at(&axis->reference, target)) {
+    if (axis->mode == TL_WIRE_MODE_MOVE && tl_reference_rests_at(&axis->reference, target) && axis->path.q == target &&
+        tl_path_rests(&axis->path)) {
         axis->mode = TL_WIRE_MODE_HOLD;
         tl_axis_event(axis, TL_WIRE_EVENT_ARRIVED);
     }

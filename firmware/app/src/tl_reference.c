@@ -22,13 +22,13 @@ static inline int32_t stopping(int32_t speed, int32_t more, const tl_reference_l
 // slower.
 static inline int32_t approach(int32_t speed, int32_t distance_q16, const tl_reference_limits_t *limits) {
     const int32_t a = limits->acceleration;
-    if (speed < 0) {
-        return speed + a;
+    if (speed <= 0) {
+        return speed + a; // from rest too: the way is longer than that
     }
     const uint32_t down = limits->way_down;
     const int32_t spare = (distance_q16 >> down) - stopping(speed, 1, limits);
     if (spare < 0) {
-        return speed - a;
+        return speed > a ? speed - a : 0;
     }
     return spare > (speed + a) >> (8U + down) ? speed + a : speed; // faster, a tick and braking take v + a more
 }

@@ -30,6 +30,11 @@ void tl_path_set(tl_path_t *path, tl_count_q8_t q);
 /// A millisecond begins, and the reference has just been planned one point further.
 void tl_path_begin(tl_path_t *path, const tl_reference_t *reference);
 
+/// Whether it has come to rest where the reference rests.
+static inline bool tl_path_rests(const tl_path_t *path) {
+    return path->speed == 0 && path->bend == 0;
+}
+
 /// One tick.
 static inline void tl_path_tick(tl_path_t *path) {
     path->offset += path->speed;

@@ -5,7 +5,7 @@
 /// p is the play's centre coordinate in motor space (the paper's eq. 3 with its inequalities put right).
 /// Call tl_play_step() on every encoder sample; samples may be any distance apart as long as the motor did not
 /// turn back between them. O(1): two compares inside the backlash, one inverse on an envelope, at most
-/// 240 cycles on a Cortex-M0+; no division. 16 bytes. Not for use by two threads at once.
+/// 500 cycles on a Cortex-M0+; no division. 16 bytes. Not for use by two threads at once.
 #ifndef TAUTLINE_TL_PLAY_H
 #define TAUTLINE_TL_PLAY_H
 
