@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from tautline import effects
 from tautline.blindtest.scores import FAILED, NONE, STAGES, UNEXPLAINED, Answer
-from tautline.diagnose import decide, gap, where
+from tautline.diagnose import candidates, gap, where
 from tautline.diagnose.fit import Fit, Fitter, Hypothesis
 from tautline.diagnose.screen import Screened, screen
 from tautline.diagnose.segment import Segment, prepare
@@ -73,9 +73,9 @@ class Evidence:
     @cached_property
     def screened(self) -> dict[tuple[str, bool], Screened]:
         """Every effect in both scopes (id, tests only) after a linear step from the recalibrated model, best first."""
-        kinds = decide.applicable(self.fitter)
+        kinds = candidates.applicable(self.fitter)
         best: dict[tuple[str, bool], Screened] = {}
-        for entry in screen(self.fitter, self.base, kinds, decide.outlier_limits(self.fitter, self.base)):
+        for entry in screen(self.fitter, self.base, kinds, candidates.outlier_limits(self.fitter, self.base)):
             best.setdefault((entry.kind.id, entry.only_tests), entry)
         return best
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from tautline.blindtest.draws import KNOWN, UNKNOWN
 from tautline.blindtest.reality import Plant, Truth, record
-from tautline.diagnose import decide
+from tautline.diagnose import candidates
 from tautline.diagnose.fit import Fit, Fitter, Hypothesis
 from tautline.diagnose.gap import rms
 from tautline.diagnose.screen import Screened, screen
@@ -180,9 +180,9 @@ def _left(session: _Session, truth: Truth, throughout: bool, outside: bool) -> f
 def _imitations(fitter: Fitter) -> list[Fit]:
     """The library's effects that come nearest, one at a time."""
     base = fitter.nominal()
-    limits = decide.outlier_limits(fitter, base)
+    limits = candidates.outlier_limits(fitter, base)
     best: dict[tuple[str, bool], Screened] = {}
-    for entry in screen(fitter, base, decide.applicable(fitter), limits):
+    for entry in screen(fitter, base, candidates.applicable(fitter), limits):
         best.setdefault((entry.kind.id, entry.only_tests), entry)
     nearest = list(best.values())[:_IMITATORS]
     return [fitter.fit(Hypothesis().plus(e.kind, e.only_tests), e.values, start=base.state) for e in nearest]

@@ -1,192 +1,232 @@
-"""Which effect: screening by score, refits of the leading ones, likelihoods, and the probabilities that follow."""
+"""From evidence to probabilities: a comparison of models on blocks of manoeuvres that their fits did not see.
+
+No model of an instrument is exact: the right effect leaves a share of what it explains, because reality has other
+equations. So a hypothesis predicts of each block the power floor^2 + left * (power before - floor^2), with `left` drawn
+from what right effects leave; an effect that stands in for an unknown one leaves what wrong ones do. A block counts as
+few independent observations, whatever its number of frames: what is left of it is one systematic misfit, not noise.
+Pure: no fit, no file, no simulation.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-
-from tautline import effects
-from tautline.diagnose import repeats
-from tautline.diagnose.fit import Fit, Fitter, outlier_limit, velocity
-from tautline.diagnose.gap import memory
-from tautline.diagnose.screen import Screened, screen
-from tautline.effects import Kind
+from scipy.special import log_expit, log_ndtr, logsumexp
 
 Array = npt.NDArray[np.float64]
-Progress = Callable[[float, str], None]
 
-EVENTS = ("transmission.stick_slip", "acquisition.jitter")  # no reproducible path: told by the scatter they make
-_REFITS = 6  # effects refitted in full after screening
-_BOTH_SCOPES = 3  # of them also in the other scope
-_EXPLAINS = 0.3  # share of the squares from which on an effect with a path has a say before scatter has
-_REMEMBERS = 3.0  # an autocorrelation of 1 / this, where scatter has forgotten, says that it is none
-_REPEATS = 2.5  # a residual of which 1 / this repeats is no scatter at all
-TEMPERATURE = 4.0  # real residuals tell less than independent samples would: every model is a little wrong
+# Set on tuning cases (docs/diagnosis.md).
+TELLS = 1.0  # independent observations in a block of misfit
+NOISE_TELLS = 10.0  # and in one of noise, or of scatter that forgets
+SPREADS = 3.0  # degrees of freedom of a block's own variance: how unlike blocks are
+LEFT = 0.05  # share of the power that a right effect may well leave
+LEFT_LAW = 1e-4  # that of one with the same equations everywhere, rigid motion and time
+LEFT_WRONG = 0.2  # share from which on the best wrong one may well leave any
+SPREAD = 1.5  # of the logarithm of a share beyond these
+ABOVE = 0.1  # what a calibration leaves above the floor in the mean where nothing is wrong, of the floor's power
+NONE, UNKNOWN, FURTHER = 30.0, 0.7, 0.05  # prior odds to one effect; of a further effect to none
+PRICE = 0.5  # of a parameter, of the Bayesian information criterion's: held-out blocks have charged for most of it
+NAMED = 0.5  # probability from which on an effect is named
+COVERS = 0.95  # probability that a set of effects that cannot be told apart holds
+LAWS = frozenset({"registration.static", "registration.shift", "acquisition.delay"})
+EVENTS = frozenset({"transmission.stick_slip", "acquisition.jitter"})  # no reproducible path: told by their scatter
 
 
 @dataclass(frozen=True)
-class Candidate:
-    """One more effect on top of a hypothesis."""
+class Weighed:
+    """One hypothesis: effects on top of the recalibrated nominal, in the order they were added; none is the nominal
+    alone."""
 
-    kind: Kind
-    only_tests: bool
-    log_likelihood: float  # of all data, per the effective number of observations
-    fit: Fit | None  # None where screening left it behind
-
-    def penalised(self, effective: float) -> float:
-        """Twice the log-likelihood less its price (the Bayesian information criterion's, sign turned)."""
-        freedom = len(self.kind.amplitudes) + len(self.kind.shapes)
-        return 2.0 * self.log_likelihood - freedom * float(np.log(max(effective, 2.0)))
+    ids: tuple[str, ...]
+    power: Array  # (blocks,) mean squares that a fit leaves of a block it did not see
+    scatter: Array  # (blocks,) logarithm of what an effect without a path takes off as a factor on the power; 0: none
+    rival: Array  # (blocks,) the same of the best scatter of another origin
+    parameters: int
+    white: float = 0.0  # 1: the scatter forgets from frame to frame, 0: it goes on
 
 
-def applicable(fitter: Fitter, left_out: Collection[str] = ()) -> list[Kind]:
-    """The effects that these recordings could show at all, but for those left out."""
-    load = any(s.motor.load_mNm is not None for s in fitter.segments)
-    freedom = any(
-        values is not None and float(np.ptp(values)) > 0.0
-        for s in fitter.segments
-        for values in (s.motor.translation_mm, s.motor.rotation_deg)
+@dataclass(frozen=True)
+class Evidence:
+    floor: float  # px or deg
+    test: npt.NDArray[np.bool_]  # (blocks,) not of the calibration
+    frozen: Array  # (blocks,) mean squares that the calibrated model leaves as it is
+    hypotheses: tuple[Weighed, ...]  # the first without any effect
+    applicable: int  # effects of the library that these recordings could show
+
+
+@dataclass(frozen=True)
+class Verdict:
+    none: float
+    unknown: float
+    leading: Mapping[str, float]  # of each effect weighed: that it is the leading one; with the two above they sum to 1
+    posterior: Array  # (hypotheses,); of those with the same effects the best alone has any
+    named: tuple[str, ...]  # the effects that are more likely there than not, given those before, leading first
+    probability: tuple[float, ...]  # of each named one, given those before
+    chosen: int  # the hypothesis of the named ones
+
+    @property
+    def name(self) -> str:
+        return max((self.none, "none"), (self.unknown, "unknown"), (sum(self.leading.values()), "effect"))[1]
+
+    @property
+    def ranked(self) -> list[str]:
+        """Effects, the likeliest to lead first."""
+        return sorted(self.leading, key=lambda name: -self.leading[name])
+
+    def ambiguous(self) -> list[str]:
+        """The smallest set of effects that holds COVERS of the probability that any leads."""
+        total, held = sum(self.leading.values()), 0.0
+        names: list[str] = []
+        for name in self.ranked:
+            if names and held >= COVERS * total:
+                break
+            names.append(name)
+            held += self.leading[name]
+        return names
+
+
+def decide(evidence: Evidence) -> Verdict:
+    weights = _Likelihoods(evidence)
+    hypotheses = evidence.hypotheses
+    best: dict[frozenset[str], int] = {}
+    for i, h in enumerate(hypotheses):
+        key = frozenset(h.ids)
+        if key not in best or weights.of[i] > weights.of[best[key]]:
+            best[key] = i
+    log = np.full(len(hypotheses) + 1, -np.inf)
+    log[-1] = weights.unknown + np.log(UNKNOWN)
+    for key, i in best.items():
+        log[i] = weights.of[i] + weights.prior(len(key))
+        log[-1] = np.logaddexp(log[-1], weights.elsewhere[i] + weights.prior(len(key)))
+    p = np.exp(log - logsumexp(log))
+
+    leading = dict.fromkeys((name for h in hypotheses for name in h.ids), 0.0)
+    first: dict[int, str] = {}
+    for key, i in best.items():
+        if key:
+            alone = [(weights.of[best[frozenset({n})]] if frozenset({n}) in best else -np.inf, n) for n in key]
+            first[i] = max(alone)[1] if len(key) > 1 else next(iter(key))
+            leading[first[i]] += float(p[i])
+
+    named: list[str] = []
+    probability: list[float] = []
+    if leading:
+        named.append(max(leading, key=lambda name: leading[name]))
+        probability.append(sum(float(p[i]) for key, i in best.items() if named[0] in key))
+    while named:
+        given = {key: float(p[i]) for key, i in best.items() if set(named) <= key}
+        total = sum(given.values())
+        more = {n: sum(v for key, v in given.items() if n in key) for n in leading if n not in named}
+        likeliest = max(more, key=lambda name: more[name], default=None)
+        if likeliest is None or total <= 0.0 or more[likeliest] < NAMED * total:
+            break
+        named.append(likeliest)
+        probability.append(more[likeliest] / total)
+    return Verdict(
+        float(p[0]),
+        float(p[-1]),
+        leading,
+        p[:-1],
+        tuple(named),
+        tuple(probability),
+        best.get(frozenset(named), 0),
     )
-    has = {"": True, "camera": fitter.px, "load": load, "freedom": freedom}
-    kinds = [kind for kind in effects.LIBRARY if has[kind.needs] and kind.id not in left_out]
-    return [kind for kind in kinds if fitter.px or kind.id != "acquisition.delay"]
 
 
-def candidates(
-    fitter: Fitter, base: Fit, kinds: Sequence[Kind], progress: Progress, refits: int = _REFITS
-) -> tuple[list[Candidate], float]:
-    """Every effect on top of `base`, best first, and the effective number of observations. The leading ones are
-    refitted in full: each in the scope that screens better, the best of them in the other scope too."""
-    limits = outlier_limits(fitter, base)
-    rss0 = robust_rss(base, limits)
-    seen: dict[str, dict[bool, Screened]] = {}
-    for entry in screen(fitter, base, [kind for kind in kinds if kind.id not in EVENTS], limits):
-        seen.setdefault(entry.kind.id, {}).setdefault(entry.only_tests, entry)
-    fits: dict[tuple[str, bool], Fit] = {}
-
-    def refit(entry: Screened) -> None:
-        progress(min(1.0, len(fits) / (refits + 3)), f"fitting {entry.kind.id}")
-        hypothesis = base.hypothesis.plus(entry.kind, entry.only_tests)
-        start = {**base.state.values, **entry.values}
-        fits[entry.kind.id, entry.only_tests] = fitter.fit(hypothesis, start, base.state, entry.others)
-
-    for scopes in list(seen.values())[:refits]:
-        refit(next(iter(scopes.values())))
-    for name, only in sorted(fits, key=lambda key: robust_rss(fits[key], limits))[:_BOTH_SCOPES]:
-        other = seen[name].get(not only)
-        if other is not None:
-            refit(other)
-
-    best = min(fits.values(), key=lambda f: robust_rss(f, limits), default=base)
-    total = sum(r.size for r in base.residuals)
-    effective = total / memory(best.residuals)
-
-    def gaussian(rss: float) -> float:
-        return -0.5 * effective * float(np.log(max(rss, 1e-12 * rss0) / total))
-
-    def ranked() -> list[Candidate]:
-        scored = []
-        for name, scopes in seen.items():
-            for only, entry in scopes.items():
-                fit = fits.get((name, only))
-                rss = robust_rss(fit, limits) if fit else rss0 * (1.0 - entry.gain)
-                scored.append(Candidate(entry.kind, only, gaussian(rss), fit))
-        scored += events
-        best: dict[str, Candidate] = {}
-        for candidate in sorted(scored, key=lambda c: -c.penalised(effective)):
-            best.setdefault(candidate.kind.id, candidate)
-        return list(best.values())
-
-    explained = 1.0 - robust_rss(best, limits) / rss0
-    judged = best if explained > _EXPLAINS else base
-    repeating = repeats.share(fitter.segments[1:], judged.residuals[1:])
-    events = [
-        _event(fitter, judged, base, kind, gaussian(rss0), (1.0 - min(1.0, _REPEATS * repeating)) * effective / total)
-        for kind in kinds
-        if kind.id in EVENTS
-    ]
-    ordered = ranked()
-    while ordered[0].fit is None:
-        refit(seen[ordered[0].kind.id][ordered[0].only_tests])
-        ordered = ranked()
-    return ordered, effective
+def is_open(evidence: Evidence, power: Array | float) -> bool:
+    """Whether a fit leaves more than the noise and what a nominal model may leave of it."""
+    return float(np.mean(power)) > (1.0 + ABOVE) * evidence.floor**2
 
 
-def probabilities(ordered: Sequence[Candidate], effective: float, base: float) -> Array:
-    """(len + 1,): of each candidate to be the leading effect, and last of `base` (the log-likelihood without any)."""
-    score = np.array([c.penalised(effective) for c in ordered] + [2.0 * base]) / (2.0 * TEMPERATURE)
-    weight = np.exp(score - score.max())
-    result: Array = weight / weight.sum()
-    return result
+class _Likelihoods:
+    """Logarithms: `of` each hypothesis, of `unknown`, and of scatter of another origin (`elsewhere`) than a hypothesis
+    says. A block's residual is Student's t in as many dimensions as it tells: blocks differ from what is predicted."""
+
+    def __init__(self, evidence: Evidence) -> None:
+        self._floor2 = evidence.floor**2
+        self._applicable = evidence.applicable
+        self._before = np.maximum(evidence.hypotheses[0].power - self._floor2, 0.0)
+        self._tells = TELLS + NOISE_TELLS * np.square(self._floor2 / (self._floor2 + self._before))
+        self._price = 0.5 * PRICE * np.log1p(float(np.sum(self._tells)))
+        hypotheses = evidence.hypotheses
+        tables = [self._by_share(h) for h in hypotheses]
+        own = [
+            float(logsumexp(table + _right(h))) + self._gain(h, h.scatter) if h.ids else self._nothing(evidence.frozen)
+            for h, table in zip(hypotheses, tables, strict=True)
+        ]
+        # Scatter of an event or of another origin: as their likelihoods are.
+        other = [self._gain(h, h.rival) - self._gain(h, h.scatter) if h.scatter.any() else -np.inf for h in hypotheses]
+        alone = np.array([0.0 if len(h.ids) == 1 else -np.inf for h in hypotheses])
+        self.elsewhere = np.array(own) + log_expit(other) + alone
+        own = list(np.array(own) - np.logaddexp(0.0, other))
+        self.of = np.array(own)
+        for i, h in enumerate(hypotheses):
+            for j, more in enumerate(hypotheses):
+                if len(more.ids) == len(h.ids) + 1 and h.ids and set(h.ids) < set(more.ids):
+                    self.of[i] = max(self.of[i], own[j] + self._by_chance(h, more))
+        wrong = _wrong()
+        self.unknown = max(
+            float(logsumexp(table + wrong)) + (self.prior(len(h.ids)) if h.ids else 0.0)
+            for h, table in zip(hypotheses, tables, strict=True)
+            if not h.scatter.any()
+        )
+
+    def prior(self, effects: int) -> float:
+        """Of one hypothesis with so many effects."""
+        if effects == 0:
+            return float(np.log(NONE))
+        return float((effects - 1) * np.log(FURTHER) - np.log(self._applicable))
+
+    def _by_share(self, h: Weighed) -> Array:
+        """Of what is left of each block, at every one of _SHARES."""
+        predicted = (1.0 + ABOVE) * self._floor2 + _SHARES[:, None] * self._before
+        n = self._tells
+        loss = n * np.log(predicted) + (SPREADS + n) * np.log1p(n * h.power / (SPREADS * predicted))
+        return np.asarray(-0.5 * np.sum(loss, axis=1) - self._price * h.parameters)
+
+    def _gain(self, h: Weighed, scatter: Array) -> float:
+        return -0.5 * (TELLS + NOISE_TELLS * h.white**2) * float(np.sum(scatter))
+
+    def _nothing(self, frozen: Array) -> float:
+        """The calibrated model as it is leaves noise and little more: a gap that recalibrating closes is a gap, and one
+        in a single block too."""
+        n = self._tells
+        usual = (SPREADS + n) * np.log1p(n / SPREADS)  # where the power is as predicted both agree
+        above = -ABOVE * np.log1p(-(np.arange(15) + 0.5) / 15.0)  # quantiles of an exponential prior
+        predicted = (1.0 + above[:, None]) * self._floor2
+        loss = usual + n * (np.log(predicted) + frozen / predicted - 1.0)
+        return float(logsumexp(-0.5 * np.sum(loss, axis=1)) - np.log(len(above)))
+
+    def _by_chance(self, h: Weighed, more: Weighed) -> float:
+        """Logarithm of the probability that what a further effect closes is what a right one leaves: that this is so
+        much, and that another effect looks so like it (what it closes of it is as likely to be any share)."""
+        left = max(float(np.sum(h.power * np.exp(h.scatter) - self._floor2)), 1e-300)
+        closed = left - float(np.sum(more.power * np.exp(more.scatter) - self._floor2))
+        share = max(closed / max(float(np.sum(self._before)), 1e-300), 1e-12)
+        so_much = float(log_ndtr(-(np.log(share) - np.log(_most(h.ids))) / SPREAD))
+        return so_much + float(np.log(np.clip(1.0 - closed / left, 0.01, 1.0)))
 
 
-def log_likelihood(fitter: Fitter, fit: Fit, effective: float) -> float:
-    """Of the fit that candidates were put on top of."""
-    total = sum(r.size for r in fit.residuals)
-    return -0.5 * effective * float(np.log(robust_rss(fit, outlier_limits(fitter, fit)) / total))
+_SHARES = np.geomspace(1e-5, 1.0, 41)
 
 
-def outlier_limits(fitter: Fitter, base: Fit) -> list[float]:
-    """Of each recording, one for all that are compared."""
-    return [max(outlier_limit(r), 8.0 * fitter.floor) for r in base.residuals]
+def _right(h: Weighed) -> Array:
+    """Logarithms of _SHARES' probabilities if a hypothesis is right: any magnitude to what its effects may well leave,
+    and falling beyond; with scatter, whose power stays, any."""
+    most = 1.0 if h.scatter.any() else _most(h.ids)
+    log: Array = -0.5 * np.square(np.maximum(np.log(_SHARES / most), 0.0) / SPREAD)
+    return np.asarray(log - logsumexp(log))
 
 
-def robust_rss(fit: Fit, limits: Sequence[float]) -> float:
-    """Sum of squares with outliers pulled in."""
-    return sum(float(np.sum(np.minimum(np.abs(r), limit) ** 2)) for r, limit in zip(fit.residuals, limits, strict=True))
+def _wrong() -> Array:
+    """The same if the best effect stands in for another: from LEFT_WRONG any magnitude to 1, and falling below."""
+    log: Array = -0.5 * np.square(np.minimum(np.log(_SHARES / LEFT_WRONG), 0.0) / SPREAD)
+    return np.asarray(log - logsumexp(log))
 
 
-def _event(fitter: Fitter, judged: Fit, base: Fit, kind: Kind, without: float, share: float) -> Candidate:
-    """Scatter along the marker's motion that its speed explains (jitter) or that is there whenever it moves
-    (stick-slip): a Gaussian whose variance follows it, against one of constant variance. Looked for in what `judged`
-    leaves: what an effect with a path explains is no scatter. share: effective observations per observation."""
-    along, drive, steps = [], [], []
-    for segment, r in zip(fitter.segments, judged.residuals, strict=True):
-        at = judged.state.at(segment, judged.hypothesis)
-        path, predicted = segment.predict(judged.state.model, at, fitter.load_reference)
-        keep = segment.scored
-        seen = np.gradient(predicted, segment.arrival_s, axis=0)[keep] if len(predicted) > 2 else np.zeros_like(r)
-        speed = np.linalg.norm(seen, axis=1)
-        unit = seen / np.maximum(speed, 1e-9)[:, None]
-        along.append(np.sum(r * unit, axis=1))
-        if kind.id == "acquisition.jitter":
-            drive.append(speed)
-        else:
-            turning = np.abs(velocity(segment, path.p)[keep])
-            steps.append(turning * float(np.median(np.diff(segment.arrival_s))))
-            drive.append(
-                np.where(turning > 0.02 * max(float(turning.max()), 1e-12), speed / np.maximum(turning, 1e-9), 0)
-            )
-    a, d = np.concatenate(along), np.concatenate(drive)
-    moving = d > 0
-    if moving.sum() < 50:
-        return _scatter(base, kind, 0.0, without)
-    limit = outlier_limit(a[moving])
-    square = np.clip(a, -limit, limit) ** 2
-    floor2 = max(float(np.mean(square[~moving])) if (~moving).sum() > 50 else 0.0, fitter.floor**2)
-    best, amplitude = -np.inf, 0.0
-    for s in np.geomspace(1e-3, 1e3, 121) * fitter.floor / max(float(np.median(d[moving])), 1e-12):
-        variance = floor2 + (s * d) ** 2
-        value = -0.5 * float(np.sum(np.log(variance) + square / variance))
-        if value > best:
-            best, amplitude = value, float(s)
-    constant = float(np.mean(square))
-    homoscedastic = -0.5 * float(np.sum(np.log(constant) + square / constant))
-    lag = 1
-    if kind.id == "transmission.stick_slip":
-        amplitude *= float(np.sqrt(12.0))
-        lag = int(np.clip(np.ceil(2.0 * amplitude / np.median(np.concatenate(steps)[moving])), 1, 100))
-    # Jitter forgets within a frame, stick-slip within two jumps: what remembers longer is neither.
-    both = moving[:-lag] & moving[lag:]
-    kept = abs(float(np.sum(a[:-lag] * a[lag:] * both))) / max(float(np.sum(a[moving] ** 2)), 1e-300)
-    gain = max(0.0, best - homoscedastic) * max(0.0, 1.0 - _REMEMBERS * kept) * min(1.0, share * 4.0)
-    return _scatter(base, kind, amplitude, without + gain)
-
-
-def _scatter(base: Fit, kind: Kind, amplitude: float, log_likelihood: float) -> Candidate:
-    values = {**base.state.values, kind.amplitudes[0].name: amplitude}
-    fit = replace(base, hypothesis=base.hypothesis.plus(kind, True), state=replace(base.state, values=values))
-    return Candidate(kind, True, log_likelihood, fit)
+def _most(ids: Collection[str]) -> float:
+    """The share that these may well leave: as the worst of them."""
+    return LEFT_LAW if set(ids) <= LAWS | EVENTS else LEFT

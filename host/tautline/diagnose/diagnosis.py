@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from tautline import effects
 from tautline.diagnose import confounded, decide, flexible, gap, motion, where
-from tautline.diagnose.decide import Candidate
-from tautline.diagnose.fit import Fit, Fitter, Hypothesis, State
+from tautline.diagnose.candidates import Found, applicable
+from tautline.diagnose.fit import Fit, Fitter, Hypothesis
+from tautline.diagnose.gather import Gathered, gather
 from tautline.diagnose.segment import Segment, prepare
-from tautline.effects import Kind
 from tautline.geometry import rotation
 from tautline.model import Effect, Model, allowed_width
 from tautline.recording import Recording
@@ -27,16 +27,8 @@ Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 FORMAT = "diagnosis/1"
-_MOST_EFFECTS = 3
-_WORTH = 30.0  # twice the log-likelihood that an effect must gain beyond its price
-_SHARE_WORTH = 0.3  # share of the open power that a further effect must close
-_GAP_WORTH = 0.01  # and of the whole gap's: less nobody would model
-# Share of the power that a recalibration leaves: if more is still open, the cause is more likely unknown; and how
-# sharply.
-_LEFT_MIDDLE, _LEFT_WIDTH = 0.30, 0.06
-_SWALLOWED = 0.02  # a recalibration that leaves less of the gap's power has closed it
+_SWALLOWED = 0.1  # a recalibration that leaves less of the gap's power has closed it
 _STEADY = 0.5  # share of a gap's power that does not change within a recording
-_NO_GAP = 1.25  # times the noise floor
 
 
 @dataclass(frozen=True)
@@ -63,83 +55,37 @@ def diagnose(
     progress(0.0, "preparing")
     segments = prepare(model, calibration, tests)
     fitter = Fitter(model, segments, _load_reference(calibration))
-    frozen = _as_is(fitter)
-    fitter.floor = gap.noise_floor(segments, frozen.residuals)
+    frozen = fitter.residuals(fitter.start(), Hypothesis())
+    fitter.floor = gap.noise_floor(segments, frozen)
     base = fitter.nominal()
     floor = fitter.floor = gap.noise_floor(segments, base.residuals)
-    kinds = decide.applicable(fitter, left_out)
+    kinds = applicable(fitter, left_out)
     hidden = confounded.hidden(kinds, segments)
     kinds = [kind for kind in kinds if kind.id not in hidden]
 
-    progress(0.1, "screening")
-    ordered, effective = decide.candidates(
-        fitter, base, kinds, lambda fraction, text: progress(0.1 + 0.5 * fraction, text)
-    )
-    without = decide.log_likelihood(fitter, base, effective)
-    probability = decide.probabilities(ordered, effective, without)
-
-    named: list[Candidate] = []
-    current = base
-    before_rms = gap.rms(frozen.residuals[1:])
-    excess = max(before_rms**2 - floor**2, 1e-12)
-    if ordered[0].fit is not None and ordered[0].penalised(effective) - 2 * without > _WORTH:
-        named, current = [ordered[0]], ordered[0].fit
-        while len(named) < _MOST_EFFECTS and gap.rms(current.residuals[1:]) > _NO_GAP * floor:
-            progress(0.6 + 0.1 * len(named), "looking for another effect")
-            others = [k for k in kinds if k not in current.hypothesis.kinds]
-            more, more_effective = decide.candidates(fitter, current, others, lambda fraction, text: None, refits=4)
-            here = decide.log_likelihood(fitter, current, more_effective)
-            best = more[0]
-            if best.fit is None or best.kind.id in decide.EVENTS:
-                break
-            if best.penalised(more_effective) - 2 * here < _WORTH or not _needed(
-                fitter, current, best.fit, floor, excess
-            ):
-                break
-            named.append(best)
-            current = best.fit
-
-    progress(0.85, "checking on data the fit did not see")
-    held_out = _held_out(fitter, current) if named else frozen.residuals[1:]
-    event = bool(named) and named[0].kind.id in decide.EVENTS
-    before, after = frozen.residuals[1:], frozen.residuals[1:] if event else held_out
-    after_rms = gap.rms(after)
-    recalibrated = gap.rms(base.residuals[1:])
-    left = 0.0 if event else min(max((after_rms**2 - floor**2) / excess, 0.0), 1.0)
-    # A recalibration closes a share without any effect: the effect must explain what that leaves.
-    unexplained = (after_rms**2 - floor**2) / max(recalibrated**2 - floor**2, _SWALLOWED * excess)
-
-    no_gap = _logistic((_NO_GAP - before_rms / floor) / 0.05)
-    none = float(no_gap if named else max(no_gap, probability[-1] if before_rms < 2 * floor else 0.0))
-    unknown = (1.0 - none) * (
-        _logistic((unexplained - _LEFT_MIDDLE) / _LEFT_WIDTH) if named and not event else float(not named)
-    )
-    known = 1.0 - none - unknown
-    shares = probability[:-1] / max(float(probability[:-1].sum()), 1e-300)
-    verdict = max((none, "none"), (unknown, "unknown"), (known, "effect"))[1]
-    if verdict != "effect":
-        named_out: list[Candidate] = []
-        corrected_fit = None
-        after, after_rms = before, before_rms  # nothing was added
-    else:
-        named_out, corrected_fit = named, current
+    gathered = gather(fitter, frozen, base, kinds, lambda done, text: progress(0.1 + 0.8 * done, text))
+    verdict = decide.decide(gathered.evidence)
+    chosen = gathered.found[verdict.chosen]
+    named = verdict.named if verdict.name == "effect" else ()
 
     progress(0.92, "attributing")
+    before = frozen[1:]
+    after = chosen.left[1:] if named else before  # without an effect nothing is added
+    before_rms, after_rms, recalibrated = gap.rms(before), gap.rms(after), gap.rms(base.residuals[1:])
+    excess = max(before_rms**2 - floor**2, 1e-12)
     paths = [s.predict(model, {}, fitter.load_reference)[0] for s in segments[1:]]
     conditions = where.conditions(segments[1:], paths, before)
-    ambiguous = {
-        c.kind.id: [o.kind.id for o in ordered if o is not c and _as_good(o, c, effective)] for c in ordered[:4]
-    }
-    leading = [c.fit for c in ordered[:3] if c.fit is not None and c.kind.id not in decide.EVENTS]
-    following = motion.best(fitter, leading)
     boot = gap.bootstrap(before, after, [gap.blocks(s) for s in segments[1:]])
     shrink = 1.0 - after_rms / before_rms if before_rms > 0 else 0.0
-    shapley = _shapley(fitter, named_out, current, before_rms)
-    rest = flexible.close(segments[1:], after, floor) if after_rms > _NO_GAP * floor else None
+    following = motion.best(fitter, _leading(gathered, verdict))
+    ambiguous = verdict.ambiguous()
+    best = _best_of_each(gathered)
+    open_still = decide.is_open(gathered.evidence, after_rms**2)
+    rest = flexible.close(segments[1:], after, floor) if open_still else None
     document: dict[str, Any] = {
         "format": FORMAT,
         "unit": segments[0].unit,
-        "verdict": verdict,
+        "verdict": verdict.name,
         "noise_floor": floor,
         "gap": {
             "before": before_rms,
@@ -148,45 +94,45 @@ def diagnose(
             "after_ci": _interval(boot[1]),
             "shrink": shrink,
             "shrink_ci": _interval(1.0 - boot[1] / boot[0]),
-            "closable_shrink": (1.0 - left) if verdict == "effect" and not event else 0.0,
+            "closable_shrink": float(np.clip(1.0 - (after_rms**2 - floor**2) / excess, 0.0, 1.0)) if named else 0.0,
         },
         "gap_recalibrated": {"before": recalibrated},
         "flexible": rest.to_json() if rest else None,  # what a Gaussian process closes of the gap after
         "effects": [
             {
-                "id": c.kind.id,
-                "probability": float(known * (shares[0] if i == 0 else 0.9)),
-                "parameters": _reported(c.kind, current.state if corrected_fit else None, c.only_tests),
-                "shrink": shapley[i],
-                "swallowed_by_recalibration": bool(recalibrated**2 - floor**2 < 0.1 * excess),
-                "loads_on_board": c.kind.on_board,
-                "ambiguous_with": ambiguous.get(c.kind.id, []),
+                "id": name,
+                "probability": probability,
+                "parameters": _reported(chosen.fit, name),
+                "shrink": share,
+                "swallowed_by_recalibration": bool(recalibrated**2 - floor**2 < _SWALLOWED * excess),
+                "loads_on_board": effects.BY_ID[name].on_board,
+                "ambiguous_with": [other for other in ambiguous if other != name] if name == named[0] else [],
             }
-            for i, c in enumerate(named_out)
+            for name, probability, share in zip(
+                named, verdict.probability, _shapley(gathered, fitter, named, chosen, before_rms), strict=False
+            )
         ],
         "candidates": [
             {
-                "id": c.kind.id,
-                "probability": float(known * share),
-                "shrink": 1.0 - gap.rms(c.fit.residuals[1:]) / before_rms if c.fit else 0.0,
-                "identifiable": not ambiguous.get(c.kind.id, []),
+                "id": name,
+                "probability": verdict.leading.get(name, 0.0),
+                "shrink": 1.0 - gap.rms(best[name].left[1:]) / before_rms if name in best else 0.0,
+                "identifiable": name not in ambiguous or len(ambiguous) == 1,
             }
-            for c, share in zip(ordered, shares, strict=True)
+            for name in [*verdict.ranked, *(kind.id for kind in kinds if kind.id not in verdict.leading)]
         ],
-        "probability_none": none,
-        "probability_unknown": unknown,
+        "probability_none": verdict.none,
+        "probability_unknown": verdict.unknown,
         "where": {
-            "stage": ordered[0].kind.stage if verdict != "none" else None,
+            "stage": _stage(verdict),
             "conditions": [c.to_json() for c in conditions[:5]],
         },
-        "signature": _signature(conditions, before)
-        if verdict == "unknown" or any(c.kind.id == confounded.DRIFT for c in named_out)
-        else None,
+        "signature": _signature(conditions, before) if verdict.name == "unknown" or confounded.DRIFT in named else None,
         "next_motion": {"why": following.why, "file": "next_motion.csv"} if following else None,
     }
     confounded.told(document, hidden)
     progress(1.0, "done")
-    corrected = _corrected(corrected_fit, segments[-1]) if corrected_fit else model
+    corrected = _corrected(chosen.fit, segments[-1]) if named else model
     corrected = replace(corrected, extra={**model.extra, "load_reference_mNm": fitter.load_reference})
     return Diagnosis(document, model, corrected, following, segments, list(before), list(after), conditions)
 
@@ -196,98 +142,74 @@ def _load_reference(calibration: Recording) -> float:
     return 0.0 if load is None else float(np.median(load))
 
 
-def _as_is(fitter: Fitter) -> Fit:
-    state = fitter.start()
-    hypothesis = Hypothesis()
-    residuals = []
-    for segment in fitter.segments:
-        _, predicted = segment.predict(state.model, {}, fitter.load_reference)
-        residuals.append((segment.observed - predicted)[segment.scored])
-    return Fit(hypothesis, state, residuals)
+def _best_of_each(gathered: Gathered) -> dict[str, Found]:
+    """The hypothesis of each effect alone that leaves least."""
+    best: dict[str, Found] = {}
+    for found in gathered.found:
+        if len(found.ids) == 1:
+            name = found.ids[0]
+            if name not in best or found.power.mean() < best[name].power.mean():
+                best[name] = found
+    return best
 
 
-def _needed(fitter: Fitter, now: Fit, then: Fit, floor: float, excess: float) -> bool:
-    """Whether a further effect closes _SHARE_WORTH of the power still open in what the fit did not see, _GAP_WORTH of
-    the whole gap's `excess` power, and does so throughout: the bootstrap's 2.5 % quantile over blocks of manoeuvres
-    still closes a third of the former."""
-
-    def closed(a: Array | float, b: Array | float) -> Array:
-        return np.asarray((np.square(a) - np.square(b)) / np.maximum(np.square(a) - floor**2, 1e-12))
-
-    def worth(before: Sequence[Array], after: Sequence[Array]) -> bool:
-        a, b = gap.rms(before), gap.rms(after)
-        return bool(closed(a, b) >= _SHARE_WORTH and a**2 - b**2 >= _GAP_WORTH * excess)
-
-    if not worth(now.residuals[1:], then.residuals[1:]):
-        return False
-    before, after = _held_out(fitter, now), _held_out(fitter, then)
-    drawn = gap.bootstrap(before, after, [gap.blocks(s) for s in fitter.segments[1:]])
-    low = float(np.quantile(closed(drawn[0], drawn[1]), 0.025))
-    return worth(before, after) and low >= _SHARE_WORTH / 3
+def _leading(gathered: Gathered, verdict: decide.Verdict) -> list[Fit]:
+    """Of the three likeliest effects that have a path, those that cannot be told apart or else the best two."""
+    best = _best_of_each(gathered)
+    names = [name for name in verdict.ranked if name in best and name not in decide.EVENTS]
+    unsure = set(verdict.ambiguous())
+    return [best[name].fit for i, name in enumerate(names[:3]) if i < 2 or name in unsure]
 
 
-def _held_out(fitter: Fitter, fit: Fit) -> list[Array]:
-    """Residuals of the tests where each half of the blocks was predicted by a fit that saw only the other half."""
-    labels = [gap.blocks(s) for s in fitter.segments]
-    result = [r.copy() for r in fit.residuals[1:]]
-    for half in (0, 1):
-        parts = [fitter.segments[0]]
-        for segment, label in zip(fitter.segments[1:], labels[1:], strict=True):
-            seen = np.zeros(len(segment.scored), dtype=bool)
-            seen[segment.scored] = (label % 2 == half) if label.max() > 0 else True
-            parts.append(segment.part(seen))
-        parts = [p for p in parts if p.scored.any()]
-        partial = Fitter(fitter.model, parts, fitter.load_reference)
-        partial.floor = fitter.floor
-        found = partial.descend(fit.hypothesis, fit.state, 3)
-        for i, (segment, label) in enumerate(zip(fitter.segments[1:], labels[1:], strict=True)):
-            at = found.state.at(segment, fit.hypothesis)
-            _, predicted = segment.predict(found.state.model, at, fitter.load_reference)
-            other = label % 2 != half
-            result[i][other] = (segment.observed - predicted)[segment.scored][other]
-    return result
+def _stage(verdict: decide.Verdict) -> str | None:
+    """The likeliest: every effect counts for its own."""
+    if verdict.name == "none" or not verdict.leading:
+        return None
+    stages: dict[str, float] = {}
+    for name, probability in verdict.leading.items():
+        stage = effects.BY_ID[name].stage
+        stages[stage] = stages.get(stage, 0.0) + probability
+    return max(stages, key=lambda stage: stages[stage])
 
 
-def _as_good(other: Candidate, one: Candidate, effective: float) -> bool:
-    return abs(other.penalised(effective) - one.penalised(effective)) < 2 * decide.TEMPERATURE * math.log(8.0)
-
-
-def _shapley(fitter: Fitter, named: Sequence[Candidate], fit: Fit, before: float) -> list[float]:
-    """Each effect's exact Shapley share of the shrinkage, over all subsets with the others at zero."""
+def _shapley(gathered: Gathered, fitter: Fitter, named: Sequence[str], chosen: Found, before: float) -> list[float]:
+    """Each named effect's exact Shapley share of the shrinkage. A set of effects is worth what its own fit shrinks,
+    or, where it was not tried, what the chosen fit does with the others at zero; no effect is worth nothing."""
     n = len(named)
-    if n == 0:
-        return []
-    names = [{p.name for p in c.kind.amplitudes} for c in named]
+    known: dict[frozenset[str], float] = {frozenset(): 0.0}
+    for found in gathered.found:
+        if found.ids:
+            key, value = frozenset(found.ids), 1.0 - gap.rms(found.left[1:]) / before
+            known[key] = max(known.get(key, -np.inf), value)
+    known[frozenset(named)] = 1.0 - gap.rms(chosen.left[1:]) / before
 
-    def value(subset: tuple[int, ...]) -> float:
-        off = set().union(*(names[i] for i in range(n) if i not in subset), set())
-        values = {k: (0.0 if k in off else v) for k, v in fit.state.values.items()}
-        state = replace(fit.state, values=values)
-        residuals = []
-        for s in fitter.segments[1:]:
-            _, predicted = s.predict(state.model, state.at(s, fit.hypothesis), fitter.load_reference)
-            residuals.append((s.observed - predicted)[s.scored])
-        return 1.0 - gap.rms(residuals) / before
+    def worth(names: tuple[str, ...]) -> float:
+        key = frozenset(names)
+        if key not in known:
+            off = {p.name for name in named if name not in key for p in effects.BY_ID[name].amplitudes}
+            values = {k: (0.0 if k in off else v) for k, v in chosen.fit.state.values.items()}
+            residuals = fitter.residuals(replace(chosen.fit.state, values=values), chosen.fit.hypothesis)
+            known[key] = 1.0 - gap.rms(residuals[1:]) / before
+        return known[key]
 
-    worth = {subset: value(subset) for k in range(n + 1) for subset in itertools.combinations(range(n), k)}
     shares = []
-    for i in range(n):
-        rest = [j for j in range(n) if j != i]
+    for name in named:
+        rest = [other for other in named if other != name]
         share = 0.0
         for k in range(n):
             weight = math.factorial(k) * math.factorial(n - k - 1) / math.factorial(n)
             for subset in itertools.combinations(rest, k):
-                share += weight * (worth[tuple(sorted((*subset, i)))] - worth[subset])
+                share += weight * (worth((*subset, name)) - worth(subset))
         shares.append(share)
     return shares
 
 
-def _reported(kind: Kind, state: State | None, only_tests: bool) -> dict[str, float]:
-    if state is None:
-        return {}
-    names = [p.name for p in (*kind.amplitudes, *kind.shapes)]
-    values = {name: float(state.values[name]) for name in names if name in state.values}
-    return {**values, "since_calibration": float(only_tests)}
+def _reported(fit: Fit, name: str) -> dict[str, float]:
+    kind = effects.BY_ID[name]
+    own = [p.name for p in (*kind.amplitudes, *kind.shapes)]
+    values = {parameter: float(fit.state.values[parameter]) for parameter in own if parameter in fit.state.values}
+    only = fit.hypothesis.only_tests[fit.hypothesis.kinds.index(kind)]
+    return {**values, "since_calibration": float(only)}
 
 
 def _corrected(fit: Fit, last: Segment) -> Model:
@@ -343,10 +265,6 @@ def _with_registration(model: Model, static: Mapping[str, float]) -> Model:
 
 def _interval(values: Array) -> list[float]:
     return [float(v) for v in np.quantile(values, [0.025, 0.975])]
-
-
-def _logistic(x: float) -> float:
-    return 1.0 / (1.0 + math.exp(-min(max(x, -50.0), 50.0)))
 
 
 def _signature(conditions: Sequence[where.Condition], residuals: Sequence[Array]) -> str | None:

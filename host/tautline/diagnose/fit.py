@@ -225,13 +225,14 @@ class Fitter:
         scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-12 * float(np.diag(matrix).max())))
         inverse = np.linalg.pinv(matrix * np.outer(scale, scale), rcond=1e-12, hermitian=True)
         step = scale * (inverse @ (scale * np.asarray(sum(part.gradient for part in parts))))
+        return [row.residual - self.moved(row, step) for row in rows]
+
+    def moved(self, row: Rows, step: Array) -> Array:
+        """(n, k): by how much a step of the unknowns, those of row.columns last, moves the prediction."""
         b, f = self._width_basis.size, self._remaining_basis.size
-        found = []
-        for row in rows:
-            width = self._width_basis.value(step[:b], row.p)
-            c = row.by_width * width + row.by_follow * self._remaining_basis.value(step[b : b + f], row.tip)
-            found.append(row.residual - row.by_c * c[:, None] - row.columns @ step[b + f :])
-        return found
+        width = self._width_basis.value(step[:b], row.p)
+        c = row.by_width * width + row.by_follow * self._remaining_basis.value(step[b : b + f], row.tip)
+        return np.asarray(row.by_c * c[:, None] + row.columns @ step[b + f :])
 
     def spread(self, hypothesis: Hypothesis) -> Array:
         """Standard deviations of the prior: of the nominal's corrections, then of the effects' parameters."""

@@ -1,0 +1,110 @@
+"""The verdict from evidence: probabilities that add up, and each answer where it belongs."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tautline.diagnose.decide import Evidence, Weighed, decide
+
+FLOOR = 0.05
+BLOCKS = 30
+NOTHING = np.zeros(BLOCKS)
+LAG, CREEP, DRIFT = "transmission.lag", "transmission.creep", "transmission.drift"
+STICK, STATIC = "transmission.stick_slip", "registration.static"
+
+
+def power(share: float, before: float) -> np.ndarray:
+    """Of `before` times the floor's power a share is left above the floor; blocks differ."""
+    unlike = np.exp(0.3 * np.random.default_rng(1).normal(size=BLOCKS))
+    return FLOOR**2 * (1.0 + share * before * unlike)
+
+
+def evidence(left: dict[tuple[str, ...], float], before: float = 100.0, frozen: float | None = None) -> Evidence:
+    """What each set of effects leaves of the power above the floor, a share."""
+    weighed = [Weighed((), power(1.0, before), NOTHING, NOTHING, 0)]
+    weighed += [Weighed(ids, power(share, before), NOTHING, NOTHING, 2 * len(ids)) for ids, share in left.items()]
+    as_it_is = power(1.0, before if frozen is None else frozen)
+    return Evidence(FLOOR, np.arange(BLOCKS) > 10, as_it_is, tuple(weighed), 18)
+
+
+def test_the_effect_that_leaves_little_is_named():
+    verdict = decide(evidence({(LAG,): 0.005, (CREEP,): 0.6, (DRIFT,): 0.9}))
+    assert verdict.name == "effect" and verdict.named == (LAG,)
+    assert verdict.leading[LAG] > 0.9 and verdict.ambiguous() == [LAG]
+
+
+def test_effects_that_all_leave_much_are_unknown():
+    verdict = decide(evidence({(LAG,): 0.5, (CREEP,): 0.6, (DRIFT,): 0.9}))
+    assert verdict.name == "unknown" and verdict.unknown > 0.7
+
+
+def test_noise_alone_is_nothing():
+    verdict = decide(evidence({(LAG,): 1.0, (CREEP,): 1.0, (DRIFT,): 1.0}, before=0.03))
+    assert verdict.name == "none" and verdict.none > 0.9
+
+
+def test_a_small_gap_that_an_effect_closes_is_no_noise():
+    """1.2 times the noise: less than any factor on the floor would find without crying wolf."""
+    verdict = decide(evidence({(LAG,): 0.02, (CREEP,): 0.9, (DRIFT,): 1.0}, before=0.45))
+    assert verdict.name == "effect" and verdict.named == (LAG,)
+
+
+def test_a_gap_that_recalibrating_closes_is_a_gap():
+    verdict = decide(evidence({(LAG,): 1.0, (CREEP,): 1.0}, before=0.02, frozen=50.0))
+    assert verdict.name != "none" and verdict.none < 0.01
+
+
+def test_effects_that_leave_the_same_come_as_a_set():
+    verdict = decide(evidence({(LAG,): 0.005, (CREEP,): 0.005, (DRIFT,): 0.8}))
+    assert verdict.name == "effect" and set(verdict.ambiguous()) == {LAG, CREEP}
+    assert verdict.leading[LAG] == pytest.approx(verdict.leading[CREEP])
+
+
+def test_a_second_effect_is_named_when_it_closes_more_than_a_right_one_leaves():
+    verdict = decide(evidence({(LAG,): 0.4, (DRIFT,): 0.7, (LAG, DRIFT): 0.002}))
+    assert verdict.named == (LAG, DRIFT) and min(verdict.probability) > 0.5
+    assert verdict.leading[LAG] > verdict.leading[DRIFT]
+
+
+def test_what_a_right_effect_leaves_is_no_second_one():
+    verdict = decide(evidence({(LAG,): 0.02, (DRIFT,): 0.9, (LAG, DRIFT): 0.01}))
+    assert verdict.name == "effect" and verdict.named == (LAG,)
+
+
+def test_rigid_motion_leaves_less_than_friction_may():
+    """The same share left: a registration has one equation, a transmission has many."""
+    known = {name: decide(evidence({(name,): 0.03}, before=1000.0)).unknown for name in (LAG, STATIC)}
+    assert known[STATIC] > known[LAG]
+
+
+@pytest.mark.parametrize(("rival", "says"), [(-0.2, "effect"), (-3.0, "unknown")])
+def test_scatter_is_an_event_unless_another_origin_says_it_better(rival, says):
+    found = evidence({(LAG,): 1.0})
+    event = Weighed((STICK,), power(1.0, 100.0), NOTHING - 2.0, NOTHING + rival, 1)
+    verdict = decide(replace(found, hypotheses=(*found.hypotheses, event)))
+    assert verdict.name == says
+
+
+@given(
+    shares=st.lists(st.floats(1e-4, 1.5), min_size=1, max_size=6),
+    pair=st.floats(1e-4, 1.5),
+    before=st.floats(0.0, 1e4),
+    order=st.randoms(use_true_random=False),
+)
+def test_probabilities_add_up_in_any_order(shares, pair, before, order):
+    names = [LAG, CREEP, DRIFT, STATIC, "camera.distortion", "acquisition.delay"][: len(shares)]
+    left = {(name,): share for name, share in zip(names, shares, strict=True)}
+    if len(names) > 1:
+        left[tuple(names[:2])] = pair
+    found = evidence(left, before)
+    verdict = decide(found)
+    assert sum(verdict.leading.values()) + verdict.none + verdict.unknown == pytest.approx(1.0)
+    assert all(0.0 <= p <= 1.0 + 1e-12 for p in verdict.probability)
+    others = list(found.hypotheses[1:])
+    order.shuffle(others)
+    again = decide(replace(found, hypotheses=(found.hypotheses[0], *others)))
+    assert again.unknown == pytest.approx(verdict.unknown, abs=1e-12)
+    assert again.leading == pytest.approx(verdict.leading, abs=1e-12)
