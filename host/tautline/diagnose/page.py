@@ -136,7 +136,7 @@ def _conditions(diagnosis: Diagnosis, unit: str) -> list[dict[str, Any]]:
         after = {c.axis: c for c in where.conditions(tests, paths, diagnosis.after)}
     else:
         after = {}
-    top = max(float(np.sqrt(c.power.max())) for c in diagnosis.conditions) if diagnosis.conditions else 1.0
+    top = max((float(_rms(c).max()) for c in diagnosis.conditions), default=1.0)
     pictures = []
     for condition in diagnosis.conditions:
         title = _TITLES.get(condition.axis, condition.axis)
@@ -146,12 +146,17 @@ def _conditions(diagnosis: Diagnosis, unit: str) -> list[dict[str, Any]]:
     return pictures
 
 
+def _rms(condition: Condition) -> where.Array:
+    """(bins,) per coordinate, as the noise is."""
+    return np.asarray(np.sqrt(condition.power / condition.mean.shape[1]))
+
+
 @mpl.rc_context(figures.STYLE)
 def _condition(diagnosis: Diagnosis, condition: Condition, after: Condition | None, unit: str, top: float) -> Figure:
     made, axes = figures.figure(3.5, 2.2)
     ax: Axes = axes[0, 0]
     floor = diagnosis.document["noise_floor"]
-    x, rms = condition.centres, np.sqrt(condition.power)
+    x, rms = condition.centres, _rms(condition)
     colours = (figures.UP, figures.DOWN)
     if condition.axis == "direction":
         shown = {-1: "falls", 0: "rests", 1: "rises"}
@@ -160,7 +165,7 @@ def _condition(diagnosis: Diagnosis, condition: Condition, after: Condition | No
         for values, colour in zip(condition.mean.T, colours, strict=False):
             ax.plot(at, values, "o", color=colour, markersize=4)
         if after is not None:
-            ax.plot(np.sign(np.round(after.centres)), np.sqrt(after.power), "_", color=figures.MODEL, markersize=22)
+            ax.plot(np.sign(np.round(after.centres)), _rms(after), "_", color=figures.MODEL, markersize=22)
         ax.set_xticks(list(shown), list(shown.values()))
         ax.set_xlim(-1.5, 1.5)
     else:
@@ -168,7 +173,7 @@ def _condition(diagnosis: Diagnosis, condition: Condition, after: Condition | No
         for values, colour in zip(condition.mean.T, colours, strict=False):
             ax.plot(x, values, color=colour, linewidth=1.2)
         if after is not None:
-            ax.plot(after.centres, np.sqrt(after.power), color=figures.MODEL, linewidth=1.8)
+            ax.plot(after.centres, _rms(after), color=figures.MODEL, linewidth=1.8)
         ax.margins(x=0)
         of = where.AXES[condition.axis][2].replace("unit", unit)
         ax.set_xlabel(f"{_TITLES.get(condition.axis, condition.axis)} ({of})")

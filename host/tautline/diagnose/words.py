@@ -135,8 +135,8 @@ def steps(document: Mapping[str, Any], folder: str) -> list[Step]:
         )
         told.append(
             Step(
-                "Try a controller against the instrument with this effect.",
-                f"taut follow --simulate {folder}/corrected",
+                "Try the tables against an instrument that has this effect.",
+                f"taut follow {folder}/nominal --simulate {folder}/corrected",
             )
         )
         told.append(board(effects, folder))
