@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from tautline import effects
-from tautline.diagnose.diagnosis import diagnose
+from tautline.diagnose.diagnosis import _corrected, diagnose
+from tautline.diagnose.fit import Fit, Fitter, Hypothesis
+from tautline.diagnose.segment import prepare
 from tautline.effects import LIBRARY, STAGES
 from tautline.model import Model
 from tautline.predict import predict
@@ -208,3 +210,18 @@ def test_the_report_says_it_all_and_shows_every_axis(tmp_path):
     said = words.text(found.document, "out")
     assert said.startswith(words.sentence(found.document)) and said.endswith("out/report.html")
     assert "taut flash out/corrected --without-effects" in said
+
+
+def test_a_drift_that_wears_off_is_folded_in_as_far_as_it_went():
+    made = recordings()
+    segments = prepare(true_model(), made[0], made[1:2])
+    fitter = Fitter(true_model(), segments)
+    drift = {"offset_drift": 8e-4, "width_drift": 1e-3, "drift_decay": 0.02}
+    hypothesis = Hypothesis().plus(effects.BY_ID["transmission.drift"], False)
+    state = replace(fitter.start(), values=drift)
+    corrected = _corrected(Fit(hypothesis, state, []), segments[-1])
+    end = segments[-1].motor.t_s[-1] + segments[-1].offset_s
+    at = np.array([made[1].motor.t_s[-1]])
+    with_drift = effects.simulate(true_model(), made[1].motor, at, drift, clock_offset_s=end - at[0])
+    assert abs(with_drift.c_deg[0] - effects.simulate(true_model(), made[1].motor, at, {}).c_deg[0]) > 0.02
+    assert predict(corrected, made[1].motor, at).c_deg[0] == pytest.approx(with_drift.c_deg[0], abs=0.05)

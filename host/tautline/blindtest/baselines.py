@@ -254,7 +254,9 @@ def narx(evidence: Evidence) -> Answer:
                 basis_function=Polynomial(degree=2),
                 estimator=LeastSquares(),
             )
-            models.append(made.fit(X=ahead(x), y=column[:, None]))
+            with warnings.catch_warnings():  # terms that are nearly each other's multiples
+                warnings.simplefilter("ignore", UserWarning)
+                models.append(made.fit(X=ahead(x), y=column[:, None]))
 
         def said(at: Array) -> Array:
             blank = np.zeros((len(at), 1))

@@ -223,8 +223,10 @@ def _corrected(fit: Fit, last: Segment) -> Model:
     for kind in fit.hypothesis.kinds:
         own = {p.name: values[p.name] for p in (*kind.amplitudes, *kind.shapes) if p.name in values}
         if kind.id == "transmission.drift":
-            width = allowed_width(model.q, model.width * max(0.0, 1.0 + own["width_drift"] * end))
-            model = replace(model, q=model.q - own["offset_drift"] * end, width=width)
+            decay = own.get("drift_decay", 0.0)
+            gone = -math.expm1(-decay * end) / decay if decay > 0.0 else end
+            width = allowed_width(model.q, model.width * max(0.0, 1.0 + own["width_drift"] * gone))
+            model = replace(model, q=model.q - own["offset_drift"] * gone, width=width)
         elif kind.id == "registration.static":
             model = _with_registration(model, own)
         elif kind.id == "registration.shift":
