@@ -1,0 +1,57 @@
+"""What is left of a block is what a fit without that block leaves of it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tautline.diagnose import gap, heldout
+from tautline.diagnose.fit import Fitter, Hypothesis
+from tautline.diagnose.segment import prepare
+from tautline.effects import BY_ID
+from tests.host.test_diagnose import recordings, rms, true_model
+
+
+@pytest.fixture(scope="module")
+def fitter():
+    made = recordings({"lag": 0.08})
+    found = Fitter(true_model(), prepare(true_model(), made[0], made[1:2]))
+    found.floor = 0.05
+    return found
+
+
+@pytest.mark.parametrize(("effect", "at"), [("transmission.lag", {"lag": 0.08}), ("configuration.axis_coupling", {})])
+def test_it_is_what_a_refit_leaves(fitter, effect, at, monkeypatch):
+    monkeypatch.setattr(heldout, "_STAYS", 0.0)
+    kind = BY_ID[effect]
+    start = {p.name: at.get(p.name, 1e-3 if p in kind.amplitudes else 0.0) for p in (*kind.amplitudes, *kind.shapes)}
+    fit = fitter.fit(Hypothesis().plus(kind, True), start, fitter.nominal().state)
+    labels = [gap.blocks(s) for s in fitter.segments]
+    left = heldout.residuals(fitter, fit, labels, [1e3, 1e3])
+    calibration = fitter.segments[0]
+    for number in (1, 4):
+        without = calibration.scored.copy()
+        without[calibration.scored] = labels[0] != number
+        partial = Fitter(fitter.model, [calibration.part(without), fitter.segments[1]])
+        partial.floor = fitter.floor
+        again = partial.descend(fit.hypothesis, fit.state, 8)
+        at_block = replace(calibration, scored=calibration.scored & ~without)
+        values = again.state.at(at_block, fit.hypothesis)
+        _, predicted = at_block.predict(again.state.model, values, 0.0)
+        refitted = (at_block.observed - predicted)[at_block.scored]
+        assert rms(left[0][labels[0] == number]) == pytest.approx(rms(refitted), rel=0.1)
+        assert rms(left[0][labels[0] == number]) > rms(fit.residuals[0][labels[0] == number])
+
+
+def test_an_outlier_pulls_no_block(fitter):
+    fit = fitter.nominal()
+    labels = [gap.blocks(s) for s in fitter.segments]
+    plain = heldout.residuals(fitter, fit, labels, [1.0, 1.0])
+    lost = fitter.segments[1].observed.copy()
+    lost[np.flatnonzero(fitter.segments[1].scored)[40]] += 200.0
+    broken = Fitter(fitter.model, [fitter.segments[0], replace(fitter.segments[1], observed=lost)])
+    broken.floor = fitter.floor
+    residuals = broken.residuals(fit.state, fit.hypothesis)
+    again = heldout.residuals(broken, replace(fit, residuals=residuals), labels, [1.0, 1.0])
+    other = labels[1] != labels[1][40]
+    assert rms(again[1][other] - plain[1][other]) < 0.1 * rms(plain[1][other])

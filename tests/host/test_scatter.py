@@ -1,0 +1,70 @@
+"""Events by the statistics of what is left: each is told from the other and from scatter that only looks like it."""
+
+import numpy as np
+import pytest
+
+from tautline.diagnose.scatter import RIVALS, Scatter, frames, weighed
+
+FLOOR, RATE_HZ = 0.05, 25.0
+JITTER, STICK = "acquisition.jitter", "transmission.stick_slip"
+PX_PER_UNIT = np.array([40.0, 15.0])
+
+
+def told(rng: np.random.Generator, make) -> Scatter:
+    """Of 80 s of strokes with rests at two speeds; make(t, p, rng) gives where the tip is seen, in units of p."""
+    t = np.arange(0.0, 80.0, 1.0 / RATE_HZ)
+    speed = np.where(t < 40.0, 0.4, 1.1)
+    p = np.cumsum(speed * (np.sin(2 * np.pi * t / 9.0) > -0.2) * np.sign(np.sin(2 * np.pi * t / 18.0))) / RATE_HZ
+    seen = make(t, p, rng)[:, None] * PX_PER_UNIT + rng.normal(0.0, FLOOR, (len(t), 2))
+    block = (t // 8.0).astype(np.int64)
+    return weighed([frames(t, seen, p[:, None] * PX_PER_UNIT, p, block)], FLOOR, int(block[-1]) + 1)
+
+
+def unsteady(t, p, rng):
+    return np.interp(t + rng.normal(0.0, 0.012, len(t)), t, p)
+
+
+def sticking(t, p, rng):
+    held, tip = p[0], np.empty_like(p)
+    for i, drive in enumerate(p):
+        if abs(drive - held) > 0.12:
+            held = drive
+        tip[i] = held
+    return tip
+
+
+def repeating(t, p, rng):
+    seen = p.copy()
+    for i in np.flatnonzero(rng.random(len(p)) < 0.15):
+        if i:
+            seen[i] = seen[i - 1]
+    return seen
+
+
+def wandering(t, p, rng):
+    return p + np.cumsum(rng.normal(0.0, 0.004, len(p)))
+
+
+def swinging(t, p, rng):
+    return p + 0.02 * np.sin(2 * np.pi * t / 3.3)
+
+
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [(unsteady, JITTER), (sticking, STICK), (repeating, "repeats"), (wandering, "memory"), (swinging, "memory")],
+)
+def test_each_says_its_own_best(make, name):
+    said = told(np.random.default_rng(5), make)
+    mean = {key: float(np.mean(said.loss[key])) for key in (JITTER, STICK, *RIVALS)}
+    assert min(mean, key=lambda key: mean[key]) == name, mean
+
+
+def test_their_sizes_are_found():
+    assert told(np.random.default_rng(6), unsteady).jitter_s == pytest.approx(0.012, rel=0.3)
+    assert told(np.random.default_rng(6), sticking).stick == pytest.approx(0.12, rel=0.4)
+
+
+def test_noise_alone_is_neither():
+    said = told(np.random.default_rng(7), lambda t, p, rng: p)
+    for name in (JITTER, STICK):
+        assert np.mean(said.loss[name]) > np.mean(said.loss["level"]) - 0.01
