@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.host.test_diagnose import recordings, rms, true_model
 
 from tautline.diagnose import gap, heldout
 from tautline.diagnose.fit import Fitter, Hypothesis
 from tautline.diagnose.segment import prepare
 from tautline.effects import BY_ID
-from tests.host.test_diagnose import recordings, rms, true_model
 
 
 @pytest.fixture(scope="module")
