@@ -77,11 +77,11 @@ static tl_count_q8_t on_envelope(const tl_lookup_t *lookup, tl_count_q8_t q, int
 #define RISE(node)  (((node) << log2) + WIDTH(node) - first)
     const uint32_t first = WIDTH(0);
     const uint32_t x = 2U * ((uint32_t)q - (uint32_t)lookup->q0) - first;
-    uint32_t span = 0;
+    uint32_t span = 0, next;
+    // No branches, which a desktop core would guess wrong; the last node is above x.
 #define HALVE(spans)                                                                                                   \
-    if (span + (spans) < last && RISE(span + (spans)) <= x) {                                                          \
-        span += (spans);                                                                                               \
-    }
+    next = span + (spans) < last ? span + (spans) : last;                                                              \
+    span = RISE(next) <= x ? next : span;
     HALVE(128U)
     HALVE(64U)
     HALVE(32U)
