@@ -25,6 +25,7 @@ SPREADS = 3.0  # degrees of freedom of a block's own variance: how unlike blocks
 LEFT = 0.05  # share of the power that a right effect may well leave
 LEFT_LAW = 1e-4  # that of one with the same equations everywhere, rigid motion and time
 LEFT_WRONG = 0.2  # share from which on the best wrong one may well leave any
+FOLLOWS = 0.06  # probability that a wrong one leaves no more than a right one
 SPREAD = 1.5  # of the logarithm of a share beyond these
 ABOVE = 0.1  # what a calibration leaves above the floor in the mean where nothing is wrong, of the floor's power
 NONE, UNKNOWN, FURTHER = 30.0, 0.7, 0.05  # prior odds to one effect; of a further effect to none
@@ -167,12 +168,16 @@ class _Likelihoods:
             for j, more in enumerate(hypotheses):
                 if len(more.ids) == len(h.ids) + 1 and h.ids and set(h.ids) < set(more.ids):
                     self.of[i] = max(self.of[i], own[j] + self._by_chance(h, more))
-        wrong = _wrong()
         self.unknown = max(
-            float(logsumexp(table + wrong)) + (self.prior(len(h.ids)) if h.ids else 0.0)
+            self._stands_in(h, table) + (self.prior(len(h.ids)) if h.ids else 0.0)
             for h, table in zip(hypotheses, tables, strict=True)
             if not h.scatter.any()
         )
+
+    def _stands_in(self, h: Weighed, table: Array) -> float:
+        """For an unknown effect, which now and then it follows as closely as if it were right."""
+        follows = np.log(FOLLOWS) + logsumexp(table + _right(h)) if h.ids else -np.inf
+        return float(np.logaddexp(follows, np.log1p(-FOLLOWS) + logsumexp(table + _wrong())))
 
     def prior(self, effects: int) -> float:
         """Of one hypothesis with so many effects."""
