@@ -449,6 +449,103 @@ static void test_a_calibration_stopped_by_the_host_rests_and_holds(void) {
     TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_MOTION_START, &start)); // and may begin again
 }
 
+// What a calibration did: where it drove to, and its last words.
+typedef struct {
+    tl_count_q8_t q_ref[1500];
+    tl_wire_progress_t progress;
+} calibrated_t;
+
+static void calibrate(calibrated_t *done, uint8_t left_over, void (*meanwhile)(uint32_t ms)) {
+    static uint8_t rubbish[TL_TABLE_SIZE_MAX];
+    fake_new(2);
+    memset(rubbish, left_over, sizeof(rubbish));
+    TEST_ASSERT_EQUAL(TL_UPLOAD_OK, tl_app_table_data(&app, 0, 0, rubbish, sizeof(rubbish)));
+    fake_enable(0, 1);
+    const tl_wire_motion_start_t start = calibration();
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_MOTION_START, &start));
+    for (uint32_t ms = 0; ms < 1500U; ms++) {
+        if (ms % 40U == 0U) {
+            const tl_wire_marker_t marker = {
+                .valid = 1, .arrival_us = fake.t_us, .u_q12 = (int32_t)(1000U + ms), .v_q12 = 1000};
+            fake_ask(TL_WIRE_MARKER, &marker);
+        }
+        meanwhile(ms);
+        fake_run_ms(1);
+        done->q_ref[ms] = tl_reference_q(&app.axes[0].reference);
+    }
+    TEST_ASSERT_EQUAL(TL_WIRE_MODE_CALIBRATE, fake_status(0).mode);
+    const tl_wire_motion_stop_t stop = {.axis = 0};
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_MOTION_STOP, &stop));
+    fake_run_ms(300);
+    fake_listen();
+    done->progress = heard[TL_WIRE_PROGRESS].progress;
+    TEST_ASSERT_EQUAL(TL_WIRE_MOTION_STOPPED, done->progress.state);
+}
+
+static uint8_t sent[TL_TABLE_SIZE_MAX];
+static uint16_t sent_size;
+
+static void nothing(uint32_t ms) {
+    (void)ms;
+}
+
+static void upload(uint32_t ms) {
+    if (ms % 3U == 0U) {
+        TEST_ASSERT_EQUAL(TL_UPLOAD_NOT_OFF, fake_upload((uint8_t)(ms % 2U), sent, sent_size));
+    } else if (ms % 3U == 1U) {
+        TEST_ASSERT_EQUAL(TL_UPLOAD_NOT_OFF, tl_app_table_data(&app, 0, 256U * (ms % 9U), sent, 256U));
+    } else {
+        TEST_ASSERT_EQUAL(TL_UPLOAD_NOT_OFF, tl_app_table_end(&app, 0));
+        tl_app_table_abort(&app);
+    }
+}
+
+static void test_uploads_during_a_calibration_are_refused_and_leave_it_as_it_is(void) {
+    static calibrated_t alone, disturbed;
+    sent_size = fake_table(sent, 0, 1);
+    calibrate(&alone, 0x00, nothing);
+    calibrate(&disturbed, 0xFF, upload);
+    TEST_ASSERT_EQUAL_MEMORY(&alone, &disturbed, sizeof(alone));
+    TEST_ASSERT_TRUE(alone.q_ref[1499] != alone.q_ref[1400]); // it moved
+    TEST_ASSERT_EQUAL(TL_WIRE_TABLE_NONE, app.tables[0].state);
+    fake_enable(0, 0);
+    fake_run_ms(300);
+    TEST_ASSERT_EQUAL(TL_UPLOAD_SIZE, tl_app_table_data(&app, 0, 256, sent, 256)); // nothing of those is left
+    TEST_ASSERT_EQUAL(TL_UPLOAD_OK, fake_upload(0, sent, sent_size));
+    TEST_ASSERT_EQUAL_MEMORY(sent, app.tables[0].blob, sent_size);
+}
+
+// Whether an upload of which half has come can go on.
+static tl_upload_t upload_the_rest(void) {
+    const uint32_t half = 512;
+    const tl_upload_t result = tl_app_table_data(&app, 0, half, sent + half, sent_size - half);
+    return result == TL_UPLOAD_OK ? tl_app_table_end(&app, 0) : result;
+}
+
+static void test_a_request_to_calibrate_drops_an_upload_under_way(void) {
+    sent_size = fake_table(sent, 0, 1);
+    const tl_wire_motion_start_t start = calibration();
+    TEST_ASSERT_EQUAL(TL_UPLOAD_OK, tl_app_table_data(&app, 0, 0, sent, 512));
+    TEST_ASSERT_EQUAL(TL_WIRE_REASON_OFF, fake_ask(TL_WIRE_MOTION_START, &start));
+    TEST_ASSERT_EQUAL(TL_UPLOAD_SIZE, upload_the_rest()); // also by a request that is refused
+    TEST_ASSERT_EQUAL(TL_UPLOAD_OK, tl_app_table_data(&app, 0, 0, sent, 512));
+    fake_enable(0, 1);
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_MOTION_START, &start));
+    TEST_ASSERT_EQUAL(TL_UPLOAD_NOT_OFF, upload_the_rest());
+    TEST_ASSERT_EQUAL(0, fake.operations);
+    // Once the axis has failed the table may come at once, whatever is still under way.
+    fake_run_ms(101);
+    const tl_wire_safe_stop_t safe = {.axis = 0};
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_SAFE_STOP, &safe));
+    TEST_ASSERT_EQUAL(TL_UPLOAD_SIZE, upload_the_rest());
+    TEST_ASSERT_EQUAL(TL_UPLOAD_OK, tl_app_table_data(&app, 0, 0, sent, 512));
+    fake_run_ms(50);
+    TEST_ASSERT_EQUAL(TL_UPLOAD_OK, upload_the_rest());
+    TEST_ASSERT_EQUAL_MEMORY(sent, app.tables[0].blob, sent_size);
+    fake_listen();
+    TEST_ASSERT_EQUAL(TL_WIRE_MOTION_FAILED, heard[TL_WIRE_PROGRESS].progress.state);
+}
+
 static void test_compensation_needs_a_table_and_starts_without_a_jump(void) {
     fake_enable(0, 1);
     TEST_ASSERT_EQUAL(TL_WIRE_REASON_NO_TABLE, follow(0, 1));
@@ -537,6 +634,8 @@ int main(void) {
     RUN_TEST(test_a_calibration_without_frames_ends_in_the_safe_state);
     RUN_TEST(test_losing_the_bus_ends_a_calibration_in_the_safe_state);
     RUN_TEST(test_a_calibration_stopped_by_the_host_rests_and_holds);
+    RUN_TEST(test_uploads_during_a_calibration_are_refused_and_leave_it_as_it_is);
+    RUN_TEST(test_a_request_to_calibrate_drops_an_upload_under_way);
     RUN_TEST(test_compensation_needs_a_table_and_starts_without_a_jump);
     RUN_TEST(test_telemetry_is_even_and_every_drop_is_counted);
     return UNITY_END();

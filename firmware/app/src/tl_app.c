@@ -57,57 +57,6 @@ static void load_table(tl_app_t *app, uint8_t index) {
     app->port->unlock(app->port->context, again);
 }
 
-tl_upload_t tl_app_table_data(tl_app_t *app, uint8_t axis, uint32_t offset, const uint8_t *bytes, size_t size) {
-    if (axis >= app->port->axes) {
-        return TL_UPLOAD_AXIS;
-    }
-    if (offset == 0) {
-        app->upload_size = 0;
-        app->upload_axis = axis;
-    }
-    if (axis != app->upload_axis || offset != app->upload_size || size > sizeof(app->upload) - app->upload_size) {
-        app->upload_size = 0;
-        return TL_UPLOAD_SIZE;
-    }
-    memcpy(app->upload + offset, bytes, size);
-    app->upload_size += (uint32_t)size;
-    return TL_UPLOAD_OK;
-}
-
-void tl_app_table_abort(tl_app_t *app) {
-    app->upload_size = 0;
-}
-
-tl_upload_t tl_app_table_end(tl_app_t *app, uint8_t axis) {
-    if (axis >= app->port->axes) {
-        return TL_UPLOAD_AXIS;
-    }
-    const uint16_t size = (uint16_t)app->upload_size;
-    app->upload_size = 0;
-    if (size == 0 || axis != app->upload_axis) {
-        return TL_UPLOAD_SIZE;
-    }
-    if (!all_off(app)) {
-        return TL_UPLOAD_NOT_OFF;
-    }
-    // Checked in the axis' own look-up, which is loaded from flash again below whatever comes of it.
-    const uint32_t state = app->port->lock(app->port->context);
-    app->axes[axis].has_table = false;
-    app->port->unlock(app->port->context, state);
-    const tl_table_reason_t reason = tl_lookup_load(&app->axes[axis].lookup, app->upload, size, axis);
-    const bool written = reason == TL_TABLE_OK && tl_store_write(app->port, axis, app->upload, size);
-    app->tables[axis].reason = (uint8_t)reason;
-    load_table(app, axis);
-    if (reason != TL_TABLE_OK) {
-        return TL_UPLOAD_REFUSED;
-    }
-    if (!written) {
-        return TL_UPLOAD_FLASH;
-    }
-    app->axes[axis].events = (uint8_t)(app->axes[axis].events | (1U << TL_WIRE_EVENT_TABLE));
-    return TL_UPLOAD_OK;
-}
-
 size_t tl_app_table_read(const tl_app_t *app, uint8_t axis, uint32_t offset, uint8_t *out, size_t room) {
     if (axis >= app->port->axes || app->tables[axis].blob == NULL || offset >= app->tables[axis].size) {
         return 0;
@@ -215,7 +164,7 @@ static void send_onset(tl_app_t *app, const tl_onset_t *onset, tl_us_t now_us) {
     tell(app, TL_WIRE_PROGRESS, &progress, &app->counters.events_dropped, 1U);
 }
 
-// -- task -------------------------------------------------------------------------------------------------------
+// -- calibration ------------------------------------------------------------------------------------------------
 
 static void poll_calibration(tl_app_t *app, tl_us_t now_us) {
     tl_calibration_t *calibration = &app->calibration;
@@ -261,6 +210,65 @@ uint8_t tl_app_marker(tl_app_t *app, const tl_wire_marker_t *marker, tl_us_t now
     app->counters.markers += dropped ? 0U : 1U;
     return 0;
 }
+
+// -- a table from the host ---------------------------------------------------------------------------------------
+
+tl_upload_t tl_app_table_data(tl_app_t *app, uint8_t axis, uint32_t offset, const uint8_t *bytes, size_t size) {
+    if (axis >= app->port->axes) {
+        return TL_UPLOAD_AXIS;
+    }
+    poll_calibration(app, app->port->time_us(app->port->context)); // one that an axis' fault has ended is over now
+    if (app->calibration.axis != NULL) {
+        return TL_UPLOAD_NOT_OFF;
+    }
+    if (offset == 0) {
+        app->upload_size = 0;
+        app->upload_axis = axis;
+    }
+    if (axis != app->upload_axis || offset != app->upload_size || size > TL_TABLE_SIZE_MAX - app->upload_size) {
+        app->upload_size = 0;
+        return TL_UPLOAD_SIZE;
+    }
+    memcpy(app->calibration.upload + offset, bytes, size);
+    app->upload_size += (uint32_t)size;
+    return TL_UPLOAD_OK;
+}
+
+void tl_app_table_abort(tl_app_t *app) {
+    app->upload_size = 0;
+}
+
+tl_upload_t tl_app_table_end(tl_app_t *app, uint8_t axis) {
+    if (axis >= app->port->axes) {
+        return TL_UPLOAD_AXIS;
+    }
+    const uint16_t size = (uint16_t)app->upload_size;
+    app->upload_size = 0;
+    if (!all_off(app)) {
+        return TL_UPLOAD_NOT_OFF;
+    }
+    if (size == 0 || axis != app->upload_axis) {
+        return TL_UPLOAD_SIZE;
+    }
+    // Checked in the axis' own look-up, which is loaded from flash again below whatever comes of it.
+    const uint32_t state = app->port->lock(app->port->context);
+    app->axes[axis].has_table = false;
+    app->port->unlock(app->port->context, state);
+    const tl_table_reason_t reason = tl_lookup_load(&app->axes[axis].lookup, app->calibration.upload, size, axis);
+    const bool written = reason == TL_TABLE_OK && tl_store_write(app->port, axis, app->calibration.upload, size);
+    app->tables[axis].reason = (uint8_t)reason;
+    load_table(app, axis);
+    if (reason != TL_TABLE_OK) {
+        return TL_UPLOAD_REFUSED;
+    }
+    if (!written) {
+        return TL_UPLOAD_FLASH;
+    }
+    app->axes[axis].events = (uint8_t)(app->axes[axis].events | (1U << TL_WIRE_EVENT_TABLE));
+    return TL_UPLOAD_OK;
+}
+
+// -- task -------------------------------------------------------------------------------------------------------
 
 void tl_app_receive(tl_app_t *app, const uint8_t *bytes, size_t size) {
     tl_wire_frame_t frame;

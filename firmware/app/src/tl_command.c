@@ -175,6 +175,7 @@ static uint8_t for_axis(tl_app_t *app, uint8_t type, const tl_wire_message_t *of
     case TL_WIRE_SET_POINT:
         return set_point(app, &of->set_point, now_us);
     case TL_WIRE_MOTION_START:
+        tl_app_table_abort(app); // its memory is the calibration's
         return tl_calibration_start(&app->calibration, axis, &of->motion_start);
     case TL_WIRE_MOTION_STOP:
     default:

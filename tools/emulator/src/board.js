@@ -125,7 +125,7 @@ export class Board {
         this.hung = true;
         this.runWhile(() => this.chip.core.IPSR !== 0 || this.chip.core.PM, 10e3);
         const { core } = this.chip;
-        const trap = 0x20040000; // the far end of the stack's banks
+        const trap = 0x20040000; // in the scratch bank that nothing uses
         this.chip.writeUint16(trap, BRANCH_TO_SELF);
         core.PC = trap;
         core.waiting = false;

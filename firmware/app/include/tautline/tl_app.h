@@ -56,8 +56,7 @@ typedef struct {
     uint8_t queue[TL_APP_QUEUE];
     uint32_t queue_head, queue_tail;
 
-    uint8_t upload[TL_TABLE_SIZE_MAX];
-    uint32_t upload_size;
+    uint32_t upload_size; ///< bytes in calibration.upload; 0 while an axis calibrates
     uint8_t upload_axis;
 
     volatile uint32_t steps; ///< control steps, so that the task feeds the watchdog only while they go on
@@ -87,7 +86,8 @@ void tl_app_receive(tl_app_t *app, const uint8_t *bytes, size_t size);
 /// At most `room` bytes for the host; returns how many.
 size_t tl_app_transmit(tl_app_t *app, uint8_t *out, size_t room);
 
-/// A table in pieces, from offset 0 in order; tl_app_table_end() checks, stores and uses it.
+/// A table in pieces, from offset 0 in order; tl_app_table_end() checks, stores and uses it. It shares memory with a
+/// calibration: none is taken during one, and a request to start one drops what has come.
 tl_upload_t tl_app_table_data(tl_app_t *app, uint8_t axis, uint32_t offset, const uint8_t *bytes, size_t size);
 tl_upload_t tl_app_table_end(tl_app_t *app, uint8_t axis);
 void tl_app_table_abort(tl_app_t *app);

@@ -4,19 +4,26 @@
 
 #include "tautline/tl_axis.h"
 #include "tautline/tl_onset.h"
+#include "tautline/tl_table.h"
 
 typedef struct {
     tl_axis_t *axis; ///< NULL: none
     bool host_lost;  ///< it ends for that reason
     uint16_t reversals;
-    tl_motion_t motion;
-    tl_history_t history;
-    tl_onset_detector_t detector;
-    tl_motion_config_t motion_config;
-    tl_onset_config_t onset_config;
+    union {
+        struct { // from tl_calibration_start() until tl_calibration_ended() has said so
+            tl_motion_t motion;
+            tl_history_t history;
+            tl_onset_detector_t detector;
+            tl_motion_config_t motion_config;
+            tl_onset_config_t onset_config;
+        };
+        uint8_t upload[TL_TABLE_SIZE_MAX]; ///< the app's, while `axis` is NULL: a table that the host sends
+    };
 } tl_calibration_t;
 
-/// Why `request` cannot be, or 0 when the axis has begun to move. Task, under the lock; 64-bit divisions.
+/// Why `request` cannot be, or 0 when the axis has begun to move. `upload` is lost, also where it cannot be. Task,
+/// under the lock; 64-bit divisions.
 uint8_t tl_calibration_start(tl_calibration_t *calibration, tl_axis_t *axis, const tl_wire_motion_start_t *request);
 
 /// Takes in a frame; true when that finishes a reversal and `*onset` is written. Task, not under the lock.
