@@ -102,6 +102,20 @@ template <Lookup function> nb::tuple batch(const FixedTable &self, ArrayIn<int32
     return nb::make_tuple(y, flags);
 }
 
+// As the play asks: near is where the last one was.
+using Inverse = int32_t (*)(const tl_lookup_t *, int32_t, int32_t, uint32_t *);
+
+template <Inverse function> nb::tuple batch_near(const FixedTable &self, ArrayIn<int32_t> x) {
+    auto y = new_array<int32_t>(x.shape(0));
+    auto flags = new_array<uint32_t>(x.shape(0));
+    int32_t near = 0;
+    for (size_t i = 0; i < x.shape(0); i++) {
+        flags.data()[i] = 0;
+        near = y.data()[i] = function(&self.lookup, x.data()[i], near, &flags.data()[i]);
+    }
+    return nb::make_tuple(y, flags);
+}
+
 } // namespace
 
 void bind_tables(nb::module_ &m) {
@@ -154,8 +168,8 @@ void bind_tables(nb::module_ &m) {
         .def("width", &batch<tl_lookup_width>, nb::arg("p"), "B(p) and flags")
         .def("angle", &batch<tl_lookup_angle>, nb::arg("p"), "f(p) and flags")
         .def("angle_inverse", &batch<tl_lookup_angle_inverse>, nb::arg("c"), "p with f(p) = c, and flags")
-        .def("p_low", &batch<tl_lookup_p_low>, nb::arg("q"), "p with p + B(p)/2 = q, and flags")
-        .def("p_high", &batch<tl_lookup_p_high>, nb::arg("q"), "p with p - B(p)/2 = q, and flags")
+        .def("p_low", &batch_near<tl_lookup_p_low>, nb::arg("q"), "p with p + B(p)/2 = q, and flags")
+        .def("p_high", &batch_near<tl_lookup_p_high>, nb::arg("q"), "p with p - B(p)/2 = q, and flags")
         .def("coarse", &batch<tl_lookup_coarse>, nb::arg("q"), "the coarse kinematics and flags")
         .def("coarse_inverse", &batch<tl_lookup_coarse_inverse>, nb::arg("c"), "its inverse and flags");
 }

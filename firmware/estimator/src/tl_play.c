@@ -18,7 +18,7 @@ tl_count_q8_t tl_play_step(tl_play_t *play, tl_count_q8_t q) {
     if (q >= play->p) {
         if (2U * ((uint32_t)q - (uint32_t)play->p) > play->width) {
             uint32_t flags = 0;
-            const tl_count_q8_t p = tl_lookup_p_low(play->lookup, q, &flags);
+            const tl_count_q8_t p = tl_lookup_p_low(play->lookup, q, play->p, &flags);
             if (p > play->p) {
                 play->p = p;
                 play->width = width_at(2U * ((uint32_t)q - (uint32_t)p));
@@ -27,7 +27,7 @@ tl_count_q8_t tl_play_step(tl_play_t *play, tl_count_q8_t q) {
         }
     } else if (2U * ((uint32_t)play->p - (uint32_t)q) > play->width) {
         uint32_t flags = 0;
-        const tl_count_q8_t p = tl_lookup_p_high(play->lookup, q, &flags);
+        const tl_count_q8_t p = tl_lookup_p_high(play->lookup, q, play->p, &flags);
         if (p < play->p) {
             play->p = p;
             play->width = width_at(2U * ((uint32_t)p - (uint32_t)q));

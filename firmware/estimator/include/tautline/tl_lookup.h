@@ -57,9 +57,10 @@ tl_deg_q16_t tl_lookup_angle(const tl_lookup_t *lookup, tl_count_q8_t p, uint32_
 tl_count_q8_t tl_lookup_angle_inverse(const tl_lookup_t *lookup, tl_deg_q16_t c, uint32_t *flags);
 
 /// p with p + B(p)/2 = q (p_lo), and with p - B(p)/2 = q (p_hi): unique while |B'| < 2. Beyond the grid B is
-/// held. As exact.
-tl_count_q8_t tl_lookup_p_low(const tl_lookup_t *lookup, tl_count_q8_t q, uint32_t *flags);
-tl_count_q8_t tl_lookup_p_high(const tl_lookup_t *lookup, tl_count_q8_t q, uint32_t *flags);
+/// held. As exact. `near` is where p may be, say the last one, and changes nothing but the cost: in its span no other
+/// is looked at.
+tl_count_q8_t tl_lookup_p_low(const tl_lookup_t *lookup, tl_count_q8_t q, tl_count_q8_t near, uint32_t *flags);
+tl_count_q8_t tl_lookup_p_high(const tl_lookup_t *lookup, tl_count_q8_t q, tl_count_q8_t near, uint32_t *flags);
 
 /// The coarse kinematics and its inverse: a line, held beyond [q_min, q_max].
 tl_deg_q16_t tl_lookup_coarse(const tl_lookup_t *lookup, tl_count_q8_t q, uint32_t *flags);
