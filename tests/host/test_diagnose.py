@@ -135,7 +135,8 @@ def test_the_command_writes_what_the_format_says(tmp_path, monkeypatch, capsys):
     assert document["where"]["stage"] in STAGES
     assert all(set(c) == {"axis", "share", "range", "says"} for c in document["where"]["conditions"])
     assert document["next_motion"]["why"] and (out / document["next_motion"]["file"]).exists()
-    assert "registration.shift" in (out / "report.html").read_text()
+    page = (out / "report.html").read_text()
+    assert "registration.shift" in page and f"taut predict {out}/corrected" in page
     for name in ("nominal", "corrected"):
         scored = taut("predict", out / name, tmp_path / "r2", "--csv", tmp_path / f"{name}.csv")
         assert scored.code == 0, scored.err

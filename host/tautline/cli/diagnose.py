@@ -61,4 +61,4 @@ def save(diagnosis: Diagnosis, out: Path) -> None:
             table.to_csv(folder / "next_motion.csv", index=False, float_format="%.6f")
         document: dict[str, Any] = plain(diagnosis.document)
         write_file(folder / DOCUMENT, json.dumps(document, indent=1, allow_nan=False) + "\n")
-        page.write(diagnosis, folder)
+        page.write(diagnosis, folder, str(out))

@@ -36,7 +36,8 @@ _TITLES = {
 }
 
 
-def write(diagnosis: Diagnosis, folder: Path) -> Path:
+def write(diagnosis: Diagnosis, folder: Path, known_as: str = "") -> Path:
+    """known_as: what the page's commands call the folder, where it is not there yet."""
     document = diagnosis.document
     unit = diagnosis.nominal.rig.actuator.unit
     named = document["verdict"] == "effect"
@@ -48,7 +49,7 @@ def write(diagnosis: Diagnosis, folder: Path) -> Path:
         "named": named,
         "digits": words.digits,
         "percent": words.percent,
-        "steps": words.steps(document, folder.name or "."),
+        "steps": words.steps(document, known_as or str(folder)),
         "flexible": words.flexible(document),
         "chain": _chain(document),
         "residuals": report.picture(
