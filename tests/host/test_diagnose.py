@@ -205,7 +205,7 @@ def test_the_report_says_it_all_and_shows_every_axis(tmp_path):
     assert 'class="named">transmission' in text
     for condition in found.conditions:
         assert page._TITLES[condition.axis] in text
-    for step in words.steps(found.document, tmp_path.name):
+    for step in words.steps(found.document, str(tmp_path)):
         assert step.command in text
     assert text.count("<img") == 1 + len(found.conditions)
     said = words.text(found.document, "out")
