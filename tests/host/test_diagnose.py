@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tautline import effects
+from tautline.diagnose.candidates import Search
 from tautline.diagnose.diagnosis import _corrected, diagnose
 from tautline.diagnose.fit import Fit, Fitter, Hypothesis
 from tautline.diagnose.segment import prepare
@@ -226,3 +227,22 @@ def test_a_drift_that_wears_off_is_folded_in_as_far_as_it_went():
     with_drift = effects.simulate(true_model(), made[1].motor, at, drift, clock_offset_s=end - at[0])
     assert abs(with_drift.c_deg[0] - effects.simulate(true_model(), made[1].motor, at, {}).c_deg[0]) > 0.02
     assert predict(corrected, made[1].motor, at).c_deg[0] == pytest.approx(with_drift.c_deg[0], abs=0.05)
+
+
+def test_a_fit_that_ends_behind_the_camera_is_no_hypothesis(monkeypatch):
+    made = recordings({"lag": 0.08})
+    fitter = Fitter(true_model(), prepare(true_model(), made[0], made[1:2]))
+    base = fitter.nominal()
+    search = Search(
+        fitter, base, [effects.BY_ID["transmission.lag"], effects.BY_ID["camera.distortion"]], lambda text: None
+    )
+    whole = Fitter.fit
+
+    def lost(self, hypothesis, *rest):
+        fit = whole(self, hypothesis, *rest)
+        if hypothesis.kinds[-1].id == "camera.distortion":
+            fit.residuals[0][3] = np.nan
+        return fit
+
+    monkeypatch.setattr(Fitter, "fit", lost)
+    assert [found.ids for found in search.on_top_of(search.base, 2, 0)] == [("transmission.lag",)]

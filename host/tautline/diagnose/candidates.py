@@ -75,6 +75,8 @@ class Search:
             start = {**below.fit.state.values, **entry.values}
             hypothesis = below.fit.hypothesis.plus(entry.kind, entry.only_tests)
             fit = self.fitter.fit(hypothesis, start, below.fit.state, entry.others)
+            if not fit.finite:
+                return
             if entry.kind.id != "registration.shift" or self._seen_to_happen(fit.state.values["shift_time"]):
                 found.append(self.judged(fit))
 

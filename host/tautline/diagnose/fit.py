@@ -114,6 +114,11 @@ class Fit:
     residuals: list[Array]  # of each segment, (scored, k)
 
     @property
+    def finite(self) -> bool:
+        """Not so where the marker would be behind the camera."""
+        return all(bool(np.isfinite(r).all()) for r in self.residuals)
+
+    @property
     def freedom(self) -> int:
         """How many parameters the effects have."""
         return len(self.hypothesis.parameters)
@@ -397,7 +402,8 @@ _RANGES = {
 
 
 def _best(fits: Sequence[Fit]) -> Fit:
-    """That leaves least."""
+    """That leaves least; one that ended behind the camera only where all did."""
+    fits = [fit for fit in fits if fit.finite] or fits
     limits = [min(map(outlier_limit, each)) for each in zip(*(fit.residuals for fit in fits), strict=True)]
     return min(fits, key=lambda fit: _cost(fit.residuals, limits))
 
