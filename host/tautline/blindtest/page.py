@@ -39,7 +39,7 @@ ROWS: Sequence[tuple[str, str, str | None]] = (
     ("pairs_one", "... one of them at least", None),
     ("left_out", "effect taken out of the library, called unknown", None),
     ("overall", "single, unknown and none, right verdict", None),
-    ("probability", "mean probability on the truth", "0.66"),
+    ("probability", "mean probability on the truth", None),
     ("calibration_error", "expected calibration error", None),
     ("claim", "claimed less realised shrinkage, mean (points)", "5"),
     ("claim_size", "... mean of its size (points)", None),
