@@ -143,11 +143,6 @@ class Bound:
         if each of its paths is left out."""
         return self._function(self.code.starts[name])
 
-    @property
-    def functions(self) -> set[str]:
-        """What has been looked at so far: the functions reached."""
-        return {self.code.names[start] for start in self._found}
-
     def _function(self, start: int) -> int:
         name = self.code.names[start]
         if name in self.knowledge.known:

@@ -192,6 +192,7 @@ LIBRARY: tuple[Kind, ...] = (
     Kind("acquisition.jitter", (Parameter("jitter", "s", 0.005),), (), "frame times are unsteady", needs="camera"),
 )
 BY_ID: Mapping[str, Kind] = {kind.id: kind for kind in LIBRARY}
+EVENTS = frozenset(kind.id for kind in LIBRARY if not kind.repeats)  # told by their scatter alone
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ def evidence(left: dict[tuple[str, ...], float], before: float = 100.0, frozen: 
     weighed = [Weighed((), power(1.0, before), NOTHING, NOTHING, 0)]
     weighed += [Weighed(ids, power(share, before), NOTHING, NOTHING, 2 * len(ids)) for ids, share in left.items()]
     as_it_is = power(1.0, before if frozen is None else frozen)
-    return Evidence(FLOOR, np.arange(BLOCKS) > 10, as_it_is, tuple(weighed), 18)
+    return Evidence(FLOOR, as_it_is, tuple(weighed), 18)
 
 
 def test_the_effect_that_leaves_little_is_named():

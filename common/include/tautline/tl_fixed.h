@@ -55,11 +55,6 @@ static inline uint32_t tl_mul_high(uint32_t a, uint32_t b) {
     return a1 * b1 + (low >> 16) + (middle >> 16);
 }
 
-/// The whole product. About 20 cycles on a Cortex-M0+, where the compiler's own is a call.
-static inline uint64_t tl_mul_wide(uint32_t a, uint32_t b) {
-    return (uint64_t)tl_mul_high(a, b) << 32 | (a * b);
-}
-
 /// a * factor, factor < 2^16, modulo 2^64. Three products, about 12 cycles.
 static inline int64_t tl_times(int64_t a, uint32_t factor) {
     const uint32_t low = (uint32_t)a, high = (uint32_t)((uint64_t)a >> 32);

@@ -28,7 +28,7 @@ from tautline.blindtest.scores import FAILED, NONE, STAGES, UNEXPLAINED, Answer
 from tautline.diagnose import candidates, gap, where
 from tautline.diagnose.fit import Fit, Fitter, Hypothesis
 from tautline.diagnose.screen import Screened, screen
-from tautline.diagnose.segment import Segment, prepare
+from tautline.diagnose.segment import Segment, load_reference, prepare
 from tautline.effects import Kind
 from tautline.model import Model
 from tautline.recording import Recording
@@ -52,10 +52,9 @@ class Evidence:
 
     def __init__(self, model: Model, recordings: Sequence[Recording], further: Recording | None = None) -> None:
         """The calibration first; `model` is what it gave."""
-        load = recordings[0].motor.load_mNm
         segments = prepare(model, recordings[0], [*recordings[1:], *([further] if further else [])])
         self.further = segments.pop() if further else None
-        self.fitter = Fitter(model, segments, 0.0 if load is None else float(np.median(load)))
+        self.fitter = Fitter(model, segments, load_reference(recordings[0]))
         self.tests = segments[1:]
         self.frozen = [self.residual(s) for s in segments]
         self.fitter.floor = self.floor = gap.noise_floor(segments, self.frozen)

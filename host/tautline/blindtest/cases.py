@@ -17,7 +17,7 @@ from tautline.diagnose import candidates
 from tautline.diagnose.fit import Fit, Fitter, Hypothesis
 from tautline.diagnose.gap import rms
 from tautline.diagnose.screen import Screened, screen
-from tautline.diagnose.segment import prepare
+from tautline.diagnose.segment import load_reference, prepare
 from tautline.model import Model
 from tautline.recording import Recording
 from tautline.rig import Rig
@@ -167,9 +167,8 @@ def _left(session: _Session, truth: Truth, throughout: bool, outside: bool) -> f
     recordings = [session.record(silent, truth, throughout, i) for i in range(3)]
     if any(r.marker is None or r.marker.valid.mean() < _SEEN for r in recordings):
         return 0.0
-    load = recordings[0].motor.load_mNm
     segments = prepare(model, recordings[0], recordings[1:])
-    fitter = Fitter(model, segments, 0.0 if load is None else float(np.median(load)))
+    fitter = Fitter(model, segments, load_reference(recordings[0]))
     fitter.floor = plant.noise_px
     left = rms(fitter.left(fitter.rows(fitter.start(), Hypothesis()))[1:])
     if not outside or left < VISIBLE * plant.noise_px:

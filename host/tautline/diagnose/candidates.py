@@ -11,10 +11,9 @@ import numpy.typing as npt
 
 from tautline import effects
 from tautline.diagnose import gap, heldout
-from tautline.diagnose.decide import EVENTS
 from tautline.diagnose.fit import Fit, Fitter, outlier_limit
 from tautline.diagnose.screen import Screened, screen
-from tautline.effects import Kind
+from tautline.effects import EVENTS, Kind
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[str], None]

@@ -16,6 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import log_expit, log_ndtr, logsumexp
 
+from tautline.effects import EVENTS, LIBRARY
+
 Array = npt.NDArray[np.float64]
 
 # Set on tuning cases (docs/diagnosis.md).
@@ -32,10 +34,9 @@ NONE, UNKNOWN, FURTHER = 30.0, 0.9, 0.05  # prior odds to one effect; of a furth
 PRICE = 0.5  # of a parameter, of the Bayesian information criterion's: held-out blocks have charged for most of it
 NAMED = 0.5  # probability from which on an effect is named
 COVERS = 0.95  # probability that a set of effects that cannot be told apart holds
-BY_CHANCE = 0.1  # probability that an unknown effect goes with a column that was measured beside the motion
-MEASURED = frozenset({"transmission.load_dependence"})  # effects that follow such a column
+COINCIDES = 0.1  # probability that an unknown effect goes with a column that was measured beside the motion
+MEASURED = frozenset(kind.id for kind in LIBRARY if kind.needs == "load")  # effects that follow such a column
 LAWS = frozenset({"registration.static", "registration.shift", "acquisition.delay"})
-EVENTS = frozenset({"transmission.stick_slip", "acquisition.jitter"})  # no reproducible path: told by their scatter
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,6 @@ class Weighed:
 @dataclass(frozen=True)
 class Evidence:
     floor: float  # px or deg
-    test: npt.NDArray[np.bool_]  # (blocks,) not of the calibration
     frozen: Array  # (blocks,) mean squares that the calibrated model leaves as it is
     hypotheses: tuple[Weighed, ...]  # the first without any effect
     applicable: int  # effects of the library that these recordings could show
@@ -179,7 +179,7 @@ class _Likelihoods:
     def _stands_in(self, h: Weighed, table: Array) -> float:
         """For an unknown effect, which now and then it follows as closely as if it were right."""
         follows = np.log(FOLLOWS) + logsumexp(table + _right(h)) if h.ids else -np.inf
-        chance = np.log(BY_CHANCE) if MEASURED & set(h.ids) else 0.0
+        chance = np.log(COINCIDES) if MEASURED & set(h.ids) else 0.0
         return float(chance + np.logaddexp(follows, np.log1p(-FOLLOWS) + logsumexp(table + _wrong())))
 
     def prior(self, effects: int) -> float:

@@ -17,7 +17,7 @@ from tautline.diagnose import confounded, decide, flexible, gap, motion, where
 from tautline.diagnose.candidates import Found, applicable
 from tautline.diagnose.fit import Fit, Fitter, Hypothesis
 from tautline.diagnose.gather import Gathered, gather
-from tautline.diagnose.segment import Segment, prepare
+from tautline.diagnose.segment import Segment, load_reference, prepare
 from tautline.geometry import rotation
 from tautline.model import Effect, Model, allowed_width
 from tautline.recording import Recording
@@ -54,7 +54,7 @@ def diagnose(
     nothing can be scored."""
     progress(0.0, "preparing")
     segments = prepare(model, calibration, tests)
-    fitter = Fitter(model, segments, _load_reference(calibration))
+    fitter = Fitter(model, segments, load_reference(calibration))
     frozen = fitter.residuals(fitter.start(), Hypothesis())
     fitter.floor = gap.noise_floor(segments, frozen)
     base = fitter.nominal()
@@ -137,11 +137,6 @@ def diagnose(
     return Diagnosis(document, model, corrected, following, segments, list(before), list(after), conditions)
 
 
-def _load_reference(calibration: Recording) -> float:
-    load = calibration.motor.load_mNm
-    return 0.0 if load is None else float(np.median(load))
-
-
 def _best_of_each(gathered: Gathered) -> dict[str, Found]:
     """The hypothesis of each effect alone that leaves least."""
     best: dict[str, Found] = {}
@@ -156,7 +151,7 @@ def _best_of_each(gathered: Gathered) -> dict[str, Found]:
 def _leading(gathered: Gathered, verdict: decide.Verdict) -> list[Fit]:
     """Of the three likeliest effects that have a path, those that cannot be told apart or else the best two."""
     best = _best_of_each(gathered)
-    names = [name for name in verdict.ranked if name in best and name not in decide.EVENTS]
+    names = [name for name in verdict.ranked if name in best and name not in effects.EVENTS]
     unsure = set(verdict.ambiguous())
     return [best[name].fit for i, name in enumerate(names[:3]) if i < 2 or name in unsure]
 

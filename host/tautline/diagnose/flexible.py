@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
-from tautline.diagnose import gap, repeats
+from tautline.diagnose import gap
 from tautline.diagnose.segment import Segment
 
 Array = npt.NDArray[np.float64]
@@ -106,7 +106,7 @@ def _inputs(segments: Sequence[Segment], swing_s: float | None) -> Array:
         t = segment.arrival_s
         load = segment.motor.load_mNm
         columns: tuple[Array, ...] = (
-            repeats.features(segment),
+            _features(segment),
             t + segment.offset_s,
             np.zeros_like(t) if load is None else np.interp(t, segment.motor.t_s, load),
         )
@@ -117,6 +117,26 @@ def _inputs(segments: Sequence[Segment], swing_s: float | None) -> Array:
     inputs = np.concatenate(parts)
     varies: Array = inputs[:, np.ptp(inputs, axis=0) > 1e-9]
     return varies
+
+
+def _features(segment: Segment) -> Array:
+    """(n, 6): motor position, travel since the reversal, direction, speed, the other two axes."""
+    motor, t = segment.motor, segment.arrival_s
+    span = float(np.ptp(motor.q)) or 1.0
+    q = np.interp(t, motor.t_s, motor.q) / span
+    step = np.diff(motor.q)
+    way = np.sign(step)
+    turning = np.flatnonzero(way != 0)
+    turns = turning[1:][np.diff(way[turning]) != 0]
+    last = np.searchsorted(motor.t_s[turns], t, side="right") - 1
+    start = np.where(last >= 0, motor.q[turns][np.maximum(last, 0)] if len(turns) else motor.q[0], motor.q[0]) / span
+    travel = np.minimum(np.abs(q - start), 0.3)
+    rate = np.gradient(q, t) if len(t) > 1 else np.zeros_like(q)
+    others = [
+        np.zeros_like(q) if values is None else np.interp(t, motor.t_s, values)
+        for values in (motor.translation_mm, motor.rotation_deg)
+    ]
+    return np.column_stack([q, travel, np.sign(q - start), np.abs(rate), *others])
 
 
 def _swing(segments: Sequence[Segment], residuals: Sequence[Array]) -> float | None:

@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from tautline.diagnose import decide, scatter
 from tautline.diagnose.candidates import Found, Search
-from tautline.diagnose.decide import EVENTS, Evidence, Weighed
+from tautline.diagnose.decide import Evidence, Weighed
 from tautline.diagnose.fit import Fit, Fitter
-from tautline.effects import BY_ID, Kind
+from tautline.effects import BY_ID, EVENTS, Kind
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -88,17 +88,14 @@ class _Weighing:
         verdict = decide.decide(self.evidence())
         for i in np.argsort(-verdict.posterior):
             one = self.found[i]
-            if len(one.ids) != size or one.ids in self._extended or set(one.ids) & set(EVENTS):
+            if len(one.ids) != size or one.ids in self._extended or set(one.ids) & EVENTS:
                 continue
             self._extended.add(one.ids)
             return one if decide.is_open(self.evidence(), one.power) else None
         return None
 
     def evidence(self) -> Evidence:
-        counts = [int(label.max(initial=-1)) + 1 for label in self.search.labels]
-        test = np.repeat([not s.calibration for s in self.search.fitter.segments], counts)
-        applicable = len(self.search.kinds)
-        return Evidence(self.search.fitter.floor, test, self._frozen, tuple(self._weighed), applicable)
+        return Evidence(self.search.fitter.floor, self._frozen, tuple(self._weighed), len(self.search.kinds))
 
 
 def _with_event(fit: Fit, kind: Kind, only_tests: bool, amplitude: float) -> Fit:

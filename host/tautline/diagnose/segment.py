@@ -59,6 +59,12 @@ class Segment:
         return replace(self, scored=self.scored & keep)
 
 
+def load_reference(calibration: Recording) -> float:
+    """mNm at which a model calibrated on it holds."""
+    load = calibration.motor.load_mNm
+    return 0.0 if load is None else float(np.median(load))
+
+
 def prepare(model: Model, calibration: Recording, tests: Sequence[Recording]) -> list[Segment]:
     """The calibration first. px where every recording has a marker, else deg where every one has an angle."""
     recordings = [calibration, *tests]

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from tautline.diagnose.confounded import DRIFT, LOAD
-from tautline.effects import BY_ID
+from tautline.effects import BY_ID, EVENTS
 
-_EVENTS = ("transmission.stick_slip", "acquisition.jitter")
 _SMALL = 3.0  # times the noise: a gap below is called small
 _SHOWN = 0.005  # probability from which on a terminal shows a candidate
 _NO_PATH = "It has no path that repeats, so no model can predict it away."
@@ -42,7 +41,7 @@ def sentence(document: Mapping[str, Any]) -> str:
         )
     effects = document["effects"]
     named = listed([f"{BY_ID[e['id']].says} ({e['id']}, {percent(e['probability'])} sure)" for e in effects])
-    if effects[0]["id"] in _EVENTS:
+    if effects[0]["id"] in EVENTS:
         text = f"{_capital(named)}: a gap of {before}, {times}. {_NO_PATH}"
     else:
         shrinks = "removes" if gap["shrink"] > 0.995 else f"shrinks by {percent(gap['shrink'])}"
@@ -100,7 +99,7 @@ def steps(document: Mapping[str, Any], folder: str) -> list[Step]:
     """What to do next, most useful first; `folder` is the diagnosis' own."""
     verdict, following = document["verdict"], document["next_motion"]
     effects = document["effects"]
-    event = bool(effects) and effects[0]["id"] in _EVENTS
+    event = bool(effects) and effects[0]["id"] in EVENTS
     if verdict == "none" or _is_small(document):
         return [Step("Use the model as it is: these motions show nothing large that it lacks.")]
     told = []
