@@ -81,6 +81,25 @@ def test_forward_stays_within_two_counts_over_any_path(data: st.DataObject, refe
     assert np.all((c >= np.minimum(one, other) - 1) & (c <= np.maximum(one, other) + 1))
 
 
+@given(tables(steepest=1.99), st.integers(0, 2**32 - 1))
+@settings(max_examples=100)
+def test_a_turn_just_past_the_backlash_moves_the_instrument(reference: Reference, seed: int) -> None:
+    """To the last bits of q: where |B'| is nearly 2, each is up to 200 of p."""
+    rng = np.random.default_rng(seed)
+    table = _native.FixedTable(reference.blob())
+    last_bits = 1.5 + 2.0 ** (reference.fields["step_log2"] - 19)  # a lookup's own error
+    for q in rng.uniform(reference.p[0], reference.p[-1], 20).round():
+        for side in (1, -1):
+            play = _native.FixedPlay(table, int(q - side * reference.width.max()))
+            p = float(play.run(raw([q]))[0][0])
+            back = np.floor(p - side * reference.width_at(np.array([p]))[0] / 2) - side * np.arange(1, 16)
+            back = back[np.abs(back) < VALUE_MAX]
+            reached = play.run(raw(back))[0]
+            expected = reference.envelope_inverse(back, -side)
+            moved = side * (expected - p) < 0
+            assert np.all(np.abs(reached - expected)[moved] <= last_bits)
+
+
 def path(rng: np.random.Generator, reference: Reference, count: int) -> np.ndarray:
     """Strokes of every length with pauses, over the grid and beyond it."""
     first, last = reference.p[0] - reference.width[0], reference.p[-1] + reference.width[-1]

@@ -1,16 +1,18 @@
 #include "tautline/tl_play.h"
 
-// Where p has just been solved for, 2 |q - p| is B(p) but for rounding: less than (2 + |B'|) 1.5 of the last bit. It is
-// kept smaller than B(p) by that, so that comparing with it may ask for a solution in vain but never misses one.
-static uint32_t width_at(uint32_t twice_apart) {
-    return twice_apart > 6U ? twice_apart - 6U : 0;
+// Where p has just been solved for, 2 |q - p| is B(p) but for p's error times (2 + |B'|) < 4: 1.5 of the last bit and
+// 2^-19 of a span (tl_fraction()). It is kept smaller than B(p) by that, so that comparing with it may ask for a
+// solution in vain but never misses one.
+static uint32_t width_at(const tl_lookup_t *lookup, uint32_t twice_apart) {
+    const uint32_t error = 6U + ((4U << lookup->step_log2) >> 19);
+    return twice_apart > error ? twice_apart - error : 0;
 }
 
 void tl_play_start(tl_play_t *play, const tl_lookup_t *lookup, tl_count_q8_t p) {
     play->lookup = lookup;
     play->p = tl_clamp(p, -TL_TABLE_VALUE_MAX, TL_TABLE_VALUE_MAX);
     play->flags = 0;
-    play->width = width_at((uint32_t)tl_lookup_width(lookup, play->p, &play->flags));
+    play->width = width_at(lookup, (uint32_t)tl_lookup_width(lookup, play->p, &play->flags));
 }
 
 tl_count_q8_t tl_play_step(tl_play_t *play, tl_count_q8_t q) {
@@ -21,7 +23,7 @@ tl_count_q8_t tl_play_step(tl_play_t *play, tl_count_q8_t q) {
             const tl_count_q8_t p = tl_lookup_p_low(play->lookup, q, play->p, &flags);
             if (p > play->p) {
                 play->p = p;
-                play->width = width_at(2U * ((uint32_t)q - (uint32_t)p));
+                play->width = width_at(play->lookup, 2U * ((uint32_t)q - (uint32_t)p));
                 play->flags = flags;
             }
         }
@@ -30,7 +32,7 @@ tl_count_q8_t tl_play_step(tl_play_t *play, tl_count_q8_t q) {
         const tl_count_q8_t p = tl_lookup_p_high(play->lookup, q, play->p, &flags);
         if (p < play->p) {
             play->p = p;
-            play->width = width_at(2U * ((uint32_t)p - (uint32_t)q));
+            play->width = width_at(play->lookup, 2U * ((uint32_t)p - (uint32_t)q));
             play->flags = flags;
         }
     }
