@@ -122,7 +122,8 @@ class Columns:
         keep[repeated] = False
         self.frame = self.frame[keep]
         self.warnings.append(f"{self.path}: {repeated.size} rows that repeat the time before them were left out")
-        return t_s[keep]
+        kept: np.ndarray = t_s[keep]
+        return kept
 
 
 def read_columns(path: Path, required: Iterable[str], expected: str, mend: bool = True) -> Columns:

@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from tests.host.cli_runner import Taut
 from tests.host.test_diagnose import true_model
 
@@ -95,6 +97,48 @@ def test_an_order_lists_its_cases_and_names_their_seeds():
         (9, "single", (LAG,)),
         (9, "unknown", ("zoom",)),
     ]
+
+
+@given(
+    st.lists(st.sampled_from([("single", (LAG,)), ("single", (CREEP,)), ("none", ()), ("pair", ())]), max_size=80),
+    st.integers(0, 1000),
+)
+def test_every_beginning_of_a_campaign_has_its_share_of_each_sort(sorts, seed):
+    cases = [(i, *sort) for i, sort in enumerate(sorts)]
+    mixed = campaign.interleaved(cases, np.random.default_rng(seed))
+    assert sorted(mixed) == sorted(cases)
+    for sort in set(sorts):
+        mine = [case for case in mixed if case[1:] == sort]
+        assert mine == sorted(mine)
+        for length in range(len(mixed) + 1):
+            # Within one of its share, as is each other sort: that many cases may lie between.
+            expected = len(mine) * length / len(mixed)
+            there = sum(case[1:] == sort for case in mixed[:length])
+            assert abs(there - expected) <= 1 + len(set(sorts)) * len(mine) / len(mixed)
+
+
+def test_baselines_answer_every_so_manyth_scored_case_of_each_sort():
+    labels = [label("single", LAG)] * 5 + [label("single", LAG, left=0.01)] + [label("single", CREEP)] * 2
+    labels += [label("pair", LAG, CREEP), label("pair", CREEP, LAG), label("none"), label("left out", LAG)]
+    records = [{"name": str(i), "label": each.to_json()} for i, each in enumerate(labels)]
+    assert compare.subset(records, 2) == ["0", "2", "4", "6", "8", "10"]
+    assert compare.subset(records, 1) == [str(i) for i in range(11) if i != 5]
+
+
+def test_methods_are_compared_case_by_case():
+    gap = {"before": 1.0, "after": 0.1, "floor": 0.05}
+    shrunk = Answer((), "failed", 1.0, claimed=0.5, realised={**gap, "after": 0.5}, names=False)
+    right, wrong = said(LAG, LAG, realised=gap), said(CREEP, CREEP, realised={**gap, "after": 0.05})
+    cases = [(label("single", LAG), right, wrong)] * 6 + [(label("single", LAG), wrong, right)]
+    cases += [(label("none"), said("none"), said("none")), (label("none"), said("none"), said("unknown"))]
+    cases += [(label("pair", LAG, CREEP), right, wrong), (label("single", LAG, left=0.01), right, wrong)]
+    found = scores.paired(cases)
+    assert (found["verdicts"].ours, found["verdicts"].theirs) == (7, 1)
+    assert found["verdicts"].p == pytest.approx(2 * (1 + 8) / 2**8)  # both tails of eight fair coins
+    assert (found["closed"].ours, found["closed"].theirs) == (1, 6)
+    only_shrinks = scores.paired([(label("single", LAG), right, shrunk), (label("none"), said("none"), shrunk)])
+    assert set(only_shrinks) == {"closed"} and only_shrinks["closed"].ours == 1
+    assert scores.Paired(0, 0).p == 1.0
 
 
 def stub(files, left_out=()):
@@ -206,6 +250,28 @@ def test_an_interrupted_campaign_goes_on_where_it_was(tmp_path, stubbed, monkeyp
         conduct(tmp_path / "out", replace(ORDER, seed=41))
 
 
+def test_a_campaign_that_is_stopped_is_scored_as_far_as_it_came(tmp_path, stubbed, monkeypatch):
+    order = replace(ORDER, none=3, single=0, leave_one_out=0)
+
+    def stop(fraction, text):
+        if text.startswith("diagnosed 2"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(TautError, match="no campaign"):
+        campaign.order_of(tmp_path / "out")
+    with pytest.raises(KeyboardInterrupt):
+        conduct(tmp_path / "out", order, stop)
+    assert campaign.order_of(tmp_path / "out") == order
+    # A third that came out of turn would be one that was quick: it is not scored.
+    folder = sealed.Campaign(tmp_path / "out")
+    (folder.root / "diagnoses" / "case-0001").rename(folder.root / "diagnoses" / "case-0002")
+    with pool(1, None) as here:
+        stopped = campaign.run(order, tmp_path / "out", here, lambda fraction, text: None, stopped=True)
+    assert [record["name"] for record in stopped] == ["case-0000"]
+    monkeypatch.setattr(work, "diagnose_case", None)  # closed: nothing is diagnosed any more
+    assert [record["name"] for record in conduct(tmp_path / "out", order)] == ["case-0000"]
+
+
 def test_the_command_makes_diagnoses_and_scores(tmp_path, monkeypatch, capsys):
     taut = Taut(monkeypatch, capsys)
     arguments = ["blindtest", "--out", tmp_path / "out", "--seed", 3, "--only", "none", "--only", "registration.shift"]
@@ -238,7 +304,20 @@ def test_baselines_answer_on_the_same_cases(tmp_path, stubbed, monkeypatch):
     with pool(1, None) as here:
         answered = compare.answers(methods, records, tmp_path / "out", here, lambda fraction, text: None)
     result = page.result(answered)
-    assert list(result["methods"]) == ["tautline", *methods]
+    assert list(result["methods"]) == ["tautline", page.HERE, *methods]
+    with pool(1, None) as here:
+        broken = ["joint", "process"]
+        for method in broken:
+            monkeypatch.setitem(baselines.ON_CASES, method, lambda evidence: 1 / 0)
+        methods = [*methods, "process"]
+        again = compare.answers(methods, records, tmp_path / "out", here, lambda fraction, text: None)
+        stopped = compare.answers(methods, records, tmp_path / "out", here, lambda f, t: None, stopped=True)
+    assert stopped == again
+    for before, after in zip(answered, again, strict=True):  # what is there stays, what fails costs its own answer
+        assert after["answers"].pop("process")["verdict"] == "failed"
+        assert after["answers"] == before["answers"]
+    text = page.text(page.result(again))
+    assert "Baselines answered 2 of the 2 cases" in text and "ZeroDivisionError" in text
     single = next(r for r in answered if r["label"]["kind"] == "single")
     nothing = next(r for r in answered if r["label"]["kind"] == "none")
     assert single["answers"]["majority"] == nothing["answers"]["majority"]

@@ -13,7 +13,6 @@ _LEFT of what a recalibration leaves: without such a rule they could do neither.
 
 from __future__ import annotations
 
-import time
 import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -36,6 +35,7 @@ from tautline.recording import Recording
 Array = npt.NDArray[np.float64]
 
 METHODS = ("majority", "joint", "bic", "forest", "process", "narx")
+SHRINKING = frozenset({"process", "narx"})  # these name nothing
 NEEDS = {"narx": "sysidentpy"}  # packages beyond tautline's own
 
 _NO_GAP = 1.25
@@ -78,7 +78,7 @@ class Evidence:
             best.setdefault((entry.kind.id, entry.only_tests), entry)
         return best
 
-    def answer(self, fit: Fit, leading: Kind | None, began: float) -> Answer:
+    def answer(self, fit: Fit, leading: Kind | None) -> Answer:
         """With the rules for none and unknown; no effect at all is none."""
         before, after, recalibrated = (gap.rms(r[1:]) for r in (self.frozen, fit.residuals, self.base.residuals))
         left = (after**2 - self.floor**2) / max(recalibrated**2 - self.floor**2, 1e-12)
@@ -97,7 +97,7 @@ class Evidence:
         return Answer(
             named,
             verdict,
-            time.process_time() - began,
+            0.0,
             frozenset(named),
             None,
             leading.stage if leading else None,
@@ -107,7 +107,6 @@ class Evidence:
 
 
 def joint(evidence: Evidence) -> Answer:
-    began = time.process_time()
     fitter = evidence.fitter
     hypothesis = Hypothesis()
     values: dict[str, float] = {}
@@ -122,11 +121,10 @@ def joint(evidence: Evidence) -> Answer:
     def shift(kind: Kind) -> float:
         return max(abs(fit.state.values[p.name]) / fitter.scale(p) for p in kind.amplitudes)
 
-    return evidence.answer(fit, max(hypothesis.kinds, key=shift), began)
+    return evidence.answer(fit, max(hypothesis.kinds, key=shift))
 
 
 def bic(evidence: Evidence) -> Answer:
-    began = time.process_time()
     fitter = evidence.fitter
     count = sum(r.size for r in evidence.base.residuals)
 
@@ -140,8 +138,8 @@ def bic(evidence: Evidence) -> Answer:
         for (name, only), entry in evidence.screened.items()
         if name in leading
     ]
-    best = min([evidence.base, *fits], key=criterion)
-    return evidence.answer(best, best.hypothesis.kinds[0] if best.hypothesis.kinds else None, began)
+    best = min([evidence.base, *(fit for fit in fits if fit.finite)], key=criterion)
+    return evidence.answer(best, best.hypothesis.kinds[0] if best.hypothesis.kinds else None)
 
 
 def features(evidence: Evidence) -> Array:
@@ -177,13 +175,11 @@ class Forest:
         return made.fit(self.features, list(self.verdicts))
 
     def answer(self, case: Array, core_s: float) -> Answer:
-        began = time.process_time()
         said = dict(zip(self._trees.classes_, self._trees.predict_proba(case[None])[0].tolist(), strict=True))
         verdict = max(said, key=lambda name: said[name])
         named = () if verdict in (NONE, UNEXPLAINED) else (verdict,)
         stage = STAGES.get(max((name for name in said if name in STAGES), key=lambda name: said[name]))
-        spent = core_s + time.process_time() - began
-        return Answer(named, verdict, spent, frozenset(named), said, stage)
+        return Answer(named, verdict, core_s, frozenset(named), said, stage)
 
 
 def majority(truths: Sequence[str]) -> Answer:
@@ -269,7 +265,6 @@ def narx(evidence: Evidence) -> Answer:
 def _learned(
     evidence: Evidence, learn: Callable[[Array, Array], Callable[[Array], Array]], lags: Sequence[float] = ()
 ) -> Answer:
-    began = time.process_time()
     assert evidence.further is not None
     span = evidence.fitter.model.rig.actuator.span
     since = evidence.tests[0].arrival_s[0] + evidence.tests[0].offset_s
@@ -289,7 +284,8 @@ def _learned(
     frozen = evidence.residual(evidence.further)
     after = frozen - learn(x, y)(seen(evidence.further))
     realised = {"before": gap.rms([frozen]), "after": gap.rms([after]), "floor": evidence.floor}
-    return Answer((), FAILED, time.process_time() - began, claimed=claimed, realised=realised, names=False)
+    return Answer((), FAILED, 0.0, claimed=claimed, realised=realised, names=False)
 
 
+# What they cost is for the caller to take.
 ON_CASES: Mapping[str, Callable[[Evidence], Answer]] = {"joint": joint, "bic": bic, "process": process, "narx": narx}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import secrets
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -53,9 +54,18 @@ class Order:
         return result
 
 
-def run(order: Order, folder: Path, pool: Pool, progress: Progress) -> list[dict[str, Any]]:
-    """Every case's record (work.score_case), in the plan's order, in the end those with an effect left out. Raises
-    TautError where the folder holds another campaign, or something in it was changed after it was sealed."""
+def order_of(folder: Path) -> Order:
+    """What the campaign in a folder was ordered as. Raises TautError where there is none yet."""
+    plan = sealed.Campaign(folder).plan()
+    if plan is None:
+        raise TautError(f"{folder}: no campaign whose cases are all made is there: run it without --score first")
+    return Order(**{**plan["order"], "only": tuple(plan["order"]["only"])})
+
+
+def run(order: Order, folder: Path, pool: Pool, progress: Progress, stopped: bool = False) -> list[dict[str, Any]]:
+    """Every case's record (work.score_case), in the plan's order, in the end those with an effect left out. `stopped`:
+    nothing more is diagnosed; the cases up to the first that is not are closed and scored, and stay all there are.
+    Raises TautError where the folder holds another campaign, or something in it was changed after it was sealed."""
     campaign = sealed.Campaign(folder)
     plan = campaign.plan()
     if plan is None:
@@ -63,9 +73,12 @@ def run(order: Order, folder: Path, pool: Pool, progress: Progress) -> list[dict
     elif plan["order"] != json.loads(json.dumps(asdict(order))):
         raise TautError(f"{folder}: holds another campaign (seed {plan['order']['seed']}): name a new folder")
     committed: dict[str, str] = plan["cases"]
-    names = list(committed)
-
+    names = campaign.closed() or list(committed)
     todo = [name for name in names if not campaign.diagnosed(name)]
+    if stopped and todo:  # up to the first: what was slow must not be left out
+        names, todo = names[: names.index(todo[0])], []
+        if not names:
+            raise TautError(f"{folder}: nothing is diagnosed yet: run it without --score first")
     tasks = ((name, (campaign.case(name),)) for name in todo)
     for done, (name, files) in enumerate(pool(work.diagnose_case, tasks), len(names) - len(todo) + 1):
         campaign.write_diagnosis(name, files)
@@ -80,19 +93,37 @@ def run(order: Order, folder: Path, pool: Pool, progress: Progress) -> list[dict
         records[name] = {"name": name, **record}
         progress(0.8 + 0.05 * len(records) / len(names), "opening labels")
     found = [records[name] for name in names]
-    found += _without(order, campaign, found, pool, lambda done: progress(0.85 + 0.15 * done, "leaving effects out"))
-    return found
+
+    def told(done: float) -> None:
+        progress(0.85 + 0.15 * done, "leaving effects out")
+
+    return found + _without(order, campaign, found, pool, told, stopped)
+
+
+def interleaved(
+    cases: Sequence[tuple[int, str, tuple[str, ...]]], rng: np.random.Generator
+) -> list[tuple[int, str, tuple[str, ...]]]:
+    """Shuffled, but so that every beginning has its share of each effect and kind: the i-th of n of one sort comes
+    somewhere between i / n and (i + 1) / n."""
+    count = Counter(case[1:] for case in cases)
+    before: Counter[tuple[str, tuple[str, ...]]] = Counter()
+    at = []
+    for case in cases:
+        sort = case[1:]
+        at.append((before[sort] + rng.random()) / count[sort])
+        before[sort] += 1
+    return [cases[i] for i in np.argsort(at)]
 
 
 def _make(order: Order, campaign: sealed.Campaign, pool: Pool, progress: Callable[[float], None]) -> dict[str, Any]:
-    """The cases in an order that tells nothing."""
+    """The cases, interleaved: a name tells nothing."""
     wanted = order.cases()
     if not wanted:
         raise TautError("no case was asked for: raise --cases, --unknown, --none or --pairs")
     if (campaign.root / sealed.CLOSED).exists():
         raise TautError(f"{campaign.root}: its {sealed.PLAN} is gone: name a new folder")
-    shuffled = np.random.default_rng([order.seed, 0x5EA1]).permutation(len(wanted))
-    names = {f"case-{at:04d}": wanted[i] for at, i in enumerate(shuffled)}
+    shuffled = interleaved(wanted, np.random.default_rng([order.seed, 0x5EA1]))
+    names = {f"case-{at:04d}": case for at, case in enumerate(shuffled)}
     # A campaign that was stopped while cases were made goes on only if it was this one.
     mark = campaign.root / "making.json"
     text = sealed.canonical(asdict(order))
@@ -118,13 +149,18 @@ def _without(
     found: Sequence[Mapping[str, Any]],
     pool: Pool,
     progress: Callable[[float], None],
+    stopped: bool,
 ) -> list[dict[str, Any]]:
-    """Single cases diagnosed again by a library that lacks their effect. What is right needs no label: unknown."""
-    chosen: list[Mapping[str, Any]] = []
+    """Single cases diagnosed again by a library that lacks their effect. What is right needs no label: unknown.
+    `stopped`: only those that are already."""
+    ranked: list[tuple[int, Mapping[str, Any]]] = []
     for effect in KNOWN:
-        mine = [r for r in found if r["label"]["kind"] == "single" and r["label"]["effects"] == [effect]]
-        chosen += sorted(mine, key=lambda r: int(r["label"]["seed"]))[: order.leave_one_out]
+        mine = [r for r in found if r["label"]["effects"] == [effect] and r["label"]["identifiable"]]
+        ranked += enumerate(mine[: order.leave_one_out])
     folder = campaign.root / "without"
+    chosen = [record for _, record in sorted(ranked, key=lambda pair: pair[0])]  # one of each effect, then the next
+    if stopped:
+        chosen = [record for record in chosen if (folder / record["name"]).is_dir()]
     records: list[dict[str, Any]] = []
 
     def tasks() -> Iterator[tuple[str, tuple[Any, ...]]]:

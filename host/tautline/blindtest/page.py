@@ -22,6 +22,7 @@ from tautline.plain import plain
 
 FILE, RESULT = "report.html", "result.json"
 OURS = "tautline"
+HERE = "tautline, there"  # on the cases that the baselines answered
 _MOST_LINES = 60  # cases that are printed one by one
 
 # What the table shows: Scores' field, what it means, the goal (None: none).
@@ -44,7 +45,13 @@ ROWS: Sequence[tuple[str, str, str | None]] = (
     ("claim", "claimed less realised shrinkage, mean (points)", "5"),
     ("claim_size", "... mean of its size (points)", None),
     ("closed", "closable gap closed on an unseen motion, mean", "90 %"),
+    ("closed_90", "... at least 90 % of it", None),
     ("core_s", "core-seconds a case", "10"),
+)
+# ... and of each baseline on the cases that it answered.
+PAIRED: Sequence[tuple[str, str]] = (
+    ("verdicts", "only tautline right : only the baseline (exact p)"),
+    ("closed", "tautline closes more : the baseline does (exact p)"),
 )
 
 Cases = Sequence[tuple[Label, Answer]]
@@ -63,6 +70,7 @@ def result(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "cases": len([1 for label, _ in ours if label.kind != "left out"]),
         "identifiable": Share(sum(label.identifiable for label in labels), len(labels)).to_json(),
         "methods": {name: found.to_json() for name, found in scored.items()},
+        "compared": _compared(records, methods),
         "confusion": {"truth": rows, "said": columns, "counts": counts.tolist()},
         "reliability": [
             {"low": b.low, "high": b.high, "said": b.said, "right": b.right.to_json()} for b in scores.reliability(ours)
@@ -72,11 +80,14 @@ def result(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def methods_of(records: Sequence[Mapping[str, Any]]) -> dict[str, Cases]:
-    """Every method's answers."""
+    """Every method's answers. Where there are baselines, HERE are our own on the cases that they answered."""
     labels = [Label.from_json(record["label"]) for record in records]
     methods: dict[str, Cases] = {
         OURS: [(label, answer_of(record)) for label, record in zip(labels, records, strict=True)]
     }
+    answered = [bool(record.get("answers")) for record in records]
+    if any(answered):
+        methods[HERE] = [case for case, there in zip(methods[OURS], answered, strict=True) if there]
     for name in {name: None for record in records for name in record.get("answers", {})}:
         methods[name] = [
             (label, scores.from_json(record["answers"][name]))
@@ -84,6 +95,29 @@ def methods_of(records: Sequence[Mapping[str, Any]]) -> dict[str, Cases]:
             if name in record["answers"]
         ]
     return methods
+
+
+def _compared(records: Sequence[Mapping[str, Any]], methods: Mapping[str, Cases]) -> dict[str, Any] | None:
+    """Which cases the baselines answered, and who has the better of how many."""
+    if HERE not in methods:
+        return None
+    ours = methods[HERE]
+    scored = [label for label, _ in methods[OURS] if label.kind != "left out" and scores.counts(label)]
+    paired = {
+        name: scores.paired([(label, own, other) for (label, own), (_, other) in zip(ours, cases, strict=True)])
+        for name, cases in methods.items()
+        if name not in (OURS, HERE)
+    }
+    return {
+        "cases": [record["name"] for record in records if record.get("answers")],
+        "of": len(scored),
+        "failed": [
+            {"case": record["name"], "method": method, "error": what}
+            for record in records
+            for method, what in record.get("failed", {}).items()
+        ],
+        "paired": {name: {what: found.to_json() for what, found in both.items()} for name, both in paired.items()},
+    }
 
 
 def write(records: Sequence[Mapping[str, Any]], folder: Path) -> dict[str, Any]:
@@ -96,6 +130,7 @@ def write(records: Sequence[Mapping[str, Any]], folder: Path) -> dict[str, Any]:
         "sentence": sentence(document),
         "note": "These seeds are for tuning: the figures say nothing about unseen cases." if document["tuning"] else "",
         "methods": list(document["methods"]),
+        "compared": compared(document),
         "rows": table(document),
         "naming": naming(document),
         "effects": effects(document),
@@ -136,20 +171,41 @@ def sentence(document: Mapping[str, Any]) -> str:
 
 
 def table(document: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """ROWS with a cell for each method; rows that say nothing of any method are left out."""
-    rows = []
-    for name, what, goal in ROWS:
-        cells = [_cell(found, name) for found in document["methods"].values()]
-        if any(cells):
-            rows.append({"what": what, "goal": goal or "", "cells": cells})
-    return rows
+    """ROWS, then PAIRED, with a cell for each method; rows that say nothing of any method are left out."""
+    methods = document["methods"]
+    rows = [
+        {"what": what, "goal": goal or "", "cells": [_cell(found, name, method) for method, found in methods.items()]}
+        for name, what, goal in ROWS
+    ]
+    paired = (document["compared"] or {"paired": {}})["paired"]
+    for name, what in PAIRED:
+        cells = [_pair(paired.get(method, {}).get(name)) for method in methods]
+        rows.append({"what": what, "goal": "", "cells": cells})
+    return [row for row in rows if any(row["cells"])]
+
+
+def compared(document: Mapping[str, Any]) -> str:
+    """Which cases the baselines answered; empty where there are none."""
+    found = document["compared"]
+    if found is None:
+        return ""
+    return (
+        f"Baselines answered {len(found['cases'])} of the {found['of']} cases that are scored, as many of each effect "
+        f"and kind; '{HERE}' is tautline on these."
+    ) + "".join(f" {x['method']} failed on {x['case']}: {x['error']}." for x in found["failed"])
 
 
 def effects(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     """How often each effect's name leads: a cell for each method that names effects."""
-    methods = [found["per_effect"] for found in document["methods"].values() if found["per_effect"]]
-    names = methods[0] if methods else {}
-    return [{"what": name, "goal": "75 %", "cells": [_share(found[name]) for found in methods]} for name in names]
+    methods = {name: document["methods"][name]["per_effect"] for name in naming(document)}
+    return [
+        {
+            "what": effect,
+            "goal": "75 %",
+            "cells": [_share(found[effect], method) if effect in found else "" for method, found in methods.items()],
+        }
+        for effect in methods.get(OURS, {})
+    ]
 
 
 def naming(document: Mapping[str, Any]) -> list[str]:
@@ -165,6 +221,8 @@ def text(document: Mapping[str, Any]) -> str:
     lines += _aligned(["", "goal", *document["methods"]], table(document))
     if per_effect := effects(document):
         lines += _aligned(["right name leads", "goal", *naming(document)], per_effect)
+    if said := compared(document):
+        lines.append(said)
     found = document["identifiable"]
     lines.append(f"{found['hits']} of {found['of']} cases with an effect are identifiable; only these are scored.")
     if document["tuning"]:
@@ -225,21 +283,28 @@ def _sentence_of(line: Mapping[str, Any]) -> str:
     return f"{mark} seed {line['seed']} {what}{since}: {said}{probability}{gaps}; {line['core_s']:.1f} s"
 
 
-def _cell(found: Mapping[str, Any], name: str) -> str:
+def _cell(found: Mapping[str, Any], name: str, method: str) -> str:
     if name == "worst":
         shares = [share["share"] for share in found["per_effect"].values()]
         return f"{100 * min(shares):.0f} %" if shares else ""
     value = found[name]
     if isinstance(value, Mapping):
-        return _share(value) if value["of"] else ""
+        return _share(value, method) if value["of"] else ""
     if value is None:
         return ""
     return f"{100 * value:.0f} %" if name == "closed" else f"{value:.2f}" if abs(value) < 10 else f"{value:.1f}"
 
 
-def _share(share: Mapping[str, Any]) -> str:
-    low, high = share["interval"]
-    return f"{100 * share['share']:.1f} % ({100 * low:.0f}-{100 * high:.0f}, {share['of']})"
+def _share(share: Mapping[str, Any], method: str) -> str:
+    """How many cases is said of ours; of a baseline they are those of HERE."""
+    low, high = (f"{100 * end:.0f}" for end in share["interval"])
+    if method in (OURS, HERE):
+        return f"{100 * share['share']:.1f} % ({low}-{high}, {share['of']})"
+    return f"{100 * share['share']:.0f} % ({low}-{high})"
+
+
+def _pair(found: Mapping[str, Any] | None) -> str:
+    return f"{found['ours']} : {found['theirs']} ({found['p']:.1g})" if found else ""
 
 
 @mpl.rc_context(figures.STYLE)

@@ -101,6 +101,22 @@ class Bin:
     right: Share
 
 
+@dataclass(frozen=True)
+class Paired:
+    """On the same cases: how many one method has the better of, and how many the other."""
+
+    ours: int
+    theirs: int
+
+    @property
+    def p(self) -> float:
+        """Exact, two-sided: McNemar's of verdicts that are right or wrong, a sign test of sizes."""
+        return float(binomtest(self.ours, self.ours + self.theirs).pvalue) if self.ours + self.theirs else 1.0
+
+    def to_json(self) -> dict[str, Any]:
+        return {"ours": self.ours, "theirs": self.theirs, "p": self.p}
+
+
 @dataclass
 class _Tally:
     answers: list[tuple[Label, Answer]] = field(default_factory=list)
@@ -194,6 +210,27 @@ def score(cases: Sequence[tuple[Label, Answer]]) -> Scores:
         calibration_error=_calibration_error(reliability(cases)),
         core_s=_mean([answer.core_s for label, answer in cases if label.kind != "left out"]),
     )
+
+
+def paired(cases: Sequence[tuple[Label, Answer, Answer]]) -> dict[str, Paired]:
+    """Of cases with two methods' answers, by what is compared: `verdicts` of single, unknown and none, where both name
+    effects; the share of the gap `closed` of single identifiable effects, where both shrink it."""
+    verdicts: list[tuple[float, float]] = []
+    closed: list[tuple[float, float]] = []
+    for label, ours, theirs in cases:
+        if label.kind in ("single", "unknown", "none") and counts(label) and ours.names and theirs.names:
+            verdicts.append((ours.verdict == truth(label), theirs.verdict == truth(label)))
+        own, other = _shrinkage(ours), _shrinkage(theirs)
+        if own is None or other is None:
+            continue
+        if label.kind == "single" and label.identifiable and not set(label.effects) & PATHLESS:
+            closed.append((own, other))
+    compared = {"verdicts": verdicts, "closed": closed}
+    return {
+        name: Paired(sum(a > b for a, b in pairs), sum(a < b for a, b in pairs))
+        for name, pairs in compared.items()
+        if pairs
+    }
 
 
 def _realised(answer: Answer) -> float | None:

@@ -99,6 +99,11 @@ class Campaign:
             lists = {name: digest((self.root / DIAGNOSES / name / LIST).read_bytes()) for name in names}
             write_file(path, canonical(lists).decode())
 
+    def closed(self) -> list[str] | None:
+        """The cases whose diagnoses were closed, in the plan's order; None before."""
+        path = self.root / CLOSED
+        return list(json.loads(path.read_text())) if path.exists() else None
+
     def diagnosis(self, name: str) -> dict[str, bytes]:
         """What was said of a case, as it was when the diagnoses were closed. Raises TautError where it was changed."""
         closed = self.root / CLOSED

@@ -7,7 +7,7 @@ import json
 import tempfile
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -66,8 +66,7 @@ def diagnose_case(files: Files, left_out: Collection[str] = ()) -> Files:
             document: Any = plain(found.document)
             said = sealed.read(folder / "out")
         except Exception as error:  # a verdict like any other, and a wrong one: the campaign goes on
-            what = str(error) if isinstance(error, TautError) else f"{type(error).__name__}: {error}"
-            calibrated, document, said = 0.0, {"verdict": FAILED, "error": what}, {}
+            calibrated, document, said = 0.0, {"verdict": FAILED, "error": _told(error)}, {}
         cost = {"core_s": time.process_time() - began, "calibration_core_s": calibrated}
     return {**said, DOCUMENT: sealed.canonical(document), COST: sealed.canonical(cost)}
 
@@ -81,39 +80,46 @@ def score_case(visible: Files, opened: Files, diagnosis: Files) -> dict[str, Any
     realised = None
     if document["verdict"] != FAILED:
         with unpacked({**visible, **opened, **diagnosis}) as folder:
-            nominal, corrected = Model.load(folder / "nominal"), Model.load(folder / "corrected")
+            nominal = Model.load(folder / "nominal")
             tests = recordings_of(folder)[1][1:]
             gap = float(np.sqrt(np.mean([gap_on(nominal, test, nominal) ** 2 for test in tests])))
             visible_px = float(np.sqrt(max(gap**2 - label.noise_px**2, 0.0)))
             label = replace(label, left=tuple(min(left, visible_px) for left in label.left))
             further = load(folder / sealed.FURTHER, nominal.rig)
-            realised = {
-                "before": gap_on(nominal, further, nominal),
-                "after": gap_on(corrected, further, nominal),
-                "floor": label.noise_px,
-            }
+            try:
+                after = gap_on(Model.load(folder / "corrected"), further, nominal)
+                realised = {"before": gap_on(nominal, further, nominal), "after": after, "floor": label.noise_px}
+            except Exception as error:  # a corrected model that cannot be used
+                document = {"verdict": FAILED, "error": _told(error)}
     return {"label": label.to_json(), "document": document, "realised": realised, **cost}
 
 
 def learn_case(seed: int, kind: str, effects: tuple[str, ...]) -> dict[str, Any]:
-    """Features and right verdict of a case to train on; no features where it cannot be scored."""
+    """Features and right verdict of a case to train on, and what it cost; no features where it cannot be scored."""
+    began = time.process_time()
     with threadpool_limits(1):
         case = make(seed, kind, effects)
         recordings = [case.calibration, *case.tests]
-        try:
-            evidence = baselines.Evidence(calibrate(recordings[:1], case.rig).model, recordings)
-            found = baselines.features(evidence).tolist()
-        except (TautError, np.linalg.LinAlgError):
-            found = None
-        return {"features": found, "verdict": scores.truth(case.label)}
+        found = None
+        if scores.counts(case.label):
+            with suppress(Exception):
+                evidence = baselines.Evidence(calibrate(recordings[:1], case.rig).model, recordings)
+                found = baselines.features(evidence).tolist()
+        return {"features": found, "verdict": scores.truth(case.label), "core_s": time.process_time() - began}
 
 
 def baseline_case(visible: Files, opened: Files, diagnosis: Files, methods: Sequence[str]) -> dict[str, Any]:
-    """The answers of baselines by name, and `features` for a forest. They start from the model that the diagnosis
-    started from, and pay for it too."""
+    """The answers of baselines by name, `features` for a forest, and `errors` of those that failed. They start from the
+    model that the diagnosis started from, and pay for it too."""
     label = Label.from_json(json.loads(opened[sealed.LABEL])["label"])
     calibrated = json.loads(diagnosis[COST])["calibration_core_s"]
     answers: dict[str, Any] = {}
+    errors: dict[str, str] = {}
+
+    def failed(method: str, error: Exception) -> Answer:  # a wrong one, like a diagnosis that fails
+        errors[method] = _told(error)
+        return Answer((), FAILED, 0.0, names=method not in baselines.SHRINKING)
+
     with threadpool_limits(1), unpacked({**visible, **opened, **diagnosis}) as folder:
         began = time.process_time()
         try:
@@ -121,19 +127,27 @@ def baseline_case(visible: Files, opened: Files, diagnosis: Files, methods: Sequ
             further = load(folder / sealed.FURTHER, rig)
             evidence = baselines.Evidence(Model.load(folder / "nominal"), recordings, further)
             answers["features"] = baselines.features(evidence).tolist()
-        except (TautError, np.linalg.LinAlgError):
-            return {method: scores.to_json(Answer((), FAILED, calibrated)) for method in methods}
+        except Exception as error:
+            said = {method: scores.to_json(replace(failed(method, error), core_s=calibrated)) for method in methods}
+            return {**said, "features": None, "features_core_s": calibrated, "errors": errors}
         common = calibrated + time.process_time() - began
         answers["features_core_s"] = common
         for method in methods:
+            began = time.process_time()
             try:
                 answer = baselines.ON_CASES[method](evidence)
-            except (TautError, np.linalg.LinAlgError):
-                answer = Answer((), FAILED, 0.0)
+                if not np.isfinite([answer.claimed or 0.0, *(answer.realised or {}).values()]).all():
+                    raise TautError("what it fitted predicts no place in the image")
+            except Exception as error:
+                answer = failed(method, error)
+            spent = time.process_time() - began + (common if answer.names else calibrated)
             realised = None if answer.realised is None else {**answer.realised, "floor": label.noise_px}
-            spent = answer.core_s + (common if answer.names else calibrated)
             answers[method] = scores.to_json(replace(answer, core_s=spent, realised=realised))
-    return answers
+    return {**answers, "errors": errors}
+
+
+def _told(error: Exception) -> str:
+    return str(error) if isinstance(error, TautError) else f"{type(error).__name__}: {error}"
 
 
 def gap_on(model: Model, recording: Recording, nominal: Model) -> float:

@@ -9,7 +9,7 @@ import click
 
 from tautline.blindtest import compare, page
 from tautline.blindtest.baselines import METHODS
-from tautline.blindtest.campaign import GROUPS, Order, run
+from tautline.blindtest.campaign import GROUPS, Order, order_of, run
 from tautline.blindtest.draws import KNOWN, UNKNOWN
 from tautline.blindtest.pool import pool
 from tautline.cli._common import emit, folder_option, json_option, progress_bar
@@ -45,6 +45,19 @@ _QUICK_BASELINES = ("majority", "joint", "bic")
     help="What to score on the same cases too. May be given several times. Default: all whose packages are installed; "
     f"{', '.join(_QUICK_BASELINES)} with --quick, none with --only.",
 )
+@click.option(
+    "--every",
+    type=click.IntRange(1),
+    default=compare.EVERY,
+    show_default=True,
+    help="Baselines answer every so manyth case of each effect and kind.",
+)
+@click.option(
+    "--score",
+    "stopped",
+    is_flag=True,
+    help="Work no further: close the campaign with the cases that are diagnosed, and score what is there.",
+)
 @click.option("--quick", is_flag=True, help="Some 25 cases, two minutes on two cores.")
 @click.option("--jobs", type=click.IntRange(1), help="Processes. Default: one on each core.")
 @click.option("--dask", "dask_address", metavar="ADDRESS", help="Work on a Dask cluster: its scheduler's address.")
@@ -59,6 +72,8 @@ def command(
     leave_one_out: int | None,
     only: tuple[str, ...],
     baselines: tuple[str, ...],
+    every: int,
+    stopped: bool,
     quick: bool,
     jobs: int | None,
     dask_address: str | None,
@@ -75,14 +90,18 @@ def command(
         "leave_one_out": leave_one_out,
     }
     order = replace(order, only=only, **{name: value for name, value in given.items() if value is not None})
-    wanted = baselines or (("none",) if only else _QUICK_BASELINES if quick else None)
+    if stopped:
+        order = order_of(out)
+    wanted = baselines or (("none",) if order.only else _QUICK_BASELINES if quick else None)
     methods = compare.available(wanted if wanted is None else [name for name in wanted if name != "none"])
     with progress_bar("blind test") as progress, pool(jobs, dask_address) as workers:
         share = 0.7 if methods else 1.0
-        records = run(order, out, workers, lambda done, text: progress(share * done, text))
+        records = run(order, out, workers, lambda done, text: progress(share * done, text), stopped)
         if methods:
-            records = compare.answers(
-                methods, records, out, workers, lambda done, text: progress(share + (1.0 - share) * done, text)
-            )
+
+            def told(done: float, text: str) -> None:
+                progress(share + (1.0 - share) * done, text)
+
+            records = compare.answers(methods, records, out, workers, told, every, stopped)
     result = page.write(records, out)
     emit(result, as_json, page.text(result) + f"\n{out / page.FILE}")
