@@ -108,3 +108,41 @@ def test_probabilities_add_up_in_any_order(shares, pair, before, order):
     again = decide(replace(found, hypotheses=(found.hypotheses[0], *others)))
     assert again.unknown == pytest.approx(verdict.unknown, abs=1e-12)
     assert again.leading == pytest.approx(verdict.leading, abs=1e-12)
+
+
+def within(found: Evidence, beyond: dict[tuple[str, ...], np.ndarray]) -> Evidence:
+    """What no law of a hypothesis' stages could leave, times the noise."""
+    weighed = (replace(h, beyond=FLOOR**2 * beyond[h.ids]) if h.ids in beyond else h for h in found.hypotheses)
+    return replace(found, hypotheses=tuple(weighed))
+
+
+def about(level: float) -> np.ndarray:
+    return level * np.exp(0.08 * np.random.default_rng(4).normal(size=BLOCKS))
+
+
+def in_third(times: float) -> np.ndarray:
+    return about(1.0) * np.where(np.arange(BLOCKS) < BLOCKS // 3, times, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("beyond", "says"),
+    [
+        (about(1.0), "effect"),
+        (about(1.15), "effect"),  # noise is known to so much
+        (about(0.1), "effect"),  # what rests swings: the floor is none
+        (about(1.0) * np.where(np.arange(BLOCKS) == 7, 30.0, 1.0), "effect"),  # the moment of a shift
+        (in_third(2.0), "unknown"),
+        (in_third(15.0), "unknown"),
+        (about(15.0), "unknown"),
+    ],
+)
+def test_what_no_law_of_its_stage_could_leave_is_not_its_own(beyond, says):
+    found = evidence({(LAG,): 0.02, (CREEP,): 0.6, (DRIFT,): 0.9})
+    assert decide(within(found, {(LAG,): beyond})).name == says
+
+
+def test_a_second_effect_accounts_for_what_the_first_ones_stage_cannot():
+    found = evidence({(LAG,): 0.02, (STATIC,): 0.9, (LAG, STATIC): 0.01})
+    assert decide(found).named == (LAG,)
+    verdict = decide(within(found, {(LAG,): in_third(8.0), (LAG, STATIC): about(1.0)}))
+    assert verdict.name == "effect" and set(verdict.named) == {LAG, STATIC}

@@ -4,13 +4,13 @@ each fit is judged by what it leaves on blocks of manoeuvres that it did not see
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from tautline import effects
-from tautline.diagnose import gap, heldout
+from tautline.diagnose import confined, gap, heldout
 from tautline.diagnose.fit import Fit, Fitter, outlier_limit
 from tautline.diagnose.screen import Screened, screen
 from tautline.effects import EVENTS, Kind
@@ -20,6 +20,7 @@ Progress = Callable[[str], None]
 
 
 _MARGIN_S = 1.0  # before and after a shift that a recording has to show
+_NOISE = 4.0  # floors: what is more is no noise, and a lost marker counts no more than that
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,7 @@ class Found:
     fit: Fit
     left: list[Array]  # of each recording, (scored, k)
     power: Array  # (blocks,) mean squares of `left`, outliers pulled in
+    beyond: Array | None  # (blocks,) the same of what no law of the effects' stages could leave
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -51,12 +53,20 @@ class Search:
 
     def judged(self, fit: Fit) -> Found:
         left = heldout.residuals(self.fitter, fit, self.labels, self.limits)
-        return Found(fit, left, self.power(left))
+        return Found(fit, left, self.power(left), self.beyond(fit))
+
+    def beyond(self, fit: Fit, further: Sequence[Kind] = ()) -> Array | None:
+        """(blocks,) mean squares of what no law of the stages of the fit's effects and of `further` could leave."""
+        left = confined.residuals(self.fitter, fit, further)
+        return None if left is None else self._power(left, [_NOISE * self.fitter.floor] * len(left))
 
     def power(self, residuals: Sequence[Array]) -> Array:
         """(blocks,) mean squares, block after block and recording after recording."""
+        return self._power(residuals, self.limits)
+
+    def _power(self, residuals: Sequence[Array], limits: Sequence[float]) -> Array:
         parts = []
-        for r, label, limit in zip(residuals, self.labels, self.limits, strict=True):
+        for r, label, limit in zip(residuals, self.labels, limits, strict=True):
             squares = np.mean(np.minimum(np.abs(r), limit) ** 2, axis=1)
             parts.append(np.bincount(label, squares) / np.bincount(label))
         return np.concatenate(parts)
@@ -76,7 +86,7 @@ class Search:
             fit = self.fitter.fit(hypothesis, start, below.fit.state, entry.others)
             if not fit.finite:
                 return
-            if entry.kind.id != "registration.shift" or self._seen_to_happen(fit.state.values["shift_time"]):
+            if entry.kind.id != "registration.shift" or self._seen_to_happen(fit):
                 found.append(self.judged(fit))
 
         for scopes in list(seen.values())[:refits]:
@@ -88,13 +98,25 @@ class Search:
                 refit(other)
         return sorted(found, key=_loss)
 
-    def _seen_to_happen(self, shift_s: float) -> bool:
-        """A shift between two recordings is a wrong registration of those after it."""
-        for segment in self.fitter.segments:
+    def _seen_to_happen(self, fit: Fit) -> bool:
+        """A recording shows it: what comes before in it fits better without the shift, and what comes after with it. A
+        shift between two recordings is a wrong registration of those after it."""
+        shift_s = fit.state.values["shift_time"]
+        for i, segment in enumerate(self.fitter.segments):
             seen = segment.arrival_s[segment.scored] + segment.offset_s
             if seen[0] + _MARGIN_S < shift_s < seen[-1] - _MARGIN_S:
-                return True
+                never, always = (self._squares(fit, i, at) for at in (np.inf, -np.inf))
+                before = seen < shift_s
+                return bool(never[before].sum() < always[before].sum() and never[~before].sum() > always[~before].sum())
         return False
+
+    def _squares(self, fit: Fit, which: int, shift_s: float) -> Array:
+        """(scored,) of a recording, outliers pulled in, had the shift happened then."""
+        segment, limit = self.fitter.segments[which], self.limits[which]
+        state = replace(fit.state, values={**fit.state.values, "shift_time": shift_s})
+        _, predicted = segment.predict(state.model, state.at(segment, fit.hypothesis), self.fitter.load_reference)
+        left = (segment.observed - predicted)[segment.scored]
+        return np.asarray(np.sum(np.minimum(np.abs(left), limit) ** 2, axis=1))
 
 
 def _loss(found: Found) -> float:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy import stats
 from scipy.special import log_expit, log_ndtr, logsumexp
 
 from tautline.effects import EVENTS, LIBRARY
@@ -37,6 +38,9 @@ COVERS = 0.95  # probability that a set of effects that cannot be told apart hol
 COINCIDES = 0.1  # probability that an unknown effect goes with a column that was measured beside the motion
 MEASURED = frozenset(kind.id for kind in LIBRARY if kind.needs == "load")  # effects that follow such a column
 LAWS = frozenset({"registration.static", "registration.shift", "acquisition.delay"})
+FLOOR_KNOWN, STEADY = 0.2, 0.1  # of the noise power's logarithm: how well a case's is known, and how one block has more
+DISTURBED = 0.03  # share of blocks in which something happens that no model has, such as the moment of a shift
+CONFINED = 0.5  # probability that what a wrong effect leaves is confined to its stage as well
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,7 @@ class Weighed:
     rival: Array  # (blocks,) the same of the best scatter of another origin
     parameters: int
     white: float = 0.0  # 1: the scatter forgets from frame to frame, 0: it goes on
+    beyond: Array | None = None  # (blocks,) mean squares that no law of the effects' stages could leave (confined.py)
 
 
 @dataclass(frozen=True)
@@ -165,11 +170,12 @@ class _Likelihoods:
         alone = np.array([0.0 if len(h.ids) == 1 else -np.inf for h in hypotheses])
         self.elsewhere = np.array(own) + log_expit(other) + alone
         own = list(np.array(own) - np.logaddexp(0.0, other))
-        self.of = np.array(own)
+        confined = np.array([self._confined(h) for h in hypotheses])
+        self.of = np.array(own) + confined
         for i, h in enumerate(hypotheses):
             for j, more in enumerate(hypotheses):
                 if len(more.ids) == len(h.ids) + 1 and h.ids and set(h.ids) < set(more.ids):
-                    self.of[i] = max(self.of[i], own[j] + self._by_chance(h, more))
+                    self.of[i] = max(self.of[i], own[j] + self._by_chance(h, more) + confined[i])
         self.unknown = max(
             self._stands_in(h, table) + (self.prior(len(h.ids)) if h.ids else 0.0)
             for h, table in zip(hypotheses, tables, strict=True)
@@ -198,6 +204,27 @@ class _Likelihoods:
     def _gain(self, h: Weighed, scatter: Array) -> float:
         return -0.5 * (TELLS + NOISE_TELLS * h.white**2) * float(np.sum(scatter))
 
+    def _confined(self, h: Weighed) -> float:
+        """Logarithm of how much likelier what is left beyond the effects' stages is as noise, in all blocks but a few,
+        than as what a wrong effect leaves: noise as well, or noise in any share of the blocks only."""
+        if h.beyond is None:
+            return 0.0
+        x = np.log(np.maximum(h.beyond / self._floor2, 1e-6))
+        off = np.linspace(-20.0, 3.0, 116) * FLOOR_KNOWN  # of the case's noise: what rests may well scatter more
+        prior = np.where(off > 0.0, -0.5 * np.square(off / FLOOR_KNOWN), -np.abs(off))
+        noise = _STEADY.logpdf(x - off[:, None])
+        more = np.maximum(x - off[:, None], 0.0)
+        disturbed = -np.log((more + STEADY) * np.log1p(_WIDEST / STEADY))  # as likely any size
+
+        def in_all_but(share: float) -> float:
+            each = np.logaddexp(np.log1p(-share) + noise, np.log(share) + disturbed)
+            return float(logsumexp(prior + np.sum(each, axis=1)) - logsumexp(prior))
+
+        right = in_all_but(DISTURBED)
+        shares = (np.arange(10) + 0.5) / 10.0
+        some = float(logsumexp([in_all_but(float(share)) for share in shares]) - np.log(len(shares)))
+        return right - float(np.logaddexp(np.log(CONFINED) + right, np.log1p(-CONFINED) + some))
+
     def _nothing(self, frozen: Array) -> float:
         """The calibrated model as it is leaves noise and little more: a gap that recalibrating closes is a gap, and one
         in a single block too."""
@@ -219,6 +246,8 @@ class _Likelihoods:
 
 
 _SHARES = np.geomspace(1e-5, 1.0, 41)
+_STEADY = stats.t(4.0, scale=STEADY)
+_WIDEST = 12.0  # of a disturbed block's logarithm
 
 
 def _right(h: Weighed) -> Array:

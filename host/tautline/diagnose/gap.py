@@ -13,6 +13,7 @@ from tautline.recording import Motor
 Array = npt.NDArray[np.float64]
 
 _STILL_S = 0.6  # a motor at rest for so long has left its own transients behind
+_UNLIKE = 4.0  # times the median rest's power: no noise any more
 BLOCK_S = 8.0  # of a manoeuvre: longer than a residual remembers
 _CUT_INTO = (12, 9)  # blocks, tried in turn where the motor's turns make none
 _EACH_WAY = 0.2  # share of the motion that either way must have
@@ -29,7 +30,7 @@ def noise_floor(segments: Sequence[Segment], residuals: Sequence[Array]) -> floa
     rest; where it hardly ever rests, the residual's second differences, which a smooth misfit does not reach. Never
     below what the sensor's own step scatters: one that rests within a step shows no noise at all."""
     least = float(max(_step(s.observed) for s in segments) / np.sqrt(12.0))
-    squares, freedom = 0.0, 0
+    found: list[tuple[float, int]] = []  # of each rest: sum of squares, degrees of freedom
     for segment in segments:
         for stretch in still_stretches(segment):
             seen = segment.observed[stretch]
@@ -38,9 +39,11 @@ def noise_floor(segments: Sequence[Segment], residuals: Sequence[Array]) -> floa
             t = segment.arrival_s[stretch]
             line = np.column_stack([np.ones_like(t), t - t[0]])
             left = seen - line @ np.linalg.lstsq(line, seen, rcond=None)[0]
-            squares += float(np.sum(left**2))
-            freedom += left.size - 2 * seen.shape[1]
-    if freedom >= 60:
+            found.append((float(np.sum(left**2)), left.size - 2 * seen.shape[1]))
+    if sum(freedom for _, freedom in found) >= 60:
+        # A rest in which something happened, such as a shift, tells nothing of noise.
+        most = _UNLIKE * float(np.median([squares / freedom for squares, freedom in found]))
+        squares, freedom = np.sum([one for one in found if one[0] <= most * one[1]], axis=0)
         return max(float(np.sqrt(squares / freedom)), least)
     bends = np.concatenate([np.diff(r, n=2, axis=0).ravel() for r in residuals if len(r) > 2])
     return max(float(1.4826 * np.median(np.abs(bends)) / np.sqrt(6.0)), least)

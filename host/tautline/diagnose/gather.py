@@ -61,7 +61,8 @@ class _Weighing:
         """events: with the effects without a path on top of it."""
         self.found.append(found)
         nothing = np.zeros_like(found.power)
-        self._weighed.append(Weighed(found.ids, found.power, nothing, nothing, found.parameters))
+        weighed = Weighed(found.ids, found.power, nothing, nothing, found.parameters, beyond=found.beyond)
+        self._weighed.append(weighed)
         if not events:
             return
         for only_tests in (False, True):
@@ -72,10 +73,19 @@ class _Weighing:
             for kind in self.search.kinds:
                 if kind.id in EVENTS and kind.id not in found.ids:
                     amplitude = said.jitter_s if kind.id == "acquisition.jitter" else said.stick
-                    self.found.append(replace(found, fit=_with_event(found.fit, kind, only_tests, amplitude)))
-                    ids, scatters = (*found.ids, kind.id), said.loss[kind.id] - plain
+                    beyond = self.search.beyond(found.fit, [kind])
+                    fit = _with_event(found.fit, kind, only_tests, amplitude)
+                    self.found.append(replace(found, fit=fit, beyond=beyond))
                     self._weighed.append(
-                        Weighed(ids, found.power, scatters, rival - plain, found.parameters + 1, white)
+                        replace(
+                            weighed,
+                            ids=(*found.ids, kind.id),
+                            scatter=said.loss[kind.id] - plain,
+                            rival=rival - plain,
+                            parameters=found.parameters + 1,
+                            white=white,
+                            beyond=beyond,
+                        )
                     )
 
     def add_all(self, found: Sequence[Found]) -> None:
@@ -84,14 +94,17 @@ class _Weighing:
             self.add(one, events=i == 0 and len(one.ids) < MOST_EFFECTS)
 
     def next_to_extend(self, size: int) -> Found | None:
-        """The most probable hypothesis of so many effects with a path that has room for a further one."""
-        verdict = decide.decide(self.evidence())
+        """The most probable hypothesis of so many effects with a path that has room for a further one, which may well
+        account for what their own stages cannot."""
+        evidence = self.evidence()
+        anyhow = replace(evidence, hypotheses=tuple(replace(h, beyond=None) for h in evidence.hypotheses))
+        verdict = decide.decide(anyhow)
         for i in np.argsort(-verdict.posterior):
             one = self.found[i]
             if len(one.ids) != size or one.ids in self._extended or set(one.ids) & EVENTS:
                 continue
             self._extended.add(one.ids)
-            return one if decide.is_open(self.evidence(), one.power) else None
+            return one if decide.is_open(evidence, one.power) else None
         return None
 
     def evidence(self) -> Evidence:

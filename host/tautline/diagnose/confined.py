@@ -1,0 +1,97 @@
+"""What a fit leaves that no law of its effects' stages could leave, whatever their equations.
+
+No model of an effect is exact, but its error is confined to its own stage. What moves the tip through the bending angle
+(actuator, transmission, configuration) shifts the image along d image / dc and nowhere else; a bending section that is
+curved otherwise keeps the tip in its plane, at a place that the angle tells; a lens shifts the image by a function of
+where it is; unsteady frame times shift it along its velocity; a rigid transform and a delay have one equation. What is
+left beyond that is the camera's noise, or another cause.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.diagnose.fit import STATIC_COLUMNS, Fit, Fitter, Rows
+from tautline.diagnose.segment import Segment
+from tautline.effects import Kind
+
+Array = npt.NDArray[np.float64]
+
+_THROUGH_ANGLE = ("actuator", "transmission", "configuration")
+_LENS_ORDER = 5  # of polynomials over the image
+_PLANE_ORDER = 5  # and over the bending angle
+
+
+def residuals(fitter: Fitter, fit: Fit, further: Sequence[Kind] = ()) -> list[Array] | None:
+    """(scored, 1 or 2) of each recording, px; None where the effects' stages could leave anything. `further`: effects
+    beside the fit's own, which change nothing of it."""
+    kinds = (*fit.hypothesis.kinds, *further)
+    if not fitter.px or not kinds or any(kind.id == "registration.direction_dependent" for kind in kinds):
+        return None
+    along = any(kind.stage in _THROUGH_ANGLE for kind in kinds)
+    timed = any(kind.id == "acquisition.jitter" for kind in kinds)
+    if along and timed:
+        return None
+    rows = fitter.rows(fit.state, fit.hypothesis)
+    scopes = list(zip(fit.hypothesis.kinds, fit.hypothesis.only_tests, strict=True))
+    for stage, freedom in (("camera", _lens), ("kinematics", _plane)):
+        only = [only for kind, only in scopes if kind.stage == stage]
+        if only:
+            extra = freedom(fitter.segments, rows)
+            rows = [
+                replace(row, columns=np.concatenate([row.columns, more * (not (all(only) and s.calibration))], axis=2))
+                for s, row, more in zip(fitter.segments, rows, extra, strict=True)
+            ]
+    if not (along or timed):
+        return fitter.left(rows)
+    ways = [row.by_c for row in rows] if along else [_velocity(s) for s in fitter.segments]
+    parts = [_across(row, way) for row, way in zip(rows, ways, strict=True)]
+    columns = np.concatenate([part[1] for part in parts])
+    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    seen = np.concatenate([part[0] for part in parts])
+    step = np.linalg.lstsq(columns / size, seen, rcond=1e-9)[0] / size
+    return [(left - moved @ step)[:, None] for left, moved in parts]
+
+
+def _across(row: Rows, way: Array) -> tuple[Array, Array]:
+    """Of residual (n,) and of columns (n, m): what is normal to `way` (n, 2)."""
+    unit = way / np.maximum(np.linalg.norm(way, axis=1), 1e-12)[:, None]
+    normal = np.column_stack([-unit[:, 1], unit[:, 0]])
+    return np.einsum("nk,nk->n", row.residual, normal), np.einsum("nkm,nk->nm", row.columns, normal)
+
+
+def _velocity(segment: Segment) -> Array:
+    """(scored, 2) of the image, per second."""
+    return np.gradient(segment.observed, segment.arrival_s, axis=0)[segment.scored]
+
+
+def _lens(segments: Sequence[Segment], rows: Sequence[Rows]) -> list[Array]:
+    """Polynomials of where the image should be (where it is has the noise in it), for either coordinate."""
+    seen = [s.observed[s.scored] - row.residual for s, row in zip(segments, rows, strict=True)]
+    low, high = (f([f(x, axis=0) for x in seen], axis=0) for f in (np.min, np.max))
+    found = []
+    for x in seen:
+        u, v = (2.0 * (x - low) / np.maximum(high - low, 1e-9) - 1.0).T
+        of_u, of_v = (np.polynomial.chebyshev.chebvander(c, _LENS_ORDER) for c in (u, v))
+        terms = [of_u[:, i] * of_v[:, j] for i in range(_LENS_ORDER + 1) for j in range(_LENS_ORDER + 1 - i)]
+        found.append(np.einsum("nm,kl->nkml", np.column_stack(terms), np.eye(2)).reshape(len(x), 2, -1))
+    return found
+
+
+def _plane(segments: Sequence[Segment], rows: Sequence[Rows]) -> list[Array]:
+    """The bending plane's two directions in the image, times polynomials of the angle."""
+    angles = [row.path.c_deg[s.scored] for s, row in zip(segments, rows, strict=True)]
+    low, high = min(float(c.min()) for c in angles), max(float(c.max()) for c in angles)
+    found = []
+    for segment, row, c in zip(segments, rows, angles, strict=True):
+        x, y, z = np.moveaxis(row.columns[:, :, STATIC_COLUMNS], 2, 0)[3:6]
+        roll = row.path.rotation_deg
+        turned = np.zeros(len(c)) if roll is None else np.radians(roll[segment.scored])
+        sideways = np.cos(turned)[:, None] * x + np.sin(turned)[:, None] * y
+        of_c = np.polynomial.chebyshev.chebvander(2.0 * (c - low) / max(high - low, 1e-9) - 1.0, _PLANE_ORDER)
+        found.append(np.concatenate([sideways[:, :, None] * of_c[:, None], z[:, :, None] * of_c[:, None]], axis=2))
+    return found

@@ -1,0 +1,97 @@
+"""What a right effect leaves stays within its stage, whatever its law; what a wrong one leaves does not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.host.test_diagnose import NOISE, RIG, recordings, true_model
+
+from tautline import effects
+from tautline.diagnose import confined
+from tautline.diagnose.fit import Fit, Fitter, Hypothesis
+from tautline.diagnose.segment import prepare
+from tautline.effects import BY_ID
+
+LAG, JITTER, LENS = "transmission.lag", "acquisition.jitter", "camera.distortion"
+CURVATURE, STATIC, TILT = "kinematics.nonconstant_curvature", "registration.static", "registration.direction_dependent"
+
+
+def as_it_is(path, model):
+    return path, model, np.zeros(len(path.c_deg)), 0.0
+
+
+def angle_wanders(path, model):
+    """0.4 deg by time: no law of a transmission that the library has."""
+    return replace(path, c_deg=path.c_deg + 0.4 * np.sin(path.scene_s)), model, np.zeros(len(path.c_deg)), 0.0
+
+
+def longer_tip(path, model):
+    """In the bending plane, and no function of the angle that the library has."""
+    kinematics = replace(RIG.kinematics, tip_length_mm=RIG.kinematics.tip_length_mm + 0.5)
+    return path, replace(model, rig=replace(RIG, kinematics=kinematics)), np.zeros(len(path.c_deg)), 0.0
+
+
+def unsteady_frames(path, model):
+    late = np.random.default_rng(2).normal(0.0, 0.01, len(path.c_deg))
+    return path, model, late, 0.0
+
+
+def fourth_order_lens(path, model):
+    return path, model, np.zeros(len(path.c_deg)), 1e-10
+
+
+def wanders_sideways(path, model):
+    """The instrument turns about its own axis by time."""
+    turned = (0.0 if path.rotation_deg is None else path.rotation_deg) + 1.5 * np.sin(0.7 * path.scene_s)
+    return replace(path, rotation_deg=turned), model, np.zeros(len(path.c_deg)), 0.0
+
+
+def beyond(disturbed, kind_id: str) -> float | None:
+    """Of the noise's power, in the test."""
+    made, model = recordings(), true_model()
+    rng = np.random.default_rng(8)
+    segments = []
+    for i, segment in enumerate(prepare(model, made[0], made[1:2])):
+        path, seen_by, late, bulge = (disturbed if i else as_it_is)(segment.follow(model, {}, 0.0), model)
+        seen = effects.image(seen_by, path, {})
+        seen = seen + late[:, None] * np.gradient(seen, segment.arrival_s, axis=0)
+        from_centre = seen - [RIG.camera.cx_px, RIG.camera.cy_px]
+        seen = seen + bulge * np.sum(from_centre**2, axis=1, keepdims=True) ** 2 * from_centre / 100.0
+        segments.append(replace(segment, observed=seen + rng.normal(0.0, NOISE, seen.shape)))
+    fitter = Fitter(model, segments)
+    fitter.floor = NOISE
+    nominal = fitter.nominal()
+    kind = BY_ID[kind_id]
+    values = {p.name: 0.0 for p in kind.amplitudes} | {p.name: p.shape[0] for p in kind.shapes}
+    state = replace(nominal.state, values=values)
+    found = confined.residuals(fitter, Fit(Hypothesis().plus(kind, True), state, nominal.residuals))
+    return None if found is None else float(np.mean(found[1] ** 2)) / NOISE**2
+
+
+@pytest.mark.parametrize(
+    ("disturbed", "kind"),
+    [(angle_wanders, LAG), (longer_tip, CURVATURE), (unsteady_frames, JITTER), (fourth_order_lens, LENS)],
+)
+def test_another_law_of_the_same_stage_leaves_noise(disturbed, kind):
+    assert beyond(disturbed, kind) == pytest.approx(1.0, abs=0.12)
+
+
+@pytest.mark.parametrize("kind", [LAG, CURVATURE, JITTER, LENS, STATIC])
+def test_what_no_law_of_the_stage_can_do_is_left(kind):
+    assert beyond(wanders_sideways, kind) > 10.0
+
+
+@pytest.mark.parametrize("disturbed", [angle_wanders, unsteady_frames])
+def test_a_rigid_motion_has_one_law(disturbed):
+    assert beyond(disturbed, STATIC) > 2.0
+
+
+def test_a_tilt_in_the_channel_may_leave_anything():
+    assert beyond(as_it_is, TILT) is None
+
+
+def test_an_angle_sensor_sees_no_stage():
+    made = recordings()
+    segments = [replace(s, observed=s.observed[:, :1]) for s in prepare(true_model(), made[0], made[1:2])]
+    fitter = Fitter(true_model(), segments)
+    assert confined.residuals(fitter, Fit(Hypothesis().plus(BY_ID[LAG], True), fitter.start(), [])) is None
