@@ -236,8 +236,8 @@ def simulate(
     clock_offset_s: float = 0.0,
 ) -> Seen:
     """The model with effects of these parameters (names of LIBRARY, values absolute) at scene times (n,), in any order.
-    `motor` is used as it is: tautline.model.between_counts takes an encoder's steps out. clock_offset_s is added to its
-    times where an effect depends on the time of the session (drift, shift). load_reference, mNm, is the load at which
+    `motor` is used as it is: tautline.encoder takes an encoder's steps out. clock_offset_s is added to its times where
+    an effect depends on the time of the session (drift, shift). load_reference, mNm, is the load at which
     the model's tables hold. Stick-slip and jitter scatter at random: what is here is one course of the former, and
     nothing of the latter."""
     path = follow(model, motor, scene_s, parameters, start_deg, load_reference, clock_offset_s)

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import solveh_banded
 
 from tautline import _native
+from tautline.encoder import between_counts
 from tautline.errors import TautError
 from tautline.recording import Motor
 from tautline.rig import Rig
@@ -21,9 +21,6 @@ Array = np.ndarray
 FORMAT = "model/1"
 MODEL_FILE, RIG_FILE = "model.json", "rig.toml"
 STEEPEST = 1.8  # |B'| that tables may have: p_lo and p_hi are unique while it is below 2
-# How far the lines between a motor's knots may be from its samples: less than a camera sees.
-_TOLERANCE_COUNTS, _TOLERANCE_MM, _TOLERANCE_DEG, _TOLERANCE_LOAD = 1.0, 5e-4, 5e-3, 1e-3
-_REST_S = 0.05  # a motor that stands still for longer rests
 _ARRAYS = ("q", "width", "width_sigma", "c_deg")
 
 
@@ -142,85 +139,6 @@ def interpolate(x: npt.ArrayLike, grid: Array, values: Array) -> Array:
     last = (values[-1] - values[-2]) / (grid[-1] - grid[-2])
     beyond = first * np.minimum(x - grid[0], 0.0) + last * np.maximum(x - grid[-1], 0.0)
     return np.asarray(np.interp(x, grid, values) + beyond)
-
-
-def between_counts(motor: Motor, resolution: float) -> Motor:
-    """The motor with positions between an encoder's counts: it passes the boundary of two counts where the reading
-    changes and is at a count's centre in between; a rest stays at the centre. Positions that are no multiples of the
-    resolution are left as they are."""
-    t, counts = motor.t_s, np.rint(motor.q / resolution)
-    changes = np.flatnonzero(np.diff(counts))
-    if len(changes) < 2 or np.mean(np.abs(motor.q / resolution - counts) < 0.05) < 0.95:
-        return motor
-    times = 0.5 * (t[changes] + t[changes + 1])
-    boundary = 0.5 * (counts[changes] + counts[changes + 1])
-    lasts = np.diff(times)
-    before, after = np.concatenate([lasts[:1], lasts[:-1]]), np.concatenate([lasts[1:], lasts[-1:]])
-    centre = counts[changes[:-1] + 1]
-    knots_t = np.empty(3 * len(times) - 2)
-    knots_q = np.empty_like(knots_t)
-    knots_t[0::3], knots_q[0::3] = times, boundary
-    knots_t[1::3], knots_q[1::3] = times[:-1] + 0.5 * np.minimum(lasts, before), centre
-    knots_t[2::3], knots_q[2::3] = times[1:] - 0.5 * np.minimum(lasts, after), centre
-    ends = [t[0], times[0] - 0.5 * lasts[0]], [times[-1] + 0.5 * lasts[-1], t[-1]]
-    knots_t = np.concatenate([ends[0], knots_t, ends[1]])
-    knots_q = np.concatenate([[counts[0]] * 2, knots_q, [counts[-1]] * 2])
-    order = np.argsort(knots_t, kind="stable")
-    return replace(motor, q=resolution * np.interp(t, knots_t[order], knots_q[order]))
-
-
-def straight_lines(motor: Motor, resolution: float) -> Motor:
-    """The motor, already between counts, as straight lines between few knots, within what cannot be seen of the
-    samples; rests stay rests. q_cmd is left out."""
-    given = [motor.q, motor.translation_mm, motor.rotation_deg, motor.load_mNm]
-    tolerances = [
-        _TOLERANCE_COUNTS * resolution,
-        _TOLERANCE_MM,
-        _TOLERANCE_DEG,
-        0.0 if motor.load_mNm is None else _TOLERANCE_LOAD * float(np.ptp(motor.load_mNm)),
-    ]
-    channels = [(v, tolerance) for v, tolerance in zip(given, tolerances, strict=True) if v is not None]
-    keep = _native.thin(
-        motor.t_s,
-        np.concatenate([values for values, _ in channels]),
-        np.array([tolerance for _, tolerance in channels]),
-        _REST_S,
-    ).astype(bool)
-
-    def taken(values: Array | None) -> Array | None:
-        return None if values is None else values[keep]
-
-    return Motor(
-        motor.t_s[keep],
-        _levelled(motor.t_s, motor.q, np.flatnonzero(keep)),
-        None,
-        taken(motor.translation_mm),
-        taken(motor.rotation_deg),
-        taken(motor.load_mNm),
-    )
-
-
-def _levelled(t_s: Array, values: Array, knots: npt.NDArray[np.intp]) -> Array:
-    """(knots,) values at the knots of the straight lines that fit all samples best: an encoder's steps average out.
-    Where nothing moves between two knots they stay as they are."""
-    t, v = t_s[knots], values[knots]
-    fixed = np.zeros(len(v), dtype=bool)
-    rests = np.flatnonzero(np.diff(v) == 0)
-    fixed[rests] = fixed[rests + 1] = True
-    if len(knots) < 2 or fixed.all():
-        return v
-    left = np.clip(np.searchsorted(knots, np.arange(len(t_s)), side="right") - 1, 0, len(knots) - 2)
-    share = (t_s - t[left]) / (t[left + 1] - t[left])
-    off = values - ((1 - share) * v[left] + share * v[left + 1])
-    count = len(v)
-    diagonal = np.bincount(left, (1 - share) ** 2, count) + np.bincount(left + 1, share**2, count)
-    beside = np.bincount(left, share * (1 - share), count)
-    force = np.bincount(left, (1 - share) * off, count) + np.bincount(left + 1, share * off, count)
-    diagonal[fixed], force[fixed] = 1.0, 0.0
-    beside[:-1][fixed[:-1] | fixed[1:]] = 0.0
-    system = np.stack([np.concatenate([[0.0], beside[:-1]]), diagonal + 1e-9])
-    level: Array = v + np.asarray(solveh_banded(system, force))
-    return level
 
 
 def play_at(t_s: Array, q: Array, at_s: Array, grid: Array, width: Array, p0: float) -> Array:

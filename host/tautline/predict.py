@@ -10,10 +10,11 @@ import numpy.typing as npt
 
 from tautline import effects
 from tautline.columns import read_times
+from tautline.encoder import straight_lines
 from tautline.errors import TautError
 from tautline.folders import write_file
 from tautline.geometry import project
-from tautline.model import Model, between_counts, straight_lines
+from tautline.model import Model
 from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
@@ -43,8 +44,7 @@ def predict(model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float
     scene = np.asarray(scene_s, dtype=float)
     if model.effects:
         reference = float(model.extra.get("load_reference_mNm", 0.0))
-        resolution = model.rig.actuator.encoder_resolution
-        smooth = straight_lines(between_counts(motor, resolution), resolution)  # as it was fitted
+        smooth = straight_lines(motor, model.rig.actuator.encoder_resolution)  # as it was fitted
         path = effects.simulate(model, smooth, scene, effects.of_model(model), start_deg, reference)
         return Prediction(path.c_deg, path.image_px if model.rig.has_camera else None)
     c = model.simulate(motor, scene, start_deg)

@@ -10,7 +10,8 @@ from tautline.diagnose.fit import Fitter, Hypothesis
 from tautline.diagnose.screen import screen
 from tautline.diagnose.segment import prepare
 from tautline.effects import BY_ID
-from tautline.model import Model, between_counts
+from tautline.encoder import between_counts
+from tautline.model import Model
 from tautline.recording import Marker, Motor, Recording
 from tautline.simulated import simulate, trajectory
 from tautline.simulated.instrument import preset, reference_rig

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from tautline.calibration.observations import noise_of, observe
 from tautline.calibration.playfit import Curves, Frozen, PlayFit
 from tautline.calibration.remaining import monotone, view_of
+from tautline.encoder import between_counts
 from tautline.geometry import project
-from tautline.model import allowed_width, between_counts, is_backlash_table
+from tautline.model import allowed_width, is_backlash_table
 from tautline.recording import Motor
 from tautline.simulated.instrument import preset, reference_rig
 from tautline.simulated.simulate import run

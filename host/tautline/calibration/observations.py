@@ -10,8 +10,8 @@ import numpy.typing as npt
 from scipy.ndimage import median_filter
 
 from tautline import _native
+from tautline.encoder import between_counts
 from tautline.errors import TautError
-from tautline.model import between_counts
 from tautline.recording import Motor, Recording
 from tautline.rig import Rig
 

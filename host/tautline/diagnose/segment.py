@@ -10,8 +10,9 @@ import numpy.typing as npt
 
 from tautline import effects
 from tautline.effects import Path
+from tautline.encoder import between_counts, straight_lines
 from tautline.errors import TautError
-from tautline.model import Model, between_counts, straight_lines
+from tautline.model import Model
 from tautline.recording import Motor, Recording
 
 Array = npt.NDArray[np.float64]
@@ -100,7 +101,7 @@ def prepare(model: Model, calibration: Recording, tests: Sequence[Recording]) ->
         segments.append(
             Segment(
                 recording.name,
-                straight_lines(motor, model.rig.actuator.encoder_resolution),
+                straight_lines(recording.motor, model.rig.actuator.encoder_resolution),
                 times,
                 observed,
                 scored,

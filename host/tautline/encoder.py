@@ -1,0 +1,192 @@
+"""What an encoder's counts say of the motor's motion: where it was between them, and when it stopped, turned and
+started."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import solveh_banded
+
+from tautline import _native
+from tautline.recording import Motor
+
+Array = npt.NDArray[np.float64]
+
+# How far the lines between a motor's knots may be from its samples: less than a camera sees.
+_TOLERANCE_COUNTS, _TOLERANCE_MM, _TOLERANCE_DEG, _TOLERANCE_LOAD = 0.5, 5e-4, 5e-3, 1e-3
+_STEPS = 0.5  # counts more for an encoder's own steps
+_REST_S = 0.05  # a motor that stands still for longer rests
+_CHANGES = 24, 4  # of the count, most and least, that tell how a motor slows down
+_FITS = 0.3  # counts rms: an encoder's step scatters by 0.29
+_LAST = 2.0  # samples: within so many of a stop no knot tells a speed
+
+
+def between_counts(motor: Motor, resolution: float) -> Motor:
+    """The motor with positions between an encoder's counts: it passes the boundary of two counts where the reading
+    changes and is at a count's centre in between; a rest stays at the centre. Positions that are no multiples of the
+    resolution are left as they are."""
+    if not _is_counted(motor, resolution):
+        return motor
+    t, counts = motor.t_s, np.rint(motor.q / resolution)
+    changes = np.flatnonzero(np.diff(counts))
+    times = 0.5 * (t[changes] + t[changes + 1])
+    boundary = 0.5 * (counts[changes] + counts[changes + 1])
+    lasts = np.diff(times)
+    before, after = np.concatenate([lasts[:1], lasts[:-1]]), np.concatenate([lasts[1:], lasts[-1:]])
+    centre = counts[changes[:-1] + 1]
+    knots_t = np.empty(3 * len(times) - 2)
+    knots_q = np.empty_like(knots_t)
+    knots_t[0::3], knots_q[0::3] = times, boundary
+    knots_t[1::3], knots_q[1::3] = times[:-1] + 0.5 * np.minimum(lasts, before), centre
+    knots_t[2::3], knots_q[2::3] = times[1:] - 0.5 * np.minimum(lasts, after), centre
+    ends = [t[0], times[0] - 0.5 * lasts[0]], [times[-1] + 0.5 * lasts[-1], t[-1]]
+    knots_t = np.concatenate([ends[0], knots_t, ends[1]])
+    knots_q = np.concatenate([[counts[0]] * 2, knots_q, [counts[-1]] * 2])
+    order = np.argsort(knots_t, kind="stable")
+    return replace(motor, q=resolution * np.interp(t, knots_t[order], knots_q[order]))
+
+
+def straight_lines(motor: Motor, resolution: float) -> Motor:
+    """The motor, as it was recorded, as straight lines between few knots, within what cannot be seen of the samples;
+    it rests and turns exactly when its changes of count say so. q_cmd is left out."""
+    smooth = between_counts(motor, resolution)
+    counted = smooth is not motor
+    tolerance = (_TOLERANCE_COUNTS + (_STEPS if counted else 0.0)) * resolution
+    t_s, q, fixed = _knots(smooth, tolerance, resolution, _stops(motor, resolution) if counted else [])
+    others = [motor.translation_mm, motor.rotation_deg, motor.load_mNm]
+    swing = 0.0 if motor.load_mNm is None else _TOLERANCE_LOAD * float(np.ptp(motor.load_mNm))
+    tolerances = zip(others, (_TOLERANCE_MM, _TOLERANCE_DEG, swing), strict=True)
+    channels = [(values, tolerance) for values, tolerance in tolerances if values is not None]
+    if channels:  # their knots are the bending motor's too, but it stays at rest where it rests
+        at = np.union1d(t_s, motor.t_s[_thinned(motor.t_s, channels)])
+        left = np.searchsorted(t_s, at, side="right") - 1
+        right = np.minimum(left + (t_s[left] < at), len(t_s) - 1)
+        fixed = fixed[left] & fixed[right] & (q[left] == q[right])
+        t_s, q = at, np.interp(at, t_s, q)
+
+    def taken(values: Array | None) -> Array | None:
+        return None if values is None else np.interp(t_s, motor.t_s, values)
+
+    level = _levelled(motor.t_s, smooth.q, t_s, q, fixed)
+    return Motor(t_s, level, None, taken(others[0]), taken(others[1]), taken(others[2]))
+
+
+@dataclass(frozen=True)
+class _Stop:
+    """The motor stands at `q` counts from `start_s` to `end_s`, the same where it turns at once; the count last changed
+    before it at `since_s` and next changes at `until_s`."""
+
+    q: float
+    start_s: float
+    end_s: float
+    since_s: float
+    until_s: float
+
+
+def _is_counted(motor: Motor, resolution: float) -> bool:
+    counts = motor.q / resolution
+    whole = np.rint(counts)
+    return bool(np.count_nonzero(np.diff(whole)) >= 2 and np.mean(np.abs(counts - whole) < 0.05) >= 0.95)
+
+
+def _stops(motor: Motor, resolution: float) -> list[_Stop]:
+    """Where the motor rests or turns, as far as its counts show it slow down and start: at a constant acceleration. An
+    encoder shows nothing of the last count before a stop, which at 12 mm/s^2 and 1 um takes 13 ms."""
+    t, counts = motor.t_s, np.rint(motor.q / resolution)
+    changes = np.flatnonzero(np.diff(counts))
+    at, step = 0.5 * (t[changes] + t[changes + 1]), np.diff(counts)[changes]
+    boundary = counts[changes] + 0.5 * step
+    period = float(np.median(np.diff(t)))
+    found = []
+    for i in range(len(changes) + 1):
+        # The count that holds from change i - 1 to change i.
+        first, last = i == 0, i == len(changes)
+        centre = counts[0] if first else counts[changes[i - 1] + 1]
+        since = t[0] if first else at[i - 1]
+        until = t[-1] if last else at[i]
+        turns = not (first or last) and step[i - 1] * step[i] < 0
+        if not turns and until - since <= _REST_S:
+            continue
+        slows = None if first else _vertex(at[:i][::-1], boundary[:i][::-1], step[:i][::-1], centre, period)
+        starts = None if last else _vertex(at[i:], boundary[i:], -step[i:], centre, period)
+        level = [vertex[1] for vertex in (slows, starts) if vertex is not None]
+        if not level:
+            continue
+        middle = 0.5 * (since + until)
+        start_s = since if slows is None else min(since + slows[0], middle)
+        end_s = until if starts is None else max(until - starts[0], middle)
+        if turns and slows is not None and starts is not None and end_s - start_s < 2 * period:
+            start_s = end_s = 0.5 * (start_s + end_s)
+        found.append(_Stop(float(np.mean(level)), start_s, end_s, since, until))
+    return found
+
+
+def _vertex(at: Array, boundary: Array, step: Array, centre: float, period: float) -> tuple[float, float] | None:
+    """From the nearest change of count on away from a stop: how long the motor still moves beyond it, s, and where it
+    stops, counts. A parabola through as many changes as it fits; None where there are too few."""
+    most, least = _CHANGES
+    way = np.sign(step[0])
+    one_way = np.flatnonzero((np.sign(step[:most]) != way) | (np.abs(np.diff(at[:most], prepend=at[0])) > _REST_S))
+    n = min(len(at), most, int(one_way[0]) if len(one_way) else most)
+    while n >= least:
+        away, since = way * (centre - boundary[:n]), np.abs(at[:n] - at[0])
+        # A change that comes after a while is known to a fraction of a count.
+        sure = np.maximum(1.0, np.gradient(since) / period)
+        line = np.column_stack([np.ones(n), since, since**2])
+        fitted = np.linalg.lstsq(line * sure[:, None], away * sure, rcond=None)[0]
+        if float(np.sqrt(np.mean(np.square(sure * (away - line @ fitted))))) <= _FITS:
+            offset, speed, bend = (float(value) for value in fitted)
+            left = offset - speed**2 / (4.0 * bend) if bend > 0.0 and speed > 0.0 else -np.inf
+            if abs(left) <= 1.0:
+                return speed / (2.0 * bend), centre - way * float(np.clip(left, -0.5, 0.5))
+            return 0.5 * float(since[1]), centre  # it hardly slows down
+        n = int(0.7 * n)
+    return None
+
+
+def _thinned(t_s: Array, channels: list[tuple[Array, float]]) -> npt.NDArray[np.bool_]:
+    values, tolerances = np.concatenate([v for v, _ in channels]), np.array([tolerance for _, tolerance in channels])
+    return np.asarray(_native.thin(t_s, values, tolerances, _REST_S), dtype=bool)
+
+
+def _knots(
+    motor: Motor, tolerance: float, resolution: float, stops: list[_Stop]
+) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+    """Times and positions of the bending motor's knots, and which of them are where it rests or turns."""
+    keep = _thinned(motor.t_s, [(motor.q, tolerance)])
+    t, q = motor.t_s[keep], motor.q[keep]
+    fixed = np.zeros(len(t), dtype=bool)
+    rests = np.flatnonzero(np.diff(q) == 0)
+    fixed[rests] = fixed[rests + 1] = True
+    if stops:
+        margin = _LAST * float(np.median(np.diff(motor.t_s)))
+        ends = np.array([(min(s.since_s, s.start_s - margin), max(s.until_s, s.end_s + margin)) for s in stops])
+        of = np.searchsorted(ends[:, 0], t, side="right") - 1
+        outside = (of < 0) | (t > ends[of, 1])
+        at = np.array([s.start_s for s in stops] + [s.end_s for s in stops])
+        stands = resolution * np.array([s.q for s in stops] * 2)
+        t, first = np.unique(np.concatenate([t[outside], at]), return_index=True)
+        q = np.concatenate([q[outside], stands])[first]
+        fixed = np.concatenate([fixed[outside], np.ones(len(at), dtype=bool)])[first]
+    return t, q, fixed
+
+
+def _levelled(t_s: Array, values: Array, knots: Array, v: Array, fixed: npt.NDArray[np.bool_]) -> Array:
+    """(knots,) values at the knots of the straight lines that fit all samples best, v where they are fixed: an
+    encoder's steps average out."""
+    if len(knots) < 2 or fixed.all():
+        return v
+    left = np.clip(np.searchsorted(knots, t_s, side="right") - 1, 0, len(knots) - 2)
+    share = (t_s - knots[left]) / (knots[left + 1] - knots[left])
+    off = values - ((1 - share) * v[left] + share * v[left + 1])
+    count = len(v)
+    diagonal = np.bincount(left, (1 - share) ** 2, count) + np.bincount(left + 1, share**2, count)
+    beside = np.bincount(left, share * (1 - share), count)
+    force = np.bincount(left, (1 - share) * off, count) + np.bincount(left + 1, share * off, count)
+    diagonal[fixed], force[fixed] = 1.0, 0.0
+    beside[:-1][fixed[:-1] | fixed[1:]] = 0.0
+    system = np.stack([np.concatenate([[0.0], beside[:-1]]), diagonal + 1e-9])
+    level: Array = v + np.asarray(solveh_banded(system, force))
+    return level

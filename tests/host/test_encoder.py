@@ -1,0 +1,95 @@
+"""What is made of an encoder's counts: stops and turns to a millisecond or two, few knots, nothing made up."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tautline.encoder import between_counts, straight_lines
+from tautline.recording import Motor
+from tautline.simulated import trajectory
+
+COUNT = 0.001
+
+
+def counted(t, q, every=4) -> Motor:
+    return Motor(t[::every], np.round(q[::every] / COUNT) * COUNT)
+
+
+def rests(motor: Motor) -> list[tuple[float, float]]:
+    still = np.flatnonzero(np.diff(motor.q) == 0)
+    return [(float(motor.t_s[i]), float(motor.t_s[i + 1])) for i in still]
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    st.floats(0.8, 3.0),
+    st.floats(8.0, 25.0),
+    st.floats(0.1, 1.0),
+    st.lists(st.floats(-4.0, 4.0), min_size=3, max_size=6),
+)
+def test_rests_begin_and_end_when_the_motor_does(speed, acceleration, dwell, ends):
+    points = np.array([0.0, *(round(e, 4) for e in ends)])
+    if np.abs(np.diff(points)).min() < 0.3:
+        points = np.array([0.0, 1.0, -0.5, 1.5])
+    motion = trajectory.through(points, speed, acceleration, dwell)
+    moving = np.abs(np.diff(motion.q)) > 1e-10
+    edges = np.flatnonzero(np.diff(moving.astype(int)))
+    stops, starts = (motion.t_s[edges[moving[edges] == was] + 1] for was in (True, False))
+    lines = straight_lines(counted(motion.t_s, motion.q), COUNT)
+    found = rests(lines)
+    # The last count before a stop takes sqrt(2 * count / acceleration), 9 to 16 ms.
+    errors = []
+    for stop, start in zip(stops, starts, strict=False):
+        begin, end = min(found, key=lambda rest: abs(rest[0] - stop))
+        errors += [abs(begin - stop), abs(end - start)]
+    assert max(errors) < 0.012
+    assert np.abs(np.interp(motion.t_s, lines.t_s, lines.q) - motion.q).max() < 2.5 * COUNT
+
+
+def test_stops_are_known_to_a_millisecond_in_the_mean():
+    motion = trajectory.through([0.0, 1.0, -0.7, 2.3, 0.4, 1.9, -1.1], 1.0, 12.0, 0.4)
+    lines = straight_lines(counted(motion.t_s, motion.q), COUNT)
+    ramp, begin = 1.0 / 12.0, 0.0
+    errors = []
+    for a, b in zip([0.0, 1.0, -0.7, 2.3, 0.4, 1.9], [1.0, -0.7, 2.3, 0.4, 1.9, -1.1], strict=True):
+        stop = begin + abs(b - a) + ramp
+        errors.append(min(abs(rest[0] - stop) for rest in rests(lines)))
+        begin = stop + 0.4
+    assert np.mean(errors) < 0.0015
+
+
+def test_a_turn_without_a_rest_is_where_the_motor_turned():
+    motion = trajectory.through([0.0, 1.0, -0.7, 1.3, 0.0], 1.0, 12.0, 0.0)
+    lines = straight_lines(counted(motion.t_s, motion.q), COUNT)
+    for turn in (1.0 + 1 / 12, 1.0 + 1.7 + 2 / 12, 1.0 + 1.7 + 2.0 + 3 / 12):
+        assert np.abs(lines.t_s - turn).min() < 0.003
+
+
+def test_other_axes_do_not_blur_a_rest():
+    motion = trajectory.through([0.0, 1.0, -0.5], 1.0, 12.0, 0.5)
+    plain = straight_lines(counted(motion.t_s, motion.q), COUNT)
+    swayed = motion.with_sway(2.0, 20.0, 5.0)
+    motor = counted(motion.t_s, motion.q)
+    both = straight_lines(Motor(motor.t_s, motor.q, None, swayed.translation_mm[::4], swayed.rotation_deg[::4]), COUNT)
+    for begin, end in rests(plain):
+        assert np.ptp(both.q[(both.t_s >= begin) & (both.t_s <= end)]) == 0.0
+    np.testing.assert_allclose(np.interp(plain.t_s, both.t_s, both.q), plain.q, atol=COUNT)
+    np.testing.assert_allclose(np.interp(motion.t_s, both.t_s, both.translation_mm), swayed.translation_mm, atol=1.5e-3)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 50])
+def test_a_motor_that_never_moves_or_chatters_stays(count):
+    t = 0.004 * np.arange(count)
+    assert np.ptp(straight_lines(Motor(t, np.full(count, 0.5)), COUNT).q) == 0.0
+    chatters = straight_lines(Motor(t, COUNT * (np.arange(count) % 2)), COUNT)
+    assert np.abs(chatters.q - 0.5 * COUNT).max() <= COUNT
+
+
+def test_positions_that_are_no_counts_stay_within_a_count():
+    t = 0.004 * np.arange(2000)
+    q = 3.0 * np.sin(0.7 * t) + 0.000123
+    lines = straight_lines(Motor(t, q), COUNT)
+    assert between_counts(Motor(t, q), COUNT).q is q
+    assert np.abs(np.interp(t, lines.t_s, lines.q) - q).max() < 2 * COUNT
+    assert len(lines.t_s) < 0.2 * len(t)
