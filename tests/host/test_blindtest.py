@@ -119,7 +119,7 @@ def test_every_beginning_of_a_campaign_has_its_share_of_each_sort(sorts, seed):
 
 def test_baselines_answer_every_so_manyth_scored_case_of_each_sort():
     labels = [label("single", LAG)] * 5 + [label("single", LAG, left=0.01)] + [label("single", CREEP)] * 2
-    labels += [label("pair", LAG, CREEP), label("pair", CREEP, LAG), label("none"), label("left out", LAG)]
+    labels += [label("pair", LAG, CREEP), label("pair", CREEP, LAG), label("none")]
     records = [{"name": str(i), "label": each.to_json()} for i, each in enumerate(labels)]
     assert compare.subset(records, 2) == ["0", "2", "4", "6", "8", "10"]
     assert compare.subset(records, 1) == [str(i) for i in range(11) if i != 5]
@@ -175,7 +175,8 @@ ORDER = Order(seed=40, single=1, none=1, leave_one_out=1, only=(LAG, "none"))
 
 def conduct(folder, order=ORDER, progress=lambda fraction, text: None):
     with pool(1, None) as here:
-        return campaign.run(order, folder, here, progress)
+        records = campaign.run(order, folder, here, progress)
+        return records + campaign.left_out(order, folder, records, here, progress)
 
 
 def test_what_a_diagnosis_sees_does_not_tell_the_label(tmp_path, stubbed):
@@ -303,8 +304,10 @@ def test_baselines_answer_on_the_same_cases(tmp_path, stubbed, monkeypatch):
     methods = ["majority", "joint", "bic"]
     with pool(1, None) as here:
         answered = compare.answers(methods, records, tmp_path / "out", here, lambda fraction, text: None)
-    result = page.result(answered)
+    without = [{**record, "label": {**record["label"], "kind": "left out"}} for record in records[:1]]
+    result = page.result([*answered, *without])
     assert list(result["methods"]) == ["tautline", page.HERE, *methods]
+    assert [result["methods"][method]["left_out"]["of"] for method in ("tautline", page.HERE, "bic")] == [1, 0, 0]
     with pool(1, None) as here:
         broken = ["joint", "process"]
         for method in broken:

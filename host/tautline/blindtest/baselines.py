@@ -41,6 +41,7 @@ NEEDS = {"narx": "sysidentpy"}  # packages beyond tautline's own
 _NO_GAP = 1.25
 _LEFT = 0.3
 _REFITTED = 4  # effects that bic fits in full, the best of a linear step
+_JOINT_STEPS = 6
 _TREES = 300
 _POINTS = 250  # of a Gaussian process
 _HISTORY_S = (0.0, 0.1, 0.3, 1.0)  # of the motor that narx sees
@@ -106,8 +107,21 @@ class Evidence:
         )
 
 
+class _Near(Fitter):
+    """Effects' parameters are expected within their own scale: with all of them free at once, without that, those that
+    hardly matter go farthest."""
+
+    def spread(self, hypothesis: Hypothesis) -> Array:
+        spread = super().spread(hypothesis)
+        scales = [self.scale(p) for p, _ in hypothesis.parameters]
+        spread[len(spread) - len(scales) :] = scales
+        return spread
+
+
 def joint(evidence: Evidence) -> Answer:
-    fitter = evidence.fitter
+    plain = evidence.fitter
+    fitter = _Near(plain.model, plain.segments, plain.load_reference)
+    fitter.floor = plain.floor
     hypothesis = Hypothesis()
     values: dict[str, float] = {}
     seen: set[str] = set()
@@ -116,7 +130,7 @@ def joint(evidence: Evidence) -> Answer:
             seen.add(start.kind.id)
             hypothesis = hypothesis.plus(start.kind, start.only_tests)
             values |= {**start.values, **{p.name: 0.0 for p in start.kind.amplitudes}}
-    fit = fitter.descend(hypothesis, replace(evidence.base.state, values=values), 3)
+    fit = fitter.descend(hypothesis, replace(evidence.base.state, values=values), _JOINT_STEPS)
 
     def shift(kind: Kind) -> float:
         return max(abs(fit.state.values[p.name]) / fitter.scale(p) for p in kind.amplitudes)
@@ -190,7 +204,7 @@ def majority(truths: Sequence[str]) -> Answer:
 
 
 def _history(segment: Segment, span: float, since_s: float) -> Array:
-    """(scored, 8): what the motor did, in shares of its range; other axes and load in what they reach."""
+    """(scored, 8): what the motor did, in shares of its range; other axes and load in what they reach; last, time."""
     motor, t = segment.motor, segment.arrival_s
     q = np.interp(t, motor.t_s, motor.q) / span
     rate = np.gradient(q, t)
@@ -271,6 +285,8 @@ def _learned(
 
     def seen(segment: Segment) -> Array:
         rows = _history(segment, span, since)
+        if lags:  # a polynomial in time runs away from the first recording on that it has not seen
+            rows = rows[:, :-1]
         times = segment.arrival_s[segment.scored]
         late = [np.interp(times - lag, segment.motor.t_s, segment.motor.q)[:, None] / span for lag in lags[1:]]
         return np.concatenate([rows, *late], axis=1)

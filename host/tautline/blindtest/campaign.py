@@ -63,13 +63,13 @@ def order_of(folder: Path) -> Order:
 
 
 def run(order: Order, folder: Path, pool: Pool, progress: Progress, stopped: bool = False) -> list[dict[str, Any]]:
-    """Every case's record (work.score_case), in the plan's order, in the end those with an effect left out. `stopped`:
-    nothing more is diagnosed; the cases up to the first that is not are closed and scored, and stay all there are.
+    """Every case's record (work.score_case), in the plan's order. `stopped`: nothing more is diagnosed; the cases up to
+    the first that is not are closed and scored, and stay all there are.
     Raises TautError where the folder holds another campaign, or something in it was changed after it was sealed."""
     campaign = sealed.Campaign(folder)
     plan = campaign.plan()
     if plan is None:
-        plan = _make(order, campaign, pool, lambda done: progress(0.1 * done, "making cases"))
+        plan = _make(order, campaign, pool, lambda done: progress(0.08 * done, "making cases"))
     elif plan["order"] != json.loads(json.dumps(asdict(order))):
         raise TautError(f"{folder}: holds another campaign (seed {plan['order']['seed']}): name a new folder")
     committed: dict[str, str] = plan["cases"]
@@ -82,7 +82,7 @@ def run(order: Order, folder: Path, pool: Pool, progress: Progress, stopped: boo
     tasks = ((name, (campaign.case(name),)) for name in todo)
     for done, (name, files) in enumerate(pool(work.diagnose_case, tasks), len(names) - len(todo) + 1):
         campaign.write_diagnosis(name, files)
-        progress(0.1 + 0.7 * done / len(names), f"diagnosed {done} of {len(names)}")
+        progress(0.08 + 0.88 * done / len(names), f"diagnosed {done} of {len(names)}")
     campaign.close(names)
 
     opening = (
@@ -91,13 +91,8 @@ def run(order: Order, folder: Path, pool: Pool, progress: Progress, stopped: boo
     records: dict[str, dict[str, Any]] = {}
     for name, record in pool(work.score_case, opening):
         records[name] = {"name": name, **record}
-        progress(0.8 + 0.05 * len(records) / len(names), "opening labels")
-    found = [records[name] for name in names]
-
-    def told(done: float) -> None:
-        progress(0.85 + 0.15 * done, "leaving effects out")
-
-    return found + _without(order, campaign, found, pool, told, stopped)
+        progress(0.96 + 0.04 * len(records) / len(names), "opening labels")
+    return [records[name] for name in names]
 
 
 def interleaved(
@@ -143,21 +138,22 @@ def _make(order: Order, campaign: sealed.Campaign, pool: Pool, progress: Callabl
     return plan
 
 
-def _without(
+def left_out(
     order: Order,
-    campaign: sealed.Campaign,
+    folder: Path,
     found: Sequence[Mapping[str, Any]],
     pool: Pool,
-    progress: Callable[[float], None],
-    stopped: bool,
+    progress: Progress,
+    stopped: bool = False,
 ) -> list[dict[str, Any]]:
-    """Single cases diagnosed again by a library that lacks their effect. What is right needs no label: unknown.
-    `stopped`: only those that are already."""
+    """Records of `found`'s single cases diagnosed again by a library that lacks their effect: unknown is right.
+    `stopped`: only of those that are already."""
+    campaign = sealed.Campaign(folder)
     ranked: list[tuple[int, Mapping[str, Any]]] = []
     for effect in KNOWN:
         mine = [r for r in found if r["label"]["effects"] == [effect] and r["label"]["identifiable"]]
         ranked += enumerate(mine[: order.leave_one_out])
-    folder = campaign.root / "without"
+    folder = folder / "without"
     chosen = [record for _, record in sorted(ranked, key=lambda pair: pair[0])]  # one of each effect, then the next
     if stopped:
         chosen = [record for record in chosen if (folder / record["name"]).is_dir()]
@@ -170,7 +166,8 @@ def _without(
 
     for name, files in pool(work.diagnose_case, tasks()):
         sealed.write(folder / name, files)
-        progress(sum(path.is_dir() for path in folder.iterdir()) / len(chosen))
+        done = sum((folder / record["name"]).is_dir() for record in chosen)
+        progress(done / len(chosen), f"effects left out {done} of {len(chosen)}")
     for record in chosen:
         files = sealed.read(folder / record["name"])
         document, cost = json.loads(files[work.DOCUMENT]), json.loads(files[work.COST])

@@ -75,12 +75,12 @@ def answers(
         progress(0.3 + 0.7 * done / len(todo), f"baselines {done} of {len(todo)}")
     chosen = set(names)
     labels = [Label.from_json(r["label"]) for r in records]
-    truths = [scores.truth(x) for x in labels if scores.counts(x) and x.kind not in ("pair", "left out")]
+    truths = [scores.truth(x) for x in labels if scores.counts(x) and x.kind != "pair"]
     result = []
     for record in records:
         said: dict[str, Any] = {}
         failed: dict[str, str] = {}
-        if record["name"] in chosen and record["label"]["kind"] != "left out":
+        if record["name"] in chosen:
             found = _found(root, record["name"])
             said = {method: found[method] for method in on_cases}
             if "majority" in methods and truths:
@@ -100,7 +100,7 @@ def subset(records: Sequence[Mapping[str, Any]], every: int) -> list[str]:
     names = []
     for record in records:
         label = Label.from_json(record["label"])
-        if label.kind == "left out" or not scores.counts(label):
+        if not scores.counts(label):
             continue
         sort = (label.kind, *(label.effects if label.kind != "pair" else ()))
         if seen[sort] % every == 0:

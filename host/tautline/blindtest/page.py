@@ -92,7 +92,7 @@ def methods_of(records: Sequence[Mapping[str, Any]]) -> dict[str, Cases]:
         methods[name] = [
             (label, scores.from_json(record["answers"][name]))
             for label, record in zip(labels, records, strict=True)
-            if name in record["answers"]
+            if name in record.get("answers", {})
         ]
     return methods
 

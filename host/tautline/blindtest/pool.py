@@ -9,6 +9,7 @@ import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from contextlib import contextmanager
+from types import FrameType
 from typing import Any
 
 from tautline.errors import TautError
@@ -39,6 +40,7 @@ def _processes(jobs: int) -> Iterator[Pool]:
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     executor = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), initializer=_ignore_interrupt)
+    before = signal.signal(signal.SIGTERM, _interrupt)
     try:
         yield lambda function, work: _windowed(
             work,
@@ -48,6 +50,7 @@ def _processes(jobs: int) -> Iterator[Pool]:
         )
     finally:
         executor.shutdown(cancel_futures=True)
+        signal.signal(signal.SIGTERM, before)
 
 
 @contextmanager
@@ -84,6 +87,10 @@ def _windowed(
     while waiting:
         for future in first_done(list(waiting)):
             yield waiting.pop(future), future.result()
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt  # `timeout` stops a campaign as Ctrl-C does, and leaves no worker behind
 
 
 def _ignore_interrupt() -> None:

@@ -9,7 +9,7 @@ import click
 
 from tautline.blindtest import compare, page
 from tautline.blindtest.baselines import METHODS
-from tautline.blindtest.campaign import GROUPS, Order, order_of, run
+from tautline.blindtest.campaign import GROUPS, Order, Progress, left_out, order_of, run
 from tautline.blindtest.draws import KNOWN, UNKNOWN
 from tautline.blindtest.pool import pool
 from tautline.cli._common import emit, folder_option, json_option, progress_bar
@@ -95,13 +95,15 @@ def command(
     wanted = baselines or (("none",) if order.only else _QUICK_BASELINES if quick else None)
     methods = compare.available(wanted if wanted is None else [name for name in wanted if name != "none"])
     with progress_bar("blind test") as progress, pool(jobs, dask_address) as workers:
-        share = 0.7 if methods else 1.0
-        records = run(order, out, workers, lambda done, text: progress(share * done, text), stopped)
+
+        def within(low: float, high: float) -> Progress:
+            return lambda done, text: progress(low + (high - low) * done, text)
+
+        diagnosed = 1.0 - (0.2 if methods else 0.0) - (0.1 if order.leave_one_out else 0.0)
+        compared = 0.9 if order.leave_one_out else 1.0
+        records = run(order, out, workers, within(0.0, diagnosed), stopped)
         if methods:
-
-            def told(done: float, text: str) -> None:
-                progress(share + (1.0 - share) * done, text)
-
-            records = compare.answers(methods, records, out, workers, told, every, stopped)
+            records = compare.answers(methods, records, out, workers, within(diagnosed, compared), every, stopped)
+        records += left_out(order, out, records, workers, within(compared, 1.0), stopped)
     result = page.write(records, out)
     emit(result, as_json, page.text(result) + f"\n{out / page.FILE}")
