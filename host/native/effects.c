@@ -194,11 +194,17 @@ static double configured(const struct effect_parameters *e, double f, double mid
     return c;
 }
 
-// -1 to 1: quantiles of the thresholds' distribution, mean 0 when spread evenly.
-static double threshold(const struct effect_parameters *e, int i, int plays) {
-    const double u = (i + 0.5) / plays;
-    const double even = 2.0 * u - 1.0;
-    const double tail = 0.5 * (-log1p(-u) - 1.0);
+// The share of all thresholds above the i-th of `plays` lots: they shrink towards the longest, whose tail is thin.
+static double above(int i, int plays) {
+    return pow(1.0 - (double)i / plays, 1.5);
+}
+
+// The mean threshold of a lot, in units of the spread: over all lots 0, evenly from -1 to 1, or exponentially from
+// -1/2.
+static double threshold(const struct effect_parameters *e, double most, double least) {
+    const double even = 1.0 - most - least;
+    const double logs = least > 0.0 ? least * log(least) : 0.0; // the integral of -log v is v - v log v
+    const double tail = 0.5 * (logs - most * log(most)) / (most - least);
     return even + e->onset_tail * (tail - even);
 }
 
@@ -227,9 +233,13 @@ void effects_simulate(const struct effect_parameters *e, const struct effect_tab
     const double resting = 1e-5 * usual_speed;
     const double follows = fmax(0.25 * e->speed_time, SHORTEST_S);
     const double c_middle = tables->c_deg[tables->nodes / 2];
-    double spread[PLAYS];
-    for (int i = 0; i < plays; i++) {
-        spread[i] = plays > 1 ? fmax(0.0, 1.0 + e->onset_spread * threshold(e, i, plays)) : 1.0;
+    double spread[PLAYS] = {1.0}, share_of[PLAYS] = {1.0};
+    int middle = 0; // the play that half of all have moved before
+    for (int i = 0; plays > 1 && i < plays; i++) {
+        const double most = above(i, plays), least = above(i + 1, plays);
+        spread[i] = fmax(0.0, 1.0 + e->onset_spread * threshold(e, most, least));
+        share_of[i] = most - least;
+        middle = most > 0.5 ? i : middle;
     }
     struct play play[PLAYS] = {0};
     struct span_cursor c_at = {0};
@@ -289,9 +299,9 @@ void effects_simulate(const struct effect_parameters *e, const struct effect_tab
                 play[i].p = isnan(p0) ? drive.q : p0;
             }
             carried = fmax(carried, play_move(e, tables, &play[i], &drive, spread[i]));
-            sum += play[i].p;
+            sum += share_of[i] * play[i].p;
         }
-        centre = sum / plays;
+        centre = sum;
         if (!started) {
             late = (struct late){centre, centre, centre, centre, centre};
         }
@@ -305,7 +315,7 @@ void effects_simulate(const struct effect_parameters *e, const struct effect_tab
         } else {
             late.second = centre;
         }
-        const signed char side = play[plays / 2].side;
+        const signed char side = play[middle].side;
         if (started && e->tilt_travel > 0.0) {
             lies += (side - lies) * (1.0 - exp(-fabs(centre - from) / e->tilt_travel));
         } else {

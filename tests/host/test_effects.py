@@ -104,6 +104,24 @@ def test_the_width_that_speed_added_closes_or_stays_at_rest(held):
     assert resting - moving == pytest.approx(0.01 * 8 / 6 if held else 0.15 * 8 / 6 + 0.01 * 8 / 6, abs=5e-3)
 
 
+@pytest.mark.parametrize("spread", [0.2, 0.6, 0.95])
+@pytest.mark.parametrize("tail", [0.0, 1.0])
+def test_a_spread_onset_is_what_its_distribution_gives(spread, tail):
+    """Travel x since the reversal, thresholds B (1 + spread u): the tip moves by the mean of max(x - threshold, 0)."""
+    width = 0.6
+    t = np.arange(12.0, 18.0, 0.05)
+    p = simulate(made(width), STROKES, t, {"onset_spread": spread, "onset_tail": tail}).p
+    x = np.interp(t, STROKES.t_s, STROKES.q) + 4.0
+    if tail:
+        scale = 0.5 * spread * width
+        past = np.maximum(x - width + scale, 0.0)
+        moved_by = past - scale * -np.expm1(-past / scale)
+    else:
+        low, high = width * (1.0 - spread), width * (1.0 + spread)
+        moved_by = np.where(x > high, x - width, np.square(np.clip(x - low, 0.0, None)) / (2.0 * (high - low)))
+    np.testing.assert_allclose(p, 0.5 * width - 4.0 + moved_by, atol=0.002 * spread * width)
+
+
 def test_a_smooth_onset_starts_early_and_ends_late():
     model = made(1.0)
     t = np.arange(12.0, 18.0, 0.01)

@@ -387,12 +387,13 @@ def inside(name: str, value: float) -> float:
 
 
 _RANGES = {
-    **dict.fromkeys(("onset_spread", "onset_tail", "creep_share", "creep_slow", "contact_hold"), (0.0, 1.0)),
+    **dict.fromkeys(("onset_spread", "creep_share", "creep_slow", "contact_hold"), (0.0, 1.0)),
     **dict.fromkeys(
         ("lag", "stick", "width_per_speed", "contact_soft", "tilt_travel", "drift_decay"),
         (0.0, np.inf),
     ),
     **dict.fromkeys(("asymmetry_travel", "creep_time", "encoder_period"), (1e-3, np.inf)),
+    "onset_tail": (0.0, 1.3),
     "lag_second": (0.0, 0.5),
     "asymmetry_form": (0.5, 4.0),
     "speed_exponent": (0.1, 3.0),
