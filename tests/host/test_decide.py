@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tautline.diagnose.decide import Evidence, Weighed, decide
+from tautline.diagnose.decide import Beyond, Evidence, Weighed, decide
 
 FLOOR = 0.05
 BLOCKS = 30
@@ -112,7 +112,9 @@ def test_probabilities_add_up_in_any_order(shares, pair, before, order):
 
 def within(found: Evidence, beyond: dict[tuple[str, ...], np.ndarray]) -> Evidence:
     """What no law of a hypothesis' stages could leave, times the noise."""
-    weighed = (replace(h, beyond=FLOOR**2 * beyond[h.ids]) if h.ids in beyond else h for h in found.hypotheses)
+    count = np.full(BLOCKS, 400.0)
+    said = {ids: Beyond(FLOOR**2 * times, count) for ids, times in beyond.items()}
+    weighed = (replace(h, beyond=said.get(h.ids)) for h in found.hypotheses)
     return replace(found, hypotheses=tuple(weighed))
 
 
@@ -139,6 +141,18 @@ def in_third(times: float) -> np.ndarray:
 def test_what_no_law_of_its_stage_could_leave_is_not_its_own(beyond, says):
     found = evidence({(LAG,): 0.02, (CREEP,): 0.6, (DRIFT,): 0.9})
     assert decide(within(found, {(LAG,): beyond})).name == says
+
+
+def test_few_frames_tell_little():
+    """A third more noise in a third of the blocks: chance where a block has ten frames, not where it has a thousand."""
+    found = evidence({(LAG,): 0.02, (CREEP,): 0.6, (DRIFT,): 0.9})
+    unlike = np.where(np.arange(BLOCKS) < BLOCKS // 3, 1.35, 1.0)
+    said = {}
+    for frames in (10.0, 1000.0):
+        seen = Beyond(FLOOR**2 * unlike, np.full(BLOCKS, frames))
+        weighed = (replace(h, beyond=seen) if h.ids == (LAG,) else h for h in found.hypotheses)
+        said[frames] = decide(replace(found, hypotheses=tuple(weighed))).unknown
+    assert said[10.0] < 0.3 < 0.7 < said[1000.0]
 
 
 def test_a_second_effect_accounts_for_what_the_first_ones_stage_cannot():

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from tautline import effects
 from tautline.diagnose import confined, gap, heldout
+from tautline.diagnose.decide import Beyond
 from tautline.diagnose.fit import Fit, Fitter, outlier_limit
 from tautline.diagnose.screen import Screened, screen
 from tautline.effects import EVENTS, Kind
@@ -30,7 +31,7 @@ class Found:
     fit: Fit
     left: list[Array]  # of each recording, (scored, k)
     power: Array  # (blocks,) mean squares of `left`, outliers pulled in
-    beyond: Array | None  # (blocks,) the same of what no law of the effects' stages could leave
+    beyond: Beyond | None
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -55,10 +56,13 @@ class Search:
         left = heldout.residuals(self.fitter, fit, self.labels, self.limits)
         return Found(fit, left, self.power(left), self.beyond(fit))
 
-    def beyond(self, fit: Fit, further: Sequence[Kind] = ()) -> Array | None:
-        """(blocks,) mean squares of what no law of the stages of the fit's effects and of `further` could leave."""
+    def beyond(self, fit: Fit, further: Sequence[Kind] = ()) -> Beyond | None:
+        """What no law of the stages of the fit's effects and of `further` could leave of each block."""
         left = confined.residuals(self.fitter, fit, further)
-        return None if left is None else self._power(left, [_NOISE * self.fitter.floor] * len(left))
+        if left is None:
+            return None
+        count = [np.bincount(label) * r.shape[1] for label, r in zip(self.labels, left, strict=True)]
+        return Beyond(self._power(left, [_NOISE * self.fitter.floor] * len(left)), np.concatenate(count).astype(float))
 
     def power(self, residuals: Sequence[Array]) -> Array:
         """(blocks,) mean squares, block after block and recording after recording."""

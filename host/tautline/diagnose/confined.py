@@ -2,9 +2,10 @@
 
 No model of an effect is exact, but its error is confined to its own stage. What moves the tip through the bending angle
 (actuator, transmission, configuration) shifts the image along d image / dc and nowhere else; a bending section that is
-curved otherwise keeps the tip in its plane, at a place that the angle tells; a lens shifts the image by a function of
-where it is; unsteady frame times shift it along its velocity; a rigid transform and a delay have one equation. What is
-left beyond that is the camera's noise, or another cause.
+curved otherwise keeps the tip in its plane, at a place that the angle tells; an instrument that rocks in its channel is
+a rigid body that settles after a reversal; a lens shifts the image by a function of where it is; unsteady frame times
+shift it along its velocity; a rigid transform and a delay have one equation. What is left beyond that is the camera's
+noise, or another cause.
 """
 
 from __future__ import annotations
@@ -24,13 +25,15 @@ Array = npt.NDArray[np.float64]
 _THROUGH_ANGLE = ("actuator", "transmission", "configuration")
 _LENS_ORDER = 5  # of polynomials over the image
 _PLANE_ORDER = 5  # and over the bending angle
+_TRAVELS = (0.003, 0.01, 0.03)  # of the motor's range, in which an instrument settles in its channel
+_MOST_COLUMNS = 64  # of the native normal equations
 
 
 def residuals(fitter: Fitter, fit: Fit, further: Sequence[Kind] = ()) -> list[Array] | None:
     """(scored, 1 or 2) of each recording, px; None where the effects' stages could leave anything. `further`: effects
     beside the fit's own, which change nothing of it."""
     kinds = (*fit.hypothesis.kinds, *further)
-    if not fitter.px or not kinds or any(kind.id == "registration.direction_dependent" for kind in kinds):
+    if not fitter.px or not kinds:
         return None
     along = any(kind.stage in _THROUGH_ANGLE for kind in kinds)
     timed = any(kind.id == "acquisition.jitter" for kind in kinds)
@@ -38,16 +41,16 @@ def residuals(fitter: Fitter, fit: Fit, further: Sequence[Kind] = ()) -> list[Ar
         return None
     rows = fitter.rows(fit.state, fit.hypothesis)
     scopes = list(zip(fit.hypothesis.kinds, fit.hypothesis.only_tests, strict=True))
-    for stage, freedom in (("camera", _lens), ("kinematics", _plane)):
-        only = [only for kind, only in scopes if kind.stage == stage]
+    for what, freedom in _FREEDOM.items():
+        only = [only for kind, only in scopes if kind.id.startswith(what)]
         if only:
-            extra = freedom(fitter.segments, rows)
+            extra = freedom(fitter, rows)
             rows = [
                 replace(row, columns=np.concatenate([row.columns, more * (not (all(only) and s.calibration))], axis=2))
                 for s, row, more in zip(fitter.segments, rows, extra, strict=True)
             ]
     if not (along or timed):
-        return fitter.left(rows)
+        return fitter.left(rows) if rows[0].columns.shape[2] <= _MOST_COLUMNS else None
     ways = [row.by_c for row in rows] if along else [_velocity(s) for s in fitter.segments]
     parts = [_across(row, way) for row, way in zip(rows, ways, strict=True)]
     columns = np.concatenate([part[1] for part in parts])
@@ -69,9 +72,9 @@ def _velocity(segment: Segment) -> Array:
     return np.gradient(segment.observed, segment.arrival_s, axis=0)[segment.scored]
 
 
-def _lens(segments: Sequence[Segment], rows: Sequence[Rows]) -> list[Array]:
+def _lens(fitter: Fitter, rows: Sequence[Rows]) -> list[Array]:
     """Polynomials of where the image should be (where it is has the noise in it), for either coordinate."""
-    seen = [s.observed[s.scored] - row.residual for s, row in zip(segments, rows, strict=True)]
+    seen = [s.observed[s.scored] - row.residual for s, row in zip(fitter.segments, rows, strict=True)]
     low, high = (f([f(x, axis=0) for x in seen], axis=0) for f in (np.min, np.max))
     found = []
     for x in seen:
@@ -82,12 +85,12 @@ def _lens(segments: Sequence[Segment], rows: Sequence[Rows]) -> list[Array]:
     return found
 
 
-def _plane(segments: Sequence[Segment], rows: Sequence[Rows]) -> list[Array]:
+def _plane(fitter: Fitter, rows: Sequence[Rows]) -> list[Array]:
     """The bending plane's two directions in the image, times polynomials of the angle."""
-    angles = [row.path.c_deg[s.scored] for s, row in zip(segments, rows, strict=True)]
+    angles = [row.path.c_deg[s.scored] for s, row in zip(fitter.segments, rows, strict=True)]
     low, high = min(float(c.min()) for c in angles), max(float(c.max()) for c in angles)
     found = []
-    for segment, row, c in zip(segments, rows, angles, strict=True):
+    for segment, row, c in zip(fitter.segments, rows, angles, strict=True):
         x, y, z = np.moveaxis(row.columns[:, :, STATIC_COLUMNS], 2, 0)[3:6]
         roll = row.path.rotation_deg
         turned = np.zeros(len(c)) if roll is None else np.radians(roll[segment.scored])
@@ -95,3 +98,23 @@ def _plane(segments: Sequence[Segment], rows: Sequence[Rows]) -> list[Array]:
         of_c = np.polynomial.chebyshev.chebvander(2.0 * (c - low) / max(high - low, 1e-9) - 1.0, _PLANE_ORDER)
         found.append(np.concatenate([sideways[:, :, None] * of_c[:, None], z[:, :, None] * of_c[:, None]], axis=2))
     return found
+
+
+def _channel(fitter: Fitter, rows: Sequence[Rows]) -> list[Array]:
+    """Rigid motions of the instrument that depend on the direction and die away after it changes."""
+    found = []
+    for segment, row in zip(fitter.segments, rows, strict=True):
+        step = np.diff(row.path.p, prepend=row.path.p[0])
+        way = np.sign(step)
+        last = np.maximum.accumulate(np.where(way != 0, np.arange(len(way)), 0))
+        way = way[last]
+        turn = np.maximum.accumulate(np.where(np.diff(way, prepend=way[0]) != 0, np.arange(len(way)), 0))
+        travel = np.abs(row.path.p - row.path.p[np.maximum(turn - 1, 0)]) / fitter.model.rig.actuator.span
+        settles = [np.exp(-travel / reach) for reach in _TRAVELS]
+        law = np.column_stack([np.ones(len(way)), way, *(way * s for s in settles)])[segment.scored]
+        motions = row.columns[:, :, STATIC_COLUMNS]
+        found.append(np.einsum("nki,nj->nkij", motions, law).reshape(len(law), motions.shape[1], -1))
+    return found
+
+
+_FREEDOM = {"camera.": _lens, "kinematics.": _plane, "registration.direction_dependent": _channel}

@@ -38,9 +38,17 @@ COVERS = 0.95  # probability that a set of effects that cannot be told apart hol
 COINCIDES = 0.1  # probability that an unknown effect goes with a column that was measured beside the motion
 MEASURED = frozenset(kind.id for kind in LIBRARY if kind.needs == "load")  # effects that follow such a column
 LAWS = frozenset({"registration.static", "registration.shift", "acquisition.delay"})
-FLOOR_KNOWN, STEADY = 0.2, 0.1  # of the noise power's logarithm: how well a case's is known, and how one block has more
+FLOOR_KNOWN, STEADY = 0.2, 0.07  # of the noise power's logarithm: how well a case's is known, and how unlike blocks are
 DISTURBED = 0.03  # share of blocks in which something happens that no model has, such as the moment of a shift
 CONFINED = 0.5  # probability that what a wrong effect leaves is confined to its stage as well
+
+
+@dataclass(frozen=True)
+class Beyond:
+    """What no law of a hypothesis' stages could leave (confined.py)."""
+
+    power: Array  # (blocks,) mean squares
+    count: Array  # (blocks,) of how many numbers
 
 
 @dataclass(frozen=True)
@@ -54,7 +62,7 @@ class Weighed:
     rival: Array  # (blocks,) the same of the best scatter of another origin
     parameters: int
     white: float = 0.0  # 1: the scatter forgets from frame to frame, 0: it goes on
-    beyond: Array | None = None  # (blocks,) mean squares that no law of the effects' stages could leave (confined.py)
+    beyond: Beyond | None = None  # None: the effects' stages could leave anything
 
 
 @dataclass(frozen=True)
@@ -209,12 +217,13 @@ class _Likelihoods:
         than as what a wrong effect leaves: noise as well, or noise in any share of the blocks only."""
         if h.beyond is None:
             return 0.0
-        x = np.log(np.maximum(h.beyond / self._floor2, 1e-6))
+        x = np.log(np.maximum(h.beyond.power / self._floor2, 1e-6))
+        spread = np.sqrt(2.0 / np.maximum(h.beyond.count, 1.0) + STEADY**2)
         off = np.linspace(-20.0, 3.0, 116) * FLOOR_KNOWN  # of the case's noise: what rests may well scatter more
         prior = np.where(off > 0.0, -0.5 * np.square(off / FLOOR_KNOWN), -np.abs(off))
-        noise = _STEADY.logpdf(x - off[:, None])
+        noise = _BLOCK.logpdf((x - off[:, None]) / spread) - np.log(spread)
         more = np.maximum(x - off[:, None], 0.0)
-        disturbed = -np.log((more + STEADY) * np.log1p(_WIDEST / STEADY))  # as likely any size
+        disturbed = -np.log((more + spread) * np.log1p(_WIDEST / spread))  # as likely any size
 
         def in_all_but(share: float) -> float:
             each = np.logaddexp(np.log1p(-share) + noise, np.log(share) + disturbed)
@@ -246,7 +255,7 @@ class _Likelihoods:
 
 
 _SHARES = np.geomspace(1e-5, 1.0, 41)
-_STEADY = stats.t(4.0, scale=STEADY)
+_BLOCK = stats.t(8.0)
 _WIDEST = 12.0  # of a disturbed block's logarithm
 
 
