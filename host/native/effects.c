@@ -78,6 +78,7 @@ static double held_back(const struct effect_parameters *e, double since) {
 
 struct play {
     double p;
+    double width; // B(p)
     double since; // travel since the delayed side began to carry
     struct span_cursor width_at, low_at, high_at;
     signed char side;
@@ -93,7 +94,7 @@ struct drive {
 static double play_move(const struct effect_parameters *e, const struct effect_tables *tables, struct play *play,
                         const struct drive *drive, double spread) {
     const double scale = drive->scale * spread;
-    const double half = 0.5 * (scale * interpolate(tables, tables->width, &play->width_at, play->p) + drive->extra);
+    const double half = 0.5 * (scale * play->width + drive->extra);
     const double delayed = e->asymmetry > 0.0 ? 1.0 : -1.0;
     for (int s = -1; s <= 1; s += 2) {
         if (s * drive->way < 0.0) {
@@ -111,6 +112,7 @@ static double play_move(const struct effect_parameters *e, const struct effect_t
             late = held_back(e, since);
         }
         play->p = envelope(tables, s > 0 ? &play->low_at : &play->high_at, drive->q - s * late, s, scale, drive->extra);
+        play->width = interpolate(tables, tables->width, &play->width_at, play->p);
         play->side = (signed char)s;
         play->since = since;
         return carried;
@@ -297,6 +299,7 @@ void effects_simulate(const struct effect_parameters *e, const struct effect_tab
         for (int i = 0; i < plays; i++) {
             if (!started) {
                 play[i].p = isnan(p0) ? drive.q : p0;
+                play[i].width = interpolate(tables, tables->width, &play[i].width_at, play[i].p);
             }
             carried = fmax(carried, play_move(e, tables, &play[i], &drive, spread[i]));
             sum += share_of[i] * play[i].p;
