@@ -2,6 +2,9 @@
 
 import functools
 import json
+import os
+import signal
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -358,6 +361,14 @@ def test_workers_on_this_machine_give_what_this_process_gives():
     tasks = [(str(i), ({"a": bytes([i])},)) for i in range(5)]
     with pool(1, None) as here, pool(2, None) as others:
         assert dict(here(sealed.commitment, iter(tasks))) == dict(others(sealed.commitment, iter(tasks)))
+
+
+def test_a_campaign_is_stopped_by_timeout_as_by_ctrl_c():
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(KeyboardInterrupt), pool(2, None):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(1.0)
+    assert signal.getsignal(signal.SIGTERM) is before
 
 
 @pytest.mark.long
