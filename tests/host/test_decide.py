@@ -88,6 +88,14 @@ def test_scatter_is_an_event_unless_another_origin_says_it_better(rival, says):
     assert verdict.name == says
 
 
+@pytest.mark.parametrize(("rival", "named"), [(-0.2, (LAG, STICK)), (-3.0, (LAG,))])
+def test_an_event_beside_an_effect_says_more_than_what_that_leaves_of_itself(rival, named):
+    found = evidence({(LAG,): 0.02, (CREEP,): 0.6})
+    event = Weighed((LAG, STICK), power(0.02, 100.0), NOTHING - 2.0, NOTHING + rival, 3)
+    verdict = decide(replace(found, hypotheses=(*found.hypotheses, event)))
+    assert verdict.name == "effect" and verdict.named == named
+
+
 @given(
     shares=st.lists(st.floats(1e-4, 1.5), min_size=1, max_size=6),
     pair=st.floats(1e-4, 1.5),

@@ -177,7 +177,12 @@ class _Likelihoods:
         other = [self._gain(h, h.rival) - self._gain(h, h.scatter) if h.scatter.any() else -np.inf for h in hypotheses]
         alone = np.array([0.0 if len(h.ids) == 1 else -np.inf for h in hypotheses])
         self.elsewhere = np.array(own) + log_expit(other) + alone
-        own = list(np.array(own) - np.logaddexp(0.0, other))
+        # Beside another effect an event has to say more than what that one leaves of itself, which remembers too.
+        lost = [
+            max(0.0, self._gain(h, h.rival)) if len(h.ids) > 1 and h.scatter.any() else float(np.logaddexp(0.0, more))
+            for h, more in zip(hypotheses, other, strict=True)
+        ]
+        own = list(np.array(own) - lost)
         confined = np.array([self._confined(h) for h in hypotheses])
         self.of = np.array(own) + confined
         for i, h in enumerate(hypotheses):
