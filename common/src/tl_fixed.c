@@ -26,8 +26,9 @@ tl_scale_t tl_scale_of(uint32_t numerator, uint32_t denominator) {
 int32_t tl_lerp_fine(int32_t a, int32_t b, uint32_t t, unsigned log2) {
     const unsigned extra = log2 - 16U; // bits of t that tl_lerp() has no room for: at most 7
     const int32_t difference = b - a;
-    const int32_t fine = (int32_t)(t & ((1U << extra) - 1U));
-    const uint64_t fine_part = (uint64_t)(int64_t)((difference >> 8) * fine) << (8U - extra);
-    const uint64_t low = ((uint32_t)difference & 0xFFFFU) * (t >> extra) + fine_part + 0x8000U;
-    return a + (difference >> 16) * (int32_t)(t >> extra) + (int32_t)((int64_t)low >> 16);
+    const uint32_t coarse = t >> extra, fine = t & ((1U << extra) - 1U);
+    const uint32_t low = ((uint32_t)difference & 0xFFFFU) * coarse + 0x8000U; // with the next one 33 bits: by halves
+    const int32_t rest = (int32_t)((uint32_t)((difference >> 8) * (int32_t)fine) << (8U - extra));
+    return a + (difference >> 16) * (int32_t)coarse + (rest >> 16) +
+           (int32_t)((low >> 16) + (((low & 0xFFFFU) + ((uint32_t)rest & 0xFFFFU)) >> 16));
 }

@@ -125,7 +125,7 @@ static void turn_motor(void) {
     current = between(0, 600);
 }
 
-static void __not_in_flash_func(step)(uint32_t kind, tl_us_t now_us) {
+static void __no_inline_not_in_flash_func(step)(uint32_t kind, tl_us_t now_us) {
     turn_motor();
     BEGIN(kind);
     tl_axis_step(&axis);
@@ -298,6 +298,13 @@ static tl_onset_config_t any_onset_config(void) {
     return config;
 }
 
+static void __no_inline_not_in_flash_func(sample)(const tl_marker_t *marker) {
+    tl_onset_t onset;
+    BEGIN(ONSET);
+    tl_onset_sample(&detector, &history, marker, &onset);
+    END();
+}
+
 static void onsets(void) {
     tl_us_t now_us = (1ULL << 32) - 60000000U; // the high word of the time changes on the way
     int32_t q = 0, tip = 0, way = 1;
@@ -331,10 +338,7 @@ static void onsets(void) {
                                         .sigma = between(0, 1) * between(1, 4000),
                                         .valid = between(0, 30) != 0,
                                         .other_motion = between(0, 300) == 0};
-            tl_onset_t onset;
-            BEGIN(ONSET);
-            tl_onset_sample(&detector, &history, &marker, &onset);
-            END();
+            sample(&marker);
         }
     }
 }

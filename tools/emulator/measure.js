@@ -9,7 +9,7 @@ import { Flash } from './src/flash.js';
 import { SimulationClock } from './src/rp2040js.js';
 
 const KINDS = ['step_tip', 'step_other', 'watch', 'onset', 'lookup', 'lookup_yardstick', 'empty'];
-const ONSET = KINDS.indexOf('onset'); // and what follows may run from flash
+const LOOKUP = KINDS.indexOf('lookup'); // and what follows may run from flash
 const LIMIT_S = 60; // of emulated time
 const TAKEN = 1;
 const NOT_TAKEN = 2;
@@ -30,7 +30,7 @@ function measure() {
     let kind = null;
     let start = 0;
     let done = false;
-    let fetched = 0;            // from flash, while the control step was measured
+    let fetched = 0;            // from flash, while the control step or an onset update was measured
     chip.onBreakpoint = (code) => {
         if (code === 0xd0) {
             kind = core.registers[0];
@@ -52,7 +52,7 @@ function measure() {
         const pc = core.PC;
         clock.tick(core.executeInstruction() * chip.cycleNanos);
         if (kind === null) continue;
-        if (pc >>> 24 === 0x10 && kind < ONSET) fetched += 1;
+        if (pc >>> 24 === 0x10 && kind < LOOKUP) fetched += 1;
         const opcode = chip.readUint16(pc);
         if (opcode >>> 12 === 0xd && (opcode & 0xf00) < 0xe00) {
             branches.set(pc, (branches.get(pc) ?? 0) | (core.PC === pc + 2 ? NOT_TAKEN : TAKEN));

@@ -15,8 +15,8 @@
 
 #define CFG_TUD_VENDOR            1
 #define CFG_TUD_VENDOR_EPSIZE     64 // a larger one stalls on exact multiples of the packet size
-#define CFG_TUD_VENDOR_RX_BUFSIZE 256
-#define CFG_TUD_VENDOR_TX_BUFSIZE 256
+#define CFG_TUD_VENDOR_RX_BUFSIZE 64 // a packet is on its way while this one is read or filled; the app has a queue
+#define CFG_TUD_VENDOR_TX_BUFSIZE 64
 
 #define CFG_TUD_DFU              1
 #define CFG_TUD_DFU_XFER_BUFSIZE 256 // wTransferSize: a flash page

@@ -109,14 +109,16 @@ static void tell(tl_app_t *app, uint8_t type, const void *message, uint32_t *dro
     }
 }
 
-static void send_samples(tl_app_t *app, tl_axis_t *axis) {
+static void send_samples(tl_app_t *app, tl_axis_t *axis, tl_us_t now_us) {
     const uint32_t divider = axis->divider == 0 ? 1U : axis->divider;
     while (axis->sample_head - axis->sample_tail >= TL_WIRE_BATCH_SAMPLES) {
+        // The control step may have come since now_us was read: the difference has a sign.
+        const int32_t ago_us = (int32_t)((uint32_t)now_us - axis->samples[axis->sample_tail % TL_AXIS_SAMPLES].t_us);
         tl_wire_batch_t batch = {
             .axis = axis->index,
             .count = TL_WIRE_BATCH_SAMPLES,
             .period_us = (uint16_t)(divider * 1000U),
-            .t_us = axis->samples[axis->sample_tail % TL_AXIS_SAMPLES].t_us,
+            .t_us = now_us - (tl_us_t)(int64_t)ago_us,
         };
         for (unsigned i = 0; i < TL_WIRE_BATCH_SAMPLES; i++) {
             const tl_sample_t *sample = &axis->samples[(axis->sample_tail + i) % TL_AXIS_SAMPLES];
@@ -305,7 +307,7 @@ void tl_app_task(tl_app_t *app) {
         if (app->axes[i].events != 0) {
             send_events(app, &app->axes[i], now_us);
         }
-        send_samples(app, &app->axes[i]);
+        send_samples(app, &app->axes[i], now_us);
     }
     const bool sent = app->queue_tail == app->queue_head && now_us - app->reboot_us >= REBOOT_US;
     if (app->reboot != 0 && (sent || now_us - app->reboot_us >= NOBODY_READS)) {

@@ -4,10 +4,13 @@
 // What the host asks for.
 void tl_axis_listen(tl_axis_t *axis) {
     axis->stream.now_us += 1000000U / TL_AXIS_PLAN_HZ; // tl_axis_watch() keeps it to the clock
-    if (axis->mode == TL_WIRE_MODE_FOLLOW_TIP) {
-        axis->c_next = tl_stream_next(&axis->stream);
-    } else if (axis->mode == TL_WIRE_MODE_FOLLOW_MOTOR) {
-        axis->target = tl_stream_next(&axis->stream);
+    if (tl_axis_is_following(axis)) {
+        const int32_t value = tl_stream_next(&axis->stream);
+        if (axis->mode == TL_WIRE_MODE_FOLLOW_TIP) {
+            axis->c_next = value;
+        } else {
+            axis->target = value;
+        }
     }
 }
 
@@ -54,11 +57,5 @@ void tl_axis_plan(tl_axis_t *axis) {
         tl_path_rests(&axis->path)) {
         axis->mode = TL_WIRE_MODE_HOLD;
         tl_axis_event(axis, TL_WIRE_EVENT_ARRIVED);
-    }
-}
-
-void tl_axis_catch_up(tl_axis_t *axis, uint32_t job) {
-    for (; job < TL_AXIS_JOBS; job++) {
-        tl_axis_job(axis, job);
     }
 }

@@ -40,18 +40,6 @@ void tl_axis_rest(tl_axis_t *axis) {
 
 // -- on every tick ----------------------------------------------------------------------------------------------
 
-static inline void measure(tl_axis_t *axis) {
-    const tl_port_t *port = axis->port;
-    const int32_t encoder = port->encoder(port->context, axis->index);
-    int32_t moved = (int32_t)((uint32_t)encoder - (uint32_t)axis->encoder);
-    axis->encoder = encoder;
-    if ((uint32_t)moved + ENCODER_JUMP >= 2U * ENCODER_JUMP) {
-        tl_axis_fail(axis, TL_WIRE_FAULT_ENCODER, port->time_us(port->context));
-        moved = 0;
-    }
-    axis->q += moved * TL_COUNT_ONE; // the plan clamps it
-}
-
 static inline void do_job(tl_axis_t *axis, uint32_t job) {
     const bool tip = axis->mode == TL_WIRE_MODE_FOLLOW_TIP;
     switch (job) {
@@ -81,33 +69,35 @@ static inline void do_job(tl_axis_t *axis, uint32_t job) {
     }
 }
 
-void tl_axis_job(tl_axis_t *axis, uint32_t job) {
-    do_job(axis, job);
-}
-
 void tl_axis_step(tl_axis_t *axis) {
-    measure(axis);
-    if (axis->mode == TL_WIRE_MODE_OFF) {
-        axis->path.q = axis->q;
-        tl_servo_observe(&axis->servo, axis->q);
-        tl_axis_drive(axis, 0);
+    const tl_port_t *port = axis->port;
+    const int32_t encoder = port->encoder(port->context, axis->index);
+    const int32_t moved = (int32_t)((uint32_t)encoder - (uint32_t)axis->encoder);
+    axis->encoder = encoder;
+    if ((uint32_t)moved + ENCODER_JUMP >= 2U * ENCODER_JUMP) {
+        tl_axis_fail(axis, TL_WIRE_FAULT_ENCODER, port->time_us(port->context)); // the position stays where it was
     } else {
-        if (axis->slot == 0U) {
-            tl_path_begin(&axis->path, &axis->reference);
-            tl_servo_feed(&axis->servo, &axis->path);
+        axis->q += moved * TL_COUNT_ONE; // the watch clamps it
+        if (axis->mode == TL_WIRE_MODE_OFF) {
+            axis->path.q = axis->q;
+            tl_servo_observe(&axis->servo, axis->q);
+            tl_axis_drive(axis, 0);
+        } else {
+            if (axis->slot == 0U) {
+                tl_path_begin(&axis->path, &axis->reference);
+                tl_servo_feed(&axis->servo, &axis->path);
+            }
+            tl_path_tick(&axis->path);
+            tl_axis_drive(axis, tl_servo_step(&axis->servo, axis->q, &axis->path, axis->limits.duty_q15));
         }
-        tl_path_tick(&axis->path);
-        tl_axis_drive(axis, tl_servo_step(&axis->servo, axis->q, &axis->path, axis->limits.duty_q15));
     }
-    const uint32_t slot = axis->slot, next = slot + 1U;
-    axis->slot = next;
-    if (slot < TL_AXIS_JOBS) {
-        do_job(axis, slot);
-    }
-    if (next == axis->ticks) {
-        axis->slot = 0;
-        if (next < TL_AXIS_JOBS) { // a millisecond has fewer ticks than jobs: below 5 kHz
-            tl_axis_catch_up(axis, next);
+    uint32_t job = axis->slot;
+    const bool last = job + 1U == axis->ticks;
+    axis->slot = last ? 0U : job + 1U;
+    while (job < TL_AXIS_JOBS) {
+        do_job(axis, job++);
+        if (!last || TL_AXIS_TICKS_MIN >= TL_AXIS_JOBS) { // else all that are left: below 5 kHz there are fewer ticks
+            break;
         }
     }
 }

@@ -19,22 +19,24 @@ uint16_t tl_axis_flags(const tl_axis_t *axis) {
     return (uint16_t)flags;
 }
 
-// First-order mean over 20 ms.
-static void watch_current(tl_axis_t *axis, tl_us_t now_us) {
+// First-order mean over 20 ms. A fault, or none.
+static tl_wire_fault_t watch_current(tl_axis_t *axis) {
     axis->current_ma = tl_clamp(axis->port->current_ma(axis->port->context, axis->index), -100000, 100000);
     const int32_t magnitude = axis->current_ma < 0 ? -axis->current_ma : axis->current_ma;
     const int32_t difference = tl_clamp(magnitude * 256 - axis->current_mean_q8, -(1 << 20), 1 << 20);
     axis->current_mean_q8 += (difference * (32768 / 20)) >> 15;
-    if (axis->mode != TL_WIRE_MODE_OFF && axis->limits.current_ma > 0 &&
-        axis->current_mean_q8 > axis->limits.current_ma * 256) {
-        tl_axis_fail(axis, TL_WIRE_FAULT_CURRENT, now_us);
-    }
+    return axis->limits.current_ma > 0 && axis->current_mean_q8 > axis->limits.current_ma * 256 ? TL_WIRE_FAULT_CURRENT
+                                                                                                : TL_WIRE_FAULT_NONE;
 }
 
 static void watch_motor_and_sender(tl_axis_t *axis, tl_us_t now_us) {
-    const tl_count_q8_t error = axis->path.q - axis->q; // nothing while off
+    const tl_count_q8_t error = axis->path.q - axis->q;
+    tl_wire_fault_t fault = watch_current(axis);
     if (error > axis->limits.following_error_q8 || error < -axis->limits.following_error_q8) {
-        tl_axis_fail(axis, TL_WIRE_FAULT_FOLLOWING, now_us);
+        fault = fault == TL_WIRE_FAULT_NONE ? TL_WIRE_FAULT_FOLLOWING : fault;
+    }
+    if (fault != TL_WIRE_FAULT_NONE && axis->mode != TL_WIRE_MODE_OFF) {
+        tl_axis_fail(axis, fault, now_us);
     }
     axis->c_ref = (axis->c_last[0] >> 1) + (axis->c_last[1] >> 1);
     axis->c_last[1] = axis->c_last[0];
@@ -64,7 +66,7 @@ static void sample(tl_axis_t *axis, tl_us_t now_us) {
         return;
     }
     tl_sample_t *into = &axis->samples[axis->sample_head % TL_AXIS_SAMPLES];
-    into->t_us = now_us;
+    into->t_us = (uint32_t)now_us;
     into->q = axis->q;
     into->q_ref = axis->path.q;
     into->p = axis->has_table ? axis->play.p : axis->q;
@@ -86,7 +88,6 @@ void tl_axis_watch(tl_axis_t *axis, tl_us_t now_us) {
         tl_play_step(&axis->play, axis->q);
     }
     axis->stream.now_us = now_us + axis->lead_us;
-    watch_current(axis, now_us);
     watch_motor_and_sender(axis, now_us);
     sample(axis, now_us);
 }

@@ -57,8 +57,7 @@ uint8_t tl_calibration_start(tl_calibration_t *calibration, tl_axis_t *axis, con
     if (request->host_timeout_us == 0 || request->low_q8 < axis->low || request->high_q8 > axis->high) {
         return TL_WIRE_REASON_RANGE;
     }
-    tl_motion_config_t *motion = &calibration->motion_config;
-    *motion = (tl_motion_config_t){
+    tl_motion_config_t motion = {
         .low = request->low_q8,
         .high = request->high_q8,
         .cycles = request->cycles,
@@ -69,15 +68,15 @@ uint8_t tl_calibration_start(tl_calibration_t *calibration, tl_axis_t *axis, con
         .host_timeout_us = request->host_timeout_us,
         .rate_hz = TL_AXIS_PLAN_HZ,
     };
-    while (motion->speed_count < TL_MOTION_SPEEDS && request->speed_q8_s[motion->speed_count] != 0) {
-        motion->speed[motion->speed_count] = request->speed_q8_s[motion->speed_count];
-        motion->speed_count++;
+    while (motion.speed_count < TL_MOTION_SPEEDS && request->speed_q8_s[motion.speed_count] != 0) {
+        motion.speed[motion.speed_count] = request->speed_q8_s[motion.speed_count];
+        motion.speed_count++;
     }
-    calibration->onset_config = onset_config(request);
-    if (!tl_onset_init(&calibration->detector, &calibration->onset_config)) {
+    const tl_onset_config_t onset = onset_config(request);
+    if (!tl_onset_init(&calibration->detector, &onset)) {
         return TL_WIRE_REASON_ONSET;
     }
-    const tl_motion_error_t error = tl_motion_start(&calibration->motion, motion, tl_reference_q(&axis->reference));
+    const tl_motion_error_t error = tl_motion_start(&calibration->motion, &motion, tl_reference_q(&axis->reference));
     if (error != TL_MOTION_OK) {
         return reason_of(error);
     }

@@ -222,8 +222,6 @@ static answer_t handle(tl_app_t *app, uint8_t type, const tl_wire_message_t *of,
     case TL_WIRE_GET_COUNTERS:
         counters(app, of->get_counters.clear != 0U, now_us, &out->counters);
         return with(TL_WIRE_COUNTERS);
-    case TL_WIRE_MARKER:
-        return refuse(tl_app_marker(app, &of->marker, now_us));
     case TL_WIRE_REBOOT:
         if (of->reboot.key != TL_WIRE_KEY) {
             return refuse(TL_WIRE_REASON_KEY);
@@ -264,12 +262,25 @@ static answer_t handle(tl_app_t *app, uint8_t type, const tl_wire_message_t *of,
     }
 }
 
-void tl_command(tl_app_t *app, const tl_wire_frame_t *frame) {
-    const tl_us_t now_us = app->port->time_us(app->port->context);
+// A marker has its own way: below it comes the onset detector, and messages of any size need not be on the stack then.
+static __attribute__((noinline)) bool decode_marker(const tl_wire_frame_t *frame, tl_wire_marker_t *marker) {
+    tl_wire_message_t request;
+    const bool decoded = tl_wire_decode(frame->type, frame->payload, frame->size, &request);
+    *marker = request.marker;
+    return decoded;
+}
+
+static uint8_t take_marker(tl_app_t *app, const tl_wire_frame_t *frame, tl_us_t now_us) {
+    tl_wire_marker_t marker;
+    return decode_marker(frame, &marker) ? tl_app_marker(app, &marker, now_us) : TL_WIRE_REASON_SHORT;
+}
+
+static __attribute__((noinline)) void answer_request(tl_app_t *app, const tl_wire_frame_t *frame, uint8_t reason,
+                                                     tl_us_t now_us) {
     tl_wire_message_t request;
     tl_wire_message_t out;
-    answer_t answer = refuse(TL_WIRE_REASON_UNKNOWN_TYPE);
-    if (frame->type < TL_WIRE_ACK && tl_wire_size(frame->type) != 0U) {
+    answer_t answer = refuse(reason);
+    if (frame->type != TL_WIRE_MARKER && frame->type < TL_WIRE_ACK && tl_wire_size(frame->type) != 0U) {
         answer = tl_wire_decode(frame->type, frame->payload, frame->size, &request)
                      ? handle(app, frame->type, &request, now_us, &out)
                      : refuse(TL_WIRE_REASON_SHORT);
@@ -283,5 +294,16 @@ void tl_command(tl_app_t *app, const tl_wire_frame_t *frame) {
     }
     if (answer.type != 0U && !tl_app_send(app, answer.type, frame->sequence, &out)) {
         app->counters.replies_dropped++;
+    }
+}
+
+void tl_command(tl_app_t *app, const tl_wire_frame_t *frame) {
+    const tl_us_t now_us = app->port->time_us(app->port->context);
+    uint8_t reason = TL_WIRE_REASON_UNKNOWN_TYPE;
+    if (frame->type == TL_WIRE_MARKER) {
+        reason = take_marker(app, frame, now_us);
+    }
+    if (reason != 0) {
+        answer_request(app, frame, reason, now_us);
     }
 }

@@ -53,7 +53,7 @@ static int32_t catch_up(const tl_reference_t *reference, int32_t target_speed, t
         target_speed = 0; // it will have to stop at the end: caught up with as if it stood
     }
     const int32_t relative = before - target_speed;
-    const int32_t way = tl_clamp(apart, -FAR, FAR) * 256 - (int32_t)(reference->fraction >> 8) - target_speed / 256;
+    const int32_t way = tl_clamp(apart, -FAR, FAR) * 256 - (int32_t)(reference->fraction >> 8) - (target_speed >> 8);
     const int32_t velocity =
         target_speed + (way >= 0 ? approach(relative, way, limits) : -approach(-relative, -way, limits));
     if (velocity > most) { // where it was lowered meanwhile, as fast as the limits allow
@@ -73,7 +73,7 @@ void tl_reference_step(tl_reference_t *reference, tl_count_q8_t wanted, const tl
         const int32_t a = limits->acceleration, before = reference->velocity;
         const int32_t distance = apart * 65536 - (int32_t)reference->fraction;
         const int32_t lag = distance - target_speed; // what is left if both go on as they do
-        const int32_t half = target_speed + lag / 2;
+        const int32_t half = target_speed + (lag >> 1);
         int32_t velocity = distance; // there within this tick, and as fast as the target
         bool follows = within(lag, a) && within(distance - before, a);
         if (!follows && within(lag, 2 * a) && within(half - before, a)) {

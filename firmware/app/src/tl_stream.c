@@ -18,10 +18,12 @@ bool tl_stream_add(tl_stream_t *stream, int32_t value, tl_us_t at_us) {
     const uint32_t period_us = SHORTEST_US / stream->ticks;
     const uint32_t way_us = at_us > start_us + SHORTEST_US ? (uint32_t)(at_us - start_us) : SHORTEST_US;
     const uint32_t ticks = (way_us + period_us / 2U) / period_us;
+    const int64_t slope = ((int64_t)value - stream->end) * (1 << 16) / (int64_t)ticks;
     stream->segments[(stream->first + stream->used) % TL_STREAM_SIZE] = (tl_segment_t){
-        .ticks = ticks,
+        .ticks = ticks & 0x1FFFFU,
+        .slope_low = (uint32_t)slope & 0x7FFFU,
+        .slope_high = (int32_t)(slope >> 15),
         .end = value,
-        .slope = ((int64_t)value - stream->end) * (1 << 24) / (int64_t)ticks,
     };
     if (stream->used++ == 0U) {
         stream->left = ticks;

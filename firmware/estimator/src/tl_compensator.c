@@ -81,64 +81,49 @@ static bool turned(tl_compensator_t *k) {
 
 // On the way to the goal, where spans may be flat: never further than one span in a tick, so that none is jumped over,
 // and to the edge of a flat one first.
-static void approach(tl_compensator_t *k, tl_count_q8_t goal) {
+static tl_count_q8_t approach(const tl_compensator_t *k, tl_count_q8_t goal, bool *slow) {
     const tl_lookup_t *lookup = k->lookup;
     const int32_t step = (int32_t)1 << lookup->step_log2;
     const tl_count_q8_t p = k->p, next = p + tl_clamp(goal - p, -step, step);
-    k->mind_flat = true;
-    k->within_flat = k->aim = next;
-    if (tl_lookup_is_flat(lookup, next)) {
+    if (tl_lookup_is_flat(lookup, p)) {
+        *slow = true;
+    } else if (tl_lookup_is_flat(lookup, next)) {
         const uint32_t into = ((uint32_t)next - (uint32_t)lookup->q0) & ((uint32_t)step - 1U);
         const tl_count_q8_t edge = next - (int32_t)into + (next > p ? 0 : step);
-        k->aim = edge != p ? edge : next;
-        k->slow = edge == p;
+        if (edge != p) {
+            return edge;
+        }
+        *slow = true;
     }
+    return next;
 }
 
 // Moves p towards its goal, no faster than speed_max, nor than the flat speed within flat spans.
 static void advance(tl_compensator_t *k) {
-    tl_count_q8_t aim = k->aim;
     const tl_per_tick_t *limit = &k->feed_max;
-    if (k->mind_flat) {
-        const bool here = tl_lookup_is_flat(k->lookup, k->p);
-        if (here || k->slow) {
-            limit = &k->feed_flat;
-            k->feed_flags |= TL_COMPENSATOR_FLAT;
-            aim = here ? k->within_flat : aim;
-        }
+    if (k->slow) {
+        limit = &k->feed_flat;
+        k->feed_flags |= TL_COMPENSATOR_FLAT;
     }
-    int32_t way = aim - k->p;
-    if (way > limit->whole || way < -limit->whole) {
+    int32_t way = k->aim - k->p;
+    const bool up = way >= 0;
+    if ((up ? way : -way) > limit->whole) {
         const uint32_t fraction = k->feed_fraction + limit->fraction;
         k->feed_fraction = fraction;
         const int32_t allowed = limit->whole + (fraction < limit->fraction ? 1 : 0);
-        way = tl_clamp(way, -allowed, allowed);
+        way = up ? allowed : -allowed; // no more than was wanted: a whole count more at most
     }
     k->p += way;
 }
 
-// The motor stays within its range; from outside of it only the way inwards is open.
-static tl_count_q8_t within_range(tl_compensator_t *k, tl_count_q8_t feed, tl_count_q8_t wanted, uint32_t *flags) {
-    const tl_table_t *table = &k->lookup->table;
-    const tl_count_q8_t low = k->q < table->q_min ? k->q : table->q_min;
-    const tl_count_q8_t high = k->q > table->q_max ? k->q : table->q_max;
-    const tl_count_q8_t q = tl_clamp(wanted, low, high);
-    if (q != wanted) { // the take-up begins again from here
-        tl_takeup_set(&k->takeup, feed - q);
-        *flags |= TL_COMPENSATOR_CLIPPED;
-    }
-    return q;
-}
-
 void tl_compensator_feed(tl_compensator_t *k, tl_deg_q16_t c) {
+    bool slow = false;
     k->c = c;
     k->feed_flags = 0;
-    k->mind_flat = k->slow = false;
     const tl_count_q8_t goal = target(k, c, &k->feed_flags);
-    k->goal = k->aim = goal;
-    if (goal != k->p && k->lookup->has_flat && k->mode == TL_MODE_FULL) {
-        approach(k, goal);
-    }
+    k->goal = goal;
+    k->aim = k->lookup->has_flat && k->mode == TL_MODE_FULL && goal != k->p ? approach(k, goal, &slow) : goal;
+    k->slow = slow;
 }
 
 void tl_compensator_turn(tl_compensator_t *k) {
@@ -158,17 +143,29 @@ void tl_compensator_turn(tl_compensator_t *k) {
 }
 
 tl_count_q8_t tl_compensator_take_up(tl_compensator_t *k) {
-    const tl_table_t *table = &k->lookup->table;
-    uint32_t flags = k->feed_flags;
     tl_takeup_step(&k->takeup);
-    const tl_count_q8_t push = pushed(k, k->half), feed = tl_clamp(push, table->q_min, table->q_max);
+    const tl_count_q8_t q_min = k->lookup->table.q_min, q_max = k->lookup->table.q_max, last = k->q;
+    const tl_count_q8_t push = pushed(k, k->half), feed = tl_clamp(push, q_min, q_max);
+    uint32_t flags = k->feed_flags | (push != feed ? TL_COMPENSATOR_CLIPPED : 0U);
     // Modulo 2^32: e alone may need one bit more, but q* is never far from where it was.
     const tl_count_q8_t wanted = (int32_t)((uint32_t)feed - tl_takeup_rest(&k->takeup));
-    k->q = wanted >= table->q_min && wanted <= table->q_max ? wanted : within_range(k, feed, wanted, &flags);
-    flags |= push != feed ? TL_COMPENSATOR_CLIPPED : 0;
+    // The motor stays within its range; from outside of it only the way inwards is open.
+    tl_count_q8_t q = wanted;
+    if (wanted < q_min) {
+        const tl_count_q8_t low = last < q_min ? last : q_min;
+        q = wanted < low ? low : wanted;
+    } else if (wanted > q_max) {
+        const tl_count_q8_t high = last > q_max ? last : q_max;
+        q = wanted > high ? high : wanted;
+    }
+    if (q != wanted) { // the take-up begins again from here
+        tl_takeup_set(&k->takeup, feed - q);
+        flags |= TL_COMPENSATOR_CLIPPED;
+    }
+    k->q = q;
     flags |= k->side == 0 ? TL_COMPENSATOR_NO_SIDE : 0;
     k->flags = flags | (tl_takeup_done(&k->takeup) ? 0 : TL_COMPENSATOR_TAKE_UP);
-    return k->q;
+    return q;
 }
 
 tl_count_q8_t tl_compensator_step(tl_compensator_t *k, tl_deg_q16_t c) {
@@ -181,7 +178,7 @@ tl_count_q8_t tl_compensator_step(tl_compensator_t *k, tl_deg_q16_t c) {
 
 static void stand(tl_compensator_t *k, tl_count_q8_t p) {
     k->p = k->aim = k->goal = p;
-    k->mind_flat = k->slow = false;
+    k->slow = false;
 }
 
 void tl_compensator_start(tl_compensator_t *k, const tl_lookup_t *lookup, uint32_t rate_hz, tl_mode_t mode,

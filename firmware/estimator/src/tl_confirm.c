@@ -46,13 +46,13 @@ void tl_confirm_remember(tl_onset_detector_t *d, tl_real_t residual, int32_t dof
 
 tl_real_t tl_confirm_curvature_bias2(const tl_onset_config_t *config, tl_real_t span) {
     // curvature in 1/2^20 a count, span in Q8 counts
-    return tl_real_square(
-        tl_real_div(tl_real_mul(tl_real(config->curvature, -28), tl_real_square(span)), tl_real(12, 0)));
+    const tl_real_t twelfth = tl_real(((int64_t)1 << 34) / 12, -34 - 28);
+    return tl_real_square(tl_real_mul(tl_real_mul(tl_real(config->curvature, 0), tl_real_square(span)), twelfth));
 }
 
 /// Of the difference of two encoder positions: 1/12 count^2 each, Q8 counts squared.
 static tl_real_t encoder_variance(void) {
-    return tl_real_div(tl_real(TL_COUNT_ONE * TL_COUNT_ONE, 0), tl_real(6, 0));
+    return tl_real(((int64_t)TL_COUNT_ONE * TL_COUNT_ONE << 17) / 6, -17);
 }
 
 tl_real_t tl_confirm_knot_variance(const tl_onset_config_t *config, tl_real_t variance, tl_real_t unit,
@@ -113,7 +113,7 @@ bool tl_confirm_glance(const tl_onset_detector_t *d) {
     const tl_real_t gain = tl_hinge_glance(d);
     const tl_real_t unit = tl_confirm_unit_variance(d, tl_real_sub(tl_hinge_scatter(&d->all), gain), dof);
     const tl_real_t required = tl_confirm_required(d, unit, dof);
-    return tl_real_less(required, tl_real_mul(gain, tl_real(2, 0)));
+    return tl_real_less(required, tl_real_shift(gain, 1));
 }
 
 bool tl_confirm_may_improve(const tl_onset_detector_t *d, const tl_confirm_t *e) {
@@ -126,7 +126,7 @@ bool tl_confirm_may_improve(const tl_onset_detector_t *d, const tl_confirm_t *e)
     return e->hinge.beyond < config->frames_min ||
            (e->hinge.beyond < config->frames_max &&
             tl_real_less(tl_real_square(tl_real(config->sigma_wanted, 0)), e->variance) &&
-            tl_real_less(tl_real_mul(bias2, tl_real(4, 0)), statistical));
+            tl_real_less(tl_real_shift(bias2, 2), statistical));
 }
 
 tl_real_t tl_confirm_variance(const tl_onset_detector_t *d, const tl_confirm_t *e) {
@@ -134,14 +134,19 @@ tl_real_t tl_confirm_variance(const tl_onset_detector_t *d, const tl_confirm_t *
         return e->variance;
     }
     const tl_real_t frame = tl_real_div(e->hinge.span, tl_real(e->hinge.beyond, 0));
-    if (tl_real_less(tl_real_mul(e->variance, tl_real(4, 0)), tl_real_square(frame))) {
+    if (tl_real_less(tl_real_shift(e->variance, 2), tl_real_square(frame))) {
         return e->variance;
     }
-    const tl_real_t two_sigma = tl_hinge_spread(d, &e->hinge, tl_real_mul(e->unit, tl_real(4, 0)));
-    const tl_real_t wide = tl_real_mul(tl_real_square(two_sigma), tl_real(1, -2));
+    const tl_real_t two_sigma = tl_hinge_spread(d, &e->hinge, tl_real_shift(e->unit, 2));
+    const tl_real_t wide = tl_real_shift(tl_real_square(two_sigma), -2);
     return tl_real_less(e->variance, wide) ? wide : e->variance;
 }
 
+int32_t tl_confirm_sigma(tl_real_t variance) {
+    return tl_real_to_q(tl_real_sqrt(variance), 0);
+}
+
 tl_px_q12_t tl_confirm_noise(tl_real_t unit) {
-    return tl_real_to_q(tl_real_sqrt(tl_real_div(unit, tl_real(TL_CONFIRM_WEIGHT, 0))), 4);
+    _Static_assert(TL_CONFIRM_WEIGHT == 16, "unit / 16 is the variance in Q16: sixteen times itself in Q24");
+    return tl_confirm_sigma(tl_real_shift(unit, 4));
 }

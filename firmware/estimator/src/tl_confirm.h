@@ -51,6 +51,9 @@ tl_real_t tl_confirm_curvature_bias2(const tl_onset_config_t *config, tl_real_t 
 /// squared.
 tl_real_t tl_confirm_knot_variance(const tl_onset_config_t *config, tl_real_t variance, tl_real_t unit, tl_real_t span);
 
+/// Its square root, rounded.
+int32_t tl_confirm_sigma(tl_real_t variance);
+
 /// Noise of a coordinate of a sample with config.noise_px.
 tl_px_q12_t tl_confirm_noise(tl_real_t unit);
 

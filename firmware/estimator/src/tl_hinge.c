@@ -3,17 +3,29 @@
 #define TRAVEL_MAX (((int32_t)1 << 17) - 1) ///< of a point, units of x
 #define IMAGE_MAX  (((int32_t)1 << 18) - 1) ///< of a point, Q8 px: 1024 px from the reference
 
-static const tl_onset_sample_t *sample_at(const tl_onset_detector_t *d, int32_t i) {
+// What follows is asked for in many places: small code first, an estimator's home is a controller's memory.
+#define ONCE __attribute__((noinline))
+
+ONCE const tl_onset_sample_t *tl_hinge_sample(const tl_onset_detector_t *d, int32_t i) {
     return &d->window[((uint32_t)d->oldest + (uint32_t)i) % TL_ONSET_WINDOW];
 }
 
-static int32_t travel(const tl_onset_detector_t *d, int32_t i, tl_count_q8_t origin) {
-    const int32_t q = sample_at(d, i)->q;
+/// a b - c d
+static ONCE int64_t cross(const int64_t *a, const int64_t *b, const int64_t *c, const int64_t *d) {
+    return *a * *b - *c * *d;
+}
+
+static ONCE tl_real_t quotient(int64_t numerator, int64_t denominator) {
+    return tl_real_div(tl_real(numerator, 0), tl_real(denominator, 0));
+}
+
+static ONCE int32_t travel(const tl_onset_detector_t *d, int32_t i, tl_count_q8_t origin) {
+    const int32_t q = tl_hinge_sample(d, i)->q;
     return d->direction < 0 ? tl_sub_sat(origin, q) : tl_sub_sat(q, origin);
 }
 
 tl_hinge_point_t tl_hinge_point(const tl_onset_detector_t *d, int32_t i, tl_count_q8_t origin, int32_t scale) {
-    const tl_onset_sample_t *s = sample_at(d, i);
+    const tl_onset_sample_t *s = tl_hinge_sample(d, i);
     return (tl_hinge_point_t){
         .x = tl_clamp(travel(d, i, origin) / ((int32_t)1 << scale), -TRAVEL_MAX, TRAVEL_MAX),
         .u = tl_clamp(tl_sub_sat(s->u, d->reference_u) / 16, -IMAGE_MAX, IMAGE_MAX),
@@ -23,7 +35,7 @@ tl_hinge_point_t tl_hinge_point(const tl_onset_detector_t *d, int32_t i, tl_coun
 }
 
 tl_hinge_point_t tl_hinge_image(const tl_onset_detector_t *d, int32_t i) {
-    return tl_hinge_point(d, i, sample_at(d, i)->q, 0);
+    return tl_hinge_point(d, i, tl_hinge_sample(d, i)->q, 0);
 }
 
 int32_t tl_hinge_scale(const tl_onset_detector_t *d, int32_t i, tl_count_q8_t origin) {
@@ -40,19 +52,22 @@ int32_t tl_hinge_scale(const tl_onset_detector_t *d, int32_t i, tl_count_q8_t or
     return scale;
 }
 
-void tl_hinge_add(tl_onset_sums_t *sums, tl_hinge_point_t point) {
-    const int64_t wx = (int64_t)point.w * point.x;
-    const int64_t wu = (int64_t)point.w * point.u;
-    const int64_t wv = (int64_t)point.w * point.v;
+static ONCE void add_product(int64_t *sum, int32_t a, int32_t b) {
+    *sum += (int64_t)a * b;
+}
+
+void tl_hinge_add(tl_onset_sums_t *sums, const tl_hinge_point_t *point) {
+    const int32_t x = point->x, u = point->u, v = point->v, w = point->w, wu = w * u, wv = w * v; // below 2^24
     sums->n++;
-    sums->w += point.w;
-    sums->x += wx;
-    sums->xx += wx * point.x;
-    sums->u += wu;
-    sums->v += wv;
-    sums->xu += wu * point.x;
-    sums->xv += wv * point.x;
-    sums->yy += wu * point.u + wv * point.v;
+    sums->w += w;
+    add_product(&sums->x, w, x);
+    add_product(&sums->xx, w * x, x);
+    add_product(&sums->u, w, u);
+    add_product(&sums->v, w, v);
+    add_product(&sums->xu, wu, x);
+    add_product(&sums->xv, wv, x);
+    add_product(&sums->yy, wu, u);
+    add_product(&sums->yy, wv, v);
 }
 
 tl_onset_sums_t tl_hinge_without(const tl_onset_sums_t *sums, const tl_onset_sums_t *part) {
@@ -74,9 +89,7 @@ static void shift(tl_onset_sums_t *sums, int64_t delta) {
 }
 
 static tl_real_t square_sum(int64_t a, int64_t b) {
-    const tl_real_t ra = tl_real(a, 0);
-    const tl_real_t rb = tl_real(b, 0);
-    return tl_real_add(tl_real_mul(ra, ra), tl_real_mul(rb, rb));
+    return tl_real_add(tl_real_square(tl_real(a, 0)), tl_real_square(tl_real(b, 0)));
 }
 
 tl_real_t tl_hinge_scatter(const tl_onset_sums_t *sums) {
@@ -87,33 +100,30 @@ tl_real_t tl_hinge_scatter(const tl_onset_sums_t *sums) {
 
 bool tl_hinge_meet(const tl_onset_sums_t *line, const tl_onset_sums_t *level, int32_t scale,
                    tl_hinge_meeting_t *meeting) {
-    const int64_t determinant = line->w * line->xx - line->x * line->x;
-    const int64_t cu = line->w * line->xu - line->x * line->u;
-    const int64_t cv = line->w * line->xv - line->x * line->v;
+    const int64_t determinant = cross(&line->w, &line->xx, &line->x, &line->x);
+    const int64_t cu = cross(&line->w, &line->xu, &line->x, &line->u);
+    const int64_t cv = cross(&line->w, &line->xv, &line->x, &line->v);
     const tl_real_t c2 = square_sum(cu, cv);
     if (level->n < 1 || line->n < 2 || determinant <= 0 || c2 == 0) {
         return false;
     }
     const tl_real_t d = tl_real(determinant, 0);
     const tl_real_t line_w = tl_real(line->w, 0);
-    const tl_real_t level_w = tl_real(level->w, 0);
     // The line at its mean (x_m, y_m): x = x_m + b (level - y_m) / |b|^2 with b = c / d.
-    const tl_real_t gap_u =
-        tl_real_sub(tl_real_div(tl_real(level->u, 0), level_w), tl_real_div(tl_real(line->u, 0), line_w));
-    const tl_real_t gap_v =
-        tl_real_sub(tl_real_div(tl_real(level->v, 0), level_w), tl_real_div(tl_real(line->v, 0), line_w));
+    const tl_real_t gap_u = tl_real_sub(quotient(level->u, level->w), quotient(line->u, line->w));
+    const tl_real_t gap_v = tl_real_sub(quotient(level->v, level->w), quotient(line->v, line->w));
     const tl_real_t along = tl_real_add(tl_real_mul(tl_real(cu, 0), gap_u), tl_real_mul(tl_real(cv, 0), gap_v));
     const tl_real_t from_mean = tl_real_div(tl_real_mul(along, d), c2);
-    const tl_real_t mean_x = tl_real_div(tl_real(line->x, 0), line_w);
-    const tl_real_t b2 = tl_real_div(c2, tl_real_mul(d, d));
+    const tl_real_t mean_x = quotient(line->x, line->w);
+    const tl_real_t b2 = tl_real_div(c2, tl_real_square(d));
     // var = (1/W_level + 1/W + (x - x_m)^2 W / d) / |b|^2
-    tl_real_t var = tl_real_div(tl_real_mul(tl_real_mul(from_mean, from_mean), line_w), d);
-    var = tl_real_add(var, tl_real_div(tl_real(1, 0), line_w));
-    var = tl_real_add(var, tl_real_div(tl_real(1, 0), level_w));
+    tl_real_t var = tl_real_div(tl_real_mul(tl_real_square(from_mean), line_w), d);
+    var = tl_real_add(var, quotient(1, line->w));
+    var = tl_real_add(var, quotient(1, level->w));
     *meeting = (tl_hinge_meeting_t){
-        .x = tl_real_mul(tl_real_add(mean_x, from_mean), tl_real(1, scale)),
-        .variance = tl_real_mul(tl_real_div(var, b2), tl_real(1, 2 * scale)),
-        .slope = tl_real_mul(tl_real_sqrt(b2), tl_real(1, -scale)),
+        .x = tl_real_shift(tl_real_add(mean_x, from_mean), scale),
+        .variance = tl_real_shift(tl_real_div(var, b2), 2 * scale),
+        .slope = tl_real_shift(tl_real_sqrt(b2), -scale),
         .gain = tl_real_div(c2, tl_real_mul(d, line_w)),
     };
     return true;
@@ -125,18 +135,28 @@ typedef struct {
     tl_real_t denominator; ///< C_xx > 0; 0: no knot tried yet
 } gain_t;
 
-static gain_t gain_at(const tl_onset_sums_t *beyond, const tl_onset_sums_t *all) {
-    const int64_t cu = all->w * beyond->xu - beyond->x * all->u;
-    const int64_t cv = all->w * beyond->xv - beyond->x * all->v;
-    const int64_t cxx = all->w * beyond->xx - beyond->x * beyond->x;
+static ONCE gain_t gain_at(const tl_onset_sums_t *beyond, const tl_onset_sums_t *all) {
+    const int64_t cu = cross(&all->w, &beyond->xu, &beyond->x, &all->u);
+    const int64_t cv = cross(&all->w, &beyond->xv, &beyond->x, &all->v);
+    const int64_t cxx = cross(&all->w, &beyond->xx, &beyond->x, &beyond->x);
     return (gain_t){square_sum(cu, cv), tl_real(cxx > 0 ? cxx : 0, 0)};
 }
 
-static bool is_better(gain_t a, gain_t b) {
-    if (a.denominator == 0 || b.denominator == 0) {
-        return a.denominator != 0;
+/// Makes *best the gain of the knot at which `beyond` begins, if that is greater.
+static bool improves(gain_t *best, const tl_onset_sums_t *beyond, const tl_onset_sums_t *all) {
+    const gain_t gain = gain_at(beyond, all);
+    if (gain.denominator == 0 ||
+        (best->denominator != 0 && !tl_real_less(tl_real_mul(best->numerator, gain.denominator),
+                                                 tl_real_mul(gain.numerator, best->denominator)))) {
+        return false;
     }
-    return tl_real_less(tl_real_mul(b.numerator, a.denominator), tl_real_mul(a.numerator, b.denominator));
+    *best = gain;
+    return true;
+}
+
+/// T itself.
+static tl_real_t value_of(const gain_t *gain, const tl_onset_sums_t *all) {
+    return tl_real_div(tl_real_div(gain->numerator, gain->denominator), tl_real(all->w, 0));
 }
 
 /// Moves the knot of `beyond` to where its line meets the level of the other samples, if that lies between
@@ -172,7 +192,7 @@ static int32_t walk_begins(const tl_onset_detector_t *d) {
 
 static void begin_walk(const tl_onset_detector_t *d, walk_t *walk) {
     walk->first = walk_begins(d);
-    walk->origin = sample_at(d, walk->first)->q;
+    walk->origin = tl_hinge_sample(d, walk->first)->q;
     walk->scale = tl_hinge_scale(d, walk->first, walk->origin);
     walk->k = d->held - 1;
     walk->here = tl_hinge_point(d, walk->k, walk->origin, walk->scale);
@@ -188,7 +208,7 @@ static bool walk_on(const tl_onset_detector_t *d, walk_t *walk) {
     walk->here = tl_hinge_point(d, walk->k, walk->origin, walk->scale);
     const int32_t step = last.x - walk->here.x;
     last.x = 0;
-    tl_hinge_add(&walk->beyond, last);
+    tl_hinge_add(&walk->beyond, &last);
     shift(&walk->beyond, step);
     return true;
 }
@@ -200,13 +220,11 @@ tl_real_t tl_hinge_glance(const tl_onset_detector_t *d) {
     begin_walk(d, &walk);
     while (walk_on(d, &walk)) {
         if (walk.beyond.n == next) {
-            const gain_t gain = gain_at(&walk.beyond, &d->all);
-            best = is_better(gain, best) ? gain : best;
+            improves(&best, &walk.beyond, &d->all);
             next *= 2;
         }
     }
-    return best.denominator == 0 ? tl_real(0, 0)
-                                 : tl_real_div(best.numerator, tl_real_mul(best.denominator, tl_real(d->all.w, 0)));
+    return best.denominator == 0 ? 0 : value_of(&best, &d->all);
 }
 
 /// The best of the samples as knots: its place in the window, -1 where there is none.
@@ -216,9 +234,7 @@ static int32_t best_sample(const tl_onset_detector_t *d, tl_onset_sums_t *beyond
     begin_walk(d, &walk);
     *best = (gain_t){0, 0};
     while (walk_on(d, &walk)) {
-        const gain_t gain = gain_at(&walk.beyond, &d->all);
-        if (is_better(gain, *best)) {
-            *best = gain;
+        if (improves(best, &walk.beyond, &d->all)) {
             *beyond = walk.beyond;
             at = walk.k;
         }
@@ -227,18 +243,17 @@ static int32_t best_sample(const tl_onset_detector_t *d, tl_onset_sums_t *beyond
 }
 
 /// What remains to be said of a hinge whose knot is found: `beyond` counts x from it.
-static void describe(const tl_onset_detector_t *d, const tl_onset_sums_t *beyond, gain_t best, int32_t scale,
+static void describe(const tl_onset_detector_t *d, const tl_onset_sums_t *beyond, const gain_t *best, int32_t scale,
                      tl_hinge_t *fit) {
-    const int64_t determinant = beyond->w * beyond->xx - beyond->x * beyond->x;
-    const tl_real_t slope = tl_real_div(tl_real_sqrt(best.numerator), best.denominator);
+    const int64_t determinant = cross(&beyond->w, &beyond->xx, &beyond->x, &beyond->x);
+    const tl_real_t slope = tl_real_div(tl_real_sqrt(best->numerator), best->denominator);
     fit->level = tl_hinge_without(&d->all, beyond);
     fit->beyond = beyond->n;
-    fit->variance = tl_real_div(tl_real(beyond->xx, 0), tl_real(determinant > 0 ? determinant : 0, 0));
-    fit->variance = tl_real_add(fit->variance, tl_real_div(tl_real(1, 0), tl_real(fit->level.w, 0)));
-    fit->variance = tl_real_div(fit->variance, tl_real_square(slope));
-    fit->variance = tl_real_mul(fit->variance, tl_real(1, 2 * scale));
-    fit->slope = tl_real_mul(slope, tl_real(1, -scale));
-    fit->gain = tl_real_div(tl_real_div(best.numerator, best.denominator), tl_real(d->all.w, 0));
+    tl_real_t variance = quotient(beyond->xx, determinant > 0 ? determinant : 0);
+    variance = tl_real_add(variance, quotient(1, fit->level.w));
+    fit->variance = tl_real_shift(tl_real_div(variance, tl_real_square(slope)), 2 * scale);
+    fit->slope = tl_real_shift(slope, -scale);
+    fit->gain = value_of(best, &d->all);
     fit->residual = tl_real_sub(tl_hinge_scatter(&d->all), fit->gain);
     fit->residual = fit->residual > 0 ? fit->residual : 0;
 }
@@ -255,32 +270,28 @@ bool tl_hinge_fit(const tl_onset_detector_t *d, tl_hinge_t *fit) {
     }
     // Between the best sample and its neighbours the optimum is a meeting point of line and level.
     const int32_t first = walk_begins(d);
-    const tl_count_q8_t origin = sample_at(d, first)->q;
+    const tl_count_q8_t origin = tl_hinge_sample(d, first)->q;
     const int32_t scale = tl_hinge_scale(d, first, origin);
     tl_hinge_point_t here = tl_hinge_point(d, at, origin, scale);
     const int32_t corner = here.x;
     int32_t knot = corner;
     tl_onset_sums_t trial = beyond;
     int32_t moved = refine(&trial, &d->all, 0, tl_hinge_point(d, at + 1, origin, scale).x - corner);
-    gain_t gain = gain_at(&trial, &d->all);
-    if (moved != 0 && is_better(gain, best)) {
-        best = gain;
+    if (moved != 0 && improves(&best, &trial, &d->all)) {
         beyond = trial;
         knot = corner + moved;
     }
     if (at > first) {
         shift(&trial, moved);
         here.x = 0;
-        tl_hinge_add(&trial, here);
+        tl_hinge_add(&trial, &here);
         moved = refine(&trial, &d->all, tl_hinge_point(d, at - 1, origin, scale).x - corner, 0);
-        gain = gain_at(&trial, &d->all);
-        if (moved != 0 && is_better(gain, best)) {
-            best = gain;
+        if (moved != 0 && improves(&best, &trial, &d->all)) {
             beyond = trial;
             knot = corner + moved;
         }
     }
-    describe(d, &beyond, best, scale, fit);
+    describe(d, &beyond, &best, scale, fit);
     fit->knot = tl_real_add(tl_real(knot, scale), tl_real(travel(d, first, d->reversal.q1), 0));
     fit->span = tl_real((int64_t)tl_hinge_point(d, d->held - 1, origin, scale).x - knot, scale);
     return true;
@@ -331,8 +342,8 @@ tl_real_t tl_hinge_blind(const tl_onset_detector_t *d, tl_real_t slope, tl_real_
     walk_t walk;
     begin_walk(d, &walk);
     // slope^2 C_xx / W >= gain
-    const tl_real_t unit_slope = tl_real_mul(slope, tl_real(1, walk.scale));
-    const tl_real_t needed = tl_real_div(tl_real_mul(gain, tl_real(d->all.w, 0)), tl_real_mul(unit_slope, unit_slope));
+    const tl_real_t slope2 = tl_real_square(tl_real_shift(slope, walk.scale));
+    const tl_real_t needed = tl_real_div(tl_real_mul(gain, tl_real(d->all.w, 0)), slope2);
     while (walk_on(d, &walk)) {
         if (!tl_real_less(gain_at(&walk.beyond, &d->all).denominator, needed)) {
             const int32_t seen = travel(d, walk.k, d->reversal.q1);

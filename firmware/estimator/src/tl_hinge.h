@@ -22,6 +22,9 @@ typedef struct {
     int32_t w;
 } tl_hinge_point_t;
 
+/// Sample i of those that are held, the oldest first.
+const tl_onset_sample_t *tl_hinge_sample(const tl_onset_detector_t *d, int32_t i);
+
 /// Straight line and level brought together; variance for unit residual variance.
 typedef struct {
     tl_real_t x;        ///< where they meet, Q8 counts from the line's origin
@@ -52,7 +55,7 @@ tl_hinge_point_t tl_hinge_image(const tl_onset_detector_t *d, int32_t i);
 /// bits.
 int32_t tl_hinge_scale(const tl_onset_detector_t *d, int32_t i, tl_count_q8_t origin);
 
-void tl_hinge_add(tl_onset_sums_t *sums, tl_hinge_point_t point);
+void tl_hinge_add(tl_onset_sums_t *sums, const tl_hinge_point_t *point);
 
 /// sums - part, the image alone.
 tl_onset_sums_t tl_hinge_without(const tl_onset_sums_t *sums, const tl_onset_sums_t *part);

@@ -68,20 +68,33 @@ tl_count_q8_t tl_lookup_angle_inverse(const tl_lookup_t *lookup, tl_deg_q16_t c,
     return within_span(lookup, span, tl_fraction((uint32_t)x - start, rise, lookup->ratio[span]));
 }
 
-// p with 2p + B(p) = 2q, or 2p - B(p) = 2q where `sign` is -1 instead of 0, for q between the envelope's ends.
-// Compiled for each sign: the search takes 40 cycles less on a Cortex-M0+.
-static inline __attribute__((always_inline)) tl_count_q8_t on_envelope(const tl_lookup_t *lookup, tl_count_q8_t q,
-                                                                       tl_count_q8_t near, int32_t sign) {
+// p with 2p + B(p) = 2q, or 2p - B(p) = 2q where `sign` is -1 instead of 0; `first` and `last`: where q meets the ends
+// of that envelope. One piece of code for both: 0.7 kB less of a controller's memory for 50 cycles.
+static tl_count_q8_t on_envelope(const tl_lookup_t *lookup, tl_count_q8_t q, tl_count_q8_t near, int32_t sign,
+                                 uint32_t *flags) {
     const tl_count_q8_t *width = lookup->table.width;
-    const uint32_t log2 = lookup->step_log2 + 1U, last = lookup->table.nodes - 1U;
+    if (lookup->extent == 0) {
+        return q;
+    }
+    const bool below = q <= (sign == 0 ? lookup->low_first : lookup->high_first);
+    const uint32_t last = lookup->table.nodes - 1U;
+    if (below || q >= (sign == 0 ? lookup->low_last : lookup->high_last)) {
+        const tl_count_q8_t end = below ? lookup->q0 : lookup->q0 + (int32_t)lookup->extent;
+        const int32_t held = width[below ? 0U : last] ^ sign; // one less than -B for p_hi
+        const int64_t beyond = 2 * ((int64_t)q - end) - held + sign;
+        *flags |= beyond < 0 && below ? TL_LOOKUP_BELOW : (beyond > 0 && !below ? TL_LOOKUP_ABOVE : 0U);
+        return sign == 0 ? tl_sub_sat(q, held >> 1) : tl_add_sat(q, ~held >> 1);
+    }
+    const uint32_t log2 = lookup->step_log2 + 1U;
     // The envelope from its first node on: 32 bits without a sign.
 #define RISE(node) (((node) << log2) + (uint32_t)(width[node] ^ sign) - first)
     const uint32_t first = (uint32_t)(width[0] ^ sign);
     const uint32_t x = 2U * ((uint32_t)q - (uint32_t)lookup->q0) - first + (uint32_t)sign;
-    uint32_t span = ((uint32_t)near - (uint32_t)lookup->q0) >> lookup->step_log2, next;
+    uint32_t span = ((uint32_t)near - (uint32_t)lookup->q0) >> lookup->step_log2;
     if (span >= last || x < RISE(span) || x >= RISE(span + 1U)) { // not there: among all
         span = 0;
         // No branches, which a desktop core would guess wrong; the last node is above x.
+        uint32_t next;
 #define HALVE(spans)                                                                                                   \
     next = span + (spans) < last ? span + (spans) : last;                                                              \
     span = RISE(next) <= x ? next : span;
@@ -101,37 +114,11 @@ static inline __attribute__((always_inline)) tl_count_q8_t on_envelope(const tl_
 }
 
 tl_count_q8_t tl_lookup_p_low(const tl_lookup_t *lookup, tl_count_q8_t q, tl_count_q8_t near, uint32_t *flags) {
-    const tl_table_t *table = &lookup->table;
-    if (lookup->extent == 0) {
-        return q;
-    }
-    if (q <= lookup->low_first) {
-        *flags |= 2 * (int64_t)q < 2 * (int64_t)table->q0 + table->width[0] ? TL_LOOKUP_BELOW : 0;
-        return tl_sub_sat(q, table->width[0] >> 1);
-    }
-    if (q >= lookup->low_last) {
-        const tl_count_q8_t end = lookup->q0 + (int32_t)lookup->extent, width = table->width[table->nodes - 1U];
-        *flags |= 2 * (int64_t)q > 2 * (int64_t)end + width ? TL_LOOKUP_ABOVE : 0;
-        return tl_sub_sat(q, width >> 1);
-    }
-    return on_envelope(lookup, q, near, 0);
+    return on_envelope(lookup, q, near, 0, flags);
 }
 
 tl_count_q8_t tl_lookup_p_high(const tl_lookup_t *lookup, tl_count_q8_t q, tl_count_q8_t near, uint32_t *flags) {
-    const tl_table_t *table = &lookup->table;
-    if (lookup->extent == 0) {
-        return q;
-    }
-    if (q <= lookup->high_first) {
-        *flags |= 2 * (int64_t)q < 2 * (int64_t)table->q0 - table->width[0] ? TL_LOOKUP_BELOW : 0;
-        return tl_add_sat(q, table->width[0] >> 1);
-    }
-    if (q >= lookup->high_last) {
-        const tl_count_q8_t end = lookup->q0 + (int32_t)lookup->extent, width = table->width[table->nodes - 1U];
-        *flags |= 2 * (int64_t)q > 2 * (int64_t)end - width ? TL_LOOKUP_ABOVE : 0;
-        return tl_add_sat(q, width >> 1);
-    }
-    return on_envelope(lookup, q, near, -1);
+    return on_envelope(lookup, q, near, -1, flags);
 }
 
 tl_deg_q16_t tl_lookup_coarse(const tl_lookup_t *lookup, tl_count_q8_t q, uint32_t *flags) {

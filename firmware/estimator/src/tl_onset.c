@@ -44,23 +44,20 @@ bool tl_onset_init(tl_onset_detector_t *detector, const tl_onset_config_t *confi
     return true;
 }
 
-static tl_onset_sample_t *sample_at(tl_onset_detector_t *d, int32_t i) {
-    return &d->window[((uint32_t)d->oldest + (uint32_t)i) % TL_ONSET_WINDOW];
-}
-
 static void drop_oldest(tl_onset_detector_t *d, int32_t n) {
     d->oldest = (uint8_t)(((uint32_t)d->oldest + (uint32_t)n) % TL_ONSET_WINDOW);
     d->held = (uint8_t)(d->held - n);
 }
 
-static tl_count_q8_t magnitude(tl_count_q8_t x) {
-    return x < 0 ? tl_sub_sat(0, x) : x;
+/// |a - b|, saturated. Out of line: it is asked for in many places.
+static __attribute__((noinline)) tl_count_q8_t distance(tl_count_q8_t a, tl_count_q8_t b) {
+    return tl_abs_sat(tl_sub_sat(a, b));
 }
 
 /// Q8 counts/s over samples i to k.
 static int32_t speed_between(tl_onset_detector_t *d, int32_t i, int32_t k) {
-    const uint32_t us = sample_at(d, k)->t_us - sample_at(d, i)->t_us;
-    const tl_count_q8_t way = magnitude(tl_sub_sat(sample_at(d, k)->q, sample_at(d, i)->q));
+    const uint32_t us = tl_hinge_sample(d, k)->t_us - tl_hinge_sample(d, i)->t_us;
+    const tl_count_q8_t way = distance(tl_hinge_sample(d, k)->q, tl_hinge_sample(d, i)->q);
     return us == 0 ? 0 : tl_real_to_q(tl_real_div(tl_real((int64_t)way * 1000000, 0), tl_real(us, 0)), 0);
 }
 
@@ -73,7 +70,7 @@ static void measure_stop(tl_onset_detector_t *d, const tl_onset_sums_t *level, t
     const tl_real_t variance =
         tl_confirm_knot_variance(&d->config, meeting.variance, unit, tl_real(d->approach_span, 0));
     d->reversal.stop = tl_real_to_q(tl_real_sub(0, meeting.x), 0);
-    d->reversal.sigma_stop = tl_real_to_q(tl_real_sqrt(variance), 0);
+    d->reversal.sigma_stop = tl_confirm_sigma(variance);
 }
 
 /// The reversal under way is over, and told if it is worth it; the tip follows the motor or not, as far as is
@@ -101,14 +98,14 @@ static void finish_started(tl_onset_detector_t *d, const tl_confirm_t *e, tl_ons
     tl_onset_t *r = &d->reversal;
     const int32_t first = d->held - e->hinge.beyond;
     const int32_t knot = tl_real_to_q(e->hinge.knot, 0);
-    const int32_t sigma = tl_real_to_q(tl_real_sqrt(tl_confirm_variance(d, e)), 0);
+    const int32_t sigma = tl_confirm_sigma(tl_confirm_variance(d, e));
     const tl_count_q8_t q2 = r->direction > 0 ? tl_add_sat(r->q1, knot) : tl_sub_sat(r->q1, knot);
 
     // Time of the knot, linear between the frames around it.
-    const tl_onset_sample_t *after = sample_at(d, first);
-    const tl_onset_sample_t *before = sample_at(d, first > 0 ? first - 1 : 0);
-    const int64_t gap = magnitude(tl_sub_sat(after->q, before->q));
-    const int64_t way = gap - magnitude(tl_sub_sat(after->q, q2));
+    const tl_onset_sample_t *after = tl_hinge_sample(d, first);
+    const tl_onset_sample_t *before = tl_hinge_sample(d, first > 0 ? first - 1 : 0);
+    const int64_t gap = distance(after->q, before->q);
+    const int64_t way = gap - distance(after->q, q2);
     const uint32_t gap_us = after->t_us - before->t_us;
     const uint32_t way_us = gap > 0 && way > 0 ? (uint32_t)((int64_t)gap_us * way / gap) : 0;
     r->start_us = d->seen_us - ((uint32_t)d->seen_us - before->t_us - way_us);
@@ -145,7 +142,7 @@ static void finish_unstarted(tl_onset_detector_t *d, const tl_confirm_t *e, tl_o
         reason = TL_ONSET_SLOPE_TOO_SMALL;
         if (tl_hinge_meet(&d->approach, &d->all, d->approach_scale, &approach)) {
             // Twice the gain that confirms is confirmed with a probability of 0.98.
-            const tl_real_t seen = tl_hinge_blind(d, approach.slope, tl_real_mul(e->required, tl_real(2, 0)));
+            const tl_real_t seen = tl_hinge_blind(d, approach.slope, tl_real_shift(e->required, 1));
             if (seen > 0) {
                 reason = TL_ONSET_NO_START;
                 d->reversal.width = tl_real_to_q(seen, 0);
@@ -155,7 +152,7 @@ static void finish_unstarted(tl_onset_detector_t *d, const tl_confirm_t *e, tl_o
         d->reversal.noise = tl_confirm_noise(e->unit);
         tl_confirm_remember(d, e->hinge.residual, e->dof);
     }
-    const tl_count_q8_t stroke = magnitude(tl_sub_sat(d->extreme, d->reversal.q1));
+    const tl_count_q8_t stroke = distance(d->extreme, d->reversal.q1);
     const bool worth = d->reversal.frames >= d->config.frames_min || stroke / JITTER_TURNS >= d->config.turn;
     end_reversal(d, reason, worth, onset);
 }
@@ -180,9 +177,10 @@ static void decide(tl_onset_detector_t *d, bool ended, tl_onset_t *onset) {
 /// Whether the motor lost an eighth of its speed at sample i; the turn follows on the last one before it.
 static bool slows_down(tl_onset_detector_t *d, int32_t i, int32_t before) {
     const bool last = i + 1 == before;
-    const tl_count_q8_t q = last ? d->reversal.q1 : sample_at(d, i + 1)->q;
-    const uint32_t us = (last ? (uint32_t)d->reversal.turn_us : sample_at(d, i + 1)->t_us) - sample_at(d, i)->t_us;
-    const int64_t way = magnitude(tl_sub_sat(q, sample_at(d, i)->q));
+    const tl_count_q8_t q = last ? d->reversal.q1 : tl_hinge_sample(d, i + 1)->q;
+    const uint32_t us =
+        (last ? (uint32_t)d->reversal.turn_us : tl_hinge_sample(d, i + 1)->t_us) - tl_hinge_sample(d, i)->t_us;
+    const int64_t way = distance(q, tl_hinge_sample(d, i)->q);
     return us <= d->config.lost_us && way * 8000000 < (int64_t)speed_between(d, i - 1, i) * us * 7;
 }
 
@@ -199,9 +197,9 @@ static void measure_approach(tl_onset_detector_t *d, int32_t before) {
     int32_t begin = end;
     const tl_real_t wanted2 = tl_real_square(tl_real(config->sigma_wanted, -1));
     while (begin > 0 && end - begin < TL_ONSET_APPROACH) {
-        const tl_onset_sample_t *s = sample_at(d, begin - 1);
-        const tl_real_t span = tl_real((int64_t)magnitude(tl_sub_sat(s->q, q1)), 0);
-        const bool apart = begin < before && sample_at(d, begin)->t_us - s->t_us > config->lost_us;
+        const tl_onset_sample_t *s = tl_hinge_sample(d, begin - 1);
+        const tl_real_t span = tl_real((int64_t)distance(s->q, q1), 0);
+        const bool apart = begin < before && tl_hinge_sample(d, begin)->t_us - s->t_us > config->lost_us;
         if (apart || (end - begin >= 4 && tl_real_less(wanted2, tl_confirm_curvature_bias2(config, span)))) {
             break;
         }
@@ -212,9 +210,10 @@ static void measure_approach(tl_onset_detector_t *d, int32_t before) {
     }
     d->approach_scale = tl_hinge_scale(d, begin, q1);
     for (int32_t i = begin; i < end; i++) {
-        tl_hinge_add(&d->approach, tl_hinge_point(d, i, q1, d->approach_scale));
+        const tl_hinge_point_t point = tl_hinge_point(d, i, q1, d->approach_scale);
+        tl_hinge_add(&d->approach, &point);
     }
-    d->approach_span = magnitude(tl_sub_sat(sample_at(d, begin)->q, q1));
+    d->approach_span = distance(tl_hinge_sample(d, begin)->q, q1);
     d->reversal.speed_stop = speed_between(d, begin, end - 1);
 }
 
@@ -232,9 +231,11 @@ static bool approach_moves(const tl_onset_detector_t *d) {
     return tl_real_less(tl_confirm_required(d, unit, dof), meeting.gain);
 }
 
-static void add_window(tl_onset_detector_t *d) {
-    for (int32_t i = 0; i < d->held; i++) {
-        tl_hinge_add(&d->all, tl_hinge_image(d, i));
+/// Samples from the i-th on.
+static void add_images(tl_onset_detector_t *d, int32_t i) {
+    for (; i < d->held; i++) {
+        const tl_hinge_point_t point = tl_hinge_image(d, i);
+        tl_hinge_add(&d->all, &point);
     }
 }
 
@@ -255,15 +256,15 @@ static void begin_reversal(tl_onset_detector_t *d, int8_t direction) {
         .direction = direction,
     };
     int32_t before = d->held;
-    while (before > 0 && (int32_t)(sample_at(d, before - 1)->t_us - turn_us) > 0) {
+    while (before > 0 && (int32_t)(tl_hinge_sample(d, before - 1)->t_us - turn_us) > 0) {
         before--;
     }
     int32_t after = before;
-    while (after < d->held && (int32_t)(sample_at(d, after)->t_us - turn_us) < (int32_t)d->config.guard_us) {
+    while (after < d->held && (int32_t)(tl_hinge_sample(d, after)->t_us - turn_us) < (int32_t)d->config.guard_us) {
         after++;
     }
     if (d->held > 0) {
-        const tl_onset_sample_t *s = sample_at(d, before > 0 ? before - 1 : 0);
+        const tl_onset_sample_t *s = tl_hinge_sample(d, before > 0 ? before - 1 : 0);
         d->reference_u = s->u;
         d->reference_v = s->v;
     }
@@ -273,7 +274,7 @@ static void begin_reversal(tl_onset_detector_t *d, int8_t direction) {
     drop_oldest(d, after);
     d->reversal.frames = d->held;
     memset(&d->all, 0, sizeof d->all);
-    add_window(d);
+    add_images(d, 0);
 }
 
 /// Follows the motor to `q`.
@@ -358,19 +359,19 @@ static int32_t weight_of(const tl_onset_config_t *config, tl_px_q12_t sigma) {
 /// Halves what has left the window, all - window: all becomes (all + window) / 2. The sums of a long level
 /// stay within their range, and a level that creeps is followed.
 static void fade(tl_onset_detector_t *d) {
-    add_window(d);
-    d->all.w /= 2;
-    d->all.u /= 2;
-    d->all.v /= 2;
-    d->all.yy /= 2;
-    d->all.n /= 2;
+    add_images(d, 0);
+    d->all.w >>= 1;
+    d->all.u >>= 1;
+    d->all.v >>= 1;
+    d->all.yy >>= 1;
+    d->all.n >>= 1;
 }
 
 static void take(tl_onset_detector_t *d, const tl_onset_sample_t *sample) {
     if (d->held == TL_ONSET_WINDOW) {
         drop_oldest(d, 1);
     }
-    *sample_at(d, d->held) = *sample;
+    d->window[((uint32_t)d->oldest + d->held) % TL_ONSET_WINDOW] = *sample;
     d->held++;
 }
 
@@ -388,7 +389,7 @@ static void take_sample(tl_onset_detector_t *d, const tl_onset_sample_t *sample,
         d->reference_v = sample->v;
     }
     take(d, sample);
-    tl_hinge_add(&d->all, tl_hinge_image(d, d->held - 1));
+    add_images(d, d->held - 1);
     if (d->all.n >= 2 * TL_ONSET_WINDOW) {
         fade(d);
     }
@@ -398,7 +399,10 @@ static void take_sample(tl_onset_detector_t *d, const tl_onset_sample_t *sample,
     decide(d, false, onset);
 }
 
-static int64_t squared_distance(int64_t u, int64_t v) {
+/// Of a from the middle between b and c, Q16 px^2. Out of line: its 64-bit products are a lot of code.
+static __attribute__((noinline)) int64_t squared_distance(const tl_onset_sample_t *a, const tl_onset_sample_t *b,
+                                                          const tl_onset_sample_t *c) {
+    const int64_t u = (2 * (int64_t)a->u - b->u - c->u) / 32, v = (2 * (int64_t)a->v - b->v - c->v) / 32;
     return u * u + v * v;
 }
 
@@ -407,9 +411,7 @@ static int64_t squared_distance(int64_t u, int64_t v) {
 /// the frames came. All within +-4096 px.
 static bool is_outlier(const tl_onset_detector_t *d, const tl_onset_sample_t *before, const tl_onset_sample_t *sample,
                        const tl_onset_sample_t *after) {
-    const int64_t off = squared_distance((2 * (int64_t)sample->u - before->u - after->u) / 32,
-                                         (2 * (int64_t)sample->v - before->v - after->v) / 32); // Q16 px^2
-    const int64_t apart = squared_distance(((int64_t)after->u - before->u) / 16, ((int64_t)after->v - before->v) / 16);
+    const int64_t off = squared_distance(sample, before, after), apart = squared_distance(after, before, before);
     const int64_t variance = d->noise_sum / ((int64_t)d->noise_dof * sample->weight);
     return off > OUTLIER * OUTLIER * variance && 2 * off > apart;
 }

@@ -49,6 +49,10 @@ tl_real_t tl_real_square(tl_real_t a) {
     return tl_real_mul(a, a);
 }
 
+tl_real_t tl_real_shift(tl_real_t a, int32_t e) {
+    return a == 0 ? 0 : pack(mantissa(a), exponent(a) + e);
+}
+
 tl_real_t tl_real_div(tl_real_t a, tl_real_t b) {
     if (b == 0) {
         return pack(INT32_MAX, 1 << 20);

@@ -20,6 +20,9 @@ tl_real_t tl_real_sub(tl_real_t a, tl_real_t b);
 tl_real_t tl_real_mul(tl_real_t a, tl_real_t b);
 tl_real_t tl_real_square(tl_real_t a);
 
+/// a 2^e
+tl_real_t tl_real_shift(tl_real_t a, int32_t e);
+
 /// b = 0 gives a number larger than any other here.
 tl_real_t tl_real_div(tl_real_t a, tl_real_t b);
 

@@ -27,8 +27,9 @@ void tl_takeup_set(tl_takeup_t *takeup, int32_t rest_q8);
 
 /// What is left, rounded to a Q8 count, modulo 2^32. Positive: q has yet to rise.
 static inline uint32_t tl_takeup_rest(const tl_takeup_t *takeup) {
-    const int64_t rest = takeup->heading > 0 ? takeup->ahead_q36 : -takeup->ahead_q36;
-    return (uint32_t)((uint64_t)(rest + ((int64_t)1 << (TL_TAKEUP_FRACTION_BITS - 1))) >> TL_TAKEUP_FRACTION_BITS);
+    const uint64_t rounded = (uint64_t)takeup->ahead_q36 + ((uint64_t)1 << (TL_TAKEUP_FRACTION_BITS - 1));
+    const uint32_t rest = (uint32_t)(rounded >> TL_TAKEUP_FRACTION_BITS);
+    return takeup->heading > 0 ? rest : 0U - rest;
 }
 
 static inline bool tl_takeup_done(const tl_takeup_t *takeup) {

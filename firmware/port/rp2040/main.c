@@ -1,7 +1,5 @@
 // The app on a Pimoroni Motor 2040: tl_port.h on real registers, the control step on a hardware timer, the task in the
 // main loop.
-#include <string.h>
-
 #include "bridge.h"
 #include "hardware/flash.h"
 #include "hardware/irq.h"
@@ -116,10 +114,7 @@ static bool port_flash_erase(void *context, uint32_t offset) {
 
 static bool port_flash_program(void *context, uint32_t offset, const uint8_t *page) {
     (void)context;
-    // The flash chip is out of reach while it is written: the data must be in RAM.
-    static uint8_t buffer[FLASH_PAGE_SIZE];
-    memcpy(buffer, page, sizeof(buffer));
-    return offset < TABLE_REGION && flash_safely(offset, buffer);
+    return offset < TABLE_REGION && flash_safely(offset, page);
 }
 
 static void port_watchdog_feed(void *context) {

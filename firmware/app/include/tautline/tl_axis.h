@@ -20,8 +20,13 @@
 #include "tautline/tl_servo.h"
 #include "tautline/tl_stream.h"
 
-#define TL_AXIS_PLAN_HZ        1000U ///< control_hz is a multiple of it
-#define TL_AXIS_JOBS           5U
+#define TL_AXIS_PLAN_HZ 1000U ///< control_hz is a multiple of it
+#define TL_AXIS_JOBS    5U
+#ifndef TL_AXIS_TICKS_MIN
+#define TL_AXIS_TICKS_MIN                                                                                              \
+    1U ///< fewest ticks of a millisecond that the build is for; with less than TL_AXIS_JOBS the last
+       ///< tick has several jobs
+#endif
 #define TL_AXIS_SAMPLES        16U     ///< telemetry samples waiting for the task, a power of two
 #define TL_AXIS_SILENCE_US     100000U ///< default
 #define TL_AXIS_SILENCE_MAX_US 60000000U
@@ -29,7 +34,7 @@
 #define TL_AXIS_RANGE_MAX      (4000000 * TL_COUNT_ONE)
 
 typedef struct {
-    tl_us_t t_us;
+    uint32_t t_us; ///< low word
     tl_count_q8_t q, q_ref, p;
     tl_deg_q16_t c_ref, c_est;
     int16_t duty;
@@ -114,9 +119,6 @@ void tl_axis_watch(tl_axis_t *axis, tl_us_t now_us);
 /// Parts of the control step: set-points in, reference out.
 void tl_axis_listen(tl_axis_t *axis);
 void tl_axis_plan(tl_axis_t *axis);
-/// Job 0 to TL_AXIS_JOBS - 1 of this millisecond; from `job` on the rest, where it has fewer ticks (below 5 kHz).
-void tl_axis_job(tl_axis_t *axis, uint32_t job);
-void tl_axis_catch_up(tl_axis_t *axis, uint32_t job);
 
 /// At rest where the motor is: what switching on begins from.
 void tl_axis_rest(tl_axis_t *axis);

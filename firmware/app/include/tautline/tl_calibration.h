@@ -15,8 +15,6 @@ typedef struct {
             tl_motion_t motion;
             tl_history_t history;
             tl_onset_detector_t detector;
-            tl_motion_config_t motion_config;
-            tl_onset_config_t onset_config;
         };
         uint8_t upload[TL_TABLE_SIZE_MAX]; ///< the app's, while `axis` is NULL: a table that the host sends
     };

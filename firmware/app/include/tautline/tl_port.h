@@ -35,7 +35,8 @@ typedef struct {
     /// The table region, mapped for reading: 2 * axes sectors.
     const uint8_t *flash;
     /// `offset` from the region's start, a multiple of the sector or page. Task, with every motor off; may take 0.4 s,
-    /// during which the control step may stand still. False: not done, the content is undefined.
+    /// during which the control step may stand still. `page` is in RAM: the flash chip is out of reach meanwhile.
+    /// False: not done, the content is undefined.
     bool (*flash_erase)(void *context, uint32_t offset);
     bool (*flash_program)(void *context, uint32_t offset, const uint8_t *page);
 

@@ -17,8 +17,8 @@
 /// the same context. To stop, hold c*; to follow the motor while the axis is free, start again.
 /// Faults: none is fatal. Every input is valid; what could not be done is in `flags`.
 ///
-/// A step: at most about 900 cycles on a Cortex-M0+ (-O2, no wait states), in three parts of 280, 300 and 320; no
-/// division, no 64-bit product, 64-bit sums only. Memory: 176 bytes, plus the table that it points to.
+/// A step: at most about 920 cycles on a Cortex-M0+ (-O2, no wait states), in three parts of 320, 290 and 320; no
+/// division, no 64-bit product, 64-bit sums only. Memory: 160 bytes, plus the table that it points to.
 #ifndef TAUTLINE_TL_COMPENSATOR_H
 #define TAUTLINE_TL_COMPENSATOR_H
 
@@ -71,13 +71,11 @@ typedef struct {
     tl_deg_q16_t c;       ///< the last command
     tl_count_q8_t p;      ///< p*, after limits
     tl_count_q8_t goal;   ///< p* without limits on the feed
-    tl_count_q8_t aim;    ///< how far of the way there this tick may go, if the speed allows,
-    tl_count_q8_t within_flat; ///< and if p is within a flat span already
-    bool mind_flat;            ///< flat spans are to be minded on the way
-    bool slow;                 ///< this tick goes at the flat speed
-    tl_count_q8_t anchor;      ///< furthest p in the direction of `side`
-    tl_count_q8_t q;           ///< q*, the last output
-    uint32_t feed_fraction;    ///< part of a Q8 count that a limited feed has saved up
+    tl_count_q8_t aim;    ///< how far of the way there this tick may go, if the speed allows
+    bool slow;            ///< this tick goes at the flat speed
+    tl_count_q8_t anchor; ///< furthest p in the direction of `side`
+    tl_count_q8_t q;      ///< q*, the last output
+    uint32_t feed_fraction; ///< part of a Q8 count that a limited feed has saved up
     tl_per_tick_t feed_max;
     tl_per_tick_t feed_flat;
     tl_takeup_t takeup; ///< e
