@@ -24,7 +24,7 @@ from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
 
-_WIDTH_PIECES, _REMAINING_PIECES = 12, 22
+_WIDTH_PIECES, _REMAINING_PIECES = 20, 22
 _ROUGH = 0.001  # second difference of a correction's neighbouring coefficients, share of its range
 STATIC_COLUMNS = slice(2, 8)  # of Rows.columns, with a camera
 _STATIC = tuple(p.name for p in effects.BY_ID["registration.static"].amplitudes)
