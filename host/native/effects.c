@@ -44,18 +44,20 @@ static double configuration(const struct effect_tables *tables, struct span_curs
     return tables->c_deg[i] + slope * (p - grid[i]);
 }
 
-// p with p + s w(p) = q, where w = (scale B(p) + extra) / 2.
+// p with p + s w(p) = q, where w = (scale B(p) + extra) / 2; and B(p).
 static double envelope(const struct effect_tables *tables, struct span_cursor *cursor, double q, double s, double scale,
-                       double extra) {
+                       double extra, double *width_at) {
     const double *grid = tables->grid;
     const double *width = tables->width;
     const double half = 0.5 * s * scale;
     const double x = q - 0.5 * s * extra;
     const size_t last = tables->nodes - 1;
     if (x <= grid[0] + half * width[0]) {
+        *width_at = width[0];
         return x - half * width[0];
     }
     if (x >= grid[last] + half * width[last]) {
+        *width_at = width[last];
         return x - half * width[last];
     }
     size_t i = cursor->i;
@@ -68,7 +70,9 @@ static double envelope(const struct effect_tables *tables, struct span_cursor *c
     cursor->i = i;
     const double low = grid[i] + half * width[i];
     const double high = grid[i + 1] + half * width[i + 1];
-    return grid[i] + (x - low) * (grid[i + 1] - grid[i]) / (high - low);
+    const double share = (x - low) / (high - low);
+    *width_at = width[i] + share * (width[i + 1] - width[i]);
+    return grid[i] + share * (grid[i + 1] - grid[i]);
 }
 
 // What asymmetry still holds back after so much travel.
@@ -80,7 +84,7 @@ struct play {
     double p;
     double width; // B(p)
     double since; // travel since the delayed side began to carry
-    struct span_cursor width_at, low_at, high_at;
+    struct span_cursor low_at, high_at;
     signed char side;
 };
 
@@ -111,8 +115,8 @@ static double play_move(const struct effect_parameters *e, const struct effect_t
             since += carried;
             late = held_back(e, since);
         }
-        play->p = envelope(tables, s > 0 ? &play->low_at : &play->high_at, drive->q - s * late, s, scale, drive->extra);
-        play->width = interpolate(tables, tables->width, &play->width_at, play->p);
+        play->p = envelope(tables, s > 0 ? &play->low_at : &play->high_at, drive->q - s * late, s, scale, drive->extra,
+                           &play->width);
         play->side = (signed char)s;
         play->since = since;
         return carried;
@@ -299,7 +303,7 @@ void effects_simulate(const struct effect_parameters *e, const struct effect_tab
         for (int i = 0; i < plays; i++) {
             if (!started) {
                 play[i].p = isnan(p0) ? drive.q : p0;
-                play[i].width = interpolate(tables, tables->width, &play[i].width_at, play[i].p);
+                play[i].width = interpolate(tables, tables->width, &c_at, play[i].p);
             }
             carried = fmax(carried, play_move(e, tables, &play[i], &drive, spread[i]));
             sum += share_of[i] * play[i].p;
