@@ -39,7 +39,11 @@ def residuals(fitter: Fitter, fit: Fit, further: Sequence[Kind] = ()) -> list[Ar
     timed = any(kind.id == "acquisition.jitter" for kind in kinds)
     if along and timed:
         return None
-    rows = fitter.rows(fit.state, fit.hypothesis)
+    plain = fitter.rows(fit.state, fit.hypothesis)
+    own = fitter.effect_columns(fit.state, fit.hypothesis, plain)  # what an inexact law leaves has biased them
+    rows = [
+        replace(row, columns=np.concatenate([row.columns, more], axis=2)) for row, more in zip(plain, own, strict=True)
+    ]
     scopes = list(zip(fit.hypothesis.kinds, fit.hypothesis.only_tests, strict=True))
     for what, freedom in _FREEDOM.items():
         only = [only for kind, only in scopes if kind.id.startswith(what)]
