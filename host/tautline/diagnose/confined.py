@@ -73,7 +73,8 @@ def _across(row: Rows, way: Array) -> tuple[Array, Array]:
 
 def _velocity(segment: Segment) -> Array:
     """(scored, 2) of the image, per second."""
-    return np.gradient(segment.observed, segment.arrival_s, axis=0)[segment.scored]
+    velocity: Array = np.gradient(segment.observed, segment.arrival_s, axis=0)
+    return velocity[segment.scored]
 
 
 def _lens(fitter: Fitter, rows: Sequence[Rows]) -> list[Array]:
