@@ -7,8 +7,8 @@
 #include "tautline/tl_axis.h"
 #include "tautline/tl_onset.h"
 
-enum { STEP_TIP, STEP_OTHER, WATCH, ONSET, LOOKUP, LOOKUP_YARDSTICK, EMPTY };
-enum { TABLES = 40, TICKS = 400, RATE_HZ = 5000, REVERSALS = 160 };
+enum { STEP_TIP, STEP_OTHER, WATCH, MOTION, ONSET, LOOKUP, LOOKUP_YARDSTICK, EMPTY };
+enum { TABLES = 60, TICKS = 300, RATE_HZ = 5000, MOTIONS = 500, REVERSALS = 330 };
 
 #define BEGIN(kind)                                                                                                    \
     do {                                                                                                               \
@@ -76,7 +76,7 @@ static tl_onset_detector_t detector;
 static void make_table(tl_table_t *table) {
     do {
         memset(table, 0, sizeof(*table));
-        const int32_t log2 = between(4, 14);
+        const int32_t log2 = between(0, 4) == 0 ? between(15, 21) : between(4, 14);
         const int32_t step = 1 << log2;
         const int32_t nodes = between(0, 9) == 0 ? 0 : (between(0, 3) == 0 ? between(2, 257) : between(129, 257));
         const bool falling = between(0, 1) == 1;
@@ -84,7 +84,7 @@ static void make_table(tl_table_t *table) {
         table->step_log2 = nodes > 0 ? (uint8_t)log2 : 0;
         table->strength_q15 = (uint16_t)(between(0, 1) == 0 ? 32768 : between(0, 32768));
         table->nano_units_per_count = 1000;
-        table->q0 = nodes > 0 ? between(-1000000, 0) : 0;
+        table->q0 = nodes > 0 ? between(-1000000, 0) - (log2 > 14 ? nodes / 2 * step : 0) : 0;
         table->q_min = nodes > 0 ? table->q0 : -100000;
         table->q_max = nodes > 0 ? table->q0 + (nodes - 1) * step : 100000;
         if (between(0, 1) == 0 && nodes > 8) {
@@ -97,15 +97,16 @@ static void make_table(tl_table_t *table) {
         table->band = between(0, 1) == 0 ? 0 : between(0, 2000);
         table->flat_speed_q8 = between(100, 2000) * 256;
         table->slope_min_q28 = between(0, 1) == 0 ? 0 : between(0, 1 << 20);
+        const int32_t steepest = between(0, 3) == 0 ? 1 << between(15, 21) : 20000;
         int32_t width = between(0, 500000);
         int32_t angle = between(-3000000, 3000000);
         const int32_t first = angle;
         for (int32_t i = 0; i < nodes; i++) {
             table->width[i] = width;
             table->angle[i] = angle;
-            width += between(-step * 17 / 10, step * 17 / 10);
+            width += between(-step / 10 * 17, step / 10 * 17);
             width = tl_clamp(width, 0, 600000);
-            const int32_t rise = between(0, 6) == 0 ? between(1, 3) : between(1, 20000);
+            const int32_t rise = between(0, 6) == 0 ? between(1, 3) : between(1, steepest);
             angle += falling ? -rise : rise;
         }
         table->coarse_c_min = first;
@@ -117,9 +118,13 @@ static void make_table(tl_table_t *table) {
 // -----------------------------------------------------------------
 
 static int64_t plant_q16;
+static int32_t quickness; // counts a tick at full drive, Q3
 
 static void turn_motor(void) {
-    plant_q16 += (int64_t)driven * 8; // 4 counts a tick at full drive
+    if (between(0, 2000) == 0) {
+        plant_q16 += (int64_t)between(-2500, 2500) * 65536; // a glitch of the encoder
+    }
+    plant_q16 += (int64_t)driven * quickness / 4;
     plant_q16 += between(-30000, 30000);
     encoder_count = (int32_t)(plant_q16 >> 16);
     current = between(0, 600);
@@ -143,13 +148,28 @@ static void __no_inline_not_in_flash_func(step)(uint32_t kind, tl_us_t now_us) {
 static void start_axis(void) {
     tl_axis_init(&axis, &port, 0);
     axis.divider = (uint8_t)between(0, 3);
+    quickness = between(0, 2) == 0 ? 1 << between(3, 9) : 32;
     make_table(&axis.lookup.table);
     if (tl_lookup_derive(&axis.lookup, &axis.lookup.table, 0) != TL_TABLE_OK) {
         panic("a table that was checked is refused");
     }
-    const tl_count_q8_t middle = axis.lookup.table.q_min / 2 + axis.lookup.table.q_max / 2;
-    tl_axis_set_position(&axis, middle);
+    const tl_table_t *table = &axis.lookup.table;
+    const tl_count_q8_t begins[] = {table->q_min, table->q_max, between(table->q_min, table->q_max),
+                                    between(table->q_min, table->q_max), table->q_min - between(0, 100000)};
+    tl_axis_set_position(&axis, begins[between(0, 4)]);
     tl_axis_use_table(&axis, true);
+    tl_servo_gains_t gains = axis.servo.gains;
+    if (between(0, 2) == 0) {
+        gains = (tl_servo_gains_t){.proportional = between(0, TL_SERVO_GAIN_MAX),
+                                   .integral = between(0, TL_SERVO_GAIN_MAX),
+                                   .derivative = between(0, TL_SERVO_GAIN_MAX),
+                                   .feed_forward = between(0, TL_SERVO_GAIN_MAX),
+                                   .inertia = between(0, TL_SERVO_GAIN_MAX),
+                                   .friction = between(0, TL_SERVO_GAIN_MAX)};
+    }
+    if (tl_axis_set_servo(&axis, &gains) != 0) {
+        panic("gains within their range are refused");
+    }
     tl_wire_limits_t limits = axis.limits;
     limits.following_error_q8 = between(0, 4) == 0 ? between(256, 20000) : 1000 * 256;
     limits.current_ma = between(0, 9) == 0 ? 200 : 1000;
@@ -202,6 +222,40 @@ static void follow_tip(tl_us_t *now_us) {
             tl_axis_set_strength(&axis, between(0, 32768));
         }
         step(axis.mode == TL_WIRE_MODE_FOLLOW_TIP ? STEP_TIP : STEP_OTHER, *now_us);
+    }
+}
+
+// Moves that arrive, and set-points beyond the ends of the range, without a table: far ways.
+static void move_far(tl_us_t *now_us) {
+    tl_axis_fail(&axis, TL_WIRE_FAULT_STOPPED, *now_us);
+    axis.fault = 0;
+    tl_axis_use_table(&axis, false);
+    tl_wire_limits_t limits = axis.limits;
+    limits.q_low_q8 = -TL_AXIS_RANGE_MAX;
+    limits.q_high_q8 = TL_AXIS_RANGE_MAX;
+    limits.following_error_q8 = TL_AXIS_RANGE_MAX;
+    limits.acceleration_q8_s2 = between(0, 1) == 0 ? TL_REFERENCE_ACCELERATION_MIN : 1 << between(18, 30);
+    limits.speed_q8_s = 1 << (between(0, 1) == 0 ? 22 : between(12, 22));
+    tl_axis_set_limits(&axis, &limits);
+    const int32_t from_end = 1 << (between(0, 1) == 0 ? between(23, 24) : between(4, 27));
+    tl_axis_set_position(&axis, between(0, 1) == 0 ? axis.low + from_end : axis.high - from_end);
+    hold(now_us);
+    bool late;
+    for (int i = 0; i < 12; i++) {
+        const tl_count_q8_t target =
+            tl_clamp(axis.q + between(-1, 1) * (1 << (between(0, 1) == 0 ? 12 : between(0, 28))), axis.low, axis.high);
+        const bool follow = between(0, 1) == 0 && tl_axis_follow(&axis, false, 0, 50000000, *now_us) == 0;
+        if (!follow) {
+            tl_axis_move(&axis, target, between(0, 1) * (1 << between(8, 22)));
+        }
+        for (int32_t left = between(50, 600); left > 0; left--) {
+            *now_us += 1000000 / RATE_HZ;
+            if (follow && left % 40 == 0) {
+                tl_axis_set_point(&axis, axis.target + between(-1, 1) * (1 << between(0, 24)), *now_us + 8000, *now_us,
+                                  &late);
+            }
+            step(STEP_OTHER, *now_us);
+        }
     }
 }
 
@@ -264,11 +318,6 @@ static void other_modes(tl_us_t *now_us) {
                 tl_axis_set_point(&axis, axis.q + between(-30000, 30000), *now_us + 20000, *now_us, &late);
             }
             break;
-        case 3:
-            if (between(0, 3) == 0) {
-                plant_q16 += (int64_t)between(-3000, 3000) * 65536; // a glitch
-            }
-            break;
         default:
             break;
         }
@@ -276,10 +325,58 @@ static void other_modes(tl_us_t *now_us) {
     }
 }
 
+// -- whole calibration motions of short strokes, each tick of the plan
+// ---------------------------------------------------------------------------------
+
+static void __no_inline_not_in_flash_func(move_on)(void) {
+    BEGIN(MOTION);
+    tl_motion_tick(&motion);
+    END();
+}
+
+static void motions(void) {
+    for (int i = 0; i < MOTIONS; i++) {
+        const int32_t stroke = between(2 * 256, 60 * 256);
+        const int32_t transit = between(1000, 16000) * 256;
+        tl_motion_config_t config = {.low = between(-50000, 50000),
+                                     .speed_count = (uint8_t)between(1, TL_MOTION_SPEEDS),
+                                     .cycles = (uint8_t)between(1, 3),
+                                     .transit = transit,
+                                     .acceleration = between(20000, 40000000) * 16,
+                                     .approach = between(256, stroke / 2),
+                                     .stroke_max = stroke,
+                                     .host_timeout_us = between(0, 3) == 0 ? (uint32_t)between(5000, 600000) : 0U,
+                                     .rate_hz = between(0, 1) == 0 ? TL_AXIS_PLAN_HZ : RATE_HZ};
+        config.high = config.low + 2 * stroke + between(1, 1 << between(1, 13));
+        for (uint8_t j = 0; j < TL_MOTION_SPEEDS; j++) {
+            config.speed[j] = between(0, 1) == 0 ? transit : between(64 * 256, transit);
+        }
+        const int32_t begin = between(config.low - 5000, config.high + 5000);
+        if (tl_motion_start(&motion, &config, between(0, 3) == 0 ? config.low : begin) != TL_MOTION_OK) {
+            continue;
+        }
+        const int32_t seldom = 1 << between(2, 9); // onsets
+        for (int tick = 0; tick < 3000 && (tl_motion_state(&motion) == TL_MOTION_RUNNING ||
+                                           tl_motion_state(&motion) == TL_MOTION_STOPPING);
+             tick++) {
+            if (between(0, seldom) == 0) {
+                tl_motion_onset(&motion, between(0, 9) == 0 ? (int8_t)-motion.direction : motion.direction);
+            }
+            if (between(0, 50) == 0) {
+                tl_motion_frame(&motion);
+            }
+            if (between(0, 3000) == 0) {
+                tl_motion_stop(&motion);
+            }
+            move_on();
+        }
+    }
+}
+
 // -- frames of a tip with play: steady strokes, dithering, pauses, lost and late frames, wrong settings
 // ---------------------------------------------------------------------------------
 
-static tl_onset_config_t any_onset_config(void) {
+static tl_onset_config_t any_onset_config(bool wild) {
     tl_onset_config_t config = tl_onset_defaults();
     if (between(0, 2) > 0) {
         config.delay_us = (uint32_t)between(0, 400) * 1000U;
@@ -289,8 +386,8 @@ static tl_onset_config_t any_onset_config(void) {
         config.turn = between(1, 64) * 256;
         config.sigma_wanted = between(1, 2000);
         config.sigma_usable = config.sigma_wanted * between(1, 30);
-        config.noise_px = between(1, 2000);
-        config.curvature = (uint32_t)between(0, 4000);
+        config.noise_px = 1 << between(0, wild ? 15 : 11);
+        config.curvature = (uint32_t)between(0, wild ? 1 << between(0, 19) : 4000);
         config.threshold = (uint16_t)(between(4, 60) * 16);
         config.frames_min = (uint8_t)between(3, 8);
         config.frames_max = (uint8_t)between(config.frames_min, TL_ONSET_WINDOW - 2);
@@ -306,11 +403,17 @@ static void __no_inline_not_in_flash_func(sample)(const tl_marker_t *marker) {
 }
 
 static void onsets(void) {
-    tl_us_t now_us = (1ULL << 32) - 60000000U; // the high word of the time changes on the way
+    tl_us_t now_us = 0;
     int32_t q = 0, tip = 0, way = 1;
+    bool wild = false; // far beyond what a camera and a motor do
     for (int32_t i = 0; i < REVERSALS; i++) {
         if (i % 6 == 0) {
-            const tl_onset_config_t config = any_onset_config();
+            wild = between(0, 2) == 0;
+            const tl_onset_config_t config = any_onset_config(wild);
+            // The board has just begun, or the high word of its time will change on the way.
+            now_us = between(0, 7) == 0 ? 1000 : (1ULL << 32) - (tl_us_t)between(0, 8000000);
+            q = wild && between(0, 1) == 0 ? 2 * between(-1000000000, 1000000000) : 0;
+            tip = q;
             tl_history_init(&history);
             if (!tl_onset_init(&detector, &config)) {
                 const tl_onset_config_t defaults = tl_onset_defaults();
@@ -318,27 +421,33 @@ static void onsets(void) {
             }
         }
         const int32_t width = between(0, 1500) * 256;
-        const int32_t frames = between(3, 160);
-        const int32_t speed = between(0, 9) == 0 ? 0 : between(1, 2000); // Q8 counts/ms
+        const bool still = i % 25 == 7; // for long
+        const int32_t frames = still ? 200 : (between(0, 5) == 0 ? between(0, 5) : between(3, 110));
+        const int32_t speed = between(0, 9) == 0 ? 0 : between(1, wild ? 1 << between(1, 13) : 2000); // Q8 counts/ms
         const int32_t dither = between(0, 5) == 0 ? between(1, 40) * 256 : 0;
-        const int32_t noise = between(0, 3) == 0 ? between(0, 100000) : 400;
-        const int32_t gain = between(1, 5) == 1 ? 0 : between(-6, 6); // of the image, 1/16 of q
+        const int32_t noise = between(0, 3) == 0 ? between(0, 100000) : between(0, 1) * 400;
+        const int32_t gain = still || between(1, 5) == 1 ? 0 : between(-6, 6); // of the image, 1/16 of q
+        const int32_t offset = wild && between(0, 3) == 0 ? 2 * between(-(1 << 28), 1 << 28) : 0;
         way = -way;
         for (int32_t frame = 0; frame < frames; frame++) {
-            const int32_t late = between(0, 40) == 0 ? between(0, 700) : 40; // ms to the next frame
+            const int32_t late = between(0, 40) == 0 || (frame == 0 && i % 6 == 0) ? between(-200, 700) : 40; // ms
             for (int32_t ms = 0; ms < late; ms++) {
                 now_us += 1000;
-                q = tl_clamp(q + way * speed + (dither > 0 ? between(-dither, dither) : 0), -200000000, 200000000);
+                q = tl_add_sat(q, way * speed + (dither > 0 ? between(-dither, dither) : 0));
                 tl_history_push(&history, now_us, q);
             }
-            tip = q - tip > width / 2 ? q - width / 2 : (tip - q > width / 2 ? q + width / 2 : tip);
-            const tl_marker_t marker = {.arrival_us = now_us - (tl_us_t)between(0, 20) * 500U,
-                                        .u = tl_clamp(tip / 16 * gain + between(-noise, noise), -(1 << 24), 1 << 24),
-                                        .v = tl_clamp(tip / 64 * gain + between(-noise, noise), -(1 << 24), 1 << 24),
-                                        .sigma = between(0, 1) * between(1, 4000),
+            tip = tl_clamp(tip, tl_sub_sat(q, width / 2), tl_add_sat(q, width / 2));
+            const tl_us_t ago_us = between(0, 9) > 0 ? (tl_us_t)between(0, 20) * 500U : 0U - (tl_us_t)between(0, 5000);
+            const tl_marker_t marker = {.arrival_us = (int64_t)(now_us - ago_us) > 0 ? now_us - ago_us : 0,
+                                        .u = tl_add_sat(offset, tip / 16 * gain + between(-noise, noise)),
+                                        .v = tl_add_sat(offset, tip / 64 * gain + between(-noise, noise)),
+                                        .sigma = between(0, 1) * (wild ? 1 << between(0, 20) : between(1, 4000)),
                                         .valid = between(0, 30) != 0,
                                         .other_motion = between(0, 300) == 0};
             sample(&marker);
+            if (between(0, 60) == 0) {
+                sample(&marker); // the same again
+            }
         }
     }
 }
@@ -391,7 +500,9 @@ int main(void) {
         if (axis.lookup.table.nodes > 1) {
             lookups();
         }
+        move_far(&now_us);
     }
+    motions();
     onsets();
     __asm__ volatile("bkpt 0xd2");
     for (;;) {
