@@ -75,6 +75,22 @@ class Bench:
         raise AssertionError(f"axis {axis} is {wire.text('MODES', status.mode)}, not {mode}: {status}")
 
 
+class WallClock:
+    """Whether a paced board keeps up with the wall clock: on a busy machine an emulated one cannot, and then neither
+    its answers nor its rates by that clock say anything about it."""
+
+    def __init__(self, link: SimLink) -> None:
+        self._link = link
+        self._board, self._wall = link.ask("state")["t_us"] * 1e-6, time.monotonic()
+
+    def need(self) -> None:
+        """Skips the test where the board has fallen behind since this object was made."""
+        board, wall = self._link.ask("state")["t_us"] * 1e-6 - self._board, time.monotonic() - self._wall
+        if board < 0.95 * wall - 0.05:
+            self._link.close()
+            pytest.skip(f"this machine is too slow: {board:.1f} s of the board took {wall:.1f} s")
+
+
 @contextmanager
 def bench_of(request: pytest.FixtureRequest, axes: int = 2, flash: Path | None = None) -> Iterator[Bench]:
     where = request.config.getoption("--board")

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from test_tables import blob
 
-from conftest import Bench
+from conftest import Bench, WallClock
 from tautline.device import wire
 
 HERE = Path(__file__).parent
@@ -124,6 +124,8 @@ def test_the_c_example_streams(bench: Bench) -> None:
     with bench.open() as board:
         board.load_table(0, blob())
     bench.sim.ask("realtime on")
+    clock = WallClock(bench.sim)
     text = on_the_bus(bench, str(program), "0", "1").stdout
+    clock.need()
     sent, taken, dropped = (int(text.split(word)[0].split()[-1]) for word in (" set-points", " and dropped", "\n"))
     assert sent == 250 and taken == sent and dropped == 0

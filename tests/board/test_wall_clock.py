@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from conftest import WallClock
 from tautline.calibration.calibrate import calibrate
 from tautline.device.board import open_board
 from tautline.geometry import project
@@ -56,13 +57,17 @@ class Reader:
 
 def test_the_clock_of_a_paced_board() -> None:
     with DesktopBoard(realtime=True) as desktop, open_board(desktop.where) as board, board.reading():
+        link = desktop.link()
+        clock = WallClock(link)
         board.align(32)
         error = board.clock.offset(time.monotonic())[1]
-        assert error < 0.005
         time.sleep(0.3)
         before = time.monotonic()
         stamp = board.sync()
         after = time.monotonic()
+        clock.need()
+        link.close()
+        assert error < 0.005
         # The bound holds: the stamp was taken between the two. The board paces itself in steps of a millisecond.
         offset, error = board.clock.offset(after)
         assert before + offset - error - 0.002 <= stamp * 1e-6 <= after + offset + error + 0.002
@@ -71,6 +76,8 @@ def test_the_clock_of_a_paced_board() -> None:
 def test_answers_come_at_once_while_a_thread_reads() -> None:
     """The reading thread never keeps an answer from the one who asked."""
     with DesktopBoard(realtime=True) as desktop, open_board(desktop.where) as board:
+        link = desktop.link()
+        clock = WallClock(link)
         board.ask("telemetry", axis=0, divider=1)
         with board.reading():
             took = []
@@ -78,6 +85,8 @@ def test_answers_come_at_once_while_a_thread_reads() -> None:
                 began = time.monotonic()
                 board.sync()
                 took.append(time.monotonic() - began)
+        clock.need()
+        link.close()
     assert np.median(took) < 0.02 and np.mean(took) < 0.03
 
 
@@ -87,6 +96,9 @@ def test_a_calibration_by_the_wall_clock(tmp_path: Path) -> None:
     with DesktopBoard(realtime=True) as desktop, open_board(desktop.where) as board, board.reading():
         board.align(32)
         link = desktop.link()
+        clock = WallClock(link)
+        time.sleep(1.0)
+        clock.need()
         live = Live(board, instrument.rig, 0, CameraEye(board, WallCamera(link, instrument), Reader()))  # type: ignore[arg-type]
         made = record_calibration(live, tmp_path / "rec", MotionOptions(cycles=2, speeds=(1.0,), low=-2.0, high=2.0))
         found = calibrate([load(tmp_path / "rec")], instrument.rig)
@@ -102,6 +114,7 @@ def test_a_calibration_by_the_wall_clock(tmp_path: Path) -> None:
         runs = [
             follow_run(live, str(tmp_path / "path.csv"), compensation=how, model=found.model) for how in ("off", "full")
         ]
+        clock.need()
         link.close()
     off, full = runs
     assert off.scored_by == full.scored_by == "the camera"

@@ -2,6 +2,8 @@ import net from 'node:net';
 
 const ADVANCE_MAX_US = 1000000;
 const SLICE_US = 1000;
+const TURN_US = 4000; // of the wall clock, after which USB and sockets have theirs
+const LAG_US = 20000;
 const AXES = 4;
 const HELP = 'not a request: advance US, state, realtime on|off, cut N, place AXIS Q8, unplug, plug, reset, hang, quit';
 
@@ -43,15 +45,23 @@ export class SimLink {
         });
     }
 
-    /** With `realtime` the wall clock grants the time. */
+    /**
+     * With `realtime` the wall clock grants the time. Where the machine is too slow for that the board's time falls behind,
+     * and does not hurry later: whoever talks to it meets a clock that is slow, not one that jumps.
+     */
     #pace(on) {
         this.realtime = on;
         clearTimeout(this.timer);
         if (!on) return;
-        const start = wallUs() - this.grantedUs;
+        let start = wallUs() - this.grantedUs;
         const tick = () => {
-            const until = Math.min(wallUs() - start, this.grantedUs + 20 * SLICE_US);
-            if (until > this.grantedUs) this.#grant(until - this.grantedUs);
+            const began = wallUs();
+            let due = began - start;
+            while (this.grantedUs < due && wallUs() - began < TURN_US) {
+                this.#grant(Math.min(due - this.grantedUs, SLICE_US));
+                due = wallUs() - start;
+            }
+            start += Math.max(due - this.grantedUs - LAG_US, 0);
             this.timer = setTimeout(tick, 1);
         };
         tick();
