@@ -11,9 +11,10 @@ import pandas as pd
 import pytest
 from cli_runner import Finished, Taut
 
+from tautline.errors import TautError
 from tautline.model import Model
 from tautline.recording import Recording, save
-from tautline.simulated import instrument, simulate, trajectory
+from tautline.simulated import instrument, simlink, simulate, trajectory
 
 RIG = instrument.reference_rig()
 PLANT = instrument.preset("reference", RIG)
@@ -261,3 +262,11 @@ def test_diagnose_looks_at_its_folder_before_it_begins(taut, tmp_path):
     (tmp_path / "notes" / "mine.txt").write_text("kept")
     done = taut("diagnose", tmp_path / "none", tmp_path / "none", "--out", tmp_path / "notes")
     assert done.code == 1 and "no diagnosis.json" in done.err
+
+
+def test_a_desktop_board_that_is_named_but_not_there_is_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(simlink.PROGRAM, str(tmp_path / "board"))
+    with pytest.raises(TautError, match=r"board, which is not there: build it, or unset TAUTLINE_DESKTOP_BOARD"):
+        simlink.program()

@@ -63,6 +63,8 @@ class SimLink:
 def program() -> Path:
     """The desktop board's executable."""
     named = os.environ.get(PROGRAM)
+    if named and not Path(named).is_file():
+        raise TautError(f"{PROGRAM} names {named}, which is not there: build it, or unset {PROGRAM}")
     for candidate in (named, shutil.which("tautline-board"), _BUILT):
         if candidate and Path(candidate).is_file():
             return Path(candidate)
