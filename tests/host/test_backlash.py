@@ -128,6 +128,18 @@ def test_brackets_that_contradict_each_other_give_their_middle_and_a_large_sigma
     assert curve.sigma[inside].min() > 0.01
 
 
+@pytest.mark.filterwarnings("error")
+def test_brackets_and_onsets_that_no_frame_bounds_agree():
+    rng = np.random.default_rng(6)
+    onsets = []
+    for k, p in enumerate(np.linspace(-4, 4, 40)):
+        low, kind = (0.5 - 0.02 * rng.uniform(), BRACKET) if k % 2 else (0.0, HINGE)
+        high, width = (low + 0.02, low + 0.01) if k % 2 else (np.inf, 0.5 + rng.normal(0, 0.005))
+        onsets.append(Onset(0, k, k + 0.5, 1, p - width / 2, p + width / 2, 0.005, low, high, kind, True))
+    curve = fit_widths(onsets, GRID)
+    assert np.abs(curve.width[np.abs(GRID) < 3.5] - 0.5).max() < 0.005
+
+
 @given(st.floats(-25.0, 25.0), st.floats(1e-3, 10.0))
 def test_a_bracket_costs_the_mass_that_is_left_to_it(middle: float, half: float) -> None:
     a, b = np.array([middle + half]), np.array([middle - half])

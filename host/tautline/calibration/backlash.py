@@ -268,12 +268,11 @@ class _Fit:
     def _terms(self, coefficients: Array, use: npt.NDArray[np.bool_], sharpness: float) -> tuple[Array, Array, Array]:
         """-log likelihood of each width with its first two derivatives by B(p)."""
         value = self.design[use] @ coefficients
-        size = np.where(self.boxed[use], self.high[use] - self.low[use], 1.0)
-        soft = np.maximum(
-            sharpness * size / 2, max(self.excess, 1e-9)
-        )  # brackets that contradict each other are no walls
-        cost, first, second = _box((value - self.low[use]) / soft, (value - self.high[use]) / soft)
         gauss = ~self.boxed[use]
+        low, high = (np.where(gauss, self.w[use], edge[use]) for edge in (self.low, self.high))
+        # Brackets that contradict each other are no walls.
+        soft = np.maximum(0.5 * sharpness * (high - low), max(self.excess, 1e-9))
+        cost, first, second = _box((value - low) / soft, (value - high) / soft)
         z = (value - self.w[use]) / self.spread[use]
         return (
             np.where(gauss, 0.5 * z * z, cost),
