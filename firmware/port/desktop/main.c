@@ -91,13 +91,13 @@ static void serve(const service_t *usb, const service_t *sim, long parent) {
         }
         exchange(usb, fds);
         usbip_receive();
-        usbip_transfer();
-        board_task();
-        usbip_transfer();
+        do { // the device has room for one packet, and waits for no socket
+            board_task();
+        } while (usbip_transfer());
         exchange(sim, fds + first);
         simlink_receive();
         ran = simlink_run();
-        usbip_transfer();
+        ran = usbip_transfer() || ran;
         if (board_state()->starts != starts) { // a restart, for whatever reason, leaves the bus
             usbip_plug(false);
             starts = board_state()->starts;

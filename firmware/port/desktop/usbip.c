@@ -254,6 +254,8 @@ static size_t take_command(net_connection_t *connection) {
     return size;
 }
 
+static bool moved; // a bulk packet, in this call of usbip_transfer()
+
 // Each returns 1 while the device is not ready, else the transfer's final status.
 static int step_bulk(urb_t *urb) {
     for (;;) {
@@ -267,6 +269,7 @@ static int step_bulk(urb_t *urb) {
             const uint32_t kept = (uint32_t)size < room ? (uint32_t)size : room;
             memcpy(urb->data + urb->actual, packet, kept);
             urb->actual += kept;
+            moved = true;
             if ((uint32_t)size > room) {
                 return -EOVERFLOW;
             }
@@ -281,6 +284,7 @@ static int step_bulk(urb_t *urb) {
                 return sent == BUS_NAK ? 1 : -EPIPE;
             }
             urb->actual += size;
+            moved = true;
             if (urb->actual == urb->length) {
                 return 0;
             }
@@ -329,7 +333,8 @@ static int step_control(urb_t *urb) {
     return 0;
 }
 
-void usbip_transfer(void) {
+bool usbip_transfer(void) {
+    moved = false;
     uint32_t waiting = 0; // bits: endpoints whose first transfer is not done, so that the next must wait
     for (size_t i = 0; importer != NULL && i < pending;) {
         urb_t *urb = &urbs[order[i]];
@@ -348,11 +353,12 @@ void usbip_transfer(void) {
             continue;
         }
         if (importer == NULL) {
-            return; // the device left the bus meanwhile
+            return moved; // the device left the bus meanwhile
         }
         put_return(RET_SUBMIT, urb->sequence, status, urb->actual, urb->data, urb->in ? urb->actual : 0U);
         forget(i);
     }
+    return moved;
 }
 
 // -- connections ------------------------------------------------------------------------------------------------

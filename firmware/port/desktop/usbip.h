@@ -14,8 +14,8 @@ void usbip_plug(bool plugged);
 bool usbip_attached(void);
 // Takes in what the connections have received.
 void usbip_receive(void);
-// Moves the transfers under way as far as the device lets them.
-void usbip_transfer(void);
+// Moves the transfers under way as far as the device lets them; true where it took or gave a bulk packet.
+bool usbip_transfer(void);
 // The connection is gone.
 void usbip_closed(net_connection_t *connection);
 
