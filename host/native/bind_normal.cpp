@@ -50,6 +50,7 @@ void add(Values p, Values tip, Values by_width, Values by_follow, Rows by_c, Col
 } // namespace
 
 void bind_normal(nb::module_ &m) {
+    m.attr("NORMAL_COLUMNS") = static_cast<int>(NORMAL_COLUMNS); // at most of one recording's rows
     m.def("normal_add", add, "p"_a, "tip"_a, "by_width"_a, "by_follow"_a, "by_c"_a, "columns"_a, "residual"_a,
           "weight"_a.none(), "width"_a, "follow"_a, "matrix"_a, "gradient"_a, "first"_a = 0,
           "Adds J'WJ and J'Wr to matrix and gradient. width, follow: (low, step, size) of the splines. See normal.h.");

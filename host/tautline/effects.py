@@ -192,7 +192,8 @@ LIBRARY: tuple[Kind, ...] = (
     Kind("acquisition.jitter", (Parameter("jitter", "s", 0.005),), (), "frame times are unsteady", needs="camera"),
 )
 BY_ID: Mapping[str, Kind] = {kind.id: kind for kind in LIBRARY}
-EVENTS = frozenset(kind.id for kind in LIBRARY if not kind.repeats)  # told by their scatter alone
+# Told by their scatter alone: no model can predict it away.
+EVENTS = frozenset(kind.id for kind in LIBRARY if not kind.repeats)
 
 
 @dataclass(frozen=True)

@@ -266,7 +266,9 @@ static answer_t handle(tl_app_t *app, uint8_t type, const tl_wire_message_t *of,
 static __attribute__((noinline)) bool decode_marker(const tl_wire_frame_t *frame, tl_wire_marker_t *marker) {
     tl_wire_message_t request;
     const bool decoded = tl_wire_decode(frame->type, frame->payload, frame->size, &request);
-    *marker = request.marker;
+    if (decoded) {
+        *marker = request.marker;
+    }
     return decoded;
 }
 

@@ -254,8 +254,6 @@ static size_t take_command(net_connection_t *connection) {
     return size;
 }
 
-static bool moved; // a bulk packet, in this call of usbip_transfer()
-
 // Each returns 1 while the device is not ready, else the transfer's final status.
 static int step_bulk(urb_t *urb) {
     for (;;) {
@@ -269,7 +267,6 @@ static int step_bulk(urb_t *urb) {
             const uint32_t kept = (uint32_t)size < room ? (uint32_t)size : room;
             memcpy(urb->data + urb->actual, packet, kept);
             urb->actual += kept;
-            moved = true;
             if ((uint32_t)size > room) {
                 return -EOVERFLOW;
             }
@@ -284,7 +281,6 @@ static int step_bulk(urb_t *urb) {
                 return sent == BUS_NAK ? 1 : -EPIPE;
             }
             urb->actual += size;
-            moved = true;
             if (urb->actual == urb->length) {
                 return 0;
             }
@@ -334,11 +330,12 @@ static int step_control(urb_t *urb) {
 }
 
 bool usbip_transfer(void) {
-    moved = false;
+    bool moved = false;
     uint32_t waiting = 0; // bits: endpoints whose first transfer is not done, so that the next must wait
     for (size_t i = 0; importer != NULL && i < pending;) {
         urb_t *urb = &urbs[order[i]];
         const uint32_t bit = urb->endpoint == 0U ? 1U : (urb->in ? 2U : 4U);
+        const uint32_t before = urb->actual;
         int status = 1;
         if ((waiting & bit) == 0U && net_room(importer) >= HEADER + urb->length) {
             if (urb->endpoint > 1U) {
@@ -347,6 +344,7 @@ bool usbip_transfer(void) {
                 status = urb->endpoint == 0U ? step_control(urb) : step_bulk(urb);
             }
         }
+        moved = moved || urb->actual != before;
         if (status > 0) {
             waiting |= bit;
             i++;

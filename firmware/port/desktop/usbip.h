@@ -14,7 +14,7 @@ void usbip_plug(bool plugged);
 bool usbip_attached(void);
 // Takes in what the connections have received.
 void usbip_receive(void);
-// Moves the transfers under way as far as the device lets them; true where it took or gave a bulk packet.
+// Moves the transfers under way as far as the device lets them; true where one went on.
 bool usbip_transfer(void);
 // The connection is gone.
 void usbip_closed(net_connection_t *connection);

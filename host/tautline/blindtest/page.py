@@ -17,6 +17,7 @@ from tautline.blindtest.campaign import FORMAT
 from tautline.blindtest.cases import SCORED_FROM, Label
 from tautline.blindtest.draws import UNKNOWN
 from tautline.blindtest.scores import Answer, Bin, Share, answer_of
+from tautline.effects import EVENTS
 from tautline.folders import write_file
 from tautline.plain import plain
 
@@ -359,7 +360,7 @@ def shrinkage(cases: Cases) -> Figure:
         (answer.claimed, 1.0 - answer.realised["after"] / answer.realised["before"])
         for label, answer in cases
         if label.kind == "single" and label.identifiable and answer.named and answer.realised
-        if answer.claimed is not None and label.effects[0] not in scores.PATHLESS
+        if answer.claimed is not None and label.effects[0] not in EVENTS
     ]
     claimed, realised = np.array(points).reshape(-1, 2).T
     ax.plot(claimed, np.maximum(realised, -0.2), "o", color=figures.UP, markersize=3, alpha=0.6)

@@ -11,10 +11,9 @@ from scipy.stats import binomtest
 
 from tautline.blindtest.cases import Label
 from tautline.blindtest.draws import KNOWN, UNKNOWN
+from tautline.effects import EVENTS
 
 NONE, UNEXPLAINED, FAILED = "none", "unknown", "failed"
-# Scatter without a reproducible path: no model can predict it away, so there is no gap to close.
-PATHLESS = frozenset({"transmission.stick_slip", "acquisition.jitter"})
 STAGES: Mapping[str, str] = {name: name.split(".", 1)[0] for name in KNOWN}
 _BINS = 10
 _CLOSABLE = 1.5  # times the noise: a gap on the further motion from which the closed share says something
@@ -173,7 +172,7 @@ def score(cases: Sequence[tuple[Label, Answer]]) -> Scores:
     for label, answer in cases:
         if counts(label) and answer.names:
             groups[label.kind].answers.append((label, answer))
-        if label.kind == "single" and label.identifiable and not set(label.effects) & PATHLESS:
+        if label.kind == "single" and label.identifiable and not set(label.effects) & EVENTS:
             shrinking.answers.append((label, answer))
     single, unknown, none = groups["single"], groups["unknown"], groups["none"]
     one_cause = _Tally(single.answers + unknown.answers + none.answers)
@@ -223,7 +222,7 @@ def paired(cases: Sequence[tuple[Label, Answer, Answer]]) -> dict[str, Paired]:
         own, other = _shrinkage(ours), _shrinkage(theirs)
         if own is None or other is None:
             continue
-        if label.kind == "single" and label.identifiable and not set(label.effects) & PATHLESS:
+        if label.kind == "single" and label.identifiable and not set(label.effects) & EVENTS:
             closed.append((own, other))
     compared = {"verdicts": verdicts, "closed": closed}
     return {

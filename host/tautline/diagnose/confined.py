@@ -16,6 +16,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from tautline import _native
 from tautline.diagnose.fit import STATIC_COLUMNS, Fit, Fitter, Rows
 from tautline.diagnose.segment import Segment
 from tautline.effects import Kind
@@ -26,7 +27,6 @@ _THROUGH_ANGLE = ("actuator", "transmission", "configuration")
 _LENS_ORDER = 5  # of polynomials over the image
 _PLANE_ORDER = 5  # and over the bending angle
 _TRAVELS = (0.003, 0.01, 0.03)  # of the motor's range, in which an instrument settles in its channel
-_MOST_COLUMNS = 64  # of the native normal equations
 
 
 def residuals(fitter: Fitter, fit: Fit, further: Sequence[Kind] = ()) -> list[Array] | None:
@@ -54,7 +54,7 @@ def residuals(fitter: Fitter, fit: Fit, further: Sequence[Kind] = ()) -> list[Ar
                 for s, row, more in zip(fitter.segments, rows, extra, strict=True)
             ]
     if not (along or timed):
-        return fitter.left(rows) if rows[0].columns.shape[2] <= _MOST_COLUMNS else None
+        return fitter.left(rows) if rows[0].columns.shape[2] <= _native.NORMAL_COLUMNS else None
     ways = [row.by_c for row in rows] if along else [_velocity(s) for s in fitter.segments]
     parts = [_across(row, way) for row, way in zip(rows, ways, strict=True)]
     columns = np.concatenate([part[1] for part in parts])

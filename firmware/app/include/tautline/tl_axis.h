@@ -22,10 +22,9 @@
 
 #define TL_AXIS_PLAN_HZ 1000U ///< control_hz is a multiple of it
 #define TL_AXIS_JOBS    5U
+/// Fewest ticks of a millisecond that the build is for; with less than TL_AXIS_JOBS the last tick has several jobs.
 #ifndef TL_AXIS_TICKS_MIN
-#define TL_AXIS_TICKS_MIN                                                                                              \
-    1U ///< fewest ticks of a millisecond that the build is for; with less than TL_AXIS_JOBS the last
-       ///< tick has several jobs
+#define TL_AXIS_TICKS_MIN 1U
 #endif
 #define TL_AXIS_SAMPLES        16U     ///< telemetry samples waiting for the task, a power of two
 #define TL_AXIS_SILENCE_US     100000U ///< default
