@@ -292,6 +292,16 @@ def test_the_command_makes_diagnoses_and_scores(tmp_path, monkeypatch, capsys):
     assert "registration.shift" not in html.split("<h2>")[0] and "single identifiable effect" in html
 
 
+def test_a_baseline_that_is_left_out_for_want_of_its_package_is_told(tmp_path, stubbed, monkeypatch, capsys):
+    monkeypatch.setattr(compare, "find_spec", lambda package: None)
+    taut = Taut(monkeypatch, capsys)
+    arguments = ["blindtest", "--out", tmp_path / "out", "--jobs", 1]
+    made = taut(*arguments, "--cases", 0, "--unknown", 0, "--none", 1, "--pairs", 0, "--baselines", "none")
+    assert made.code == 0 and "narx" not in made.err
+    scored = taut(*arguments, "--score")
+    assert scored.code == 0 and "without the baseline 'narx'" in scored.err
+
+
 def calibrated(files, left_out=()):
     with work.unpacked(files) as folder:
         rig, recordings = work.recordings_of(folder)

@@ -12,7 +12,7 @@ from tautline.blindtest.baselines import METHODS
 from tautline.blindtest.campaign import GROUPS, Order, Progress, left_out, order_of, run
 from tautline.blindtest.draws import KNOWN, UNKNOWN
 from tautline.blindtest.pool import pool
-from tautline.cli._common import emit, folder_option, json_option, progress_bar
+from tautline.cli._common import emit, folder_option, json_option, progress_bar, warn
 
 _QUICK = Order(single=1, unknown=4, none=3, pairs=1, leave_one_out=0)
 _QUICK_BASELINES = ("majority", "joint", "bic")
@@ -94,6 +94,8 @@ def command(
         order = order_of(out)
     wanted = baselines or (("none",) if order.only else _QUICK_BASELINES if quick else None)
     methods = compare.available(wanted if wanted is None else [name for name in wanted if name != "none"])
+    for missing in sorted(set(METHODS) - set(methods)) if wanted is None else ():
+        warn(f"without the baseline '{missing}', whose package is not there: pip install 'tautline[campaign]'")
     with progress_bar("blind test") as progress, pool(jobs, dask_address) as workers:
 
         def within(low: float, high: float) -> Progress:
