@@ -67,6 +67,21 @@ def test_few_knots_predict_what_all_samples_do():
         assert np.sum(np.diff(segment.motor.q) == 0) >= 5
 
 
+def test_a_probe_that_takes_the_marker_behind_the_camera_leaves_slopes_finite():
+    fitter = fitter_of(recordings({}))
+    hypothesis = Hypothesis().plus(BY_ID["registration.static"], True)
+    in_front, behind = 0.0, -100.0  # static_z, mm
+    for _ in range(60):
+        middle = 0.5 * (in_front + behind)
+        state = replace(fitter.start(), values={**fitter.start().static, "static_z": middle})
+        seen = all(np.isfinite(r).all() for r in fitter.residuals(state, hypothesis))
+        in_front, behind = (middle, behind) if seen else (in_front, middle)
+    state = replace(fitter.start(), values={**fitter.start().static, "static_z": in_front})
+    columns = fitter.effect_columns(state, hypothesis, fitter.rows(state, hypothesis))
+    assert all(np.isfinite(c).all() for c in columns)
+    assert any((c[:, 0, :] == 0.0).any() for c in columns[1:])  # that observation, which a turn takes there
+
+
 def test_the_gradient_is_the_cost_s():
     fitter = fitter_of(recordings({"c_per_translation": 0.2}))
     hypothesis = Hypothesis().plus(BY_ID["transmission.lag"], True)

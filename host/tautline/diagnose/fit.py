@@ -260,18 +260,20 @@ class Fitter:
                 if not (only and segment.calibration):
                     step = _DIFFERENCE * self.scale(parameter)
                     values = {**state.values, parameter.name: state.values[parameter.name] + step}
-                    changed = self.residual_at(segment, replace(state, values=values), hypothesis, parameter, row)
-                    columns[:, :, i] = (row.residual - changed) / step
+                    there = replace(state, values=values)
+                    columns[:, :, i] = self.moved_by(segment, there, hypothesis, parameter, row, row.residual) / step
             found.append(columns)
         return found
 
-    def residual_at(
-        self, segment: Segment, state: State, hypothesis: Hypothesis, parameter: Parameter, row: Rows
+    def moved_by(
+        self, segment: Segment, state: State, hypothesis: Hypothesis, parameter: Parameter, row: Rows, residual: Array
     ) -> Array:
-        """(scored, k) where only `parameter` differs from where `row` is."""
+        """(scored, k): by how much the prediction is another than where `residual` is left, `state` differing from
+        where `row` is by `parameter` alone. An observation that it would take behind the camera is not moved."""
         values = state.at(segment, hypothesis)
         path = segment.follow(state.model, values, self.load_reference) if moves_tip(parameter) else row.path
-        return (segment.observed - segment.seen(state.model, values, path))[segment.scored]
+        moved = residual - (segment.observed - segment.seen(state.model, values, path))[segment.scored]
+        return np.where(np.isfinite(moved), moved, 0.0)
 
     def fit(
         self,

@@ -99,8 +99,7 @@ class _Scan:
             values = {**base.state.values, **shapes, **{p.name: 0.0 for p in kind.amplitudes}, parameter.name: step}
             state = replace(base.state, values=values)
             for segment, row, here, columns in zip(fitter.segments, self.rows, self.here, found, strict=True):
-                changed = fitter.residual_at(segment, state, hypothesis, parameter, row)
-                columns[:, :, i] = (here - changed) / step
+                columns[:, :, i] = fitter.moved_by(segment, state, hypothesis, parameter, row, here) / step
         return found
 
     def _score(self, kind: Kind, shapes: Mapping[str, float], columns: Sequence[Array], sign: float) -> list[Screened]:
