@@ -294,9 +294,10 @@ void effects_simulate(const struct effect_parameters *e, const struct effect_tab
             .q = q + e->offset_drift * gone + e->offset_per_load * load,
             .way = e->width_held != 0.0 && e->width_per_speed != 0.0 ? (moved > 0.0 ? 1.0 : -1.0) : 0.0,
             .scale = fmax(0.0, (1.0 + e->width_per_load * load) * (1.0 + e->width_drift * gone)),
-            .extra = e->width_per_speed == 0.0 || relative == 0.0
-                         ? 0.0
-                         : fmax(0.0, e->width_per_speed * usual_speed * pow(relative, e->speed_exponent)),
+            .extra =
+                e->held_back + (e->width_per_speed == 0.0 || relative == 0.0
+                                    ? 0.0
+                                    : fmax(0.0, e->width_per_speed * usual_speed * pow(relative, e->speed_exponent))),
         };
         const double from = centre;
         double sum = 0.0, carried = 0.0;

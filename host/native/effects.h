@@ -32,6 +32,7 @@ extern "C" {
     X(creep_time, 1, "s", "transmission.creep: its time constant")                                                     \
     X(creep_slow, 0, "", "transmission.creep: share of it that is five times slower; 0 to 1")                          \
     X(stick, 0, "unit", "transmission.stick_slip: motion held back until the tip jumps")                               \
+    X(held_back, 0, "unit", "transmission.stick_slip: by how much it widens the play in the mean")                     \
     X(offset_drift, 0, "unit/s", "transmission.drift: of the centre coordinate, at first")                             \
     X(width_drift, 0, "1/s", "transmission.drift: of the width, relative, at first")                                   \
     X(drift_decay, 0, "1/s", "transmission.drift: 1 / the time in which it ends; 0 if it goes on")                     \

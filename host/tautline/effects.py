@@ -117,7 +117,12 @@ LIBRARY: tuple[Kind, ...] = (
         (Parameter("creep_time", "s", 1.0, (0.5, 1.5, 5.0)), Parameter("creep_slow", "", 0.3, (0.0, 0.5))),
         "the tip goes on moving after the motor stops",
     ),
-    Kind("transmission.stick_slip", (Parameter("stick", "unit", 5e-3),), (), "the tip moves in jumps"),
+    Kind(
+        "transmission.stick_slip",
+        (Parameter("stick", "unit", 5e-3), Parameter("held_back", "unit", 5e-3)),
+        (),
+        "the tip moves in jumps",
+    ),
     Kind(
         "transmission.drift",
         (Parameter("offset_drift", "unit/s", 5e-5), Parameter("width_drift", "1/s", 5e-4)),
@@ -194,6 +199,7 @@ LIBRARY: tuple[Kind, ...] = (
 BY_ID: Mapping[str, Kind] = {kind.id: kind for kind in LIBRARY}
 # Told by their scatter alone: no model can predict it away.
 EVENTS = frozenset(kind.id for kind in LIBRARY if not kind.repeats)
+SCATTERS = frozenset({"stick", "jitter"})  # their parameters that say how much
 
 
 @dataclass(frozen=True)
@@ -217,13 +223,14 @@ class Seen(Path):
 
 
 def of_model(model: Model, scatter: bool = False) -> dict[str, float]:
-    """The parameters of a corrected model's effects that its tables, rig and delay do not hold already. `scatter`: also
-    of those that have no path to predict (one course of stick-slip)."""
+    """The parameters of a corrected model's effects that its tables, rig and delay do not hold already. `scatter`: with
+    one course of stick-slip instead of what it is in the mean."""
     return {
         name: value
         for effect in model.effects
-        if not BY_ID[effect.id].folded and (scatter or BY_ID[effect.id].repeats)
+        if not BY_ID[effect.id].folded
         for name, value in effect.parameters.items()
+        if (name != "held_back" if scatter else name not in SCATTERS)
     }
 
 

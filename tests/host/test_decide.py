@@ -96,6 +96,18 @@ def test_an_event_beside_an_effect_says_more_than_what_that_leaves_of_itself(riv
     assert verdict.name == "effect" and verdict.named == named
 
 
+def test_an_event_far_ahead_of_its_rivals_counts_in_full_beside_an_effect():
+    """Neither of the two leaves little alone; a memory says all of it better than the event alone does."""
+    found = evidence({(LAG,): 0.3, (CREEP,): 0.6})
+    alone = Weighed((STICK,), power(1.0, 100.0), NOTHING - 2.4, NOTHING - 2.4, 1)
+    both = Weighed((LAG, STICK), power(0.3, 100.0), NOTHING - 2.8, NOTHING - 1.8, 3)
+    verdict = decide(replace(found, hypotheses=(*found.hypotheses, alone, both)))
+    assert verdict.name == "effect" and set(verdict.named) == {LAG, STICK}
+    both = replace(both, rival=NOTHING - 2.75)
+    verdict = decide(replace(found, hypotheses=(*found.hypotheses, alone, both)))
+    assert verdict.name == "unknown"
+
+
 @given(
     shares=st.lists(st.floats(1e-4, 1.5), min_size=1, max_size=6),
     pair=st.floats(1e-4, 1.5),

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from tautline import effects
+from tautline.blindtest import cases
+from tautline.calibration.calibrate import calibrate
 from tautline.diagnose.candidates import Search
 from tautline.diagnose.diagnosis import _corrected, diagnose
 from tautline.diagnose.fit import Fit, Fitter, Hypothesis
@@ -101,6 +103,17 @@ def test_a_known_effect_is_named_and_sized(parameters):
     scene = further.marker.t_s - found.corrected.delay_s
     after = rms(seen - predict(found.corrected, further.motor, scene[late]).image_px)
     assert after < 0.5 * before, (before, after)
+
+
+def test_what_sticking_holds_back_is_predicted():
+    """Of the second instrument, whose grip scatters: after the calibration the play is wider in the mean."""
+    case = cases.make(20912, "single", ("transmission.stick_slip",))
+    assert not case.label.throughout
+    found = diagnose(calibrate([case.calibration], case.rig).model, case.calibration, case.tests)
+    named = found.document["effects"][0]
+    assert named["id"] == "transmission.stick_slip"
+    assert 0.0 < named["parameters"]["held_back"] < 3.0 * case.label.values["static_grip"]
+    assert found.document["gap"]["shrink_ci"][0] > 0.2
 
 
 def test_the_command_writes_what_the_format_says(tmp_path, monkeypatch, capsys):

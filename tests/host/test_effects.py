@@ -171,6 +171,16 @@ def test_stick_slip_moves_in_jumps_of_its_size():
     assert np.all(np.abs(jumps - 0.2) < 0.02) and len(jumps) > 10
 
 
+def test_sticking_holds_back_in_the_mean_as_a_wider_play():
+    t = np.arange(1.0, 18.0, 0.002)
+    sticks, wider, plain = (simulate(MODEL, STROKES, t, v) for v in ({"stick": 0.2}, {"held_back": 0.2}, {}))
+    late = wider.side * np.gradient(wider.p, t) > 1e-3  # carried
+    late &= (wider.side == plain.side) & (np.abs(wider.p - wider.tip) < 1e-9)
+    lag = [float(np.mean((plain.tip - path.tip)[late] * plain.side[late])) for path in (sticks, wider)]
+    assert lag[1] == pytest.approx(0.1, rel=0.1)  # half of it either way
+    assert lag[0] == pytest.approx(lag[1], rel=0.15)
+
+
 def test_encoder_error_is_periodic_in_q():
     t = np.arange(8.0, 12.0, 0.004)
     q = np.interp(t, STROKES.t_s, STROKES.q)

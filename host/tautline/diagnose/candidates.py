@@ -3,8 +3,8 @@ each fit is judged by what it leaves on blocks of manoeuvres that it did not see
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -14,12 +14,13 @@ from tautline.diagnose import confined, gap, heldout
 from tautline.diagnose.decide import Beyond
 from tautline.diagnose.fit import Fit, Fitter, outlier_limit
 from tautline.diagnose.screen import Screened, screen
-from tautline.effects import EVENTS, Kind
+from tautline.effects import BY_ID, EVENTS, SCATTERS, Kind
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
 
 
+STICK_SLIP = "transmission.stick_slip"
 _MARGIN_S = 1.0  # before and after a shift that a recording has to show
 _NOISE = 4.0  # floors: what is more is no noise, and a lost marker counts no more than that
 
@@ -32,6 +33,7 @@ class Found:
     left: list[Array]  # of each recording, (scored, k)
     power: Array  # (blocks,) mean squares of `left`, outliers pulled in
     beyond: Beyond | None
+    scatters: Mapping[str, float] = field(default_factory=dict)  # how much, of an effect without a path
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -39,7 +41,19 @@ class Found:
 
     @property
     def parameters(self) -> int:
-        return sum(len(kind.amplitudes) + len(kind.shapes) for kind in self.fit.hypothesis.kinds)
+        """Those that were fitted, and those of the scatter."""
+        named = {p.name for kind in self.fit.hypothesis.kinds for p in (*kind.amplitudes, *kind.shapes)} - SCATTERS
+        return len(named & self.fit.state.values.keys()) + len(self.scatters)
+
+    @property
+    def has_path(self) -> bool:
+        """Whether a prediction follows all of its effects, as far as they can be followed."""
+        return not set(self.ids) & EVENTS or "held_back" in self.fit.state.values
+
+    def reported(self) -> Found:
+        """With the parameters of its scatter in the fit, where no residual is asked for any more."""
+        values = {**self.fit.state.values, **self.scatters}
+        return replace(self, fit=replace(self.fit, state=replace(self.fit.state, values=values)))
 
 
 class Search:
@@ -101,6 +115,14 @@ class Search:
             if other is not None:
                 refit(other)
         return sorted(found, key=_loss)
+
+    def held_back(self, below: Found, stick: float) -> Found | None:
+        """Sticking after the calibration on top of a hypothesis, as it is in the mean: the play is wider by about the
+        length that the tip sticks for (while calibrating it is B's own)."""
+        hypothesis = below.fit.hypothesis.plus(BY_ID[STICK_SLIP], True)
+        values = {**below.fit.state.values, "stick": 0.0, "held_back": stick}
+        fit = self.fitter.fit(hypothesis, values, below.fit.state)
+        return self.judged(fit) if fit.finite and fit.state.values["held_back"] > 0.0 else None
 
     def _seen_to_happen(self, fit: Fit) -> bool:
         """A recording shows it: what comes before in it fits better without the shift, and what comes after with it. A

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy import stats
 from scipy.special import log_expit, log_ndtr, logsumexp
 
-from tautline.effects import EVENTS, LIBRARY
+from tautline.effects import LIBRARY
 
 Array = npt.NDArray[np.float64]
 
@@ -37,7 +37,8 @@ NAMED = 0.5  # probability from which on an effect is named
 COVERS = 0.95  # probability that a set of effects that cannot be told apart holds
 COINCIDES = 0.1  # probability that an unknown effect goes with a column that was measured beside the motion
 MEASURED = frozenset(kind.id for kind in LIBRARY if kind.needs == "load")  # effects that follow such a column
-LAWS = frozenset({"registration.static", "registration.shift", "acquisition.delay"})
+LAWS = frozenset({"registration.static", "registration.shift", "acquisition.delay", "acquisition.jitter"})
+AHEAD = 5.0  # of every rival, as a logarithm: an event beside another effect that is told for sure
 FLOOR_KNOWN, STEADY = 0.2, 0.07  # of the noise power's logarithm: how well a case's is known, and how unlike blocks are
 DISTURBED = 0.03  # share of blocks in which something happens that no model has, such as the moment of a shift
 CONFINED = 0.5  # probability that what a wrong effect leaves is confined to its stage as well
@@ -177,18 +178,22 @@ class _Likelihoods:
         other = [self._gain(h, h.rival) - self._gain(h, h.scatter) if h.scatter.any() else -np.inf for h in hypotheses]
         alone = np.array([0.0 if len(h.ids) == 1 else -np.inf for h in hypotheses])
         self.elsewhere = np.array(own) + log_expit(other) + alone
-        # Beside another effect an event has to say more than what that one leaves of itself, which remembers too.
-        lost = [
-            max(0.0, self._gain(h, h.rival)) if len(h.ids) > 1 and h.scatter.any() else float(np.logaddexp(0.0, more))
-            for h, more in zip(hypotheses, other, strict=True)
-        ]
+        # Beside another effect an event has to say more than what that one leaves of itself, which remembers too: so
+        # much is no sign of either, unless the event is far ahead of it.
+        single = [float(np.logaddexp(0.0, more)) for more in other]
+        beside = [max(0.0, self._gain(h, h.rival)) if h.scatter.any() else 0.0 for h in hypotheses]
+        lost = [b if len(h.ids) > 1 else a for h, a, b in zip(hypotheses, single, beside, strict=True)]
         own = list(np.array(own) - lost)
+        far = [
+            b if len(h.ids) > 1 and more < -AHEAD else 0.0 for h, b, more in zip(hypotheses, beside, other, strict=True)
+        ]
         confined = np.array([self._confined(h) for h in hypotheses])
-        self.of = np.array(own) + confined
+        self.of = np.array(own) + far + confined
         for i, h in enumerate(hypotheses):
             for j, more in enumerate(hypotheses):
                 if len(more.ids) == len(h.ids) + 1 and h.ids and set(h.ids) < set(more.ids):
-                    self.of[i] = max(self.of[i], own[j] + self._by_chance(h, more) + confined[i])
+                    all_of_it = own[j] + (far[j] if h.scatter.any() else 0.0)
+                    self.of[i] = max(self.of[i], all_of_it + self._by_chance(h, more) + confined[i])
         self.unknown = max(
             self._stands_in(h, table) + (self.prior(len(h.ids)) if h.ids else 0.0)
             for h, table in zip(hypotheses, tables, strict=True)
@@ -280,4 +285,4 @@ def _wrong() -> Array:
 
 def _most(ids: Collection[str]) -> float:
     """The share that these may well leave: as the worst of them."""
-    return LEFT_LAW if set(ids) <= LAWS | EVENTS else LEFT
+    return LEFT_LAW if set(ids) <= LAWS else LEFT

@@ -181,7 +181,9 @@ def _shapley(gathered: Gathered, fitter: Fitter, named: Sequence[str], chosen: F
     def worth(names: tuple[str, ...]) -> float:
         key = frozenset(names)
         if key not in known:
-            off = {p.name for name in named if name not in key for p in effects.BY_ID[name].amplitudes}
+            off = {
+                p.name for name in named if name not in key for p in effects.BY_ID[name].amplitudes
+            } | effects.SCATTERS
             values = {k: (0.0 if k in off else v) for k, v in chosen.fit.state.values.items()}
             residuals = fitter.residuals(replace(chosen.fit.state, values=values), chosen.fit.hypothesis)
             known[key] = 1.0 - gap.rms(residuals[1:]) / before

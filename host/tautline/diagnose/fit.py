@@ -60,7 +60,8 @@ class Hypothesis:
         ]
 
 
-_DISCRETE = frozenset({"contact_side", "shift_time", "width_held"})  # searched over, never differentiated
+# Searched over, or told by scatter; never differentiated.
+_DISCRETE = frozenset({"contact_side", "shift_time", "width_held"}) | effects.SCATTERS
 
 
 @dataclass(frozen=True)
@@ -279,14 +280,14 @@ class Fitter:
         self,
         hypothesis: Hypothesis,
         values: Mapping[str, float],
-        start: State | None = None,
+        start: State,
         others: Sequence[Mapping[str, float]] = (),
     ) -> Fit:
-        """From `values` and `others` of the effects' parameters; the nominal from `start` and as it was calibrated (a
-        recalibration bends towards an effect and finds back slowly). A few of the observations say which of these is
-        best and how it goes on; all of them end it."""
+        """From `values` and `others` of the effects' parameters; the nominal from `start`, and of a first effect as it
+        was calibrated too (a recalibration bends towards an effect and finds back slowly). A few observations say which
+        of these is best and how it goes on; all of them end it."""
         coarse, found = self.coarse, []
-        for nominal in [self.start()] if start is None else [start, self.start()]:
+        for nominal in [start, self.start()][: 2 if len(hypothesis.kinds) == 1 else 1]:
             states = [replace(nominal, values={**values, **each}) for each in ({}, *others)]
             best = _best([coarse.descend(hypothesis, state, _ROUGH_STEPS) for state in states])
             found.append(coarse.descend(hypothesis, best.state, _COARSE_STEPS, _COARSE_GAIN))
@@ -391,7 +392,7 @@ def inside(name: str, value: float) -> float:
 _RANGES = {
     **dict.fromkeys(("onset_spread", "creep_share", "creep_slow", "contact_hold"), (0.0, 1.0)),
     **dict.fromkeys(
-        ("lag", "stick", "width_per_speed", "contact_soft", "tilt_travel", "drift_decay"),
+        ("lag", "stick", "width_per_speed", "contact_soft", "tilt_travel", "drift_decay", "held_back"),
         (0.0, np.inf),
     ),
     **dict.fromkeys(("asymmetry_travel", "creep_time", "encoder_period"), (1e-3, np.inf)),

@@ -9,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.diagnose import decide, scatter
-from tautline.diagnose.candidates import Found, Search
+from tautline.diagnose.candidates import STICK_SLIP, Found, Search
 from tautline.diagnose.decide import Evidence, Weighed
 from tautline.diagnose.fit import Fit, Fitter
+from tautline.diagnose.scatter import Scatter
 from tautline.effects import BY_ID, EVENTS, Kind
 
 Array = npt.NDArray[np.float64]
@@ -47,7 +48,7 @@ def gather(fitter: Fitter, frozen: Sequence[Array], base: Fit, kinds: Sequence[K
             if below is None:
                 break
             weighing.add_all(search.on_top_of(below, _FURTHER_REFITS, 0))
-    return Gathered(weighing.evidence(), weighing.found)
+    return Gathered(weighing.evidence(), [found.reported() for found in weighing.found])
 
 
 class _Weighing:
@@ -59,39 +60,60 @@ class _Weighing:
 
     def add(self, found: Found, events: bool = False) -> None:
         """events: with the effects without a path on top of it."""
-        self.found.append(found)
         nothing = np.zeros_like(found.power)
-        weighed = Weighed(found.ids, found.power, nothing, nothing, found.parameters, beyond=found.beyond)
-        self._weighed.append(weighed)
+        self.found.append(found)
+        self._weighed.append(Weighed(found.ids, found.power, nothing, nothing, found.parameters, beyond=found.beyond))
         if not events:
             return
+        kinds = [kind for kind in self.search.kinds if kind.id in EVENTS]
+        beyond = {kind.id: self.search.beyond(found.fit, [kind]) for kind in kinds}
         for only_tests in (False, True):
-            said = scatter.of_fit(self.search.fitter, found.fit, self.search.labels, only_tests)
-            plain, level = said.loss["as it is"], said.loss["level"]
-            rival = min((said.loss[name] for name in scatter.RIVALS), key=lambda loss: float(np.mean(loss)))
-            white = float(np.exp(min(0.0, float(np.mean((said.loss["memory"] - level)[level != 0.0])))))
-            for kind in self.search.kinds:
-                if kind.id in EVENTS and kind.id not in found.ids:
-                    amplitude = said.jitter_s if kind.id == "acquisition.jitter" else said.stick
-                    beyond = self.search.beyond(found.fit, [kind])
-                    fit = _with_event(found.fit, kind, only_tests, amplitude)
-                    self.found.append(replace(found, fit=fit, beyond=beyond))
-                    self._weighed.append(
-                        replace(
-                            weighed,
-                            ids=(*found.ids, kind.id),
-                            scatter=said.loss[kind.id] - plain,
-                            rival=rival - plain,
-                            parameters=found.parameters + 1,
-                            white=white,
-                            beyond=beyond,
-                        )
-                    )
+            said = self._said(found, only_tests)
+            for kind in kinds:
+                fit = replace(found.fit, hypothesis=found.fit.hypothesis.plus(kind, only_tests))
+                self._add_scatter(replace(found, fit=fit, beyond=beyond[kind.id]), kind, said)
+            if only_tests and len(found.ids) < 2 and STICK_SLIP in beyond and said.sticks:
+                held = self.search.held_back(found, said.stick)
+                if held is not None:
+                    self.add_with_scatter(held)
+
+    def add_with_scatter(self, found: Found) -> None:
+        """A fit that has sticking after the calibration among its effects, as it is in the mean."""
+        self._add_scatter(found, BY_ID[STICK_SLIP], self._said(found, True))
+
+    def _said(self, found: Found, only_tests: bool) -> Scatter:
+        return scatter.of_fit(self.search.fitter, found.fit, self.search.labels, only_tests)
+
+    def _add_scatter(self, found: Found, kind: Kind, said: Scatter) -> None:
+        """`found` with what the scatter that it leaves says of one of its effects."""
+        plain, level = said.loss["as it is"], said.loss["level"]
+        rival = min((said.loss[name] for name in scatter.RIVALS), key=lambda loss: float(np.mean(loss)))
+        amplitude = said.jitter_s if kind.id == "acquisition.jitter" else said.stick
+        found = replace(found, scatters={kind.amplitudes[0].name: amplitude})
+        self.found.append(found)
+        self._weighed.append(
+            Weighed(
+                found.ids,
+                found.power,
+                scatter=said.loss[kind.id] - plain,
+                rival=rival - plain,
+                parameters=found.parameters,
+                white=float(np.exp(min(0.0, float(np.mean((said.loss["memory"] - level)[level != 0.0]))))),
+                beyond=found.beyond,
+            )
+        )
 
     def add_all(self, found: Sequence[Found]) -> None:
-        """Of one size, best first."""
+        """Of one size, best first. An event hides which effect it is beside: another may leave less alone."""
         for i, one in enumerate(found):
-            self.add(one, events=i == 0 and len(one.ids) < MOST_EFFECTS)
+            if set(one.ids) & EVENTS:
+                self.add_with_scatter(one)
+            else:
+                beside = i == 0 or (len(one.ids) == 1 and self._open(one))
+                self.add(one, events=beside and len(one.ids) < MOST_EFFECTS)
+
+    def _open(self, found: Found) -> bool:
+        return decide.is_open(self.evidence(), found.power)
 
     def next_to_extend(self, size: int) -> Found | None:
         """The most probable hypothesis of so many effects with a path that has room for a further one, which may well
@@ -100,18 +122,15 @@ class _Weighing:
         anyhow = replace(evidence, hypotheses=tuple(replace(h, beyond=None) for h in evidence.hypotheses))
         verdict = decide.decide(anyhow)
         for i in np.argsort(-verdict.posterior):
-            one = self.found[i]
-            if len(one.ids) != size or one.ids in self._extended or set(one.ids) & EVENTS:
+            ids = self.found[i].ids
+            if len(ids) != size or ids in self._extended:
                 continue
-            self._extended.add(one.ids)
-            return one if decide.is_open(evidence, one.power) else None
+            # Sticking may be likeliest without a path: with one a further effect is seen beside it.
+            one = next((found for found in (self.found[i], *self.found) if found.ids == ids and found.has_path), None)
+            if one is not None:
+                self._extended.add(ids)
+                return one if self._open(one) else None
         return None
 
     def evidence(self) -> Evidence:
         return Evidence(self.search.fitter.floor, self._frozen, tuple(self._weighed), len(self.search.kinds))
-
-
-def _with_event(fit: Fit, kind: Kind, only_tests: bool, amplitude: float) -> Fit:
-    """The fit as it is: what scatters has no path."""
-    values = {**fit.state.values, BY_ID[kind.id].amplitudes[0].name: amplitude}
-    return replace(fit, hypothesis=fit.hypothesis.plus(kind, only_tests), state=replace(fit.state, values=values))

@@ -36,6 +36,11 @@ class Scatter:
     jitter_s: float
     stick: float  # actuator's unit
 
+    @property
+    def sticks(self) -> bool:
+        """Whether that says more than a level of noise."""
+        return float(np.mean(self.loss["transmission.stick_slip"])) < float(np.mean(self.loss["level"]))
+
 
 @dataclass(frozen=True)
 class Frames:
