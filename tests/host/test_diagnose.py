@@ -9,6 +9,7 @@ import pytest
 from tautline import effects
 from tautline.blindtest import cases
 from tautline.calibration.calibrate import calibrate
+from tautline.diagnose import words
 from tautline.diagnose.candidates import Search
 from tautline.diagnose.diagnosis import _corrected, diagnose
 from tautline.diagnose.fit import Fit, Fitter, Hypothesis
@@ -114,6 +115,9 @@ def test_what_sticking_holds_back_is_predicted():
     assert named["id"] == "transmission.stick_slip"
     assert 0.0 < named["parameters"]["held_back"] < 3.0 * case.label.values["static_grip"]
     assert found.document["gap"]["shrink_ci"][0] > 0.2
+    shrinks = f"shrinks the gap by {words.percent(found.document['gap']['shrink'])}"
+    assert shrinks in words.sentence(found.document)
+    assert any("predict" in step.command for step in words.steps(found.document, "here"))
 
 
 def test_the_command_writes_what_the_format_says(tmp_path, monkeypatch, capsys):

@@ -12,6 +12,7 @@ from tautline.effects import BY_ID, EVENTS
 _SMALL = 3.0  # times the noise: a gap below is called small
 _SHOWN = 0.005  # probability from which on a terminal shows a candidate
 _NO_PATH = "It has no path that repeats, so no model can predict it away."
+_SHRINKS = 0.02  # of a gap that jumps or unsteady times leave: part of it has a path
 
 
 def digits(value: float) -> str:
@@ -41,7 +42,12 @@ def sentence(document: Mapping[str, Any]) -> str:
         )
     effects = document["effects"]
     named = listed([f"{BY_ID[e['id']].says} ({e['id']}, {percent(e['probability'])} sure)" for e in effects])
-    if effects[0]["id"] in EVENTS:
+    if effects[0]["id"] in EVENTS and gap["shrink"] > _SHRINKS:
+        text = (
+            f"{_capital(named)}: what of it repeats shrinks the gap by {percent(gap['shrink'])} in the model, from "
+            f"{before} to {digits(gap['after'])}; the rest has no path, so no model can predict it away."
+        )
+    elif effects[0]["id"] in EVENTS:
         text = f"{_capital(named)}: a gap of {before}, {times}. {_NO_PATH}"
     else:
         shrinks = "removes" if gap["shrink"] > 0.995 else f"shrinks by {percent(gap['shrink'])}"
@@ -128,10 +134,11 @@ def steps(document: Mapping[str, Any], folder: str) -> list[Step]:
     if event:
         cause = "friction along the transmission" if effects[0]["id"] == "transmission.stick_slip" else "camera timing"
         told.append(Step(f"Mend the cause, {cause}: no table and no model can."))
-    elif effects:
+    if effects and (not event or document["gap"]["shrink"] > _SHRINKS):
         told.append(
             Step("Predict with the corrected model.", f"taut predict {folder}/corrected RECORDING --csv OUT.csv")
         )
+    if effects and not event:
         told.append(
             Step(
                 "Try the tables against an instrument that has this effect.",
