@@ -41,13 +41,13 @@ def gather(fitter: Fitter, frozen: Sequence[Array], base: Fit, kinds: Sequence[K
     search = Search(fitter, base, kinds, told)
     weighing = _Weighing(search, search.power(frozen))
     weighing.add(search.base, events=True)
-    weighing.add_all(search.on_top_of(search.base, _REFITS, _BOTH_SCOPES))
+    weighing.add_single(search.on_top_of(search.base, _REFITS, _BOTH_SCOPES))
     for size, most in enumerate(_EXTENDED, start=1):
         for _ in range(most):
             below = weighing.next_to_extend(size)
             if below is None:
                 break
-            weighing.add_all(search.on_top_of(below, _FURTHER_REFITS, 0))
+            weighing.add_further(search.on_top_of(below, _FURTHER_REFITS, 0))
     return Gathered(weighing.evidence(), [found.reported() for found in weighing.found])
 
 
@@ -72,12 +72,16 @@ class _Weighing:
             for kind in kinds:
                 fit = replace(found.fit, hypothesis=found.fit.hypothesis.plus(kind, only_tests))
                 self._add_scatter(replace(found, fit=fit, beyond=beyond[kind.id]), kind, said)
-            if only_tests and len(found.ids) < 2 and STICK_SLIP in beyond and said.sticks:
-                held = self.search.held_back(found, said.stick)
-                if held is not None:
-                    self.add_with_scatter(held)
 
-    def add_with_scatter(self, found: Found) -> None:
+    def add_held_back(self, below: Found) -> None:
+        """Sticking after the calibration, as it is in the mean, on top of what is weighed already."""
+        said = self._said(below, True)
+        if said.sticks and any(kind.id == STICK_SLIP for kind in self.search.kinds):
+            held = self.search.held_back(below, said.stick)
+            if held is not None:
+                self._add_with_scatter(held)
+
+    def _add_with_scatter(self, found: Found) -> None:
         """A fit that has sticking after the calibration among its effects, as it is in the mean."""
         self._add_scatter(found, BY_ID[STICK_SLIP], self._said(found, True))
 
@@ -103,14 +107,25 @@ class _Weighing:
             )
         )
 
-    def add_all(self, found: Sequence[Found]) -> None:
-        """Of one size, best first. An event hides which effect it is beside: another may leave less alone."""
+    def add_single(self, found: Sequence[Found]) -> None:
+        """Best first. Where none of them leaves little an event may be there, which hides what it is beside."""
+        floor2 = self.search.fitter.floor**2
+        before = float(np.mean(self.search.base.power)) - floor2
+        hidden = bool(found) and float(np.mean(found[0].power)) - floor2 > decide.LEFT * before
+        hidden = hidden and self._open(found[0])
+        for i, one in enumerate(found):
+            self.add(one, events=i == 0 or hidden)
+        if hidden:
+            self.add_held_back(self.search.base)
+            self.add_held_back(found[0])
+
+    def add_further(self, found: Sequence[Found]) -> None:
+        """Of more than one effect, best first."""
         for i, one in enumerate(found):
             if set(one.ids) & EVENTS:
-                self.add_with_scatter(one)
+                self._add_with_scatter(one)
             else:
-                beside = i == 0 or (len(one.ids) == 1 and self._open(one))
-                self.add(one, events=beside and len(one.ids) < MOST_EFFECTS)
+                self.add(one, events=i == 0 and len(one.ids) < MOST_EFFECTS)
 
     def _open(self, found: Found) -> bool:
         return decide.is_open(self.evidence(), found.power)
