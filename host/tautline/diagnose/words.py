@@ -132,8 +132,9 @@ def steps(document: Mapping[str, Any], folder: str) -> list[Step]:
             )
         )
     if event:
-        cause = "friction along the transmission" if effects[0]["id"] == "transmission.stick_slip" else "camera timing"
-        told.append(Step(f"Mend the cause, {cause}: no table and no model can."))
+        sticks = effects[0]["id"] == "transmission.stick_slip"
+        cause, what = ("friction along the transmission", "jumps") if sticks else ("camera timing", "unsteady times")
+        told.append(Step(f"Mend the cause, {cause}: no table and no model takes its {what} away."))
     if effects and (not event or document["gap"]["shrink"] > _SHRINKS):
         told.append(
             Step("Predict with the corrected model.", f"taut predict {folder}/corrected RECORDING --csv OUT.csv")
