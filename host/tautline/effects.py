@@ -22,6 +22,7 @@ from tautline.rig import Camera, Rig
 Array = npt.NDArray[np.float64]
 
 STAGES = ("actuator", "transmission", "configuration", "kinematics", "registration", "camera", "acquisition")
+STICK_SLIP, JITTER = "transmission.stick_slip", "acquisition.jitter"
 NATIVE = frozenset(name for name, *_ in _native.effect_parameters)  # what moves the tip
 SIGHT = frozenset(name for name, *_ in _native.sight_parameters)  # what changes where it is seen
 
@@ -59,7 +60,7 @@ class Kind:
     @property
     def repeats(self) -> bool:
         """Whether it has a path that a prediction can follow; the others scatter."""
-        return self.id not in ("transmission.stick_slip", "acquisition.jitter")
+        return self.id not in (STICK_SLIP, JITTER)
 
     @property
     def stage(self) -> str:
@@ -118,7 +119,7 @@ LIBRARY: tuple[Kind, ...] = (
         "the tip goes on moving after the motor stops",
     ),
     Kind(
-        "transmission.stick_slip",
+        STICK_SLIP,
         (Parameter("stick", "unit", 5e-3), Parameter("held_back", "unit", 5e-3)),
         (),
         "the tip moves in jumps",
@@ -194,10 +195,10 @@ LIBRARY: tuple[Kind, ...] = (
         folded=True,
     ),
     Kind("acquisition.delay", (Parameter("delay", "s", 0.01),), (), "the delay of the images is wrong", folded=True),
-    Kind("acquisition.jitter", (Parameter("jitter", "s", 0.005),), (), "frame times are unsteady", needs="camera"),
+    Kind(JITTER, (Parameter("jitter", "s", 0.005),), (), "frame times are unsteady", needs="camera"),
 )
 BY_ID: Mapping[str, Kind] = {kind.id: kind for kind in LIBRARY}
-# Told by their scatter alone: no model can predict it away.
+# Told by their scatter: at most what it is in the mean can be predicted.
 EVENTS = frozenset(kind.id for kind in LIBRARY if not kind.repeats)
 SCATTERS = frozenset({"stick", "jitter"})  # their parameters that say how much
 

@@ -14,13 +14,12 @@ from tautline.diagnose import confined, gap, heldout
 from tautline.diagnose.decide import Beyond
 from tautline.diagnose.fit import Fit, Fitter, outlier_limit
 from tautline.diagnose.screen import Screened, screen
-from tautline.effects import BY_ID, EVENTS, SCATTERS, Kind
+from tautline.effects import BY_ID, EVENTS, SCATTERS, STICK_SLIP, Kind
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
 
 
-STICK_SLIP = "transmission.stick_slip"
 _MARGIN_S = 1.0  # before and after a shift that a recording has to show
 _NOISE = 4.0  # floors: what is more is no noise, and a lost marker counts no more than that
 

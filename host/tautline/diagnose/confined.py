@@ -19,7 +19,7 @@ import numpy.typing as npt
 from tautline import _native
 from tautline.diagnose.fit import STATIC_COLUMNS, Fit, Fitter, Rows
 from tautline.diagnose.segment import Segment
-from tautline.effects import Kind
+from tautline.effects import JITTER, Kind
 
 Array = npt.NDArray[np.float64]
 
@@ -36,7 +36,7 @@ def residuals(fitter: Fitter, fit: Fit, further: Sequence[Kind] = ()) -> list[Ar
     if not fitter.px or not kinds:
         return None
     along = any(kind.stage in _THROUGH_ANGLE for kind in kinds)
-    timed = any(kind.id == "acquisition.jitter" for kind in kinds)
+    timed = any(kind.id == JITTER for kind in kinds)
     if along and timed:
         return None
     plain = fitter.rows(fit.state, fit.hypothesis)

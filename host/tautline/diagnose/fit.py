@@ -392,7 +392,7 @@ def inside(name: str, value: float) -> float:
 _RANGES = {
     **dict.fromkeys(("onset_spread", "creep_share", "creep_slow", "contact_hold"), (0.0, 1.0)),
     **dict.fromkeys(
-        ("lag", "stick", "width_per_speed", "contact_soft", "tilt_travel", "drift_decay", "held_back"),
+        ("lag", "width_per_speed", "contact_soft", "tilt_travel", "drift_decay", "held_back"),
         (0.0, np.inf),
     ),
     **dict.fromkeys(("asymmetry_travel", "creep_time", "encoder_period"), (1e-3, np.inf)),

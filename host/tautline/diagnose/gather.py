@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.diagnose import decide, scatter
-from tautline.diagnose.candidates import STICK_SLIP, Found, Search
+from tautline.diagnose.candidates import Found, Search
 from tautline.diagnose.decide import Evidence, Weighed
 from tautline.diagnose.fit import Fit, Fitter
 from tautline.diagnose.scatter import Scatter
-from tautline.effects import BY_ID, EVENTS, Kind
+from tautline.effects import BY_ID, EVENTS, JITTER, STICK_SLIP, Kind
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -92,7 +92,7 @@ class _Weighing:
         """`found` with what the scatter that it leaves says of one of its effects."""
         plain, level = said.loss["as it is"], said.loss["level"]
         rival = min((said.loss[name] for name in scatter.RIVALS), key=lambda loss: float(np.mean(loss)))
-        amplitude = said.jitter_s if kind.id == "acquisition.jitter" else said.stick
+        amplitude = said.jitter_s if kind.id == JITTER else said.stick
         found = replace(found, scatters={kind.amplitudes[0].name: amplitude})
         self.found.append(found)
         self._weighed.append(

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.diagnose.fit import Fit, Fitter
+from tautline.effects import JITTER, STICK_SLIP
 
 Array = npt.NDArray[np.float64]
 
@@ -39,7 +40,7 @@ class Scatter:
     @property
     def sticks(self) -> bool:
         """Whether that says more than a level of noise."""
-        return float(np.mean(self.loss["transmission.stick_slip"])) < float(np.mean(self.loss["level"]))
+        return float(np.mean(self.loss[STICK_SLIP])) < float(np.mean(self.loss["level"]))
 
 
 @dataclass(frozen=True)
@@ -164,8 +165,8 @@ def weighed(parts: Sequence[Frames], floor: float, blocks: int) -> Scatter:
     stuck, jump = best(stick, np.geomspace(0.1 * reach, 30.0 * reach, 61))
     frozen, _ = best(repeats, np.array([0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.4]))
     told = {
-        "acquisition.jitter": jittered,
-        "transmission.stick_slip": stuck,
+        JITTER: jittered,
+        STICK_SLIP: stuck,
         "as it is": two_levels(as_it_is),
         "level": two_levels(r),
         "memory": two_levels(r - before @ memory),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from tautline.diagnose.confounded import DRIFT, LOAD
-from tautline.effects import BY_ID, EVENTS
+from tautline.effects import BY_ID, EVENTS, STICK_SLIP
 
 _SMALL = 3.0  # times the noise: a gap below is called small
 _SHOWN = 0.005  # probability from which on a terminal shows a candidate
@@ -132,7 +132,7 @@ def steps(document: Mapping[str, Any], folder: str) -> list[Step]:
             )
         )
     if event:
-        sticks = effects[0]["id"] == "transmission.stick_slip"
+        sticks = effects[0]["id"] == STICK_SLIP
         cause, what = ("friction along the transmission", "jumps") if sticks else ("camera timing", "unsteady times")
         told.append(Step(f"Mend the cause, {cause}: no table and no model takes its {what} away."))
     if effects and (not event or document["gap"]["shrink"] > _SHRINKS):
