@@ -14,6 +14,7 @@ import numpy.typing as npt
 from tautline import _native
 from tautline.encoder import between_counts
 from tautline.errors import TautError
+from tautline.quality import Quality
 from tautline.recording import Motor
 from tautline.rig import Rig
 
@@ -49,6 +50,8 @@ class Model:
     delay_s: float
     measured: tuple[float, float]  # the q_mean that reversals reached
     effects: tuple[Effect, ...] = ()
+    c_sigma: Array | None = None  # (n,) of c_deg, NaN where unknown; None: a model that was not calibrated
+    quality: Quality = field(default_factory=Quality)
     extra: Mapping[str, Any] = field(default_factory=dict)  # onsets, notes, figures' data: what the report shows
 
     def remaining(self, p: npt.ArrayLike) -> Array:
@@ -78,6 +81,8 @@ class Model:
             "delay_s": self.delay_s,
             "measured": list(self.measured),
             "effects": [{"id": effect.id, "parameters": dict(effect.parameters)} for effect in self.effects],
+            "c_sigma": None if self.c_sigma is None else [v if np.isfinite(v) else None for v in self.c_sigma.tolist()],
+            "quality": self.quality.to_json(),
             "extra": dict(self.extra),
         }
         try:
@@ -104,13 +109,17 @@ class Model:
             effects = tuple(Effect(item["id"], dict(item["parameters"])) for item in document["effects"])
             delay_s = float(document["delay_s"])
             low, high = (float(value) for value in document["measured"])
+            c_sigma = None if document.get("c_sigma") is None else np.array(document["c_sigma"], dtype=float)
+            quality = Quality.from_json(document.get("quality", {"reasons": []}))
             extra = dict(document["extra"])
         except (KeyError, TypeError, ValueError) as error:
             raise TautError(f"{path}: {error!r} is missing or wrong: make it again with taut calibrate") from error
         good = all(a.ndim == 1 and a.shape == q.shape and np.isfinite(a).all() for a in arrays) and len(q) >= 2
+        good = good and (c_sigma is None or c_sigma.shape == q.shape)
         if not (good and is_backlash_table(q, width) and abs(np.sign(np.diff(c_deg)).sum()) == len(q) - 1):
             raise TautError(f"{path}: its tables are not a model's: make the model again with taut calibrate")
-        return cls(Rig.load(folder / RIG_FILE), q, width, sigma, c_deg, delay_s, (low, high), effects, extra)
+        rig = Rig.load(folder / RIG_FILE)
+        return cls(rig, q, width, sigma, c_deg, delay_s, (low, high), effects, c_sigma, quality, extra)
 
 
 def is_backlash_table(grid: Array, width: Array) -> bool:
