@@ -11,6 +11,8 @@ import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from tautline.calibration.backlash import WidthCurve, fit_paper, fit_widths
+from tautline.calibration.components import Components, separate
+from tautline.calibration.doubts import doubts
 from tautline.calibration.observations import Track, observe
 from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, find_delay, find_onsets
 from tautline.calibration.playfit import NODES, Fitted
@@ -133,6 +135,7 @@ class _Session:
         self.notes: list[str] = []
         self.reasons: list[Reason] = []
         self.evidence: dict[str, float] = {}
+        self.components: Components | None = None
         reached = [(float(t.motor.q.min()), float(t.motor.q.max())) for t in tracks]
         low, high = rig.actuator.range
         self.reached = min(r[0] for r in reached), max(r[1] for r in reached)
@@ -171,6 +174,7 @@ class _Session:
         settled = joint.fit.settled_only if joint is not None else False
         remaining = self._remaining(width, delay.delay_s, settled) if self._moves() else None
         self._comment(onsets, curve, remaining)
+        self._depart(joint, curve, source)
         self.say(1.0, "done")
         return self._result(onsets, delay, curve, joint, passes, width, sigma, source, remaining)
 
@@ -214,9 +218,20 @@ class _Session:
             # What the model does not know would bend the delay: the image stops tell it alone.
             joint.fit.fit_delay = False
             joint = joint.fit.solve(replace(joint.curves, delay_s=delay.delay_s))
+        self.say(0.5, "what departs from a play")
+        joint = self._separated(joint)
         self.say(0.6, "passes alone")
         margin = 0.1 * float(np.median(joint.fit.width(joint.curves))) + 0.005 * self.domain.span
         return joint, fit_passes(joint, margin)
+
+    def _separated(self, joint: Fitted) -> Fitted:
+        """The joint fit with all that departs from its model beside it."""
+        before = joint.scale
+        self.components = separate(joint, self.rig)
+        self.evidence["residual_before_components"] = before
+        for part in self.components.parts:
+            self.evidence[f"component_{part.name}"] = part.rms
+        return self.components.applied(joint)
 
     def _explained(self, joint: Fitted) -> bool:
         return joint.scale < _EXPLAINED
@@ -395,6 +410,12 @@ class _Session:
             return
         self.notes += remaining.notes
         self._sanity(remaining)
+
+    def _depart(self, joint: Fitted | None, curve: WidthCurve | None, source: str) -> None:
+        if self.components is not None:
+            low, high = self._measured(curve, joint, source)
+            inside = (self.grid > low) & (self.grid < high)
+            self.reasons += doubts(self.components, inside, self.unit, self.tracks[0].unit)
 
     def _sanity(self, remaining: Remaining) -> None:
         """Scale and sign before anything else is blamed."""
