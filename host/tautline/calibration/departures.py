@@ -80,7 +80,7 @@ class Scene:
 
     def each(self, columns: Sparse) -> sparse.csr_matrix:
         """The same columns for every channel of the image, apart."""
-        return sparse.block_diag([sparse.csr_matrix(columns)] * self.slope.shape[1], format="csr")
+        return sparse.csr_matrix(sparse.block_diag([sparse.csr_matrix(columns)] * self.slope.shape[1]))
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ def departures(scene: Scene, looked_for: Columns) -> list[Part]:
             Part(
                 "image.time",
                 scene.each(slow),
-                np.asarray(np.kron(np.eye(channels), _smooth(slow.shape[1])), dtype=float),
+                _smooth(slow.shape[1], channels),
             ),
             Part("image.stroke", scene.each(each), np.eye(channels * strokes)),
             Part("image.side", scene.each(scene.side[:, None]), np.eye(channels)),
@@ -281,10 +281,11 @@ def _slow_basis(t: Array) -> sparse.csr_matrix:
     return sparse.csr_matrix(BSpline.design_matrix(np.clip(t, -0.5, 0.5 - 1e-9), knots, 3))
 
 
-def _smooth(size: int) -> Array:
+def _smooth(size: int, channels: int = 1) -> Array:
     """First differences, and a little of the values."""
     step = np.diff(np.eye(size), 1, axis=0)
-    return np.asarray(step.T @ step + 0.05 * np.eye(size))
+    rough = step.T @ step + 0.05 * np.eye(size)
+    return np.asarray(np.kron(np.eye(channels), rough), dtype=float)
 
 
 def _shift_time(t: Array, left: Array) -> float | None:
