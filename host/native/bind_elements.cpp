@@ -78,7 +78,8 @@ void bind_elements(nb::module_ &m) {
                 return std::make_pair(p, side);
             },
             "q"_a, "p0"_a,
-            "(p, side) at motor positions q (n,); p0 NaN: on the centre, p = q[0]; side 0 while p depends on p0.")
+            "(p, side) at motor positions q (n,); p0 NaN: on the centre, p = q[0]; side: the envelope that last held "
+            "all.")
         .def(
             "inverse",
             [](const Plays &self, Values p, double q0, double p0) {

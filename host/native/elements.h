@@ -59,7 +59,7 @@ void elements_start(const struct elements *e, double x, double y, double *z);
 
 /* p[k] for the motor positions q[k], k = 0 .. count-1. p0 is the centre coordinate before q[0]; NaN: p0 = q[0].
  * side[k] (NULL: not wanted): the envelope on which all elements last lay, +1 rising, -1 falling; 0 as long as they lay
- * on none: until then p depends on p0.
+ * on none. Once they have lain on both, p does not depend on p0.
  * O(count n). */
 void elements_forward(const struct elements *e, const double *q, size_t count, double p0, double *p, int8_t *side);
 

@@ -1,7 +1,7 @@
 """Play as a list of elements on one backlash table: a single play, or several whose onsets together are gradual.
 
-The equations are in host/native/elements.h: a warp x = G(q) makes every width one, and each element is a play of a share
-of that width. Full strokes lie on p +- B(p)/2 = q whatever the elements are; a single element is the play of play.h.
+The equations are in host/native/elements.h: a warp x = G(q) makes every width one, and each element is a play of a
+share of that width. Full strokes lie on p +- B(p)/2 = q whatever the elements are. A single element is play.h's play.
 """
 
 from __future__ import annotations
@@ -25,8 +25,10 @@ _PERIODS = 4000  # of the warp, at most, over the table
 _MESH = 32  # nodes of a period on which the warp's smoothness is measured
 _FINE = 64  # and at least so many that it is sampled at
 _AT_LEAST = 0.05  # of the mean rise: the warp's least, between two nodes of the mesh
-_BEYOND = 1e3  # periods beyond the table's ends to which the warp goes on
-_SAME = 1e-9  # of a period: knots that are nearer to each other are one
+_PAST = 8  # periods beyond the table's ends in which it is still exact
+_BEYOND = 1e3  # and to which it goes on
+_RIDGE = 1e-15
+_SAME = 1e-12  # of a period: knots that are nearer to each other are one
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ class Play:
     count: float = 0.0
 
     def forward(self, q: npt.ArrayLike, p0: float = np.nan) -> Array:
-        """The centre coordinate (n,) of motor positions q (n,), in their order. p0 is where it was before; NaN: q[0]."""
+        """The centre coordinate (n,) of motor positions q (n,), in their order. p0: where it was before; NaN: q[0]."""
         q = np.asarray(q, dtype=float)
         if self.native is None:
             return _native.play_forward(q, self.grid, self.width, p0)  # type: ignore[no-any-return]
@@ -123,9 +125,9 @@ def warp_of(grid: Array, width: Array, narrow: float) -> Warp:
     G'''^2 over the table, B being smooth between its nodes. The knots are those of one period and their images, the
     nodes' corners among them, so that nothing is lost between them. G(middle) = 0.
     """
+    middle = 0.5 * (grid[0] + grid[-1])
     grid, width = _floored(grid, width, narrow)
     table = _Periods(grid, width)
-    middle = 0.5 * (grid[0] + grid[-1])
     first = float(table.low(middle))
     last = float(table.up(first))
     base = _base(grid, width, first, last)
@@ -137,14 +139,16 @@ def warp_of(grid: Array, width: Array, narrow: float) -> Warp:
     phases = np.asarray(base(knots))
     columns = [(knots, phases)]
     q, period = knots, 0
-    while q[0] <= grid[-1] + 2.0 * width[-1]:
+    while q[0] <= grid[-1] + _PAST * width[-1]:
         q, period = table.up(q), period + 1
         columns.append((q, phases + period))
     q, period = knots, 0
-    while q[-1] >= grid[0] - 2.0 * width[0]:
+    while q[-1] >= grid[0] - _PAST * width[0]:
         q, period = table.down(q), period - 1
         columns.insert(0, (q, phases + period))
     q, x = (np.concatenate(column) for column in zip(*columns, strict=True))
+    apart = np.concatenate([[True], (np.diff(q) > 0.0) & (np.diff(x) > 0.0)])
+    q, x = q[apart], x[apart]
     q = np.concatenate([[q[0] - _BEYOND * width[0]], q, [q[-1] + _BEYOND * width[-1]]])
     x = np.concatenate([[x[0] - _BEYOND], x, [x[-1] + _BEYOND]])
     return Warp(q, x - np.interp(middle, q, x))
@@ -170,7 +174,8 @@ class _Periods:
         self.grid, self.width = grid, width
 
     def low(self, p: npt.ArrayLike) -> Array:
-        return np.asarray(p) - 0.5 * np.interp(p, self.grid, self.width)
+        p = np.asarray(p, dtype=float)
+        return np.asarray(p - 0.5 * np.interp(p, self.grid, self.width))
 
     def up(self, u: npt.ArrayLike) -> Array:
         return _straight(u, self.left, self.right)
@@ -227,7 +232,7 @@ def _smoothed(grid: Array, width: Array) -> tuple[Array, Array]:
     return (fine, curve) if lawful else (grid, width)
 
 
-def _smoothest(q: Array, period: Array, inside: Array) -> Array:
+def _smoothest(q: Array, period: Array, inside: npt.NDArray[np.bool_]) -> Array:
     """(_MESH,) rising values v, v[0] = 0, for which v[k mod _MESH] + period[k] at q[k] has the least third differences
     among those `inside`."""
     weights = np.zeros((len(q) - 3, 4))
@@ -239,12 +244,17 @@ def _smoothest(q: Array, period: Array, inside: Array) -> Array:
     rows = np.arange(len(q) - 3)
     right = np.zeros(len(q) - 3)
     for i in range(4):
-        np.add.at(design, (rows, (rows + i) % _MESH), weights[:, i])
+        design[rows, (rows + i) % _MESH] += weights[:, i]
         right -= weights[:, i] * period[i : len(q) - 3 + i]
-    scale = np.abs(design).max() or 1.0
-    found = np.linalg.lstsq(design[:, 1:] / scale, right / scale, rcond=None)[0]
+    even = np.arange(1, _MESH) / _MESH
+    step = np.column_stack([design[:, 1:], right - design[:, 1:] @ even])
+    squares = np.einsum("ij,ik->jk", step, step)
+    normal, slope = squares[:-1, :-1], squares[:-1, -1]
+    normal = normal + _RIDGE * max(np.trace(normal), 1e-300) * np.eye(
+        _MESH - 1
+    )  # a table without corners may ask for nothing
+    found = even + np.linalg.solve(normal, slope)
     rises = np.diff(np.concatenate([[0.0], found, [1.0]]))
-    even = 1.0 / _MESH
-    least = float(rises.min())
-    share = 1.0 if least >= _AT_LEAST * even else (1.0 - _AT_LEAST) * even / (even - least)
-    return np.concatenate([[0.0], np.cumsum(share * rises[:-1] + (1.0 - share) * even)])
+    mean, least = 1.0 / _MESH, float(rises.min())
+    share = 1.0 if least >= _AT_LEAST * mean else (1.0 - _AT_LEAST) * mean / (mean - least)
+    return np.concatenate([[0.0], share * found + (1.0 - share) * even])

@@ -7,17 +7,26 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import BSpline
-from test_play import solve, tables
+from test_play import solve
 
 from tautline import _native, effects
 from tautline.elements import SINGLE, Elements, Play, warp_of
-from tautline.model import Model
+from tautline.model import STEEPEST, Model, allowed_width
 from tautline.predict import predict
 from tautline.recording import Motor
 from tautline.rig import Actuator, Coarse, Rig
 
 GRID = np.linspace(-5.0, 5.0, 401)
 BUMP = 0.5 + 0.3 * np.exp(-(GRID**2) / 2)
+
+
+@st.composite
+def tables(draw):
+    """Random walks, as steep as tables may be."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    n = draw(st.integers(1, 40))
+    grid = np.cumsum(rng.uniform(0.01, 1.0, n)) - rng.uniform(0, 10)
+    return grid, allowed_width(grid, np.cumsum(rng.normal(0, 0.5, n)) + rng.uniform(0, 2), STEEPEST), rng
 
 
 @st.composite
@@ -32,8 +41,13 @@ def several(draw):
     return Elements(tuple(width), tuple(weight))
 
 
-def path(rng, low, high, turns=12, samples=400):
+def path(rng, low, high, turns=12, samples=200):
     return np.interp(np.linspace(0, turns - 1, samples), np.arange(turns), rng.uniform(low, high, turns))
+
+
+def reach(grid, width):
+    """As far beyond the ends as the warp is exact, and more."""
+    return grid[0] - 2 * width[0], grid[-1] + 2 * width[-1]
 
 
 def wide(table):
@@ -43,7 +57,7 @@ def wide(table):
 
 
 def brute(play, q, p0):
-    """The equations of elements.h, one after the other; g by bisection."""
+    """The equations of elements.h, one after the other; inverses by bisection."""
     warp = warp_of(play.grid, play.width, play.narrow)
     r, w = 0.5 * np.array(play.elements.width), np.array(play.elements.weight)
 
@@ -51,11 +65,7 @@ def brute(play, q, p0):
         return np.interp(u, warp.q, warp.x)
 
     def back(x):
-        low, high = play.grid[0] - 9.0, play.grid[-1] + 9.0
-        for _ in range(60):
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if forth(middle) < x else (low, middle)
-        return 0.5 * (low + high)
+        return np.interp(x, warp.x, warp.q)
 
     def position(y):
         return 0.5 * (back(y + 0.5) + back(y - 0.5))
@@ -78,10 +88,10 @@ def brute(play, q, p0):
 
 
 @given(tables(), several(), st.booleans())
-@settings(max_examples=60)
+@settings(max_examples=25)
 def test_forward_is_what_the_equations_say(table, elements, from_centre):
     grid, width, rng = wide(table)
-    q = rng.uniform(grid[0] - 2, grid[-1] + 2, 25)
+    q = rng.uniform(*reach(grid, width), 25)
     start = q[0] + (0.0 if from_centre else rng.uniform(-0.5, 0.5) * width.min())
     play = Play(grid, width, elements)
     assume(width.min() > play.narrow)
@@ -91,32 +101,33 @@ def test_forward_is_what_the_equations_say(table, elements, from_centre):
 
 @given(tables(), several())
 def test_full_strokes_lie_on_the_envelopes(table, elements):
-    grid, width, rng = wide(table)
+    grid, width, _ = wide(table)
     play = Play(grid, width, elements)
     assume(width.min() > play.narrow)
     for side in (1, -1):
-        q = np.linspace(grid[0] - 5, grid[-1] + 5, 300)[::side]
+        low, high = reach(grid, width)
+        q = np.linspace(low, high, 200)[::side]
         p = play.forward(q)
         reached = np.abs(q - q[0]) > width.max() * (elements.width[-1] + 1)  # each period is at most the widest B
         np.testing.assert_allclose(p[reached] + side * 0.5 * np.interp(p[reached], grid, width), q[reached], atol=1e-9)
 
 
 @given(tables(), several())
-@settings(max_examples=200)
+@settings(max_examples=60)
 def test_the_inverse_leads_the_tip_along_any_path(table, elements):
     grid, width, rng = wide(table)
     play = Play(grid, width, elements)
     assume(width.min() > play.narrow)
-    p = path(rng, grid[0] - 1, grid[-1] + 1)
-    p[50:80] = p[50]  # at rest
+    p = path(rng, *reach(grid, width))
+    p[50:60] = p[50]  # at rest
     q0 = p[0] + rng.uniform(-0.49, 0.49) * width.min()
     q = play.inverse(p, q0)
     assert play.forward(np.concatenate([[q0], q]), p[0])[1:] == pytest.approx(p, abs=1e-9)
-    assert np.ptp(q[50:80]) == 0.0
+    assert np.ptp(q[50:60]) == 0.0
 
 
 @given(tables(), several())
-@settings(max_examples=60)
+@settings(max_examples=30)
 def test_the_inverse_goes_on_from_any_past(table, elements):
     """From states that no single start gives: the inner loops of a motion before."""
     grid, width, rng = wide(table)
@@ -132,19 +143,19 @@ def test_with_a_constant_width_it_is_prandtl_and_ishlinskiis_operator(elements, 
     q = path(np.random.default_rng(seed), -4, 4)
     play = Play(GRID, np.full(401, width), elements)
     assume(width > play.narrow)
-    state = np.full(len(elements.width), q[0])
+    state, expected = np.full(len(elements.width), q[0]), np.empty(len(q))
     for k, position in enumerate(q):
         for i, share in enumerate(elements.width):
             half = 0.5 * share * width
             state[i] = max(position - half, min(position + half, state[i]))
-        expected = sum(weight * own for weight, own in zip(elements.weight, state, strict=True))
-        assert play.forward(q)[k] == pytest.approx(expected, abs=1e-9)
+        expected[k] = sum(weight * own for weight, own in zip(elements.weight, state, strict=True))
+    assert play.forward(q) == pytest.approx(expected, abs=1e-9)
 
 
 @given(tables(), st.booleans())
 def test_one_element_in_the_warp_is_the_single_play(table, from_centre):
     grid, width, rng = wide(table)
-    q = rng.uniform(grid[0] - 2, grid[-1] + 2, 60)
+    q = rng.uniform(*reach(grid, width), 60)
     p0 = np.nan if from_centre else q[0] + rng.uniform(-0.5, 0.5) * width.min()
     play = Play(grid, width)
     assume(width.min() > play.narrow)
@@ -164,7 +175,7 @@ def test_the_warp_makes_every_width_one(table):
     narrow = 0.02 * max(width.max(), 0.1)
     warp = warp_of(grid, width, narrow)
     assert (np.diff(warp.q) > 0).all() and (np.diff(warp.x) > 0).all()
-    p = np.linspace(grid[0] - 0.1, grid[-1] + 0.1, 999)
+    p = np.linspace(*reach(grid, np.maximum(width, narrow)), 999)
     half = 0.5 * np.maximum(np.interp(p, grid, width), narrow)
     above, below = (np.interp(p + side * half, warp.q, warp.x) for side in (1, -1))
     np.testing.assert_allclose(above - below, 1.0, atol=1e-9)
@@ -202,17 +213,20 @@ def test_the_warp_is_the_least_bent_one(backlash):
 
 
 @given(tables(), several())
-def test_side_tells_when_the_start_is_forgotten(table, elements):
+def test_both_sides_together_make_the_start_forgotten(table, elements):
     grid, width, rng = wide(table)
     play = Play(grid, width, elements)
     assume(width.min() > play.narrow)
-    q = rng.uniform(grid[0] - 1, grid[-1] + 1, 1) + np.cumsum(rng.normal(0, 0.2 * width.mean(), 200))
+    q = rng.uniform(grid[0], grid[-1]) + np.cumsum(rng.normal(0, 0.2 * width.mean(), 200))
     shift = 0.45 * width.min()
-    (one, side), (other, also) = (play.native.forward(q, q[0] + s * shift) for s in (1, -1))
-    settled = (side != 0) & (also != 0)
-    np.testing.assert_allclose(one[settled], other[settled], atol=1e-9)
-    wiped = np.maximum.accumulate(q) - np.minimum.accumulate(q) > 2 * elements.width[-1] * width.max()
-    assert settled[wiped].all()
+    (one, side), (other, _) = (play.native.forward(q, q[0] + s * shift) for s in (1, -1))
+    both = np.maximum.accumulate(side > 0) & np.maximum.accumulate(side < 0)
+    np.testing.assert_allclose(one[both], other[both], atol=1e-9)
+    far = width.max() * (elements.width[-1] + 2)
+    there_and_back = np.concatenate(
+        [q, np.linspace(0, 1, 50) * far + q[-1], q[-1] + far - np.linspace(0, 1, 50) * 2 * far]
+    )
+    assert set(play.native.forward(there_and_back, np.nan)[1][-60:]) == {1, -1}
 
 
 def test_where_nothing_is_lost_it_is_the_single_play():
@@ -236,11 +250,11 @@ def test_where_nothing_is_lost_it_is_the_single_play():
 
 
 @given(tables(), several())
-@settings(max_examples=50)
+@settings(max_examples=15)
 def test_narrow_places_stay_within_the_envelopes(table, elements):
     grid, width, rng = table
     play = Play(grid, width, elements, 0.01)
-    q = rng.uniform(grid[0] - 2, grid[-1] + 2, 80)
+    q = rng.uniform(*reach(grid, width), 40)
     p = play.forward(q)
     low, high = (np.array([solve(x, side, grid, width) for x in q]) for side in (1, -1))
     assert (p >= low - play.narrow).all() and (p <= high + play.narrow).all()
@@ -276,7 +290,7 @@ GRADUAL = Elements((0.4, 0.8, 1.2, 1.6), (0.25, 0.25, 0.25, 0.25))
 
 
 @given(several(), st.integers(0, 2**32 - 1), st.booleans(), st.booleans())
-@settings(max_examples=30)
+@settings(max_examples=20)
 def test_one_model_gives_one_prediction(elements, seed, started, narrow):
     own = model(elements)
     if narrow:
@@ -292,7 +306,7 @@ def test_one_model_gives_one_prediction(elements, seed, started, narrow):
 
 
 def test_a_gradual_onset_is_the_mean_of_plays_of_scaled_width():
-    """The effect simulates its spread thresholds with plays at their own places; where B is constant that is the same."""
+    """As the effect with spread thresholds has it: where B is constant, the two are the same."""
     flat = replace(model(GRADUAL), width=np.full(401, 0.6))
     motor = Motor(np.arange(40.0), np.random.default_rng(1).uniform(-4, 4, 40))
     at = np.linspace(0, 39, 2000)
@@ -318,17 +332,15 @@ def test_a_gradual_onset_is_the_mean_of_plays_of_scaled_width():
 def test_effects_act_on_elements_as_on_a_single_play(parameters):
     """With one element in the warp every effect does what it does to the single play, but for second orders of B'."""
     own = model(SINGLE)
-    motor = Motor(
-        np.arange(0, 40, 0.02), 4 * np.sin(np.arange(0, 40, 0.02)), None, None, None, np.full(2000, 2.0)
-    )
+    motor = Motor(np.arange(0, 40, 0.02), 4 * np.sin(np.arange(0, 40, 0.02)), None, None, None, np.full(2000, 2.0))
     at = np.linspace(0, 39, 900)
-    expected = effects.follow(own, motor, at, parameters).p
+    expected = effects.follow(own, motor, at, parameters).tip
     warp = warp_of(GRID, BUMP, 0.008)
     one = _native.Plays(GRID, BUMP, warp.q, warp.x, np.array([0.5]), np.array([1.0]), 0.0)
     found = _native.simulate_effects(
         parameters, GRID, BUMP, own.c_deg, motor.t_s, motor.q, at, load=motor.load_mNm, plays=one
-    )[1]
-    plain = effects.follow(own, motor, at, {}).p
+    )[2]
+    plain = effects.follow(own, motor, at, {}).tip
     assert np.abs(expected - plain).max() > 5e-3  # it does something
     assert np.abs(found - expected).max() < 0.1 * np.abs(expected - plain).max()
 
