@@ -68,6 +68,7 @@ class Calibration:
                 "sigma": [_finite(v) for v in model.width_sigma],
                 "measured": list(model.measured),
                 "source": self.source,
+                "elements": model.elements.to_json(),
             },
             "remaining": {
                 "q": model.q.tolist(),
@@ -473,7 +474,7 @@ class _Session:
             extra["pass_width"] = [_finite(v) for v in pass_width]
         c_sigma = remaining.sigma_deg if remaining is not None else np.full(len(c), np.nan)
         quality = Quality.of(self.reasons)
-        model = Model(self.rig, self.grid, width, sigma, c, delay.delay_s, measured, (), c_sigma, quality, extra)
+        model = Model(self.rig, self.grid, width, sigma, c, delay.delay_s, measured, (), SINGLE, c_sigma, quality, extra)
         return Calibration(
             model, tuple(onsets), delay, source, curve, pass_width, pass_sigma, self.evidence, notes, names
         )
