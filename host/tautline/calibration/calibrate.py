@@ -17,7 +17,9 @@ from tautline.calibration.observations import Track, observe
 from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, find_delay, find_onsets
 from tautline.calibration.playfit import NODES, Fitted
 from tautline.calibration.remaining import Remaining, fit_remaining, morphological, pose_of, posed
+from tautline.calibration.several import fit_elements
 from tautline.calibration.smooth import Domain, fit_jointly, fit_passes, freeze, overlap
+from tautline.elements import SINGLE
 from tautline.errors import TautError
 from tautline.geometry import coarse_range_deg
 from tautline.model import Model, allowed_width
@@ -34,6 +36,8 @@ _LEAST_FRAMES = 10
 _STANDS_OUT = 10.0  # a motion of so many sigma is one
 _AT_ONCE = 0.75  # of the path's slope: a tip that starts slower starts gradually
 _LITTLE = 0.03  # of the width: differences below are no contradiction
+_GRADUAL = 0.4  # noise: what a gradual start must leave for several elements to be tried
+_HELD = 0.5  # of the square of what one element leaves beyond noise: several may leave so much
 _EXPLAINED = 1.5  # residual over noise up to which a model explains its data
 
 
@@ -42,6 +46,7 @@ class Options:
     delay_s: float | None = None  # given, not estimated
     knots: Literal["smooth", "paper"] = "smooth"  # paper: 14 knots through the onsets alone
     remaining: Literal["direct", "morphological"] = "direct"
+    elements: Literal["auto", "one"] = "auto"  # of the play: several where the data ask for them
 
 
 @dataclass(frozen=True)
@@ -137,6 +142,7 @@ class _Session:
         self.reasons: list[Reason] = []
         self.evidence: dict[str, float] = {}
         self.components: Components | None = None
+        self.elements = SINGLE
         reached = [(float(t.motor.q.min()), float(t.motor.q.max())) for t in tracks]
         low, high = rig.actuator.range
         self.reached = min(r[0] for r in reached), max(r[1] for r in reached)
@@ -227,12 +233,24 @@ class _Session:
 
     def _separated(self, joint: Fitted) -> Fitted:
         """The joint fit with all that departs from its model beside it."""
-        before = joint.scale
+        self.evidence["residual_before_components"] = joint.scale
         self.components = separate(joint, self.rig)
-        self.evidence["residual_before_components"] = before
+        several = self._several(joint, self.components) if self.options.elements == "auto" else None
+        if several is not None:
+            joint, self.elements = several, several.fit.elements
+            self.components = separate(joint, self.rig, without=frozenset({"phase.even"}))
         for part in self.components.parts:
             self.evidence[f"component_{part.name}"] = part.rms
         return self.components.applied(joint)
+
+    def _several(self, joint: Fitted, found: Components) -> Fitted | None:
+        """The joint fit with several elements, where the tip starts gradually and they hold most of it."""
+        gradual = next((part for part in found.parts if part.name == "phase.even"), None)
+        if gradual is None or gradual.rms < max(_GRADUAL, 0.5 * max(part.rms for part in found.parts)):
+            return None
+        several = fit_elements(found.applied(joint), self.rig)
+        before, after = (max(scale**2 - found.noise**2, 0.0) for scale in (joint.scale, several.scale))
+        return several if after < _HELD * before and not several.fit.elements.single else None
 
     def _explained(self, joint: Fitted) -> bool:
         return joint.scale < _EXPLAINED
@@ -372,7 +390,7 @@ class _Session:
             if found is not None:
                 return found
             self.notes.append("the characteristic shows no closed shape: f_remain was fitted directly instead")
-        return fit_remaining(self.tracks, self.rig, self.domain, self.grid, width, delay_s, settled)
+        return fit_remaining(self.tracks, self.rig, self.domain, self.grid, width, delay_s, settled, self.elements)
 
     # ---- what to think of it
 
@@ -474,7 +492,9 @@ class _Session:
             extra["pass_width"] = [_finite(v) for v in pass_width]
         c_sigma = remaining.sigma_deg if remaining is not None else np.full(len(c), np.nan)
         quality = Quality.of(self.reasons)
-        model = Model(self.rig, self.grid, width, sigma, c, delay.delay_s, measured, (), SINGLE, c_sigma, quality, extra)
+        model = Model(
+            self.rig, self.grid, width, sigma, c, delay.delay_s, measured, (), self.elements, c_sigma, quality, extra
+        )
         return Calibration(
             model, tuple(onsets), delay, source, curve, pass_width, pass_sigma, self.evidence, notes, names
         )
@@ -510,7 +530,7 @@ class _Session:
             self.evidence["onsets_minus_passes_rms"] = float(np.sqrt(np.mean(difference**2)))
             self.evidence["onsets_minus_passes_z2"] = float(np.mean(z**2))
             share = abs(mean) / max(float(np.median([o.width for o in widths])), 1e-9)
-            if float(np.mean(z**2)) > 2 * _AGREE and share > 0.03:
+            if float(np.mean(z**2)) > 2 * _AGREE and share > 0.03 and self.elements.single and jumping(widths):
                 self.doubt(
                     "registration.direction_dependent",
                     f"the passes lie {abs(mean):.3g} {self.unit} {'less' if mean > 0 else 'more'} apart than the "

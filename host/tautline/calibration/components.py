@@ -15,8 +15,8 @@ import numpy.typing as npt
 from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve, eigh
 
-from tautline.calibration.departures import Columns, Part, Scene, departures, on_clock, scene_of
-from tautline.calibration.playfit import Curves, Fitted
+from tautline.calibration.departures import Columns, Part, Scene, Sparse, departures, on_clock, scene_of
+from tautline.calibration.playfit import Curves, Fitted, PlayFit
 from tautline.rig import Rig
 
 Array = npt.NDArray[np.float64]
@@ -71,15 +71,17 @@ class Components:
         )  # fmt: skip
 
 
-def separate(fitted: Fitted, rig: Rig) -> Components:
-    """Re-estimates B with what departs from the model beside it, from the joint fit as it stands."""
-    return _Separation(fitted, rig).run()
+def separate(fitted: Fitted, rig: Rig, without: frozenset[str] = frozenset()) -> Components:
+    """Re-estimates B with what departs from the model beside it, from the joint fit as it stands. without: departures
+    that the fit itself holds."""
+    return _Separation(fitted, rig, without).run()
 
 
 @dataclass
 class _Separation:
     fitted: Fitted
     rig: Rig
+    without: frozenset[str] = frozenset()
     active: list[str] = field(default_factory=list)
     penalties: dict[str, float] = field(default_factory=dict)
 
@@ -98,7 +100,8 @@ class _Separation:
 
     def _at(self, curves: Curves, clock: Array, columns: Columns) -> _Solved:
         scene = scene_of(self.fitted, curves, self.rig, clock)
-        solved = _Solved(self, curves, scene, departures(scene, columns), clock, columns)
+        parts = [part for part in departures(scene, columns) if part.name not in self.without]
+        solved = _Solved(self, curves, scene, parts, clock, columns)
         solved.settle()
         return solved
 
@@ -122,6 +125,14 @@ def between(start: Curves, end: Curves, share: float) -> Curves:
     )
 
 
+def nominal_columns(fit: PlayFit, scene: Scene) -> Sparse:
+    """Of path (channel by channel), B and delay."""
+    path = sparse.diags(scene.inverse) @ fit.follow.design(scene.p)
+    by_width = sparse.diags(scene.by_width) @ fit.backlash.design(scene.p)
+    shared = sparse.csr_matrix(sparse.hstack([by_width, sparse.csr_matrix(scene.by_delay[:, None])]))
+    return sparse.csr_matrix(sparse.hstack([scene.each(path), scene.along(shared)]))
+
+
 class _Solved:
     """The mixed model at one linearisation: normal equations of path, B, delay and all departures."""
 
@@ -130,20 +141,16 @@ class _Solved:
     ) -> None:
         self.owner, self.curves, self.scene, self.clock, self.columns = owner, curves, scene, clock, columns
         self.fit = fit = owner.fitted.fit
-        channels = scene.rows.shape[1]
-        path = sparse.diags(scene.inverse) @ fit.follow.design(scene.p)
-        own = sparse.block_diag([path] * channels, format="csr")
-        by_width = sparse.diags(scene.by_width) @ fit.backlash.design(scene.p)
-        shared = sparse.csr_matrix(sparse.hstack([by_width, sparse.csr_matrix(scene.by_delay[:, None])]))
-        design = sparse.hstack([own, scene.along(shared), *(part.columns for part in parts)], format="csr")
+        nominal = nominal_columns(fit, scene)
+        design = sparse.hstack([nominal, *(part.columns for part in parts)], format="csr")
         self.design = design
-        self.weight = np.tile(scene.weight, channels)
+        self.weight = np.tile(scene.weight, scene.rows.shape[1])
         self.target = scene.rows.T.ravel()
         heavy = sparse.csr_matrix(design.multiply(self.weight[:, None]))
         self.gram = np.asarray((heavy.T @ design).toarray())
         self.force = np.asarray(heavy.T @ self.target).ravel()
         self.total = float(self.weight @ self.target**2)
-        self.head = own.shape[1] + shared.shape[1]
+        self.head = int(nominal.shape[1])
         ends = np.cumsum([self.head, *(part.size for part in parts)])
         self.parts = {part.name: part for part in parts}
         self.places = {part.name: np.arange(a, b) for part, a, b in zip(parts, ends[:-1], ends[1:], strict=True)}

@@ -19,6 +19,7 @@ from scipy.signal import lfilter
 from tautline import _native
 from tautline.calibration.observations import Mask, turning_hysteresis
 from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit, Simulated
+from tautline.elements import Play
 from tautline.recording import Motor
 from tautline.rig import Rig
 
@@ -217,13 +218,14 @@ def _piece(
     scene_s = track.scene_s(curves.delay_s)
     gone, way = _since_turn(track.motor, scene_s[keep], rig)
     p, side, moving = sim.p[keep], sim.side[keep].astype(float), sim.moving[keep]
-    denominator = np.maximum(1.0 + 0.5 * side * fit.backlash.slope(curves.backlash, p), 0.05)
+    lean, share = sim.lean[keep], sim.share[keep]
+    denominator = np.maximum(1.0 + 0.5 * lean * fit.backlash.slope(curves.backlash, p), 0.05)
     inverse = 1.0 / track.sigma[keep]
     stroke = np.cumsum(np.diff(sim.side.astype(int), prepend=sim.side[:1]) != 0)
     width = np.interp(p, fit.grid, fit.width(curves))
     load = track.motor.load_mNm
     fine = np.arange(track.motor.t_s[0], track.motor.t_s[-1], _FINE_S)
-    course = _native.play_forward(track.motor_at(fine), fit.grid, fit.width(curves), np.nan)
+    course = Play(fit.grid, fit.width(curves), fit.elements).forward(track.motor_at(fine))
 
     def behind(times_s: tuple[float, ...]) -> Array:
         return np.column_stack([np.interp(scene_s[keep], fine, _low_pass(course, tau) - course) for tau in times_s])
@@ -234,8 +236,8 @@ def _piece(
         "side": side,
         "slope": fit.follow.slope(curves.follow, p).reshape(len(p), -1) * inverse[:, None],
         "width": width,
-        "by_width": -0.5 * side / denominator,
-        "by_delay": -sim.speed[keep] * moving / denominator * track.delayed,
+        "by_width": -0.5 * lean / denominator,
+        "by_delay": -sim.speed[keep] * share / denominator * track.delayed,
         "speed": sim.speed[keep] * moving,
         "moving": moving,
         "phase": gone / np.maximum(width, 0.2 * usual),
