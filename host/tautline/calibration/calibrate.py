@@ -177,11 +177,9 @@ class _Session:
     # ---- the delay
 
     def _delay(self) -> Delay:
-        if not self.camera:
-            return Delay(0.0, 0.0, 0)
         if self.options.delay_s is not None:
             return Delay(self.options.delay_s, 0.0, 0)
-        return find_delay(self.tracks, self.rig, self.rig.delay_s)
+        return find_delay(self.tracks, self.rig, self.rig.nominal_delay_s(self.tracks[0].sensor))
 
     def _joint_delay(self, stops: Delay, joint: Fitted) -> Delay:
         # Each turn is known to a rounded count: an error of time at the motor's speed.
@@ -206,7 +204,7 @@ class _Session:
         self, onsets: Sequence[Onset], delay: Delay, curve: WidthCurve | None
     ) -> tuple[Fitted | None, Fitted | None]:
         frozen = freeze(self._one_curve(delay.delay_s), delay.delay_s)
-        fit_delay = self.camera and self.options.delay_s is None
+        fit_delay = self.options.delay_s is None
         joint = fit_jointly(frozen, self.domain, delay.delay_s, fit_delay=fit_delay, guess=curve)
         if joint is None:
             return None, None
@@ -434,8 +432,8 @@ class _Session:
         beyond = np.abs(self.grid - np.clip(self.grid, *measured))
         sigma = np.hypot(sigma, 0.5 * beyond)
         pass_width, pass_sigma = self._second_opinion(onsets, curve, passes)
-        if self.camera and not np.isfinite(delay.sigma_s):
-            self.notes.append(f"no image stop told the delay: the nominal {delay.delay_s * 1e3:.0f} ms is used")
+        if not np.isfinite(delay.sigma_s):
+            self.notes.append(f"no stop of the tip told the delay: the nominal {delay.delay_s * 1e3:.0f} ms is used")
         coarse = self.rig.coarse
         c = remaining.c_deg if remaining is not None else coarse.gain * self.grid + coarse.offset
         notes = tuple(dict.fromkeys(self.notes))
@@ -452,7 +450,10 @@ class _Session:
             extra["pass_width"] = [_finite(v) for v in pass_width]
         c_sigma = remaining.sigma_deg if remaining is not None else np.full(len(c), np.nan)
         quality = Quality.of(self.reasons)
-        model = Model(self.rig, self.grid, width, sigma, c, delay.delay_s, measured, (), c_sigma, quality, extra)
+        model = Model(
+            self.rig, self.grid, width, sigma, c, delay.delay_s, measured, (), c_sigma, quality, extra,
+            self.tracks[0].sensor,
+        )  # fmt: skip
         return Calibration(
             model, tuple(onsets), delay, source, curve, pass_width, pass_sigma, self.evidence, notes, names
         )
