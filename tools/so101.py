@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
@@ -75,7 +76,7 @@ def constant_play(run: Recording, hysteresis: bool = True) -> tuple[float, float
     def scaled(p: Array) -> Array:
         return (2.0 * p - low - high) / (high - low)
 
-    def fitted(x: Array) -> tuple[float, npt.NDArray[np.float64]]:
+    def fitted(x: npt.NDArray[Any]) -> tuple[float, npt.NDArray[Any]]:
         p = scaled(play(commanded(run, float(x[0])), abs(float(x[1])) if hysteresis else 0.0))
         design = np.polynomial.chebyshev.chebvander(p, ORDER)
         coefficients = np.linalg.lstsq(design, c, rcond=None)[0]
@@ -86,7 +87,7 @@ def constant_play(run: Recording, hysteresis: bool = True) -> tuple[float, float
     start = min(starts, key=lambda x: fitted(x)[0])
     simplex = start + np.array([[0.0, 0.0], [0.02, 0.0], [0.0, 0.01 * (high - low)]])
     options = {"initial_simplex": simplex, "xatol": 1e-5, "fatol": 1e-10}
-    best = minimize(lambda x: fitted(x)[0], start, method="Nelder-Mead", options=options).x
+    best = minimize(lambda x: fitted(x)[0], start, method="Nelder-Mead", options=options).x  # type: ignore[call-overload]
     delay, width = float(best[0]), abs(float(best[1])) if hysteresis else 0.0
     coefficients = fitted(best)[1]
 

@@ -150,6 +150,23 @@ def timeline(recordings: Sequence[Recording]) -> Timeline:
     return Timeline(tuple(offsets), tuple(known))
 
 
+def shifted(recordings: Sequence[Recording], offsets_s: Mapping[str, float]) -> list[Recording]:
+    """With offsets, by the recordings' names, taken from the times of marker and angle."""
+
+    def moved(recording: Recording) -> Recording:
+        offset_s = offsets_s.get(recording.name, 0.0)
+        marker, angle = recording.marker, recording.angle
+        if not offset_s:
+            return recording
+        return replace(
+            recording,
+            marker=marker and replace(marker, t_s=marker.t_s - offset_s),
+            angle=angle and replace(angle, t_s=angle.t_s - offset_s),
+        )
+
+    return [moved(recording) for recording in recordings]
+
+
 def load_motor(path: str | Path, rig: Rig, warnings: list[str] | None = None) -> Motor:
     """motor.csv of a recording's folder, in the rig's unit. All that a prediction needs."""
     return read_motor(_folder(path) / "motor.csv", rig, warnings)
