@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
+from tautline.calibration import clock
 from tautline.calibration.backlash import WidthCurve, fit_paper, fit_widths
 from tautline.calibration.components import Components, separate
 from tautline.calibration.doubts import doubts
@@ -61,6 +62,7 @@ class Calibration:
     evidence: dict[str, float]
     notes: tuple[str, ...]
     names: tuple[str, ...] = field(default=())  # of the recordings
+    offsets: Mapping[str, float] = field(default_factory=dict)  # by recording: the sensor's clock less the motor's
 
     def to_json(self) -> dict[str, Any]:
         """What `taut calibrate --json` prints (formats: backlash, remaining, delay_s, onsets, and what was noted)."""
@@ -81,6 +83,7 @@ class Calibration:
                 "sigma_deg": None if model.c_sigma is None else [_finite(v) for v in model.c_sigma],
             },
             "delay_s": model.delay_s,
+            "offset_s": model.offset_s,
             "delay_sigma_s": _finite(self.delay.sigma_s),
             "onsets": [onset_json(o, self.names) for o in self.onsets],
             "evidence": {key: _finite(value) for key, value in self.evidence.items()},
@@ -132,14 +135,16 @@ def calibrate(
     if frames < _LEAST_FRAMES:
         raise TautError(f"the tip was seen in {frames} frames only: record the calibration motion with it in view")
     with threadpool_limits(1, "blas"):  # its systems are small: threads that wait for each other cost 10 times more
-        return _Session(tracks, rig, options, say).run()
+        aligned = clock.align(tracks, rig) if options.delay_s is None else clock.Clock.as_it_is(tracks)
+        return _Session(aligned, rig, options, say).run()
 
 
 class _Session:
-    def __init__(self, tracks: list[Track], rig: Rig, options: Options, say: Progress) -> None:
-        self.tracks, self.rig, self.options, self.say = tracks, rig, options, say
+    def __init__(self, aligned: clock.Clock, rig: Rig, options: Options, say: Progress) -> None:
+        self.clock, self.rig, self.options, self.say = aligned, rig, options, say
+        self.tracks = tracks = aligned.tracks
         self.notes: list[str] = []
-        self.reasons: list[Reason] = []
+        self.reasons: list[Reason] = list(aligned.reasons)
         self.evidence: dict[str, float] = {}
         self.components: Components | None = None
         self.elements = SINGLE
@@ -149,6 +154,7 @@ class _Session:
         self.domain = Domain(min(low, self.reached[0]), max(high, self.reached[1]))
         self.grid = np.linspace(self.domain.low, self.domain.high, NODES)
         self.camera = tracks[0].unit == "px"
+        self.nominal_s = rig.nominal_delay_s(tracks[0].sensor)
         self.unit = rig.actuator.unit
 
     def doubt(self, code: str, says: str, remedy: str, *, fatal: bool = False) -> None:
@@ -167,9 +173,10 @@ class _Session:
         curve = fit_widths(onsets, self.grid)
         self.say(0.35, "passes")
         joint, passes = self._smooth(onsets, delay, curve)
-        if joint is not None and joint.fit.fit_delay:
+        if joint is not None and (joint.fit.fit_delay or joint.curves.delay_s != delay.delay_s):
             before, delay = delay, self._joint_delay(delay, joint)
-            if abs(before.delay_s - delay.delay_s) > 1e-4:
+            surer = not self.camera and delay.sigma_s < 0.5 * before.sigma_s
+            if surer or abs(before.delay_s - delay.delay_s) > 1e-4:
                 onsets = find_onsets(self.tracks, self.rig, delay.delay_s, delay.sigma_s)
                 curve = fit_widths(onsets, self.grid)
         width, sigma, source = self._choose(onsets, curve, joint, passes)
@@ -188,17 +195,24 @@ class _Session:
     # ---- the delay
 
     def _delay(self) -> Delay:
-        if not self.camera:
-            return Delay(0.0, 0.0, 0)
         if self.options.delay_s is not None:
             return Delay(self.options.delay_s, 0.0, 0)
-        return find_delay(self.tracks, self.rig, self.rig.delay_s)
+        if not self.camera:
+            return clock.delay_of_all(self.tracks, self.nominal_s)
+        return find_delay(self.tracks, self.rig, clock.near_delay(self.tracks, self.nominal_s))
 
     def _joint_delay(self, stops: Delay, joint: Fitted) -> Delay:
         # Each turn is known to a rounded count: an error of time at the motor's speed.
         speed = float(np.median(np.concatenate([np.abs(s.speed[s.moving]) for s in joint.fit.simulated])))
         counts = self.rig.actuator.encoder_resolution / np.sqrt(12.0) / max(speed, 1e-9) / np.sqrt(max(stops.stops, 1))
-        return Delay(joint.curves.delay_s, float(np.hypot(joint.delay_sigma, counts)), stops.stops)
+        own = joint.delay_sigma
+        if not joint.fit.fit_delay:  # at the nominal delay: within a sample of it
+            own = (
+                min(stops.sigma_s, clock.period_s(self.tracks))
+                if joint.curves.delay_s == self.nominal_s
+                else stops.sigma_s
+            )
+        return Delay(joint.curves.delay_s, float(np.hypot(own, counts)), stops.stops)
 
     # ---- B
 
@@ -217,11 +231,13 @@ class _Session:
         self, onsets: Sequence[Onset], delay: Delay, curve: WidthCurve | None
     ) -> tuple[Fitted | None, Fitted | None]:
         frozen = freeze(self._one_curve(delay.delay_s), delay.delay_s)
-        fit_delay = self.camera and self.options.delay_s is None
+        fit_delay = self.options.delay_s is None
         joint = fit_jointly(frozen, self.domain, delay.delay_s, fit_delay=fit_delay, guess=curve)
         if joint is None:
             return None, None
-        if fit_delay and (jumping(onsets) or not self._explained(joint)):
+        if fit_delay and not self.camera:
+            joint = clock.settled(joint, delay, self.tracks, self.nominal_s)
+        elif fit_delay and (jumping(onsets) or not self._explained(joint)):
             # What the model does not know would bend the delay: the image stops tell it alone.
             joint.fit.fit_delay = False
             joint = joint.fit.solve(replace(joint.curves, delay_s=delay.delay_s))
@@ -474,8 +490,10 @@ class _Session:
         beyond = np.abs(self.grid - np.clip(self.grid, *measured))
         sigma = np.hypot(sigma, 0.5 * beyond)
         pass_width, pass_sigma = self._second_opinion(onsets, curve, passes)
-        if self.camera and not np.isfinite(delay.sigma_s):
-            self.notes.append(f"no image stop told the delay: the nominal {delay.delay_s * 1e3:.0f} ms is used")
+        characteristic = self._characteristic(delay.delay_s)
+        aligned, delay = self.clock.with_delay(delay, self.nominal_s)
+        if not np.isfinite(delay.sigma_s):
+            self.notes.append(f"no stop of the tip told the delay: the nominal {delay.delay_s * 1e3:.0f} ms is used")
         coarse = self.rig.coarse
         c = remaining.c_deg if remaining is not None else coarse.gain * self.grid + coarse.offset
         notes = tuple(dict.fromkeys(self.notes))
@@ -485,7 +503,7 @@ class _Session:
             "onsets": [onset_json(o, names) for o in onsets],
             "evidence": {key: _finite(value) for key, value in self.evidence.items()},
             "notes": list(notes),
-            "characteristic": self._characteristic(delay.delay_s),
+            "characteristic": characteristic,
             "options": asdict(self.options),
         }
         if pass_width is not None:
@@ -493,11 +511,13 @@ class _Session:
         c_sigma = remaining.sigma_deg if remaining is not None else np.full(len(c), np.nan)
         quality = Quality.of(self.reasons)
         model = Model(
-            self.rig, self.grid, width, sigma, c, delay.delay_s, measured, (), self.elements, c_sigma, quality, extra
-        )
+            self.rig, self.grid, width, sigma, c, delay.delay_s, measured, elements=self.elements, c_sigma=c_sigma,
+            quality=quality, extra=extra, sensor=self.tracks[0].sensor, offset_s=aligned.offset_s,
+        )  # fmt: skip
         return Calibration(
-            model, tuple(onsets), delay, source, curve, pass_width, pass_sigma, self.evidence, notes, names
-        )
+            model, tuple(onsets), delay, source, curve, pass_width, pass_sigma, self.evidence, notes, names,
+            aligned.offsets,
+        )  # fmt: skip
 
     def _measured(self, curve: WidthCurve | None, joint: Fitted | None, source: str) -> tuple[float, float]:
         if curve is not None:

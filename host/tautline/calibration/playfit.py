@@ -167,7 +167,7 @@ class PlayFit:
             lean = sim.lean[keep]
             denominator = np.maximum(1.0 + 0.5 * lean * self.backlash.slope(curves.backlash, p), 0.05)
             by_width = -0.5 * lean / denominator * self.fit_backlash  # dp/dB
-            by_delay = -sim.speed[keep] * sim.share[keep] / denominator * (track.delayed and self.fit_delay)
+            by_delay = -sim.speed[keep] * sim.share[keep] / denominator * self.fit_delay
             for channel, own in enumerate(sums):
                 of = slice(None) if self.view is not None else slice(channel, channel + 1)
                 h = np.ascontiguousarray(by_s[:, of])
