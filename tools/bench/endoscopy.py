@@ -51,11 +51,10 @@ class Condition:
 
 
 CONDITIONS = (
-    Condition("without loss", codec="FFV1"),
     Condition("MJPEG"),
     Condition("MJPEG, quality 50", quality=50.0),
     Condition("H.264", codec="h264", quality=23.0),
-    Condition("H.264, 3 kB a frame", codec="h264", quality=32.0),
+    Condition("H.264, crf 32", codec="h264", quality=32.0),
     Condition("MPEG-4", codec="mp4v"),
     Condition("glare", glare=True),
     Condition("occlusion", covered=True),
@@ -73,7 +72,9 @@ class World:
         self.condition = condition
         self.rng = np.random.default_rng([seed, 0xE5])
         self.focal = 520.0 * condition.width / 720.0
-        self.level, self.bump, self.where, self.tilt = self.rng.uniform([0.35, 0.1, -2.0, -0.02], [0.6, 0.25, 2.0, 0.02])
+        self.level, self.bump, self.where, self.tilt = self.rng.uniform(
+            [0.35, 0.1, -2.0, -0.02], [0.6, 0.25, 2.0, 0.02]
+        )
         self.waves = self.rng.uniform([-3.0, 0.4, 0.0], [3.0, 0.9, 6.3])
         self.t, self.q = _motion(self.rng)
         self.c = self.bend(self._play(self.q))
@@ -220,7 +221,9 @@ class World:
         """Another instrument that sweeps across the view in 1.1 s."""
         unit = self.condition.width / 720.0
         u = int(picture.shape[1] * (s / 1.1))
-        cv2.line(picture, (u - int(90 * unit), 0), (u + int(90 * unit), picture.shape[0]), (120, 118, 112), int(46 * unit))
+        cv2.line(
+            picture, (u - int(90 * unit), 0), (u + int(90 * unit), picture.shape[0]), (120, 118, 112), int(46 * unit)
+        )
 
 
 def _motion(rng: np.random.Generator) -> tuple[Array, Array]:

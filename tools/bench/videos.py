@@ -87,7 +87,9 @@ def run(
             with tempfile.TemporaryDirectory() as room:
                 folder = Path(room) / "recording"
                 behind = real[seed % len(real)] if real and seed % 3 else None
-                endoscopy.make(folder, condition, seed, behind, lambda part, at=share: say(at + part / total, "drawing"))
+                endoscopy.make(
+                    folder, condition, seed, behind, lambda part, at=share: say(at + part / total, "drawing")
+                )
                 say(share, condition.name)
                 status, said = calibrated(folder, Path(room) / "model")
                 truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
+from tautline.calibration.acquisition import doubts, in_another_unit
 from tautline.calibration.backlash import WidthCurve, fit_paper, fit_widths
 from tautline.calibration.observations import Track, observe
 from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, find_delay, find_onsets
@@ -117,25 +118,28 @@ def calibrate(
     options = options or Options()
     say = progress or (lambda share, what: None)
     say(0.0, "reading frames")
-    tracks = [track for track in observe(recordings, rig) if len(track.t_s)]
+    every = observe(recordings, rig)
+    tracks = [track for track in every if len(track.t_s)]
     if not tracks:
         raise TautError("the marker was never seen: check the marker's colour (taut marker) and the camera's view")
     frames = sum(len(track.t_s) for track in tracks)
     if frames < _LEAST_FRAMES:
         raise TautError(f"the tip was seen in {frames} frames only: record the calibration motion with it in view")
     with threadpool_limits(1, "blas"):  # its systems are small: threads that wait for each other cost 10 times more
-        return _Session(tracks, rig, options, say).run()
+        return _Session(tracks, rig, options, say, doubts(recordings, every, rig)).run()
 
 
 class _Session:
-    def __init__(self, tracks: list[Track], rig: Rig, options: Options, say: Progress) -> None:
+    def __init__(
+        self, tracks: list[Track], rig: Rig, options: Options, say: Progress, reasons: list[Reason] | None = None
+    ) -> None:
         self.tracks, self.rig, self.options, self.say = tracks, rig, options, say
         self.notes: list[str] = []
-        self.reasons: list[Reason] = []
+        self.reasons = reasons or []
         self.evidence: dict[str, float] = {}
         reached = [(float(t.motor.q.min()), float(t.motor.q.max())) for t in tracks]
-        low, high = rig.actuator.range
         self.reached = min(r[0] for r in reached), max(r[1] for r in reached)
+        low, high = self.reached if in_another_unit(self.reached, rig) else rig.actuator.range
         self.domain = Domain(min(low, self.reached[0]), max(high, self.reached[1]))
         self.grid = np.linspace(self.domain.low, self.domain.high, NODES)
         self.camera = tracks[0].unit == "px"
