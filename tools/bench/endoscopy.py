@@ -1,7 +1,7 @@
 """Recordings with videos as another program would make them: a motor, an instrument and an endoscope of their own.
 
-Nothing of tautline is imported: what a calibration makes of these recordings is compared with a truth that shares no line
-with it. A recording is a folder as docs/files.md has it, with truth.json (B on a grid) beside it.
+Nothing of tautline is imported: what a calibration makes of these recordings is compared with a truth that shares no
+line with it. A recording is a folder as docs/files.md has it, with truth.json (B on a grid) beside it.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -39,7 +40,7 @@ class Condition:
 
     name: str
     codec: str = "MJPG"  # a fourcc of OpenCV's, or "h264"
-    quality: float = 95.0  # of MJPG in percent; the constant rate factor of h264
+    quality: float = 95.0  # of JPEG in percent; the constant rate factor of h264
     width: int = 720
     height: int = 576
     scale: float = 1.0
@@ -163,7 +164,7 @@ class World:
         image, half = self._image(point), self.focal * TUBE_MM / point[:, 2]
         for grey, share in ((70, 1.0), (125, 0.75), (165, 0.4)):
             for k in range(len(image) - 1):
-                ends = [tuple(int(round(16 * x)) for x in image[j]) for j in (k, k + 1)]
+                ends = [tuple(round(16 * float(x)) for x in image[j]) for j in (k, k + 1)]
                 thick = max(1, round(share * (half[k] + half[k + 1])))
                 cv2.line(picture, ends[0], ends[1], (grey, grey, grey - 8), thick, cv2.LINE_AA, 4)
 
@@ -234,7 +235,7 @@ def _motion(rng: np.random.Generator) -> tuple[Array, Array]:
             corners += [corners[-1] + way * 1.9, corners[-1] + way * (0.6 + rng.uniform(-0.05, 0.05))]
         corners.append(way * 4.4)
     t, q = [0.0], [corners[0]]
-    for k, (start, end) in enumerate(zip(corners, corners[1:], strict=False)):
+    for k, (start, end) in enumerate(pairwise(corners)):
         speed = (1.3, 0.8)[k % 4 // 2]
         lasts = abs(end - start) / speed + 0.1  # its ends are rounded
         s = np.arange(1, int(lasts * MOTOR_HZ)) / (lasts * MOTOR_HZ)
@@ -287,11 +288,12 @@ class _Writer:
             self._stream.options = {"crf": f"{condition.quality:g}", "preset": "veryfast"}
             return
         self._cv = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*condition.codec), RATE_HZ, size)
-        if condition.codec == "MJPG":
-            self._cv.set(cv2.VIDEOWRITER_PROP_QUALITY, condition.quality)
+        self._jpeg = [cv2.IMWRITE_JPEG_QUALITY, round(condition.quality)] if condition.codec == "MJPG" else None
 
     def write(self, picture: Array) -> None:
         if self._av is None:
+            if self._jpeg is not None:  # the writer's own quality is high and cannot be told
+                picture = cv2.imdecode(cv2.imencode(".jpg", picture, self._jpeg)[1], cv2.IMREAD_COLOR)
             self._cv.write(picture)
             return
         frame = self._library.VideoFrame.from_ndarray(picture, format="bgr24")

@@ -1,7 +1,7 @@
-"""./run bench videos: what a calibration makes of videos, against the truth of a generator that shares nothing with it.
+"""./run bench videos: what a calibration makes of videos whose generator shares nothing with it.
 
-Each recording goes through `taut calibrate FOLDER`, as anyone's would. z is sqrt(mean((error of B / its sigma)^2)) over the
-grid within `measured`.
+Each recording goes through `taut calibrate FOLDER`, as anyone's would. z is sqrt(mean((error of B / its sigma)^2)) over
+the grid within `measured`.
 """
 
 from __future__ import annotations

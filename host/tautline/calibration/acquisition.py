@@ -23,7 +23,7 @@ Array = npt.NDArray[np.float64]
 _SCALES = (1 / 4, 1 / 3, 3 / 8, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2.0, 8 / 3, 3.0, 4.0)
 _EVEN = 0.01  # by which the two sides may be scaled differently: a rounded number of pixels
 _OFF = 0.02  # of the picture's width: farther from the tip's path the marker is not where the rig puts it
-_FITS = 0.2  # of that distance is left where another scale is right
+_FITS = 0.1  # of that distance is left where another scale is right
 _MARGIN_PX = 2.0
 _LEAST_REACH, _MOST_REACH = 0.02, 5.0  # of the range: beyond, the two are in different units
 _MOST_BEND_DEG = 1000.0  # three turns: no bending section's
@@ -116,8 +116,8 @@ def _frame_size(recordings: Sequence[Recording], tracks: Sequence[Track], rig: R
 
 def _rescaled(scale: float) -> str:
     return (
-        f"record at the rig's size, or, where the whole view was scaled and not cut, multiply fx_px, fy_px, cx_px, cy_px, "
-        f"width_px and height_px by {scale:.4g}"
+        "record at the rig's size, or, where the whole view was scaled and not cut, multiply fx_px, fy_px, cx_px, "
+        f"cy_px, width_px and height_px by {scale:.4g}"
     )
 
 
@@ -131,25 +131,32 @@ def _told_by_places(track: Track, rig: Rig, camera: Camera) -> Reason | None:
     some = np.linspace(0, len(track.t_s) - 1, min(60, len(track.t_s))).astype(int)
     others = [x[some] for x in track.others_at(track.scene_s(rig.delay_s))]
 
+    q = track.motor_at(track.scene_s(rig.delay_s))[some]
+
     def off(scale: float) -> float:
-        away = pose(rig, (track.y[some] + 0.5) / scale - 0.5, *others)[1]
-        return float(np.sqrt(np.mean(away**2))) if np.isfinite(away).all() else np.inf
+        """px of the rig's; infinite where the angles are not f_coarse's either."""
+        c, away = pose(rig, (track.y[some] + 0.5) / scale - 0.5, *others)
+        if not np.isfinite(away).all():
+            return np.inf
+        gain = float(np.cov(q, c)[0, 1] / max(np.var(q, ddof=1), 1e-12)) / rig.coarse.gain
+        likely = scale == 1.0 or 0.5 < gain < 2.0
+        return float(np.sqrt(np.mean(away**2))) if likely else np.inf
 
     as_is = off(1.0)
     best = min(_SCALES, key=off)
     if as_is > _OFF * camera.width_px and off(best) < _FITS * as_is:
         return Reason(
             "frame_size",
-            f"{track.name}: the marker is {as_is:.3g} px off the tip's path, but on it if the frames were {best:.3g} times "
-            "the rig's size",
+            f"{track.name}: the marker is {as_is:.3g} px off the tip's path, but on it if the frames were {best:.3g} "
+            "times the rig's size",
             _rescaled(best),
             fatal=True,
         )
     if outside:
         return Reason(
             "frame_size",
-            f"{track.name}: marker positions from ({low[0]:.4g}, {low[1]:.4g}) to ({high[0]:.4g}, {high[1]:.4g}) px are "
-            f"outside of the rig's {camera.width_px} x {camera.height_px} px",
+            f"{track.name}: marker positions from ({low[0]:.4g}, {low[1]:.4g}) to ({high[0]:.4g}, {high[1]:.4g}) px "
+            f"are outside of the rig's {camera.width_px} x {camera.height_px} px",
             "the rig's camera is not the one that recorded this: calibrate the camera at the size of its frames",
             fatal=True,
         )
@@ -171,8 +178,8 @@ def _rate(recordings: Sequence[Recording], camera: Camera) -> list[Reason]:
                 Reason(
                     "rate",
                     f"{recording.name}: frames come at {1 / period:.4g} Hz, the rig says {camera.frame_rate_hz:g}",
-                    "set camera.frame_rate_hz, or check the times of the frames: a video that plays too fast or too slow "
-                    "is on another clock than the motor",
+                    "set camera.frame_rate_hz, or check the times of the frames: a video that plays too fast or too "
+                    "slow is on another clock than the motor",
                 )
             ]
     return []
@@ -196,8 +203,8 @@ def _lost(recording: Recording, marker: Marker, rig: Rig) -> list[Reason]:
     return [
         Reason(
             "lost",
-            f"{recording.name}: from {edges[dark[0]]:.3g} to {edges[dark[-1] + 1]:.3g} {rig.actuator.unit} the marker is "
-            f"mostly not seen ({100 * (1 - seen):.0f} % of all frames)",
+            f"{recording.name}: from {edges[dark[0]]:.3g} to {edges[dark[-1] + 1]:.3g} {rig.actuator.unit} the marker "
+            f"is mostly not seen ({100 * (1 - seen):.0f} % of all frames)",
             "keep it in view and in light there, or pick its colour again (taut marker)",
         )
     ]
