@@ -15,7 +15,7 @@ from tautline.calibration.acquisition import doubts as acquisition_doubts
 from tautline.calibration.acquisition import in_another_unit
 from tautline.calibration.backlash import WidthCurve, fit_paper, fit_widths
 from tautline.calibration.components import Components, separate
-from tautline.calibration.doubts import doubts
+from tautline.calibration.doubts import doubts, floor_of
 from tautline.calibration.observations import Track, observe
 from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, find_delay, find_onsets
 from tautline.calibration.place import allowing_for_place, place_noise
@@ -518,7 +518,10 @@ class _Session:
         names = tuple(track.name for track in self.tracks)
         measured = self._measured(curve, joint, source)
         beyond = np.abs(self.grid - np.clip(self.grid, *measured))
-        sigma = np.hypot(sigma, 0.5 * beyond)
+        inside = (self.grid > measured[0]) & (self.grid < measured[1])
+        floor = floor_of([t.motor for t in self.tracks], self.grid[inside], width[inside], sigma[inside], self.unit)
+        self.reasons += floor.reasons
+        sigma = np.hypot(np.hypot(sigma, floor.sigma), 0.5 * beyond)
         pass_width, pass_sigma = self._second_opinion(onsets, curve, passes)
         characteristic = self._characteristic(delay.delay_s)
         aligned, delay = self.clock.with_delay(delay, self.nominal_s)
