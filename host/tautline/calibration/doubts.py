@@ -176,7 +176,7 @@ def floor_of(motors: Sequence[Motor], grid: Array, width: Array, sigma: Array, u
         reasons.append(
             Reason(
                 "actuator.encoder_periodic",
-                f"B(q) ripples by {rippled:.2g} {unit} (rms) every {wave:.3g} {unit}, as a turning encoder's error does",
+                f"B(q) ripples by {rippled:.2g} {unit} (rms) every {wave:.3g} {unit}, as an encoder may",
                 "centre the encoder's magnet or disc and calibrate again",
             )
         )
