@@ -38,24 +38,27 @@ def picture(view: View) -> list[Text]:
         styles = [_style(value, view.until) for value in sigma]
         lines += [*_curve(width, styles, view.unit), _sigmas(sigma, styles, view)]
     lines.append(_axis(view))
-    lines.append(Text(standing(view)))
-    return lines
+    return [*lines, *(Text(part) for part in _seen_and_known(view))]
 
 
 def standing(view: View) -> str:
-    """In one line: what is known by now."""
+    """In one line: what was seen and what is known by now."""
+    return ": ".join(_seen_and_known(view))
+
+
+def _seen_and_known(view: View) -> tuple[str, str]:
     seen = f"{view.seconds:.1f} s, {view.frames - view.lost} of {view.frames} frames, {view.reversals} reversals"
     if view.found is None:
-        return f"{seen}: too early to tell B(q)"
+        return seen, "too early to tell B(q)"
     low, high = view.found.model.measured
-    span = f"B(q) from {low:.3g} to {high:.3g} {view.unit}"
-    if view.standing is None:
-        return f"{seen}: {span}"
-    wanted = f", wanted {in_words(view.until, view.unit)}" if view.until is not None else ""
+    known = f"B(q) from {low:.3g} to {high:.3g} {view.unit}"
+    if view.standing is None or view.until is None:
+        return seen, known
+    wanted = f"wanted {in_words(view.until, view.unit)}"
     worst = view.standing.worst
     if not np.isfinite(worst):
-        return f"{seen}: B(q) is not known anywhere yet{wanted}"
-    return f"{seen}: {span}, sigma {in_words(worst, view.unit)} at worst (at {view.standing.where:.3g}){wanted}"
+        return seen, f"B(q) is not known anywhere yet, {wanted}"
+    return seen, f"{known}, sigma {in_words(worst, view.unit)} at worst (at {view.standing.where:.3g}), {wanted}"
 
 
 def _heading(view: View) -> Text:
@@ -98,9 +101,9 @@ def _curve(width: Array, styles: list[str], unit: str) -> list[Text]:
 
 
 def _sigmas(sigma: Array, styles: list[str], view: View) -> Text:
-    """In multiples of the goal, or of the best: 1 to 9, then +; a dot where nothing is known."""
+    """In thirds of the goal, or multiples of the best: 1 to 9, then +; a dot where nothing is known."""
     finite = sigma[np.isfinite(sigma)]
-    one = view.until or (float(finite.min()) if len(finite) else 1.0)
+    one = view.until / 3 if view.until is not None else (float(finite.min()) if len(finite) else 1.0)
     line = Text(f"sigma/{in_words(one, view.unit)}".ljust(_LABEL))
     for value, style in zip(sigma, styles, strict=True):
         times = np.ceil(value / one) if np.isfinite(value) else np.inf
