@@ -9,26 +9,30 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from tautline.calibration.calibrate import Calibration
 from tautline.calibration.onset import BOUND
 from tautline.rig import Actuator
 
-Array = np.ndarray
+Array = npt.NDArray[np.float64]
 
 # Shares of the range.
 _FRAME = 0.0224  # per frame at most: 5.6 mm/s of 10 mm at 25 Hz; much faster leaves too few frames a knot
 _SECOND = 0.56  # per second at most, however fast the camera
 _APPROACH, _STROKE, _LONGEST_STROKE = 0.03, 0.25, 0.45
 _EDGE = 0.05  # so much of what can be seen may be missing at either end
-_WHOLE = 0.6  # a round that would need more of the range takes all of it
+_WHOLE = 0.4  # a round that would need more of the range takes all of it
+_BESIDE = 0.02  # strokes go on for so much beyond the backlash
 
 _OF_TOP_SPEED, _OF_TOP_ACCELERATION = 0.4, 0.8  # of the axis' limits
 _RAMP_S = 0.05  # from rest to measuring speed
 _SPEEDS = (1.0, 0.6, 0.8, 0.5)  # of the rounds in turn: what depends on speed is no delay
-_CYCLES, _LOCAL_CYCLES = 3, 2  # turning points of a pass
+_CYCLES = 3  # turning points of a pass
 _LATENCY_S = 0.4  # from an onset until the board has confirmed it
 _MOST_PASSES = 4
+_FRAMES_A_STROKE = 6  # in which the tip moves, at least
+_STROKES = (2, 6)  # there and back, at least and at most
 # What the board takes for an onset, in shares of the range: it ends strokes, it measures nothing.
 _SIGMA_WANTED, _SIGMA_USABLE = 1e-3, 1e-2
 
@@ -58,6 +62,21 @@ class Round:
 
 
 @dataclass(frozen=True)
+class Strokes:
+    """There and back between two positions, several times, at one place after the other: slow and precise where B(q) is
+    known worst."""
+
+    places: tuple[tuple[float, float], ...]
+    speeds: tuple[float, ...]  # one for each place
+    times: int
+    transit: float
+
+    def says(self, unit: str) -> str:
+        places = " and ".join(f"{low:.3g} to {high:.3g}" for low, high in self.places)
+        return f"{self.times} times {places} {unit}"
+
+
+@dataclass(frozen=True)
 class Means:
     """What a set-up allows."""
 
@@ -65,6 +84,7 @@ class Means:
     high: float
     speeds: tuple[float, ...]  # of the rounds in turn
     acceleration: float
+    frame_s: float
 
     @classmethod
     def of(
@@ -77,7 +97,8 @@ class Means:
                 _OF_TOP_ACCELERATION * top_acceleration * _RAMP_S,
             )  # fmt: skip
             speeds = tuple(fast * share for share in _SPEEDS)
-        return cls(low, high, speeds, min(max(speeds) / _RAMP_S, _OF_TOP_ACCELERATION * top_acceleration))
+        acceleration = min(max(speeds) / _RAMP_S, _OF_TOP_ACCELERATION * top_acceleration)
+        return cls(low, high, speeds, acceleration, 1.0 / frame_rate_hz)
 
     @property
     def span(self) -> float:
@@ -91,7 +112,7 @@ class Standing:
 
     worst: float  # one standard deviation, unit of q
     where: float
-    need: tuple[float, float]  # positions around which sigma is above the goal; empty: (where, where)
+    need: tuple[tuple[float, float], ...]  # places at which sigma is above the goal
     missing: tuple[float, float]
     widest: float  # B
     strokes: float  # the longest that moved nothing, 0 where none did
@@ -100,22 +121,16 @@ class Standing:
     @classmethod
     def of(cls, found: Calibration, low: float, high: float, until: float) -> Standing:
         model = found.model
+        bounds = max((onset.low for onset in found.onsets if onset.used and onset.kind == BOUND), default=0.0)
+        residual = float(found.evidence.get("joint_residual_over_noise", 1.0))
         inside = (model.q >= model.measured[0]) & (model.q <= model.measured[1])
-        sigma = np.where(np.isfinite(model.width_sigma), model.width_sigma, np.inf)
-        widest = float(model.width[inside].max()) if inside.any() else 0.0
-        bounds = [onset.low for onset in found.onsets if onset.used and onset.kind == BOUND]
-        residual = found.evidence.get("joint_residual_over_noise", 1.0)
-        missing = _missing(found, low, high)
         if not inside.any() or model.measured[0] >= model.measured[1]:
-            middle = 0.5 * (low + high)
-            return cls(np.inf, middle, (low, high), (low, high), widest, max(bounds, default=0.0), residual)
-        q, sigma = model.q[inside], sigma[inside]
+            return cls(np.inf, 0.5 * (low + high), (), (low, high), 0.0, bounds, residual)
+        q, widest = model.q[inside], float(model.width[inside].max())
+        sigma = np.where(np.isfinite(model.width_sigma), model.width_sigma, np.inf)[inside]
         worst = int(np.argmax(sigma))
-        bad = q[sigma > until]
-        need = (float(bad[0]), float(bad[-1])) if len(bad) else (float(q[worst]), float(q[worst]))
-        return cls(
-            float(sigma[worst]), float(q[worst]), need, missing, widest, max(bounds, default=0.0), float(residual)
-        )
+        need = _places(q, sigma > until, widest)
+        return cls(float(sigma[worst]), float(q[worst]), need, _missing(found, low, high), widest, bounds, residual)
 
     @property
     def covered(self) -> bool:
@@ -127,6 +142,15 @@ class Standing:
     def share(self, until: float) -> float:
         """Of the way there, 0 to 1: variance falls as time goes."""
         return min((until / self.worst) ** 2, 1.0) if self.worst > 0 else 1.0
+
+
+def _places(q: Array, bad: npt.NDArray[np.bool_], apart: float) -> tuple[tuple[float, float], ...]:
+    """Runs of bad positions; those less than `apart` from each other are one."""
+    at = q[bad]
+    if not len(at):
+        return ()
+    cut = np.flatnonzero(np.diff(at) > apart)
+    return tuple(zip(at[np.r_[0, cut + 1]].tolist(), at[np.r_[cut, len(at) - 1]].tolist(), strict=True))
 
 
 def _missing(found: Calibration, low: float, high: float) -> tuple[float, float]:
@@ -160,8 +184,11 @@ def first_round(means: Means) -> Round:
     return _round(means, means.low, means.high, means.speeds[:1], _CYCLES, _STROKE * means.span)
 
 
-def next_round(means: Means, standing: Standing, until: float, done: Sequence[Round], seconds: float) -> Round:
-    """Where B(q) is known worst, as long as it will take; all of the range where much of it is missing.
+def next_round(
+    means: Means, standing: Standing, until: float, done: Sequence[Round | Strokes], seconds: float
+) -> Round | Strokes:
+    """Strokes where B(q) is known too badly; all of the range again, as long as it will take, where that is much of it
+    or something is missing.
 
     seconds: that the rounds so far took.
     """
@@ -169,25 +196,26 @@ def next_round(means: Means, standing: Standing, until: float, done: Sequence[Ro
     if not standing.covered:
         stroke = _LONGEST_STROKE if standing.strokes > 0 else _STROKE
         return _round(means, means.low, means.high, (speed,), _CYCLES, stroke * means.span)
-    approach = _APPROACH * means.span
-    stroke = min(1.2 * standing.widest + approach, _STROKE * means.span)
-    beside = 0.5 * standing.widest + approach
-    low, high = standing.need[0] - beside, standing.need[1] + beside
-    short = 2.2 * stroke - (high - low)
-    if short > 0:
-        low, high = low - 0.5 * short, high + 0.5 * short
-    # Moved inside rather than cut off.
-    low, high = (means.low, high - low + means.low) if low < means.low else (low, high)
-    low, high = (low - high + means.high, means.high) if high > means.high else (low, high)
-    if high - low > _WHOLE * means.span:
-        low, high, cycles, stroke = means.low, means.high, _CYCLES, _STROKE * means.span
-    else:
-        cycles = _LOCAL_CYCLES
+    more = (standing.worst / until) ** 2
+    if sum(high - low for low, high in standing.need) <= _WHOLE * means.span:
+        return _strokes(means, standing, more)
     # A place's variance falls as the time spent there grows.
-    wanted_s = seconds * ((standing.worst / until) ** 2 - 1.0) * (high - low) / means.span
-    pass_s = (2 * (high - low) + 4 * cycles * (standing.widest + approach + _LATENCY_S * speed)) / speed
-    passes = int(np.clip(np.ceil(wanted_s / pass_s), 1, _MOST_PASSES))
-    return _round(means, low, high, (speed,) * passes, cycles, stroke)
+    approach = _APPROACH * means.span
+    pass_s = (2 * means.span + 4 * _CYCLES * (standing.widest + approach + _LATENCY_S * speed)) / speed
+    passes = int(np.clip(np.ceil(seconds * (more - 1.0) / pass_s), 1, _MOST_PASSES))
+    return _round(means, means.low, means.high, (speed,) * passes, _CYCLES, _STROKE * means.span)
+
+
+def _strokes(means: Means, standing: Standing, more: float) -> Strokes:
+    beside = _BESIDE * means.span
+    reach = 0.5 * standing.widest + beside
+    places = [(max(low - reach, means.low), min(high + reach, means.high)) for low, high in standing.need]
+    slow = [
+        min(_SPEEDS[1] * means.speeds[0], (high - low + 2 * beside) / (_FRAMES_A_STROKE * means.frame_s))
+        for low, high in standing.need
+    ]
+    times = int(np.clip(np.ceil(0.5 * more), *_STROKES))
+    return Strokes(tuple(places), tuple(slow), times, means.speeds[0])
 
 
 def _round(means: Means, low: float, high: float, speeds: tuple[float, ...], cycles: int, stroke: float) -> Round:

@@ -14,7 +14,7 @@ from tautline.calibration.calibrate import Calibration, Options, calibrate
 from tautline.device import wire
 from tautline.errors import TautError
 from tautline.geometry import project
-from tautline.live.rounds import Round
+from tautline.live.rounds import Round, Strokes
 from tautline.live.setup import Frame, Live, Recorder
 from tautline.live.watch import Show, View, Watch
 from tautline.recording import load
@@ -219,9 +219,7 @@ class Motions:
         stopped = False
         while self._state in _RUNNING:
             frame = self.live.look()
-            self.recorder.add(frame)
-            self.made.frames += 1
-            self.made.lost_frames += not frame.sighting.valid
+            self._add(frame)
             if enough(frame) and not stopped:
                 live.board.ask("motion_stop", axis=live.axis)
                 stopped = True
@@ -230,6 +228,27 @@ class Motions:
         if self._state not in (_COMPLETE, *((_STOPPED,) if stopped else ())):
             live.board.check_fault(live.axis)
             raise TautError(f"the calibration motion is {ended}: what was recorded is in {self.made.folder}")
+
+    def stroke(self, wanted: Strokes, enough: Callable[[Frame], bool]) -> None:
+        """Until all is done or `enough` says so; then the axis is at rest."""
+        done = [False]
+
+        def seen(frame: Frame) -> None:
+            self._add(frame)
+            done[0] = enough(frame) or done[0]
+
+        for (low, high), speed in zip(wanted.places, wanted.speeds, strict=True):
+            move_to(self.live, low, wanted.transit, seen)
+            for end in (high, low) * wanted.times:
+                if done[0]:
+                    return
+                move_to(self.live, end, speed, seen)
+                self.made.reversals += 1
+
+    def _add(self, frame: Frame) -> None:
+        self.recorder.add(frame)
+        self.made.frames += 1
+        self.made.lost_frames += not frame.sighting.valid
 
     def still(self) -> None:
         """Frames of the axis at rest: they show the noise, and the last of the motion has arrived with them."""

@@ -13,6 +13,7 @@ from tautline.live.rounds import (
     Means,
     Round,
     Standing,
+    Strokes,
     default_until,
     first_round,
     in_words,
@@ -42,7 +43,7 @@ class Reached:
     """How far a calibration came."""
 
     motion: Motion
-    rounds: tuple[Round, ...]
+    rounds: tuple[Round | Strokes, ...]
     standing: Standing
     until: float
     why: str  # the goal was not reached, empty where it was
@@ -106,7 +107,9 @@ def calibrate_until(
     return found, Reached(motions.made, tuple(rounds), standing, until, why)
 
 
-def _rounds(motions: Motions, watch: Watch, means: Means, until: float, at_most_s: float) -> tuple[list[Round], str]:
+def _rounds(
+    motions: Motions, watch: Watch, means: Means, until: float, at_most_s: float
+) -> tuple[list[Round | Strokes], str]:
     """Rounds until the goal is reached; the rounds and why it was not."""
     view = watch.view
     lost_since: list[float] = []  # when the marker was last seen, where it is not now
@@ -127,15 +130,19 @@ def _rounds(motions: Motions, watch: Watch, means: Means, until: float, at_most_
         # Half a round's few reversals do not tell a width from a delay, whatever its sigma.
         return len(rounds) > 1 and fresh and view.standing is not None and view.standing.reached(until)
 
-    rounds: list[Round] = []
+    rounds: list[Round | Strokes] = []
     while True:
         standing = view.standing
         if standing is None or not rounds:
-            rounds.append(first_round(means))
+            wanted: Round | Strokes = first_round(means)
         else:
-            rounds.append(next_round(means, standing, until, rounds, view.seconds))
-        view.doing = f"round {len(rounds)}: {rounds[-1].says(view.unit)}"
-        motions.run(rounds[-1], enough)
+            wanted = next_round(means, standing, until, rounds, view.seconds)
+        rounds.append(wanted)
+        view.doing = f"round {len(rounds)}: {wanted.says(view.unit)}"
+        if isinstance(wanted, Strokes):
+            motions.stroke(wanted, enough)
+        else:
+            motions.run(wanted, enough)
         motions.still()
         watch.settle()
         assert view.standing is not None
