@@ -56,9 +56,10 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
     page: dict[str, Any] = {
         "title": f"What is lost between motor and tip: {name or folder.absolute().name}",
         "source": _source(model, evidence),
+        "quality": model.quality.to_json(),
         "result": sentences(model, evidence) + _run_sentences(runs),
         "numbers": _numbers(model, used, unused, evidence),
-        "notes": [*model.extra.get("warnings", []), *model.extra.get("notes", [])],
+        "notes": model.extra.get("notes", []),
         "motor_unit": model.rig.actuator.unit,
         "unit": evidence.unit if evidence else "",
         "hero": picture(

@@ -11,6 +11,8 @@ import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from tautline.calibration.backlash import WidthCurve, fit_paper, fit_widths
+from tautline.calibration.components import Components, separate
+from tautline.calibration.doubts import doubts
 from tautline.calibration.observations import Track, observe
 from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, find_delay, find_onsets
 from tautline.calibration.playfit import NODES, Fitted
@@ -19,6 +21,7 @@ from tautline.calibration.smooth import Domain, fit_jointly, fit_passes, freeze,
 from tautline.errors import TautError
 from tautline.geometry import coarse_range_deg
 from tautline.model import Model, allowed_width
+from tautline.quality import Quality, Reason
 from tautline.recording import Recording
 from tautline.rig import Rig
 
@@ -52,7 +55,6 @@ class Calibration:
     pass_sigma: Array | None
     evidence: dict[str, float]
     notes: tuple[str, ...]
-    warnings: tuple[str, ...] = ()
     names: tuple[str, ...] = field(default=())  # of the recordings
 
     def to_json(self) -> dict[str, Any]:
@@ -63,17 +65,22 @@ class Calibration:
             "backlash": {
                 "q": model.q.tolist(),
                 "width": model.width.tolist(),
-                "sigma": model.width_sigma.tolist(),
+                "sigma": [_finite(v) for v in model.width_sigma],
                 "measured": list(model.measured),
                 "source": self.source,
+                "elements": model.elements.to_json(),
             },
-            "remaining": {"q": model.q.tolist(), "c_deg": model.c_deg.tolist()},
+            "remaining": {
+                "q": model.q.tolist(),
+                "c_deg": model.c_deg.tolist(),
+                "sigma_deg": None if model.c_sigma is None else [_finite(v) for v in model.c_sigma],
+            },
             "delay_s": model.delay_s,
             "delay_sigma_s": _finite(self.delay.sigma_s),
             "onsets": [onset_json(o, self.names) for o in self.onsets],
             "evidence": {key: _finite(value) for key, value in self.evidence.items()},
             "notes": list(self.notes),
-            "warnings": list(self.warnings),
+            "quality": model.quality.to_json(),
         }
 
 
@@ -127,8 +134,9 @@ class _Session:
     def __init__(self, tracks: list[Track], rig: Rig, options: Options, say: Progress) -> None:
         self.tracks, self.rig, self.options, self.say = tracks, rig, options, say
         self.notes: list[str] = []
-        self.warnings: list[str] = []
+        self.reasons: list[Reason] = []
         self.evidence: dict[str, float] = {}
+        self.components: Components | None = None
         reached = [(float(t.motor.q.min()), float(t.motor.q.max())) for t in tracks]
         low, high = rig.actuator.range
         self.reached = min(r[0] for r in reached), max(r[1] for r in reached)
@@ -136,6 +144,9 @@ class _Session:
         self.grid = np.linspace(self.domain.low, self.domain.high, NODES)
         self.camera = tracks[0].unit == "px"
         self.unit = rig.actuator.unit
+
+    def doubt(self, code: str, says: str, remedy: str, *, fatal: bool = False) -> None:
+        self.reasons.append(Reason(code, says, remedy, fatal))
 
     def run(self) -> Calibration:
         if self.reached[1] - self.reached[0] < max(5 * self.rig.actuator.encoder_resolution, 1e-3 * self.domain.span):
@@ -164,6 +175,7 @@ class _Session:
         settled = joint.fit.settled_only if joint is not None else False
         remaining = self._remaining(width, delay.delay_s, settled) if self._moves() else None
         self._comment(onsets, curve, remaining)
+        self._depart(joint, curve, source)
         self.say(1.0, "done")
         return self._result(onsets, delay, curve, joint, passes, width, sigma, source, remaining)
 
@@ -207,9 +219,20 @@ class _Session:
             # What the model does not know would bend the delay: the image stops tell it alone.
             joint.fit.fit_delay = False
             joint = joint.fit.solve(replace(joint.curves, delay_s=delay.delay_s))
+        self.say(0.5, "what departs from a play")
+        joint = self._separated(joint)
         self.say(0.6, "passes alone")
         margin = 0.1 * float(np.median(joint.fit.width(joint.curves))) + 0.005 * self.domain.span
         return joint, fit_passes(joint, margin)
+
+    def _separated(self, joint: Fitted) -> Fitted:
+        """The joint fit with all that departs from its model beside it."""
+        before = joint.scale
+        self.components = separate(joint, self.rig)
+        self.evidence["residual_before_components"] = before
+        for part in self.components.parts:
+            self.evidence[f"component_{part.name}"] = part.rms
+        return self.components.applied(joint)
 
     def _explained(self, joint: Fitted) -> bool:
         return joint.scale < _EXPLAINED
@@ -227,9 +250,11 @@ class _Session:
         if joint is not None and curve is None and not self._passes_tell(joint):
             joint = None
         if joint is None and curve is None:
-            self.warnings.append(
-                "no reversal showed an onset and no two passes cover the same positions: B(q) could not be measured "
-                "and is taken as 0: move back and forth by more than the backlash"
+            self.doubt(
+                "coverage",
+                "no reversal showed an onset and no two passes cover the same positions, B(q) is taken as 0",
+                "move back and forth by more than the backlash",
+                fatal=True,
             )
             return np.zeros(NODES), np.full(NODES, self.domain.span / 4), NOTHING
         if joint is None:
@@ -296,9 +321,10 @@ class _Session:
         self.evidence["start_over_path_slope"] = ratio
         if ratio > _AT_ONCE:
             return False
-        self.warnings.append(
-            f"the tip starts gradually, at {ratio:.2f} of its later speed: B(q) is what fits all frames, not where the "
-            "first motion shows"
+        self.doubt(
+            "transmission.smooth_onset",
+            f"the tip starts gradually, at {ratio:.2f} of its later speed",
+            "B(q) is what fits all frames, not where the first motion shows",
         )
         return True
 
@@ -345,7 +371,7 @@ class _Session:
             found = morphological(self.tracks, self.rig, self.grid, delay_s)
             if found is not None:
                 return found
-            self.warnings.append("the characteristic shows no closed shape: f_remain was fitted directly instead")
+            self.notes.append("the characteristic shows no closed shape: f_remain was fitted directly instead")
         return fit_remaining(self.tracks, self.rig, self.domain, self.grid, width, delay_s, settled)
 
     # ---- what to think of it
@@ -354,16 +380,17 @@ class _Session:
         if stray := sum(track.stray for track in self.tracks):
             self.notes.append(f"{stray} frames show the marker elsewhere for a moment: left out")
         if not onsets:
-            self.warnings.append("the motor never turned back: B(q) needs reversals")
+            self.doubt("coverage", "the motor never turned back", "move back and forth by more than B", fatal=True)
         counted = [o for o in onsets if o.used and o.kind in (HINGE, BRACKET)]
         bounds = [o for o in onsets if o.used and o.kind == BOUND]
         if onsets and not counted:
             longest = max((o.low for o in bounds), default=0.0)
-            self.warnings.append(
-                f"none of {len(onsets)} reversals showed an onset"
-                + (f": {len(bounds)} strokes up to {longest:.3g} {self.unit} moved nothing, so B is wider: "
-                   "make longer strokes" if bounds else "")
-            )  # fmt: skip
+            moved = f", {len(bounds)} strokes up to {longest:.3g} {self.unit} moved nothing, so B is wider"
+            self.doubt(
+                "coverage",
+                f"none of {len(onsets)} reversals showed an onset" + (moved if bounds else ""),
+                "make longer strokes" if bounds else "turn where the tip is seen to move",
+            )
         for reason in dict.fromkeys(o.reason for o in onsets if o.reason and not o.used):
             count = sum(o.reason == reason and not o.used for o in onsets)
             self.notes.append(f"{count} of {len(onsets)} reversals not used: {reason}")
@@ -375,12 +402,21 @@ class _Session:
                     f"[{low:g}, {high:g}]: beyond, B(q) is held"
                 )
         if remaining is None:
-            self.warnings.append(
-                "the tip was never seen to move: f_remain is f_coarse: move by more than the backlash, within the view"
+            self.doubt(
+                "coverage",
+                "the tip was never seen to move, f_remain is f_coarse",
+                "move by more than the backlash, within the view",
+                fatal=True,
             )
             return
         self.notes += remaining.notes
         self._sanity(remaining)
+
+    def _depart(self, joint: Fitted | None, curve: WidthCurve | None, source: str) -> None:
+        if self.components is not None:
+            low, high = self._measured(curve, joint, source)
+            inside = (self.grid > low) & (self.grid < high)
+            self.reasons += doubts(self.components, inside, self.unit, self.tracks[0].unit)
 
     def _sanity(self, remaining: Remaining) -> None:
         """Scale and sign before anything else is blamed."""
@@ -390,20 +426,23 @@ class _Session:
         self.evidence["gain"] = gain
         ratio = gain / self.rig.coarse.gain
         if ratio < 0:
-            self.warnings.append(
-                f"the tip bends {gain:.3g} deg/{self.unit} where f_coarse says {self.rig.coarse.gain:.3g}: a sign is "
-                "wrong (encoder direction, coarse.gain, hand_eye or a mirrored image)"
+            self.doubt(
+                "sign",
+                f"the tip bends {gain:.3g} deg/{self.unit} where f_coarse says {self.rig.coarse.gain:.3g}",
+                "a sign is wrong: check encoder direction, coarse.gain, hand_eye, a mirrored image",
             )
         elif not 0.4 < ratio < 2.5:
-            self.warnings.append(
-                f"the tip bends {gain:.3g} deg/{self.unit} where f_coarse says {self.rig.coarse.gain:.3g}: check "
-                "actuator.unit, the encoder's scale, camera.fx_px and the marker's distance"
+            self.doubt(
+                "scale",
+                f"the tip bends {gain:.3g} deg/{self.unit} where f_coarse says {self.rig.coarse.gain:.3g}",
+                "check actuator.unit, the encoder's scale, camera.fx_px and the marker's distance",
             )
         self.evidence["residual"] = remaining.residual
         if self.camera and remaining.residual > max(5.0, 20 * float(np.median(self.tracks[0].sigma))):
-            self.warnings.append(
-                f"the marker is {remaining.residual:.3g} px (rms) off where camera, hand_eye and kinematics put it: "
-                "f_remain absorbs what it can, but check them"
+            self.doubt(
+                "registration.static",
+                f"the marker is {remaining.residual:.3g} px (rms) off where camera, hand_eye and kinematics put it",
+                "f_remain absorbs what it can, but check them",
             )
 
     # ---- the result
@@ -421,22 +460,23 @@ class _Session:
             self.notes.append(f"no image stop told the delay: the nominal {delay.delay_s * 1e3:.0f} ms is used")
         coarse = self.rig.coarse
         c = remaining.c_deg if remaining is not None else coarse.gain * self.grid + coarse.offset
-        notes, warnings = tuple(dict.fromkeys(self.notes)), tuple(dict.fromkeys(self.warnings))
+        notes = tuple(dict.fromkeys(self.notes))
         extra: dict[str, Any] = {
             "source": source,
             "delay_sigma_s": _finite(delay.sigma_s),
             "onsets": [onset_json(o, names) for o in onsets],
             "evidence": {key: _finite(value) for key, value in self.evidence.items()},
             "notes": list(notes),
-            "warnings": list(warnings),
             "characteristic": self._characteristic(delay.delay_s),
             "options": asdict(self.options),
         }
         if pass_width is not None:
             extra["pass_width"] = [_finite(v) for v in pass_width]
-        model = Model(self.rig, self.grid, width, sigma, c, delay.delay_s, measured, (), extra)
+        c_sigma = remaining.sigma_deg if remaining is not None else np.full(len(c), np.nan)
+        quality = Quality.of(self.reasons)
+        model = Model(self.rig, self.grid, width, sigma, c, delay.delay_s, measured, (), SINGLE, c_sigma, quality, extra)
         return Calibration(
-            model, tuple(onsets), delay, source, curve, pass_width, pass_sigma, self.evidence, notes, warnings, names
+            model, tuple(onsets), delay, source, curve, pass_width, pass_sigma, self.evidence, notes, names
         )
 
     def _measured(self, curve: WidthCurve | None, joint: Fitted | None, source: str) -> tuple[float, float]:
@@ -471,9 +511,11 @@ class _Session:
             self.evidence["onsets_minus_passes_z2"] = float(np.mean(z**2))
             share = abs(mean) / max(float(np.median([o.width for o in widths])), 1e-9)
             if float(np.mean(z**2)) > 2 * _AGREE and share > 0.03:
-                self.warnings.append(
+                self.doubt(
+                    "registration.direction_dependent",
                     f"the passes lie {abs(mean):.3g} {self.unit} {'less' if mean > 0 else 'more'} apart than the "
-                    "onsets say: registration that depends on direction, a smooth onset or asymmetry"
+                    "onsets say",
+                    "it depends on direction, starts smoothly or unevenly: taut diagnose tells which",
                 )
         return width, sigma
 

@@ -186,16 +186,16 @@ class PlayFit:
         damping, settled = 1e-4, 0
         for iteration in range(iterations):
             matrix, gradient = self.normal(curves, rows, weights)
-            penalty, pull = self._penalty(curves, scale)
+            penalty, pull = self.penalty(curves, scale)
             if adapt and iteration >= 1:
                 self._adapt(curves, _factor(matrix + penalty), scale)
-                penalty, pull = self._penalty(curves, scale)
+                penalty, pull = self.penalty(curves, scale)
                 cost = self._cost(curves, rows, weights, scale)
             taken = False
             for _ in range(8):
                 system = matrix + penalty + damping * np.diag(np.diag(matrix + penalty))
                 step = cho_solve(_factor(system), gradient - pull, check_finite=False)
-                trial = self._moved(curves, step)
+                trial = self.moved(curves, step)
                 trial_rows, trial_masks = self.residuals(trial)
                 kept = _again(weights, masks)
                 trial_weights = [np.where(m, w, 0.0) for m, w in zip(trial_masks, kept, strict=True)]
@@ -218,18 +218,18 @@ class PlayFit:
         rows, masks = self.residuals(curves)
         scale, weights = _weights(rows, masks, robust)
         matrix, _ = self.normal(curves, rows, weights)
-        penalty, _ = self._penalty(curves, scale)
+        penalty, _ = self.penalty(curves, scale)
         covariance = np.asarray(np.linalg.inv(matrix + penalty + 1e-12 * np.eye(len(matrix))) * scale * scale)
         return Fitted(self, curves, scale, rows, masks, weights, covariance)
 
     def step(self, curves: Curves, rows: list[Array], masks: list[Mask]) -> Curves:
         """One Gauss-Newton step of all counted frames alike; after `residuals` with the same curves."""
         matrix, gradient = self.normal(curves, rows, [m.astype(float) for m in masks])
-        system = matrix + self._penalty(curves, 1.0)[0]
+        system = matrix + self.penalty(curves, 1.0)[0]
         ridge = 1e-9 * np.eye(len(system)) * np.trace(system) / len(system)
-        return self._moved(curves, np.asarray(np.linalg.solve(system + ridge, gradient)))
+        return self.moved(curves, np.asarray(np.linalg.solve(system + ridge, gradient)))
 
-    def _moved(self, curves: Curves, step: Array) -> Curves:
+    def moved(self, curves: Curves, step: Array) -> Curves:
         channels = curves.follow.shape[1]
         cut = channels * self.follow.size
         backlash = curves.backlash
@@ -241,7 +241,7 @@ class PlayFit:
         follow = curves.follow + step[:cut].reshape(channels, self.follow.size).T
         return replace(curves, backlash=backlash, follow=follow, delay_s=delay)
 
-    def _penalty(self, curves: Curves, scale: float) -> tuple[Array, Array]:
+    def penalty(self, curves: Curves, scale: float) -> tuple[Array, Array]:
         """Matrix P and gradient P theta of smoothness and of the constraints that are violated."""
         channels = curves.follow.shape[1]
         mf, mb = self.follow.size, self.backlash.size
@@ -336,13 +336,17 @@ class Fitted:
     masks: list[Mask]
     weights: list[Array]
     covariance: Array  # of follow (channel by channel), backlash, delay
+    spread: Array | None = None  # of B on fit.grid, and of the delay, where model error is known too
+    delay_spread: float = 0.0
 
     @property
     def frames(self) -> int:
         return int(sum(m.sum() for m in self.masks))
 
     def width_sigma(self, p: Array) -> Array:
-        """Standard deviation of B at p from the residuals' noise."""
+        """Standard deviation of B at p: from the residuals' noise alone where nothing more is known."""
+        if self.spread is not None:
+            return np.asarray(np.interp(p, self.fit.grid, self.spread))
         cut = self.curves.follow.size
         design = self.fit.backlash.design(p).toarray()
         block = self.covariance[cut : cut + self.fit.backlash.size, cut : cut + self.fit.backlash.size]
@@ -350,6 +354,8 @@ class Fitted:
 
     @property
     def delay_sigma(self) -> float:
+        if self.spread is not None:
+            return self.delay_spread
         return float(np.sqrt(self.covariance[-1, -1])) if self.fit.fit_delay else 0.0
 
 

@@ -19,10 +19,12 @@ from tautline.cli._common import (
     progress_bar,
     read_recordings,
     rig_option,
+    show_quality,
     tracked,
     warn,
 )
 from tautline.cli._live import LiveOptions, live_options, opened
+from tautline.errors import UnusableError
 from tautline.folders import check_replaceable
 from tautline.live.rounds import in_words
 from tautline.model import MODEL_FILE
@@ -99,14 +101,16 @@ def command(
             raise click.UsageError("name a RECORDING, or for a live calibration --camera SOURCE or --simulate")
         kept = kept or _free(out.absolute())
         found, said, made = _live(kept, rig_path, out, options, as_json=as_json, **live)
-    for warning in found.warnings:
-        warn(warning)
+    quality = found.model.quality
+    show_quality(quality)
     for note in found.notes:
         log(f"taut: {note}")
     result = {**found.to_json(), "model": out, "report": out / report.FILE}
     if not recording_paths:
         result |= {"recording": kept, "motion": made}
     emit(result, as_json, "\n".join([*said, f"{out / report.FILE} shows it."]))
+    if not quality.usable:
+        raise UnusableError(f"{out}: written, but unusable: {quality.reasons[0]}")
 
 
 def _free(out: Path) -> Path:

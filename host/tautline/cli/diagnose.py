@@ -18,6 +18,7 @@ from tautline.cli._common import (
     read_recordings,
     rig_option,
     tracked,
+    warn_unusable,
 )
 from tautline.diagnose import motion, page, words
 from tautline.diagnose.diagnosis import Diagnosis, diagnose
@@ -42,6 +43,7 @@ def command(
     with progress_bar("diagnosing") as progress:
         recordings = [tracked(recording, rig, progress) for recording in recordings]
         found = calibrate(recordings[:1], rig, progress=lambda fraction, text: progress(0.3 * fraction, text))
+        warn_unusable(found.model, calibration_path)
         diagnosis = diagnose(
             found.model, recordings[0], recordings[1:], lambda fraction, text: progress(0.3 + 0.65 * fraction, text)
         )

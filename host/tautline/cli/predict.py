@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from tautline.cli._common import emit, json_option, warn
+from tautline.cli._common import emit, json_option, warn, warn_unusable
 from tautline.model import Model
 from tautline.predict import predict, times_of, write_csv
 from tautline.recording import load_motor
@@ -33,6 +33,7 @@ def command(
     camera are arrival times: c, u and v are those of t_s minus the model's delay.
     """
     model = Model.load(model_path)
+    warn_unusable(model, model_path)
     warnings: list[str] = []
     motor = load_motor(recording_path, model.rig, warnings)
     times = times_of(model, recording_path, motor, times_path, warnings)
