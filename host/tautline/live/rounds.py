@@ -16,6 +16,7 @@ from tautline.calibration.onset import BOUND
 from tautline.rig import Actuator
 
 Array = npt.NDArray[np.float64]
+Span = tuple[float, float]
 
 # Shares of the range.
 _FRAME = 0.0224  # per frame at most: 5.6 mm/s of 10 mm at 25 Hz; much faster leaves too few frames a knot
@@ -32,7 +33,8 @@ _CYCLES = 3  # turning points of a pass
 _LATENCY_S = 0.4  # from an onset until the board has confirmed it
 _MOST_PASSES = 4
 _FRAMES_A_STROKE = 6  # in which the tip moves, at least
-_STROKES = (2, 6)  # there and back, at least and at most
+_STROKES = (1, 6)  # there and back, at least and at most
+FIXED = 2  # rounds that are made whatever sigma says: few reversals do not tell a width from a delay
 # What the board takes for an onset, in shares of the range: it ends strokes, it measures nothing.
 _SIGMA_WANTED, _SIGMA_USABLE = 1e-3, 1e-2
 
@@ -62,18 +64,24 @@ class Round:
 
 
 @dataclass(frozen=True)
-class Strokes:
-    """There and back between two positions, several times, at one place after the other: slow and precise where B(q) is
-    known worst."""
+class Stroke:
+    """There and back between two positions."""
 
-    places: tuple[tuple[float, float], ...]
-    speeds: tuple[float, ...]  # one for each place
+    low: float
+    high: float
+    speed: float
     times: int
+
+
+@dataclass(frozen=True)
+class Strokes:
+    """Slow and precise, at one place after the other, where B(q) is known worst."""
+
+    places: tuple[Stroke, ...]
     transit: float
 
     def says(self, unit: str) -> str:
-        places = " and ".join(f"{low:.3g} to {high:.3g}" for low, high in self.places)
-        return f"{self.times} times {places} {unit}"
+        return " and ".join(f"{place.low:.3g} to {place.high:.3g} {unit}" for place in self.places) + " and back"
 
 
 @dataclass(frozen=True)
@@ -106,14 +114,24 @@ class Means:
 
 
 @dataclass(frozen=True)
+class Place:
+    """Positions of the centre coordinate p, and sigma of B at its worst there."""
+
+    low: float
+    high: float
+    sigma: float
+
+
+@dataclass(frozen=True)
 class Standing:
     """How well B(q) is known so far: nowhere worse than `worst`, which is at `where`. `missing` is what could be
     measured and is not, (0, 0) where that is little."""
 
     worst: float  # one standard deviation, unit of q
     where: float
-    need: tuple[tuple[float, float], ...]  # places at which sigma is above the goal
-    missing: tuple[float, float]
+    need: tuple[Place, ...]  # where sigma is above the goal
+    ends: tuple[float, float]  # of what is measured
+    missing: Span
     widest: float  # B
     strokes: float  # the longest that moved nothing, 0 where none did
     residual: float  # of the frames about the model, over their noise
@@ -125,12 +143,14 @@ class Standing:
         residual = float(found.evidence.get("joint_residual_over_noise", 1.0))
         inside = (model.q >= model.measured[0]) & (model.q <= model.measured[1])
         if not inside.any() or model.measured[0] >= model.measured[1]:
-            return cls(np.inf, 0.5 * (low + high), (), (low, high), 0.0, bounds, residual)
+            return cls(np.inf, 0.5 * (low + high), (), (low, high), (low, high), 0.0, bounds, residual)
         q, widest = model.q[inside], float(model.width[inside].max())
         sigma = np.where(np.isfinite(model.width_sigma), model.width_sigma, np.inf)[inside]
         worst = int(np.argmax(sigma))
-        need = _places(q, sigma > until, widest)
-        return cls(float(sigma[worst]), float(q[worst]), need, _missing(found, low, high), widest, bounds, residual)
+        return cls(
+            float(sigma[worst]), float(q[worst]), _places(q, sigma, until, widest), (float(q[0]), float(q[-1])),
+            _missing(found, low, high), widest, bounds, residual,
+        )  # fmt: skip
 
     @property
     def covered(self) -> bool:
@@ -144,16 +164,14 @@ class Standing:
         return min((until / self.worst) ** 2, 1.0) if self.worst > 0 else 1.0
 
 
-def _places(q: Array, bad: npt.NDArray[np.bool_], apart: float) -> tuple[tuple[float, float], ...]:
-    """Runs of bad positions; those less than `apart` from each other are one."""
-    at = q[bad]
-    if not len(at):
-        return ()
-    cut = np.flatnonzero(np.diff(at) > apart)
-    return tuple(zip(at[np.r_[0, cut + 1]].tolist(), at[np.r_[cut, len(at) - 1]].tolist(), strict=True))
+def _places(q: Array, sigma: Array, until: float, apart: float) -> tuple[Place, ...]:
+    """Where sigma is above the goal; places less than `apart` from each other are one."""
+    bad = np.flatnonzero(sigma > until)
+    runs = np.split(bad, np.flatnonzero(np.diff(q[bad]) > apart) + 1) if len(bad) else []
+    return tuple(Place(float(q[run[0]]), float(q[run[-1]]), float(sigma[run].max())) for run in runs)
 
 
-def _missing(found: Calibration, low: float, high: float) -> tuple[float, float]:
+def _missing(found: Calibration, low: float, high: float) -> Span:
     """What is not measured of the positions where B can be seen: all but B/2 at either end."""
     model = found.model
     free = _EDGE * (high - low)
@@ -188,7 +206,8 @@ def next_round(
     means: Means, standing: Standing, until: float, done: Sequence[Round | Strokes], seconds: float
 ) -> Round | Strokes:
     """Strokes where B(q) is known too badly; all of the range again, as long as it will take, where that is much of it
-    or something is missing.
+    or something is missing. The second round has strokes at both ends in any case: passes are there once, for a frame
+    or two, and what a smooth curve says of the rest is no measurement.
 
     seconds: that the rounds so far took.
     """
@@ -197,8 +216,9 @@ def next_round(
         stroke = _LONGEST_STROKE if standing.strokes > 0 else _STROKE
         return _round(means, means.low, means.high, (speed,), _CYCLES, stroke * means.span)
     more = (standing.worst / until) ** 2
-    if sum(high - low for low, high in standing.need) <= _WHOLE * means.span:
-        return _strokes(means, standing, more)
+    need = _with_ends(standing, until) if len(done) == 1 else standing.need
+    if sum(place.high - place.low for place in need) <= _WHOLE * means.span:
+        return Strokes(tuple(_stroke(means, place, standing.widest, until) for place in need), means.speeds[0])
     # A place's variance falls as the time spent there grows.
     approach = _APPROACH * means.span
     pass_s = (2 * means.span + 4 * _CYCLES * (standing.widest + approach + _LATENCY_S * speed)) / speed
@@ -206,16 +226,22 @@ def next_round(
     return _round(means, means.low, means.high, (speed,) * passes, _CYCLES, _STROKE * means.span)
 
 
-def _strokes(means: Means, standing: Standing, more: float) -> Strokes:
+def _with_ends(standing: Standing, until: float) -> tuple[Place, ...]:
+    """What is needed, and the ends where they are not in it; the low end first: there a pass back ends."""
+    first, last = (Place(end, end, until) for end in standing.ends)
+    need = standing.need
+    below = () if need and need[0].low <= first.low else (first,)
+    above = () if need and need[-1].high >= last.high else (last,)
+    return (*below, *need, *above)
+
+
+def _stroke(means: Means, place: Place, widest: float, until: float) -> Stroke:
     beside = _BESIDE * means.span
-    reach = 0.5 * standing.widest + beside
-    places = [(max(low - reach, means.low), min(high + reach, means.high)) for low, high in standing.need]
-    slow = [
-        min(_SPEEDS[1] * means.speeds[0], (high - low + 2 * beside) / (_FRAMES_A_STROKE * means.frame_s))
-        for low, high in standing.need
-    ]
-    times = int(np.clip(np.ceil(0.5 * more), *_STROKES))
-    return Strokes(tuple(places), tuple(slow), times, means.speeds[0])
+    reach = 0.5 * widest + beside
+    moving = place.high - place.low + 2 * beside
+    speed = min(_SPEEDS[1] * means.speeds[0], moving / (_FRAMES_A_STROKE * means.frame_s))
+    times = int(np.clip(np.ceil(0.5 * (place.sigma / until) ** 2), *_STROKES))
+    return Stroke(max(place.low - reach, means.low), min(place.high + reach, means.high), speed, times)
 
 
 def _round(means: Means, low: float, high: float, speeds: tuple[float, ...], cycles: int, stroke: float) -> Round:
@@ -235,7 +261,7 @@ class Sight:
     """What the camera made of it."""
 
     noise_px: float
-    unseen: tuple[float, float]  # positions at which the marker was mostly lost, empty (0, 0)
+    unseen: Span  # positions at which the marker was mostly lost, empty (0, 0)
 
 
 def why_not(

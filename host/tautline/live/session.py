@@ -237,12 +237,12 @@ class Motions:
             self._add(frame)
             done[0] = enough(frame) or done[0]
 
-        for (low, high), speed in zip(wanted.places, wanted.speeds, strict=True):
-            move_to(self.live, low, wanted.transit, seen)
-            for end in (high, low) * wanted.times:
+        for place in wanted.places:
+            move_to(self.live, place.low, wanted.transit, seen)
+            for end in (place.high, place.low) * place.times:
                 if done[0]:
                     return
-                move_to(self.live, end, speed, seen)
+                move_to(self.live, end, place.speed, seen)
                 self.made.reversals += 1
 
     def _add(self, frame: Frame) -> None:

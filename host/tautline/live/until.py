@@ -10,6 +10,7 @@ from pathlib import Path
 from tautline.calibration.calibrate import Calibration, Options
 from tautline.errors import TautError
 from tautline.live.rounds import (
+    FIXED,
     Means,
     Round,
     Standing,
@@ -127,8 +128,7 @@ def _rounds(
             )
         if view.seconds > at_most_s:
             return True
-        # Half a round's few reversals do not tell a width from a delay, whatever its sigma.
-        return len(rounds) > 1 and fresh and view.standing is not None and view.standing.reached(until)
+        return len(rounds) > FIXED and fresh and view.standing is not None and view.standing.reached(until)
 
     rounds: list[Round | Strokes] = []
     while True:
@@ -146,7 +146,7 @@ def _rounds(
         motions.still()
         watch.settle()
         assert view.standing is not None
-        if view.standing.reached(until):
+        if view.standing.reached(until) and len(rounds) >= FIXED:
             return rounds, ""
         why = why_not(view.standing, until, view.unit, watch.sight(), view.seconds, at_most_s, len(rounds))
         if why:
