@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from tautline import _native, effects, geometry
 from tautline.effects import LIBRARY, simulate
+from tautline.effects.library.distortion import distorted
 from tautline.model import Model
 from tautline.recording import Motor
 from tautline.simulated.instrument import preset, reference_rig
@@ -216,7 +217,7 @@ def test_registration_and_camera():
     np.testing.assert_allclose(shifted[t > 10.01], static[t > 10.01], atol=1e-9)
     late = simulate(MODEL, STROKES, t, {"delay": 0.1}).image_px
     np.testing.assert_allclose(late, simulate(MODEL, STROKES, t - 0.1, {}).image_px, atol=1e-9)
-    assert effects.distorted(RIG.camera, {"k1": 0.1}).distortion[0] == RIG.camera.distortion[0] + 0.1
+    assert distorted(RIG.camera, {"k1": 0.1}).distortion[0] == RIG.camera.distortion[0] + 0.1
     assert np.abs(simulate(MODEL, STROKES, t, {"k1": 0.1}).image_px - plain).max() > 0.5
 
 
@@ -270,7 +271,7 @@ def test_the_image_and_its_slopes(seed):
     if values["curvature_gradient"] == 0.0:
         bend = geometry.tip_bend(RIG.kinematics, c)[0] + np.outer(translation, [0, 0, 1])
         base = registered(geometry.about_base_z(turn, bend), way, shifted, values)
-        camera = effects.distorted(RIG.camera, values)
+        camera = distorted(RIG.camera, values)
         expected = geometry.to_image(camera, geometry.to_camera(RIG.hand_eye, base))[0]
         np.testing.assert_allclose(image, expected, atol=1e-8)
     step = 1e-4

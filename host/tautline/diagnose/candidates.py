@@ -14,7 +14,7 @@ from tautline.diagnose import confined, gap, heldout
 from tautline.diagnose.decide import Beyond
 from tautline.diagnose.fit import Fit, Fitter, outlier_limit
 from tautline.diagnose.screen import Screened, screen
-from tautline.effects import BY_ID, EVENTS, SCATTERS, STICK_SLIP, Kind
+from tautline.effects import SCATTERS, Kind
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -41,13 +41,14 @@ class Found:
     @property
     def parameters(self) -> int:
         """Those that were fitted, and those of the scatter."""
-        named = {p.name for kind in self.fit.hypothesis.kinds for p in (*kind.amplitudes, *kind.shapes)} - SCATTERS
+        named = {p.name for kind in self.fit.hypothesis.kinds for p in kind.parameters} - SCATTERS
         return len(named & self.fit.state.values.keys()) + len(self.scatters)
 
     @property
     def has_path(self) -> bool:
         """Whether a prediction follows all of its effects, as far as they can be followed."""
-        return not set(self.ids) & EVENTS or "held_back" in self.fit.state.values
+        events = [kind.event for kind in self.fit.hypothesis.kinds if kind.event]
+        return all(event.mean in self.fit.state.values for event in events)
 
     def reported(self) -> Found:
         """With the parameters of its scatter in the fit, where no residual is asked for any more."""
@@ -60,7 +61,7 @@ class Search:
 
     def __init__(self, fitter: Fitter, base: Fit, kinds: Sequence[Kind], progress: Progress) -> None:
         self.fitter, self.kinds, self._progress = fitter, kinds, progress
-        self._with_path = [kind for kind in kinds if kind.id not in EVENTS]
+        self._with_path = [kind for kind in kinds if not kind.event]
         self.labels = [np.unique(gap.blocks(s), return_inverse=True)[1] for s in fitter.segments]
         self.limits = outlier_limits(fitter, base)
         self.base = self.judged(base)
@@ -103,7 +104,7 @@ class Search:
             fit = self.fitter.fit(hypothesis, start, below.fit.state, entry.others)
             if not fit.finite:
                 return
-            if entry.kind.id != "registration.shift" or self._seen_to_happen(fit):
+            if entry.kind.scan != "moment" or self._seen_to_happen(fit):
                 found.append(self.judged(fit))
 
         for scopes in list(seen.values())[:refits]:
@@ -115,13 +116,14 @@ class Search:
                 refit(other)
         return sorted(found, key=_loss)
 
-    def held_back(self, below: Found, stick: float) -> Found | None:
-        """Sticking after the calibration on top of a hypothesis, as it is in the mean: the play is wider by about the
-        length that the tip sticks for (while calibrating it is B's own)."""
-        hypothesis = below.fit.hypothesis.plus(BY_ID[STICK_SLIP], True)
-        values = {**below.fit.state.values, "stick": 0.0, "held_back": stick}
+    def in_the_mean(self, below: Found, kind: Kind, amount: float) -> Found | None:
+        """An event after the calibration on top of a hypothesis, as it is in the mean: with sticking the play is wider
+        by about the length that the tip sticks for (while calibrating it is B's own)."""
+        assert kind.event
+        hypothesis = below.fit.hypothesis.plus(kind, True)
+        values = {**below.fit.state.values, kind.event.amount: 0.0, kind.event.mean: amount}
         fit = self.fitter.fit(hypothesis, values, below.fit.state)
-        return self.judged(fit) if fit.finite and fit.state.values["held_back"] > 0.0 else None
+        return self.judged(fit) if fit.finite and fit.state.values[kind.event.mean] > 0.0 else None
 
     def _seen_to_happen(self, fit: Fit) -> bool:
         """A recording shows it: what comes before in it fits better without the shift, and what comes after with it. A
@@ -157,8 +159,7 @@ def applicable(fitter: Fitter, left_out: Collection[str] = ()) -> list[Kind]:
         for values in (s.motor.translation_mm, s.motor.rotation_deg)
     )
     has = {"": True, "camera": fitter.px, "load": load, "freedom": freedom}
-    kinds = [kind for kind in effects.LIBRARY if has[kind.needs] and kind.id not in left_out]
-    return [kind for kind in kinds if fitter.px or kind.id != "acquisition.delay"]
+    return [kind for kind in effects.LIBRARY if has[kind.needs] and kind.id not in left_out]
 
 
 def outlier_limits(fitter: Fitter, base: Fit) -> list[float]:

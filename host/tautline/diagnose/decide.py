@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy import stats
 from scipy.special import log_expit, log_ndtr, logsumexp
 
-from tautline.effects import JITTER, LIBRARY
+from tautline.effects import LIBRARY
 
 Array = npt.NDArray[np.float64]
 
@@ -37,7 +37,7 @@ NAMED = 0.5  # probability from which on an effect is named
 COVERS = 0.95  # probability that a set of effects that cannot be told apart holds
 COINCIDES = 0.1  # probability that an unknown effect goes with a column that was measured beside the motion
 MEASURED = frozenset(kind.id for kind in LIBRARY if kind.needs == "load")  # effects that follow such a column
-LAWS = frozenset({"registration.static", "registration.shift", "acquisition.delay", JITTER})
+LAWS = frozenset(kind.id for kind in LIBRARY if kind.law)
 AHEAD = 5.0  # of every rival, as a logarithm: an event beside another effect that is told for sure
 FLOOR_KNOWN, STEADY = 0.2, 0.07  # of the noise power's logarithm: how well a case's is known, and how unlike blocks are
 DISTURBED = 0.03  # share of blocks in which something happens that no model has, such as the moment of a shift

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from tautline import effects
 from tautline.diagnose import confounded, decide, flexible, gap, motion, where
@@ -18,10 +17,9 @@ from tautline.diagnose.candidates import Found, applicable
 from tautline.diagnose.fit import Fit, Fitter, Hypothesis
 from tautline.diagnose.gather import Gathered, gather
 from tautline.diagnose.segment import Segment, load_reference, prepare
-from tautline.geometry import rotation
-from tautline.model import Effect, Model, allowed_width
+from tautline.effects.library.registration import with_registration
+from tautline.model import Effect, Model
 from tautline.recording import Recording
-from tautline.rig import HandEye
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -203,7 +201,7 @@ def _shapley(gathered: Gathered, fitter: Fitter, named: Sequence[str], chosen: F
 
 def _reported(fit: Fit, name: str) -> dict[str, float]:
     kind = effects.BY_ID[name]
-    own = [p.name for p in (*kind.amplitudes, *kind.shapes)]
+    own = [p.name for p in kind.parameters]
     values = {parameter: float(fit.state.values[parameter]) for parameter in own if parameter in fit.state.values}
     only = fit.hypothesis.only_tests[fit.hypothesis.kinds.index(kind)]
     return {**values, "since_calibration": float(only)}
@@ -211,31 +209,16 @@ def _reported(fit: Fit, name: str) -> dict[str, float]:
 
 def _corrected(fit: Fit, last: Segment) -> Model:
     """The fitted model with its effects, its state as at the end of the last test: a shift has happened, a drift has
-    gone so far (its offset moved the tables' grid, its width scaled B)."""
+    gone so far."""
     model = fit.state.model
-    model = _with_registration(replace(model, c_deg=_monotone(model.c_deg)), fit.state.static)
+    model = with_registration(replace(model, c_deg=_monotone(model.c_deg)), fit.state.static)
     values = fit.state.at(last, fit.hypothesis)
     end = float(last.motor.t_s[-1]) + last.offset_s
     added = []
     for kind in fit.hypothesis.kinds:
-        own = {p.name: values[p.name] for p in (*kind.amplitudes, *kind.shapes) if p.name in values}
-        if kind.id == "transmission.drift":
-            decay = own.get("drift_decay", 0.0)
-            gone = -math.expm1(-decay * end) / decay if decay > 0.0 else end
-            width = allowed_width(model.q, model.width * max(0.0, 1.0 + own["width_drift"] * gone))
-            model = replace(model, q=model.q - own["offset_drift"] * gone, width=width)
-        elif kind.id == "registration.static":
-            model = _with_registration(model, own)
-        elif kind.id == "registration.shift":
-            if end >= own["shift_time"]:
-                moved = {name.replace("shift", "static"): own[name] for name in own if name != "shift_time"}
-                model = _with_registration(model, moved)
-        elif kind.id == "acquisition.delay":
-            model = replace(model, delay_s=model.delay_s + own["delay"])
-        elif kind.id == "camera.distortion":
-            rig = model.rig
-            assert rig.camera
-            model = replace(model, rig=replace(rig, camera=effects.distorted(rig.camera, own)))
+        own = {p.name: values[p.name] for p in kind.parameters if p.name in values}
+        if kind.holds is not None:
+            model = kind.holds(model, own, end)
         added.append(Effect(kind.id, own))
     return replace(model, effects=tuple(added))
 
@@ -246,20 +229,6 @@ def _monotone(c_deg: Array) -> Array:
     least = 1e-6 * abs(c_deg[-1] - c_deg[0]) / len(c_deg) * np.arange(len(c_deg))
     rising: Array = sign * (np.maximum.accumulate(sign * c_deg - least) + least)
     return rising
-
-
-def _with_registration(model: Model, static: Mapping[str, float]) -> Model:
-    """X_cam = R (Exp(turn) X + move) + t folded into the rig's hand-eye."""
-    rig = model.rig
-    if rig.hand_eye is None or not static:
-        return model
-    turn = Rotation.from_rotvec([static.get(f"static_r{a}", 0.0) for a in "xyz"], degrees=True).as_matrix()
-    move = np.array([static.get(f"static_{a}", 0.0) for a in "xyz"])
-    old = rotation(rig.hand_eye.rotation_deg)
-    rz, ry, rx = Rotation.from_matrix(old @ turn).as_euler("ZYX", degrees=True)
-    t = old @ move + np.asarray(rig.hand_eye.translation_mm)
-    hand_eye = HandEye((float(rx), float(ry), float(rz)), (float(t[0]), float(t[1]), float(t[2])))
-    return replace(model, rig=replace(rig, hand_eye=hand_eye))
 
 
 def _interval(values: Array) -> list[float]:

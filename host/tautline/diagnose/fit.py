@@ -55,13 +55,9 @@ class Hypothesis:
         return [
             (p, only)
             for kind, only in zip(self.kinds, self.only_tests, strict=True)
-            for p in (*kind.amplitudes, *kind.shapes)
-            if p.name not in _DISCRETE
+            for p in kind.parameters
+            if not p.searched
         ]
-
-
-# Searched over, or told by scatter; never differentiated.
-_DISCRETE = frozenset({"contact_side", "shift_time", "width_held"}) | effects.SCATTERS
 
 
 @dataclass(frozen=True)
@@ -78,7 +74,7 @@ class State:
         for kind, only in zip(hypothesis.kinds, hypothesis.only_tests, strict=True):
             if only and segment.calibration:
                 continue
-            for p in (*kind.amplitudes, *kind.shapes):
+            for p in kind.parameters:
                 value = self.values.get(p.name)
                 if value is not None:
                     chosen[p.name] = chosen.get(p.name, 0.0) + value if p.name in _STATIC else value
@@ -150,10 +146,10 @@ class Fitter:
             _bending(self._width_basis.size, _ROUGH * span), _bending(self._remaining_basis.size, _ROUGH * gain * span)
         )
         self.floor = 1.0
-        # An obstacle that begins outside of what was reached would be another gain and offset, and no obstacle.
+        # What begins outside of the angles that were reached would be another gain and offset.
         ends = np.sort(model.remaining(np.array([low, high])))
         inset = 0.05 * float(ends[1] - ends[0])
-        self._contact = (float(ends[0]) + inset, float(ends[1]) - inset)
+        self._reached = (float(ends[0]) + inset, float(ends[1]) - inset)
 
     def nominal(self) -> Fit:
         """The recalibrated model without any effect."""
@@ -342,7 +338,7 @@ class Fitter:
         for i, (parameter, _) in enumerate(hypothesis.parameters, first):
             value = state.values[parameter.name]
             onward = value + float(np.sign(gradient[i])) * 1e-6 * self.scale(parameter)
-            if inside(parameter.name, onward) == value:
+            if inside(parameter, onward) == value:
                 matrix[i, :] = matrix[:, i] = gradient[i] = 0.0
                 matrix[i, i] = 1.0
 
@@ -358,8 +354,8 @@ class Fitter:
             delay, at = delay + float(step[at + 6]), at + 7
         values = dict(state.values)
         for i, (parameter, _) in enumerate(hypothesis.parameters):
-            value = inside(parameter.name, values[parameter.name] + float(step[at + i]))
-            values[parameter.name] = float(np.clip(value, *self._contact)) if parameter.name == "contact_c" else value
+            value = inside(parameter, values[parameter.name] + float(step[at + i]))
+            values[parameter.name] = float(np.clip(value, *self._reached)) if parameter.reached else value
         return State(replace(model, width=width, c_deg=c_deg, delay_s=delay), static, values)
 
 
@@ -383,26 +379,9 @@ def moves_tip(parameter: Parameter) -> bool:
     return parameter.name in effects.NATIVE or parameter.name == "delay"
 
 
-def inside(name: str, value: float) -> float:
+def inside(parameter: Parameter, value: float) -> float:
     """A parameter kept where it means something."""
-    low, high = _RANGES.get(name, (-np.inf, np.inf))
-    return min(max(value, low), high)
-
-
-_RANGES = {
-    **dict.fromkeys(("onset_spread", "creep_share", "creep_slow", "contact_hold"), (0.0, 1.0)),
-    **dict.fromkeys(
-        ("lag", "width_per_speed", "contact_soft", "tilt_travel", "drift_decay", "held_back"),
-        (0.0, np.inf),
-    ),
-    **dict.fromkeys(("asymmetry_travel", "creep_time", "encoder_period"), (1e-3, np.inf)),
-    "onset_tail": (0.0, 1.3),
-    "lag_second": (0.0, 0.5),
-    "asymmetry_form": (0.5, 4.0),
-    "speed_exponent": (0.1, 3.0),
-    "speed_time": (2e-3, 1.0),
-    "curvature_gradient": (-0.95, 0.95),
-}
+    return min(max(value, parameter.low), parameter.high)
 
 
 def _best(fits: Sequence[Fit]) -> Fit:

@@ -17,10 +17,10 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.diagnose.fit import Fit, Fitter
-from tautline.effects import JITTER, STICK_SLIP
 
 Array = npt.NDArray[np.float64]
 
+STICK_SLIP, JITTER = "transmission.stick_slip", "acquisition.jitter"
 RIVALS = ("level", "memory", "repeats", "pixels")
 _MOVES = 0.02  # of the fastest: slower is at rest
 _REMEMBERED = 3  # frames that the rival with a memory reaches back
@@ -34,13 +34,11 @@ class Scatter:
     (blocks,), the constant left out so that a Gaussian of variance v gives log v."""
 
     loss: dict[str, Array]  # of the two events' ids, of RIVALS and of what is left "as it is"
-    jitter_s: float
-    stick: float  # actuator's unit
+    amount: dict[str, float]  # of each event: how much it scatters, in its parameter's unit
 
-    @property
-    def sticks(self) -> bool:
-        """Whether that says more than a level of noise."""
-        return float(np.mean(self.loss[STICK_SLIP])) < float(np.mean(self.loss["level"]))
+    def beats_noise(self, event: str) -> bool:
+        """Whether an event says more than a level of noise."""
+        return float(np.mean(self.loss[event])) < float(np.mean(self.loss["level"]))
 
 
 @dataclass(frozen=True)
@@ -176,7 +174,7 @@ def weighed(parts: Sequence[Frames], floor: float, blocks: int) -> Scatter:
     count = np.maximum(np.bincount(block, minlength=blocks), 1)
     seen = np.bincount(block, minlength=blocks) > 0
     loss = {name: seen * (-2.0 / k * np.bincount(block, x, minlength=blocks) / count - 1.0) for name, x in told.items()}
-    return Scatter(loss, jitter_s, jump)
+    return Scatter(loss, {JITTER: jitter_s, STICK_SLIP: jump})
 
 
 def _isotropic(squares: Array, variance: Array | float, k: int) -> Array:

@@ -25,7 +25,6 @@ _PERIODS_PER_RANGE = 0.4  # step of 1 / encoder_period times the motor's range: 
 _FREE = 1e-3  # share of a column's norm that the nominal must leave of it
 _BEFORE_S = 1e-3
 _WITHIN_S = 2.0  # a shift happens within a recording: between two it is another static registration
-_NOMINAL = ("registration.static", "acquisition.delay")  # the nominal's own where they hold in all recordings
 _OTHERS = 1  # further starts of an effect's shapes
 _RANK = 1e-6  # of the free columns' normal matrix, scaled to ones
 
@@ -47,7 +46,7 @@ def screen(fitter: Fitter, base: Fit, kinds: Iterable[Kind], limits: Sequence[fl
     for kind in kinds:
         if kind not in base.hypothesis.kinds:
             starts = sorted(scan.kind(kind), key=lambda entry: -entry.gain)
-            if kind.id == "registration.shift" and starts:
+            if kind.scan == "moment" and starts:
                 starts = _Scan(fitter, base, limits).shift(kind, starts[0].values["shift_time"])
             for scope in (True, False):
                 best = [entry for entry in starts if entry.only_tests == scope][: 1 + _OTHERS]
@@ -78,9 +77,9 @@ class _Scan:
         self.squares = sum(float(np.sum(row.residual**2)) for row in self.rows) - float(self.gradient @ self.absorbed)
 
     def kind(self, kind: Kind) -> list[Screened]:
-        if kind.id == "registration.shift":
+        if kind.scan == "moment":
             return self.shift(kind)
-        if kind.id == "actuator.encoder_periodic":
+        if kind.scan == "period":
             return self._encoder(kind)
         signs = (1.0, -1.0) if any(p.one_way for p in kind.amplitudes) else (1.0,)
         return [
@@ -109,7 +108,7 @@ class _Scan:
         ]
         scored = []
         for only in (True, False):
-            if not only and kind.id in _NOMINAL:
+            if not only and kind.nominal:
                 continue
             amplitude, gain = self.gain(parts[1:] if only else parts)
             if amplitude is None:
@@ -117,7 +116,7 @@ class _Scan:
             start = dict(shapes)
             for parameter, a in zip(kind.amplitudes, amplitude, strict=True):
                 reach = 10.0 * self.fitter.scale(parameter)
-                value = inside(parameter.name, float(np.clip(a, -reach, reach)))
+                value = inside(parameter, float(np.clip(a, -reach, reach)))
                 if value == 0.0 or (parameter.one_way and value * sign < 0.0):
                     gain, value = 0.0, 0.2 * sign * self.fitter.scale(parameter)  # the other way than it can be
                 start[parameter.name] = value
@@ -223,7 +222,7 @@ def _cut(row: Rows, part: slice) -> Rows:
 
 def _starts(fitter: Fitter, base: Fit, kind: Kind) -> list[dict[str, float]]:
     def values(parameter: Parameter) -> list[float]:
-        if parameter.name == "contact_c":
+        if parameter.reached:
             c = np.concatenate([s.follow(base.state.model, {}, 0.0).c_deg for s in fitter.segments])
             return [float(v) for v in np.quantile(c, [0.1, 0.25, 0.5, 0.75, 0.9])]
         unit = fitter.model.rig.actuator.span if parameter.unit == "unit" else 1.0

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from tautline.diagnose.confounded import DRIFT, LOAD
-from tautline.effects import BY_ID, EVENTS, STICK_SLIP
+from tautline.effects import BY_ID, EVENTS
 
 _SMALL = 3.0  # times the noise: a gap below is called small
 _SHOWN = 0.005  # probability from which on a terminal shows a candidate
@@ -132,9 +132,9 @@ def steps(document: Mapping[str, Any], folder: str) -> list[Step]:
             )
         )
     if event:
-        sticks = effects[0]["id"] == STICK_SLIP
-        cause, what = ("friction along the transmission", "jumps") if sticks else ("camera timing", "unsteady times")
-        told.append(Step(f"Mend the cause, {cause}: no table and no model takes its {what} away."))
+        kind = BY_ID[effects[0]["id"]].event
+        assert kind
+        told.append(Step(f"Mend the cause, {kind.cause}: no table and no model takes its {kind.what} away."))
     if effects and (not event or document["gap"]["shrink"] > _SHRINKS):
         told.append(
             Step("Predict with the corrected model.", f"taut predict {folder}/corrected RECORDING --csv OUT.csv")
