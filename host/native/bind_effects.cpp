@@ -1,6 +1,8 @@
 #include "arrays.h"
 #include "effects.h"
+#include "plays.h"
 #include "sight.h"
+#include "thin.h"
 
 #include <algorithm>
 #include <cstring>
@@ -83,7 +85,8 @@ template <typename T> const T *column(const std::optional<ArrayIn<T>> &values, s
 
 nb::object simulate(const nb::dict &parameters, Values grid, Values width, Values c_deg, Values t_s, Values q,
                     Values at_s, std::optional<Values> translation, std::optional<Values> rotation,
-                    std::optional<Values> load, std::optional<Values> other, double session_s, double p0) {
+                    std::optional<Values> load, std::optional<Values> other, double session_s, double p0,
+                    const Plays *plays) {
     const std::vector<double> values = all_values(parameters);
     const size_t nodes = grid.shape(0), knots = t_s.shape(0), n = at_s.shape(0);
     if (nodes < 2 || width.shape(0) != nodes || c_deg.shape(0) != nodes) {
@@ -92,9 +95,10 @@ nb::object simulate(const nb::dict &parameters, Values grid, Values width, Value
     if (knots < 1 || q.shape(0) != knots) {
         throw std::invalid_argument("q must be as long as t_s, 1 or more");
     }
-    const effect_tables tables = {grid.data(), width.data(), c_deg.data(), nodes};
-    const effect_motion motion = {t_s.data(), q.data(), column(load, knots, "load"),
-                                  column(other, knots, "other"), knots};
+    const elements several = plays ? plays->view() : elements{};
+    const effect_tables tables = {grid.data(), width.data(), c_deg.data(), nodes, plays ? &several : nullptr};
+    const effect_motion motion = {t_s.data(), q.data(), column(load, knots, "load"), column(other, knots, "other"),
+                                  knots};
     const effect_times times = {at_s.data(), column(translation, n, "translation"), column(rotation, n, "rotation"), n,
                                 session_s};
     auto c = new_array<double>(n), p = new_array<double>(n), tip = new_array<double>(n), gain = new_array<double>(n),
@@ -110,12 +114,12 @@ nb::object simulate(const nb::dict &parameters, Values grid, Values width, Value
 
 ArrayOut<unsigned char> thin(Values t_s, Values values, Values tolerance, double rest_s) {
     const size_t samples = t_s.shape(0), channels = tolerance.shape(0);
-    if (channels < 1 || channels > EFFECT_CHANNELS || values.shape(0) != channels * samples) {
-        throw std::invalid_argument("values must be 1 to 4 channels, each as long as t_s");
+    if (channels < 1 || channels > THIN_CHANNELS || values.shape(0) != channels * samples) {
+        throw std::invalid_argument("values must be 1 to 12 channels, each as long as t_s");
     }
     auto keep = new_array<unsigned char>(samples);
     nb::gil_scoped_release unlocked;
-    effects_thin(t_s.data(), samples, values.data(), tolerance.data(), channels, rest_s, keep.data());
+    thin_motion(t_s.data(), samples, values.data(), tolerance.data(), channels, rest_s, keep.data());
     return keep;
 }
 
@@ -166,12 +170,14 @@ void bind_effects(nb::module_ &m) {
     m.attr("effect_parameters") = path; // (name, value when absent, unit, meaning): what moves the tip
     m.attr("sight_parameters") = sight; // and what changes where it is seen
     m.def("simulate_effects", simulate, "parameters"_a, "grid"_a, "width"_a, "c_deg"_a, "t_s"_a, "q"_a, "at_s"_a,
-          "translation"_a = nb::none(), "rotation"_a = nb::none(), "load"_a = nb::none(), "other"_a = nb::none(), "session_s"_a = 0.0,
-          "p0"_a = NAN,
-          "c (deg), p, tip, gain, way and side at rising times at_s; tables are linear on `grid`; t_s, q, load and other are "
-          "knots, translation and rotation are at at_s. See effects.h.");
+          "translation"_a = nb::none(), "rotation"_a = nb::none(), "load"_a = nb::none(), "other"_a = nb::none(),
+          "session_s"_a = 0.0, "p0"_a = NAN, "plays"_a = nb::none(),
+          "c (deg), p, tip, gain, way and side at rising times at_s; tables are linear on `grid`; t_s, q, load and "
+          "other are "
+          "knots, translation and rotation are at at_s. plays: several elements on the same grid and width. See "
+          "effects.h.");
     m.def("thin", thin, "t_s"_a, "values"_a, "tolerance"_a, "rest_s"_a,
-          "1 where a sample must stay for straight lines to be within tolerance. See effects.h.");
+          "1 where a sample must stay for straight lines to be within tolerance. See thin.h.");
     m.def("see", see, "parameters"_a, "rig"_a, "c_deg"_a, "translation"_a = nb::none(), "rotation"_a = nb::none(),
           "way"_a = nb::none(), "shifted"_a = nb::none(), "slopes"_a = false,
           "The image (n, 2) px; with slopes also its derivatives by c (n, 2) and by a static registration (n, 2, 6). "

@@ -91,26 +91,37 @@ static double envelope(const struct effect_tables *tables, struct span_cursor *c
 }
 
 struct play {
-    double p;
-    double width; // B(p)
+    double p;     // of an element of several: in its warp
+    double width; // B(p); of an element of several: 2 r
+    double share; // of the motion
     double since; // travel since the delayed side began to carry
     struct span_cursor low_at, high_at;
+    struct warp_cursor in, out[2];
     signed char side;
 };
 
-// Moves the play to `drive`. Returns how much of q's last step carried it. late: an effect that holds a side back, or
-// NULL.
-static double play_move(const struct active *late, const struct effect_tables *tables, struct play *play,
-                        const struct effect_drive *drive, double spread) {
+// How far beyond the play's end on side s the motor is, at which it begins to carry it.
+static double beyond_end(const struct warp *warp, struct play *play, const struct effect_drive *drive, double s,
+                         double scale) {
+    if (!warp) {
+        return s * (drive->q - play->p) - 0.5 * (scale * play->width + drive->extra);
+    }
+    const double end = warp_from(warp, &play->out[s > 0], play->p + 0.5 * s * scale * play->width);
+    return s * (drive->q - end) - 0.5 * drive->extra;
+}
+
+// Moves the play, in the warp if it is an element of several, to `drive`. Returns how much of q's last step carried it.
+// late: an effect that holds a side back, or NULL.
+static double play_move(const struct active *late, const struct effect_tables *tables, const struct warp *warp,
+                        struct play *play, const struct effect_drive *drive, double spread) {
     const double scale = drive->scale * spread;
-    const double half = 0.5 * (scale * play->width + drive->extra);
     for (int s = -1; s <= 1; s += 2) {
         if (s * drive->way < 0.0) {
             continue;
         }
         double since = play->side == s ? play->since : 0.0;
         double held = late ? late->effect->late(late->v, s, since) : 0.0;
-        const double carried = s * (drive->q - play->p) - half - held;
+        const double carried = beyond_end(warp, play, drive, s, scale) - held;
         if (carried <= 0.0) {
             continue;
         }
@@ -118,13 +129,88 @@ static double play_move(const struct active *late, const struct effect_tables *t
             since += carried;
             held = late->effect->late(late->v, s, since);
         }
-        play->p = envelope(tables, s > 0 ? &play->low_at : &play->high_at, drive->q - s * held, s, scale, drive->extra,
-                           &play->width);
+        const double q = drive->q - s * held;
+        if (warp) {
+            play->p = warp_to(warp, &play->in, q - 0.5 * s * drive->extra) - 0.5 * s * scale * play->width;
+        } else {
+            play->p = envelope(tables, s > 0 ? &play->low_at : &play->high_at, q, s, scale, drive->extra, &play->width);
+        }
         play->side = (signed char)s;
         play->since = since;
         return carried;
     }
     return 0.0;
+}
+
+// All plays: of each lot of thresholds one, or one for each element.
+struct plays {
+    struct play of[EFFECT_LOTS * ELEMENTS_MAX];
+    double spread[EFFECT_LOTS];
+    size_t each, count, middle; // the one that half of all have moved before
+    struct play single;         // beside several elements, for where B is narrow
+    struct warp_cursor low_at, high_at;
+    struct span_cursor at;
+};
+
+static void find_plays(const struct all *all, const struct elements *elements, struct plays *plays) {
+    double share[EFFECT_LOTS] = {1.0};
+    *plays = (struct plays){.spread = {1.0}, .each = elements ? elements->n : 1};
+    size_t lots = 1;
+    for (size_t i = 0; i < all->count; i++) {
+        if (all->of[i].effect->lots) {
+            lots = all->of[i].effect->lots(all->of[i].v, plays->spread, share);
+        }
+    }
+    plays->count = lots * plays->each;
+    double above = 1.0, weight = 0.0;
+    for (size_t i = 0; i < lots && above > 0.5; above -= share[i++]) {
+        plays->middle = i * plays->each;
+    }
+    for (size_t i = 0; i < plays->count; i++) {
+        plays->of[i].share = share[i / plays->each] * (elements ? elements->w[i % plays->each] : 1.0);
+    }
+    for (size_t i = 0; elements && i < elements->n; i++) {
+        plays->middle += weight < 0.5 && i > 0;
+        weight += elements->w[i];
+    }
+}
+
+static void plays_start(const struct effect_tables *tables, struct plays *plays, double q, double p) {
+    const struct elements *elements = tables->elements;
+    struct warp_cursor in = {0}, centre = {0};
+    double z[ELEMENTS_MAX] = {0};
+    if (elements) {
+        elements_start(elements, warp_to(&elements->warp, &in, q), elements_centre(elements, &centre, p), z);
+    }
+    plays->single.p = p;
+    plays->single.width = interpolate(tables, tables->width, &plays->at, p);
+    for (size_t i = 0; i < plays->count; i++) {
+        const size_t element = i % plays->each;
+        plays->of[i].p = elements ? z[element] : p;
+        plays->of[i].width = elements ? 2.0 * elements->r[element] : plays->single.width;
+    }
+}
+
+// The centre coordinate after all plays have moved; *carried as play_move returns.
+static double plays_move(const struct active *late, const struct effect_tables *tables, struct plays *plays,
+                         const struct effect_drive *drive, double *carried) {
+    const struct elements *elements = tables->elements;
+    const struct warp *warp = elements ? &elements->warp : NULL;
+    double sum = 0.0;
+    *carried = 0.0;
+    for (size_t i = 0; i < plays->count; i++) {
+        struct play *play = &plays->of[i];
+        *carried = fmax(*carried, play_move(late, tables, warp, play, drive, plays->spread[i / plays->each]));
+        sum += play->share * play->p;
+    }
+    double centre = elements ? elements_position(elements, &plays->low_at, &plays->high_at, sum) : sum;
+    if (elements && elements->narrow > 0.0) {
+        play_move(late, tables, NULL, &plays->single, drive, 1.0);
+        if (interpolate(tables, tables->width, &plays->at, centre) < elements->narrow) {
+            centre = plays->single.p;
+        }
+    }
+    return centre;
 }
 
 double effect_first_order(double y, double u0, double u1, double dt, double time) {
@@ -194,27 +280,7 @@ static void find_present(const double *values, double state[MOST][EFFECT_STATES]
     }
 }
 
-// The plays: one, or as many as the thresholds' lots.
-struct plays {
-    struct play of[EFFECT_LOTS];
-    double spread[EFFECT_LOTS], share[EFFECT_LOTS];
-    size_t count, middle; // the one that half of all have moved before
-};
-
-static void find_plays(const struct all *all, struct plays *plays) {
-    *plays = (struct plays){.spread = {1.0}, .share = {1.0}, .count = 1};
-    for (size_t i = 0; i < all->count; i++) {
-        if (all->of[i].effect->lots) {
-            plays->count = all->of[i].effect->lots(all->of[i].v, plays->spread, plays->share);
-        }
-    }
-    double above = 1.0;
-    for (size_t i = 0; i < plays->count && above > 0.5; above -= plays->share[i++]) {
-        plays->middle = i;
-    }
-}
-
-// Where the motion is at t: between the knots before `knot` and itself.
+// A channel of the motion at t, between the knot before `knot` and itself; NULL: 0.
 static double at(const struct effect_motion *motion, size_t knot, int at_knot, double t, const double *values) {
     const size_t last = motion->knots - 1;
     if (!values) {
@@ -243,7 +309,7 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
     }
     struct effect_chain chain = {following, following + follows, 0.0};
     struct plays plays;
-    find_plays(&all, &plays);
+    find_plays(&all, tables->elements, &plays);
     struct span_cursor c_at = {0};
     const double usual_speed = 0.1 * (tables->grid[tables->nodes - 1] - tables->grid[0]);
     const double c_middle = tables->c_deg[tables->nodes / 2];
@@ -286,17 +352,11 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
         }
         again_s = drive.again_s;
         const double from = centre;
-        double sum = 0.0, carried = 0.0;
-        for (size_t i = 0; i < plays.count; i++) {
-            struct play *play = &plays.of[i];
-            if (!started) {
-                play->p = isnan(p0) ? drive.q : p0;
-                play->width = interpolate(tables, tables->width, &c_at, play->p);
-            }
-            carried = fmax(carried, play_move(late, tables, play, &drive, plays.spread[i]));
-            sum += plays.share[i] * play->p;
+        double carried;
+        if (!started) {
+            plays_start(tables, &plays, drive.q, isnan(p0) ? drive.q : p0);
         }
-        centre = sum;
+        centre = plays_move(late, tables, &plays, &drive, &carried);
         for (size_t i = 0; !started && i < all.count; i++) {
             if (all.of[i].effect->start) {
                 all.of[i].effect->start(all.of[i].v, all.of[i].state, centre);
@@ -345,52 +405,5 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
         path->way[asked] = lies;
         path->side[asked] = side;
         asked++;
-    }
-}
-
-void effects_thin(const double *t_s, size_t samples, const double *values, const double *tolerance, size_t channels,
-                  double rest_s, unsigned char *keep) {
-    for (size_t k = 0; k < samples; k++) {
-        keep[k] = k == 0 || k + 1 == samples;
-    }
-    // The ends of rests.
-    for (size_t k = 1, begin = 0; k <= samples; k++) {
-        int same = k < samples;
-        for (size_t c = 0; same && c < channels; c++) {
-            same = values[c * samples + k] == values[c * samples + k - 1];
-        }
-        if (!same) {
-            if (t_s[k - 1] - t_s[begin] > rest_s) {
-                keep[begin] = keep[k - 1] = 1;
-            }
-            begin = k;
-        }
-    }
-    // Slopes from `start` on that pass all samples since within tolerance: a sample whose own slope is outside ends the
-    // piece at the one before.
-    double low[EFFECT_CHANNELS], high[EFFECT_CHANNELS];
-    size_t start = 0;
-    for (size_t k = 1; k < samples; k++) {
-        int fits = k > start + 1;
-        for (size_t c = 0; fits && c < channels; c++) {
-            const double *v = values + c * samples;
-            const double slope = (v[k] - v[start]) / (t_s[k] - t_s[start]);
-            fits = slope >= low[c] && slope <= high[c];
-        }
-        if (!fits && k > start + 1) {
-            start = k - 1;
-            keep[start] = 1;
-        }
-        const double dt = t_s[k] - t_s[start];
-        for (size_t c = 0; c < channels; c++) {
-            const double *v = values + c * samples;
-            const double least = (v[k] - tolerance[c] - v[start]) / dt;
-            const double most = (v[k] + tolerance[c] - v[start]) / dt;
-            low[c] = k > start + 1 ? fmax(low[c], least) : least;
-            high[c] = k > start + 1 ? fmin(high[c], most) : most;
-        }
-        if (keep[k]) {
-            start = k;
-        }
     }
 }

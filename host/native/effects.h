@@ -4,6 +4,7 @@
 #define TAUTLINE_EFFECTS_H
 
 #include "effect.h"
+#include "elements.h"
 
 #include <stddef.h>
 
@@ -23,11 +24,12 @@ struct effect_tables {
     const double *width;
     const double *c_deg;
     size_t nodes;
+    const struct elements *elements; // on grid and width; NULL: a single play
 };
 
 // Straight lines between knots, q held before the first and after the last.
 struct effect_motion {
-    const double *t_s;   // (knots) rises
+    const double *t_s; // (knots) rises
     const double *q;
     const double *load;  // mNm or NULL, from which its reference has been taken away
     const double *other; // another joint that moves along, or NULL
@@ -53,19 +55,11 @@ struct effect_path {
     signed char *side; // the envelope that last carried the tip: +1 rising q, -1 falling, 0 not yet
 };
 
-// values: of all parameters, in order. p0 NaN starts on the centre line. The play is exact at any sampling of a monotone
-// q; lag and creep are exact for the straight lines between knots, asked times and the moments at which the tip is
-// caught. About 80 ns per knot and time, 1 us with a spread onset.
+// values: of all parameters, in order. p0 NaN starts on the centre line. The play is exact at any sampling of a
+// monotone q; lag and creep are exact for the straight lines between knots, asked times and the moments at which the
+// tip is caught. About 80 ns per knot and time, 50 more for each element, 1 us with a spread onset.
 void effects_simulate(const double *values, const struct effect_tables *tables, const struct effect_motion *motion,
                       const struct effect_times *times, double p0, const struct effect_path *path);
-
-enum { EFFECT_CHANNELS = 4 };
-
-// Which samples of `channels` (1 to EFFECT_CHANNELS, one after the other, each as long as t_s) to keep so that straight
-// lines between them stay within `tolerance[channel]` of all samples. Both ends and the ends of every rest (no channel
-// changes for longer than rest_s) are kept. keep[k] is 0 or 1. About 10 ns per value.
-void effects_thin(const double *t_s, size_t samples, const double *values, const double *tolerance, size_t channels,
-                  double rest_s, unsigned char *keep);
 
 #ifdef __cplusplus
 }

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from tautline import _native
+from tautline.elements import SINGLE, Elements, Play
 from tautline.encoder import between_counts
 from tautline.errors import TautError
 from tautline.recording import Motor
@@ -34,7 +35,7 @@ class Effect:
 
 @dataclass(frozen=True)
 class Model:
-    """c = f_remain(p), p the play's centre coordinate (brief: p_lo, p_hi), widths B(p).
+    """c = f_remain(p), p the play's centre coordinate, widths B(p) between its full strokes, shared by its elements.
 
     `q` is a grid over the actuator's range (rig.actuator.unit); width, width_sigma and c_deg are sampled on it and
     interpolated linearly between its points by everything that simulates (the board does the same with its tables).
@@ -50,6 +51,11 @@ class Model:
     measured: tuple[float, float]  # the q_mean that reversals reached
     effects: tuple[Effect, ...] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)  # onsets, notes, figures' data: what the report shows
+    elements: Elements = SINGLE
+
+    @cached_property
+    def play(self) -> Play:
+        return Play(self.q, self.width, self.elements, self.rig.actuator.encoder_resolution)
 
     def remaining(self, p: npt.ArrayLike) -> Array:
         """f_remain: bending angles, deg, at centre coordinates p of any shape."""
@@ -66,7 +72,7 @@ class Model:
         Effects are not in it: see tautline.effects."""
         p0 = np.nan if start_deg is None else float(self.remaining_inverse(start_deg))
         motor = between_counts(motor, self.rig.actuator.encoder_resolution)
-        return self.remaining(play_at(motor.t_s, motor.q, np.asarray(t_s, dtype=float), self.q, self.width, p0))
+        return self.remaining(play_at(motor.t_s, motor.q, np.asarray(t_s, dtype=float), self.play, p0))
 
     def save(self, folder: str | Path) -> None:
         """Writes model.json and rig.toml."""
@@ -77,6 +83,7 @@ class Model:
             **{name: getattr(self, name).tolist() for name in _ARRAYS},
             "delay_s": self.delay_s,
             "measured": list(self.measured),
+            "elements": self.elements.to_json(),
             "effects": [{"id": effect.id, "parameters": dict(effect.parameters)} for effect in self.effects],
             "extra": dict(self.extra),
         }
@@ -105,12 +112,14 @@ class Model:
             delay_s = float(document["delay_s"])
             low, high = (float(value) for value in document["measured"])
             extra = dict(document["extra"])
+            elements = Elements.from_json(document["elements"]) if "elements" in document else SINGLE
         except (KeyError, TypeError, ValueError) as error:
             raise TautError(f"{path}: {error!r} is missing or wrong: make it again with taut calibrate") from error
         good = all(a.ndim == 1 and a.shape == q.shape and np.isfinite(a).all() for a in arrays) and len(q) >= 2
         if not (good and is_backlash_table(q, width) and abs(np.sign(np.diff(c_deg)).sum()) == len(q) - 1):
             raise TautError(f"{path}: its tables are not a model's: make the model again with taut calibrate")
-        return cls(Rig.load(folder / RIG_FILE), q, width, sigma, c_deg, delay_s, (low, high), effects, extra)
+        rig = Rig.load(folder / RIG_FILE)
+        return cls(rig, q, width, sigma, c_deg, delay_s, (low, high), effects, extra, elements)
 
 
 def is_backlash_table(grid: Array, width: Array) -> bool:
@@ -141,12 +150,12 @@ def interpolate(x: npt.ArrayLike, grid: Array, values: Array) -> Array:
     return np.asarray(np.interp(x, grid, values) + beyond)
 
 
-def play_at(t_s: Array, q: Array, at_s: Array, grid: Array, width: Array, p0: float) -> Array:
+def play_at(t_s: Array, q: Array, at_s: Array, play: Play, p0: float) -> Array:
     """The play's centre coordinate at times at_s (any order), driven by the motor samples (t_s, q) with straight lines
     between them and q held before and after them. p0 is the state before the first sample, NaN: the centre."""
     times = np.concatenate([t_s, at_s])
     positions = np.concatenate([q, np.interp(at_s, t_s, q)])
     order = np.argsort(times, kind="stable")
     p = np.empty(len(times))
-    p[order] = _native.play_forward(positions[order], grid, width, p0)
+    p[order] = play.forward(positions[order], p0)
     return p[len(t_s) :]

@@ -66,6 +66,7 @@ class Calibration:
                 "sigma": model.width_sigma.tolist(),
                 "measured": list(model.measured),
                 "source": self.source,
+                "elements": model.elements.to_json(),
             },
             "remaining": {"q": model.q.tolist(), "c_deg": model.c_deg.tolist()},
             "delay_s": model.delay_s,

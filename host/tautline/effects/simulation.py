@@ -105,6 +105,7 @@ def follow(
         None,
         clock_offset_s,
         np.nan if start_deg is None else float(model.remaining_inverse(start_deg)),
+        model.play.native,
     )
     found = (rising, translation, rotation, *moved)
     if order is None:
