@@ -141,6 +141,14 @@ def allowed_width(grid: Array, width: Array, steepest: float = STEEPEST) -> Arra
     return cut
 
 
+def monotone(c_deg: Array) -> Array:
+    """f_remain rising or falling strictly, as a model's must, where it is level."""
+    sign = np.sign(c_deg[-1] - c_deg[0])
+    least = 1e-6 * abs(c_deg[-1] - c_deg[0]) / len(c_deg) * np.arange(len(c_deg))
+    rising: Array = sign * (np.maximum.accumulate(sign * c_deg - least) + least)
+    return rising
+
+
 def interpolate(x: npt.ArrayLike, grid: Array, values: Array) -> Array:
     """Linear between the points of a rising grid, going on beyond its ends with the slope of the last span."""
     x = np.asarray(x, dtype=float)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from tautline import effects
 from tautline.diagnose import confined, gap, heldout
 from tautline.diagnose.decide import Beyond
-from tautline.diagnose.fit import Fit, Fitter, outlier_limit
+from tautline.diagnose.fit import Fit, Fitter, Scope, outlier_limit
 from tautline.diagnose.screen import Screened, screen
 from tautline.effects import SCATTERS, Kind
 
@@ -21,6 +21,7 @@ Progress = Callable[[str], None]
 
 
 _MARGIN_S = 1.0  # before and after a shift that a recording has to show
+_CHANGES = 0.15  # share of a change with time that a recording has to show
 _NOISE = 4.0  # floors: what is more is no noise, and a lost marker counts no more than that
 
 
@@ -41,8 +42,10 @@ class Found:
     @property
     def parameters(self) -> int:
         """Those that were fitted, and those of the scatter."""
-        named = {p.name for kind in self.fit.hypothesis.kinds for p in kind.parameters} - SCATTERS
-        return len(named & self.fit.state.values.keys()) + len(self.scatters)
+        hypothesis, values = self.fit.hypothesis, self.fit.state.values
+        keys = {slot.key for slot in hypothesis.slots}
+        keys |= {p.name for kind in hypothesis.kinds for p in kind.parameters if p.searched} - SCATTERS
+        return len(keys & values.keys()) + len(self.scatters)
 
     @property
     def has_path(self) -> bool:
@@ -90,37 +93,44 @@ class Search:
         return np.concatenate(parts)
 
     def on_top_of(self, below: Found, refits: int, both_scopes: int) -> list[Found]:
-        """The `refits` effects that screen best, each in the scope (all recordings, or those after the calibration)
-        that screens better; the best `both_scopes` of them in the other scope too. Best first."""
-        seen: dict[str, dict[bool, Screened]] = {}
+        """The `refits` effects that screen best, each in the scope that screens
+        best; the best `both_scopes` of them in their other scopes too. Best first."""
+        seen: dict[str, dict[Scope, Screened]] = {}
         for entry in screen(self.fitter, below.fit, self._with_path, self.limits):
-            seen.setdefault(entry.kind.id, {}).setdefault(entry.only_tests, entry)
+            seen.setdefault(entry.kind.id, {}).setdefault(entry.scope, entry)
         found: list[Found] = []
 
         def refit(entry: Screened) -> None:
             self._progress(f"fitting {' and '.join((*below.ids, entry.kind.id))}")
             start = {**below.fit.state.values, **entry.values}
-            hypothesis = below.fit.hypothesis.plus(entry.kind, entry.only_tests)
+            hypothesis = below.fit.hypothesis.plus(entry.kind, entry.scope)
             fit = self.fitter.fit(hypothesis, start, below.fit.state, entry.others)
             if not fit.finite:
                 return
-            if entry.kind.scan != "moment" or self._seen_to_happen(fit):
+            if (entry.kind.scan != "moment" or self._seen_to_happen(fit)) and self._seen_to_change(fit):
                 found.append(self.judged(fit))
 
-        for scopes in list(seen.values())[:refits]:
-            refit(next(iter(scopes.values())))
-        found.sort(key=_loss)
-        for best in found[:both_scopes]:
-            other = seen[best.ids[-1]].get(not best.fit.hypothesis.only_tests[-1])
-            if other is not None:
+        leading = list(seen)[:refits]
+        for name, scopes in seen.items():
+            best, *rest = scopes.values()
+            # A linear step tells little of parts of the nominal model: the recalibrated one has moved half way.
+            if name in leading or (both_scopes and best.kind.nominal):
+                refit(best)
+            for other in rest if both_scopes and best.kind.each else []:
                 refit(other)
+        found.sort(key=_loss)
+        for one in found[:both_scopes]:
+            kind, tried = one.fit.hypothesis.kinds[-1], one.fit.hypothesis.scopes[-1]
+            for scope, other in seen[kind.id].items():
+                if scope != tried and not kind.each:
+                    refit(other)
         return sorted(found, key=_loss)
 
     def in_the_mean(self, below: Found, kind: Kind, amount: float) -> Found | None:
         """An event after the calibration on top of a hypothesis, as it is in the mean: with sticking the play is wider
         by about the length that the tip sticks for (while calibrating it is B's own)."""
         assert kind.event
-        hypothesis = below.fit.hypothesis.plus(kind, True)
+        hypothesis = below.fit.hypothesis.plus(kind, Scope.TESTS)
         values = {**below.fit.state.values, kind.event.amount: 0.0, kind.event.mean: amount}
         fit = self.fitter.fit(hypothesis, values, below.fit.state)
         return self.judged(fit) if fit.finite and fit.state.values[kind.event.mean] > 0.0 else None
@@ -136,6 +146,21 @@ class Search:
                 before = seen < shift_s
                 return bool(never[before].sum() < always[before].sum() and never[~before].sum() > always[~before].sum())
         return False
+
+    def _seen_to_change(self, fit: Fit) -> bool:
+        """Of an effect that goes with time: some recording shows more of its change than is there throughout. What is
+        constant in every recording is another width or offset."""
+        kind, scope = fit.hypothesis.kinds[-1], fit.hypothesis.scopes[-1]
+        if kind.course is None:
+            return True
+        values = fit.state.values
+        at = [
+            [kind.course(values, float(s.arrival_s[s.scored][i]) + s.offset_s) for i in (0, -1)]
+            for s in self.fitter.segments
+            if not (scope and s.calibration)
+        ]
+        most = max(abs(value) for ends in at for value in ends)
+        return max(abs(last - first) for first, last in at) > _CHANGES * most
 
     def _squares(self, fit: Fit, which: int, shift_s: float) -> Array:
         """(scored,) of a recording, outliers pulled in, had the shift happened then."""

@@ -43,7 +43,7 @@ def residuals(fitter: Fitter, fit: Fit, further: Sequence[Kind] = ()) -> list[Ar
     rows = [
         replace(row, columns=np.concatenate([row.columns, more], axis=2)) for row, more in zip(plain, own, strict=True)
     ]
-    scopes = list(zip(fit.hypothesis.kinds, fit.hypothesis.only_tests, strict=True))
+    scopes = list(zip(fit.hypothesis.kinds, fit.hypothesis.scopes, strict=True))
     for what, freedom in _FREEDOM.items():
         only = [only for kind, only in scopes if kind.leaves == what]
         if only:

@@ -9,8 +9,8 @@ Pure: no fit, no file, no simulation.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -41,6 +41,7 @@ LAWS = frozenset(kind.id for kind in LIBRARY if kind.law)
 AHEAD = 5.0  # of every rival, as a logarithm: an event beside another effect that is told for sure
 FLOOR_KNOWN, STEADY = 0.2, 0.07  # of the noise power's logarithm: how well a case's is known, and how unlike blocks are
 DISTURBED = 0.03  # share of blocks in which something happens that no model has, such as the moment of a shift
+MOVED = 0.2  # share of what a recalibration closes from which on a part of it is named
 CONFINED = 0.5  # probability that what a wrong effect leaves is confined to its stage as well
 
 
@@ -150,6 +151,24 @@ def decide(evidence: Evidence) -> Verdict:
         tuple(named),
         tuple(probability),
         best.get(frozenset(named), 0),
+    )
+
+
+def with_moved(verdict: Verdict, parts: Sequence[tuple[str, float]]) -> Verdict:
+    """Recalibrating closed the gap, so what these parts of the nominal model did (ids with shares) is what was there;
+    it may yet stand in for an unknown effect. They are named as the nominal hypothesis has them."""
+    told = (1.0 - FOLLOWS) * verdict.unknown
+    leading = dict(verdict.leading)
+    for name, share in parts:
+        leading[name] = leading.get(name, 0.0) + share * told
+    named = tuple(name for name, share in parts if share >= MOVED)
+    return replace(
+        verdict,
+        unknown=verdict.unknown - told,
+        leading=leading,
+        named=named,
+        probability=tuple(1.0 - FOLLOWS for _ in named),
+        chosen=0,
     )
 
 

@@ -12,20 +12,19 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import effects
-from tautline.diagnose import confounded, decide, flexible, gap, motion, where
+from tautline.diagnose import confounded, decide, flexible, gap, motion, moved, where
 from tautline.diagnose.candidates import Found, applicable
-from tautline.diagnose.fit import Fit, Fitter, Hypothesis
+from tautline.diagnose.fit import Fit, Fitter, Scope, key
 from tautline.diagnose.gather import Gathered, gather
 from tautline.diagnose.segment import Segment, load_reference, prepare
 from tautline.effects.library.registration import with_registration
-from tautline.model import Effect, Model
+from tautline.model import Effect, Model, monotone
 from tautline.recording import Recording
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 FORMAT = "diagnosis/1"
-_SWALLOWED = 0.1  # a recalibration that leaves less of the gap's power has closed it
 _STEADY = 0.5  # share of a gap's power that does not change within a recording
 
 
@@ -53,7 +52,7 @@ def diagnose(
     progress(0.0, "preparing")
     segments = prepare(model, calibration, tests)
     fitter = Fitter(model, segments, load_reference(calibration))
-    frozen = fitter.residuals(fitter.start(), Hypothesis())
+    frozen = fitter.residuals(fitter.start(), fitter.nothing)
     fitter.floor = gap.noise_floor(segments, frozen)
     base = fitter.nominal()
     floor = fitter.floor = gap.noise_floor(segments, base.residuals)
@@ -63,13 +62,17 @@ def diagnose(
 
     gathered = gather(fitter, frozen, base, kinds, lambda done, text: progress(0.1 + 0.8 * done, text))
     verdict = decide.decide(gathered.evidence)
-    chosen = gathered.found[verdict.chosen]
-    named = verdict.named if verdict.name == "effect" else ()
-
     progress(0.92, "attributing")
     before = frozen[1:]
+    before_rms, recalibrated = gap.rms(before), gap.rms(base.residuals[1:])
+    swallowed = moved.closes(before_rms, recalibrated, floor) and not decide.is_open(gathered.evidence, recalibrated**2)
+    parts = moved.from_the_start(fitter, frozen, base) if swallowed and verdict.name == "unknown" else []
+    if parts:
+        verdict = decide.with_moved(verdict, [(part.id, part.share) for part in parts])
+    chosen = gathered.found[verdict.chosen]
+    named = verdict.named if verdict.name == "effect" else ()
     after = chosen.left[1:] if named else before  # without an effect nothing is added
-    before_rms, after_rms, recalibrated = gap.rms(before), gap.rms(after), gap.rms(base.residuals[1:])
+    after_rms = gap.rms(after)
     excess = max(before_rms**2 - floor**2, 1e-12)
     paths = [s.predict(model, {}, fitter.load_reference)[0] for s in segments[1:]]
     conditions = where.conditions(segments[1:], paths, before)
@@ -80,6 +83,13 @@ def diagnose(
     best = _best_of_each(gathered)
     open_still = decide.is_open(gathered.evidence, after_rms**2)
     rest = flexible.close(segments[1:], after, floor) if open_still else None
+    if parts:
+        shares = [part.share * shrink for part in parts]
+    else:
+        shares = _shapley(gathered, fitter, named, chosen, before_rms)
+        constant = [name for name in named if effects.BY_ID[name].nominal]
+        if named and len(constant) == len(named) and moved.closes(before_rms, after_rms, floor):
+            parts = moved.of_named(list(zip(named, shares, strict=True)))
     document: dict[str, Any] = {
         "format": FORMAT,
         "unit": segments[0].unit,
@@ -100,16 +110,17 @@ def diagnose(
             {
                 "id": name,
                 "probability": probability,
+                "since": _since(chosen.fit, name).since,
                 "parameters": _reported(chosen.fit, name),
+                **_of_each(chosen.fit, name, segments),
                 "shrink": share,
-                "swallowed_by_recalibration": bool(recalibrated**2 - floor**2 < _SWALLOWED * excess),
+                "swallowed_by_recalibration": moved.closes(before_rms, recalibrated, floor),
                 "loads_on_board": effects.BY_ID[name].on_board,
                 "ambiguous_with": [other for other in ambiguous if other != name] if name == named[0] else [],
             }
-            for name, probability, share in zip(
-                named, verdict.probability, _shapley(gathered, fitter, named, chosen, before_rms), strict=False
-            )
+            for name, probability, share in zip(named, verdict.probability, shares, strict=False)
         ],
+        "moved": [{"id": part.id, "share": part.share, "since": _since(chosen.fit, part.id).since} for part in parts],
         "candidates": [
             {
                 "id": name,
@@ -182,7 +193,7 @@ def _shapley(gathered: Gathered, fitter: Fitter, named: Sequence[str], chosen: F
             off = {
                 p.name for name in named if name not in key for p in effects.BY_ID[name].amplitudes
             } | effects.SCATTERS
-            values = {k: (0.0 if k in off else v) for k, v in chosen.fit.state.values.items()}
+            values = {k: (0.0 if k.split("@")[0] in off else v) for k, v in chosen.fit.state.values.items()}
             residuals = fitter.residuals(replace(chosen.fit.state, values=values), chosen.fit.hypothesis)
             known[key] = 1.0 - gap.rms(residuals[1:]) / before
         return known[key]
@@ -199,19 +210,42 @@ def _shapley(gathered: Gathered, fitter: Fitter, named: Sequence[str], chosen: F
     return shares
 
 
-def _reported(fit: Fit, name: str) -> dict[str, float]:
+def _since(fit: Fit, name: str) -> Scope:
+    """A part of the nominal that no effect stands for moved in all recordings."""
     kind = effects.BY_ID[name]
-    own = [p.name for p in kind.parameters]
-    values = {parameter: float(fit.state.values[parameter]) for parameter in own if parameter in fit.state.values}
-    only = fit.hypothesis.only_tests[fit.hypothesis.kinds.index(kind)]
-    return {**values, "since_calibration": float(only)}
+    return fit.hypothesis.scope(kind) if kind in fit.hypothesis.kinds else Scope.START
+
+
+def _reported(fit: Fit, name: str) -> dict[str, float]:
+    """Where each recording has its own, those of the last test."""
+    kind = effects.BY_ID[name]
+    scope = _since(fit, name)
+    values = fit.state.static if kind not in fit.hypothesis.kinds else fit.state.values
+    last = fit.hypothesis.tests
+    keys = {p.name: key(p.name, last) if scope == Scope.EACH else p.name for p in kind.parameters}
+    found = {parameter: float(values[at]) for parameter, at in keys.items() if at in values}
+    return {**found, "since_calibration": float(bool(scope))}
+
+
+def _of_each(fit: Fit, name: str, segments: Sequence[Segment]) -> dict[str, Any]:
+    """What each recording has, where they differ."""
+    kind = effects.BY_ID[name]
+    if _since(fit, name) != Scope.EACH:
+        return {}
+    values = fit.state.values
+    return {
+        "recordings": [
+            {"name": s.name, **{p.name: float(values[key(p.name, s.number)]) for p in kind.amplitudes}}
+            for s in segments[1:]
+        ]
+    }
 
 
 def _corrected(fit: Fit, last: Segment) -> Model:
     """The fitted model with its effects, its state as at the end of the last test: a shift has happened, a drift has
     gone so far."""
     model = fit.state.model
-    model = with_registration(replace(model, c_deg=_monotone(model.c_deg)), fit.state.static)
+    model = with_registration(replace(model, c_deg=monotone(model.c_deg)), fit.state.static)
     values = fit.state.at(last, fit.hypothesis)
     end = float(last.motor.t_s[-1]) + last.offset_s
     added = []
@@ -221,14 +255,6 @@ def _corrected(fit: Fit, last: Segment) -> Model:
             model = kind.holds(model, own, end)
         added.append(Effect(kind.id, own))
     return replace(model, effects=tuple(added))
-
-
-def _monotone(c_deg: Array) -> Array:
-    """f_remain rising or falling strictly, as a model's must, where a fit left it level."""
-    sign = np.sign(c_deg[-1] - c_deg[0])
-    least = 1e-6 * abs(c_deg[-1] - c_deg[0]) / len(c_deg) * np.arange(len(c_deg))
-    rising: Array = sign * (np.maximum.accumulate(sign * c_deg - least) + least)
-    return rising
 
 
 def _interval(values: Array) -> list[float]:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from tautline.diagnose import decide, scatter
 from tautline.diagnose.candidates import Found, Search
 from tautline.diagnose.decide import Evidence, Weighed
-from tautline.diagnose.fit import Fit, Fitter
+from tautline.diagnose.fit import Fit, Fitter, Scope
 from tautline.diagnose.scatter import Scatter
 from tautline.effects import EVENTS, Kind
 
@@ -67,10 +67,10 @@ class _Weighing:
             return
         kinds = [kind for kind in self.search.kinds if kind.event]
         beyond = {kind.id: self.search.beyond(found.fit, [kind]) for kind in kinds}
-        for only_tests in (False, True):
-            said = self._said(found, only_tests)
+        for scope in (Scope.START, Scope.TESTS):
+            said = self._said(found, bool(scope))
             for kind in kinds:
-                fit = replace(found.fit, hypothesis=found.fit.hypothesis.plus(kind, only_tests))
+                fit = replace(found.fit, hypothesis=found.fit.hypothesis.plus(kind, scope))
                 self._add_scatter(replace(found, fit=fit, beyond=beyond[kind.id]), kind, said)
 
     def add_in_the_mean(self, below: Found) -> None:

@@ -29,6 +29,7 @@ class Segment:
     scored: npt.NDArray[np.bool_]  # (n,) after a full backlash in both directions
     offset_s: float  # added to the recording's times to get the session's
     calibration: bool
+    number: int = 1  # of the recording, the calibration is 0
 
     @property
     def unit(self) -> str:
@@ -107,6 +108,7 @@ def prepare(model: Model, calibration: Recording, tests: Sequence[Recording]) ->
                 scored,
                 offset,
                 i == 0,
+                i,
             )
         )
     return segments

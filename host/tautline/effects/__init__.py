@@ -20,6 +20,7 @@ from tautline.effects.simulation import (
     see,
     sight_rig,
     simulate,
+    tabled,
 )
 
 __all__ = [
@@ -43,4 +44,5 @@ __all__ = [
     "see",
     "sight_rig",
     "simulate",
+    "tabled",
 ]

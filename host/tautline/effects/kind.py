@@ -54,9 +54,11 @@ class Kind:
     needs: Literal["", "camera", "load", "freedom"] = ""  # freedom: a second degree of freedom that moves
     holds: Holds | None = None  # a corrected model holds it in its own tables, rig or delay; None: it is simulated
     in_tables: bool = False  # it is simulated as the model that holds it
+    course: Callable[[Mapping[str, float], float], float] | None = None  # over the session's time, s: how much of it
     event: Event | None = None
     law: bool = False  # the same equations everywhere: rigid motion, time
     nominal: bool = False  # a recalibration has it already where it holds in all recordings
+    each: bool = False  # it may be another in every recording, as the posture is
     scan: Literal["probe", "period", "moment"] = "probe"  # how its shapes are screened
     # What it could do whatever its equations are, beside moving the tip through the angle (diagnose/confined.py).
     leaves: Literal["", "lens", "plane", "channel", "time"] = ""

@@ -20,6 +20,7 @@ Array = npt.NDArray[np.float64]
 
 NATIVE = frozenset(name for name, *_ in _native.effect_parameters)  # what moves the tip
 SIGHT = frozenset(name for name, *_ in _native.sight_parameters)  # what changes where it is seen
+_TABLED = tuple(kind for kind in LIBRARY if kind.in_tables)
 _MEANS = frozenset(kind.event.mean for kind in LIBRARY if kind.event)
 
 
@@ -84,6 +85,7 @@ def follow(
     clock_offset_s: float = 0.0,
 ) -> Path:
     """Where the tip is, as in `simulate`."""
+    model = tabled(model, parameters)
     scene = np.asarray(scene_s, dtype=float) - parameters.get("delay", 0.0)
     order = np.argsort(scene, kind="stable") if len(scene) > 1 and (np.diff(scene) < 0).any() else None
     rising = scene if order is None else scene[order]
@@ -112,6 +114,15 @@ def follow(
         return Path(*found)
     back = np.argsort(order, kind="stable")
     return Path(*(None if values is None else values[back] for values in found))  # type: ignore[arg-type]
+
+
+def tabled(model: Model, parameters: Mapping[str, float]) -> Model:
+    """The model with what of these is simulated as the tables that hold it."""
+    for kind in _TABLED:
+        if any(parameter.name in parameters for parameter in kind.amplitudes):
+            assert kind.holds
+            model = kind.holds(model, parameters, 0.0)
+    return model
 
 
 def image(model: Model, path: Path, parameters: Mapping[str, float], clock_offset_s: float = 0.0) -> Array:
