@@ -60,6 +60,7 @@ void effect_pass(struct effect_chain *chain, double u0, double u1, double dt);
 struct effect_bend {
     double c, gain; // deg; dc / df_remain
     double middle;  // f_remain in the middle of the range, deg
+    double slope;   // of f_remain over the whole range, deg per unit
 };
 
 enum { EFFECT_LOTS = 21 }; // of thresholds that stand for a spread one: a corner becomes a polygon of as many pieces

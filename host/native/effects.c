@@ -313,6 +313,7 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
     struct span_cursor c_at = {0};
     const double usual_speed = 0.1 * (tables->grid[tables->nodes - 1] - tables->grid[0]);
     const double c_middle = tables->c_deg[tables->nodes / 2];
+    const double c_slope = (tables->c_deg[tables->nodes - 1] - tables->c_deg[0]) / (10.0 * usual_speed);
     double before_t = 0.0, before_q = 0.0, centre = 0.0, lies = 0.0, again_s = INFINITY;
     const size_t last = motion->knots - 1;
     size_t knot = 0, asked = 0;
@@ -392,7 +393,7 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
         if (t < times->t_s[asked]) {
             continue;
         }
-        struct effect_bend bend = {configuration(tables, &c_at, tip), 1.0, c_middle};
+        struct effect_bend bend = {configuration(tables, &c_at, tip), 1.0, c_middle, c_slope};
         for (size_t i = 0; i < all.count; i++) {
             if (all.of[i].effect->configure) {
                 all.of[i].effect->configure(all.of[i].v, all.of[i].state, &now, &bend);

@@ -43,7 +43,8 @@ class Found:
     def parameters(self) -> int:
         """Those that were fitted, and those of the scatter."""
         hypothesis, values = self.fit.hypothesis, self.fit.state.values
-        keys = {slot.key for slot in hypothesis.slots}
+        # What each recording has of its own is paid for by its own blocks.
+        keys = {slot.key for slot in hypothesis.slots if slot.number <= 1}
         keys |= {p.name for kind in hypothesis.kinds for p in kind.parameters if p.searched} - SCATTERS
         return len(keys & values.keys()) + len(self.scatters)
 
@@ -125,6 +126,19 @@ class Search:
                 if scope != tried and not kind.each:
                     refit(other)
         return sorted(found, key=_loss)
+
+    def posture(self, below: Found) -> Found | None:
+        """All that another posture, tension or homing changes at once on top of a hypothesis, in each recording another
+        where there are several. `below` may have some of it already."""
+        kinds = [kind for kind in self.kinds if kind.posture and kind not in below.fit.hypothesis.kinds]
+        scope = Scope.EACH if below.fit.hypothesis.tests > 1 else Scope.TESTS
+        hypothesis = below.fit.hypothesis
+        for kind in kinds:
+            hypothesis = hypothesis.plus(kind, scope)
+        self._progress("fitting another posture")
+        values = {slot.key: 0.0 for slot in hypothesis.slots} | dict(below.fit.state.values)
+        fit = self.fitter.fit(hypothesis, values, below.fit.state)
+        return self.judged(fit) if kinds and fit.finite else None
 
     def in_the_mean(self, below: Found, kind: Kind, amount: float) -> Found | None:
         """An event after the calibration on top of a hypothesis, as it is in the mean: with sticking the play is wider

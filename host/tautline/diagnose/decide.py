@@ -37,6 +37,7 @@ NAMED = 0.5  # probability from which on an effect is named
 COVERS = 0.95  # probability that a set of effects that cannot be told apart holds
 COINCIDES = 0.1  # probability that an unknown effect goes with a column that was measured beside the motion
 MEASURED = frozenset(kind.id for kind in LIBRARY if kind.needs == "load")  # effects that follow such a column
+CONSTANT = frozenset(kind.id for kind in LIBRARY if kind.nominal)  # parts of the nominal model
 LAWS = frozenset(kind.id for kind in LIBRARY if kind.law)
 AHEAD = 5.0  # of every rival, as a logarithm: an event beside another effect that is told for sure
 FLOOR_KNOWN, STEADY = 0.2, 0.07  # of the noise power's logarithm: how well a case's is known, and how unlike blocks are
@@ -117,8 +118,8 @@ def decide(evidence: Evidence) -> Verdict:
     log = np.full(len(hypotheses) + 1, -np.inf)
     log[-1] = weights.unknown + np.log(UNKNOWN)
     for key, i in best.items():
-        log[i] = weights.of[i] + weights.prior(len(key))
-        log[-1] = np.logaddexp(log[-1], weights.elsewhere[i] + weights.prior(len(key)))
+        log[i] = weights.of[i] + weights.prior(key)
+        log[-1] = np.logaddexp(log[-1], weights.elsewhere[i] + weights.prior(key))
     p = np.exp(log - logsumexp(log))
 
     leading = dict.fromkeys((name for h in hypotheses for name in h.ids), 0.0)
@@ -214,7 +215,7 @@ class _Likelihoods:
                     all_of_it = own[j] + (far[j] if h.scatter.any() else 0.0)
                     self.of[i] = max(self.of[i], all_of_it + self._by_chance(h, more) + confined[i])
         self.unknown = max(
-            self._stands_in(h, table) + (self.prior(len(h.ids)) if h.ids else 0.0)
+            self._stands_in(h, table) + (self.prior(h.ids) if h.ids else 0.0)
             for h, table in zip(hypotheses, tables, strict=True)
             if not h.scatter.any()
         )
@@ -225,8 +226,9 @@ class _Likelihoods:
         chance = np.log(COINCIDES) if MEASURED & set(h.ids) else 0.0
         return float(chance + np.logaddexp(follows, np.log1p(-FOLLOWS) + logsumexp(table + _wrong())))
 
-    def prior(self, effects: int) -> float:
-        """Of one hypothesis with so many effects."""
+    def prior(self, ids: Collection[str]) -> float:
+        """Of one hypothesis. Parts of the nominal model move together."""
+        effects = len(set(ids) - CONSTANT) + bool(CONSTANT & set(ids))
         if effects == 0:
             return float(np.log(NONE))
         return float((effects - 1) * np.log(FURTHER) - np.log(self._applicable))

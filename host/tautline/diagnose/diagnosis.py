@@ -55,7 +55,8 @@ def diagnose(
     frozen = fitter.residuals(fitter.start(), fitter.nothing)
     fitter.floor = gap.noise_floor(segments, frozen)
     base = fitter.nominal()
-    floor = fitter.floor = gap.noise_floor(segments, base.residuals)
+    # A rest in which the tip goes on moving is no noise: the calibration has no more of it than its own fit leaves.
+    floor = fitter.floor = min(gap.noise_floor(segments, base.residuals), gap.rms(frozen[:1]))
     kinds = applicable(fitter, left_out)
     hidden = confounded.hidden(kinds, segments)
     kinds = [kind for kind in kinds if kind.id not in hidden]
@@ -222,7 +223,7 @@ def _reported(fit: Fit, name: str) -> dict[str, float]:
     scope = _since(fit, name)
     values = fit.state.static if kind not in fit.hypothesis.kinds else fit.state.values
     last = fit.hypothesis.tests
-    keys = {p.name: key(p.name, last) if scope == Scope.EACH else p.name for p in kind.parameters}
+    keys = {p.name: key(p.name, last) if scope == Scope.EACH and not p.searched else p.name for p in kind.parameters}
     found = {parameter: float(values[at]) for parameter, at in keys.items() if at in values}
     return {**found, "since_calibration": float(bool(scope))}
 

@@ -120,7 +120,8 @@ class State:
             if scope and segment.calibration:
                 continue
             for p in kind.parameters:
-                value = self.values.get(key(p.name, segment.number) if scope == Scope.EACH else p.name)
+                own = scope == Scope.EACH and not p.searched
+                value = self.values.get(key(p.name, segment.number) if own else p.name)
                 if value is not None:
                     chosen[p.name] = chosen.get(p.name, 0.0) + value if p.name in _STATIC else value
         return chosen

@@ -73,6 +73,13 @@ class _Weighing:
                 fit = replace(found.fit, hypothesis=found.fit.hypothesis.plus(kind, scope))
                 self._add_scatter(replace(found, fit=fit, beyond=beyond[kind.id]), kind, said)
 
+    def add_posture(self, found: Sequence[Found]) -> None:
+        """On top of the best of its parts."""
+        part = next((one for one in found if one.fit.hypothesis.kinds[0].posture), self.search.base)
+        posture = self.search.posture(part)
+        if posture is not None:
+            self.add(posture)
+
     def add_in_the_mean(self, below: Found) -> None:
         """Events after the calibration, as they are in the mean, on top of what is weighed already."""
         said = self._said(below, True)
@@ -117,6 +124,8 @@ class _Weighing:
         hidden = hidden and self._open(found[0])
         for i, one in enumerate(found):
             self.add(one, events=i == 0 or hidden)
+        if hidden or (found and found[0].fit.hypothesis.kinds[0].posture and self._open(found[0])):
+            self.add_posture(found)
         if hidden:
             self.add_in_the_mean(self.search.base)
             self.add_in_the_mean(found[0])

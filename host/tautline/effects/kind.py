@@ -58,7 +58,8 @@ class Kind:
     event: Event | None = None
     law: bool = False  # the same equations everywhere: rigid motion, time
     nominal: bool = False  # a recalibration has it already where it holds in all recordings
-    each: bool = False  # it may be another in every recording, as the posture is
+    posture: bool = False  # another posture, tension or homing changes it, together with others of the kind
+    each: bool = False  # it alone may be another in every recording
     scan: Literal["probe", "period", "moment"] = "probe"  # how its shapes are screened
     # What it could do whatever its equations are, beside moving the tip through the angle (diagnose/confined.py).
     leaves: Literal["", "lens", "plane", "channel", "time"] = ""

@@ -27,5 +27,6 @@ EFFECTS = (
         holds=_in_the_table,
         in_tables=True,
         nominal=True,
+        posture=True,
     ),
 )
