@@ -30,7 +30,7 @@ class Effect:
     """One unmodelled effect that a diagnosis added; id as in `stage.name`, zero parameters meaning absent."""
 
     id: str
-    parameters: Mapping[str, float]
+    parameters: Mapping[str, Any]  # numbers; `column`: the name of one of motor.csv
 
 
 @dataclass(frozen=True)

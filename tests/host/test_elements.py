@@ -318,9 +318,7 @@ def test_a_gradual_onset_is_the_mean_of_plays_of_scaled_width():
 def test_effects_act_on_elements_as_on_a_single_play(parameters):
     """With one element in the warp every effect does what it does to the single play, but for second orders of B'."""
     own = model(SINGLE)
-    motor = Motor(
-        np.arange(0, 40, 0.02), 4 * np.sin(np.arange(0, 40, 0.02)), None, None, None, np.full(2000, 2.0)
-    )
+    motor = Motor(np.arange(0, 40, 0.02), 4 * np.sin(np.arange(0, 40, 0.02)), None, None, None, np.full(2000, 2.0))
     at = np.linspace(0, 39, 900)
     expected = effects.follow(own, motor, at, parameters).p
     warp = warp_of(GRID, BUMP, 0.008)

@@ -4,7 +4,7 @@
 
 enum { SPREAD, TAIL, COUNT };
 static const struct effect_parameter PARAMETERS[COUNT] = {
-    {"onset_spread", 0, "", "spread of the play's thresholds, of B; 0 to 1"},
+    {"onset_spread", 0, "", "spread of the play's thresholds, of B; 0 to 1, with a tail of 1 to 2"},
     {"onset_tail", 0, "", "0 thresholds spread evenly, 1 exponentially from the least up"},
 };
 

@@ -40,8 +40,9 @@ _ONLY_AFTER = {
     "configuration.contact",
     "registration.static",
     "acquisition.delay",
-    "kinked_section",
-    "worn_spot",
+    "configuration.remaining",
+    "transmission.backlash",
+    "transmission.offset",
 }
 # The load is there all along, what is recorded is how much of it; a shift happens when it does; weight and a marker
 # beside the axis that came later would be a shift most of all.

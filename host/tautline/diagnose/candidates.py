@@ -130,7 +130,7 @@ class Search:
     def posture(self, below: Found) -> Found | None:
         """All that another posture, tension or homing changes at once on top of a hypothesis, in each recording another
         where there are several. `below` may have some of it already."""
-        kinds = [kind for kind in self.kinds if kind.posture and kind not in below.fit.hypothesis.kinds]
+        kinds = [kind for kind in self.kinds if kind.posture and not below.fit.hypothesis.find(kind.id)]
         scope = Scope.EACH if below.fit.hypothesis.tests > 1 else Scope.TESTS
         hypothesis = below.fit.hypothesis
         for kind in kinds:
@@ -197,8 +197,11 @@ def applicable(fitter: Fitter, left_out: Collection[str] = ()) -> list[Kind]:
         for s in fitter.segments
         for values in (s.motor.translation_mm, s.motor.rotation_deg)
     )
+    joints = sorted({name for s in fitter.segments for name in s.motor.joints})
     has = {"": True, "camera": fitter.px, "load": load, "freedom": freedom}
-    return [kind for kind in effects.LIBRARY if has[kind.needs] and kind.id not in left_out]
+    known = [kind for kind in effects.LIBRARY if kind.id not in left_out]
+    further = [kind.of_joint(name) for kind in known if kind.of_joint for name in joints]
+    return [*(kind for kind in known if has[kind.needs]), *further]
 
 
 def outlier_limits(fitter: Fitter, base: Fit) -> list[float]:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy import stats
 from scipy.special import log_expit, log_ndtr, logsumexp
 
-from tautline.effects import LIBRARY
+from tautline.effects import BY_ID, LIBRARY
 
 Array = npt.NDArray[np.float64]
 
@@ -214,11 +214,25 @@ class _Likelihoods:
                 if len(more.ids) == len(h.ids) + 1 and h.ids and set(h.ids) < set(more.ids):
                     all_of_it = own[j] + (far[j] if h.scatter.any() else 0.0)
                     self.of[i] = max(self.of[i], all_of_it + self._by_chance(h, more) + confined[i])
+        self._give_way(hypotheses)
         self.unknown = max(
             self._stands_in(h, table) + (self.prior(h.ids) if h.ids else 0.0)
             for h, table in zip(hypotheses, tables, strict=True)
             if not h.scatter.any()
         )
+
+    def _give_way(self, hypotheses: Sequence[Weighed]) -> None:
+        """An effect that can do a simpler one's part too says nothing where the simpler one alone leaves no more than a
+        right effect may: it is that one, and more of it only beside it."""
+        before = max(float(np.mean(self._before)), 1e-300)
+        simple = {
+            h.ids[0]
+            for h in hypotheses
+            if len(h.ids) == 1 and float(np.mean(h.power)) - self._floor2 < _most(h.ids) * before
+        }
+        for i, h in enumerate(hypotheses):
+            if len(h.ids) == 1 and simple & set(BY_ID[h.ids[0]].contains):
+                self.of[i] = -np.inf
 
     def _stands_in(self, h: Weighed, table: Array) -> float:
         """For an unknown effect, which now and then it follows as closely as if it were right."""

@@ -213,19 +213,19 @@ def _shapley(gathered: Gathered, fitter: Fitter, named: Sequence[str], chosen: F
 
 def _since(fit: Fit, name: str) -> Scope:
     """A part of the nominal that no effect stands for moved in all recordings."""
-    kind = effects.BY_ID[name]
-    return fit.hypothesis.scope(kind) if kind in fit.hypothesis.kinds else Scope.START
+    found = fit.hypothesis.find(name)
+    return found[1] if found else Scope.START
 
 
-def _reported(fit: Fit, name: str) -> dict[str, float]:
+def _reported(fit: Fit, name: str) -> dict[str, Any]:
     """Where each recording has its own, those of the last test."""
-    kind = effects.BY_ID[name]
-    scope = _since(fit, name)
-    values = fit.state.static if kind not in fit.hypothesis.kinds else fit.state.values
+    kind, scope = fit.hypothesis.find(name) or (effects.BY_ID[name], Scope.START)
+    values = fit.state.values if fit.hypothesis.find(name) else fit.state.static
     last = fit.hypothesis.tests
     keys = {p.name: key(p.name, last) if scope == Scope.EACH and not p.searched else p.name for p in kind.parameters}
     found = {parameter: float(values[at]) for parameter, at in keys.items() if at in values}
-    return {**found, "since_calibration": float(bool(scope))}
+    column = {"column": kind.column} if kind.column else {}
+    return {**found, **column, "since_calibration": float(bool(scope))}
 
 
 def _of_each(fit: Fit, name: str, segments: Sequence[Segment]) -> dict[str, Any]:
@@ -254,7 +254,7 @@ def _corrected(fit: Fit, last: Segment) -> Model:
         own = {p.name: values[p.name] for p in kind.parameters if p.name in values}
         if kind.holds is not None:
             model = kind.holds(model, own, end)
-        added.append(Effect(kind.id, own))
+        added.append(Effect(kind.id, own | ({"column": kind.column} if kind.column else {})))
     return replace(model, effects=tuple(added))
 
 

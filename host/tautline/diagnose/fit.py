@@ -12,6 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -89,8 +90,9 @@ class Hypothesis:
     def plus(self, kind: Kind, scope: Scope) -> Hypothesis:
         return replace(self, kinds=(*self.kinds, kind), scopes=(*self.scopes, scope))
 
-    def scope(self, kind: Kind) -> Scope:
-        return self.scopes[self.kinds.index(kind)]
+    def find(self, name: str) -> tuple[Kind, Scope] | None:
+        """The effect of an id."""
+        return next(((k, s) for k, s in zip(self.kinds, self.scopes, strict=True) if k.id == name), None)
 
     @property
     def slots(self) -> list[Slot]:
@@ -113,12 +115,14 @@ class State:
     static: Mapping[str, float]  # nominal registration, all recordings
     values: Mapping[str, float] = field(default_factory=dict)  # of the effects
 
-    def at(self, segment: Segment, hypothesis: Hypothesis) -> dict[str, float]:
+    def at(self, segment: Segment, hypothesis: Hypothesis) -> dict[str, Any]:
         """The parameters that hold in one recording."""
-        chosen = dict(self.static)
+        chosen: dict[str, Any] = dict(self.static)
         for kind, scope in zip(hypothesis.kinds, hypothesis.scopes, strict=True):
             if scope and segment.calibration:
                 continue
+            if kind.column:
+                chosen["column"] = kind.column
             for p in kind.parameters:
                 own = scope == Scope.EACH and not p.searched
                 value = self.values.get(key(p.name, segment.number) if own else p.name)

@@ -100,7 +100,9 @@ class _Weighing:
     def _add_scatter(self, found: Found, kind: Kind, said: Scatter) -> None:
         """`found` with what the scatter that it leaves says of one of its effects."""
         plain, level = said.loss["as it is"], said.loss["level"]
-        rival = min((said.loss[name] for name in scatter.RIVALS), key=lambda loss: float(np.mean(loss)))
+        rival = min(
+            (said.loss[name] for name in scatter.RIVALS if name != kind.id), key=lambda loss: float(np.mean(loss))
+        )
         assert kind.event
         found = replace(found, scatters={kind.event.amount: said.amount[kind.id]})
         self.found.append(found)

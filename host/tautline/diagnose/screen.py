@@ -44,7 +44,7 @@ def screen(fitter: Fitter, base: Fit, kinds: Iterable[Kind], limits: Sequence[fl
     scan = _Scan(fitter.coarse, base, limits)
     found: list[Screened] = []
     for kind in kinds:
-        if kind not in base.hypothesis.kinds:
+        if base.hypothesis.find(kind.id) is None:
             starts = sorted(scan.kind(kind), key=lambda entry: -entry.gain)
             if kind.scan == "moment" and starts:
                 starts = _Scan(fitter, base, limits).shift(kind, starts[0].values["shift_time"])

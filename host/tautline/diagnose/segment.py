@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -35,18 +36,18 @@ class Segment:
     def unit(self) -> str:
         return "px" if self.observed.shape[1] == 2 else "deg"
 
-    def follow(self, model: Model, parameters: Mapping[str, float], load_reference: float) -> Path:
+    def follow(self, model: Model, parameters: Mapping[str, Any], load_reference: float) -> Path:
         """Where the tip is at the observations."""
         scene = self.arrival_s - (model.delay_s if self.unit == "px" else 0.0)
         return effects.follow(
             model, self.motor, scene, parameters, load_reference=load_reference, clock_offset_s=self.offset_s
         )
 
-    def seen(self, model: Model, parameters: Mapping[str, float], path: Path) -> Array:
+    def seen(self, model: Model, parameters: Mapping[str, Any], path: Path) -> Array:
         """(n, k) what is observed of a tip that moves so."""
         return effects.image(model, path, parameters, self.offset_s) if self.unit == "px" else path.c_deg[:, None]
 
-    def predict(self, model: Model, parameters: Mapping[str, float], load_reference: float) -> tuple[Path, Array]:
+    def predict(self, model: Model, parameters: Mapping[str, Any], load_reference: float) -> tuple[Path, Array]:
         """The path at the observations and the prediction (n, k)."""
         path = self.follow(model, parameters, load_reference)
         return path, self.seen(model, parameters, path)

@@ -51,7 +51,10 @@ class Kind:
     amplitudes: tuple[Parameter, ...]
     shapes: tuple[Parameter, ...] = ()
     says: str = ""
-    needs: Literal["", "camera", "load", "freedom"] = ""  # freedom: a second degree of freedom that moves
+    # freedom: the instrument's second or third degree of freedom moves; joint: a further joint's column does.
+    needs: Literal["", "camera", "load", "freedom", "joint"] = ""
+    column: str = ""  # of motor.csv, that it follows
+    of_joint: Callable[[str], Kind] | None = None  # the same for a further joint's column
     holds: Holds | None = None  # a corrected model holds it in its own tables, rig or delay; None: it is simulated
     in_tables: bool = False  # it is simulated as the model that holds it
     course: Callable[[Mapping[str, float], float], float] | None = None  # over the session's time, s: how much of it
@@ -59,6 +62,7 @@ class Kind:
     law: bool = False  # the same equations everywhere: rigid motion, time
     nominal: bool = False  # a recalibration has it already where it holds in all recordings
     posture: bool = False  # another posture, tension or homing changes it, together with others of the kind
+    contains: tuple[str, ...] = ()  # effects that it can do too
     each: bool = False  # it alone may be another in every recording
     scan: Literal["probe", "period", "moment"] = "probe"  # how its shapes are screened
     # What it could do whatever its equations are, beside moving the tip through the angle (diagnose/confined.py).

@@ -44,7 +44,7 @@ class Seen(Path):
     image_px: Array  # (n, 2), NaN without a camera
 
 
-def of_model(model: Model, scatter: bool = False) -> dict[str, float]:
+def of_model(model: Model, scatter: bool = False) -> dict[str, Any]:
     """The parameters of a corrected model's effects that its tables, rig and delay do not hold already. `scatter`: with
     one course of stick-slip instead of what it is in the mean."""
     return {
@@ -60,7 +60,7 @@ def simulate(
     model: Model,
     motor: Motor,
     scene_s: npt.ArrayLike,
-    parameters: Mapping[str, float],
+    parameters: Mapping[str, Any],
     start_deg: float | None = None,
     load_reference: float = 0.0,
     clock_offset_s: float = 0.0,
@@ -79,7 +79,7 @@ def follow(
     model: Model,
     motor: Motor,
     scene_s: npt.ArrayLike,
-    parameters: Mapping[str, float],
+    parameters: Mapping[str, Any],
     start_deg: float | None = None,
     load_reference: float = 0.0,
     clock_offset_s: float = 0.0,
@@ -87,6 +87,8 @@ def follow(
     """Where the tip is, as in `simulate`."""
     model = tabled(model, parameters)
     scene = np.asarray(scene_s, dtype=float) - parameters.get("delay", 0.0)
+    if rate := parameters.get("clock_rate", 0.0):
+        scene = scene - rate * (scene - motor.t_s[0])
     order = np.argsort(scene, kind="stable") if len(scene) > 1 and (np.diff(scene) < 0).any() else None
     rising = scene if order is None else scene[order]
     translation, rotation = (
@@ -104,7 +106,7 @@ def follow(
         translation,
         rotation,
         None if motor.load_mNm is None else motor.load_mNm - load_reference,
-        None,
+        motor.extra.get(parameters.get("column", "")),  # a joint that is missing is at rest
         clock_offset_s,
         np.nan if start_deg is None else float(model.remaining_inverse(start_deg)),
         model.play.native,
@@ -116,7 +118,7 @@ def follow(
     return Path(*(None if values is None else values[back] for values in found))  # type: ignore[arg-type]
 
 
-def tabled(model: Model, parameters: Mapping[str, float]) -> Model:
+def tabled(model: Model, parameters: Mapping[str, Any]) -> Model:
     """The model with what of these is simulated as the tables that hold it."""
     for kind in _TABLED:
         if any(parameter.name in parameters for parameter in kind.amplitudes):
@@ -125,7 +127,7 @@ def tabled(model: Model, parameters: Mapping[str, float]) -> Model:
     return model
 
 
-def image(model: Model, path: Path, parameters: Mapping[str, float], clock_offset_s: float = 0.0) -> Array:
+def image(model: Model, path: Path, parameters: Mapping[str, Any], clock_offset_s: float = 0.0) -> Array:
     """Where the marker is seen, (n, 2) px, with the effects of kinematics, registration and camera."""
     return _see(model, path, parameters, clock_offset_s, False)  # type: ignore[no-any-return]
 
@@ -136,7 +138,7 @@ def see(
     way: Array,
     translation_mm: npt.ArrayLike,
     rotation_deg: npt.ArrayLike,
-    parameters: Mapping[str, float],
+    parameters: Mapping[str, Any],
 ) -> Array:
     """As `image`, of tips whose c and way (n,) are known and whose registration does not change."""
     n = np.ones(len(c_deg))
@@ -147,13 +149,13 @@ def see(
 
 
 def image_with_slopes(
-    model: Model, path: Path, parameters: Mapping[str, float], clock_offset_s: float = 0.0
+    model: Model, path: Path, parameters: Mapping[str, Any], clock_offset_s: float = 0.0
 ) -> tuple[Array, Array, Array]:
     """The image and its derivatives: by c (n, 2) px per deg, by a further static registration (n, 2, 6)."""
     return _see(model, path, parameters, clock_offset_s, True)  # type: ignore[no-any-return]
 
 
-def _see(model: Model, path: Path, parameters: Mapping[str, float], clock_offset_s: float, slopes: bool) -> Any:
+def _see(model: Model, path: Path, parameters: Mapping[str, Any], clock_offset_s: float, slopes: bool) -> Any:
     shifted = None
     if "shift_time" in parameters:
         shifted = (path.scene_s + clock_offset_s >= parameters["shift_time"]).view(np.uint8)

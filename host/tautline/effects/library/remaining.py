@@ -2,20 +2,22 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
 from tautline.effects.kind import Kind, Parameter
 from tautline.model import Model, monotone
+from tautline.splines import Basis
 
-# Chebyshev's polynomials over the motor's range; the constant one is an offset.
-_NAMES = tuple(f"remaining_{i}" for i in range(1, 5))
+_PIECES = 5  # of a cubic spline over the motor's range
+_NAMES = tuple(f"remaining_{i}" for i in range(_PIECES + 3))
+_basis = lru_cache(maxsize=8)(Basis)
 
 
 def _in_the_table(model: Model, values: Mapping[str, float], session_s: float) -> Model:
-    low, high = model.rig.actuator.range
-    x = np.clip(2.0 * (model.q - low) / (high - low) - 1.0, -1.0, 1.0)
-    added = np.polynomial.chebyshev.chebval(x, [0.0, *(values.get(name, 0.0) for name in _NAMES)])
+    basis = _basis(*model.rig.actuator.range, _PIECES)
+    added = basis.value(np.array([values.get(name, 0.0) for name in _NAMES]), np.clip(model.q, basis.low, basis.high))
     return replace(model, c_deg=monotone(model.c_deg + added))
 
 
@@ -28,5 +30,6 @@ EFFECTS = (
         in_tables=True,
         nominal=True,
         posture=True,
+        contains=("transmission.offset",),
     ),
 )
