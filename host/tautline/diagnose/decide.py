@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy import stats
 from scipy.special import log_expit, log_ndtr, logsumexp
 
-from tautline.effects import BY_ID, LIBRARY
+from tautline.effects import BY_ID, EVENTS, LIBRARY
 
 Array = npt.NDArray[np.float64]
 
@@ -43,6 +43,7 @@ AHEAD = 5.0  # of every rival, as a logarithm: an event beside another effect th
 FLOOR_KNOWN, STEADY = 0.2, 0.07  # of the noise power's logarithm: how well a case's is known, and how unlike blocks are
 DISTURBED = 0.03  # share of blocks in which something happens that no model has, such as the moment of a shift
 MOVED = 0.2  # share of what a recalibration closes from which on a part of it is named
+HELPS = 0.7  # standard errors of the mean over blocks; one block alone that shows an effect is 1
 CONFINED = 0.5  # probability that what a wrong effect leaves is confined to its stage as well
 
 
@@ -171,6 +172,37 @@ def with_moved(verdict: Verdict, parts: Sequence[tuple[str, float]]) -> Verdict:
         probability=tuple(1.0 - FOLLOWS for _ in named),
         chosen=0,
     )
+
+
+def that_help(evidence: Evidence, verdict: Verdict) -> Verdict:
+    """Only effects without which the model leaves more on blocks that the fits did not see, by more than the blocks
+    scatter; unknown where none does. Events have no path to be judged by."""
+    ids = [h.ids for h in evidence.hypotheses]
+
+    def least(names: Sequence[str]) -> int:
+        same = [i for i, own in enumerate(ids) if set(own) == set(names)]
+        return min(same, key=lambda i: float(np.mean(evidence.hypotheses[i].power)), default=0)
+
+    named, chosen, probability = (
+        list(verdict.named),
+        verdict.chosen,
+        dict(zip(verdict.named, verdict.probability, strict=False)),
+    )
+    for name in reversed(verdict.named if verdict.name == "effect" else ()):
+        rest = [other for other in named if other != name]
+        without = least(rest)
+        if name in EVENTS or (rest and not ids[without]):
+            continue
+        gained = evidence.hypotheses[without].power - evidence.hypotheses[chosen].power
+        if float(np.mean(gained)) <= HELPS * float(np.std(gained)) / np.sqrt(len(gained)):
+            named, chosen = rest, without
+    if len(named) == len(verdict.named):
+        return verdict
+    if named:
+        return replace(verdict, named=tuple(named), probability=tuple(probability[n] for n in named), chosen=chosen)
+    told = sum(verdict.leading.values())
+    nothing = dict.fromkeys(verdict.leading, 0.0)
+    return replace(verdict, unknown=verdict.unknown + told, leading=nothing, named=(), probability=(), chosen=0)
 
 
 def is_open(evidence: Evidence, power: Array | float) -> bool:

@@ -62,7 +62,7 @@ def diagnose(
     kinds = [kind for kind in kinds if kind.id not in hidden]
 
     gathered = gather(fitter, frozen, base, kinds, lambda done, text: progress(0.1 + 0.8 * done, text))
-    verdict = decide.decide(gathered.evidence)
+    verdict = decide.that_help(gathered.evidence, decide.decide(gathered.evidence))
     progress(0.92, "attributing")
     before = frozen[1:]
     before_rms, recalibrated = gap.rms(before), gap.rms(base.residuals[1:])
