@@ -132,7 +132,7 @@ def _smoothed(q: Array) -> Array:
 
 def straight_lines(motor: Motor, resolution: float) -> Motor:
     """The motor, as it was recorded, as straight lines between few knots, within what cannot be seen of the samples;
-    it rests and turns exactly when its changes of count say so. q_cmd is left out."""
+    it rests and turns exactly when its changes of count say so. q_cmd and columns that are no joint's are left out."""
     smooth = between_counts(motor, resolution)
     steps = _steps_of(motor, resolution) if smooth is not motor else None
     count = resolution if steps is None else steps.count
@@ -142,6 +142,7 @@ def straight_lines(motor: Motor, resolution: float) -> Motor:
     swing = 0.0 if motor.load_mNm is None else _TOLERANCE_LOAD * float(np.ptp(motor.load_mNm))
     tolerances = zip(others, (_TOLERANCE_MM, _TOLERANCE_DEG, swing), strict=True)
     channels = [(values, tolerance) for values, tolerance in tolerances if values is not None]
+    channels += [(v, _TOLERANCE_DEG if name.endswith("_deg") else _TOLERANCE_MM) for name, v in motor.joints.items()]
     if channels:  # their knots are the bending motor's too, but it stays at rest where it rests
         at = np.union1d(t_s, motor.t_s[_thinned(motor.t_s, channels)])
         left = np.searchsorted(t_s, at, side="right") - 1
@@ -153,7 +154,8 @@ def straight_lines(motor: Motor, resolution: float) -> Motor:
         return None if values is None else np.interp(t_s, motor.t_s, values)
 
     level = _levelled(motor.t_s, smooth.q, t_s, q, fixed)
-    return Motor(t_s, level, None, taken(others[0]), taken(others[1]), taken(others[2]))
+    joints = {name: np.interp(t_s, motor.t_s, values) for name, values in motor.joints.items()}
+    return Motor(t_s, level, None, taken(others[0]), taken(others[1]), taken(others[2]), joints)
 
 
 @dataclass(frozen=True)
