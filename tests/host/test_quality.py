@@ -1,4 +1,4 @@
-"""The verdict of a calibration: how reasons make it, that it is kept, and that nothing is driven with what is unusable."""
+"""The verdict of a calibration: how reasons make it, that it is kept, that nothing unusable is driven with."""
 
 from dataclasses import replace
 

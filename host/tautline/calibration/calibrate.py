@@ -476,13 +476,13 @@ class _Session:
         ratio = gain / self.rig.coarse.gain
         if ratio < 0:
             self.doubt(
-                "sign",
+                "coarse",
                 f"the tip bends {gain:.3g} deg/{self.unit} where f_coarse says {self.rig.coarse.gain:.3g}",
                 "a sign is wrong: check encoder direction, coarse.gain, hand_eye, a mirrored image",
             )
         elif not _LIKELY_GAIN[0] < ratio < _LIKELY_GAIN[1]:
             self.doubt(
-                "scale",
+                "coarse",
                 f"the tip bends {gain:.3g} deg/{self.unit} where f_coarse says {self.rig.coarse.gain:.3g}",
                 "check actuator.unit, the encoder's scale, camera.fx_px and the marker's distance",
             )
@@ -519,7 +519,7 @@ class _Session:
         measured = self._measured(curve, joint, source)
         beyond = np.abs(self.grid - np.clip(self.grid, *measured))
         inside = (self.grid > measured[0]) & (self.grid < measured[1])
-        floor = floor_of([t.motor for t in self.tracks], self.grid[inside], width[inside], sigma[inside], self.unit)
+        floor = floor_of(self.tracks, self.grid[inside], width[inside], sigma[inside], self.unit)
         self.reasons += floor.reasons
         sigma = np.hypot(np.hypot(sigma, floor.sigma), 0.5 * beyond)
         pass_width, pass_sigma = self._second_opinion(onsets, curve, passes)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy.ndimage import median_filter
 
 from tautline import _native
-from tautline.encoder import between_counts
+from tautline.encoder import between_counts, reading_noise
 from tautline.errors import TautError
 from tautline.recording import Motor, Recording
 from tautline.rig import ANGLE, MARKER, Rig, Sensor
@@ -34,6 +34,7 @@ class Track:
     t_s: Array  # (n,) when a frame or a sensor's value arrived; rising
     y: Array  # (n, 2) px or (n, 1) deg
     sigma: Array  # (n,) noise of y, per coordinate
+    motor_noise: float = 0.0  # of the motor's readings, unit of q, that was smoothed away
     stray: int = 0  # frames left out because they show the marker elsewhere for a moment
 
     def scene_s(self, delay_s: float) -> Array:
@@ -89,8 +90,9 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
     """One track per recording: its marker where it has one and the rig a camera, else its angle."""
     tracks = []
     for recording in recordings:
-        motor = between_counts(recording.motor, rig.actuator.encoder_resolution)
-        recording = replace(recording, motor=motor)
+        resolution = rig.actuator.encoder_resolution
+        noise = reading_noise(recording.motor)
+        recording = replace(recording, motor=between_counts(recording.motor, resolution))
         marker, angle = recording.marker, recording.angle
         if marker is not None and rig.has_camera:
             seen = marker.valid & np.isfinite(marker.u_px) & np.isfinite(marker.v_px)
@@ -105,6 +107,8 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
             raise TautError(f"{recording.name}: marker positions need a rig with [camera]: add it to rig.toml")
         else:
             raise TautError(f"{recording.name}: holds no marker positions and no angles: track its video first")
+        if noise > resolution:
+            tracks[-1] = replace(tracks[-1], motor_noise=noise)
     units = {track.unit for track in tracks if len(track.t_s)}
     if len(units) > 1:
         raise TautError("some recordings hold a marker and some an angle only: calibrate with one kind")
