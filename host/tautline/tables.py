@@ -5,10 +5,12 @@ from __future__ import annotations
 import hashlib
 import time
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from tautline import _native
+from tautline.elements import SINGLE, Elements, Play, warp_of
 from tautline.errors import TautError
 from tautline.model import Array, Model
 from tautline.rig import Rig
@@ -20,6 +22,10 @@ _COUNT = float(_native.COUNT_ONE)  # Q8
 _DEG = float(_native.DEG_ONE)  # Q16
 _SLOPE = 2.0**28  # deg per count, Q28
 _NANO = 1e-9
+_SHARE = 2.0**28  # of an element's width
+_PERIOD_LOG2 = 26  # of the warp, at most
+_HALF_LOG2 = 26  # and of half the widest element
+_WARP_OFF = 4.0, 0.02  # counts, of B: how far the warp may be off between the nodes of a board's grid
 
 
 @dataclass(frozen=True)
@@ -66,13 +72,15 @@ class Table:
     q: Array  # (n,) nodes; empty for the identity
     width: Array  # (n,) B
     c_deg: Array  # (n,) f
+    elements: Elements = SINGLE
 
 
 def model_id(model: Model) -> bytes:
-    """8 bytes that are the same for the same B, f, delay and actuator, and hardly ever else."""
+    """8 bytes that are the same for the same B, elements, f, delay and actuator, and hardly ever else."""
     actuator = model.rig.actuator
     digest = hashlib.sha256(repr((actuator.unit, actuator.range, actuator.encoder_resolution, model.delay_s)).encode())
-    for values in (model.q, model.width, model.c_deg):
+    shares = () if model.elements.single else (model.elements.width, model.elements.weight)
+    for values in (model.q, model.width, model.c_deg, *shares):
         digest.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
     return digest.digest()[:8]
 
@@ -101,13 +109,60 @@ def encode(
     c_deg = _extended(q, np.asarray(model.q, float), np.asarray(model.c_deg, float))
     fields = _fields(rig, axis, limits or Limits.of(rig), kind, model.delay_s, created_s)
     fields |= {"q0": q_min, "step_log2": step_log2}
+    raw_width = _raw(width / rig.actuator.encoder_resolution * _COUNT, "a backlash width")
     blob: bytes = _native.table_encode(
         fields,
-        _raw(width / rig.actuator.encoder_resolution * _COUNT, "a backlash width"),
+        raw_width,
         _raw(c_deg * _DEG, "f_remain"),
         model_id(model),
+        _plays(model.elements, q_raw.astype(float), raw_width.astype(float)),
     )
     return _checked(blob, axis)
+
+
+def _plays(elements: Elements, q: Array, width: Array) -> dict[str, Any] | None:
+    """Section 1 of the blob for widths (n,) at nodes q (n,), Q8 counts; None for a single play.
+
+    The warp is that of the very table, straight between its nodes. Where its grid is too coarse for that, B is called
+    narrow; should that be everywhere, the single play is what is left.
+    """
+    if elements.single:
+        return None
+    narrow = Play(q, width, elements, _COUNT).narrow
+    while narrow < width.max():
+        floored = np.maximum(width, narrow)
+        warp = warp_of(q, width, narrow)
+        centre = np.interp(q - 0.5 * floored, warp.q, warp.x) + 0.5
+        if _warp_off(q, width, narrow, centre) <= 1.0:
+            periods, widest = float(np.abs(centre).max()), elements.width[-1]
+            log2 = min(
+                _PERIOD_LOG2,
+                int(np.floor(np.log2(_native.TABLE_CENTRE_MAX / periods))),
+                int(np.ceil(_HALF_LOG2 + 1 - np.log2(widest))) - 1,
+            )
+            return {
+                "period_log2": log2,
+                "narrow": int(np.ceil(narrow)) if (width < narrow).any() else 0,
+                "width_q28": [round(share * _SHARE) for share in elements.width],
+                "weight_q32": [min(round(share * 2.0**32), 2**32 - 1) for share in elements.weight],
+                "centre": _raw(centre * 2.0**log2, "the warp of the play's elements"),
+            }
+        narrow *= 1.5
+    return None
+
+
+def _warp_off(q: Array, width: Array, narrow: float, centre: Array) -> float:
+    """How far p_lo and p_hi of a motor between the nodes are from a period apart, relative to what may be, where neither
+    is in a narrow place."""
+    floored = np.maximum(width, narrow)
+    low, high = q + 0.5 * floored, q - 0.5 * floored
+    motor = np.linspace(low[0], high[-1], 4 * len(q))
+    p_low, p_high = np.interp(motor, low, q), np.interp(motor, high, q)
+    here, there = (np.interp(p, q, width) for p in (p_low, p_high))
+    wide = (here > narrow) & (there > narrow)
+    counts, share = _WARP_OFF
+    off = np.abs(np.interp(p_high, q, centre) - np.interp(p_low, q, centre) - 1.0)
+    return float((off * here / np.maximum(counts * _COUNT, share * here))[wide].max(initial=0.0))
 
 
 def encode_identity(
@@ -154,7 +209,16 @@ def decode(blob: bytes, axis: int | None = None) -> Table:
         q=(fields["q0"] + (nodes << fields["step_log2"])) * unit,
         width=fields["width"] * unit,
         c_deg=fields["angle"] / _DEG,
+        elements=_elements(fields["plays"]),
     )
+
+
+def _elements(plays: dict[str, Any] | None) -> Elements:
+    if plays is None:
+        return SINGLE
+    weight = np.array(plays["weight_q32"]) / sum(plays["weight_q32"])
+    width = np.array(plays["width_q28"]) / _SHARE
+    return Elements(tuple((width / (weight @ width)).tolist()), tuple(weight.tolist()))
 
 
 def _fields(rig: Rig, axis: int, limits: Limits, kind: str, delay_s: float, created_s: int | None) -> dict[str, int]:

@@ -7,7 +7,7 @@
 #include "tautline/tl_axis.h"
 #include "tautline/tl_onset.h"
 
-enum { STEP_TIP, STEP_OTHER, WATCH, MOTION, ONSET, LOOKUP, LOOKUP_YARDSTICK, EMPTY };
+enum { STEP_TIP, STEP_OTHER, WATCH, MOTION, ONSET, LOOKUP, LOOKUP_YARDSTICK, EMPTY, STEP_PLAYS, WATCH_PLAYS };
 enum { TABLES = 60, TICKS = 300, RATE_HZ = 5000, MOTIONS = 500, REVERSALS = 330 };
 
 #define BEGIN(kind)                                                                                                    \
