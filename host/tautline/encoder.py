@@ -17,6 +17,7 @@ Array = npt.NDArray[np.float64]
 # How far the lines between a motor's knots may be from its samples: less than a camera sees.
 _TOLERANCE_COUNTS, _TOLERANCE_MM, _TOLERANCE_DEG, _TOLERANCE_LOAD = 0.5, 5e-4, 5e-3, 1e-3
 _STEPS = 0.5  # counts more for an encoder's own steps
+_SCATTERS = 1.0  # counts of noise from which readings are smoothed
 _REST_S = 0.05  # a motor that stands still for longer rests
 _CHANGES = 24, 4  # of the count, most and least, that tell how a motor slows down
 _FITS = 0.3  # counts rms: an encoder's step scatters by 0.29
@@ -26,7 +27,11 @@ _LAST = 2.0  # samples: within so many of a stop no knot tells a speed
 def between_counts(motor: Motor, resolution: float) -> Motor:
     """The motor with positions between an encoder's counts: it passes the boundary of two counts where the reading
     changes and is at a count's centre in between; a rest stays at the centre. Positions that are no multiples of the
-    resolution are left as they are."""
+    resolution are left as they are. Readings that scatter by more than a count are smoothed: a play follows their
+    extremes."""
+    noise = reading_noise(motor)
+    if noise > _SCATTERS * resolution:
+        return replace(motor, q=_smoothed(motor.q, noise))
     if not _is_counted(motor, resolution):
         return motor
     t, counts = motor.t_s, np.rint(motor.q / resolution)
@@ -46,6 +51,38 @@ def between_counts(motor: Motor, resolution: float) -> Motor:
     knots_q = np.concatenate([[counts[0]] * 2, knots_q, [counts[-1]] * 2])
     order = np.argsort(knots_t, kind="stable")
     return replace(motor, q=resolution * np.interp(t, knots_t[order], knots_q[order]))
+
+
+def reading_noise(motor: Motor) -> float:
+    """Standard deviation of white noise on q, its unit, from third differences; an even encoder's steps give up to half
+    a count."""
+    third = np.diff(motor.q, 3)
+    return float(np.sqrt(np.median(third**2) / 0.455 / 20.0)) if len(third) else 0.0
+
+
+def _smoothed(q: Array, noise: float) -> Array:
+    """Whittaker's smoother with third differences: as smooth as its noise asks for, by generalised cross-validation."""
+    n = len(q)
+    wave = (2.0 - 2.0 * np.cos(np.pi * (np.arange(512) + 0.5) / 512)) ** 3
+    best, least = q, np.inf
+    for stiff in np.logspace(0, 12, 13):
+        system = np.zeros((4, n))
+        for offset, factor in enumerate((20.0, -15.0, 6.0, -1.0)):
+            system[3 - offset, offset:] = stiff * factor
+        # The ends have fewer differences.
+        ends = np.diff(np.eye(6), 3, axis=0)
+        corner = stiff * (ends.T @ ends)
+        for i in range(3):
+            for j in range(i, min(i + 4, 6)):
+                system[3 - (j - i), j] = corner[i, j]
+                system[3 - (j - i), n - 1 - i] = corner[i, j]
+        system[3] += 1.0
+        smooth = np.asarray(solveh_banded(system, q))
+        spent = float(np.mean(1.0 / (1.0 + stiff * wave)))
+        score = float(np.mean((q - smooth) ** 2)) / (1.0 - spent) ** 2
+        if score < least:
+            best, least = smooth, score
+    return best
 
 
 def straight_lines(motor: Motor, resolution: float) -> Motor:

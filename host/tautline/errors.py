@@ -2,4 +2,12 @@
 
 
 class TautError(Exception):
-    """Its text is printed as it is, without a traceback; the command then exits 1."""
+    """Its text is printed as it is, without a traceback; the command then exits with `status`."""
+
+    status = 1
+
+
+class UnusableError(TautError):
+    """A calibration that nothing should be driven with."""
+
+    status = 3

@@ -88,7 +88,7 @@ def test_a_registration_that_tilts_with_the_motion_leaves_the_widths_alone(noise
         inside = (found.model.q > found.model.measured[0]) & (found.model.q < found.model.measured[1])
         errors.append(found.model.width[inside] - 15.0)
         direct.append(one_step(recording, rig, rig.delay_s, lambda p: np.full_like(p, 15.0)).mean)
-        assert any("passes lie" in warning for warning in found.warnings)
+        assert any("passes lie" in str(reason) for reason in found.model.quality.reasons)
     means, spreads = [np.abs(e).mean() for e in errors], [e.std() for e in errors]
     print(f"noise {noise} px: mean |error| {np.round(means, 4)} deg (paper 0.7), std {np.round(spreads, 4)} (0.09); "
           f"one step {np.round(direct, 1)}")  # fmt: skip
@@ -157,7 +157,7 @@ def test_an_angle_sensor_alone_needs_no_camera():
     plant = preset("davinci", rig, 5)
     made = run(rig, plant, sines(rig.actuator, 12.0, 60.0), angle_noise_deg=0.05, seed=5)
     found = calibrate([made.recording], rig)
-    assert found.model.delay_s == 0.0
+    assert abs(found.model.delay_s) < 1e-3  # estimated
     test = run(rig, plant, random_smooth(rig.actuator, 15.0, 40.0, 6), angle_noise_deg=0.05, seed=6)
     told = predict(found.model, test.recording.motor, test.recording.angle.t_s)
     assert told.image_px is None
@@ -221,7 +221,7 @@ def test_a_given_delay_is_kept():
 
 def test_one_way_alone_tells_no_backlash():
     found = calibrate([record(RIG, preset("reference", RIG), through([-5, 5], 0.5, 5.0), 13).recording], RIG)
-    assert any("never turned back" in warning for warning in found.warnings)
+    assert any("never turned back" in str(reason) for reason in found.model.quality.reasons)
     assert found.model.width_sigma.min() > 0.5
 
 
@@ -229,16 +229,16 @@ def test_strokes_shorter_than_the_backlash_are_a_bound():
     plant = Instrument.of(RIG, lambda p: np.full_like(p, 0.8), lambda p: 12.0 * p)
     path = through([-4, 0, -0.5, 1.0, 0.4, 2.5, 1.9, 4.0], 0.5, 5.0)
     found = calibrate([record(RIG, plant, path, 14).recording], RIG)
-    assert any("make longer strokes" in warning for warning in found.warnings)
+    assert any("make longer strokes" in str(reason) for reason in found.model.quality.reasons)
 
 
 def test_a_wrong_sign_and_a_wrong_scale_are_named():
     made = record(RIG, preset("reference", RIG), motion(RIG), 15).recording
     flipped = replace(made, motor=replace(made.motor, q=-made.motor.q))
-    assert any("sign is wrong" in warning for warning in calibrate([flipped], RIG).warnings)
+    assert any("sign is wrong" in str(reason) for reason in calibrate([flipped], RIG).model.quality.reasons)
     tenth = replace(RIG, actuator=Actuator("mm", (-0.5, 0.5), 0.0001))
     small = replace(made, motor=replace(made.motor, q=0.1 * made.motor.q))
-    assert any("encoder's scale" in warning for warning in calibrate([small], tenth).warnings)
+    assert any(reason.code == "scale" for reason in calibrate([small], tenth).model.quality.reasons)
 
 
 def test_what_shows_nothing_is_refused():
@@ -287,7 +287,7 @@ def _seen_at(made: Simulation, c: np.ndarray, seed: int):
 def test_a_tip_that_starts_gradually_is_said_and_predicted():
     plant = preset("random", RIG, 21)
     found = calibrate([gradual(plant, motion(RIG), 21)], RIG)
-    assert any("starts gradually" in warning for warning in found.warnings)
+    assert any("starts gradually" in str(reason) for reason in found.model.quality.reasons)
     assert width_error(found.model, plant) < 0.1 * np.median(plant.width)
     assert abs(found.model.delay_s - 0.0873) < 0.01
 
@@ -310,7 +310,7 @@ def test_a_wrong_hand_eye_leaves_the_widths_and_is_named():
     turned = replace(RIG, hand_eye=replace(RIG.hand_eye, rotation_deg=(7.0, -6.0, 5.0)))
     found = calibrate([made], turned)
     assert width_error(found.model, plant) < 0.001
-    assert any("hand_eye" in warning for warning in found.warnings)
+    assert any("hand_eye" in str(reason) for reason in found.model.quality.reasons)
 
 
 def test_another_axis_that_moves_all_the_time_leaves_the_pose():

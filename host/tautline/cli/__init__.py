@@ -53,7 +53,8 @@ def taut() -> None:
 
 
 def main() -> None:
-    """Exit status: 0 on success, 2 on a usage error, 1 otherwise, after one line that says what to do.
+    """Exit status: 0 on success, 2 on a usage error, 3 on an unusable calibration, 1 otherwise, after one line that
+    says what to do.
     TAUT_TRACEBACK=1 shows where an error that nobody foresaw comes from."""
     try:
         taut(standalone_mode=False)
@@ -65,7 +66,7 @@ def main() -> None:
         sys.exit(1)
     except TautError as error:
         click.echo(f"taut: {error}", err=True)
-        sys.exit(1)
+        sys.exit(error.status)
     except BrokenPipeError:
         sys.exit(1)
     except Exception as error:

@@ -15,8 +15,10 @@ from typing import Any
 
 import click
 
-from tautline.errors import TautError
+from tautline.errors import TautError, UnusableError
+from tautline.model import Model
 from tautline.plain import plain
+from tautline.quality import Quality, Verdict
 from tautline.recording import Recording, load_all
 from tautline.rig import Rig
 
@@ -34,6 +36,35 @@ rig_option = click.option(
 def folder_option(name: str, help: str, required: bool = True) -> Callable[[Any], Any]:
     """An option that names an output folder, such as --out."""
     return click.option(name, type=click.Path(path_type=Path), required=required, help=help)
+
+
+force_option = click.option("--force", is_flag=True, help="Use a model whose calibration is unusable all the same.")
+
+
+def refuse_unusable(model: Model, folder: Path, force: bool = False) -> None:
+    """Before anything is driven with the model."""
+    if model.quality.usable:
+        return
+    why = model.quality.reasons[0]
+    if not force:
+        raise UnusableError(f"{folder}: its calibration is unusable, {why} (--force uses it all the same)")
+    warn(f"{folder}: its calibration is unusable, {why}")
+
+
+def warn_unusable(model: Model, folder: Path) -> None:
+    """Where the model is only looked at."""
+    refuse_unusable(model, folder, force=True)
+
+
+_COLOURS = {Verdict.GOOD: "green", Verdict.DOUBTFUL: "yellow", Verdict.UNUSABLE: "red"}
+
+
+def show_quality(quality: Quality) -> None:
+    """The verdict in colour on stderr, a line for each reason."""
+    word = click.style(quality.verdict.value, fg=_COLOURS[quality.verdict], bold=True)
+    log(f"taut: calibration {word}" + ("" if quality.reasons else ": the stated sigmas cover"))
+    for reason in quality.reasons:
+        log(f"taut:   {click.style(reason.code, bold=True)} {reason}")
 
 
 @contextmanager

@@ -18,13 +18,14 @@ from tautline.cli._common import (
     progress_bar,
     read_recordings,
     rig_option,
+    show_quality,
     tracked,
-    warn,
 )
 from tautline.cli._live import LiveOptions, live_options, opened
+from tautline.errors import UnusableError
 from tautline.folders import check_replaceable
 from tautline.model import MODEL_FILE
-from tautline.recording import load
+from tautline.recording import load, shifted
 
 
 @click.command("calibrate")
@@ -80,14 +81,16 @@ def command(
             raise click.UsageError("name a RECORDING, or for a live calibration --camera SOURCE or --simulate")
         kept = kept or _free(out.absolute())
         found, said = _live(kept, rig_path, out, options, **live)
-    for warning in found.warnings:
-        warn(warning)
+    quality = found.model.quality
+    show_quality(quality)
     for note in found.notes:
         log(f"taut: {note}")
     result = {**found.to_json(), "model": out, "report": out / report.FILE}
     if not recording_paths:
         result["recording"] = kept
     emit(result, as_json, "\n".join([*said, f"{out / report.FILE} shows it."]))
+    if not quality.usable:
+        raise UnusableError(f"{out}: written, but unusable: {quality.reasons[0]}")
 
 
 def _free(out: Path) -> Path:
@@ -103,7 +106,7 @@ def _from_recordings(
     with progress_bar("calibrating") as progress:
         recordings = [tracked(recording, rig, progress) for recording in recordings]
         found = calibrate(recordings, rig, options, progress)
-        return found, report.save_model(found.model, recordings, out)
+        return found, report.save_model(found.model, shifted(recordings, found.offsets), out)
 
 
 def _live(
@@ -128,4 +131,5 @@ def _live(
     ):
         found, made = calibrate_live(setup, kept, motion, options, video, progress)
     log(f"taut: {made.reversals} reversals in {made.seconds:.0f} s, recorded in {kept}")
-    return found, report.save_model(found.model, [load(kept, found.model.rig)], out)
+    recordings = shifted([load(kept, found.model.rig)], found.offsets)
+    return found, report.save_model(found.model, recordings, out)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from tautline.cli._common import emit, json_option, progress_bar
+from tautline.cli._common import emit, force_option, json_option, progress_bar, refuse_unusable
 from tautline.cli._live import axis_option, board_option
 
 
@@ -19,8 +19,9 @@ from tautline.cli._live import axis_option, board_option
     is_flag=True,
     help="Load B and f_remain of a corrected model though the tables cannot carry its effects.",
 )
+@force_option
 @json_option
-def command(model_path: Path, board: str | None, axis: int, without_effects: bool, as_json: bool) -> None:
+def command(model_path: Path, board: str | None, axis: int, without_effects: bool, force: bool, as_json: bool) -> None:
     """Load MODEL's tables into an axis of a board, read them back and compare them byte for byte.
 
     The table is checked by the board before it replaces the one in use; a failure leaves the old one. A corrected model
@@ -33,6 +34,7 @@ def command(model_path: Path, board: str | None, axis: int, without_effects: boo
     from tautline.model import Model
 
     model = Model.load(model_path)
+    refuse_unusable(model, model_path, force)
     left = [effect.id for effect in model.effects if not BY_ID[effect.id].on_board]
     if left and not without_effects:
         raise TautError(

@@ -7,7 +7,16 @@ from typing import Any
 
 import click
 
-from tautline.cli._common import emit, folder_option, json_option, log, progress_bar, rig_option
+from tautline.cli._common import (
+    emit,
+    folder_option,
+    force_option,
+    json_option,
+    log,
+    progress_bar,
+    refuse_unusable,
+    rig_option,
+)
 from tautline.cli._live import LiveOptions, live_options, opened
 
 
@@ -35,6 +44,7 @@ from tautline.cli._live import LiveOptions, live_options, opened
 @click.option("--speed", type=click.FloatRange(min=0.1), default=15.0, show_default=True, help="deg/s of a shape.")
 @click.option("--seed", type=int, default=0, help="Of the shape 'smooth', and of the simulation.")
 @folder_option("--out", "Folder for the recording of the run.", required=False)
+@force_option
 @json_option
 def command(
     model_path: Path | None,
@@ -46,6 +56,7 @@ def command(
     speed: float,
     seed: int,
     out: Path | None,
+    force: bool,
     as_json: bool,
 ) -> None:
     """Follow a trajectory of the tip's bending angle with a board, open loop, and say how far off the tip was.
@@ -56,6 +67,8 @@ def command(
     from tautline.model import Model
 
     model = Model.load(model_path) if model_path is not None else None
+    if model is not None and model_path is not None:
+        refuse_unusable(model, model_path, force)
     if model is None and live.simulate is not None and compensation != "off":
         raise click.UsageError("a simulated board starts without tables: name MODEL, or --compensation off")
     with (

@@ -1,0 +1,66 @@
+"""How far a calibration may be trusted: a verdict, and for each doubt a reason with its remedy."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from typing import Any, Self
+
+
+class Verdict(StrEnum):
+    """good: the stated sigmas cover, and predictions are within 1.3 times the noise. doubtful: something is there that
+    the model does not hold. unusable: it predicts worse than f_coarse or a constant, or clocks, sizes or units
+    contradict each other."""
+
+    GOOD = "good"
+    DOUBTFUL = "doubtful"
+    UNUSABLE = "unusable"
+
+
+@dataclass(frozen=True)
+class Reason:
+    """`code` is an effect's id (stage.name) or a code of the calibration's own; `remedy` says what to do."""
+
+    code: str
+    says: str
+    remedy: str
+    fatal: bool = False  # nothing that was measured can be used
+
+    def __str__(self) -> str:
+        return f"{self.says}: {self.remedy}"
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Reasons come likeliest first; there are none only where the verdict is good."""
+
+    reasons: tuple[Reason, ...] = ()
+
+    @property
+    def verdict(self) -> Verdict:
+        if any(reason.fatal for reason in self.reasons):
+            return Verdict.UNUSABLE
+        return Verdict.DOUBTFUL if self.reasons else Verdict.GOOD
+
+    @property
+    def usable(self) -> bool:
+        return self.verdict is not Verdict.UNUSABLE
+
+    @classmethod
+    def of(cls, reasons: Sequence[Reason]) -> Self:
+        """What makes the calibration unusable before the rest, otherwise in the order given."""
+        return cls(tuple(sorted(dict.fromkeys(reasons), key=lambda reason: not reason.fatal)))
+
+    def to_json(self) -> dict[str, Any]:
+        return {"verdict": self.verdict.value, "reasons": [asdict(reason) for reason in self.reasons]}
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any]) -> Self:
+        """Raises KeyError or TypeError where it is not what `to_json` gave."""
+        return cls(
+            tuple(
+                Reason(str(r["code"]), str(r["says"]), str(r["remedy"]), bool(r.get("fatal", False)))
+                for r in document["reasons"]
+            )
+        )
