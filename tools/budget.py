@@ -47,7 +47,7 @@ LOOPS = {
     "port_time_us": (2,),  # the high word changes once in 71 minutes
 }
 # What a table of one play never comes to, and one of several does.
-ONE_PLAY = {"tl_elements_ahead": NEVER, "tl_elements_behind": NEVER}
+ONE_PLAY = {"tl_several_turn": NEVER, "tl_several_lead": NEVER, "tl_elements_behind": NEVER}
 CALIBRATION = "tl_motion_tick"  # for one axis at a time, and not while it follows the tip
 # One of these in a tick, in this order, each once a millisecond (tl_axis_step: `switch (job)`). The axes are apart by a
 # tick: tl_axis_init() begins axis i with a tick less than axis i - 1, and all of them count on together.

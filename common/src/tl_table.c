@@ -33,9 +33,10 @@ enum { MODEL_ID_AT = 72, RESERVED_AT = 80, RESERVED_SIZE = 8 };
 enum { SECTION_HEAD = 4, PLAYS_HEAD = 64, PLAYS_AT = 8 };
 enum { PERIOD_LOG2_MIN = 8, PERIOD_LOG2_MAX = 26, PLAYS_MIN = 2 };
 
-#define WEIGHT_FIRST_MIN 214748364U // 0.05, Q32
-#define SHARE_ERROR_MAX  65536      // of sums of shares, Q32: 2^-16
-#define HALF_LOG2        26         // of an element's half width, in Y's unit
+#define WEIGHT_FIRST_MIN 3277U              // 0.05, Q16
+#define WEIGHT_ALL       65536U             // Q16
+#define SHARE_ERROR_MAX  ((int64_t)1 << 28) // of the sum of shares, Q44: 2^-16
+#define HALF_LOG2        26                 // of an element's half width, in Y's unit
 
 static void put(uint8_t *at, uint32_t value, unsigned size) {
     for (unsigned i = 0; i < size; i++) {
@@ -75,7 +76,7 @@ static uint8_t *put_plays(uint8_t *at, const tl_table_t *table) {
     put(at + 4, (uint32_t)table->narrow, 4);
     for (unsigned i = 0; i < table->plays; i++) {
         put(at + PLAYS_AT + 8U * i, table->play_width_q28[i], 4);
-        put(at + PLAYS_AT + 8U * i + 4U, table->play_weight_q32[i], 4);
+        put(at + PLAYS_AT + 8U * i + 4U, table->play_weight_q16[i], 4);
     }
     return put_column(at + PLAYS_HEAD, table->centre, table->nodes);
 }
@@ -118,8 +119,8 @@ static tl_table_reason_t get_plays(const uint8_t *at, size_t size, tl_table_t *t
     table->narrow = (int32_t)get(at + 4, 4);
     for (unsigned i = 0; i < TL_TABLE_PLAYS_MAX; i++) {
         table->play_width_q28[i] = get(at + PLAYS_AT + 8U * i, 4);
-        table->play_weight_q32[i] = get(at + PLAYS_AT + 8U * i + 4U, 4);
-        if (i >= table->plays && (table->play_width_q28[i] | table->play_weight_q32[i]) != 0) {
+        table->play_weight_q16[i] = get(at + PLAYS_AT + 8U * i + 4U, 4);
+        if (i >= table->plays && (table->play_width_q28[i] | table->play_weight_q16[i]) != 0) {
             return TL_TABLE_BAD_RESERVED;
         }
     }
@@ -281,18 +282,22 @@ static tl_table_reason_t check_nodes(const tl_table_t *t) {
 // The shares of the elements: what they sum up to is told to 2^-16.
 static tl_table_reason_t check_plays(const tl_table_t *t) {
     if (t->plays < PLAYS_MIN || t->plays > TL_TABLE_PLAYS_MAX || outside(t->narrow, 0, TL_TABLE_VALUE_MAX) ||
-        t->play_weight_q32[0] < WEIGHT_FIRST_MIN) {
+        t->play_weight_q16[0] < WEIGHT_FIRST_MIN) {
         return TL_TABLE_BAD_PLAYS;
     }
-    int64_t weight = -((int64_t)1 << 32), width = weight;
+    uint64_t weight = 0;
+    int64_t width = -((int64_t)1 << 44);
     for (unsigned i = 0; i < t->plays; i++) {
-        if (t->play_weight_q32[i] == 0 || (i > 0 && t->play_width_q28[i] <= t->play_width_q28[i - 1U])) {
+        if (t->play_weight_q16[i] == 0 || (i > 0 && t->play_width_q28[i] <= t->play_width_q28[i - 1U])) {
             return TL_TABLE_BAD_PLAYS;
         }
-        weight += t->play_weight_q32[i];
-        width += (int64_t)((uint64_t)t->play_weight_q32[i] * t->play_width_q28[i] >> 28);
+        weight += t->play_weight_q16[i];
+        if (weight > WEIGHT_ALL) {
+            return TL_TABLE_BAD_PLAYS;
+        }
+        width += (int64_t)((uint64_t)t->play_weight_q16[i] * t->play_width_q28[i]);
     }
-    if (weight > SHARE_ERROR_MAX || weight < -SHARE_ERROR_MAX || width > SHARE_ERROR_MAX || width < -SHARE_ERROR_MAX) {
+    if (weight != WEIGHT_ALL || width > SHARE_ERROR_MAX || width < -SHARE_ERROR_MAX) {
         return TL_TABLE_BAD_PLAYS;
     }
     const uint64_t widest = t->play_width_q28[t->plays - 1U];

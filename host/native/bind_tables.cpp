@@ -55,7 +55,7 @@ template <typename Field> void read_field(const nb::dict &fields, const char *na
 // Section 1: the elements of the play.
 void read_plays(const nb::dict &plays, tl_table_t &table) {
     const auto widths = nb::cast<std::vector<uint32_t>>(plays["width_q28"]);
-    const auto weights = nb::cast<std::vector<uint32_t>>(plays["weight_q32"]);
+    const auto weights = nb::cast<std::vector<uint32_t>>(plays["weight_q16"]);
     const auto centre = nb::cast<ArrayIn<int32_t>>(plays["centre"]);
     if (widths.size() != weights.size() || widths.size() > TL_TABLE_PLAYS_MAX || centre.shape(0) != table.nodes) {
         throw nb::value_error("plays need at most 7 widths, as many weights, and a centre at each node");
@@ -64,7 +64,7 @@ void read_plays(const nb::dict &plays, tl_table_t &table) {
     read_field(plays, "narrow", table.narrow);
     table.plays = static_cast<uint8_t>(widths.size());
     std::copy(widths.begin(), widths.end(), table.play_width_q28);
-    std::copy(weights.begin(), weights.end(), table.play_weight_q32);
+    std::copy(weights.begin(), weights.end(), table.play_weight_q16);
     std::copy(centre.data(), centre.data() + table.nodes, table.centre);
 }
 
@@ -76,7 +76,7 @@ nb::object plays_of(const tl_table_t &table) {
     plays["period_log2"] = table.period_log2;
     plays["narrow"] = table.narrow;
     plays["width_q28"] = std::vector<uint32_t>(table.play_width_q28, table.play_width_q28 + table.plays);
-    plays["weight_q32"] = std::vector<uint32_t>(table.play_weight_q32, table.play_weight_q32 + table.plays);
+    plays["weight_q16"] = std::vector<uint32_t>(table.play_weight_q16, table.play_weight_q16 + table.plays);
     auto centre = new_array<int32_t>(table.nodes);
     std::copy(table.centre, table.centre + table.nodes, centre.data());
     plays["centre"] = centre;
@@ -176,7 +176,7 @@ void bind_tables(nb::module_ &m) {
         "table_encode", &encode, nb::arg("fields"), nb::arg("width"), nb::arg("angle"), nb::arg("model_id"),
         nb::arg("plays") = nb::none(),
         "The blob of a table (fields as in tl_table.h, raw fixed-point values; plays: period_log2, narrow, width_q28, "
-        "weight_q32 and centre of section 1); its content is not checked.");
+        "weight_q16 and centre of section 1); its content is not checked.");
     m.def("table_check", &check, nb::arg("blob"), nb::arg("axis") = TL_TABLE_ANY_AXIS,
           "(name, text) of the reason why the board would refuse the blob; name is 'OK' where it would not.");
     nb::dict reasons;

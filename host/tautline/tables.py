@@ -22,7 +22,7 @@ _COUNT = float(_native.COUNT_ONE)  # Q8
 _DEG = float(_native.DEG_ONE)  # Q16
 _SLOPE = 2.0**28  # deg per count, Q28
 _NANO = 1e-9
-_SHARE = 2.0**28  # of an element's width
+_SHARE, _WEIGHT = 2.0**28, 2**16  # of an element's width, and of its share of the motion
 _PERIOD_LOG2 = 26  # of the warp, at most
 _HALF_LOG2 = 26  # and of half the widest element
 _WARP_OFF = 4.0, 0.02  # counts, of B: how far the warp may be off between the nodes of a board's grid
@@ -128,13 +128,17 @@ def _plays(elements: Elements, q: Array, width: Array) -> dict[str, Any] | None:
     """
     if elements.single:
         return None
+    share = np.array(elements.weight)
+    ends = np.rint(np.cumsum(share) * _WEIGHT).astype(int)
+    weight = np.diff(ends, prepend=0)  # whole, and their sum as well
+    width_share = np.array(elements.width) * _WEIGHT / (weight @ np.array(elements.width))
     narrow = Play(q, width, elements, _COUNT).narrow
     while narrow < width.max():
         floored = np.maximum(width, narrow)
         warp = warp_of(q, width, narrow)
         centre = np.interp(q - 0.5 * floored, warp.q, warp.x) + 0.5
         if _warp_off(q, width, narrow, centre) <= 1.0:
-            periods, widest = float(np.abs(centre).max()), elements.width[-1]
+            periods, widest = float(np.abs(centre).max()), float(width_share[-1])
             log2 = min(
                 _PERIOD_LOG2,
                 int(np.floor(np.log2(_native.TABLE_CENTRE_MAX / periods))),
@@ -143,8 +147,8 @@ def _plays(elements: Elements, q: Array, width: Array) -> dict[str, Any] | None:
             return {
                 "period_log2": log2,
                 "narrow": int(np.ceil(narrow)) if (width < narrow).any() else 0,
-                "width_q28": [round(share * _SHARE) for share in elements.width],
-                "weight_q32": [min(round(share * 2.0**32), 2**32 - 1) for share in elements.weight],
+                "width_q28": np.rint(width_share * _SHARE).astype(int).tolist(),
+                "weight_q16": weight.tolist(),
                 "centre": _raw(centre * 2.0**log2, "the warp of the play's elements"),
             }
         narrow *= 1.5
@@ -216,7 +220,7 @@ def decode(blob: bytes, axis: int | None = None) -> Table:
 def _elements(plays: dict[str, Any] | None) -> Elements:
     if plays is None:
         return SINGLE
-    weight = np.array(plays["weight_q32"]) / sum(plays["weight_q32"])
+    weight = np.array(plays["weight_q16"]) / _WEIGHT
     width = np.array(plays["width_q28"]) / _SHARE
     return Elements(tuple((width / (weight @ width)).tolist()), tuple(weight.tolist()))
 

@@ -127,8 +127,11 @@ static void add_plays(tl_table_t *table) {
         weight += weights[i];
         mean += (uint64_t)weights[i] * widths[i];
     }
+    uint32_t left = 65536;
     for (uint32_t i = 0; i < table->plays; i++) {
-        table->play_weight_q32[i] = (uint32_t)(((uint64_t)weights[i] << 32) / weight);
+        const uint32_t share = (uint32_t)(((uint64_t)weights[i] << 16) / weight);
+        table->play_weight_q16[i] = i + 1U < table->plays ? share : left;
+        left -= share;
         table->play_width_q28[i] = (uint32_t)(((uint64_t)widths[i] * weight << 28) / mean);
     }
     table->narrow = between(0, 1) == 0 ? 0 : width;

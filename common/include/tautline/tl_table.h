@@ -149,7 +149,7 @@ typedef struct {
     uint8_t period_log2;
     tl_count_q8_t narrow;
     uint32_t play_width_q28[TL_TABLE_PLAYS_MAX];
-    uint32_t play_weight_q32[TL_TABLE_PLAYS_MAX];
+    uint32_t play_weight_q16[TL_TABLE_PLAYS_MAX];
     int32_t centre[TL_TABLE_NODES_MAX]; ///< Y
 } tl_table_t;
 

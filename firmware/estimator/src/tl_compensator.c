@@ -1,5 +1,5 @@
-#include "tl_elements.h"
-#include "tl_takeup.h"
+#include "tl_feed.h"
+#include "tl_several.h"
 
 _Static_assert(TL_COMPENSATOR_BELOW == TL_LOOKUP_BELOW && TL_COMPENSATOR_ABOVE == TL_LOOKUP_ABOVE, "shared flags");
 
@@ -25,23 +25,16 @@ static tl_count_q8_t target(const tl_compensator_t *k, tl_deg_q16_t c, uint32_t 
     if (k->mode != TL_MODE_FULL) {
         return tl_lookup_coarse_inverse(k->lookup, c, flags);
     }
-    const tl_table_t *table = &k->lookup->table;
     const tl_count_q8_t p = tl_lookup_angle_inverse(k->lookup, c, flags);
-    if (p < table->q_min) {
+    if (p < k->low) {
         *flags |= TL_COMPENSATOR_BELOW;
-        return table->q_min;
+        return k->low;
     }
-    if (p > table->q_max) {
+    if (p > k->high) {
         *flags |= TL_COMPENSATOR_ABOVE;
-        return table->q_max;
+        return k->high;
     }
     return p;
-}
-
-// k width / 2
-static int32_t half_of(const tl_compensator_t *k, uint32_t width) {
-    const uint32_t strength = k->strength_q15;
-    return (int32_t)((width >> 16) * strength + ((width & 0xFFFFU) * strength >> 16));
 }
 
 // k B(p) / 2
@@ -53,73 +46,16 @@ static int32_t half_width(const tl_compensator_t *k) {
     return half_of(k, (uint32_t)tl_lookup_width(k->lookup, k->p, &ends));
 }
 
-// Where the elements want q, from p on: on the envelope that the side, or else the nearer end, belongs to.
-static int32_t offset_of_several(const tl_compensator_t *k) {
-    const tl_lookup_t *lookup = k->lookup;
-    const bool up = k->side > 0 || (k->side == 0 && k->apart >= 0);
-    uint32_t ends = 0;
-    if (lookup->narrow != 0) {
-        const int32_t width = tl_lookup_width(lookup, k->p, &ends);
-        if (width < lookup->narrow) {
-            const int32_t half = width / 2;
-            return k->side == 0 ? tl_clamp(k->offset, -half, half) : (up ? half : -half);
-        }
-    }
-    const tl_count_q8_t edge =
-        tl_lookup_centre_inverse(lookup, k->centre + k->apart - (up ? lookup->half : -lookup->half));
-    const int32_t width = tl_lookup_width(lookup, edge, &ends);
-    const int32_t half = (width > lookup->narrow ? width : lookup->narrow) / 2;
-    return edge - k->p + (up ? half : -half);
-}
-
-// k->half as pushed() reads it, for the elements' offset.
-static void hold_offset(tl_compensator_t *k) {
-    const int32_t size = k->mode == TL_MODE_OFF ? 0 : half_of(k, 2U * (uint32_t)tl_abs_sat(k->offset));
-    const int32_t offset = k->offset < 0 ? -size : size;
-    if (k->side == 0) {
-        k->start_offset = offset;
-        k->half = size;
-    } else {
-        k->half = k->side > 0 ? offset : -offset;
-    }
-}
-
-// q* without what is still to be taken up, before the range is minded. p -+ B/2 cannot overflow (TL_TABLE_VALUE_MAX).
-static tl_count_q8_t pushed(const tl_compensator_t *k, int32_t half) {
-    return k->p + (k->side > 0 ? half : (k->side < 0 ? -half : tl_clamp(k->start_offset, -half, half)));
-}
-
-static tl_count_q8_t fed(const tl_compensator_t *k, int32_t half) {
-    const tl_table_t *table = &k->lookup->table;
-    return tl_clamp(pushed(k, half), table->q_min, table->q_max);
-}
-
 static tl_count_q8_t fed_anew(tl_compensator_t *k) {
-    if (k->lookup->plays != 0) {
-        hold_offset(k);
+    if (k->several) {
+        tl_several_hold(k);
     } else {
         k->half = half_width(k);
     }
     return fed(k, k->half);
 }
 
-// The feed goes from `before` to `after` at once; the motor takes the difference up.
-static void absorb(tl_compensator_t *k, tl_count_q8_t after, tl_count_q8_t before) {
-    tl_takeup_add(&k->takeup, after - before);
-}
-
 // One tick -------------------------------------------------------------------------------------------
-
-// The direction of p, with its memory of the furthest point; 1 if the side changes.
-static bool turned(tl_compensator_t *k) {
-    const int32_t ahead = k->p - k->anchor; // both within the range: no overflow
-    if (k->side > 0 ? ahead >= 0 : (k->side < 0 && ahead <= 0)) {
-        k->anchor = k->p;
-        return false;
-    }
-    const int32_t band = k->lookup->table.band;
-    return ahead > band || ahead < -band;
-}
 
 // On the way to the goal, where spans may be flat: never further than one span in a tick, so that none is jumped over,
 // and to the edge of a flat one first.
@@ -168,42 +104,18 @@ void tl_compensator_feed(tl_compensator_t *k, tl_deg_q16_t c) {
     k->slow = slow;
 }
 
-// The elements go with p, but for what it turns back within the band.
-static void turn_several(tl_compensator_t *k) {
-    const tl_lookup_t *lookup = k->lookup;
-    const tl_count_q8_t before = fed(k, k->half);
-    const bool turns = turned(k);
-    if (turns) {
-        k->side = k->p > k->anchor ? 1 : -1;
-        k->anchor = k->p;
-    } else if (k->side == 0 || k->p != k->anchor) {
-        return;
-    }
-    const int32_t y = tl_lookup_centre(lookup, k->p);
-    const int32_t first = lookup->element[0].half;
-    k->apart = tl_elements_ahead(lookup, y - k->centre, k->undo) + (k->side > 0 ? first : -first);
-    k->centre = y;
-    k->offset = offset_of_several(k);
-    hold_offset(k);
-    const tl_count_q8_t after = fed(k, k->half);
-    const int32_t jump = after - before;
-    if (turns || jump > k->step_max || jump < -k->step_max) {
-        absorb(k, after, before);
-    }
-}
-
 void tl_compensator_turn(tl_compensator_t *k) {
     if (k->goal != k->p) {
         advance(k);
     }
     k->feed_flags |= k->p != k->goal ? TL_COMPENSATOR_LIMITED : 0;
-    if (k->lookup->plays != 0) {
-        turn_several(k);
+    if (k->several) {
+        tl_several_turn(k);
         return;
     }
     const int32_t half = k->half = half_width(k);
     if (turned(k)) {
-        const tl_count_q8_t low = k->lookup->table.q_min, high = k->lookup->table.q_max, p = k->p;
+        const tl_count_q8_t low = k->low, high = k->high, p = k->p;
         const tl_count_q8_t before = tl_clamp(pushed(k, half), low, high);
         const bool up = p > k->anchor;
         k->side = up ? 1 : -1;
@@ -213,8 +125,11 @@ void tl_compensator_turn(tl_compensator_t *k) {
 }
 
 tl_count_q8_t tl_compensator_take_up(tl_compensator_t *k) {
+    if (k->moved) {
+        tl_several_lead(k);
+    }
     tl_takeup_step(&k->takeup);
-    const tl_count_q8_t q_min = k->lookup->table.q_min, q_max = k->lookup->table.q_max, last = k->q;
+    const tl_count_q8_t q_min = k->low, q_max = k->high, last = k->q;
     const tl_count_q8_t push = pushed(k, k->half), feed = tl_clamp(push, q_min, q_max);
     uint32_t flags = k->feed_flags | (push != feed ? TL_COMPENSATOR_CLIPPED : 0U);
     // Modulo 2^32: e alone may need one bit more, but q* is never far from where it was.
@@ -246,43 +161,36 @@ tl_count_q8_t tl_compensator_step(tl_compensator_t *k, tl_deg_q16_t c) {
 
 // Settings -------------------------------------------------------------------------------------------
 
+static void use(tl_compensator_t *k, const tl_lookup_t *lookup) {
+    k->lookup = lookup;
+    k->low = lookup->table.q_min;
+    k->high = lookup->table.q_max;
+    k->band = lookup->table.band;
+    k->several = lookup->plays != 0;
+    k->moved = false;
+}
+
 static void stand(tl_compensator_t *k, tl_count_q8_t p) {
     k->p = k->aim = k->goal = p;
     k->slow = false;
-    if (k->lookup->plays != 0) {
-        k->centre = tl_lookup_centre(k->lookup, p);
-        k->offset = offset_of_several(k);
+    if (k->several) {
+        tl_several_stand(k);
     }
-}
-
-// The elements begin anew, with the motor `apart` from the tip.
-static void gather(tl_compensator_t *k, int32_t apart) {
-    const int32_t half = k->lookup->half;
-    k->apart = tl_clamp(apart, -half, half);
-    tl_elements_start(k->lookup, k->apart, k->undo);
-    tl_elements_undo(k->lookup, k->undo, k->undo);
-}
-
-// Of p, with the motor at q.
-static int32_t apart_of(const tl_lookup_t *lookup, tl_count_q8_t p, tl_count_q8_t q) {
-    uint32_t ends = 0;
-    const bool up = q >= p;
-    const tl_count_q8_t edge = up ? tl_lookup_p_low(lookup, q, p, &ends) : tl_lookup_p_high(lookup, q, p, &ends);
-    return tl_sub_sat(tl_elements_motor(lookup, up ? 1 : -1, edge), tl_lookup_centre(lookup, p));
 }
 
 void tl_compensator_start(tl_compensator_t *k, const tl_lookup_t *lookup, uint32_t rate_hz, tl_mode_t mode,
                           tl_count_q8_t q, tl_deg_q16_t c) {
     uint32_t flags = 0;
-    *k = (tl_compensator_t){.lookup = lookup, .mode = mode, .strength_q15 = lookup->table.strength_q15};
+    *k = (tl_compensator_t){.mode = mode, .strength_q15 = lookup->table.strength_q15};
+    use(k, lookup);
     tl_takeup_start(&k->takeup);
     k->rate_hz = rate_hz < RATE_MIN_HZ ? RATE_MIN_HZ : (rate_hz > RATE_MAX_HZ ? RATE_MAX_HZ : rate_hz);
     k->c = c;
     k->q = tl_clamp(q, -TL_TABLE_VALUE_MAX, TL_TABLE_VALUE_MAX);
     const tl_count_q8_t p = target(k, c, &flags);
     k->start_offset = k->offset = tl_sub_sat(k->q, p);
-    if (lookup->plays != 0) {
-        gather(k, apart_of(lookup, p, k->q));
+    if (k->several) {
+        tl_several_begin(k, p, k->q);
     }
     stand(k, p);
     k->anchor = p;
@@ -311,26 +219,13 @@ void tl_compensator_set_strength(tl_compensator_t *k, int32_t strength_q15) {
     absorb(k, fed_anew(k), before);
 }
 
-// Where in the backlash the motor is, as a share of half of it, Q15.
-static int32_t place(const tl_compensator_t *k) {
-    if (k->lookup->plays != 0) {
-        return (int32_t)((int64_t)k->apart * TL_RATIO_ONE / k->lookup->half);
-    }
-    uint32_t ends = 0;
-    const int32_t half = tl_lookup_width(k->lookup, k->p, &ends) / 2;
-    if (k->side != 0 || half == 0) {
-        return k->side * TL_RATIO_ONE;
-    }
-    return (int32_t)((int64_t)tl_clamp(k->start_offset, -half, half) * TL_RATIO_ONE / half);
-}
-
 void tl_compensator_set_table(tl_compensator_t *k, const tl_lookup_t *lookup) {
     const tl_count_q8_t before = fed_anew(k);
-    const int32_t share = place(k);
-    k->lookup = lookup;
+    const int32_t place = tl_several_place(k);
+    use(k, lookup);
     set_limits(k, &lookup->table);
-    if (lookup->plays != 0) {
-        gather(k, (int32_t)((int64_t)share * lookup->half / TL_RATIO_ONE));
+    if (k->several) {
+        tl_several_begin_at(k, place);
     }
     settle(k, before);
 }

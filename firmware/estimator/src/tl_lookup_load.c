@@ -59,17 +59,24 @@ static void derive_end(tl_lookup_end_t *end, uint32_t width, unsigned period_log
 static void derive_elements(tl_lookup_t *lookup) {
     const tl_table_t *table = &lookup->table;
     const unsigned to_unit = 29U - table->period_log2; // from half a share of the width, Q28
-    uint64_t weight = 0, before = 0;
-    int64_t moment_q32 = 0;
+    uint32_t weight = 0, inverse_q27 = 0;
+    int64_t moment_q16 = 0;
     for (unsigned i = 0; i < table->plays; i++) {
         tl_element_t *element = &lookup->element[i];
         element->half = (int32_t)((table->play_width_q28[i] + (1ULL << (to_unit - 1U))) >> to_unit);
-        element->weight_q32 = table->play_weight_q32[i];
-        weight += element->weight_q32;
-        moment_q32 += (int64_t)element->weight_q32 * element->half;
-        element->lag_most = (int32_t)(((int64_t)weight * element->half - moment_q32) >> 32);
-        element->undo_q27 = i == 0 ? 0 : (uint32_t)(((uint64_t)1 << 59) / before - ((uint64_t)1 << 59) / weight);
-        before = weight;
+        element->weight_q16 = (uint16_t)table->play_weight_q16[i]; // two or more sum up to 1
+        weight += element->weight_q16;
+        moment_q16 += (int64_t)element->weight_q16 * element->half;
+        element->lag_most = (int32_t)(((int64_t)weight * element->half - moment_q16) >> 16);
+        const uint32_t before_q27 = inverse_q27;
+        inverse_q27 = (uint32_t)(((uint64_t)1 << 43) / weight);
+        // v, below 20, with 16 bits from its highest on
+        const uint32_t undo = i == 0 ? 0 : before_q27 - inverse_q27;
+        const uint32_t bits = tl_bits(undo);
+        element->undo_log2 = bits > 27U ? bits - 27U : 0;
+        const unsigned drop = 11U + element->undo_log2;
+        const uint32_t rounded = (uint32_t)(((uint64_t)undo + (1ULL << (drop - 1U))) >> drop);
+        element->undo = (uint16_t)(rounded > 0xFFFFU ? 0xFFFFU : rounded);
     }
 }
 

@@ -41,7 +41,7 @@ static tl_count_q8_t step_of_several(tl_play_t *play, tl_count_q8_t q) {
         play->single = edge;
     }
     tl_count_q8_t p = tl_lookup_centre_inverse(lookup, motor - behind);
-    if (lookup->narrow != 0 && tl_lookup_width(lookup, p, &flags) < lookup->narrow) {
+    if (tl_elements_narrow(lookup, p)) {
         p = play->single;
     }
     const bool above = p > lookup->q0 + (int32_t)lookup->extent;

@@ -65,13 +65,17 @@ typedef struct {
 } tl_takeup_t;
 
 typedef struct {
-    const tl_lookup_t *lookup; ///< must outlive the compensator or the next set_table
-    uint32_t flags;            ///< of the last whole tick
-    uint32_t feed_flags;       ///< of its first part
-    uint32_t mode;             ///< tl_mode_t
-    uint32_t strength_q15;     ///< k
-    int32_t side;              ///< s
-    int32_t half;              ///< k B(p*) / 2; of several plays s times their offset, below 0 after a reversal
+    const tl_lookup_t *lookup;     ///< must outlive the compensator or the next set_table
+    tl_count_q8_t low, high, band; ///< the table's q_min, q_max and band
+    bool several;                  ///< the table has several plays
+    bool moved;                    ///< and p has moved them in this tick
+    bool turns;                    ///< and turned
+    uint32_t flags;                ///< of the last whole tick
+    uint32_t feed_flags;           ///< of its first part
+    uint32_t mode;                 ///< tl_mode_t
+    uint32_t strength_q15;         ///< k
+    int32_t side;                  ///< s
+    int32_t half;                  ///< k B(p*) / 2; of several plays s times their offset, below 0 after a reversal
     int32_t start_offset; ///< q - p* at the start: where the motor stays while s is 0, as far as it is within the width
     tl_deg_q16_t c;       ///< the last command
     tl_count_q8_t p;      ///< p*, after limits

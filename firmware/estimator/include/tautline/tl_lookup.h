@@ -24,9 +24,10 @@
 /// One of several plays that share B (tl_elements.h), in Y's unit.
 typedef struct {
     int32_t half;        ///< r: half its width
-    uint32_t weight_q32; ///< w: its share of the motion
     int32_t lag_most;    ///< rho: half the width of the play on Y that undoes it
-    uint32_t undo_q27;   ///< -v: how much of that play's lag the inverse is ahead
+    uint16_t weight_q16; ///< w: its share of the motion
+    uint16_t undo;       ///< -v: how much of that play's lag the inverse is ahead, as undo * 2^(undo_log2 - 16)
+    uint32_t undo_log2;
 } tl_element_t;
 
 /// Y goes on beyond the grid as the width there says, for so many Q8 counts and so much of Y.
