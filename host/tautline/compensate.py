@@ -51,9 +51,9 @@ def compensate(
     start_deg: float | None = None,
     progress: Progress = lambda fraction, text: None,
 ) -> SetPoints:
-    """The set-points at rate_hz from the first time to the last, each from the commands up to its own time. It starts at
-    rest where the mode puts the motor for c_deg[0], or start_deg, with the tip on the centre line. Take-up and feed are
-    as fast as the rig's motor may be, without a limit if the rig names none."""
+    """The set-points at rate_hz from the first time to the last, each from the commands up to its own time. It starts
+    at rest where the mode puts the motor for c_deg[0], or start_deg, with the tip on the centre line. Take-up and feed
+    are as fast as the rig's motor may be, without a limit if the rig names none."""
     if not RATES_HZ[0] <= rate_hz <= RATES_HZ[1]:
         raise TautError(f"--rate {rate_hz}: the compensator runs at {RATES_HZ[0]:.0f} to {RATES_HZ[1]:.0f} Hz")
     steps = (t_s[-1] - t_s[0]) * rate_hz * (1 + 1e-12)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tautline import _native
-from tautline.elements import SINGLE, Elements, Play, warp_of
+from tautline.elements import SINGLE, Elements, warp_of
 from tautline.errors import TautError
 from tautline.model import Array, Model
 from tautline.rig import MARKER, Rig
@@ -95,48 +95,54 @@ def encode(
     """The model's blob for `axis`, or a TautError that says why a board would refuse it.
 
     B and f are sampled on a grid of 2^k Q8 counts from the lower end of the range, with at most 257 nodes; the last
-    node may lie beyond the range: there B is held and f goes on with its last slope.
+    node may lie beyond the range, and with several plays the first does: there B is held and f goes on with its last
+    slope.
     """
     rig = model.rig
     q_min, q_max = (_counts(q, rig, "actuator.range") for q in rig.actuator.range)
     span = q_max - q_min
     if span < 1:
         raise TautError("actuator.range holds less than one encoder step: check actuator.encoder_resolution")
+    # several plays look a width beyond the ends of the range
+    ends = (0.0, 0.0) if model.elements.single else (float(model.width[0]), float(model.width[-1]))
+    below, above = (_counts(width, rig, "a backlash width") for width in ends)
+    span += below + above
     step_log2 = next(k for k in range(32) if -(-span >> k) <= _native.TABLE_NODES_MAX - 1)
-    q_raw = q_min + (np.arange(-(-span >> step_log2) + 1, dtype=np.int64) << step_log2)
+    q_raw = q_min - below + (np.arange(-(-span >> step_log2) + 1, dtype=np.int64) << step_log2)
     q = q_raw * (rig.actuator.encoder_resolution / _COUNT)
     width = np.interp(q, model.q, model.width)
     c_deg = _extended(q, np.asarray(model.q, float), np.asarray(model.c_deg, float))
     fields = _fields(rig, axis, limits or Limits.of(rig), kind, model.delay_of(MARKER), created_s)
-    fields |= {"q0": q_min, "step_log2": step_log2}
+    fields |= {"q0": int(q_raw[0]), "step_log2": step_log2}
     raw_width = _raw(width / rig.actuator.encoder_resolution * _COUNT, "a backlash width")
     blob: bytes = _native.table_encode(
         fields,
         raw_width,
         _raw(c_deg * _DEG, "f_remain"),
         model_id(model),
-        _plays(model.elements, q_raw.astype(float), raw_width.astype(float)),
+        _plays(model, q_raw.astype(float), raw_width.astype(float)),
     )
     return _checked(blob, axis)
 
 
-def _plays(elements: Elements, q: Array, width: Array) -> dict[str, Any] | None:
+def _plays(model: Model, q: Array, width: Array) -> dict[str, Any] | None:
     """Section 1 of the blob for widths (n,) at nodes q (n,), Q8 counts; None for a single play.
 
-    The warp is that of the very table, straight between its nodes. Where its grid is too coarse for that, B is called
-    narrow; should that be everywhere, the single play is what is left.
+    The board's warp is straight between its nodes. Where its grid is too coarse for that, B is called narrow; should
+    that be everywhere, the single play is what is left.
     """
+    elements, unit = model.elements, model.rig.actuator.encoder_resolution / _COUNT
     if elements.single:
         return None
     share = np.array(elements.weight)
     ends = np.rint(np.cumsum(share) * _WEIGHT).astype(int)
     weight = np.diff(ends, prepend=0)  # whole, and their sum as well
     width_share = np.array(elements.width) * _WEIGHT / (weight @ np.array(elements.width))
-    narrow = Play(q, width, elements, _COUNT).narrow
+    narrow = model.play.narrow / unit
     while narrow < width.max():
-        floored = np.maximum(width, narrow)
-        warp = warp_of(q, width, narrow)
-        centre = np.interp(q - 0.5 * floored, warp.q, warp.x) + 0.5
+        warp = warp_of(model.q, model.width, narrow * unit)
+        floored = np.maximum(np.interp(q * unit, model.q, model.width), narrow * unit)
+        centre = np.interp(q * unit - 0.5 * floored, warp.q, warp.x) + 0.5
         if _warp_off(q, width, narrow, centre) <= 1.0:
             periods, widest = float(np.abs(centre).max()), float(width_share[-1])
             log2 = min(
@@ -156,8 +162,8 @@ def _plays(elements: Elements, q: Array, width: Array) -> dict[str, Any] | None:
 
 
 def _warp_off(q: Array, width: Array, narrow: float, centre: Array) -> float:
-    """How far p_lo and p_hi of a motor between the nodes are from a period apart, relative to what may be, where neither
-    is in a narrow place."""
+    """How far p_lo and p_hi of a motor between the nodes are from a period apart, relative to what may be, where
+    neither is in a narrow place."""
     floored = np.maximum(width, narrow)
     low, high = q + 0.5 * floored, q - 0.5 * floored
     motor = np.linspace(low[0], high[-1], 4 * len(q))

@@ -80,15 +80,16 @@ static void derive_elements(tl_lookup_t *lookup) {
     }
 }
 
-// Whether p_lo and p_hi are a period apart, for the motor at each node.
+// Whether p_lo and p_hi are a period apart, for the motor at each node where both are on the grid.
 static bool warps(const tl_lookup_t *lookup) {
     const tl_table_t *table = &lookup->table;
     for (unsigned i = 0; i < table->nodes; i++) {
         uint32_t flags = 0;
         const tl_count_q8_t q = node_position(table, i);
         const tl_count_q8_t low = tl_lookup_p_low(lookup, q, q, &flags), high = tl_lookup_p_high(lookup, q, q, &flags);
-        if (tl_lookup_width(lookup, low, &flags) <= table->narrow ||
-            tl_lookup_width(lookup, high, &flags) <= table->narrow) {
+        const bool narrow = tl_lookup_width(lookup, low, &flags) <= table->narrow ||
+                            tl_lookup_width(lookup, high, &flags) <= table->narrow;
+        if (narrow || flags != 0) {
             continue;
         }
         const int32_t apart = tl_lookup_centre(lookup, high) - tl_lookup_centre(lookup, low);
