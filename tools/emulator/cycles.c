@@ -134,8 +134,8 @@ static void add_plays(tl_table_t *table) {
         left -= share;
         table->play_width_q28[i] = (uint32_t)(((uint64_t)widths[i] * weight << 28) / mean);
     }
-    table->narrow = between(0, 1) == 0 ? 0 : width;
-    table->period_log2 = (uint8_t)between(16, 20);
+    table->narrow = between(0, 1) == 0 ? 0 : width + between(0, 8) * (step / 256);
+    table->period_log2 = (uint8_t)(between(0, 1) == 0 ? between(16, 20) : 20);
     int64_t y = -((int64_t)1 << 27);
     for (uint32_t i = 0; i < table->nodes; i++) {
         table->width[i] = width + (int32_t)(i % 64U < 32U ? i % 32U : 32U - i % 32U) * (step / 256);
@@ -542,14 +542,14 @@ int main(void) {
         }
         move_far(&now_us);
     }
+    motions();
+    onsets();
     for (uint32_t table = 1; table <= PLAY_TABLES; table++) {
         seed = table * 2246822519u;
         tl_us_t now_us = 1000000U;
         start_axis(true);
         follow_tip(&now_us);
     }
-    motions();
-    onsets();
     __asm__ volatile("bkpt 0xd2");
     for (;;) {
     }

@@ -3,14 +3,13 @@
 #include "tl_elements.h"
 #include "tl_feed.h"
 
-// Where the elements want q, from p on: on the envelope that the side, or else the nearer end, belongs to.
-static int32_t offset_of(const tl_compensator_t *k) {
+// Where the elements want q, from p on, pushed from above or below: on the envelope of that side.
+static int32_t offset_on(const tl_compensator_t *k, bool up) {
     const tl_lookup_t *lookup = k->lookup;
-    const bool up = k->side > 0 || (k->side == 0 && k->apart >= 0);
     uint32_t ends = 0;
     if (tl_elements_narrow(lookup, k->p)) {
         const int32_t half = tl_lookup_width(lookup, k->p, &ends) / 2;
-        return k->side == 0 ? tl_clamp(k->offset, -half, half) : (up ? half : -half);
+        return up ? half : -half;
     }
     const tl_count_q8_t edge =
         tl_lookup_centre_inverse(lookup, k->centre + k->apart - (up ? lookup->half : -lookup->half));
@@ -19,12 +18,20 @@ static int32_t offset_of(const tl_compensator_t *k) {
     return edge - k->p + (up ? half : -half);
 }
 
+// The offset as far as it is compensated.
+static int32_t held(const tl_compensator_t *k) {
+    const int32_t offset = k->offset;
+    if (k->mode == TL_MODE_OFF) {
+        return 0;
+    }
+    return offset < 0 ? -half_of(k, 2U * (uint32_t)-offset) : half_of(k, 2U * (uint32_t)offset);
+}
+
 void tl_several_hold(tl_compensator_t *k) {
-    const int32_t size = k->mode == TL_MODE_OFF ? 0 : half_of(k, 2U * (uint32_t)tl_abs_sat(k->offset));
-    const int32_t offset = k->offset < 0 ? -size : size;
+    const int32_t offset = held(k);
     if (k->side == 0) {
         k->start_offset = offset;
-        k->half = size;
+        k->half = tl_abs_sat(offset);
     } else {
         k->half = k->side > 0 ? offset : -offset;
     }
@@ -48,11 +55,13 @@ void tl_several_turn(tl_compensator_t *k) {
 }
 
 void tl_several_lead(tl_compensator_t *k) {
-    const tl_count_q8_t before = fed(k, k->half);
+    const bool up = k->side > 0; // it has a side: p has moved
+    const tl_count_q8_t before = tl_clamp(k->p + (up ? k->half : -k->half), k->low, k->high);
     k->moved = false;
-    k->offset = offset_of(k);
-    tl_several_hold(k);
-    const tl_count_q8_t after = fed(k, k->half);
+    k->offset = offset_on(k, up);
+    const int32_t offset = held(k);
+    k->half = up ? offset : -offset;
+    const tl_count_q8_t after = tl_clamp(k->p + offset, k->low, k->high);
     const int32_t jump = after - before;
     if (k->turns || jump > k->step_max || jump < -k->step_max) {
         absorb(k, after, before);
@@ -61,7 +70,14 @@ void tl_several_lead(tl_compensator_t *k) {
 
 void tl_several_stand(tl_compensator_t *k) {
     k->centre = tl_lookup_centre(k->lookup, k->p);
-    k->offset = offset_of(k);
+    if (k->side != 0) {
+        k->offset = offset_on(k, k->side > 0);
+    } else if (tl_elements_narrow(k->lookup, k->p)) { // as near to where the motor was as the width allows
+        const int32_t half = offset_on(k, true);
+        k->offset = tl_clamp(k->offset, -half, half);
+    } else {
+        k->offset = offset_on(k, k->apart >= 0);
+    }
 }
 
 static void begin(tl_compensator_t *k, int32_t apart) {
