@@ -21,6 +21,7 @@ MAX_MOTOR_STEP_S = 1.0  # beyond it the times are not in seconds
 MAX_MOTOR_GAP_S = 3600.0
 FARTHEST = 1e4  # spans of the range beyond it
 FARTHEST_PX = 1e5
+FRAME_COLUMNS = ("width_px", "height_px")  # of marker.csv: what the frames measure
 VIDEO_NAMES = ("video.mkv", "video.mp4")
 
 
@@ -47,6 +48,7 @@ class Marker:
     valid: Array  # bool
     sigma_px: Array | None = None
     extra: Mapping[str, Array] = field(default_factory=dict)
+    frame_px: tuple[int, int] | None = None  # width and height of the frames, where they are known
 
 
 @dataclass(frozen=True)
@@ -243,6 +245,7 @@ def save(recording: Recording, folder: str | Path) -> None:
                     "v_px": marker.v_px,
                     "valid": marker.valid.astype(int),
                     "sigma_px": marker.sigma_px,
+                    **_sizes(marker),
                     **marker.extra,
                 },
             )
@@ -312,6 +315,7 @@ def _load_marker(file: Path, warnings: list[str]) -> Marker:
         if not np.all(np.isfinite(sigma_px[valid]) & (sigma_px[valid] > 0)):
             columns.warnings.append(f"{file}: sigma_px is not above 0 in every valid row: the column is ignored")
             sigma_px = None
+    frame_px = _frame_size(columns)
     warnings += columns.warnings
     return Marker(
         t_s,
@@ -319,8 +323,26 @@ def _load_marker(file: Path, warnings: list[str]) -> Marker:
         np.where(valid, v_px, np.nan),
         valid,
         sigma_px,
-        _extra(columns, {"t_s", "u_px", "v_px", "valid", "sigma_px"}),
+        _extra(columns, {"t_s", "u_px", "v_px", "valid", "sigma_px", *FRAME_COLUMNS}),
+        frame_px,
     )
+
+
+def _frame_size(columns: Columns) -> tuple[int, int] | None:
+    """width_px and height_px of the frames, the same in every row."""
+    if not set(FRAME_COLUMNS) <= set(columns.names):
+        return None
+    sides = [columns.raw(name) for name in FRAME_COLUMNS]
+    if any(len(np.unique(side)) != 1 or not 1 <= side[0] < FARTHEST_PX for side in sides):
+        columns.warnings.append(f"{columns.path}: {', '.join(FRAME_COLUMNS)} are not one size in all rows: ignored")
+        return None
+    return int(sides[0][0]), int(sides[1][0])
+
+
+def _sizes(marker: Marker) -> dict[str, Array]:
+    if marker.frame_px is None:
+        return {}
+    return {name: np.full(len(marker.t_s), n) for name, n in zip(FRAME_COLUMNS, marker.frame_px, strict=True)}
 
 
 def _load_angle(file: Path, warnings: list[str]) -> Angle:

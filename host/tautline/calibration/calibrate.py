@@ -11,15 +11,19 @@ import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from tautline.calibration import clock
+from tautline.calibration.acquisition import doubts as acquisition_doubts
+from tautline.calibration.acquisition import in_another_unit
 from tautline.calibration.backlash import WidthCurve, fit_paper, fit_widths
 from tautline.calibration.components import Components, separate
-from tautline.calibration.doubts import doubts
+from tautline.calibration.doubts import doubts, floor_of
 from tautline.calibration.observations import Track, observe
 from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, find_delay, find_onsets
+from tautline.calibration.place import allowing_for_place, place_noise
 from tautline.calibration.playfit import NODES, Fitted
 from tautline.calibration.remaining import Remaining, fit_remaining, morphological, pose_of, posed
 from tautline.calibration.several import fit_elements
 from tautline.calibration.smooth import Domain, fit_jointly, fit_passes, freeze, overlap
+from tautline.calibration.worth import worth
 from tautline.elements import SINGLE
 from tautline.errors import TautError
 from tautline.geometry import coarse_range_deg
@@ -39,6 +43,9 @@ _AT_ONCE = 0.75  # of the path's slope: a tip that starts slower starts graduall
 _LITTLE = 0.03  # of the width: differences below are no contradiction
 _GRADUAL = 0.4  # noise: what a gradual start must leave for several elements to be tried
 _HELD = 0.5  # of the square of what one element leaves beyond noise: several may leave so much
+_LIKELY_GAIN = (0.4, 2.5)  # of f_coarse's, between which f_remain's is no wrong scale
+_LIKELY_BEND = 0.5  # of f_coarse's span, by which f_remain may leave it
+_LARGE = 0.1  # of the image's motion (rms): a registration that is off by less still tells angles
 _EXPLAINED = 1.5  # residual over noise up to which a model explains its data
 
 
@@ -128,7 +135,8 @@ def calibrate(
     options = options or Options()
     say = progress or (lambda share, what: None)
     say(0.0, "reading frames")
-    tracks = [track for track in observe(recordings, rig) if len(track.t_s)]
+    every = observe(recordings, rig)
+    tracks = [track for track in every if len(track.t_s)]
     if not tracks:
         raise TautError("the marker was never seen: check the marker's colour (taut marker) and the camera's view")
     frames = sum(len(track.t_s) for track in tracks)
@@ -136,21 +144,24 @@ def calibrate(
         raise TautError(f"the tip was seen in {frames} frames only: record the calibration motion with it in view")
     with threadpool_limits(1, "blas"):  # its systems are small: threads that wait for each other cost 10 times more
         aligned = clock.align(tracks, rig) if options.delay_s is None else clock.Clock.as_it_is(tracks)
-        return _Session(aligned, rig, options, say).run()
+        return _Session(aligned, rig, options, say, acquisition_doubts(recordings, every, rig)).run()
 
 
 class _Session:
-    def __init__(self, aligned: clock.Clock, rig: Rig, options: Options, say: Progress) -> None:
+    def __init__(
+        self, aligned: clock.Clock, rig: Rig, options: Options, say: Progress, reasons: Sequence[Reason] = ()
+    ) -> None:
         self.clock, self.rig, self.options, self.say = aligned, rig, options, say
         self.tracks = tracks = aligned.tracks
         self.notes: list[str] = []
-        self.reasons: list[Reason] = list(aligned.reasons)
+        self.reasons: list[Reason] = [*aligned.reasons, *reasons]
         self.evidence: dict[str, float] = {}
+        self.extra: dict[str, Any] = {}
         self.components: Components | None = None
         self.elements = SINGLE
         reached = [(float(t.motor.q.min()), float(t.motor.q.max())) for t in tracks]
-        low, high = rig.actuator.range
         self.reached = min(r[0] for r in reached), max(r[1] for r in reached)
+        low, high = self.reached if in_another_unit(self.reached, rig) else rig.actuator.range
         self.domain = Domain(min(low, self.reached[0]), max(high, self.reached[1]))
         self.grid = np.linspace(self.domain.low, self.domain.high, NODES)
         self.camera = tracks[0].unit == "px"
@@ -243,9 +254,13 @@ class _Session:
             joint = joint.fit.solve(replace(joint.curves, delay_s=delay.delay_s))
         self.say(0.5, "what departs from a play")
         joint = self._separated(joint)
+        noise = place_noise(joint)
+        if noise is not None:
+            self.extra["place_noise"] = noise.to_json()
         self.say(0.6, "passes alone")
         margin = 0.1 * float(np.median(joint.fit.width(joint.curves))) + 0.005 * self.domain.span
-        return joint, fit_passes(joint, margin)
+        passes = fit_passes(joint, margin)
+        return joint, None if passes is None else allowing_for_place(passes)
 
     def _separated(self, joint: Fitted) -> Fitted:
         """The joint fit with all that departs from its model beside it."""
@@ -465,7 +480,7 @@ class _Session:
                 f"the tip bends {gain:.3g} deg/{self.unit} where f_coarse says {self.rig.coarse.gain:.3g}",
                 "a sign is wrong: check encoder direction, coarse.gain, hand_eye, a mirrored image",
             )
-        elif not 0.4 < ratio < 2.5:
+        elif not _LIKELY_GAIN[0] < ratio < _LIKELY_GAIN[1]:
             self.doubt(
                 "scale",
                 f"the tip bends {gain:.3g} deg/{self.unit} where f_coarse says {self.rig.coarse.gain:.3g}",
@@ -473,11 +488,26 @@ class _Session:
             )
         self.evidence["residual"] = remaining.residual
         if self.camera and remaining.residual > max(5.0, 20 * float(np.median(self.tracks[0].sigma))):
-            self.doubt(
-                "registration.static",
-                f"the marker is {remaining.residual:.3g} px (rms) off where camera, hand_eye and kinematics put it",
-                "f_remain absorbs what it can, but check them",
-            )
+            self._registration(remaining.residual, ratio, p, c)
+
+    def _registration(self, residual: float, ratio: float, p: Array, c: Array) -> None:
+        """The marker is off the path that the rig gives it. Where f_remain was bent beyond belief to come near it, no
+        angle means anything."""
+        coarse = self.rig.coarse
+        bent = float(np.max(np.abs(c - (coarse.gain * p + coarse.offset))))
+        whole = abs(coarse.gain) * float(np.ptp(p))
+        moved = float(np.std(np.concatenate([t.y for t in self.tracks]), axis=0).max())
+        likely = _LIKELY_GAIN[0] < ratio < _LIKELY_GAIN[1] and bent < _LIKELY_BEND * whole
+        says = f"the marker is {residual:.3g} px (rms) off where camera, hand_eye and kinematics put it"
+        if likely or residual < _LARGE * moved:
+            self.doubt("registration.static", says, "f_remain absorbs what it can, but check them")
+            return
+        self.doubt(
+            "registration.static",
+            f"{says}, and f_remain had to leave f_coarse by {bent:.3g} of {whole:.3g} deg",
+            "rig.toml is not of this set-up: check camera (fx_px, size), hand_eye, kinematics and coarse.gain",
+            fatal=True,
+        )
 
     # ---- the result
 
@@ -488,7 +518,10 @@ class _Session:
         names = tuple(track.name for track in self.tracks)
         measured = self._measured(curve, joint, source)
         beyond = np.abs(self.grid - np.clip(self.grid, *measured))
-        sigma = np.hypot(sigma, 0.5 * beyond)
+        inside = (self.grid > measured[0]) & (self.grid < measured[1])
+        floor = floor_of([t.motor for t in self.tracks], self.grid[inside], width[inside], sigma[inside], self.unit)
+        self.reasons += floor.reasons
+        sigma = np.hypot(np.hypot(sigma, floor.sigma), 0.5 * beyond)
         pass_width, pass_sigma = self._second_opinion(onsets, curve, passes)
         characteristic = self._characteristic(delay.delay_s)
         aligned, delay = self.clock.with_delay(delay, self.nominal_s)
@@ -496,6 +529,15 @@ class _Session:
             self.notes.append(f"no stop of the tip told the delay: the nominal {delay.delay_s * 1e3:.0f} ms is used")
         coarse = self.rig.coarse
         c = remaining.c_deg if remaining is not None else coarse.gain * self.grid + coarse.offset
+        c_sigma = remaining.sigma_deg if remaining is not None else np.full(len(c), np.nan)
+        model = Model(
+            self.rig, self.grid, width, sigma, c, delay.delay_s, measured, elements=self.elements, c_sigma=c_sigma,
+            sensor=self.tracks[0].sensor, offset_s=aligned.offset_s,
+        )  # fmt: skip
+        told = worth(model, self.tracks, self.rig)
+        if told is not None:
+            self.reasons += told.doubts
+            self.evidence |= {"error": told.model, "error_coarse": told.coarse, "error_constant": told.constant}
         notes = tuple(dict.fromkeys(self.notes))
         extra: dict[str, Any] = {
             "source": source,
@@ -505,15 +547,11 @@ class _Session:
             "notes": list(notes),
             "characteristic": characteristic,
             "options": asdict(self.options),
+            **self.extra,
         }
         if pass_width is not None:
             extra["pass_width"] = [_finite(v) for v in pass_width]
-        c_sigma = remaining.sigma_deg if remaining is not None else np.full(len(c), np.nan)
-        quality = Quality.of(self.reasons)
-        model = Model(
-            self.rig, self.grid, width, sigma, c, delay.delay_s, measured, elements=self.elements, c_sigma=c_sigma,
-            quality=quality, extra=extra, sensor=self.tracks[0].sensor, offset_s=aligned.offset_s,
-        )  # fmt: skip
+        model = replace(model, quality=Quality.of(self.reasons), extra=extra)
         return Calibration(
             model, tuple(onsets), delay, source, curve, pass_width, pass_sigma, self.evidence, notes, names,
             aligned.offsets,

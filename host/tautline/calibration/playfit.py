@@ -182,6 +182,14 @@ class PlayFit:
             gradient[at] += force
         return matrix, gradient
 
+    def slope_in_view(self, track: Track, curves: Curves, p: Array) -> Array:
+        """dy/dp (n, coordinates) in the sensor's unit at each frame of a track."""
+        slope = self.follow.slope(curves.follow, p)
+        if self.view is None:
+            return slope
+        s = self.follow.value(curves.follow, p)
+        return self._seen_at(track, s, np.ones(len(p), dtype=bool), curves.delay_s) * slope
+
     def _seen_at(self, track: Track, s: Array, keep: Mask, delay_s: float) -> Array:
         """dy/ds (kept, coordinates)."""
         if self.view is None:

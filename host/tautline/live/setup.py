@@ -5,6 +5,7 @@ One clock holds for all of it: the board's, in microseconds on the wire and seco
 
 from __future__ import annotations
 
+import bisect
 import signal
 import threading
 import time
@@ -21,6 +22,7 @@ from tautline.device import wire
 from tautline.device.board import Board, open_board
 from tautline.errors import TautError
 from tautline.geometry import coarse_range_deg, project
+from tautline.recording import FRAME_COLUMNS, Marker, Motor, Recording
 from tautline.rig import Rig
 from tautline.simulated.endoscope import Endoscope
 from tautline.simulated.instrument import of_name
@@ -55,8 +57,9 @@ class Eye(Protocol):
 class CameraEye:
     """A real camera. Arrival times are of the host's monotonic clock and become board time by round trips."""
 
-    def __init__(self, board: Board, camera: Camera, tracker: Tracker) -> None:
-        self._board, self._camera, self._tracker = board, camera, tracker
+    def __init__(self, board: Board, camera: Camera, tracker: Tracker, size: tuple[int, int] | None = None) -> None:
+        """size (width, height): what the rig says that frames measure; any other is an error."""
+        self._board, self._camera, self._tracker, self._size = board, camera, tracker, size
 
     def look(self) -> Frame:
         taken = self._camera.read()
@@ -64,6 +67,12 @@ class CameraEye:
             raise TautError("the camera's source has ended: a live session needs a camera, not a file")
         self._board.align(1)
         picture, arrival_s = taken
+        height, width = picture.shape[:2]
+        if self._size not in (None, (width, height)):
+            raise TautError(
+                f"the camera's frames are {width} x {height} px, the rig's {self._size[0]} x {self._size[1]}: "
+                "set the camera to the rig's size, or calibrate it at this one and write that into rig.toml"
+            )
         return Frame(self._board.clock.board_us(arrival_s), self._tracker.track(picture), picture)
 
     def close(self) -> None:
@@ -224,12 +233,14 @@ class Recorder:
         except OSError as error:
             raise TautError(f"{folder}: cannot be written ({error.strerror}): name another folder") from error
         self._marker: IO[str] | None = None
+        self._size = ""  # of the frames, as it stands in each row of marker.csv
         self._frames: IO[str] | None = None
         self._video: Any = None
         self._wants_video = video
         self._count = 0
         self._last_us = -1
         self._paused = False
+        self._rows: dict[str, list[tuple[float, ...]]] = {"motor": [], "marker": []}
         live.board.listen("batch", self._batch)
 
     def __enter__(self) -> Recorder:
@@ -251,21 +262,42 @@ class Recorder:
         for i in range(batch.count):
             t_us = batch.t_us + i * batch.period_us
             if t_us > self._last_us:
-                self._motor.write(
-                    f"{t_us * 1e-6:.6f},{batch.q[i] * resolution:.7g},{batch.q_ref[i] * resolution:.7g}\n"
-                )
+                row = f"{t_us * 1e-6:.6f},{batch.q[i] * resolution:.7g},{batch.q_ref[i] * resolution:.7g}"
+                self._write(self._motor, "motor", row)
                 self._last_us = t_us
+
+    def _write(self, file: IO[str], name: str, row: str) -> None:
+        file.write(row + "\n")
+        self._rows[name].append(tuple(float(value or "nan") for value in row.split(",")))
+
+    def so_far(self) -> Recording:
+        """What the files hold, the numbers as they are written there. From any thread."""
+        motor, marker = (np.array(list(self._rows[name])) for name in ("motor", "marker"))
+        if not len(motor) or not len(marker):
+            raise TautError("nothing was recorded yet: no telemetry or no frame came")
+        t_s, u_px, v_px, valid, sigma_px = marker.T
+        seen = Marker(t_s, u_px, v_px, valid > 0.5, sigma_px)
+        return Recording(self.folder.name, Motor(*motor.T), seen, rig=self._live.rig)
+
+    def motor_at(self, t_s: float) -> float:
+        """q at a time not long ago, the rig's unit; NaN before the first sample."""
+        rows = self._rows["motor"]
+        after = bisect.bisect_right(rows, (t_s, np.inf))
+        return rows[after - 1][1] if after else float("nan")
 
     def add(self, frame: Frame) -> None:
         """One frame: marker.csv, and video where it was asked for."""
         if self._marker is None:
             self._marker = (self.folder / "marker.csv").open("w", buffering=1 << 13)
-            self._marker.write("t_s,u_px,v_px,valid,sigma_px\n")
+            size = None if frame.picture is None else (frame.picture.shape[1], frame.picture.shape[0])
+            self._size = "" if size is None else ",{},{}".format(*size)
+            self._marker.write(",".join(["t_s,u_px,v_px,valid,sigma_px", *(FRAME_COLUMNS if size else ())]) + "\n")
         seen, t_s = frame.sighting, frame.t_us * 1e-6
         if seen.valid:
-            self._marker.write(f"{t_s:.6f},{seen.u_px:.4f},{seen.v_px:.4f},1,{max(seen.sigma_px, 1e-4):.4f}\n")
+            row = f"{t_s:.6f},{seen.u_px:.4f},{seen.v_px:.4f},1,{max(seen.sigma_px, 1e-4):.4f}{self._size}"
         else:
-            self._marker.write(f"{t_s:.6f},,,0,\n")
+            row = f"{t_s:.6f},,,0,{self._size}"
+        self._write(self._marker, "marker", row)
         if self._wants_video and frame.picture is not None:
             self._add_picture(frame.picture, t_s)
         self._count += 1
@@ -346,6 +378,8 @@ def open_live(
             if colour is None:
                 raise TautError("the marker's colour is not known: pick it once with 'taut marker'")
             source = int(camera) if isinstance(camera, str) and camera.isdigit() else camera
-            live.eye = CameraEye(opened, VideoCamera(source), Tracker(colour))
+            size = None if rig.camera is None else (rig.camera.width_px, rig.camera.height_px)
+            rate_hz = None if rig.camera is None else rig.camera.frame_rate_hz
+            live.eye = CameraEye(opened, VideoCamera(source, size=size, rate_hz=rate_hz), Tracker(colour), size)
             stack.callback(live.eye.close)
         yield live
