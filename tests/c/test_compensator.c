@@ -352,6 +352,27 @@ static void test_several_plays_are_undone_one_after_the_other(void) {
     }
 }
 
+// Within the backlash p and q do not tell where each play is; the forward play does.
+static void test_switched_on_in_an_inner_loop_it_knows_each_play(void) {
+    tl_play_t play;
+    tl_play_start(&play, &several, 0);
+    static const int32_t path[] = {1000, 650, 700}; // the plays are at 725 and 775, the tip at 750
+    for (size_t i = 0; i < sizeof path / sizeof path[0]; i++) {
+        (void)tl_play_step(&play, COUNTS(path[i]));
+    }
+    for (int knows = 0; knows < 2; knows++) {
+        tl_compensator_start(&k, &several, RATE, TL_MODE_FULL, COUNTS(700), tl_play_angle(&play));
+        if (knows) {
+            tl_compensator_know(&k, &play);
+        }
+        TEST_ASSERT_INT32_WITHIN(16, COUNTS(700), hold(angle(&several, COUNTS(750)), 10));
+        TEST_ASSERT_INT32_WITHIN(16, COUNTS(knows ? 900 : 925), hold(angle(&several, COUNTS(800)), 600));
+    }
+    tl_compensator_start(&k, &rising, RATE, TL_MODE_FULL, COUNTS(700), tl_play_angle(&play));
+    tl_compensator_know(&k, &play); // of another table
+    TEST_ASSERT_INT32_WITHIN(16, COUNTS(950), hold(angle(&several, COUNTS(800)), 600));
+}
+
 static void test_the_strength_shares_what_several_plays_lose(void) {
     start(&several, TL_MODE_FULL, 0);
     (void)hold(angle(&several, COUNTS(850)), 600);
@@ -397,6 +418,7 @@ int main(void) {
     RUN_TEST(test_an_axis_outside_its_range_is_only_led_inwards);
     RUN_TEST(test_the_feed_is_held_back_by_the_speed_limit_alone);
     RUN_TEST(test_several_plays_are_undone_one_after_the_other);
+    RUN_TEST(test_switched_on_in_an_inner_loop_it_knows_each_play);
     RUN_TEST(test_the_strength_shares_what_several_plays_lose);
     RUN_TEST(test_a_table_of_several_plays_takes_over_and_gives_back);
     RUN_TEST(test_extreme_settings_are_safe);

@@ -1,3 +1,4 @@
+#include "tl_elements.h"
 #include "tl_feed.h"
 #include "tl_several.h"
 
@@ -196,6 +197,12 @@ void tl_compensator_start(tl_compensator_t *k, const tl_lookup_t *lookup, uint32
     k->anchor = p;
     set_limits(k, &lookup->table);
     absorb(k, fed_anew(k), k->q);
+}
+
+void tl_compensator_know(tl_compensator_t *k, const tl_play_t *play) {
+    if (k->several && play->lookup == k->lookup) {
+        tl_elements_undo(k->lookup, play->lag, k->undo);
+    }
 }
 
 // p* again for the last command under new settings, with the direction's memory moved along.
