@@ -187,8 +187,8 @@ class _Session:
         if self.options.delay_s is not None:
             return Delay(self.options.delay_s, 0.0, 0)
         if not self.camera:
-            return clock.delay_of_all(self.tracks, self.nominal_s)
-        return find_delay(self.tracks, self.rig, clock.near_delay(self.tracks, self.nominal_s))
+            return clock.delay_of_all(self.tracks, self.rig)
+        return find_delay(self.tracks, self.rig, clock.near_delay(self.tracks, self.rig))
 
     def _joint_delay(self, stops: Delay, joint: Fitted) -> Delay:
         # Each turn is known to a rounded count: an error of time at the motor's speed.
