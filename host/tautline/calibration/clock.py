@@ -50,8 +50,8 @@ _PER_STROKE = 4.0  # independent errors of a model within a stroke, at most
 _STROKES = 10  # what a model does not hold is much the same in further ones
 _WHITE = 1.05  # residual over noise up to which nothing else is in it
 _EXPLAINED = 1.5
-_CLEARLY = 1.03  # times the residual
-_LIKELY = 2.5  # standard deviations
+_CLEARLY = 1.1  # times the residual
+_LIKELY = 3.0  # standard deviations
 _SAMPLES = 1.5
 _AROUND_S = 0.5
 _DITHER = 2e-3  # of the motor's span: turns within it do not matter here
@@ -404,9 +404,12 @@ class _Profile:
         low = min(sight.low for sight in sights)
         high = max(sight.low + sight.span for sight in sights)
         self._fit = PlayFit(
-            [Frozen.of(sight.track, sight.moving()) for sight in sights], Basis(low, high, spans[0]), Basis(low, high, spans[1]),
-            fit_delay=False, settled_only=False,
-        )  # fmt: skip
+            [Frozen.of(sight.track, sight.moving()) for sight in sights],
+            Basis(low, high, spans[0]),
+            Basis(low, high, spans[1]),
+            fit_delay=False,
+            settled_only=False,
+        )
         self._smoothing = dict(self._fit.smoothing)
         self._found: dict[float, float] = {}
         strokes = sum(len(sight.turn_t) - 1 for sight in sights)
