@@ -135,7 +135,7 @@ class _Session:
     def __init__(self, aligned: clock.Clock, rig: Rig, options: Options, say: Progress) -> None:
         self.clock, self.rig, self.options, self.say = aligned, rig, options, say
         self.tracks = tracks = aligned.tracks
-        self.notes: list[str] = []
+        self.notes: list[str] = list(aligned.notes)
         self.reasons: list[Reason] = list(aligned.reasons)
         self.evidence: dict[str, float] = {}
         reached = [(float(t.motor.q.min()), float(t.motor.q.max())) for t in tracks]

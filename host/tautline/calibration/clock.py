@@ -18,6 +18,7 @@ from tautline import _native
 from tautline.calibration.observations import Mask, Track, observe
 from tautline.calibration.onset import Delay, find_delay
 from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit
+from tautline.calibration.steps import resolved
 from tautline.geometry import project
 from tautline.quality import Reason
 from tautline.recording import Recording, shifted
@@ -52,7 +53,7 @@ _WHITE = 1.05  # residual over noise up to which nothing else is in it
 _EXPLAINED = 1.5
 _CLEARLY = 1.1  # times the residual
 _LIKELY = 3.0  # standard deviations
-_SAMPLES = 1.5
+_SAMPLES, _LITTLE_S = 1.5, 0.01  # a delay of less may be an error of the model
 _AROUND_S = 0.5
 _DITHER = 2e-3  # of the motor's span: turns within it do not matter here
 
@@ -74,6 +75,7 @@ class Clock:
     tracks: list[Track]
     offsets_s: tuple[float, ...]  # that were taken from each track's times
     reasons: tuple[Reason, ...]
+    notes: tuple[str, ...] = ()
 
     @classmethod
     def as_it_is(cls, tracks: Sequence[Track]) -> Clock:
@@ -105,7 +107,12 @@ def on_motor_clock(recordings: Sequence[Recording], rig: Rig) -> list[Recording]
 
 
 def align(tracks: Sequence[Track], rig: Rig) -> Clock:
-    """Each track's own offset found and taken off; nothing is done to one that fits its nominal delay."""
+    """Each track's own offset found and taken off; nothing is done to one that fits its nominal delay. Frames at which
+    the tip follows a motor that stepped go first."""
+    tracks, stepping, notes = resolved(tracks, rig)
+    notes += [f"{t.name}: the sensor repeats its values, {t.held} of them were left out" for t in tracks if t.held]
+    if stepping:
+        return Clock(tracks, (0.0,) * len(tracks), tuple(stepping), tuple(notes))
     aligned, offsets = [], []
     reasons: list[Reason] = []
     for track in tracks:
@@ -123,7 +130,7 @@ def align(tracks: Sequence[Track], rig: Rig) -> Clock:
             reasons.append(Reason("clock.offset", says, "it was taken off: put both on one clock"))
         aligned.append(track)
         offsets.append(offset_s)
-    return Clock(aligned, tuple(offsets), tuple(reasons))
+    return Clock(aligned, tuple(offsets), tuple(reasons), tuple(notes))
 
 
 def _taken_off(track: Track, found: Offset, nominal_s: float, rig: Rig) -> tuple[Track, float]:
@@ -384,7 +391,7 @@ def settled(free: Fitted, delay: Delay, tracks: Sequence[Track], nominal_s: floa
     own_s = free.curves.delay_s
     if free.scale <= _WHITE:
         return free
-    at_nominal = abs(own_s - nominal_s) <= _SAMPLES * period_s(tracks)
+    at_nominal = abs(own_s - nominal_s) <= min(_SAMPLES * period_s(tracks), _LITTLE_S)
     if not at_nominal and free.scale < _EXPLAINED:
         return free
     fixed = replace(free.fit, fit_delay=False, smoothing=dict(free.fit.smoothing))
