@@ -42,13 +42,18 @@ def between_counts(motor: Motor, resolution: float) -> Motor:
     boundary = 0.5 * (counts[changes] + counts[changes + 1])
     lasts = np.diff(times)
     before, after = np.concatenate([lasts[:1], lasts[:-1]]), np.concatenate([lasts[1:], lasts[-1:]])
+    # A motor that jumps by several counts is at the new one with the next sample, however long it stays there.
+    jumps, sample = np.abs(np.diff(counts)[changes]) > 1, t[changes + 1] - t[changes]
+    before, after = np.where(jumps[:-1], sample[:-1], before), np.where(jumps[1:], sample[1:], after)
+    first = sample[0] if jumps[0] else lasts[0]
+    last = sample[-1] if jumps[-1] else lasts[-1]
     centre = counts[changes[:-1] + 1]
     knots_t = np.empty(3 * len(times) - 2)
     knots_q = np.empty_like(knots_t)
     knots_t[0::3], knots_q[0::3] = times, boundary
     knots_t[1::3], knots_q[1::3] = times[:-1] + 0.5 * np.minimum(lasts, before), centre
     knots_t[2::3], knots_q[2::3] = times[1:] - 0.5 * np.minimum(lasts, after), centre
-    ends = [t[0], times[0] - 0.5 * lasts[0]], [times[-1] + 0.5 * lasts[-1], t[-1]]
+    ends = [t[0], times[0] - 0.5 * first], [times[-1] + 0.5 * last, t[-1]]
     knots_t = np.concatenate([ends[0], knots_t, ends[1]])
     knots_q = np.concatenate([[counts[0]] * 2, knots_q, [counts[-1]] * 2])
     order = np.argsort(knots_t, kind="stable")

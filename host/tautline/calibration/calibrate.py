@@ -153,7 +153,7 @@ class _Session:
     ) -> None:
         self.clock, self.rig, self.options, self.say = aligned, rig, options, say
         self.tracks = tracks = aligned.tracks
-        self.notes: list[str] = []
+        self.notes: list[str] = list(aligned.notes)
         self.reasons: list[Reason] = [*aligned.reasons, *reasons]
         self.evidence: dict[str, float] = {}
         self.extra: dict[str, Any] = {}
@@ -209,8 +209,8 @@ class _Session:
         if self.options.delay_s is not None:
             return Delay(self.options.delay_s, 0.0, 0)
         if not self.camera:
-            return clock.delay_of_all(self.tracks, self.nominal_s)
-        return find_delay(self.tracks, self.rig, clock.near_delay(self.tracks, self.nominal_s))
+            return clock.delay_of_all(self.tracks, self.rig)
+        return find_delay(self.tracks, self.rig, clock.near_delay(self.tracks, self.rig))
 
     def _joint_delay(self, stops: Delay, joint: Fitted) -> Delay:
         # Each turn is known to a rounded count: an error of time at the motor's speed.
