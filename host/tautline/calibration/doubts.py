@@ -175,7 +175,7 @@ def floor_of(tracks: Sequence[Track], grid: Array, width: Array, sigma: Array, u
         reasons.append(
             Reason(
                 "encoder",
-                f"the motor's readings scatter by {scatter / _SMOOTHED:.2g} {unit}, its turns are known to {scatter:.2g}",
+                f"the motor's readings scatter, its turns are known to {scatter:.2g} {unit}",
                 "shield the encoder's lines, or take one with finer counts",
             )
         )
