@@ -235,10 +235,10 @@ def test_strokes_shorter_than_the_backlash_are_a_bound():
 def test_a_wrong_sign_and_a_wrong_scale_are_named():
     made = record(RIG, preset("reference", RIG), motion(RIG), 15).recording
     flipped = replace(made, motor=replace(made.motor, q=-made.motor.q))
-    assert any("sign is wrong" in warning for warning in calibrate([flipped], RIG).warnings)
+    assert any("sign is wrong" in str(r) for r in calibrate([flipped], RIG).model.quality.reasons)
     tenth = replace(RIG, actuator=Actuator("mm", (-0.5, 0.5), 0.0001))
     small = replace(made, motor=replace(made.motor, q=0.1 * made.motor.q))
-    assert any("encoder's scale" in warning for warning in calibrate([small], tenth).warnings)
+    assert any("encoder's scale" in str(r) for r in calibrate([small], tenth).model.quality.reasons)
 
 
 def test_what_shows_nothing_is_refused():

@@ -11,7 +11,6 @@ from tautline.calibration.calibrate import calibrate
 from tautline.model import Model
 from tautline.quality import Verdict
 from tautline.recording import Recording
-from tautline.rig import Actuator
 from tautline.simulated.instrument import Instrument, preset, reference_rig
 from tautline.simulated.simulate import run
 from tautline.simulated.trajectory import back_and_forth

@@ -14,7 +14,7 @@ from tautline.calibration.acquisition import doubts, in_another_unit
 from tautline.calibration.backlash import WidthCurve, fit_paper, fit_widths
 from tautline.calibration.observations import Track, observe
 from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, find_delay, find_onsets
-from tautline.calibration.place import allowing_for_place, place_noise
+from tautline.calibration.place import allowing_for_place, as_many_as_independent, place_noise
 from tautline.calibration.playfit import NODES, Fitted
 from tautline.calibration.remaining import Remaining, fit_remaining, morphological, pose_of, posed
 from tautline.calibration.smooth import Domain, fit_jointly, fit_passes, freeze, overlap
@@ -227,11 +227,11 @@ class _Session:
         noise = place_noise(joint)
         if noise is not None:
             self.extra["place_noise"] = noise.to_json()
-        joint = allowing_for_place(joint)
+        joint = allowing_for_place(joint, noise)
         self.say(0.6, "passes alone")
         margin = 0.1 * float(np.median(joint.fit.width(joint.curves))) + 0.005 * self.domain.span
         passes = fit_passes(joint, margin)
-        return joint, None if passes is None else allowing_for_place(passes)
+        return joint, None if passes is None else as_many_as_independent(passes)
 
     def _explained(self, joint: Fitted) -> bool:
         return joint.scale < _EXPLAINED
