@@ -142,7 +142,6 @@ class _Session:
         self.notes: list[str] = []
         self.reasons = reasons or []
         self.evidence: dict[str, float] = {}
-        self.extra: dict[str, Any] = {}
         reached = [(float(t.motor.q.min()), float(t.motor.q.max())) for t in tracks]
         self.reached = min(r[0] for r in reached), max(r[1] for r in reached)
         low, high = self.reached if in_another_unit(self.reached, rig) else rig.actuator.range
@@ -226,7 +225,7 @@ class _Session:
             joint = joint.fit.solve(replace(joint.curves, delay_s=delay.delay_s))
         noise = place_noise(joint)
         if noise is not None:
-            self.extra["place_noise"] = noise.to_json()
+            self.evidence |= {f"place_{key}": value for key, value in asdict(noise).items()}
         joint = allowing_for_place(joint, noise)
         self.say(0.6, "passes alone")
         margin = 0.1 * float(np.median(joint.fit.width(joint.curves))) + 0.005 * self.domain.span
@@ -483,7 +482,6 @@ class _Session:
             "notes": list(notes),
             "characteristic": self._characteristic(delay.delay_s),
             "options": asdict(self.options),
-            **self.extra,
         }
         if pass_width is not None:
             extra["pass_width"] = [_finite(v) for v in pass_width]

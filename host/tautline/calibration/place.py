@@ -6,7 +6,7 @@ err alike, and say less than as many independent ones. Passes over the same plac
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -31,9 +31,6 @@ class PlaceNoise:
     length: float  # along the image path, over which the error stays alike
     common: float  # rms of the part that passes at other times repeat at the same place
     effect: float  # frames that count as one independent frame; at least 1
-
-    def to_json(self) -> dict[str, float]:
-        return asdict(self)
 
 
 def place_noise(fitted: Fitted) -> PlaceNoise | None:

@@ -297,13 +297,13 @@ def track_video(video: Video, colour: MarkerColour | None = None, progress: Prog
             f"pick its colour with 'taut marker {video.path}', and --at U,V if it does not stand out"
         )
     timed = np.isfinite(t_s)
-    sure = _of_one_marker(seen)
+    sure = of_one_marker(seen)
     rows = np.array([(s.u_px, s.v_px, s.sigma_px) for s in seen])
     u, v, sigma = np.where(sure[:, None], rows, np.nan)[timed].T
     return Marker(np.array(t_s)[timed], u, v, sure[timed], sigma, frame_px=size)
 
 
-def _of_one_marker(seen: Sequence[Sighting]) -> npt.NDArray[np.bool_]:
+def of_one_marker(seen: Sequence[Sighting]) -> npt.NDArray[np.bool_]:
     """Which sightings (n,) are the marker's. After a loss something else may have been taken for it: what cannot be
     reached from where it was, at the speed that it has, is left out, starting from the longest stretch that was
     followed. Nor is a sighting beside a loss taken whose size differs: something is in front of a part of it."""
