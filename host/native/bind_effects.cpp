@@ -1,5 +1,6 @@
 #include "arrays.h"
 #include "effects.h"
+#include "plays.h"
 #include "sight.h"
 
 #include <cstring>
@@ -62,7 +63,7 @@ template <typename T> const T *column(const std::optional<ArrayIn<T>> &values, s
 
 nb::object simulate(const nb::dict &parameters, Values grid, Values width, Values c_deg, Values t_s, Values q,
                     Values at_s, std::optional<Values> translation, std::optional<Values> rotation,
-                    std::optional<Values> load, double session_s, double p0) {
+                    std::optional<Values> load, double session_s, double p0, const Plays *plays) {
     effect_parameters e = {
 #define X(name, absent, unit, meaning) absent,
         EFFECT_PARAMETERS(X)
@@ -76,7 +77,8 @@ nb::object simulate(const nb::dict &parameters, Values grid, Values width, Value
     if (knots < 1 || q.shape(0) != knots) {
         throw std::invalid_argument("q must be as long as t_s, 1 or more");
     }
-    const effect_tables tables = {grid.data(), width.data(), c_deg.data(), nodes};
+    const elements several = plays ? plays->view() : elements{};
+    const effect_tables tables = {grid.data(), width.data(), c_deg.data(), nodes, plays ? &several : nullptr};
     const effect_motion motion = {t_s.data(), q.data(), column(load, knots, "load"), knots};
     const effect_times times = {at_s.data(), column(translation, n, "translation"), column(rotation, n, "rotation"), n,
                                 session_s};
@@ -149,9 +151,10 @@ void bind_effects(nb::module_ &m) {
     m.attr("sight_parameters") = sight; // and what changes where it is seen
     m.def("simulate_effects", simulate, "parameters"_a, "grid"_a, "width"_a, "c_deg"_a, "t_s"_a, "q"_a, "at_s"_a,
           "translation"_a = nb::none(), "rotation"_a = nb::none(), "load"_a = nb::none(), "session_s"_a = 0.0,
-          "p0"_a = NAN,
+          "p0"_a = NAN, "plays"_a = nb::none(),
           "c (deg), p, tip, gain, way and side at rising times at_s; tables are linear on `grid`; t_s, q and load are "
-          "knots, translation and rotation are at at_s. See effects.h.");
+          "knots, translation and rotation are at at_s. plays: several elements on the same grid and width. See "
+          "effects.h.");
     m.def("thin", thin, "t_s"_a, "values"_a, "tolerance"_a, "rest_s"_a,
           "1 where a sample must stay for straight lines to be within tolerance. See effects.h.");
     m.def("see", see, "parameters"_a, "rig"_a, "c_deg"_a, "translation"_a = nb::none(), "rotation"_a = nb::none(),

@@ -2,7 +2,8 @@
 
 #include <math.h>
 
-enum { PLAYS = 21 }; // thresholds that stand for a spread one: the corner becomes a polygon of as many pieces
+enum { LOTS = 21 }; // thresholds that stand for a spread one: the corner becomes a polygon of as many pieces
+enum { PLAYS = LOTS * ELEMENTS_MAX };
 static const double SLOWER = 5.0;      // the creep's second element
 static const double SHORTEST_S = 2e-3; // least step while a width follows the speed
 
@@ -81,10 +82,12 @@ static double held_back(const struct effect_parameters *e, double since) {
 }
 
 struct play {
-    double p;
-    double width; // B(p)
+    double p;     // of an element of several: in its warp
+    double width; // B(p); of an element of several: 2 r
+    double share; // of the motion
     double since; // travel since the delayed side began to carry
     struct span_cursor low_at, high_at;
+    struct warp_cursor in, out[2];
     signed char side;
 };
 
@@ -94,11 +97,20 @@ struct drive {
     double way; // of the motor, where a play is carried only in it; else 0
 };
 
-// Moves the play to `drive`. Returns how much of q's last step carried it.
-static double play_move(const struct effect_parameters *e, const struct effect_tables *tables, struct play *play,
-                        const struct drive *drive, double spread) {
+// How far beyond the play's end on side s the motor is, at which it begins to carry it.
+static double beyond_end(const struct warp *warp, struct play *play, const struct drive *drive, double s,
+                         double scale) {
+    if (!warp) {
+        return s * (drive->q - play->p) - 0.5 * (scale * play->width + drive->extra);
+    }
+    const double end = warp_from(warp, &play->out[s > 0], play->p + 0.5 * s * scale * play->width);
+    return s * (drive->q - end) - 0.5 * drive->extra;
+}
+
+// Moves the play, in the warp if it is an element of several, to `drive`. Returns how much of q's last step carried it.
+static double play_move(const struct effect_parameters *e, const struct effect_tables *tables, const struct warp *warp,
+                        struct play *play, const struct drive *drive, double spread) {
     const double scale = drive->scale * spread;
-    const double half = 0.5 * (scale * play->width + drive->extra);
     const double delayed = e->asymmetry > 0.0 ? 1.0 : -1.0;
     for (int s = -1; s <= 1; s += 2) {
         if (s * drive->way < 0.0) {
@@ -107,7 +119,7 @@ static double play_move(const struct effect_parameters *e, const struct effect_t
         const int waits = e->asymmetry != 0.0 && s * delayed > 0.0;
         double since = play->side == s ? play->since : 0.0;
         double late = waits ? held_back(e, since) : 0.0;
-        const double carried = s * (drive->q - play->p) - half - late;
+        const double carried = beyond_end(warp, play, drive, s, scale) - late;
         if (carried <= 0.0) {
             continue;
         }
@@ -115,8 +127,12 @@ static double play_move(const struct effect_parameters *e, const struct effect_t
             since += carried;
             late = held_back(e, since);
         }
-        play->p = envelope(tables, s > 0 ? &play->low_at : &play->high_at, drive->q - s * late, s, scale, drive->extra,
-                           &play->width);
+        const double q = drive->q - s * late;
+        if (warp) {
+            play->p = warp_to(warp, &play->in, q - 0.5 * s * drive->extra) - 0.5 * s * scale * play->width;
+        } else {
+            play->p = envelope(tables, s > 0 ? &play->low_at : &play->high_at, q, s, scale, drive->extra, &play->width);
+        }
         play->side = (signed char)s;
         play->since = since;
         return carried;
@@ -214,6 +230,21 @@ static double threshold(const struct effect_parameters *e, double most, double l
     return even + e->onset_tail * (tail - even);
 }
 
+static void plays_start(const struct effect_tables *tables, struct play *play, int plays, double q, double p) {
+    const struct elements *elements = tables->elements;
+    struct span_cursor at = {0};
+    struct warp_cursor in = {0}, centre = {0};
+    double z[ELEMENTS_MAX] = {0};
+    if (elements) {
+        elements_start(elements, warp_to(&elements->warp, &in, q), elements_centre(elements, &centre, p), z);
+    }
+    for (int i = 0; i < plays; i++) {
+        const size_t element = elements ? (size_t)i % elements->n : 0;
+        play[i].p = elements ? z[element] : p;
+        play[i].width = elements ? 2.0 * elements->r[element] : interpolate(tables, tables->width, &at, p);
+    }
+}
+
 // Where the motor is that reads so: the encoder errs by where its shaft is, x = q + error(x).
 static double shaft(const struct effect_parameters *e, double turn, double q) {
     double x = q;
@@ -231,7 +262,11 @@ void effects_simulate(const struct effect_parameters *e, const struct effect_tab
                       const struct effect_motion *motion, const struct effect_times *times, double p0,
                       const struct effect_path *path) {
     const double turn = 6.283185307179586 / e->encoder_period;
-    const int plays = e->onset_spread != 0.0 ? PLAYS : 1;
+    const struct elements *elements = tables->elements;
+    const struct warp *warp = elements ? &elements->warp : NULL;
+    const int lots = e->onset_spread != 0.0 ? LOTS : 1;
+    const int each = elements ? (int)elements->n : 1;
+    const int plays = lots * each;
     const int wobbles =
         e->encoder_sin != 0.0 || e->encoder_cos != 0.0 || e->encoder_sin2 != 0.0 || e->encoder_cos2 != 0.0;
     const int remembers = e->lag > 0.0 || e->creep_share != 0.0;
@@ -239,15 +274,25 @@ void effects_simulate(const struct effect_parameters *e, const struct effect_tab
     const double resting = 1e-5 * usual_speed;
     const double follows = fmax(0.25 * e->speed_time, SHORTEST_S);
     const double c_middle = tables->c_deg[tables->nodes / 2];
-    double spread[PLAYS] = {1.0}, share_of[PLAYS] = {1.0};
+    double spread[LOTS] = {1.0}, share_of[LOTS] = {1.0};
     int middle = 0; // the play that half of all have moved before
-    for (int i = 0; plays > 1 && i < plays; i++) {
-        const double most = above(i, plays), least = above(i + 1, plays);
+    for (int i = 0; lots > 1 && i < lots; i++) {
+        const double most = above(i, lots), least = above(i + 1, lots);
         spread[i] = fmax(0.0, 1.0 + e->onset_spread * threshold(e, most, least));
         share_of[i] = most - least;
-        middle = most > 0.5 ? i : middle;
+        middle = most > 0.5 ? i * each : middle;
     }
     struct play play[PLAYS] = {0};
+    struct play single = {0}; // beside several elements, for where B is narrow
+    struct warp_cursor low_at = {0}, high_at = {0};
+    double weight = 0.0;
+    for (int i = 0; i < plays; i++) {
+        play[i].share = share_of[i / each] * (elements ? elements->w[i % each] : 1.0);
+        if (elements && i < each) {
+            middle += weight < 0.5 && i > 0;
+            weight += elements->w[i];
+        }
+    }
     struct span_cursor c_at = {0};
     struct late late = {0};
     double before_t = 0.0, before_q = 0.0, centre = 0.0, speed = 0.0, lies = 0.0;
@@ -301,15 +346,22 @@ void effects_simulate(const struct effect_parameters *e, const struct effect_tab
         };
         const double from = centre;
         double sum = 0.0, carried = 0.0;
-        for (int i = 0; i < plays; i++) {
-            if (!started) {
-                play[i].p = isnan(p0) ? drive.q : p0;
-                play[i].width = interpolate(tables, tables->width, &c_at, play[i].p);
-            }
-            carried = fmax(carried, play_move(e, tables, &play[i], &drive, spread[i]));
-            sum += share_of[i] * play[i].p;
+        if (!started) {
+            plays_start(tables, play, plays, drive.q, isnan(p0) ? drive.q : p0);
+            plays_start(&(struct effect_tables){tables->grid, tables->width, tables->c_deg, tables->nodes, NULL},
+                        &single, 1, drive.q, isnan(p0) ? drive.q : p0);
         }
-        centre = sum;
+        for (int i = 0; i < plays; i++) {
+            carried = fmax(carried, play_move(e, tables, warp, &play[i], &drive, spread[i / each]));
+            sum += play[i].share * play[i].p;
+        }
+        centre = elements ? elements_position(elements, &low_at, &high_at, sum) : sum;
+        if (elements && elements->narrow > 0.0) {
+            play_move(e, tables, NULL, &single, &drive, 1.0);
+            if (interpolate(tables, tables->width, &c_at, centre) < elements->narrow) {
+                centre = single.p;
+            }
+        }
         if (!started) {
             late = (struct late){centre, centre, centre, centre, centre};
         }

@@ -20,8 +20,7 @@ int play_table_valid(const double *grid, const double *width, size_t n) {
     return 1;
 }
 
-/* The p that solves p + side B(p)/2 = q. *at is a node to start from, left at the node found. */
-static double envelope(double q, double side, const double *grid, const double *width, size_t n, size_t *at) {
+double play_envelope(double q, double side, const double *grid, const double *width, size_t n, size_t *at) {
     const double half = 0.5 * side;
     if (q <= grid[0] + half * width[0]) {
         return q - half * width[0];
@@ -50,8 +49,8 @@ void play_forward(const double *q, size_t count, const double *grid, const doubl
     int32_t moved_at = -1;
     double state = (isnan(p0) && count > 0) ? q[0] : p0;
     for (size_t k = 0; k < count; k++) {
-        const double low = envelope(q[k], 1.0, grid, width, n, &low_at);
-        const double high = envelope(q[k], -1.0, grid, width, n, &high_at);
+        const double low = play_envelope(q[k], 1.0, grid, width, n, &low_at);
+        const double high = play_envelope(q[k], -1.0, grid, width, n, &high_at);
         if (state < low) {
             state = low;
             held_by = PLAY_RISING;

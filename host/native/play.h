@@ -21,6 +21,10 @@ enum { PLAY_INSIDE = 0, PLAY_RISING = 1, PLAY_FALLING = -1 };
 /* Whether the table satisfies the conditions above. O(n). */
 int play_table_valid(const double *grid, const double *width, size_t n);
 
+/* The p that solves p + side B(p)/2 = q, side 1 or -1. *at is a node to start from (0), left at the node found. O(nodes
+ * passed). */
+double play_envelope(double q, double side, const double *grid, const double *width, size_t n, size_t *at);
+
 /* p[k] for the motor positions q[k], k = 0 .. count-1. p0 is the state before q[0]; NaN: p0 = q[0].
  * side[k] (NULL: not wanted): the envelope that last moved p, PLAY_INSIDE as long as none did.
  * anchor[k] (NULL: not wanted): the sample that last moved p, -1 as long as none did. At it q[anchor] and p[k] are

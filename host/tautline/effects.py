@@ -284,6 +284,7 @@ def follow(
         None if motor.load_mNm is None else motor.load_mNm - load_reference,
         clock_offset_s,
         np.nan if start_deg is None else float(model.remaining_inverse(start_deg)),
+        model.play.native,
     )
     found = (rising, translation, rotation, *moved)
     if order is None:

@@ -5,18 +5,19 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from tautline import _native
+from tautline.elements import SINGLE, Elements, Play
 from tautline.encoder import between_counts
 from tautline.errors import TautError
 from tautline.quality import Quality
 from tautline.recording import Motor
-from tautline.rig import Rig
+from tautline.rig import ANGLE, MARKER, Rig, Sensor
 
 Array = np.ndarray
 FORMAT = "model/1"
@@ -35,7 +36,7 @@ class Effect:
 
 @dataclass(frozen=True)
 class Model:
-    """c = f_remain(p), p the play's centre coordinate (brief: p_lo, p_hi), widths B(p).
+    """c = f_remain(p), p the play's centre coordinate, widths B(p) between its full strokes, shared by its elements.
 
     `q` is a grid over the actuator's range (rig.actuator.unit); width, width_sigma and c_deg are sampled on it and
     interpolated linearly between its points by everything that simulates (the board does the same with its tables).
@@ -50,9 +51,20 @@ class Model:
     delay_s: float
     measured: tuple[float, float]  # the q_mean that reversals reached
     effects: tuple[Effect, ...] = ()
+    elements: Elements = SINGLE  # of the play, in shares of B
     c_sigma: Array | None = None  # (n,) of c_deg, NaN where unknown; None: a model that was not calibrated
     quality: Quality = field(default_factory=Quality)
     extra: Mapping[str, Any] = field(default_factory=dict)  # onsets, notes, figures' data: what the report shows
+    sensor: Sensor = MARKER  # that was calibrated with: delay_s is its own
+    offset_s: float | None = None  # of the calibration: the sensor's clock less the motor's beyond delay_s
+
+    def delay_of(self, sensor: Sensor) -> float:
+        """How much older than its arrival a sensor's reading is: nominal for one that was not calibrated with."""
+        return self.delay_s if sensor == self.sensor else self.rig.nominal_delay_s(sensor)
+
+    @cached_property
+    def play(self) -> Play:
+        return Play(self.q, self.width, self.elements, self.rig.actuator.encoder_resolution)
 
     def remaining(self, p: npt.ArrayLike) -> Array:
         """f_remain: bending angles, deg, at centre coordinates p of any shape."""
@@ -69,7 +81,7 @@ class Model:
         Effects are not in it: see tautline.effects."""
         p0 = np.nan if start_deg is None else float(self.remaining_inverse(start_deg))
         motor = between_counts(motor, self.rig.actuator.encoder_resolution)
-        return self.remaining(play_at(motor.t_s, motor.q, np.asarray(t_s, dtype=float), self.q, self.width, p0))
+        return self.remaining(play_at(motor.t_s, motor.q, np.asarray(t_s, dtype=float), self.play, p0))
 
     def save(self, folder: str | Path) -> None:
         """Writes model.json and rig.toml."""
@@ -78,8 +90,11 @@ class Model:
             "format": FORMAT,
             "unit": self.rig.actuator.unit,
             **{name: getattr(self, name).tolist() for name in _ARRAYS},
+            "sensor": self.sensor,
             "delay_s": self.delay_s,
+            "offset_s": self.offset_s,
             "measured": list(self.measured),
+            "elements": self.elements.to_json(),
             "effects": [{"id": effect.id, "parameters": dict(effect.parameters)} for effect in self.effects],
             "c_sigma": None if self.c_sigma is None else [v if np.isfinite(v) else None for v in self.c_sigma.tolist()],
             "quality": self.quality.to_json(),
@@ -112,6 +127,9 @@ class Model:
             c_sigma = None if document.get("c_sigma") is None else np.array(document["c_sigma"], dtype=float)
             quality = Quality.from_json(document.get("quality", {"reasons": []}))
             extra = dict(document["extra"])
+            elements = Elements.from_json(document["elements"]) if "elements" in document else SINGLE
+            offset_s = None if document.get("offset_s") is None else float(document["offset_s"])
+            sensor = document.get("sensor")
         except (KeyError, TypeError, ValueError) as error:
             raise TautError(f"{path}: {error!r} is missing or wrong: make it again with taut calibrate") from error
         good = all(a.ndim == 1 and a.shape == q.shape and np.isfinite(a).all() for a in arrays) and len(q) >= 2
@@ -119,7 +137,24 @@ class Model:
         if not (good and is_backlash_table(q, width) and abs(np.sign(np.diff(c_deg)).sum()) == len(q) - 1):
             raise TautError(f"{path}: its tables are not a model's: make the model again with taut calibrate")
         rig = Rig.load(folder / RIG_FILE)
-        return cls(rig, q, width, sigma, c_deg, delay_s, (low, high), effects, c_sigma, quality, extra)
+        if sensor not in (MARKER, ANGLE):
+            sensor = MARKER if rig.has_camera else ANGLE
+        return cls(
+            rig,
+            q,
+            width,
+            sigma,
+            c_deg,
+            delay_s,
+            (low, high),
+            effects,
+            elements,
+            c_sigma,
+            quality,
+            extra,
+            sensor,
+            offset_s,
+        )
 
 
 def is_backlash_table(grid: Array, width: Array) -> bool:
@@ -150,12 +185,12 @@ def interpolate(x: npt.ArrayLike, grid: Array, values: Array) -> Array:
     return np.asarray(np.interp(x, grid, values) + beyond)
 
 
-def play_at(t_s: Array, q: Array, at_s: Array, grid: Array, width: Array, p0: float) -> Array:
+def play_at(t_s: Array, q: Array, at_s: Array, play: Play, p0: float) -> Array:
     """The play's centre coordinate at times at_s (any order), driven by the motor samples (t_s, q) with straight lines
     between them and q held before and after them. p0 is the state before the first sample, NaN: the centre."""
     times = np.concatenate([t_s, at_s])
     positions = np.concatenate([q, np.interp(at_s, t_s, q)])
     order = np.argsort(times, kind="stable")
     p = np.empty(len(times))
-    p[order] = _native.play_forward(positions[order], grid, width, p0)
+    p[order] = play.forward(positions[order], p0)
     return p[len(t_s) :]

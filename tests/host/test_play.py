@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tautline import _native
+from tautline.elements import Play
 from tautline.model import play_at
 
 STEEP = 1.95
@@ -80,4 +81,4 @@ def test_times_in_any_order_and_beyond_the_motor():
     t, q = np.array([0.0, 1.0, 2.0]), np.array([0.0, 4.0, 3.0])
     grid, width = np.array([-10.0, 10.0]), np.array([1.0, 1.0])
     at = np.array([5.0, 0.5, -3.0, 1.0])
-    assert play_at(t, q, at, grid, width, np.nan) == pytest.approx([3.5, 1.5, 0.0, 3.5])
+    assert play_at(t, q, at, Play(grid, width), np.nan) == pytest.approx([3.5, 1.5, 0.0, 3.5])

@@ -45,7 +45,7 @@ def test_the_jacobian_is_the_residuals_slope(seed, with_view):
     for index, size in ((int(rng.integers(cut)), 1e-4), (cut + int(rng.integers(fit.backlash.size)), 2e-6)):
         step = np.zeros(len(gradient))
         step[index] = size
-        slope = (cost(fit._moved(curves, step)) - cost(fit._moved(curves, -step))) / (2 * size)
+        slope = (cost(fit.moved(curves, step)) - cost(fit.moved(curves, -step))) / (2 * size)
         assert -2 * gradient[index] == pytest.approx(slope, rel=0.02, abs=0.02 * np.abs(2 * gradient[:cut]).max())
     later, earlier = (cost(replace(curves, delay_s=0.08 + d)) for d in (2e-3, -2e-3))
     # Over a smaller step the encoder's counts and frames that are on a corner leave the delay's slope ragged.

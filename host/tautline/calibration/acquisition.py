@@ -43,7 +43,7 @@ def doubts(recordings: Sequence[Recording], tracks: Sequence[Track], rig: Rig) -
         found += _frame_size(recordings, tracks, rig, rig.camera)
         found += _rate(recordings, rig.camera)
     for recording, track in zip(recordings, tracks, strict=True):
-        found += _duration(recording, track, rig.delay_s if track.delayed else 0.0)
+        found += _duration(recording, track, rig.nominal_delay_s(track.sensor))
         if recording.marker is not None and track.unit == "px":
             found += _lost(recording, recording.marker, rig)
     return found

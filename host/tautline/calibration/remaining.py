@@ -16,6 +16,7 @@ from tautline.calibration.observations import Track
 from tautline.calibration.place import as_many_as_independent
 from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit, View
 from tautline.calibration.smooth import SPANS, Domain
+from tautline.elements import SINGLE, Elements
 from tautline.geometry import pose, project_with_slope
 from tautline.rig import Rig
 from tautline.splines import Basis
@@ -68,13 +69,20 @@ def posed(track: Track, rig: Rig, delay_s: float) -> Track:
 
 
 def fit_remaining(
-    tracks: Sequence[Track], rig: Rig, domain: Domain, grid: Array, width: Array, delay_s: float, settled_only: bool
+    tracks: Sequence[Track],
+    rig: Rig,
+    domain: Domain,
+    grid: Array,
+    width: Array,
+    delay_s: float,
+    settled_only: bool,
+    elements: Elements = SINGLE,
 ) -> Remaining | None:
     """A monotone penalised spline through image residuals (or angles), B and delay fixed. None where nothing tells."""
     view = view_of(rig) if tracks[0].unit == "px" else None
     basis = Basis(domain.low, domain.high, SPANS)
     frozen = [Frozen.of(track) for track in tracks]
-    simulated = [f.simulate(grid, width, delay_s) for f in frozen]
+    simulated = [f.simulate(grid, width, delay_s, elements) for f in frozen]
     angles = [pose_of(track, rig, delay_s) for track in tracks]
     count = [s.settled if settled_only else s.known for s in simulated]
     p = np.concatenate([s.p[k] for s, k in zip(simulated, count, strict=True)])
@@ -86,6 +94,7 @@ def fit_remaining(
     falling = float(np.polyfit(p - p.mean(), c, 1)[0]) < 0
     fit = _FixedWidth(
         frozen, basis, basis, view=view, fit_backlash=False, fit_delay=False, settled_only=settled_only,
+        elements=elements,
         rising=-1.0 if falling else 1.0, least_slope=_LEAST_SLOPE * abs(rig.coarse.gain),
         slope_unit=abs(rig.coarse.gain),
     )  # fmt: skip

@@ -25,7 +25,7 @@ from tautline.cli._live import LiveOptions, live_options, opened
 from tautline.errors import UnusableError
 from tautline.folders import check_replaceable
 from tautline.model import MODEL_FILE
-from tautline.recording import load
+from tautline.recording import load, shifted
 
 
 @click.command("calibrate")
@@ -106,7 +106,7 @@ def _from_recordings(
     with progress_bar("calibrating") as progress:
         recordings = [tracked(recording, rig, progress) for recording in recordings]
         found = calibrate(recordings, rig, options, progress)
-        return found, report.save_model(found.model, recordings, out)
+        return found, report.save_model(found.model, shifted(recordings, found.offsets), out)
 
 
 def _live(
@@ -131,4 +131,5 @@ def _live(
     ):
         found, made = calibrate_live(setup, kept, motion, options, video, progress)
     log(f"taut: {made.reversals} reversals in {made.seconds:.0f} s, recorded in {kept}")
-    return found, report.save_model(found.model, [load(kept, found.model.rig)], out)
+    recordings = shifted([load(kept, found.model.rig)], found.offsets)
+    return found, report.save_model(found.model, recordings, out)

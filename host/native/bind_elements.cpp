@@ -1,0 +1,110 @@
+#include "arrays.h"
+#include "play.h"
+#include "plays.h"
+
+#include <algorithm>
+#include <cmath>
+#include <nanobind/stl/pair.h>
+#include <stdexcept>
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace {
+
+using Values = ArrayIn<double>;
+
+std::vector<double> copied(const Values &values) {
+    return {values.data(), values.data() + values.shape(0)};
+}
+
+void refuse(const char *why) {
+    throw std::invalid_argument(why);
+}
+
+bool rises(const std::vector<double> &values) {
+    return std::all_of(values.begin(), values.end(), [](double v) { return std::isfinite(v); }) &&
+           std::adjacent_find(values.begin(), values.end(), [](double a, double b) { return !(a < b); }) ==
+               values.end();
+}
+
+void check(const Plays &self) {
+    if (self.grid.size() != self.width.size() ||
+        !play_table_valid(self.grid.data(), self.width.data(), self.grid.size())) {
+        refuse("elements: not a backlash table (grid rising, width >= 0, |width'| < 2, all finite)");
+    }
+    if (self.warp_q.size() < 2 || self.warp_q.size() != self.warp_x.size() || !rises(self.warp_q) ||
+        !rises(self.warp_x)) {
+        refuse("elements: a warp needs two rising columns of one length, 2 or more");
+    }
+    double weight = 0.0, mean = 0.0;
+    for (size_t i = 0; i < self.r.size() && i < self.w.size(); i++) {
+        weight += self.w[i] > 0.0 ? self.w[i] : NAN;
+        mean += self.w[i] * self.r[i];
+    }
+    if (self.r.empty() || self.r.size() > ELEMENTS_MAX || self.r.size() != self.w.size() || !rises(self.r) ||
+        self.r[0] < 0.0 || !(std::fabs(weight - 1.0) < 1e-9) || !(std::fabs(mean - 0.5) < 1e-9)) {
+        refuse("elements: 1 to 7, 0 <= r rising, w > 0, sum w = 1, sum w r = 1/2");
+    }
+    if (!(self.narrow >= 0.0)) {
+        refuse("elements: narrow is negative");
+    }
+}
+
+} // namespace
+
+void bind_elements(nb::module_ &m) {
+    m.attr("ELEMENTS_MAX") = static_cast<int>(ELEMENTS_MAX);
+    nb::class_<Plays>(m, "Plays", "Several play elements on one backlash table. See elements.h.")
+        .def(
+            "__init__",
+            [](Plays *self, Values grid, Values width, Values warp_q, Values warp_x, Values r, Values w,
+               double narrow) {
+                new (self)
+                    Plays{copied(grid), copied(width), copied(warp_q), copied(warp_x), copied(r), copied(w), narrow};
+                check(*self);
+            },
+            "grid"_a, "width"_a, "warp_q"_a, "warp_x"_a, "r"_a, "w"_a, "narrow"_a)
+        .def(
+            "forward",
+            [](const Plays &self, Values q, double p0) {
+                auto p = new_array<double>(q.shape(0));
+                auto side = new_array<int8_t>(q.shape(0));
+                const auto e = self.view();
+                {
+                    nb::gil_scoped_release unlocked;
+                    elements_forward(&e, q.data(), q.shape(0), p0, p.data(), side.data(), nullptr, nullptr);
+                }
+                return std::make_pair(p, side);
+            },
+            "q"_a, "p0"_a,
+            "(p, side) at motor positions q (n,); p0 NaN: on the centre, p = q[0]; side: the envelope that last held "
+            "all.")
+        .def(
+            "trace",
+            [](const Plays &self, Values q, double p0) {
+                auto p = new_array<double>(q.shape(0));
+                auto side = new_array<int8_t>(q.shape(0));
+                auto lean = new_array<double>(q.shape(0));
+                auto share = new_array<double>(q.shape(0));
+                const auto e = self.view();
+                {
+                    nb::gil_scoped_release unlocked;
+                    elements_forward(&e, q.data(), q.shape(0), p0, p.data(), side.data(), lean.data(), share.data());
+                }
+                return nb::make_tuple(p, side, lean, share);
+            },
+            "q"_a, "p0"_a, "(p, side, lean, share): also dp/dB = -lean / 2 and dp/dq = share.")
+        .def(
+            "inverse",
+            [](const Plays &self, Values p, double q0, double p0) {
+                auto q = new_array<double>(p.shape(0));
+                const auto e = self.view();
+                {
+                    nb::gil_scoped_release unlocked;
+                    elements_inverse(&e, p.data(), p.shape(0), q0, p0, q.data());
+                }
+                return q;
+            },
+            "p"_a, "q0"_a, "p0"_a, "Motor positions that lead the centre coordinate along p (n,).");
+}

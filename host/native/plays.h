@@ -1,0 +1,19 @@
+// Several play elements as a Python object: its own copy of all that struct elements points at.
+#ifndef TAUTLINE_NATIVE_PLAYS_H
+#define TAUTLINE_NATIVE_PLAYS_H
+
+#include "elements.h"
+
+#include <vector>
+
+struct Plays {
+    std::vector<double> grid, width, warp_q, warp_x, r, w;
+    double narrow;
+
+    struct elements view() const {
+        return {grid.data(), width.data(), grid.size(), {warp_q.data(), warp_x.data(), warp_q.size()},
+                r.data(),    w.data(),     r.size(),    narrow};
+    }
+};
+
+#endif

@@ -1,0 +1,371 @@
+"""Variance components of a calibration: what a play with one delay does not hold, found and allowed for.
+
+The joint fit's residuals are a mixed model, r = J d(theta) + sum_k Z_k u_k + e, u_k ~ N(0, s_k^2 P_k^-1): theta are
+path, B and delay, each Z_k one way in which a real instrument, clock or camera departs from the model. A component is
+added where the restricted likelihood gains by it, its variance is that likelihood's maximum (Fellner-Schall steps), and
+from then on it is estimated beside B and adds to B's covariance (Henderson's equations). What is not there is free.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+from scipy.linalg import cho_factor, cho_solve, eigh
+
+from tautline.calibration.departures import Columns, Part, Scene, Sparse, departures, on_clock, scene_of
+from tautline.calibration.playfit import Curves, Fitted, PlayFit
+from tautline.rig import Rig
+
+Array = npt.NDArray[np.float64]
+
+_GAIN = 20.0  # of twice the restricted log likelihood, for a component; noise alone gives 5 to 8
+_ROUNDS = 14  # linearisations at most
+_AT_ONCE = 2  # components that may join at one linearisation
+_STEPS = 6  # of the variances, at one linearisation
+_PENALTIES = np.logspace(-6, 3, 19)  # of a component's own information
+_MOST, _LEAST = 1e12, 1e-12
+_SHARES = (1.0, 0.5, 0.2)  # of a step, tried in turn
+_WORSE = 1.02  # of what was left, from which a step leads too far
+_STILL = 0.05  # a change of B, in its sigma, that is none
+_COUNT = 0.29  # of an encoder's step: the standard deviation of a place within it
+_SHOWS = 0.3  # of the noise: an encoder's count that moves the image by more shows
+_FEW = 30  # frames that tell no scatter
+_CORRECTS = 0.3  # of a component's correction of B: what it may be off by
+_LAGS = 60  # frames of autocorrelation
+
+
+@dataclass(frozen=True)
+class Component:
+    """What was found of one departure."""
+
+    name: str
+    rms: float  # of what is lost without it, in the stated noise
+    chi2: float  # what is lost without it, over the noise's variance
+    shift: Array  # (grid,) by how much B would be another without it
+    values: Array
+
+
+@dataclass(frozen=True)
+class Components:
+    """B with all components beside it, as it is when the session ends. Arrays on the joint fit's grid."""
+
+    curves: Curves
+    width: Array
+    sigma: Array  # of B, model error included
+    noise_sigma: Array  # of B if there were nothing but the noise of single frames
+    delay_sigma: float
+    noise: float  # rms over the stated noise of what no component explains
+    moving: float  # the same of frames at which the tip moves, over that of the others
+    effective: float  # frames for each independent one
+    parts: tuple[Component, ...]  # strongest first
+    clock: Array  # (2,) seconds by which the sensor's clock departs, linear and quadratic over the session
+
+    def applied(self, fitted: Fitted) -> Fitted:
+        """The joint fit as it is with the components taken into account."""
+        fit = replace(fitted.fit, tracks=on_clock(fitted.fit.tracks, self.clock), smoothing=fitted.fit.smoothing)
+        rows, masks = fit.residuals(self.curves)
+        return replace(
+            fitted, fit=fit, curves=self.curves, rows=rows, masks=masks, scale=self.noise, spread=self.sigma,
+            delay_spread=self.delay_sigma,
+        )  # fmt: skip
+
+
+def separate(fitted: Fitted, rig: Rig, without: frozenset[str] = frozenset()) -> Components:
+    """Re-estimates B with what departs from the model beside it, from the joint fit as it stands. without: departures
+    that the fit itself holds."""
+    return _Separation(fitted, rig, without).run()
+
+
+@dataclass
+class _Separation:
+    fitted: Fitted
+    rig: Rig
+    without: frozenset[str] = frozenset()
+    active: list[str] = field(default_factory=list)
+    penalties: dict[str, float] = field(default_factory=dict)
+    refused: set[str] = field(default_factory=set)  # that would have to be negative
+    moving_noise: float = 1.0  # of frames at which the tip moves, over that of the others
+
+    def run(self) -> Components:
+        self._expect_turns()
+        solved = self._at(self.fitted.curves, np.zeros(2), Columns())
+        for _ in range(_ROUNDS):
+            joined = solved.join()
+            self.moving_noise = solved.moving_noise()
+            columns = solved.scanned()
+            if not joined and not solved.changes:
+                break
+            ahead = self._ahead(solved, columns)
+            if ahead is None:
+                break
+            solved = ahead
+        return solved.result()
+
+    def _expect_turns(self) -> None:
+        """Where an encoder's count shows in the image the motor's turns are known no better, whatever else is there."""
+        fit, count = self.fitted.fit, _COUNT * self.rig.actuator.encoder_resolution
+        steep = np.linalg.norm(fit.follow.slope(self.fitted.curves.follow, fit.grid).reshape(len(fit.grid), -1), axis=1)
+        sigma = float(np.median(np.concatenate([frozen.track.sigma for frozen in fit.tracks])))
+        if count * float(np.median(steep)) > _SHOWS * sigma:
+            self.active.append("turn")
+            self.penalties["turn"] = (self.fitted.scale / count) ** 2
+
+    def _at(self, curves: Curves, clock: Array, columns: Columns) -> _Solved:
+        scene = scene_of(self.fitted, curves, self.rig, clock)
+        parts = [part for part in departures(scene, columns) if part.name not in self.without]
+        solved = _Solved(self, curves, scene, parts, clock, columns)
+        solved.settle()
+        return solved
+
+    def _ahead(self, solved: _Solved, columns: Columns) -> _Solved | None:
+        """The model solved again where its step leads, or less far; None where it gets worse all the same."""
+        penalties = dict(self.penalties)
+        for share in _SHARES:
+            curves = between(solved.curves, solved.moved, share)
+            there = self._at(curves, solved.clock + share * solved.clock_step, columns)
+            if there.noise < _WORSE * solved.noise:
+                return there
+            self.penalties = dict(penalties)
+        return None
+
+
+def between(start: Curves, end: Curves, share: float) -> Curves:
+    return Curves(
+        start.backlash + share * (end.backlash - start.backlash),
+        start.follow + share * (end.follow - start.follow),
+        start.delay_s + share * (end.delay_s - start.delay_s),
+    )
+
+
+def nominal_columns(fit: PlayFit, scene: Scene) -> Sparse:
+    """Of path (channel by channel), B and delay."""
+    path = sparse.diags(scene.inverse) @ fit.follow.design(scene.p)
+    by_width = sparse.diags(scene.by_width) @ fit.backlash.design(scene.p)
+    shared = sparse.csr_matrix(sparse.hstack([by_width, sparse.csr_matrix(scene.by_delay[:, None])]))
+    return sparse.csr_matrix(sparse.hstack([scene.each(path), scene.along(shared)]))
+
+
+class _Solved:
+    """The mixed model at one linearisation: normal equations of path, B, delay and all departures."""
+
+    def __init__(
+        self, owner: _Separation, curves: Curves, scene: Scene, parts: list[Part], clock: Array, columns: Columns
+    ) -> None:
+        self.owner, self.curves, self.scene, self.clock, self.columns = owner, curves, scene, clock, columns
+        self.fit = fit = owner.fitted.fit
+        nominal = nominal_columns(fit, scene)
+        design = sparse.hstack([nominal, *(part.columns for part in parts)], format="csr")
+        self.design = design
+        moving = np.where(scene.moving, owner.moving_noise**-2, 1.0)
+        self.weight = np.tile(scene.weight * moving, scene.rows.shape[1])
+        self.target = scene.rows.T.ravel()
+        heavy = sparse.csr_matrix(design.multiply(self.weight[:, None]))
+        self.gram = np.asarray((heavy.T @ design).toarray())
+        self.force = np.asarray(heavy.T @ self.target).ravel()
+        self.total = float(self.weight @ self.target**2)
+        self.head = int(nominal.shape[1])
+        ends = np.cumsum([self.head, *(part.size for part in parts)])
+        self.parts = {part.name: part for part in parts}
+        self.places = {part.name: np.arange(a, b) for part, a, b in zip(parts, ends[:-1], ends[1:], strict=True)}
+        self.noise = owner.fitted.scale
+        self.base, self.pull = fit.penalty(curves, max(self.noise, 1e-6))
+
+    # ---- the active components
+
+    def settle(self) -> None:
+        """Solves with the active components, whose variances move towards the likelihood's maximum."""
+        self.owner.active = [name for name in self.owner.active if name in self.parts]
+        self._solve()
+        for _ in range(_STEPS if self.owner.active else 0):
+            if not self._adapt():
+                break
+            self._solve()
+
+    def _solve(self) -> None:
+        self.kept = np.concatenate([np.arange(self.head), *(self.places[name] for name in self.owner.active)])
+        system = self.gram[np.ix_(self.kept, self.kept)].copy()
+        system[: self.head, : self.head] += self.base
+        for name, at in self._blocks():
+            system[np.ix_(at, at)] += self.owner.penalties[name] * self.parts[name].penalty
+        diagonal = np.diag_indices_from(system)
+        system[diagonal] += 1e-10 * system[diagonal] + 1e-12 * float(np.mean(system[diagonal]))
+        pull = np.zeros(len(self.kept))
+        pull[: self.head] = self.pull
+        factor = cho_factor(system, check_finite=False)
+        self.inverse = np.asarray(cho_solve(factor, np.eye(len(system)), check_finite=False))
+        self.values = self.inverse @ (self.force[self.kept] - pull)
+        gram = self.gram[np.ix_(self.kept, self.kept)]
+        squares = self.total - 2 * float(self.values @ self.force[self.kept]) + float(self.values @ gram @ self.values)
+        count = float(self.weight.sum()) - float(np.sum(self.inverse * gram))
+        self.noise = float(np.sqrt(max(squares, 1e-12) / max(count, 1.0)))
+
+    def _blocks(self) -> list[tuple[str, npt.NDArray[np.intp]]]:
+        """Where the active components are among what is solved for."""
+        found, at = [], self.head
+        for name in self.owner.active:
+            size = self.parts[name].size
+            found.append((name, np.arange(at, at + size)))
+            at += size
+        return found
+
+    def _adapt(self) -> bool:
+        changed = False
+        for name, at in self._blocks():
+            now, penalty = self.owner.penalties[name], self.parts[name].penalty
+            used = len(at) - now * float(np.sum(self.inverse[np.ix_(at, at)] * penalty))
+            size = float(self.values[at] @ penalty @ self.values[at])
+            ratio = self.noise**2 * max(used, 1e-4) / max(now * size, 1e-30)
+            then = float(np.clip(now * np.clip(ratio**1.5, 0.01, 100.0), _LEAST, _MOST))
+            changed |= abs(np.log(then / now)) > 0.1
+            self.owner.penalties[name] = then
+        return changed
+
+    # ---- further ones
+
+    def join(self) -> bool:
+        """Adds what the restricted likelihood gains most by, if it is enough."""
+        joined = False
+        for _ in range(_AT_ONCE):
+            active = set(self.owner.active) | self.owner.refused
+            open_parts = [p for p in self.parts.values() if p.name not in active and not p.not_beside & active]
+            gains = {part.name: self._gain(part) for part in open_parts}
+            if not gains:
+                break
+            name = max(gains, key=lambda each: gains[each][0] - self.parts[each].price)
+            if gains[name][0] < (_GAIN + self.parts[name].price) * self._effective():
+                break
+            self.owner.active.append(name)
+            self.owner.penalties[name] = gains[name][1]
+            self.settle()
+            if self.parts[name].one_way and self.values[dict(self._blocks())[name][0]] < 0:
+                self.owner.active.remove(name)
+                self.owner.refused.add(name)
+                self.settle()
+            joined = True
+        return joined
+
+    def _gain(self, part: Part) -> tuple[float, float]:
+        """By how much twice the restricted log likelihood grows with this part, at its best penalty."""
+        at = self.places[part.name]
+        across = self.gram[np.ix_(self.kept, at)]
+        information = self.gram[np.ix_(at, at)] - across.T @ self.inverse @ across
+        force = self.force[at] - across.T @ self.values
+        roots, vectors = eigh(information, part.penalty, check_finite=False)
+        roots = np.maximum(roots, 0.0)
+        squares = (vectors.T @ force) ** 2 / max(self.noise**2, 1e-30)
+        if not roots.max() > 0:
+            return 0.0, 1.0
+        penalties = _PENALTIES * float(roots.max())
+        gains = [float(np.sum(squares / (roots + each) - np.log1p(roots / each))) for each in penalties]
+        best = int(np.argmax(gains))
+        return gains[best], float(penalties[best])
+
+    def _left(self) -> Array:
+        """(n, channels) what is not explained."""
+        left = self.target - self.design[:, self.kept] @ self.values
+        return np.asarray(left.reshape(self.scene.rows.shape[1], -1).T)
+
+    def moving_noise(self) -> float:
+        """Scatter from frame to frame where the tip moves, over that where it rests."""
+        step = np.mean(np.diff(self._left(), axis=0) ** 2, axis=1)
+        moves = self.scene.moving[1:] & self.scene.moving[:-1]
+        rests = ~self.scene.moving[1:] & ~self.scene.moving[:-1]
+        if moves.sum() < _FEW or rests.sum() < _FEW:
+            return 1.0
+        return float(np.clip(np.sqrt(np.median(step[moves]) / max(float(np.median(step[rests])), 1e-30)), 1.0, 30.0))
+
+    def _effective(self) -> float:
+        return effective(self._left())
+
+    def scanned(self) -> Columns:
+        """The moment of a shift and the rhythm of a breath that fit what is left; those in use stay."""
+        return self.columns.scanned(self.scene, self._left(), set(self.owner.active))
+
+    # ---- what it says
+
+    @property
+    def moved(self) -> Curves:
+        return self.fit.moved(self.curves, self.values[: self.head])
+
+    @property
+    def clock_step(self) -> Array:
+        steps = np.zeros(2)
+        for i, name in enumerate(("clock.rate", "clock.drift")):
+            if name in self.owner.active:
+                steps[i] = self.values[dict(self._blocks())[name][0]]
+        return steps
+
+    @property
+    def changes(self) -> bool:
+        """Whether B is another than where this was linearised."""
+        shift = np.abs(self._width_step(self.values))
+        return bool(shift.max() > _STILL * float(np.median(self._width_sigma())))
+
+    def _width_columns(self) -> tuple[slice, Array]:
+        cut = self.curves.follow.size
+        return slice(cut, cut + self.fit.backlash.size), np.asarray(self.fit.backlash.design(self.fit.grid).toarray())
+
+    def _width_step(self, values: Array) -> Array:
+        block, design = self._width_columns()
+        return np.asarray(design @ values[block])
+
+    def _width_sigma(self, inverse: Array | None = None) -> Array:
+        block, design = self._width_columns()
+        covariance = (self.inverse if inverse is None else inverse)[block, block]
+        return np.asarray(self.noise * np.sqrt(np.maximum(np.sum((design @ covariance) * design, axis=1), 0.0)))
+
+    def result(self) -> Components:
+        left = self._left()
+        number = effective(left)
+        alone = self.gram[: self.head, : self.head] + self.base
+        alone[np.diag_indices_from(alone)] += 1e-10 * float(np.mean(np.diag(alone)))
+        plain, own = self._width_sigma(np.asarray(np.linalg.inv(alone))), self._width_sigma()
+        # What single frames tell is worth less where their residuals go together; components have their own share.
+        # A linear correction is right to a share of itself.
+        parts = sorted((self._component(name, at) for name, at in self._blocks()), key=lambda part: -part.chi2)
+        corrected = sum((np.mean(part.shift**2) for part in parts), 0.0)
+        sigma = np.sqrt(np.maximum(own**2 - plain**2, 0.0) + number * plain**2 + _CORRECTS**2 * corrected)
+        moved = self.moved
+        curves = replace(moved, backlash=self._at_the_end(moved.backlash))
+        changed = float(np.mean((curves.backlash - moved.backlash) ** 2))
+        sigma = np.sqrt(sigma**2 + _CORRECTS**2 * changed)
+        delay = self.noise * float(np.sqrt(number * self.inverse[self.head - 1, self.head - 1]))
+        power = np.mean(left**2, axis=1)
+        moves = self.scene.moving
+        rests = np.mean(power[~moves]) if (~moves).sum() > _FEW else np.mean(power)
+        moving = np.sqrt(np.mean(power[moves]) / max(float(rests), 1e-30)) if moves.any() else 1.0
+        return Components(
+            curves, self.fit.width(curves), sigma, plain, delay, self.noise, float(moving), number,
+            tuple(parts), self.clock + self.clock_step,
+        )  # fmt: skip
+
+    def _at_the_end(self, backlash: Array) -> Array:
+        """B as it is when the session ends, of slow strokes: the others are wider by what a departure says."""
+        values = {name: self.values[at] for name, at in self._blocks() if name.startswith("width.")}
+        grown = 1.0 + 0.5 * float(values["width.time"][0]) if "width.time" in values else 1.0
+        grown += float(values["width.recording"][-1]) if "width.recording" in values else 0.0
+        faster = float(values["width.speed"][0]) if "width.speed" in values else 0.0
+        return np.maximum(backlash * grown - faster, 0.0)
+
+    def _component(self, name: str, at: npt.NDArray[np.intp]) -> Component:
+        values = self.values[at]
+        own = self.inverse[np.ix_(at, at)]
+        pulled = np.linalg.solve(own + 1e-12 * float(np.trace(own)) / len(at) * np.eye(len(at)), values)
+        chi2 = float(values @ pulled) / max(self.noise**2, 1e-30)
+        rms = self.noise * float(np.sqrt(max(chi2, 0.0) / max(float(self.weight.sum()), 1.0)))
+        return Component(name, rms, chi2, self._width_step(-self.inverse[:, at] @ pulled), values)
+
+
+def effective(left: Array) -> float:
+    """Frames for each independent one: 1 + 2 sum of the residuals' autocorrelation, while it is positive."""
+    clipped = np.clip(left / max(float(np.sqrt(np.mean(left**2))), 1e-30), -4.0, 4.0)
+    power, total = float(np.mean(clipped**2)), 1.0
+    for lag in range(1, min(_LAGS, len(clipped) // 4)):
+        rho = float(np.mean(clipped[lag:] * clipped[:-lag])) / power
+        if rho < 2.0 / np.sqrt(clipped.size):
+            break
+        total += 2.0 * rho
+    return total

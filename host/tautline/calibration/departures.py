@@ -1,0 +1,332 @@
+"""How an instrument, its clock or its camera may depart from a play with one delay: columns for a mixed model.
+
+Each departure is a linear change of what the sensor sees, frame by frame, with a roughness or size that its variance
+multiplies. Those of the transmission move p and so the image along the path; those of the camera move the image.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence, Set
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+from scipy.interpolate import BSpline
+from scipy.signal import lfilter
+
+from tautline import _native
+from tautline.calibration.observations import Mask, turning_hysteresis
+from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit, Simulated
+from tautline.elements import Play
+from tautline.recording import Motor
+from tautline.rig import Rig
+
+Array = npt.NDArray[np.float64]
+Sparse = Any  # a scipy.sparse matrix, or an array
+
+# Of the travel since a turn, in widths: where what follows a reversal is told apart; beyond the last, nothing.
+_PHASES = np.array([0.0, 0.12, 0.25, 0.4, 0.55, 0.7, 0.85, 0.95, 1.05, 1.15, 1.3, 1.5, 1.75, 2.0])
+_TIMES = 10  # spans of slow drifts
+_LAGS_S, _CREEPS_S = (0.02, 0.05, 0.1, 0.2), (0.6, 2.0)
+_FINE_S = 0.005  # of the path that lags
+_BREATHS_HZ = 0.08, 1.0
+_SCAN = 12.0  # what looking for a moment or a rhythm costs, of twice the log likelihood
+
+
+@dataclass(frozen=True)
+class Part:
+    """One departure's columns for every row, channel by channel: (channels * n, m)."""
+
+    name: str
+    columns: sparse.csr_matrix
+    penalty: Array  # (m, m)
+    one_way: bool = False  # its only value cannot be negative
+    not_beside: frozenset[str] = frozenset()  # departures that it would stand in for
+    price: float = 0.0  # for having been looked for
+
+    @property
+    def size(self) -> int:
+        return int(self.columns.shape[1])
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The counted frames of all tracks, one after the other, at one state of the fit."""
+
+    time_s: Array  # (n,) of the session
+    t: Array  # the same, -1/2 to 1/2
+    p: Array
+    side: Array
+    slope: Array  # (n, channels) of the whitened path
+    width: Array  # B(p)
+    by_width: Array  # dp/dB
+    by_delay: Array
+    speed: Array  # of the motor where the tip moves
+    moving: Mask
+    phase: Array  # travel since the motor turned, in widths
+    way: Array  # of the motor since then
+    stroke: npt.NDArray[np.intp]  # half-cycle of the tip
+    recording: npt.NDArray[np.intp]
+    lagging: Array  # (n, 3) what lags would add to p, per s
+    creeping: Array  # (n, 2) what creep would, per share
+    load: Array | None  # less its mean
+    inverse: Array  # 1 / stated noise
+    rows: Array  # (n, channels) whitened residuals
+    weight: Array
+
+    def along(self, columns: Sparse) -> sparse.csr_matrix:
+        """Columns of p as columns of what is seen, channel by channel."""
+        tall = sparse.vstack([sparse.csr_matrix(columns)] * self.slope.shape[1])
+        return sparse.csr_matrix(tall.multiply(self.slope.T.reshape(-1, 1)))
+
+    def each(self, columns: Sparse) -> sparse.csr_matrix:
+        """The same columns for every channel of the image, apart."""
+        return sparse.csr_matrix(sparse.block_diag([sparse.csr_matrix(columns)] * self.slope.shape[1]))
+
+
+@dataclass(frozen=True)
+class Columns:
+    """What is looked for in what is left: when a shift happened, s, and how often something breathes, Hz."""
+
+    shift_s: float | None = None
+    breath_hz: float | None = None
+
+    def scanned(self, scene: Scene, left: Array, used: Set[str]) -> Columns:
+        found = self
+        if "image.shift" not in used:
+            found = replace(found, shift_s=_shift_time(scene.time_s, left))
+        if "image.breath" not in used:
+            found = replace(found, breath_hz=_rhythm(scene.time_s, left))
+        return found
+
+
+def scene_of(fitted: Fitted, curves: Curves, rig: Rig, clock: Array) -> Scene:
+    """clock (2,): how far the sensor's clock departs, s, linear and quadratic over the session; taken out here."""
+    fit = fitted.fit
+    begins, first, length = _session(fit.tracks)
+    tracks = on_clock(fit.tracks, clock)
+    there = replace(fit, tracks=tracks, smoothing=fit.smoothing)
+    rows, masks = there.residuals(curves)
+    usual = max(float(np.median(there.width(curves))), 1e-3 * float(fit.grid[-1] - fit.grid[0]))
+    pieces = [
+        _piece(there, curves, frozen, sim, r, mask, w, usual, rig, begin)
+        for frozen, sim, r, mask, w, begin in zip(
+            tracks, there.simulated, rows, masks, fitted.weights, begins, strict=True
+        )
+    ]
+    before = 0
+    for piece in pieces:
+        piece["stroke"] = piece["stroke"] + before
+        before = int(piece["stroke"].max(initial=before - 1)) + 1
+    for number, piece in enumerate(pieces):
+        piece["recording"] = np.full(len(piece["p"]), number)
+    load = None if any(piece["load"] is None for piece in pieces) else np.concatenate([p["load"] for p in pieces])
+    joined = {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0] if name != "load"}
+    norm = np.sqrt(np.mean(joined["rows"] ** 2, axis=1))
+    limit = 4.0 * max(1.4826 * float(np.median(norm)), 1e-9)
+    joined["weight"] = np.minimum(joined["weight"], limit / np.maximum(norm, limit))
+    time_s = joined.pop("time_s")
+    return Scene(
+        time_s=time_s, t=(time_s - first) / length - 0.5, load=None if load is None else load - load.mean(), **joined
+    )
+
+
+def departures(scene: Scene, looked_for: Columns) -> list[Part]:
+    hats = _hats(scene.phase, _PHASES)[:, :-1]
+    smooth, one = _smooth(hats.shape[1]), np.eye(1)
+    slow = _slow_basis(scene.t)
+    n, channels = len(scene.p), scene.slope.shape[1]
+    strokes = int(scene.stroke.max(initial=0)) + 1
+    each = sparse.csr_matrix((np.ones(n), (np.arange(n), scene.stroke)), shape=(n, strokes))
+    held = sparse.csr_matrix(each.multiply((~scene.moving)[:, None]))
+    speeds = np.abs(scene.speed)
+    usual = float(np.mean(speeds[scene.moving])) if scene.moving.any() else 0.0
+    faster = np.where(scene.moving, speeds / max(usual, 1e-12) - 1.0, 0.0)
+
+    def column(name: str, values: Array, *not_beside: str) -> Part:
+        return Part(name, scene.along(values[:, None]), one, False, frozenset(not_beside))
+
+    def slow_parts(name: str, times_s: tuple[float, ...], columns: Array) -> list[Part]:
+        """One of several time constants."""
+        names = frozenset(f"{name}.{tau:g}" for tau in times_s)
+        return [
+            Part(f"{name}.{tau:g}", scene.along(columns[:, [i]]), one, True, names) for i, tau in enumerate(times_s)
+        ]
+
+    parts = [
+        Part("phase.even", scene.along(hats.multiply(scene.way[:, None])), smooth, False, frozenset({"width.speed"})),
+        Part("phase.odd", scene.along(hats), smooth),
+        Part("stroke", scene.along(each), np.eye(strokes)),
+        Part("turn", scene.along(held), np.eye(strokes)),
+        Part("offset.time", scene.along(slow), _smooth(slow.shape[1])),
+        column("width.time", scene.by_width * scene.width * scene.t),
+        column("width.speed", scene.by_width * faster, "phase.even"),
+        column("clock.rate", scene.by_delay * scene.t),
+        column("clock.drift", scene.by_delay * (scene.t**2 - 1 / 12)),
+        *slow_parts("lag", _LAGS_S, scene.lagging),
+        *slow_parts("creep", _CREEPS_S, scene.creeping),
+    ]
+    if scene.load is not None and np.ptp(scene.load) > 0:
+        load = scene.load / np.std(scene.load)
+        effects = np.column_stack([load, scene.by_width * load, (scene.p - scene.p.mean()) * load])
+        parts.append(Part("load", scene.along(effects), np.eye(3)))
+    recordings = int(scene.recording.max(initial=0)) + 1
+    if recordings > 1:
+        which = np.eye(recordings)[scene.recording]
+        parts += [
+            Part("offset.recording", scene.along(which), np.eye(recordings)),
+            Part("width.recording", scene.along(which * (scene.by_width * scene.width)[:, None]), np.eye(recordings)),
+        ]
+    if channels > 1:
+        parts += [
+            Part(
+                "image.time",
+                scene.each(slow),
+                _smooth(slow.shape[1], channels),
+            ),
+            Part("image.stroke", scene.each(each), np.eye(channels * strokes)),
+            Part("image.side", scene.each(scene.side[:, None]), np.eye(channels)),
+        ]
+        if looked_for.shift_s is not None:
+            after = (scene.time_s >= looked_for.shift_s).astype(float)[:, None]
+            parts.append(Part("image.shift", scene.each(after * _places(scene)), np.eye(3 * channels), price=_SCAN))
+        if looked_for.breath_hz is not None:
+            turn = 2 * np.pi * looked_for.breath_hz * scene.time_s
+            waves = np.column_stack([np.cos(turn), np.sin(turn)])
+            parts.append(Part("image.breath", scene.each(waves), np.eye(2 * channels), price=_SCAN))
+    return parts
+
+
+def _places(scene: Scene) -> Array:
+    """(n, 3): a rigid transform moves each place of the path in its own way."""
+    x = (scene.p - scene.p.mean()) / max(float(np.std(scene.p)), 1e-12)
+    return np.column_stack([np.ones_like(x), x, x**2 - 1])
+
+
+def on_clock(tracks: Sequence[Frozen], clock: Array) -> list[Frozen]:
+    """The tracks with the departure of their clock (see `scene_of`) taken out."""
+    begins, first, length = _session(tracks)
+    corrected = []
+    for frozen, begin in zip(tracks, begins, strict=True):
+        t = (frozen.track.t_s + begin - first) / length - 0.5
+        departs = clock[0] * t + clock[1] * (t**2 - 1 / 12)
+        corrected.append(replace(frozen, track=replace(frozen.track, t_s=frozen.track.t_s - departs)))
+    return corrected
+
+
+def _session(tracks: Sequence[Frozen]) -> tuple[list[float], float, float]:
+    """What is added to each track's times (recordings on clocks of their own follow each other), start and length."""
+    begins, end = [], -np.inf
+    for frozen in tracks:
+        t = frozen.track.t_s
+        begins.append(0.0 if t[0] >= end else float(end - t[0]))
+        end = float(t[-1]) + begins[-1]
+    first = float(tracks[0].track.t_s[0])
+    return begins, first, max(end - first, 1e-9)
+
+
+def _piece(
+    fit: PlayFit, curves: Curves, frozen: Frozen, sim: Simulated, rows: Array, keep: Mask, weights: Array,
+    usual: float, rig: Rig, begin: float,
+) -> dict[str, Array]:  # fmt: skip
+    """What `Scene` holds, of one track."""
+    track = frozen.track
+    scene_s = track.scene_s(curves.delay_s)
+    gone, way = _since_turn(track.motor, scene_s[keep], rig)
+    p, side, moving = sim.p[keep], sim.side[keep].astype(float), sim.moving[keep]
+    lean, share = sim.lean[keep], sim.share[keep]
+    denominator = np.maximum(1.0 + 0.5 * lean * fit.backlash.slope(curves.backlash, p), 0.05)
+    inverse = 1.0 / track.sigma[keep]
+    stroke = np.cumsum(np.diff(sim.side.astype(int), prepend=sim.side[:1]) != 0)
+    width = np.interp(p, fit.grid, fit.width(curves))
+    load = track.motor.load_mNm
+    fine = np.arange(track.motor.t_s[0], track.motor.t_s[-1], _FINE_S)
+    course = Play(fit.grid, fit.width(curves), fit.elements).forward(track.motor_at(fine))
+
+    def behind(times_s: tuple[float, ...]) -> Array:
+        return np.column_stack([np.interp(scene_s[keep], fine, _low_pass(course, tau) - course) for tau in times_s])
+
+    return {
+        "time_s": track.t_s[keep] + begin,
+        "p": p,
+        "side": side,
+        "slope": fit.follow.slope(curves.follow, p).reshape(len(p), curves.follow.shape[1]) * inverse[:, None],
+        "width": width,
+        "by_width": -0.5 * lean / denominator,
+        "by_delay": -sim.speed[keep] * share / denominator,
+        "speed": sim.speed[keep] * moving,
+        "moving": moving,
+        "phase": gone / np.maximum(width, 0.2 * usual),
+        "way": way,
+        "stroke": stroke[keep],
+        "lagging": behind(_LAGS_S) / np.array(_LAGS_S),
+        "creeping": behind(_CREEPS_S),
+        "load": None if load is None else np.interp(scene_s[keep], track.motor.t_s, load),
+        "inverse": inverse,
+        "rows": rows[keep],
+        "weight": np.where(weights[keep] > 0, weights[keep], 1.0),
+    }
+
+
+def _since_turn(motor: Motor, at: Array, rig: Rig) -> tuple[Array, Array]:
+    """How far the motor has gone since it last turned, and which way; inf before its first turn."""
+    hysteresis = turning_hysteresis(motor, rig.actuator.encoder_resolution, rig.actuator.span)
+    turns = _native.turns(np.ascontiguousarray(motor.q), hysteresis)
+    edges = np.concatenate([[0], turns, [len(motor.q) - 1]]).astype(int)
+    ways = np.sign(np.diff(motor.q[edges]))
+    which = np.clip(np.searchsorted(motor.t_s[edges], at, side="right") - 1, 0, len(ways) - 1)
+    gone = np.abs(np.interp(at, motor.t_s, motor.q) - motor.q[edges[which]])
+    return np.where(which == 0, np.inf, gone), ways[which]
+
+
+def _low_pass(p: Array, time_s: float) -> Array:
+    """First order, of values every _FINE_S."""
+    share = np.exp(-_FINE_S / time_s)
+    return np.asarray(lfilter([1 - share], [1, -share], p, zi=[share * p[0]])[0])
+
+
+def _hats(x: Array, nodes: Array) -> sparse.csr_matrix:
+    """(n, nodes) piecewise linear basis; nothing beyond the last node."""
+    n = np.flatnonzero(x < nodes[-1])
+    at = np.clip(np.searchsorted(nodes, x[n], side="right") - 1, 0, len(nodes) - 2)
+    share = (x[n] - nodes[at]) / (nodes[at + 1] - nodes[at])
+    places = np.concatenate([n, n]), np.concatenate([at, at + 1])
+    return sparse.csr_matrix((np.concatenate([1 - share, share]), places), shape=(len(x), len(nodes)))
+
+
+def _slow_basis(t: Array) -> sparse.csr_matrix:
+    knots = -0.5 + np.arange(-3, _TIMES + 4) / _TIMES
+    return sparse.csr_matrix(BSpline.design_matrix(np.clip(t, -0.5, 0.5 - 1e-9), knots, 3))
+
+
+def _smooth(size: int, channels: int = 1) -> Array:
+    """First differences, and a little of the values."""
+    step = np.diff(np.eye(size), 1, axis=0)
+    rough = step.T @ step + 0.05 * np.eye(size)
+    return np.asarray(np.kron(np.eye(channels), rough), dtype=float)
+
+
+def _shift_time(t: Array, left: Array) -> float | None:
+    """The moment at which a step of the image explains most."""
+    n = len(left)
+    if n < 60:
+        return None
+    total = np.cumsum(left - left.mean(axis=0), axis=0)[20:-20]
+    k = np.arange(20, n - 20) + 1.0
+    gain = np.sum(total**2, axis=1) * n / (k * (n - k))
+    return float(t[int(np.argmax(gain)) + 21])
+
+
+def _rhythm(t: Array, left: Array) -> float | None:
+    """The frequency, Hz, at which a sine explains most of what is left."""
+    if len(t) < 100:
+        return None
+    even = np.linspace(t[0], t[-1], len(t))
+    step = even[1] - even[0]
+    waves = [np.interp(even, t, channel) for channel in left.T]
+    power = sum(np.abs(np.fft.rfft(wave - wave.mean(), 4 * len(even))) ** 2 for wave in waves)
+    rates = np.fft.rfftfreq(4 * len(even), step)
+    inside = (rates > max(_BREATHS_HZ[0], 4.0 / (t[-1] - t[0]))) & (rates < _BREATHS_HZ[1])
+    return float(rates[inside][int(np.argmax(np.asarray(power)[inside]))]) if inside.any() else None

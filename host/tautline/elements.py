@@ -1,0 +1,260 @@
+"""Play as a list of elements on one backlash table: a single play, or several whose onsets together are gradual.
+
+The equations are in host/native/elements.h: a warp x = G(q) makes every width one, and each element is a play of a
+share of that width. Full strokes lie on p +- B(p)/2 = q whatever the elements are. A single element is play.h's play.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import CubicSpline, PchipInterpolator
+
+from tautline import _native
+
+Array = npt.NDArray[np.float64]
+
+MOST: int = _native.ELEMENTS_MAX
+_NARROW_COUNTS, _NARROW_SHARE = 4.0, 0.01  # of an encoder's step, of the largest width: below it one element will do
+_PERIODS = 4000  # of the warp, at most, over the table
+_MESH = 32  # nodes of a period on which the warp's smoothness is measured
+_FINE = 64  # and at least so many that it is sampled at
+_AT_LEAST = 0.05  # of the mean rise: the warp's least, between two nodes of the mesh
+_PAST = 8  # periods beyond the table's ends in which it is still exact
+_BEYOND = 1e3  # and to which it goes on
+_RIDGE = 1e-15
+_SAME = 1e-12  # of a period: knots that are nearer to each other are one
+
+
+@dataclass(frozen=True)
+class Elements:
+    """`width[i]` is 2 r_i, the i-th element's share of B, and `weight[i]` its share of the motion."""
+
+    width: tuple[float, ...]
+    weight: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        width, weight = np.array(self.width, dtype=float), np.array(self.weight, dtype=float)
+        if not 1 <= len(width) == len(weight) <= MOST:
+            raise ValueError(f"elements: 1 to {MOST} widths and as many weights")
+        if not (np.isfinite(width).all() and width[0] >= 0.0 and (np.diff(width) > 0.0).all()):
+            raise ValueError("elements: widths must rise from 0 or more")
+        if not (weight > 0.0).all() or abs(weight.sum() - 1.0) > 1e-9:
+            raise ValueError("elements: weights must be positive and sum up to 1")
+        if abs(weight @ width - 1.0) > 1e-9:
+            raise ValueError("elements: the weighted mean of the widths must be 1: else they say another B")
+
+    @property
+    def single(self) -> bool:
+        return len(self.width) == 1
+
+    def to_json(self) -> dict[str, list[float]]:
+        return {"width": list(self.width), "weight": list(self.weight)}
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any]) -> Self:
+        return cls(*(tuple(float(value) for value in document[name]) for name in ("width", "weight")))
+
+
+SINGLE = Elements((1.0,), (1.0,))
+
+
+@dataclass(frozen=True)
+class Play:
+    """What the elements do on the backlash table `width` (n,) at `grid` (n,), linear between its nodes and held beyond
+    its ends; `count` is the encoder's step, in the same unit."""
+
+    grid: Array
+    width: Array
+    elements: Elements = SINGLE
+    count: float = 0.0
+
+    def forward(self, q: npt.ArrayLike, p0: float = np.nan) -> Array:
+        """The centre coordinate (n,) of motor positions q (n,), in their order. p0: where it was before; NaN: q[0]."""
+        q = np.asarray(q, dtype=float)
+        if self.native is None:
+            return _native.play_forward(q, self.grid, self.width, p0)  # type: ignore[no-any-return]
+        return self.native.forward(q, p0)[0]  # type: ignore[no-any-return]
+
+    def inverse(self, p: npt.ArrayLike, q0: float | None = None) -> Array:
+        """Motor positions (n,) that lead the centre coordinate along p (n,), from the motor's q0 (unless told p[0], the
+        centre) with the tip at p[0]. While p rests so does the motor."""
+        p = np.asarray(p, dtype=float)
+        start = float(p[0]) if q0 is None else q0
+        return self._native_or_single.inverse(p, start, float(p[0]))  # type: ignore[no-any-return]
+
+    @cached_property
+    def native(self) -> Any:
+        """The elements as C has them; None for a single one, which needs no warp."""
+        return None if self.elements.single else self._native_or_single
+
+    @cached_property
+    def _native_or_single(self) -> Any:
+        narrow = self.narrow
+        warp = warp_of(self.grid, self.width, narrow)
+        r, w = 0.5 * np.array(self.elements.width), np.array(self.elements.weight)
+        below = narrow if (self.width < narrow).any() else 0.0
+        return _native.Plays(self.grid, self.width, warp.q, warp.x, r, w, below)
+
+    @property
+    def narrow(self) -> float:
+        """The width below which a single play is used."""
+        widest = float(self.width.max())
+        span = float(self.grid[-1] - self.grid[0])
+        return max(_NARROW_COUNTS * self.count, _NARROW_SHARE * widest, span / _PERIODS)
+
+
+@dataclass(frozen=True)
+class Warp:
+    """x = G(q), straight between its knots: exactly G(p + B(p)/2) - G(p - B(p)/2) = 1."""
+
+    q: Array
+    x: Array
+
+
+def warp_of(grid: Array, width: Array, narrow: float) -> Warp:
+    """The warp of a backlash table, whose widths are taken as `narrow` (> 0) where they are less.
+
+    G(T(u)) = G(u) + 1 for the map T from p - B/2 to p + B/2, which is straight between the table's nodes: G is known
+    everywhere from one period about the table's middle. Within that it is free; the choice is the least integral of
+    G'''^2 over the table, B being smooth between its nodes. The knots are those of one period and their images, the
+    nodes' corners among them, so that nothing is lost between them. G(middle) = 0.
+    """
+    middle = 0.5 * (grid[0] + grid[-1])
+    grid, width = _floored(grid, width, narrow)
+    table = _Periods(grid, width)
+    first = float(table.low(middle))
+    last = float(table.up(first))
+    base = _base(grid, width, first, last)
+    corners = table.brought_home(grid - 0.5 * width, first, last)
+    knots = np.unique(np.concatenate([np.linspace(first, last, _FINE + 1)[:-1], corners[corners < last]]))
+    knots = knots[np.concatenate([[True], np.diff(knots) > _SAME * (last - first)])]
+    if last - knots[-1] < _SAME * (last - first):
+        knots = knots[:-1]
+    phases = np.asarray(base(knots))
+    columns = [(knots, phases)]
+    q, period = knots, 0
+    while q[0] <= grid[-1] + _PAST * width[-1]:
+        q, period = table.up(q), period + 1
+        columns.append((q, phases + period))
+    q, period = knots, 0
+    while q[-1] >= grid[0] - _PAST * width[0]:
+        q, period = table.down(q), period - 1
+        columns.insert(0, (q, phases + period))
+    q, x = (np.concatenate(column) for column in zip(*columns, strict=True))
+    apart = np.concatenate([[True], (np.diff(q) > 0.0) & (np.diff(x) > 0.0)])
+    q, x = q[apart], x[apart]
+    q = np.concatenate([[q[0] - _BEYOND * width[0]], q, [q[-1] + _BEYOND * width[-1]]])
+    x = np.concatenate([[x[0] - _BEYOND], x, [x[-1] + _BEYOND]])
+    return Warp(q, x - np.interp(middle, q, x))
+
+
+def _floored(grid: Array, width: Array, narrow: float) -> tuple[Array, Array]:
+    """The table with widths of at least `narrow`; where it crosses that it gets a node. At least two nodes."""
+    if len(grid) == 1:
+        grid, width = np.array([grid[0], grid[0] + max(width[0], narrow)]), np.repeat(width, 2)
+    above = width > narrow
+    at = np.flatnonzero(above[1:] != above[:-1])
+    share = (narrow - width[at]) / (width[at + 1] - width[at])
+    crossings = grid[at] + share * (grid[at + 1] - grid[at])
+    nodes = np.union1d(grid, crossings)
+    return nodes, np.maximum(np.interp(nodes, grid, width), narrow)
+
+
+class _Periods:
+    """The map T from p - B/2 to p + B/2, and back."""
+
+    def __init__(self, grid: Array, width: Array) -> None:
+        self.left, self.right = grid - 0.5 * width, grid + 0.5 * width
+        self.grid, self.width = grid, width
+
+    def low(self, p: npt.ArrayLike) -> Array:
+        p = np.asarray(p, dtype=float)
+        return np.asarray(p - 0.5 * np.interp(p, self.grid, self.width))
+
+    def up(self, u: npt.ArrayLike) -> Array:
+        return _straight(u, self.left, self.right)
+
+    def down(self, u: npt.ArrayLike) -> Array:
+        return _straight(u, self.right, self.left)
+
+    def brought_home(self, u: Array, first: float, last: float) -> Array:
+        """Each of u moved by whole periods to where it is in [first, last)."""
+        u = u.copy()
+        while (above := u >= last).any():
+            u[above] = self.down(u[above])
+        while (below := u < first).any():
+            u[below] = self.up(u[below])
+        return u
+
+
+def _straight(x: npt.ArrayLike, from_: Array, to: Array) -> Array:
+    """Linear between nodes, moved by the ends' own distance beyond them."""
+    x = np.asarray(x, dtype=float)
+    beyond = np.minimum(x - from_[0], 0.0) + np.maximum(x - from_[-1], 0.0)
+    return np.asarray(np.interp(x, from_, to) + beyond)
+
+
+def _base(grid: Array, width: Array, first: float, last: float) -> PchipInterpolator:
+    """G - G(first) within the period [first, last) as the least integral of G'''^2 over the whole table has it."""
+    smooth = _Periods(*_smoothed(grid, width))
+    nodes = first + (float(smooth.up(first)) - first) * np.arange(_MESH) / _MESH
+    columns = [nodes]
+    while columns[-1][-1] < grid[-1] + 0.5 * width[-1]:
+        columns.append(smooth.up(columns[-1]))
+    ahead = len(columns)
+    while columns[0][0] > grid[0] - 0.5 * width[0]:
+        columns.insert(0, smooth.down(columns[0]))
+    period = np.repeat(np.arange(ahead - len(columns), ahead, dtype=float), _MESH)
+    values = np.linspace(0.0, 1.0, _MESH, endpoint=False)
+    q = np.concatenate(columns)
+    inside = (q >= grid[0] - 0.5 * width[0]) & (q <= grid[-1] + 0.5 * width[-1])  # beyond, B is held: a corner
+    if len(columns) > 1:
+        values = _smoothest(q, period, inside)
+    # with a neighbour on either side for the slopes; stretched to the table's own period
+    around = np.concatenate([smooth.down(nodes), nodes, smooth.up(nodes)])
+    scale = (last - first) / (float(smooth.up(first)) - first)
+    return PchipInterpolator(first + scale * (around - first), np.concatenate([values - 1, values, values + 1]))
+
+
+def _smoothed(grid: Array, width: Array) -> tuple[Array, Array]:
+    """The table with curves instead of corners where that is lawful, finer."""
+    if len(grid) < 4:
+        return grid, width
+    fine = np.linspace(grid[0], grid[-1], 8 * len(grid))
+    curve = CubicSpline(grid, width)(fine)
+    lawful = curve.min() > 0.5 * width.min() and (np.abs(np.diff(curve)) < 1.95 * np.diff(fine)).all()
+    return (fine, curve) if lawful else (grid, width)
+
+
+def _smoothest(q: Array, period: Array, inside: npt.NDArray[np.bool_]) -> Array:
+    """(_MESH,) rising values v, v[0] = 0, for which v[k mod _MESH] + period[k] at q[k] has the least third differences
+    among those `inside`."""
+    weights = np.zeros((len(q) - 3, 4))
+    for i in range(4):  # 6 f[q0, q1, q2, q3]: the third derivative
+        others = [q[i : len(q) - 3 + i] - q[j : len(q) - 3 + j] for j in range(4) if j != i]
+        weights[:, i] = 6.0 / np.prod(others, axis=0)
+    weights *= (np.sqrt((q[3:] - q[:-3]) / 3.0) * (inside[3:] & inside[:-3]))[:, None]
+    design = np.zeros((len(q) - 3, _MESH))
+    rows = np.arange(len(q) - 3)
+    right = np.zeros(len(q) - 3)
+    for i in range(4):
+        design[rows, (rows + i) % _MESH] += weights[:, i]
+        right -= weights[:, i] * period[i : len(q) - 3 + i]
+    even = np.arange(1, _MESH) / _MESH
+    step = np.column_stack([design[:, 1:], right - design[:, 1:] @ even])
+    squares = np.einsum("ij,ik->jk", step, step)
+    normal, slope = squares[:-1, :-1], squares[:-1, -1]
+    normal = normal + _RIDGE * max(np.trace(normal), 1e-300) * np.eye(
+        _MESH - 1
+    )  # a table without corners may ask for nothing
+    found = even + np.linalg.solve(normal, slope)
+    rises = np.diff(np.concatenate([[0.0], found, [1.0]]))
+    mean, least = 1.0 / _MESH, float(rises.min())
+    share = 1.0 if least >= _AT_LEAST * mean else (1.0 - _AT_LEAST) * mean / (mean - least)
+    return np.concatenate([[0.0], share * found + (1.0 - share) * even])
