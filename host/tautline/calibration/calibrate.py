@@ -18,7 +18,7 @@ from tautline.calibration.components import Components, separate
 from tautline.calibration.doubts import doubts, floor_of
 from tautline.calibration.observations import Track, observe
 from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, find_delay, find_onsets
-from tautline.calibration.place import as_many_as_independent, place_noise
+from tautline.calibration.place import allowing_for_place, as_many_as_independent, place_noise
 from tautline.calibration.playfit import NODES, Fitted
 from tautline.calibration.remaining import Remaining, fit_remaining, morphological, pose_of, posed
 from tautline.calibration.several import fit_elements
@@ -252,10 +252,10 @@ class _Session:
             joint.fit.fit_delay = False
             joint = joint.fit.solve(replace(joint.curves, delay_s=delay.delay_s))
         self.say(0.5, "what departs from a play")
-        joint = self._separated(joint)
         noise = place_noise(joint)
         if noise is not None:
             self.evidence |= {f"place_{key}": value for key, value in asdict(noise).items()}
+        joint = self._separated(allowing_for_place(joint, noise))
         self.say(0.6, "passes alone")
         margin = 0.1 * float(np.median(joint.fit.width(joint.curves))) + 0.005 * self.domain.span
         passes = fit_passes(joint, margin)

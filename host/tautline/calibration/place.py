@@ -18,6 +18,7 @@ Array = npt.NDArray[np.float64]
 _WINDOW = 5.0  # correlation times over which an autocorrelation is summed (Sokal)
 _LONGEST = 0.5  # of a stroke: alike for longer is no error of the tracker's but the path's or the width's own
 _TOGETHER = 2.0  # noises at rest within which two frames show one place
+_MOSTLY = 0.7  # of what neighbouring frames share, that other passes repeat
 _ITERATIONS = 10
 _FEWEST = 40  # frames from which anything is said
 
@@ -64,13 +65,12 @@ def as_many_as_independent(fitted: Fitted) -> Fitted:
 
 def allowing_for_place(fitted: Fitted, noise: PlaceNoise | None) -> Fitted:
     """A fit again with what goes with the place in the noise of each frame: however many frames show the tip at rest,
-    all are wrong by what is wrong there. Its scale stays the residuals' over the stated noise."""
-    again = fitted
-    if noise is not None and noise.common > 0.0:
-        tracks = [_noisier(fitted, k, noise.common) for k in range(len(fitted.masks))]
-        fit = replace(fitted.fit, tracks=tracks, smoothing=dict(fitted.fit.smoothing))
-        again = replace(fit.solve(fitted.curves, iterations=_ITERATIONS), scale=fitted.scale)
-    return as_many_as_independent(again)
+    all are wrong by what is wrong there. Not where most of what neighbouring frames share is another in each pass."""
+    if noise is None or noise.common <= _MOSTLY * noise.rms:
+        return fitted
+    tracks = [_noisier(fitted, k, noise.common) for k in range(len(fitted.masks))]
+    fit = replace(fitted.fit, tracks=tracks, smoothing=dict(fitted.fit.smoothing))
+    return fit.solve(fitted.curves, iterations=_ITERATIONS)
 
 
 def _noisier(fitted: Fitted, k: int, common: float) -> Frozen:
