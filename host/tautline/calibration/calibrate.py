@@ -18,7 +18,7 @@ from tautline.calibration.components import Components, separate
 from tautline.calibration.doubts import doubts, floor_of
 from tautline.calibration.observations import Track, observe
 from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, find_delay, find_onsets
-from tautline.calibration.place import allowing_for_place, place_noise
+from tautline.calibration.place import allowing_for_place, as_many_as_independent, place_noise
 from tautline.calibration.playfit import NODES, Fitted
 from tautline.calibration.remaining import Remaining, fit_remaining, morphological, pose_of, posed
 from tautline.calibration.several import fit_elements
@@ -156,7 +156,6 @@ class _Session:
         self.notes: list[str] = list(aligned.notes)
         self.reasons: list[Reason] = [*aligned.reasons, *reasons]
         self.evidence: dict[str, float] = {}
-        self.extra: dict[str, Any] = {}
         self.components: Components | None = None
         self.elements = SINGLE
         reached = [(float(t.motor.q.min()), float(t.motor.q.max())) for t in tracks]
@@ -253,14 +252,14 @@ class _Session:
             joint.fit.fit_delay = False
             joint = joint.fit.solve(replace(joint.curves, delay_s=delay.delay_s))
         self.say(0.5, "what departs from a play")
-        joint = self._separated(joint)
         noise = place_noise(joint)
         if noise is not None:
-            self.extra["place_noise"] = noise.to_json()
+            self.evidence |= {f"place_{key}": value for key, value in asdict(noise).items()}
+        joint = self._separated(allowing_for_place(joint, noise))
         self.say(0.6, "passes alone")
         margin = 0.1 * float(np.median(joint.fit.width(joint.curves))) + 0.005 * self.domain.span
         passes = fit_passes(joint, margin)
-        return joint, None if passes is None else allowing_for_place(passes)
+        return joint, None if passes is None else as_many_as_independent(passes)
 
     def _separated(self, joint: Fitted) -> Fitted:
         """The joint fit with all that departs from its model beside it."""
@@ -547,7 +546,6 @@ class _Session:
             "notes": list(notes),
             "characteristic": characteristic,
             "options": asdict(self.options),
-            **self.extra,
         }
         if pass_width is not None:
             extra["pass_width"] = [_finite(v) for v in pass_width]

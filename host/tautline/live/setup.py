@@ -65,7 +65,6 @@ class CameraEye:
         taken = self._camera.read()
         if taken is None:
             raise TautError("the camera's source has ended: a live session needs a camera, not a file")
-        self._board.align(1)
         picture, arrival_s = taken
         height, width = picture.shape[:2]
         if self._size not in (None, (width, height)):
@@ -73,6 +72,7 @@ class CameraEye:
                 f"the camera's frames are {width} x {height} px, the rig's {self._size[0]} x {self._size[1]}: "
                 "set the camera to the rig's size, or calibrate it at this one and write that into rig.toml"
             )
+        self._board.align(1)
         return Frame(self._board.clock.board_us(arrival_s), self._tracker.track(picture), picture)
 
     def close(self) -> None:
