@@ -73,13 +73,28 @@ void bind_elements(nb::module_ &m) {
                 const auto e = self.view();
                 {
                     nb::gil_scoped_release unlocked;
-                    elements_forward(&e, q.data(), q.shape(0), p0, p.data(), side.data());
+                    elements_forward(&e, q.data(), q.shape(0), p0, p.data(), side.data(), nullptr, nullptr);
                 }
                 return std::make_pair(p, side);
             },
             "q"_a, "p0"_a,
             "(p, side) at motor positions q (n,); p0 NaN: on the centre, p = q[0]; side: the envelope that last held "
             "all.")
+        .def(
+            "trace",
+            [](const Plays &self, Values q, double p0) {
+                auto p = new_array<double>(q.shape(0));
+                auto side = new_array<int8_t>(q.shape(0));
+                auto lean = new_array<double>(q.shape(0));
+                auto share = new_array<double>(q.shape(0));
+                const auto e = self.view();
+                {
+                    nb::gil_scoped_release unlocked;
+                    elements_forward(&e, q.data(), q.shape(0), p0, p.data(), side.data(), lean.data(), share.data());
+                }
+                return nb::make_tuple(p, side, lean, share);
+            },
+            "q"_a, "p0"_a, "(p, side, lean, share): also dp/dB = -lean / 2 and dp/dq = share.")
         .def(
             "inverse",
             [](const Plays &self, Values p, double q0, double p0) {

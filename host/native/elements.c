@@ -103,10 +103,12 @@ static void beside_move(const struct elements *e, struct beside *single, double 
     single->p = clamped(single->p, low, high);
 }
 
-void elements_forward(const struct elements *e, const double *q, size_t count, double p0, double *p, int8_t *side) {
+void elements_forward(const struct elements *e, const double *q, size_t count, double p0, double *p, int8_t *side,
+                      double *lean, double *share) {
     struct warp_cursor in = {0}, low = {0}, high = {0};
     struct beside single = {0};
     double z[ELEMENTS_MAX] = {0};
+    double pushed[ELEMENTS_MAX] = {0};
     int8_t lies = 0;
     if (count > 0) {
         single.p = isnan(p0) ? q[0] : p0;
@@ -114,10 +116,22 @@ void elements_forward(const struct elements *e, const double *q, size_t count, d
     }
     for (size_t k = 0; k < count; k++) {
         const double x = warp_to(&e->warp, &in, q[k]);
-        double y = 0.0;
+        double y = 0.0, leans = 0.0, moves = 0.0;
         for (size_t i = 0; i < e->n; i++) {
-            z[i] = clamped(z[i], x - e->r[i], x + e->r[i]);
+            const double before = z[i];
+            z[i] = clamped(before, x - e->r[i], x + e->r[i]);
             y += e->w[i] * z[i];
+            if (z[i] != before) {
+                pushed[i] = z[i] > before ? 1.0 : -1.0;
+                moves += e->w[i];
+            }
+            leans += 2.0 * e->w[i] * e->r[i] * pushed[i];
+        }
+        if (lean) {
+            lean[k] = leans;
+        }
+        if (share) {
+            share[k] = moves;
         }
         p[k] = elements_position(e, &low, &high, y);
         if (e->narrow > 0.0) {

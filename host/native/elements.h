@@ -59,9 +59,12 @@ void elements_start(const struct elements *e, double x, double y, double *z);
 
 /* p[k] for the motor positions q[k], k = 0 .. count-1. p0 is the centre coordinate before q[0]; NaN: p0 = q[0].
  * side[k] (NULL: not wanted): the envelope on which all elements last lay, +1 rising, -1 falling; 0 as long as they lay
- * on none. Once they have lain on both, p does not depend on p0.
+ * on none. Once they have lain on both, p does not depend on p0. lean[k] and share[k] (NULL: not wanted) are p's
+ * derivatives where B is constant: dp/dB = -lean / 2, each element leaning to the side that last pushed it, and
+ * dp/dq = share, of the weights that moved.
  * O(count n). */
-void elements_forward(const struct elements *e, const double *q, size_t count, double p0, double *p, int8_t *side);
+void elements_forward(const struct elements *e, const double *q, size_t count, double p0, double *p, int8_t *side,
+                      double *lean, double *share);
 
 /* q[k] that lead forward's p along p[k], k = 0 .. count-1, the motor being at q0 with the tip at p0 before p[0]. While
  * p rests so does q. Exact within |q - p| <= B(p)/2 of the start; where the tip comes within B of a place that is

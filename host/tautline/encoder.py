@@ -17,6 +17,8 @@ Array = npt.NDArray[np.float64]
 # How far the lines between a motor's knots may be from its samples: less than a camera sees.
 _TOLERANCE_COUNTS, _TOLERANCE_MM, _TOLERANCE_DEG, _TOLERANCE_LOAD = 0.5, 5e-4, 5e-3, 1e-3
 _STEPS = 0.5  # counts more for an encoder's own steps
+_COARSE = 5e-4  # of the motor's travel: finer counts are seen nowhere
+_SKIPS = 3.5  # of five neighbouring readings, that changed
 _SCATTERS = 1.0  # counts of noise from which readings are smoothed
 _REST_S = 0.05  # a motor that stands still for longer rests
 _CHANGES = 24, 4  # of the count, most and least, that tell how a motor slows down
@@ -27,14 +29,14 @@ _LAST = 2.0  # samples: within so many of a stop no knot tells a speed
 def between_counts(motor: Motor, resolution: float) -> Motor:
     """The motor with positions between an encoder's counts: it passes the boundary of two counts where the reading
     changes and is at a count's centre in between; a rest stays at the centre. Positions that are no multiples of the
-    resolution are left as they are. Readings that scatter by more than a count are smoothed: a play follows their
-    extremes."""
-    noise = reading_noise(motor)
-    if noise > _SCATTERS * resolution:
-        return replace(motor, q=_smoothed(motor.q, noise))
-    if not _is_counted(motor, resolution):
+    resolution are left as they are. Readings that scatter by more than a count, or that pass coarse counts about as
+    fast as they come, are smoothed: a play follows their extremes."""
+    steps = _steps_of(motor, resolution)
+    if reading_noise(motor) > _SCATTERS * (resolution if steps is None else steps.count) or _skips(motor, steps):
+        return replace(motor, q=_smoothed(motor.q))
+    if steps is None:
         return motor
-    t, counts = motor.t_s, np.rint(motor.q / resolution)
+    t, counts = motor.t_s, steps.counts
     changes = np.flatnonzero(np.diff(counts))
     times = 0.5 * (t[changes] + t[changes + 1])
     boundary = 0.5 * (counts[changes] + counts[changes + 1])
@@ -50,7 +52,7 @@ def between_counts(motor: Motor, resolution: float) -> Motor:
     knots_t = np.concatenate([ends[0], knots_t, ends[1]])
     knots_q = np.concatenate([[counts[0]] * 2, knots_q, [counts[-1]] * 2])
     order = np.argsort(knots_t, kind="stable")
-    return replace(motor, q=resolution * np.interp(t, knots_t[order], knots_q[order]))
+    return replace(motor, q=steps.zero + steps.count * np.interp(t, knots_t[order], knots_q[order]))
 
 
 def reading_noise(motor: Motor) -> float:
@@ -60,7 +62,50 @@ def reading_noise(motor: Motor) -> float:
     return float(np.sqrt(np.median(third**2) / 0.455 / 20.0)) if len(third) else 0.0
 
 
-def _smoothed(q: Array, noise: float) -> Array:
+@dataclass(frozen=True)
+class _Steps:
+    """Readings are zero + count * counts, counts whole."""
+
+    count: float
+    zero: float
+    counts: Array
+
+
+def _steps_of(motor: Motor, resolution: float) -> _Steps | None:
+    """The encoder's steps as the readings show them: the rig's, wherever their zero is, or coarser ones. None where
+    the readings have none."""
+    moves = np.abs(np.diff(motor.q))
+    moves = moves[moves > 0.02 * resolution]
+    if len(moves) < 2:
+        return None
+    for count, zero in ((resolution, 0.0), (resolution, float(motor.q[0])), (float(moves.min()), float(motor.q[0]))):
+        counts = (motor.q - zero) / count
+        whole = np.rint(counts)
+        if np.count_nonzero(np.diff(whole)) >= 2 and np.mean(np.abs(counts - whole) < 0.05) >= 0.95:
+            return _Steps(count, zero, whole)
+    return None
+
+
+def _skips(motor: Motor, encoder: _Steps | None) -> bool:
+    """Whether a moving motor is in another coarse count at most readings: when it passed the boundary is not seen."""
+    steps = np.abs(np.diff(motor.q))
+    moves = steps[steps > 0]
+    if len(moves) < 10 or encoder is None or encoder.count < _COARSE * float(np.ptp(motor.q)):
+        return False
+    rested = np.convolve(steps > 0, np.ones(5), mode="same")  # a slow motor changes its count now and then
+    return bool(np.mean(rested[steps > 0]) > _SKIPS)
+
+
+def between_samples(motor: Motor) -> float:
+    """How far straight lines between samples may be from the motor's path, its unit: the sagitta at the sharpest turns
+    that are no noise."""
+    bend = np.abs(np.diff(motor.q, 2)) / 8.0
+    if len(bend) < 3:
+        return float("inf")
+    return float(max(float(np.quantile(bend, 0.98)) - 2.0 * reading_noise(motor), 0.0))
+
+
+def _smoothed(q: Array) -> Array:
     """Whittaker's smoother with third differences: as smooth as its noise asks for, by generalised cross-validation."""
     n = len(q)
     wave = (2.0 - 2.0 * np.cos(np.pi * (np.arange(512) + 0.5) / 512)) ** 3
@@ -89,9 +134,10 @@ def straight_lines(motor: Motor, resolution: float) -> Motor:
     """The motor, as it was recorded, as straight lines between few knots, within what cannot be seen of the samples;
     it rests and turns exactly when its changes of count say so. q_cmd is left out."""
     smooth = between_counts(motor, resolution)
-    counted = smooth is not motor
-    tolerance = (_TOLERANCE_COUNTS + (_STEPS if counted else 0.0)) * resolution
-    t_s, q, fixed = _knots(smooth, tolerance, resolution, _stops(motor, resolution) if counted else [])
+    steps = _steps_of(motor, resolution) if smooth is not motor else None
+    count = resolution if steps is None else steps.count
+    tolerance = (_TOLERANCE_COUNTS + (_STEPS if smooth is not motor else 0.0)) * count
+    t_s, q, fixed = _knots(smooth, tolerance, [] if steps is None else _stops(motor, steps))
     others = [motor.translation_mm, motor.rotation_deg, motor.load_mNm]
     swing = 0.0 if motor.load_mNm is None else _TOLERANCE_LOAD * float(np.ptp(motor.load_mNm))
     tolerances = zip(others, (_TOLERANCE_MM, _TOLERANCE_DEG, swing), strict=True)
@@ -112,8 +158,8 @@ def straight_lines(motor: Motor, resolution: float) -> Motor:
 
 @dataclass(frozen=True)
 class _Stop:
-    """The motor stands at `q` counts from `start_s` to `end_s`, the same where it turns at once; the count last changed
-    before it at `since_s` and next changes at `until_s`."""
+    """The motor stands at `q`, the rig's unit, from `start_s` to `end_s`, the same where it turns at once; the count
+    last changed before it at `since_s` and next changes at `until_s`."""
 
     q: float
     start_s: float
@@ -122,16 +168,10 @@ class _Stop:
     until_s: float
 
 
-def _is_counted(motor: Motor, resolution: float) -> bool:
-    counts = motor.q / resolution
-    whole = np.rint(counts)
-    return bool(np.count_nonzero(np.diff(whole)) >= 2 and np.mean(np.abs(counts - whole) < 0.05) >= 0.95)
-
-
-def _stops(motor: Motor, resolution: float) -> list[_Stop]:
+def _stops(motor: Motor, encoder: _Steps) -> list[_Stop]:
     """Where the motor rests or turns, as far as its counts show it slow down and start: at a constant acceleration. An
     encoder shows nothing of the last count before a stop, which at 12 mm/s^2 and 1 um takes 13 ms."""
-    t, counts = motor.t_s, np.rint(motor.q / resolution)
+    t, counts = motor.t_s, encoder.counts
     changes = np.flatnonzero(np.diff(counts))
     at, step = 0.5 * (t[changes] + t[changes + 1]), np.diff(counts)[changes]
     boundary = counts[changes] + 0.5 * step
@@ -156,7 +196,7 @@ def _stops(motor: Motor, resolution: float) -> list[_Stop]:
         end_s = until if starts is None else max(until - starts[0], middle)
         if turns and slows is not None and starts is not None and end_s - start_s < 2 * period:
             start_s = end_s = 0.5 * (start_s + end_s)
-        found.append(_Stop(float(np.mean(level)), start_s, end_s, since, until))
+        found.append(_Stop(encoder.zero + encoder.count * float(np.mean(level)), start_s, end_s, since, until))
     return found
 
 
@@ -188,9 +228,7 @@ def _thinned(t_s: Array, channels: list[tuple[Array, float]]) -> npt.NDArray[np.
     return np.asarray(_native.thin(t_s, values, tolerances, _REST_S), dtype=bool)
 
 
-def _knots(
-    motor: Motor, tolerance: float, resolution: float, stops: list[_Stop]
-) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+def _knots(motor: Motor, tolerance: float, stops: list[_Stop]) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
     """Times and positions of the bending motor's knots, and which of them are where it rests or turns."""
     keep = _thinned(motor.t_s, [(motor.q, tolerance)])
     t, q = motor.t_s[keep], motor.q[keep]
@@ -203,7 +241,7 @@ def _knots(
         of = np.searchsorted(ends[:, 0], t, side="right") - 1
         outside = (of < 0) | (t > ends[of, 1])
         at = np.array([s.start_s for s in stops] + [s.end_s for s in stops])
-        stands = resolution * np.array([s.q for s in stops] * 2)
+        stands = np.array([s.q for s in stops] * 2)
         t, first = np.unique(np.concatenate([t[outside], at]), return_index=True)
         q = np.concatenate([q[outside], stands])[first]
         fixed = np.concatenate([fixed[outside], np.ones(len(at), dtype=bool)])[first]

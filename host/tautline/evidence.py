@@ -102,7 +102,7 @@ def collect(model: Model, recordings: Sequence[Recording]) -> Evidence:
 def _collect_one(model: Model, recording: Recording, index: int, offset_s: float) -> Evidence:
     motor, rig = recording.motor, model.rig
     track = observe([recording], rig)[0]
-    t_s, seen = track.scene_s(model.delay_s), track.y
+    t_s, seen = track.scene_s(model.delay_of(track.sensor)), track.y
     inside = (t_s >= motor.t_s[0]) & (t_s <= motor.t_s[-1])
     t_s, seen = t_s[inside], seen[inside]
     q = np.interp(t_s, motor.t_s, motor.q)

@@ -17,7 +17,7 @@ from tautline.encoder import between_counts
 from tautline.errors import TautError
 from tautline.quality import Quality
 from tautline.recording import Motor
-from tautline.rig import Rig
+from tautline.rig import ANGLE, MARKER, Rig, Sensor
 
 Array = np.ndarray
 FORMAT = "model/1"
@@ -55,6 +55,12 @@ class Model:
     c_sigma: Array | None = None  # (n,) of c_deg, NaN where unknown; None: a model that was not calibrated
     quality: Quality = field(default_factory=Quality)
     extra: Mapping[str, Any] = field(default_factory=dict)  # onsets, notes, figures' data: what the report shows
+    sensor: Sensor = MARKER  # that was calibrated with: delay_s is its own
+    offset_s: float | None = None  # of the calibration: the sensor's clock less the motor's beyond delay_s
+
+    def delay_of(self, sensor: Sensor) -> float:
+        """How much older than its arrival a sensor's reading is: nominal for one that was not calibrated with."""
+        return self.delay_s if sensor == self.sensor else self.rig.nominal_delay_s(sensor)
 
     @cached_property
     def play(self) -> Play:
@@ -84,7 +90,9 @@ class Model:
             "format": FORMAT,
             "unit": self.rig.actuator.unit,
             **{name: getattr(self, name).tolist() for name in _ARRAYS},
+            "sensor": self.sensor,
             "delay_s": self.delay_s,
+            "offset_s": self.offset_s,
             "measured": list(self.measured),
             "elements": self.elements.to_json(),
             "effects": [{"id": effect.id, "parameters": dict(effect.parameters)} for effect in self.effects],
@@ -120,6 +128,8 @@ class Model:
             quality = Quality.from_json(document.get("quality", {"reasons": []}))
             extra = dict(document["extra"])
             elements = Elements.from_json(document["elements"]) if "elements" in document else SINGLE
+            offset_s = None if document.get("offset_s") is None else float(document["offset_s"])
+            sensor = document.get("sensor")
         except (KeyError, TypeError, ValueError) as error:
             raise TautError(f"{path}: {error!r} is missing or wrong: make it again with taut calibrate") from error
         good = all(a.ndim == 1 and a.shape == q.shape and np.isfinite(a).all() for a in arrays) and len(q) >= 2
@@ -127,7 +137,24 @@ class Model:
         if not (good and is_backlash_table(q, width) and abs(np.sign(np.diff(c_deg)).sum()) == len(q) - 1):
             raise TautError(f"{path}: its tables are not a model's: make the model again with taut calibrate")
         rig = Rig.load(folder / RIG_FILE)
-        return cls(rig, q, width, sigma, c_deg, delay_s, (low, high), effects, elements, c_sigma, quality, extra)
+        if sensor not in (MARKER, ANGLE):
+            sensor = MARKER if rig.has_camera else ANGLE
+        return cls(
+            rig,
+            q,
+            width,
+            sigma,
+            c_deg,
+            delay_s,
+            (low, high),
+            effects,
+            elements,
+            c_sigma,
+            quality,
+            extra,
+            sensor,
+            offset_s,
+        )
 
 
 def is_backlash_table(grid: Array, width: Array) -> bool:

@@ -16,6 +16,7 @@ from tautline.folders import write_file
 from tautline.geometry import project
 from tautline.model import Model
 from tautline.recording import Motor
+from tautline.rig import ANGLE, MARKER
 
 Array = npt.NDArray[np.float64]
 
@@ -24,12 +25,15 @@ MOST_ROWS = 10_000_000
 
 @dataclass(frozen=True)
 class Times:
-    """When a prediction is asked for. `cells` is how the times are written; `delayed` if they are arrival times of
-    frames, so that the scene is older by the model's delay."""
+    """When a prediction is asked for: arrival times, delay_s after the scene. `cells` is how the times are written."""
 
     cells: list[str]
     t_s: Array  # (n,)
-    delayed: bool
+    delay_s: float
+
+    @property
+    def scene_s(self) -> Array:
+        return self.t_s - self.delay_s
 
 
 @dataclass(frozen=True)
@@ -61,23 +65,23 @@ def times_of(
     model: Model, folder: Path, motor: Motor, file: Path | None = None, warnings: list[str] | None = None
 ) -> Times:
     """`file`'s column t_s; else the recording's: the rows of marker.csv, else of angle.csv, else one per frame period
-    from motor t[0] + delay on (the motor's own times where the model's rig has no camera)."""
+    from motor t[0] + delay on (one per motor sample where the model's rig has no camera)."""
     rig = model.rig
-    for path, delayed in (
-        (file, rig.has_camera),
-        (folder / "marker.csv", rig.has_camera),
-        (folder / "angle.csv", False),
+    for path, delay_s in (
+        (file, model.delay_s),
+        (folder / "marker.csv", model.delay_of(MARKER)),
+        (folder / "angle.csv", model.delay_of(ANGLE)),
     ):
         if path is not None and (path == file or path.exists()):
-            return Times(*read_times(path, warnings), delayed)
+            return Times(*read_times(path, warnings), delay_s)
     if rig.camera is None:
-        t_s = motor.t_s
+        t_s = motor.t_s + model.delay_s
     else:
         frames = (motor.t_s[-1] - motor.t_s[0]) * rig.camera.frame_rate_hz * (1 + 1e-12)
         if frames > MOST_ROWS:
             raise TautError(f"{folder}: lasts for more than {MOST_ROWS} frames: name the times with --times")
         t_s = motor.t_s[0] + model.delay_s + np.arange(int(frames) + 1) / rig.camera.frame_rate_hz
-    return Times([f"{t:.6f}" for t in t_s], t_s, rig.has_camera)
+    return Times([f"{t:.6f}" for t in t_s], t_s, model.delay_s)
 
 
 def write_csv(path: Path, times: Times, prediction: Prediction) -> None:

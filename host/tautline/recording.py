@@ -21,6 +21,7 @@ MAX_MOTOR_STEP_S = 1.0  # beyond it the times are not in seconds
 MAX_MOTOR_GAP_S = 3600.0
 FARTHEST = 1e4  # spans of the range beyond it
 FARTHEST_PX = 1e5
+FRAME_COLUMNS = ("width_px", "height_px")  # of marker.csv: what the frames measure
 VIDEO_NAMES = ("video.mkv", "video.mp4")
 
 
@@ -47,15 +48,23 @@ class Marker:
     valid: Array  # bool
     sigma_px: Array | None = None
     extra: Mapping[str, Array] = field(default_factory=dict)
+    frame_px: tuple[int, int] | None = None  # width and height of the frames, where they are known
 
 
 @dataclass(frozen=True)
 class Angle:
-    """An external sensor's bending angle, no delay."""
+    """An external sensor's bending angle. t_s is when a value arrived: it is delay_s older."""
 
     t_s: Array
-    c_deg: Array
+    c_deg: Array  # NaN where not valid
+    valid: Array | None = None  # bool; None: all are
     extra: Mapping[str, Array] = field(default_factory=dict)
+
+    @property
+    def seen(self) -> Array:
+        """(n,) bool: the rows that hold an angle."""
+        finite: Array = np.isfinite(self.c_deg)
+        return finite if self.valid is None else finite & self.valid
 
 
 @dataclass(frozen=True)
@@ -143,6 +152,23 @@ def timeline(recordings: Sequence[Recording]) -> Timeline:
     return Timeline(tuple(offsets), tuple(known))
 
 
+def shifted(recordings: Sequence[Recording], offsets_s: Mapping[str, float]) -> list[Recording]:
+    """With offsets, by the recordings' names, taken from the times of marker and angle."""
+
+    def moved(recording: Recording) -> Recording:
+        offset_s = offsets_s.get(recording.name, 0.0)
+        marker, angle = recording.marker, recording.angle
+        if not offset_s:
+            return recording
+        return replace(
+            recording,
+            marker=marker and replace(marker, t_s=marker.t_s - offset_s),
+            angle=angle and replace(angle, t_s=angle.t_s - offset_s),
+        )
+
+    return [moved(recording) for recording in recordings]
+
+
 def load_motor(path: str | Path, rig: Rig, warnings: list[str] | None = None) -> Motor:
     """motor.csv of a recording's folder, in the rig's unit. All that a prediction needs."""
     return read_motor(_folder(path) / "motor.csv", rig, warnings)
@@ -219,11 +245,13 @@ def save(recording: Recording, folder: str | Path) -> None:
                     "v_px": marker.v_px,
                     "valid": marker.valid.astype(int),
                     "sigma_px": marker.sigma_px,
+                    **_sizes(marker),
                     **marker.extra,
                 },
             )
         if (angle := recording.angle) is not None:
-            _write(target / "angle.csv", {"t_s": angle.t_s, "c_deg": angle.c_deg, **angle.extra})
+            valid = None if angle.valid is None else angle.valid.astype(int)
+            _write(target / "angle.csv", {"t_s": angle.t_s, "c_deg": angle.c_deg, "valid": valid, **angle.extra})
         if (video := recording.video) is not None:
             shutil.copyfile(video.path, target / f"video{video.path.suffix}")
             if video.arrival_s is not None:
@@ -287,6 +315,7 @@ def _load_marker(file: Path, warnings: list[str]) -> Marker:
         if not np.all(np.isfinite(sigma_px[valid]) & (sigma_px[valid] > 0)):
             columns.warnings.append(f"{file}: sigma_px is not above 0 in every valid row: the column is ignored")
             sigma_px = None
+    frame_px = _frame_size(columns)
     warnings += columns.warnings
     return Marker(
         t_s,
@@ -294,22 +323,44 @@ def _load_marker(file: Path, warnings: list[str]) -> Marker:
         np.where(valid, v_px, np.nan),
         valid,
         sigma_px,
-        _extra(columns, {"t_s", "u_px", "v_px", "valid", "sigma_px"}),
+        _extra(columns, {"t_s", "u_px", "v_px", "valid", "sigma_px", *FRAME_COLUMNS}),
+        frame_px,
     )
+
+
+def _frame_size(columns: Columns) -> tuple[int, int] | None:
+    """width_px and height_px of the frames, the same in every row."""
+    if not set(FRAME_COLUMNS) <= set(columns.names):
+        return None
+    sides = [columns.raw(name) for name in FRAME_COLUMNS]
+    if any(len(np.unique(side)) != 1 or not 1 <= side[0] < FARTHEST_PX for side in sides):
+        columns.warnings.append(f"{columns.path}: {', '.join(FRAME_COLUMNS)} are not one size in all rows: ignored")
+        return None
+    return int(sides[0][0]), int(sides[1][0])
+
+
+def _sizes(marker: Marker) -> dict[str, Array]:
+    if marker.frame_px is None:
+        return {}
+    return {name: np.full(len(marker.t_s), n) for name, n in zip(FRAME_COLUMNS, marker.frame_px, strict=True)}
 
 
 def _load_angle(file: Path, warnings: list[str]) -> Angle:
     columns = read_columns(file, ["t_s", "c_deg"], "t_s,c_deg")
     t_s = columns.rising_times()
     c_deg = columns.raw("c_deg")
-    keep = np.isfinite(c_deg)
-    if not keep.any():
+    finite = np.isfinite(c_deg)
+    if not finite.any():
         raise TautError(f"{file}: c_deg holds no number")
-    if not keep.all():
-        columns.warnings.append(f"{file}: {int(np.sum(~keep))} rows have no finite c_deg and were left out")
+    stated = columns.flags("valid") if "valid" in columns.names else None
+    valid = finite if stated is None else finite & stated
+    if not valid.any():
+        raise TautError(f"{file}: no row is valid: check the sensor, or leave the column valid out")
+    if lost := int(np.sum(~finite if stated is None else stated & ~finite)):
+        columns.warnings.append(f"{file}: {lost} rows have no finite c_deg: taken as not valid")
     warnings += columns.warnings
-    extra = {name: values[keep] for name, values in _extra(columns, {"t_s", "c_deg"}).items()}
-    return Angle(t_s[keep], c_deg[keep], extra)
+    kept = None if stated is None and finite.all() else valid
+    return Angle(t_s, np.where(valid, c_deg, np.nan), kept, _extra(columns, {"t_s", "c_deg", "valid"}))
 
 
 def _find_video(folder: Path, tracked: bool, warnings: list[str]) -> Video | None:

@@ -17,6 +17,7 @@ from tautline.evidence import STAGES, Evidence, Run, collect
 from tautline.folders import replaced, write_file
 from tautline.model import MODEL_FILE, Model
 from tautline.recording import Recording
+from tautline.rig import MARKER
 
 Array = np.ndarray
 
@@ -276,10 +277,11 @@ def _numbers(model: Model, used: Sequence[Any], unused: Sequence[Any], evidence:
             Number("measured from, to", f"{_digits(model.measured[0], 3)}, {_digits(model.measured[1], 3)}", unit),
         ]
     numbers.append(Number("reversals used", str(len(used)), f"of {len(used) + len(unused)}"))
-    if model.rig.has_camera:
+    if model.sensor == MARKER or model.delay_s:
         sigma = model.extra.get("delay_sigma_s")
         spread = f"± {_digits(2e3 * sigma, 1)} ms" if sigma else "nominal"
-        numbers.append(Number("delay of the image", f"{1e3 * model.delay_s:.1f} ms", spread))
+        what = "image" if model.sensor == MARKER else "sensor"
+        numbers.append(Number(f"delay of the {what}", f"{1e3 * model.delay_s:.1f} ms", spread))
     if evidence is not None and np.isfinite(evidence.rms()[2]):
         numbers.append(Number("prediction", f"{_digits(evidence.rms()[2], 2)} {evidence.unit}", "rms per coordinate"))
     return numbers

@@ -6,7 +6,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 import tomli_w
@@ -15,6 +15,9 @@ from tautline.errors import TautError
 
 FORMAT = "rig/1"
 UNITS = ("mm", "deg")
+Sensor = Literal["marker", "angle"]
+MARKER: Sensor = "marker"
+ANGLE: Sensor = "angle"
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,13 @@ class Camera:
 
 
 @dataclass(frozen=True)
+class AngleSensor:
+    """An external sensor of the bending angle."""
+
+    delay_s: float = 0.0  # nominal
+
+
+@dataclass(frozen=True)
 class HandEye:
     """X_cam = R X_base + t with R = Rz(rz) Ry(ry) Rx(rx), angles [rx, ry, rz]."""
 
@@ -80,10 +90,15 @@ class Rig:
     camera: Camera | None = None
     hand_eye: HandEye | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)  # unknown keys, kept
+    angle: AngleSensor | None = None
 
     @property
     def delay_s(self) -> float:
+        """The camera's, nominal."""
         return self.camera.delay_s if self.camera else 0.0
+
+    def nominal_delay_s(self, sensor: Sensor) -> float:
+        return self.delay_s if sensor == MARKER else self.angle.delay_s if self.angle else 0.0
 
     @property
     def has_camera(self) -> bool:
@@ -143,6 +158,10 @@ class Rig:
                 frame_rate_hz=read.number("camera", "frame_rate_hz", above=0.0),
                 delay_s=read.number("camera", "delay_s", at_least=0.0),
             )
+        angle = None
+        if "angle" in document:
+            given = isinstance(document["angle"], Mapping) and "delay_s" not in document["angle"]
+            angle = AngleSensor() if given else AngleSensor(read.number("angle", "delay_s"))
         if "hand_eye" in document:
             rotation = read.numbers("hand_eye", "rotation_deg", 3)
             translation = read.numbers("hand_eye", "translation_mm", 3)
@@ -152,11 +171,11 @@ class Rig:
         if camera and not (kinematics and hand_eye):
             missing = "kinematics" if kinematics is None else "hand_eye"
             raise TautError(f"{where}: has [camera] but no [{missing}] section, which a marker's pose needs: add it")
-        return cls(actuator, coarse, kinematics, camera, hand_eye, _unknown(document))
+        return cls(actuator, coarse, kinematics, camera, hand_eye, _unknown(document), angle)
 
     def to_document(self) -> dict[str, Any]:
         document: dict[str, Any] = {"format": FORMAT}
-        for name in ("actuator", "coarse", "kinematics", "camera", "hand_eye"):
+        for name in ("actuator", "coarse", "kinematics", "camera", "angle", "hand_eye"):
             section = getattr(self, name)
             if section is not None:
                 document[name] = {
@@ -178,6 +197,7 @@ _KNOWN = {
     "coarse": {"gain", "offset"},
     "kinematics": {"bending_length_mm", "tip_length_mm"},
     "camera": {"width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px", "distortion", "frame_rate_hz", "delay_s"},
+    "angle": {"delay_s"},
     "hand_eye": {"rotation_deg", "translation_mm"},
 }
 

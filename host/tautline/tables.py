@@ -11,7 +11,7 @@ import numpy as np
 from tautline import _native
 from tautline.errors import TautError
 from tautline.model import Array, Model
-from tautline.rig import Rig
+from tautline.rig import MARKER, Rig
 
 KINDS: dict[str, int] = _native.AXIS_KINDS
 _KIND_NAMES = {value: name for name, value in KINDS.items()}
@@ -99,7 +99,7 @@ def encode(
     q = q_raw * (rig.actuator.encoder_resolution / _COUNT)
     width = np.interp(q, model.q, model.width)
     c_deg = _extended(q, np.asarray(model.q, float), np.asarray(model.c_deg, float))
-    fields = _fields(rig, axis, limits or Limits.of(rig), kind, model.delay_s, created_s)
+    fields = _fields(rig, axis, limits or Limits.of(rig), kind, model.delay_of(MARKER), created_s)
     fields |= {"q0": q_min, "step_log2": step_log2}
     blob: bytes = _native.table_encode(
         fields,

@@ -157,7 +157,7 @@ def test_an_angle_sensor_alone_needs_no_camera():
     plant = preset("davinci", rig, 5)
     made = run(rig, plant, sines(rig.actuator, 12.0, 60.0), angle_noise_deg=0.05, seed=5)
     found = calibrate([made.recording], rig)
-    assert found.model.delay_s == 0.0
+    assert abs(found.model.delay_s) < 1e-3  # estimated
     test = run(rig, plant, random_smooth(rig.actuator, 15.0, 40.0, 6), angle_noise_deg=0.05, seed=6)
     told = predict(found.model, test.recording.motor, test.recording.angle.t_s)
     assert told.image_px is None
@@ -238,7 +238,7 @@ def test_a_wrong_sign_and_a_wrong_scale_are_named():
     assert any("sign is wrong" in str(reason) for reason in calibrate([flipped], RIG).model.quality.reasons)
     tenth = replace(RIG, actuator=Actuator("mm", (-0.5, 0.5), 0.0001))
     small = replace(made, motor=replace(made.motor, q=0.1 * made.motor.q))
-    assert any("scale" == reason.code for reason in calibrate([small], tenth).model.quality.reasons)
+    assert any(reason.code == "scale" for reason in calibrate([small], tenth).model.quality.reasons)
 
 
 def test_what_shows_nothing_is_refused():

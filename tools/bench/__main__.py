@@ -1,4 +1,4 @@
-"""./run bench [--json]"""
+"""./run bench [--json], ./run bench videos"""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import click
 from rich.console import Console
 from rich.table import Table
-from tools.bench import calibration, control_step, diagnosis, trackers
+from tools.bench import calibration, control_step, diagnosis, trackers, videos
 
 from tautline.cli._common import log, plain, progress_bar
 from tautline.errors import TautError
@@ -18,11 +18,14 @@ from tautline.errors import TautError
 Rows = list[tuple[str, float, str]]
 
 
-@click.command()
+@click.group(invoke_without_command=True)
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object on stdout.")
 @click.option("--frames", type=click.IntRange(5, 1000), default=40, show_default=True, help="At each of 5 places.")
-def main(as_json: bool, frames: int) -> None:
+@click.pass_context
+def main(context: click.Context, as_json: bool, frames: int) -> None:
     """Times what matters, side by side with what others use, in one run on this machine."""
+    if context.invoked_subcommand is not None:
+        return
     with progress_bar("trackers") as progress:
         scores, notes = trackers.run(frames, progress)
     result: dict[str, Any] = {
@@ -79,6 +82,8 @@ def main(as_json: bool, frames: int) -> None:
     for note in notes:
         console.print(f"note: {note}", highlight=False)
 
+
+main.add_command(videos.command)
 
 if __name__ == "__main__":
     main()

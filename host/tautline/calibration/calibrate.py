@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
@@ -10,14 +10,21 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
+from tautline.calibration import clock
+from tautline.calibration.acquisition import doubts as acquisition_doubts
+from tautline.calibration.acquisition import in_another_unit
 from tautline.calibration.backlash import WidthCurve, fit_paper, fit_widths
 from tautline.calibration.components import Components, separate
-from tautline.calibration.doubts import doubts
+from tautline.calibration.doubts import doubts, floor_of
 from tautline.calibration.observations import Track, observe
 from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, find_delay, find_onsets
+from tautline.calibration.place import allowing_for_place, place_noise
 from tautline.calibration.playfit import NODES, Fitted
 from tautline.calibration.remaining import Remaining, fit_remaining, morphological, pose_of, posed
+from tautline.calibration.several import fit_elements
 from tautline.calibration.smooth import Domain, fit_jointly, fit_passes, freeze, overlap
+from tautline.calibration.worth import worth
+from tautline.elements import SINGLE
 from tautline.errors import TautError
 from tautline.geometry import coarse_range_deg
 from tautline.model import Model, allowed_width
@@ -34,6 +41,11 @@ _LEAST_FRAMES = 10
 _STANDS_OUT = 10.0  # a motion of so many sigma is one
 _AT_ONCE = 0.75  # of the path's slope: a tip that starts slower starts gradually
 _LITTLE = 0.03  # of the width: differences below are no contradiction
+_GRADUAL = 0.4  # noise: what a gradual start must leave for several elements to be tried
+_HELD = 0.5  # of the square of what one element leaves beyond noise: several may leave so much
+_LIKELY_GAIN = (0.4, 2.5)  # of f_coarse's, between which f_remain's is no wrong scale
+_LIKELY_BEND = 0.5  # of f_coarse's span, by which f_remain may leave it
+_LARGE = 0.1  # of the image's motion (rms): a registration that is off by less still tells angles
 _EXPLAINED = 1.5  # residual over noise up to which a model explains its data
 
 
@@ -42,6 +54,7 @@ class Options:
     delay_s: float | None = None  # given, not estimated
     knots: Literal["smooth", "paper"] = "smooth"  # paper: 14 knots through the onsets alone
     remaining: Literal["direct", "morphological"] = "direct"
+    elements: Literal["auto", "one"] = "auto"  # of the play: several where the data ask for them
 
 
 @dataclass(frozen=True)
@@ -56,6 +69,7 @@ class Calibration:
     evidence: dict[str, float]
     notes: tuple[str, ...]
     names: tuple[str, ...] = field(default=())  # of the recordings
+    offsets: Mapping[str, float] = field(default_factory=dict)  # by recording: the sensor's clock less the motor's
 
     def to_json(self) -> dict[str, Any]:
         """What `taut calibrate --json` prints (formats: backlash, remaining, delay_s, onsets, and what was noted)."""
@@ -76,6 +90,7 @@ class Calibration:
                 "sigma_deg": None if model.c_sigma is None else [_finite(v) for v in model.c_sigma],
             },
             "delay_s": model.delay_s,
+            "offset_s": model.offset_s,
             "delay_sigma_s": _finite(self.delay.sigma_s),
             "onsets": [onset_json(o, self.names) for o in self.onsets],
             "evidence": {key: _finite(value) for key, value in self.evidence.items()},
@@ -120,29 +135,37 @@ def calibrate(
     options = options or Options()
     say = progress or (lambda share, what: None)
     say(0.0, "reading frames")
-    tracks = [track for track in observe(recordings, rig) if len(track.t_s)]
+    every = observe(recordings, rig)
+    tracks = [track for track in every if len(track.t_s)]
     if not tracks:
         raise TautError("the marker was never seen: check the marker's colour (taut marker) and the camera's view")
     frames = sum(len(track.t_s) for track in tracks)
     if frames < _LEAST_FRAMES:
         raise TautError(f"the tip was seen in {frames} frames only: record the calibration motion with it in view")
     with threadpool_limits(1, "blas"):  # its systems are small: threads that wait for each other cost 10 times more
-        return _Session(tracks, rig, options, say).run()
+        aligned = clock.align(tracks, rig) if options.delay_s is None else clock.Clock.as_it_is(tracks)
+        return _Session(aligned, rig, options, say, acquisition_doubts(recordings, every, rig)).run()
 
 
 class _Session:
-    def __init__(self, tracks: list[Track], rig: Rig, options: Options, say: Progress) -> None:
-        self.tracks, self.rig, self.options, self.say = tracks, rig, options, say
+    def __init__(
+        self, aligned: clock.Clock, rig: Rig, options: Options, say: Progress, reasons: Sequence[Reason] = ()
+    ) -> None:
+        self.clock, self.rig, self.options, self.say = aligned, rig, options, say
+        self.tracks = tracks = aligned.tracks
         self.notes: list[str] = []
-        self.reasons: list[Reason] = []
+        self.reasons: list[Reason] = [*aligned.reasons, *reasons]
         self.evidence: dict[str, float] = {}
+        self.extra: dict[str, Any] = {}
         self.components: Components | None = None
+        self.elements = SINGLE
         reached = [(float(t.motor.q.min()), float(t.motor.q.max())) for t in tracks]
-        low, high = rig.actuator.range
         self.reached = min(r[0] for r in reached), max(r[1] for r in reached)
+        low, high = self.reached if in_another_unit(self.reached, rig) else rig.actuator.range
         self.domain = Domain(min(low, self.reached[0]), max(high, self.reached[1]))
         self.grid = np.linspace(self.domain.low, self.domain.high, NODES)
         self.camera = tracks[0].unit == "px"
+        self.nominal_s = rig.nominal_delay_s(tracks[0].sensor)
         self.unit = rig.actuator.unit
 
     def doubt(self, code: str, says: str, remedy: str, *, fatal: bool = False) -> None:
@@ -161,9 +184,10 @@ class _Session:
         curve = fit_widths(onsets, self.grid)
         self.say(0.35, "passes")
         joint, passes = self._smooth(onsets, delay, curve)
-        if joint is not None and joint.fit.fit_delay:
+        if joint is not None and (joint.fit.fit_delay or joint.curves.delay_s != delay.delay_s):
             before, delay = delay, self._joint_delay(delay, joint)
-            if abs(before.delay_s - delay.delay_s) > 1e-4:
+            surer = not self.camera and delay.sigma_s < 0.5 * before.sigma_s
+            if surer or abs(before.delay_s - delay.delay_s) > 1e-4:
                 onsets = find_onsets(self.tracks, self.rig, delay.delay_s, delay.sigma_s)
                 curve = fit_widths(onsets, self.grid)
         width, sigma, source = self._choose(onsets, curve, joint, passes)
@@ -182,17 +206,24 @@ class _Session:
     # ---- the delay
 
     def _delay(self) -> Delay:
-        if not self.camera:
-            return Delay(0.0, 0.0, 0)
         if self.options.delay_s is not None:
             return Delay(self.options.delay_s, 0.0, 0)
-        return find_delay(self.tracks, self.rig, self.rig.delay_s)
+        if not self.camera:
+            return clock.delay_of_all(self.tracks, self.nominal_s)
+        return find_delay(self.tracks, self.rig, clock.near_delay(self.tracks, self.nominal_s))
 
     def _joint_delay(self, stops: Delay, joint: Fitted) -> Delay:
         # Each turn is known to a rounded count: an error of time at the motor's speed.
         speed = float(np.median(np.concatenate([np.abs(s.speed[s.moving]) for s in joint.fit.simulated])))
         counts = self.rig.actuator.encoder_resolution / np.sqrt(12.0) / max(speed, 1e-9) / np.sqrt(max(stops.stops, 1))
-        return Delay(joint.curves.delay_s, float(np.hypot(joint.delay_sigma, counts)), stops.stops)
+        own = joint.delay_sigma
+        if not joint.fit.fit_delay:  # at the nominal delay: within a sample of it
+            own = (
+                min(stops.sigma_s, clock.period_s(self.tracks))
+                if joint.curves.delay_s == self.nominal_s
+                else stops.sigma_s
+            )
+        return Delay(joint.curves.delay_s, float(np.hypot(own, counts)), stops.stops)
 
     # ---- B
 
@@ -211,28 +242,46 @@ class _Session:
         self, onsets: Sequence[Onset], delay: Delay, curve: WidthCurve | None
     ) -> tuple[Fitted | None, Fitted | None]:
         frozen = freeze(self._one_curve(delay.delay_s), delay.delay_s)
-        fit_delay = self.camera and self.options.delay_s is None
+        fit_delay = self.options.delay_s is None
         joint = fit_jointly(frozen, self.domain, delay.delay_s, fit_delay=fit_delay, guess=curve)
         if joint is None:
             return None, None
-        if fit_delay and (jumping(onsets) or not self._explained(joint)):
+        if fit_delay and not self.camera:
+            joint = clock.settled(joint, delay, self.tracks, self.nominal_s)
+        elif fit_delay and (jumping(onsets) or not self._explained(joint)):
             # What the model does not know would bend the delay: the image stops tell it alone.
             joint.fit.fit_delay = False
             joint = joint.fit.solve(replace(joint.curves, delay_s=delay.delay_s))
         self.say(0.5, "what departs from a play")
         joint = self._separated(joint)
+        noise = place_noise(joint)
+        if noise is not None:
+            self.extra["place_noise"] = noise.to_json()
         self.say(0.6, "passes alone")
         margin = 0.1 * float(np.median(joint.fit.width(joint.curves))) + 0.005 * self.domain.span
-        return joint, fit_passes(joint, margin)
+        passes = fit_passes(joint, margin)
+        return joint, None if passes is None else allowing_for_place(passes)
 
     def _separated(self, joint: Fitted) -> Fitted:
         """The joint fit with all that departs from its model beside it."""
-        before = joint.scale
+        self.evidence["residual_before_components"] = joint.scale
         self.components = separate(joint, self.rig)
-        self.evidence["residual_before_components"] = before
+        several = self._several(joint, self.components) if self.options.elements == "auto" else None
+        if several is not None:
+            joint, self.elements = several, several.fit.elements
+            self.components = separate(joint, self.rig, without=frozenset({"phase.even"}))
         for part in self.components.parts:
             self.evidence[f"component_{part.name}"] = part.rms
         return self.components.applied(joint)
+
+    def _several(self, joint: Fitted, found: Components) -> Fitted | None:
+        """The joint fit with several elements, where the tip starts gradually and they hold most of it."""
+        gradual = next((part for part in found.parts if part.name == "phase.even"), None)
+        if gradual is None or gradual.rms < max(_GRADUAL, 0.5 * max(part.rms for part in found.parts)):
+            return None
+        several = fit_elements(found.applied(joint), self.rig)
+        before, after = (max(scale**2 - found.noise**2, 0.0) for scale in (joint.scale, several.scale))
+        return several if after < _HELD * before and not several.fit.elements.single else None
 
     def _explained(self, joint: Fitted) -> bool:
         return joint.scale < _EXPLAINED
@@ -372,7 +421,7 @@ class _Session:
             if found is not None:
                 return found
             self.notes.append("the characteristic shows no closed shape: f_remain was fitted directly instead")
-        return fit_remaining(self.tracks, self.rig, self.domain, self.grid, width, delay_s, settled)
+        return fit_remaining(self.tracks, self.rig, self.domain, self.grid, width, delay_s, settled, self.elements)
 
     # ---- what to think of it
 
@@ -431,7 +480,7 @@ class _Session:
                 f"the tip bends {gain:.3g} deg/{self.unit} where f_coarse says {self.rig.coarse.gain:.3g}",
                 "a sign is wrong: check encoder direction, coarse.gain, hand_eye, a mirrored image",
             )
-        elif not 0.4 < ratio < 2.5:
+        elif not _LIKELY_GAIN[0] < ratio < _LIKELY_GAIN[1]:
             self.doubt(
                 "scale",
                 f"the tip bends {gain:.3g} deg/{self.unit} where f_coarse says {self.rig.coarse.gain:.3g}",
@@ -439,11 +488,26 @@ class _Session:
             )
         self.evidence["residual"] = remaining.residual
         if self.camera and remaining.residual > max(5.0, 20 * float(np.median(self.tracks[0].sigma))):
-            self.doubt(
-                "registration.static",
-                f"the marker is {remaining.residual:.3g} px (rms) off where camera, hand_eye and kinematics put it",
-                "f_remain absorbs what it can, but check them",
-            )
+            self._registration(remaining.residual, ratio, p, c)
+
+    def _registration(self, residual: float, ratio: float, p: Array, c: Array) -> None:
+        """The marker is off the path that the rig gives it. Where f_remain was bent beyond belief to come near it, no
+        angle means anything."""
+        coarse = self.rig.coarse
+        bent = float(np.max(np.abs(c - (coarse.gain * p + coarse.offset))))
+        whole = abs(coarse.gain) * float(np.ptp(p))
+        moved = float(np.std(np.concatenate([t.y for t in self.tracks]), axis=0).max())
+        likely = _LIKELY_GAIN[0] < ratio < _LIKELY_GAIN[1] and bent < _LIKELY_BEND * whole
+        says = f"the marker is {residual:.3g} px (rms) off where camera, hand_eye and kinematics put it"
+        if likely or residual < _LARGE * moved:
+            self.doubt("registration.static", says, "f_remain absorbs what it can, but check them")
+            return
+        self.doubt(
+            "registration.static",
+            f"{says}, and f_remain had to leave f_coarse by {bent:.3g} of {whole:.3g} deg",
+            "rig.toml is not of this set-up: check camera (fx_px, size), hand_eye, kinematics and coarse.gain",
+            fatal=True,
+        )
 
     # ---- the result
 
@@ -454,12 +518,26 @@ class _Session:
         names = tuple(track.name for track in self.tracks)
         measured = self._measured(curve, joint, source)
         beyond = np.abs(self.grid - np.clip(self.grid, *measured))
-        sigma = np.hypot(sigma, 0.5 * beyond)
+        inside = (self.grid > measured[0]) & (self.grid < measured[1])
+        floor = floor_of([t.motor for t in self.tracks], self.grid[inside], width[inside], sigma[inside], self.unit)
+        self.reasons += floor.reasons
+        sigma = np.hypot(np.hypot(sigma, floor.sigma), 0.5 * beyond)
         pass_width, pass_sigma = self._second_opinion(onsets, curve, passes)
-        if self.camera and not np.isfinite(delay.sigma_s):
-            self.notes.append(f"no image stop told the delay: the nominal {delay.delay_s * 1e3:.0f} ms is used")
+        characteristic = self._characteristic(delay.delay_s)
+        aligned, delay = self.clock.with_delay(delay, self.nominal_s)
+        if not np.isfinite(delay.sigma_s):
+            self.notes.append(f"no stop of the tip told the delay: the nominal {delay.delay_s * 1e3:.0f} ms is used")
         coarse = self.rig.coarse
         c = remaining.c_deg if remaining is not None else coarse.gain * self.grid + coarse.offset
+        c_sigma = remaining.sigma_deg if remaining is not None else np.full(len(c), np.nan)
+        model = Model(
+            self.rig, self.grid, width, sigma, c, delay.delay_s, measured, elements=self.elements, c_sigma=c_sigma,
+            sensor=self.tracks[0].sensor, offset_s=aligned.offset_s,
+        )  # fmt: skip
+        told = worth(model, self.tracks, self.rig)
+        if told is not None:
+            self.reasons += told.doubts
+            self.evidence |= {"error": told.model, "error_coarse": told.coarse, "error_constant": told.constant}
         notes = tuple(dict.fromkeys(self.notes))
         extra: dict[str, Any] = {
             "source": source,
@@ -467,17 +545,17 @@ class _Session:
             "onsets": [onset_json(o, names) for o in onsets],
             "evidence": {key: _finite(value) for key, value in self.evidence.items()},
             "notes": list(notes),
-            "characteristic": self._characteristic(delay.delay_s),
+            "characteristic": characteristic,
             "options": asdict(self.options),
+            **self.extra,
         }
         if pass_width is not None:
             extra["pass_width"] = [_finite(v) for v in pass_width]
-        c_sigma = remaining.sigma_deg if remaining is not None else np.full(len(c), np.nan)
-        quality = Quality.of(self.reasons)
-        model = Model(self.rig, self.grid, width, sigma, c, delay.delay_s, measured, (), SINGLE, c_sigma, quality, extra)
+        model = replace(model, quality=Quality.of(self.reasons), extra=extra)
         return Calibration(
-            model, tuple(onsets), delay, source, curve, pass_width, pass_sigma, self.evidence, notes, names
-        )
+            model, tuple(onsets), delay, source, curve, pass_width, pass_sigma, self.evidence, notes, names,
+            aligned.offsets,
+        )  # fmt: skip
 
     def _measured(self, curve: WidthCurve | None, joint: Fitted | None, source: str) -> tuple[float, float]:
         if curve is not None:
@@ -510,7 +588,7 @@ class _Session:
             self.evidence["onsets_minus_passes_rms"] = float(np.sqrt(np.mean(difference**2)))
             self.evidence["onsets_minus_passes_z2"] = float(np.mean(z**2))
             share = abs(mean) / max(float(np.median([o.width for o in widths])), 1e-9)
-            if float(np.mean(z**2)) > 2 * _AGREE and share > 0.03:
+            if float(np.mean(z**2)) > 2 * _AGREE and share > 0.03 and self.elements.single and jumping(widths):
                 self.doubt(
                     "registration.direction_dependent",
                     f"the passes lie {abs(mean):.3g} {self.unit} {'less' if mean > 0 else 'more'} apart than the "

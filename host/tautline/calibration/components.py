@@ -15,8 +15,8 @@ import numpy.typing as npt
 from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve, eigh
 
-from tautline.calibration.departures import Columns, Part, Scene, departures, on_clock, scene_of
-from tautline.calibration.playfit import Curves, Fitted
+from tautline.calibration.departures import Columns, Part, Scene, Sparse, departures, on_clock, scene_of
+from tautline.calibration.playfit import Curves, Fitted, PlayFit
 from tautline.rig import Rig
 
 Array = npt.NDArray[np.float64]
@@ -30,6 +30,8 @@ _MOST, _LEAST = 1e12, 1e-12
 _SHARES = (1.0, 0.5, 0.2)  # of a step, tried in turn
 _WORSE = 1.02  # of what was left, from which a step leads too far
 _STILL = 0.05  # a change of B, in its sigma, that is none
+_COUNT = 0.29  # of an encoder's step: the standard deviation of a place within it
+_SHOWS = 0.3  # of the noise: an encoder's count that moves the image by more shows
 _FEW = 30  # frames that tell no scatter
 _CORRECTS = 0.3  # of a component's correction of B: what it may be off by
 _LAGS = 60  # frames of autocorrelation
@@ -71,22 +73,28 @@ class Components:
         )  # fmt: skip
 
 
-def separate(fitted: Fitted, rig: Rig) -> Components:
-    """Re-estimates B with what departs from the model beside it, from the joint fit as it stands."""
-    return _Separation(fitted, rig).run()
+def separate(fitted: Fitted, rig: Rig, without: frozenset[str] = frozenset()) -> Components:
+    """Re-estimates B with what departs from the model beside it, from the joint fit as it stands. without: departures
+    that the fit itself holds."""
+    return _Separation(fitted, rig, without).run()
 
 
 @dataclass
 class _Separation:
     fitted: Fitted
     rig: Rig
+    without: frozenset[str] = frozenset()
     active: list[str] = field(default_factory=list)
     penalties: dict[str, float] = field(default_factory=dict)
+    refused: set[str] = field(default_factory=set)  # that would have to be negative
+    moving_noise: float = 1.0  # of frames at which the tip moves, over that of the others
 
     def run(self) -> Components:
+        self._expect_turns()
         solved = self._at(self.fitted.curves, np.zeros(2), Columns())
         for _ in range(_ROUNDS):
             joined = solved.join()
+            self.moving_noise = solved.moving_noise()
             columns = solved.scanned()
             if not joined and not solved.changes:
                 break
@@ -96,9 +104,19 @@ class _Separation:
             solved = ahead
         return solved.result()
 
+    def _expect_turns(self) -> None:
+        """Where an encoder's count shows in the image the motor's turns are known no better, whatever else is there."""
+        fit, count = self.fitted.fit, _COUNT * self.rig.actuator.encoder_resolution
+        steep = np.linalg.norm(fit.follow.slope(self.fitted.curves.follow, fit.grid).reshape(len(fit.grid), -1), axis=1)
+        sigma = float(np.median(np.concatenate([frozen.track.sigma for frozen in fit.tracks])))
+        if count * float(np.median(steep)) > _SHOWS * sigma:
+            self.active.append("turn")
+            self.penalties["turn"] = (self.fitted.scale / count) ** 2
+
     def _at(self, curves: Curves, clock: Array, columns: Columns) -> _Solved:
         scene = scene_of(self.fitted, curves, self.rig, clock)
-        solved = _Solved(self, curves, scene, departures(scene, columns), clock, columns)
+        parts = [part for part in departures(scene, columns) if part.name not in self.without]
+        solved = _Solved(self, curves, scene, parts, clock, columns)
         solved.settle()
         return solved
 
@@ -122,6 +140,14 @@ def between(start: Curves, end: Curves, share: float) -> Curves:
     )
 
 
+def nominal_columns(fit: PlayFit, scene: Scene) -> Sparse:
+    """Of path (channel by channel), B and delay."""
+    path = sparse.diags(scene.inverse) @ fit.follow.design(scene.p)
+    by_width = sparse.diags(scene.by_width) @ fit.backlash.design(scene.p)
+    shared = sparse.csr_matrix(sparse.hstack([by_width, sparse.csr_matrix(scene.by_delay[:, None])]))
+    return sparse.csr_matrix(sparse.hstack([scene.each(path), scene.along(shared)]))
+
+
 class _Solved:
     """The mixed model at one linearisation: normal equations of path, B, delay and all departures."""
 
@@ -130,20 +156,17 @@ class _Solved:
     ) -> None:
         self.owner, self.curves, self.scene, self.clock, self.columns = owner, curves, scene, clock, columns
         self.fit = fit = owner.fitted.fit
-        channels = scene.rows.shape[1]
-        path = sparse.diags(scene.inverse) @ fit.follow.design(scene.p)
-        own = sparse.block_diag([path] * channels, format="csr")
-        by_width = sparse.diags(scene.by_width) @ fit.backlash.design(scene.p)
-        shared = sparse.csr_matrix(sparse.hstack([by_width, sparse.csr_matrix(scene.by_delay[:, None])]))
-        design = sparse.hstack([own, scene.along(shared), *(part.columns for part in parts)], format="csr")
+        nominal = nominal_columns(fit, scene)
+        design = sparse.hstack([nominal, *(part.columns for part in parts)], format="csr")
         self.design = design
-        self.weight = np.tile(scene.weight, channels)
+        moving = np.where(scene.moving, owner.moving_noise**-2, 1.0)
+        self.weight = np.tile(scene.weight * moving, scene.rows.shape[1])
         self.target = scene.rows.T.ravel()
         heavy = sparse.csr_matrix(design.multiply(self.weight[:, None]))
         self.gram = np.asarray((heavy.T @ design).toarray())
         self.force = np.asarray(heavy.T @ self.target).ravel()
         self.total = float(self.weight @ self.target**2)
-        self.head = own.shape[1] + shared.shape[1]
+        self.head = int(nominal.shape[1])
         ends = np.cumsum([self.head, *(part.size for part in parts)])
         self.parts = {part.name: part for part in parts}
         self.places = {part.name: np.arange(a, b) for part, a, b in zip(parts, ends[:-1], ends[1:], strict=True)}
@@ -206,7 +229,7 @@ class _Solved:
         """Adds what the restricted likelihood gains most by, if it is enough."""
         joined = False
         for _ in range(_AT_ONCE):
-            active = set(self.owner.active)
+            active = set(self.owner.active) | self.owner.refused
             open_parts = [p for p in self.parts.values() if p.name not in active and not p.not_beside & active]
             gains = {part.name: self._gain(part) for part in open_parts}
             if not gains:
@@ -217,6 +240,10 @@ class _Solved:
             self.owner.active.append(name)
             self.owner.penalties[name] = gains[name][1]
             self.settle()
+            if self.parts[name].one_way and self.values[dict(self._blocks())[name][0]] < 0:
+                self.owner.active.remove(name)
+                self.owner.refused.add(name)
+                self.settle()
             joined = True
         return joined
 
@@ -240,6 +267,15 @@ class _Solved:
         """(n, channels) what is not explained."""
         left = self.target - self.design[:, self.kept] @ self.values
         return np.asarray(left.reshape(self.scene.rows.shape[1], -1).T)
+
+    def moving_noise(self) -> float:
+        """Scatter from frame to frame where the tip moves, over that where it rests."""
+        step = np.mean(np.diff(self._left(), axis=0) ** 2, axis=1)
+        moves = self.scene.moving[1:] & self.scene.moving[:-1]
+        rests = ~self.scene.moving[1:] & ~self.scene.moving[:-1]
+        if moves.sum() < _FEW or rests.sum() < _FEW:
+            return 1.0
+        return float(np.clip(np.sqrt(np.median(step[moves]) / max(float(np.median(step[rests])), 1e-30)), 1.0, 30.0))
 
     def _effective(self) -> float:
         return effective(self._left())
@@ -310,6 +346,7 @@ class _Solved:
         """B as it is when the session ends, of slow strokes: the others are wider by what a departure says."""
         values = {name: self.values[at] for name, at in self._blocks() if name.startswith("width.")}
         grown = 1.0 + 0.5 * float(values["width.time"][0]) if "width.time" in values else 1.0
+        grown += float(values["width.recording"][-1]) if "width.recording" in values else 0.0
         faster = float(values["width.speed"][0]) if "width.speed" in values else 0.0
         return np.maximum(backlash * grown - faster, 0.0)
 

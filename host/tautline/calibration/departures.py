@@ -19,6 +19,7 @@ from scipy.signal import lfilter
 from tautline import _native
 from tautline.calibration.observations import Mask, turning_hysteresis
 from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit, Simulated
+from tautline.elements import Play
 from tautline.recording import Motor
 from tautline.rig import Rig
 
@@ -28,7 +29,7 @@ Sparse = Any  # a scipy.sparse matrix, or an array
 # Of the travel since a turn, in widths: where what follows a reversal is told apart; beyond the last, nothing.
 _PHASES = np.array([0.0, 0.12, 0.25, 0.4, 0.55, 0.7, 0.85, 0.95, 1.05, 1.15, 1.3, 1.5, 1.75, 2.0])
 _TIMES = 10  # spans of slow drifts
-_LAGS_S, _CREEPS_S = (0.02, 0.06, 0.15), (0.5, 2.0)
+_LAGS_S, _CREEPS_S = (0.02, 0.05, 0.1, 0.2), (0.6, 2.0)
 _FINE_S = 0.005  # of the path that lags
 _BREATHS_HZ = 0.08, 1.0
 _SCAN = 12.0  # what looking for a moment or a rhythm costs, of twice the log likelihood
@@ -41,6 +42,7 @@ class Part:
     name: str
     columns: sparse.csr_matrix
     penalty: Array  # (m, m)
+    one_way: bool = False  # its only value cannot be negative
     not_beside: frozenset[str] = frozenset()  # departures that it would stand in for
     price: float = 0.0  # for having been looked for
 
@@ -66,6 +68,7 @@ class Scene:
     phase: Array  # travel since the motor turned, in widths
     way: Array  # of the motor since then
     stroke: npt.NDArray[np.intp]  # half-cycle of the tip
+    recording: npt.NDArray[np.intp]
     lagging: Array  # (n, 3) what lags would add to p, per s
     creeping: Array  # (n, 2) what creep would, per share
     load: Array | None  # less its mean
@@ -117,6 +120,8 @@ def scene_of(fitted: Fitted, curves: Curves, rig: Rig, clock: Array) -> Scene:
     for piece in pieces:
         piece["stroke"] = piece["stroke"] + before
         before = int(piece["stroke"].max(initial=before - 1)) + 1
+    for number, piece in enumerate(pieces):
+        piece["recording"] = np.full(len(piece["p"]), number)
     load = None if any(piece["load"] is None for piece in pieces) else np.concatenate([p["load"] for p in pieces])
     joined = {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0] if name != "load"}
     norm = np.sqrt(np.mean(joined["rows"] ** 2, axis=1))
@@ -141,10 +146,17 @@ def departures(scene: Scene, looked_for: Columns) -> list[Part]:
     faster = np.where(scene.moving, speeds / max(usual, 1e-12) - 1.0, 0.0)
 
     def column(name: str, values: Array, *not_beside: str) -> Part:
-        return Part(name, scene.along(values[:, None]), one, frozenset(not_beside))
+        return Part(name, scene.along(values[:, None]), one, False, frozenset(not_beside))
+
+    def slow_parts(name: str, times_s: tuple[float, ...], columns: Array) -> list[Part]:
+        """One of several time constants."""
+        names = frozenset(f"{name}.{tau:g}" for tau in times_s)
+        return [
+            Part(f"{name}.{tau:g}", scene.along(columns[:, [i]]), one, True, names) for i, tau in enumerate(times_s)
+        ]
 
     parts = [
-        Part("phase.even", scene.along(hats.multiply(scene.way[:, None])), smooth, frozenset({"width.speed"})),
+        Part("phase.even", scene.along(hats.multiply(scene.way[:, None])), smooth, False, frozenset({"width.speed"})),
         Part("phase.odd", scene.along(hats), smooth),
         Part("stroke", scene.along(each), np.eye(strokes)),
         Part("turn", scene.along(held), np.eye(strokes)),
@@ -153,13 +165,20 @@ def departures(scene: Scene, looked_for: Columns) -> list[Part]:
         column("width.speed", scene.by_width * faster, "phase.even"),
         column("clock.rate", scene.by_delay * scene.t),
         column("clock.drift", scene.by_delay * (scene.t**2 - 1 / 12)),
-        Part("lag", scene.along(scene.lagging), np.eye(len(_LAGS_S))),
-        Part("creep", scene.along(scene.creeping), np.eye(len(_CREEPS_S))),
+        *slow_parts("lag", _LAGS_S, scene.lagging),
+        *slow_parts("creep", _CREEPS_S, scene.creeping),
     ]
     if scene.load is not None and np.ptp(scene.load) > 0:
         load = scene.load / np.std(scene.load)
         effects = np.column_stack([load, scene.by_width * load, (scene.p - scene.p.mean()) * load])
         parts.append(Part("load", scene.along(effects), np.eye(3)))
+    recordings = int(scene.recording.max(initial=0)) + 1
+    if recordings > 1:
+        which = np.eye(recordings)[scene.recording]
+        parts += [
+            Part("offset.recording", scene.along(which), np.eye(recordings)),
+            Part("width.recording", scene.along(which * (scene.by_width * scene.width)[:, None]), np.eye(recordings)),
+        ]
     if channels > 1:
         parts += [
             Part(
@@ -217,13 +236,14 @@ def _piece(
     scene_s = track.scene_s(curves.delay_s)
     gone, way = _since_turn(track.motor, scene_s[keep], rig)
     p, side, moving = sim.p[keep], sim.side[keep].astype(float), sim.moving[keep]
-    denominator = np.maximum(1.0 + 0.5 * side * fit.backlash.slope(curves.backlash, p), 0.05)
+    lean, share = sim.lean[keep], sim.share[keep]
+    denominator = np.maximum(1.0 + 0.5 * lean * fit.backlash.slope(curves.backlash, p), 0.05)
     inverse = 1.0 / track.sigma[keep]
     stroke = np.cumsum(np.diff(sim.side.astype(int), prepend=sim.side[:1]) != 0)
     width = np.interp(p, fit.grid, fit.width(curves))
     load = track.motor.load_mNm
     fine = np.arange(track.motor.t_s[0], track.motor.t_s[-1], _FINE_S)
-    course = _native.play_forward(track.motor_at(fine), fit.grid, fit.width(curves), np.nan)
+    course = Play(fit.grid, fit.width(curves), fit.elements).forward(track.motor_at(fine))
 
     def behind(times_s: tuple[float, ...]) -> Array:
         return np.column_stack([np.interp(scene_s[keep], fine, _low_pass(course, tau) - course) for tau in times_s])
@@ -232,10 +252,10 @@ def _piece(
         "time_s": track.t_s[keep] + begin,
         "p": p,
         "side": side,
-        "slope": fit.follow.slope(curves.follow, p).reshape(len(p), -1) * inverse[:, None],
+        "slope": fit.follow.slope(curves.follow, p).reshape(len(p), curves.follow.shape[1]) * inverse[:, None],
         "width": width,
-        "by_width": -0.5 * side / denominator,
-        "by_delay": -sim.speed[keep] * moving / denominator * track.delayed,
+        "by_width": -0.5 * lean / denominator,
+        "by_delay": -sim.speed[keep] * share / denominator,
         "speed": sim.speed[keep] * moving,
         "moving": moving,
         "phase": gone / np.maximum(width, 0.2 * usual),

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 
 from tautline.calibration.components import Component, Components
+from tautline.encoder import between_samples
 from tautline.quality import Reason
+from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
 
@@ -15,6 +20,12 @@ _SHIFTED = 0.03  # of B: what leaving a component out would change, from which i
 _UM = 5e-3  # and at least this share of B's sigma beside it
 _WHITE = 1.5  # frames for each independent one up to which scatter is of single frames
 _SPEEDS = 1.5  # scatter of moving frames over that of resting ones, from which times are unsteady
+
+_CYCLES = 4.0, 40.0  # of a ripple over what was measured
+_RIPPLE = 0.02, 5.0  # of B, and of its sigma: less is none
+_ALONE = 0.6  # of what B's shape leaves, that is one ripple
+_SHAPE = 6  # degree of a polynomial that B's own shape is
+_COARSE = 0.015  # of B: a motor's path between its samples is known no better
 
 _DRIVE = "calibrate again once it is mended, or let taut diagnose add it to the model"
 # Component: code, what it looks like, what to do.
@@ -38,6 +49,16 @@ _MEANS: dict[str, tuple[str, str, str]] = {
         "encoder",
         "where the tip rests after a turn is not where the motor's counts say that it turned",
         "look for stick-slip, a coarse or noisy encoder",
+    ),
+    "offset.recording": (
+        "transmission.offset",
+        "the tip's place at one motor position differs between the recordings",
+        "re-tensioning, another posture or homing: calibrate with recordings of one state",
+    ),
+    "width.recording": (
+        "transmission.backlash",
+        "the backlash differs between the recordings, the last one's is kept",
+        "re-tensioning or another posture: calibrate with recordings of one state",
     ),
     "offset.time": (
         "transmission.drift",
@@ -98,7 +119,8 @@ def doubts(found: Components, counted: npt.NDArray[np.bool_], unit: str, seen: s
     reasons = []
     for part in found.parts:
         shift = float(np.sqrt(np.mean(part.shift[counted] ** 2))) if counted.any() else 0.0
-        if np.hypot(1.0, part.rms) > _EXPLAINED or shift > max(_SHIFTED * usual, 3.0 * sigma):
+        mild = part.name == "turn" and shift < _SHIFTED * usual  # a count is a count
+        if (not mild and np.hypot(1.0, part.rms) > _EXPLAINED) or shift > max(_SHIFTED * usual, 3.0 * sigma):
             reasons.append((part.chi2, _reason(part, shift, unit)))
     told = [reason for _, reason in sorted(reasons, key=lambda each: -each[0])]
     if found.noise > _EXPLAINED:
@@ -107,7 +129,7 @@ def doubts(found: Components, counted: npt.NDArray[np.bool_], unit: str, seen: s
 
 
 def _reason(part: Component, shift: float, unit: str) -> Reason:
-    code, says, remedy = _MEANS[part.name]
+    code, says, remedy = _MEANS[part.name.rstrip("0123456789.")]
     return Reason(code, f"{says} ({part.rms:.1f} times the noise, {shift:.2g} {unit} of B)", remedy)
 
 
@@ -122,3 +144,54 @@ def _scatter(found: Components, seen: str) -> Reason:
     if found.effective < _WHITE:
         return Reason("noise", f"{times}, from frame to frame", "check light, focus and the marker's colour")
     return Reason("residual", f"{times}, which no known departure explains", "taut diagnose says where it is")
+
+
+@dataclass(frozen=True)
+class Floor:
+    """What every stroke is wrong by alike: no scatter shows it, so it is added to B's sigma."""
+
+    sigma: float  # unit of q
+    reasons: tuple[Reason, ...]
+
+
+def floor_of(motors: Sequence[Motor], grid: Array, width: Array, sigma: Array, unit: str) -> Floor:
+    """grid, width and sigma where B was measured."""
+    if len(grid) < _SHAPE + 2:
+        return Floor(0.0, ())
+    reasons, usual = [], float(np.median(width))
+    between = max(between_samples(motor) for motor in motors)
+    if between > _COARSE * usual:
+        period = max(float(np.median(np.diff(motor.t_s))) for motor in motors)
+        reasons.append(
+            Reason(
+                "rate",
+                f"the motor's samples are {period * 1e3:.0f} ms apart, its turns are known to {between:.2g} {unit}",
+                "log the motor at 100 Hz or more",
+            )
+        )
+    rippled, wave = _ripple(grid, width)
+    if rippled < max(_RIPPLE[0] * usual, _RIPPLE[1] * float(np.median(sigma))):
+        rippled = 0.0
+    else:
+        reasons.append(
+            Reason(
+                "actuator.encoder_periodic",
+                f"B(q) ripples by {rippled:.2g} {unit} (rms) every {wave:.3g} {unit}, as an encoder may",
+                "centre the encoder's magnet or disc and calibrate again",
+            )
+        )
+    return Floor(float(np.hypot(between, rippled)), tuple(reasons))
+
+
+def _ripple(grid: Array, width: Array) -> tuple[float, float]:
+    """(rms, period) of one ripple that is most of what B's shape leaves; 0 where there is none."""
+    left = width - np.polynomial.Polynomial.fit(grid, width, _SHAPE)(grid)
+    span = float(grid[-1] - grid[0])
+    rates = np.linspace(_CYCLES[0] / span, _CYCLES[1] / span, 400)
+    turn = 2j * np.pi * np.outer(rates, grid)
+    strength = np.abs(np.exp(turn) @ left) ** 2
+    rate = float(rates[int(np.argmax(strength))])
+    waves = np.column_stack([np.cos(2 * np.pi * rate * grid), np.sin(2 * np.pi * rate * grid)])
+    fitted = waves @ np.linalg.lstsq(waves, left, rcond=None)[0]
+    share = float(np.sum(fitted**2)) / max(float(np.sum(left**2)), 1e-30)
+    return (float(np.std(fitted)), 1.0 / rate) if share > _ALONE else (0.0, 1.0 / rate)

@@ -13,7 +13,7 @@ from tautline import _native
 from tautline.encoder import between_counts
 from tautline.errors import TautError
 from tautline.recording import Motor, Recording
-from tautline.rig import Rig
+from tautline.rig import ANGLE, MARKER, Rig, Sensor
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -31,14 +31,17 @@ class Track:
     name: str
     unit: str  # of y: "px" or "deg"
     motor: Motor
-    t_s: Array  # (n,) when a frame arrived; rising
+    t_s: Array  # (n,) when a frame or a sensor's value arrived; rising
     y: Array  # (n, 2) px or (n, 1) deg
     sigma: Array  # (n,) noise of y, per coordinate
-    delayed: bool  # the scene is older than t_s by the camera's delay
     stray: int = 0  # frames left out because they show the marker elsewhere for a moment
 
     def scene_s(self, delay_s: float) -> Array:
-        return self.t_s - delay_s if self.delayed else self.t_s
+        return self.t_s - delay_s
+
+    @property
+    def sensor(self) -> Sensor:
+        return MARKER if self.unit == "px" else ANGLE
 
     def motor_at(self, scene_s: Array) -> Array:
         return np.asarray(np.interp(scene_s, self.motor.t_s, self.motor.q))
@@ -93,11 +96,11 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
             seen = marker.valid & np.isfinite(marker.u_px) & np.isfinite(marker.v_px)
             y = np.column_stack([marker.u_px, marker.v_px])[seen].astype(float)
             given = None if marker.sigma_px is None else marker.sigma_px[seen]
-            tracks.append(_track(recording, "px", marker.t_s[seen], y, given, delayed=True))
+            tracks.append(_track(recording, "px", marker.t_s[seen], y, given))
         elif angle is not None:
-            seen = np.isfinite(angle.c_deg)
+            seen = angle.seen
             y = angle.c_deg[seen, None].astype(float)
-            tracks.append(_track(recording, "deg", angle.t_s[seen], y, None, delayed=False))
+            tracks.append(_track(recording, "deg", angle.t_s[seen], y, None))
         elif marker is not None:
             raise TautError(f"{recording.name}: marker positions need a rig with [camera]: add it to rig.toml")
         else:
@@ -108,7 +111,7 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
     return tracks
 
 
-def _track(recording: Recording, unit: str, t: Array, y: Array, given: Array | None, *, delayed: bool) -> Track:
+def _track(recording: Recording, unit: str, t: Array, y: Array, given: Array | None) -> Track:
     noise = noise_of(t, y, _LEAST_PX if unit == "px" else _LEAST_DEG)
     if given is not None and len(t) and (np.isfinite(given) & (given > 0)).any():
         good = np.isfinite(given) & (given > 0)
@@ -120,7 +123,7 @@ def _track(recording: Recording, unit: str, t: Array, y: Array, given: Array | N
     noise = max(noise, 1e-9)
     stray = strays(y, noise)
     t, y = t[~stray], y[~stray]
-    return Track(recording.name, unit, recording.motor, t, y, np.full(len(t), noise), delayed, int(stray.sum()))
+    return Track(recording.name, unit, recording.motor, t, y, np.full(len(t), noise), int(stray.sum()))
 
 
 def strays(y: Array, sigma: float) -> Mask:

@@ -353,7 +353,7 @@ def _with_clock_and_counts(onset: Onset, track: Track, delay_sigma: float, resol
     if not np.isfinite(onset.sigma):
         return onset
     speed = 0.0
-    if track.delayed and np.isfinite(delay_sigma):
+    if np.isfinite(delay_sigma):
         around = track.motor_at(np.array([onset.t_s - 0.02, onset.t_s + 0.02]))
         speed = abs(float(around[1] - around[0])) / 0.04
     extra = np.hypot(speed * (delay_sigma if speed else 0.0), resolution / np.sqrt(12.0))
@@ -433,7 +433,7 @@ def find_delay(tracks: Sequence[Track], rig: Rig, nominal_s: float, passes: int 
     delay = nominal_s
     result = Delay(nominal_s, np.inf, 0)
     for _ in range(passes):
-        stops = [stop for track in tracks if track.delayed for stop in _stops(track, rig, delay)]
+        stops = [stop for track in tracks for stop in _stops(track, rig, delay)]
         if not stops:
             return Delay(nominal_s, np.inf, 0)
         grid = np.linspace(nominal_s - _DELAY_REACH_S, nominal_s + _DELAY_REACH_S, 61)

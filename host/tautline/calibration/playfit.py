@@ -16,6 +16,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from tautline import _native
 from tautline.calibration.observations import Mask, Track, corners
+from tautline.elements import SINGLE, Elements, Play
 from tautline.model import STEEPEST, allowed_width
 from tautline.splines import Basis
 
@@ -45,9 +46,15 @@ class Simulated:
     p: Array
     known: Mask  # the play has forgotten where it started, and motor samples cover the frame
     settled: Mask  # known, and driven through a full backlash in both directions
-    side: npt.NDArray[np.int8]  # envelope that last moved p
-    moving: Mask  # p moves with q at this frame
+    side: npt.NDArray[np.int8]  # envelope that last moved p (of several elements: that last held them all)
+    lean: Array  # -2 dp/dB where B is constant; of one element its side
+    share: Array  # dp/dq there: of one element 1 where p moves with q at this frame, else 0
     speed: Array  # dq/dt, unit/s
+
+    @property
+    def moving(self) -> Mask:
+        moves: Mask = self.share > 0
+        return moves
 
 
 @dataclass(frozen=True)
@@ -66,24 +73,32 @@ class Frozen:
         half_s = max(_SLOPE_S, float(np.median(np.diff(track.motor.t_s)))) if len(track.motor.t_s) > 1 else _SLOPE_S
         return cls(track, times, positions, np.ones(len(track.t_s), bool) if use is None else use, half_s)
 
-    def simulate(self, grid: Array, width: Array, delay_s: float) -> Simulated:
-        track = self.track
-        scene = track.scene_s(delay_s)
-        q = track.motor_at(scene)
-        n = len(self.corner_t)
-        times = np.concatenate([self.corner_t, scene])
+    def course(self, scene_s: Array) -> tuple[Array, npt.NDArray[np.intp]]:
+        """All that a play needs of the motor's positions, in order of time, and which of them are at `scene_s`."""
+        times = np.concatenate([self.corner_t, scene_s])
         order = np.argsort(times, kind="stable")
-        positions = np.concatenate([self.corner_q, q])[order]
         back = np.empty(len(times), dtype=np.intp)
         back[order] = np.arange(len(times))
-        at = back[n:]
+        return np.concatenate([self.corner_q, self.track.motor_at(scene_s)])[order], back[len(self.corner_t) :]
+
+    def simulate(self, grid: Array, width: Array, delay_s: float, elements: Elements = SINGLE) -> Simulated:
+        track = self.track
+        scene = track.scene_s(delay_s)
+        positions, at = self.course(scene)
         far = 10.0 * (abs(grid[-1] - grid[0]) + abs(positions).max(initial=1.0))
-        p, side, anchor = _native.play_trace(positions, grid, width, -far)
-        other, other_side, _ = _native.play_trace(positions, grid, width, far)
+        if elements.single:
+            p, side, anchor = _native.play_trace(positions, grid, width, -far)
+            other, other_side, _ = _native.play_trace(positions, grid, width, far)
+            lean, share = side[at].astype(float), (anchor[at] == at).astype(float)
+        else:
+            plays = Play(grid, width, elements).native
+            p, side, lean, share = plays.trace(positions, -far)
+            other, other_side = plays.forward(positions, far)
+            lean, share = lean[at], share[at]
         known = (np.abs(p - other) < 1e-9 * (grid[-1] - grid[0]))[at] & track.within_motor(scene)
         both = np.logical_or.accumulate(side == -1) & np.logical_or.accumulate(other_side == 1)
         speed = (track.motor_at(scene + self.half_s) - track.motor_at(scene - self.half_s)) / (2 * self.half_s)
-        return Simulated(p[at], known, known & both[at], side[at], anchor[at] == at, speed)
+        return Simulated(p[at], known, known & both[at], side[at], lean, share, speed)
 
 
 @dataclass
@@ -100,6 +115,7 @@ class PlayFit:
     rising: float = 0.0  # +1, -1: s must rise or fall with p by `least_slope`; 0: free
     least_slope: float = 0.0
     slope_unit: float = 1.0  # a usual slope of s
+    elements: Elements = SINGLE
     smoothing: dict[str, float] = field(default_factory=lambda: {"backlash": 1e-2, "follow": 1e-6})
     grid: Array = field(init=False)
     simulated: list[Simulated] = field(init=False, default_factory=list)
@@ -113,7 +129,7 @@ class PlayFit:
     def residuals(self, curves: Curves) -> tuple[list[Array], list[Mask]]:
         """Per track: (y - model)/sigma (n, k), and which frames count."""
         width = self.width(curves)
-        self.simulated = [track.simulate(self.grid, width, curves.delay_s) for track in self.tracks]
+        self.simulated = [t.simulate(self.grid, width, curves.delay_s, self.elements) for t in self.tracks]
         rows, masks = [], []
         for frozen, sim in zip(self.tracks, self.simulated, strict=True):
             s = self.follow.value(curves.follow, sim.p)
@@ -148,10 +164,10 @@ class PlayFit:
             slope = self.follow.slope(curves.follow, p)
             by_s = self._seen_at(track, self.follow.value(curves.follow, p), keep, curves.delay_s)
             by_s = by_s * inverse[:, None]
-            side = sim.side[keep].astype(float)
-            denominator = np.maximum(1.0 + 0.5 * side * self.backlash.slope(curves.backlash, p), 0.05)
-            by_width = -0.5 * side / denominator * self.fit_backlash  # dp/dB
-            by_delay = -sim.speed[keep] * sim.moving[keep] / denominator * (track.delayed and self.fit_delay)
+            lean = sim.lean[keep]
+            denominator = np.maximum(1.0 + 0.5 * lean * self.backlash.slope(curves.backlash, p), 0.05)
+            by_width = -0.5 * lean / denominator * self.fit_backlash  # dp/dB
+            by_delay = -sim.speed[keep] * sim.share[keep] / denominator * self.fit_delay
             for channel, own in enumerate(sums):
                 of = slice(None) if self.view is not None else slice(channel, channel + 1)
                 h = np.ascontiguousarray(by_s[:, of])
@@ -165,6 +181,14 @@ class PlayFit:
             matrix[np.ix_(at, at)] += part
             gradient[at] += force
         return matrix, gradient
+
+    def slope_in_view(self, track: Track, curves: Curves, p: Array) -> Array:
+        """dy/dp (n, coordinates) in the sensor's unit at each frame of a track."""
+        slope = self.follow.slope(curves.follow, p)
+        if self.view is None:
+            return slope
+        s = self.follow.value(curves.follow, p)
+        return self._seen_at(track, s, np.ones(len(p), dtype=bool), curves.delay_s) * slope
 
     def _seen_at(self, track: Track, s: Array, keep: Mask, delay_s: float) -> Array:
         """dy/ds (kept, coordinates)."""

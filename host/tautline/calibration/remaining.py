@@ -13,8 +13,10 @@ from scipy.ndimage import binary_closing, binary_fill_holes
 from scipy.optimize import isotonic_regression
 
 from tautline.calibration.observations import Track
+from tautline.calibration.place import allowing_for_place
 from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit, View
 from tautline.calibration.smooth import SPANS, Domain
+from tautline.elements import SINGLE, Elements
 from tautline.geometry import pose, project_with_slope
 from tautline.rig import Rig
 from tautline.splines import Basis
@@ -67,13 +69,20 @@ def posed(track: Track, rig: Rig, delay_s: float) -> Track:
 
 
 def fit_remaining(
-    tracks: Sequence[Track], rig: Rig, domain: Domain, grid: Array, width: Array, delay_s: float, settled_only: bool
+    tracks: Sequence[Track],
+    rig: Rig,
+    domain: Domain,
+    grid: Array,
+    width: Array,
+    delay_s: float,
+    settled_only: bool,
+    elements: Elements = SINGLE,
 ) -> Remaining | None:
     """A monotone penalised spline through image residuals (or angles), B and delay fixed. None where nothing tells."""
     view = view_of(rig) if tracks[0].unit == "px" else None
     basis = Basis(domain.low, domain.high, SPANS)
     frozen = [Frozen.of(track) for track in tracks]
-    simulated = [f.simulate(grid, width, delay_s) for f in frozen]
+    simulated = [f.simulate(grid, width, delay_s, elements) for f in frozen]
     angles = [pose_of(track, rig, delay_s) for track in tracks]
     count = [s.settled if settled_only else s.known for s in simulated]
     p = np.concatenate([s.p[k] for s, k in zip(simulated, count, strict=True)])
@@ -85,6 +94,7 @@ def fit_remaining(
     falling = float(np.polyfit(p - p.mean(), c, 1)[0]) < 0
     fit = _FixedWidth(
         frozen, basis, basis, view=view, fit_backlash=False, fit_delay=False, settled_only=settled_only,
+        elements=elements,
         rising=-1.0 if falling else 1.0, least_slope=_LEAST_SLOPE * abs(rig.coarse.gain),
         slope_unit=abs(rig.coarse.gain),
     )  # fmt: skip
@@ -92,7 +102,7 @@ def fit_remaining(
     design = basis.design(p)
     system = (design.T @ design).toarray() + 1e-3 * basis.bending + 1e-9 * np.eye(basis.size)
     start = np.linalg.solve(system, design.T @ c)
-    fitted = fit.solve(Curves(np.zeros(basis.size), start[:, None], delay_s))
+    fitted = allowing_for_place(fit.solve(Curves(np.zeros(basis.size), start[:, None], delay_s)))
     counted = np.concatenate([s.p[m] for s, m in zip(fitted.fit.simulated, fitted.masks, strict=True)])
     curve = basis.value(fitted.curves.follow[:, 0], grid)
     curve = carried_on(curve, grid, float(counted.min()), float(counted.max()))

@@ -28,7 +28,7 @@ from tautline.errors import UnusableError
 from tautline.folders import check_replaceable
 from tautline.live.rounds import in_words
 from tautline.model import MODEL_FILE
-from tautline.recording import load
+from tautline.recording import load, shifted
 
 
 @click.command("calibrate")
@@ -126,7 +126,7 @@ def _from_recordings(
     with progress_bar("calibrating") as progress:
         recordings = [tracked(recording, rig, progress) for recording in recordings]
         found = calibrate(recordings, rig, options, progress)
-        return found, report.save_model(found.model, recordings, out)
+        return found, report.save_model(found.model, shifted(recordings, found.offsets), out)
 
 
 def _live(
@@ -173,7 +173,8 @@ def _live(
                 goal_said.append(f"From {low:.3g} to {high:.3g} {unit} its sigma is {worst} at most.")
     made |= {"seconds": motion.seconds, "reversals": motion.reversals, "frames": motion.frames}
     log(f"taut: {motion.reversals} reversals in {motion.seconds:.0f} s, recorded in {kept}")
-    return found, [*report.save_model(found.model, [load(kept, found.model.rig)], out), *goal_said], made
+    recordings = shifted([load(kept, found.model.rig)], found.offsets)
+    return found, [*report.save_model(found.model, recordings, out), *goal_said], made
 
 
 def sigma_of(text: str, unit: str) -> float:

@@ -10,6 +10,7 @@ import click
 
 from tautline import report
 from tautline.calibration.calibrate import calibrate
+from tautline.calibration.clock import on_motor_clock
 from tautline.cli._common import (
     emit,
     folder_option,
@@ -24,6 +25,7 @@ from tautline.diagnose import motion, page, words
 from tautline.diagnose.diagnosis import Diagnosis, diagnose
 from tautline.folders import check_replaceable, replaced, write_file
 from tautline.plain import plain
+from tautline.recording import shifted
 
 DOCUMENT = "diagnosis.json"
 
@@ -44,6 +46,7 @@ def command(
         recordings = [tracked(recording, rig, progress) for recording in recordings]
         found = calibrate(recordings[:1], rig, progress=lambda fraction, text: progress(0.3 * fraction, text))
         warn_unusable(found.model, calibration_path)
+        recordings = [*shifted(recordings[:1], found.offsets), *on_motor_clock(recordings[1:], rig)]
         diagnosis = diagnose(
             found.model, recordings[0], recordings[1:], lambda fraction, text: progress(0.3 + 0.65 * fraction, text)
         )

@@ -29,8 +29,8 @@ def command(
 ) -> None:
     """What a model says the tip does under a recorded motor motion.
 
-    Only motor.csv is needed. One row per row of marker.csv, else of angle.csv, else one per frame period. Times of a
-    camera are arrival times: c, u and v are those of t_s minus the model's delay.
+    Only motor.csv is needed. One row per row of marker.csv, else of angle.csv, else one per frame period. These are
+    arrival times: c, u and v are those of t_s minus the delay of the camera or the sensor.
     """
     model = Model.load(model_path)
     warn_unusable(model, model_path)
@@ -39,10 +39,9 @@ def command(
     times = times_of(model, recording_path, motor, times_path, warnings)
     for warning in warnings:
         warn(warning)
-    delay_s = model.delay_s if times.delayed else 0.0
-    write_csv(csv_path, times, predict(model, motor, times.t_s - delay_s, start_deg))
+    write_csv(csv_path, times, predict(model, motor, times.scene_s, start_deg))
     emit(
-        {"csv": csv_path, "rows": len(times.cells), "delay_s": delay_s},
+        {"csv": csv_path, "rows": len(times.cells), "delay_s": times.delay_s},
         as_json,
         f"{csv_path}: {len(times.cells)} rows",
     )

@@ -14,6 +14,7 @@ from tautline.encoder import between_counts, straight_lines
 from tautline.errors import TautError
 from tautline.model import Model
 from tautline.recording import Motor, Recording
+from tautline.rig import ANGLE, MARKER, Sensor
 
 Array = npt.NDArray[np.float64]
 
@@ -34,9 +35,13 @@ class Segment:
     def unit(self) -> str:
         return "px" if self.observed.shape[1] == 2 else "deg"
 
+    @property
+    def sensor(self) -> Sensor:
+        return MARKER if self.unit == "px" else ANGLE
+
     def follow(self, model: Model, parameters: Mapping[str, float], load_reference: float) -> Path:
         """Where the tip is at the observations."""
-        scene = self.arrival_s - (model.delay_s if self.unit == "px" else 0.0)
+        scene = self.arrival_s - model.delay_of(self.sensor)
         return effects.follow(
             model, self.motor, scene, parameters, load_reference=load_reference, clock_offset_s=self.offset_s
         )
@@ -87,10 +92,10 @@ def prepare(model: Model, calibration: Recording, tests: Sequence[Recording]) ->
         else:
             angle = recording.angle
             assert angle is not None
-            times, observed = angle.t_s, angle.c_deg[:, None]
+            times, observed = angle.t_s[angle.seen], angle.c_deg[angle.seen, None]
             stride = max(1, len(times) // 6000)
             times, observed = times[::stride], observed[::stride]
-        scene = times - (model.delay_s if by_marker else 0.0)
+        scene = times - model.delay_of(MARKER if by_marker else ANGLE)
         from_s = settled_from(model, motor)
         scored = (scene >= from_s) & (scene <= motor.t_s[-1])
         if not scored.any():

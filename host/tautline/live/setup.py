@@ -22,7 +22,7 @@ from tautline.device import wire
 from tautline.device.board import Board, open_board
 from tautline.errors import TautError
 from tautline.geometry import coarse_range_deg, project
-from tautline.recording import Marker, Motor, Recording
+from tautline.recording import FRAME_COLUMNS, Marker, Motor, Recording
 from tautline.rig import Rig
 from tautline.simulated.endoscope import Endoscope
 from tautline.simulated.instrument import of_name
@@ -57,8 +57,9 @@ class Eye(Protocol):
 class CameraEye:
     """A real camera. Arrival times are of the host's monotonic clock and become board time by round trips."""
 
-    def __init__(self, board: Board, camera: Camera, tracker: Tracker) -> None:
-        self._board, self._camera, self._tracker = board, camera, tracker
+    def __init__(self, board: Board, camera: Camera, tracker: Tracker, size: tuple[int, int] | None = None) -> None:
+        """size (width, height): what the rig says that frames measure; any other is an error."""
+        self._board, self._camera, self._tracker, self._size = board, camera, tracker, size
 
     def look(self) -> Frame:
         taken = self._camera.read()
@@ -66,6 +67,12 @@ class CameraEye:
             raise TautError("the camera's source has ended: a live session needs a camera, not a file")
         self._board.align(1)
         picture, arrival_s = taken
+        height, width = picture.shape[:2]
+        if self._size not in (None, (width, height)):
+            raise TautError(
+                f"the camera's frames are {width} x {height} px, the rig's {self._size[0]} x {self._size[1]}: "
+                "set the camera to the rig's size, or calibrate it at this one and write that into rig.toml"
+            )
         return Frame(self._board.clock.board_us(arrival_s), self._tracker.track(picture), picture)
 
     def close(self) -> None:
@@ -226,6 +233,7 @@ class Recorder:
         except OSError as error:
             raise TautError(f"{folder}: cannot be written ({error.strerror}): name another folder") from error
         self._marker: IO[str] | None = None
+        self._size = ""  # of the frames, as it stands in each row of marker.csv
         self._frames: IO[str] | None = None
         self._video: Any = None
         self._wants_video = video
@@ -281,12 +289,14 @@ class Recorder:
         """One frame: marker.csv, and video where it was asked for."""
         if self._marker is None:
             self._marker = (self.folder / "marker.csv").open("w", buffering=1 << 13)
-            self._marker.write("t_s,u_px,v_px,valid,sigma_px\n")
+            size = None if frame.picture is None else (frame.picture.shape[1], frame.picture.shape[0])
+            self._size = "" if size is None else ",{},{}".format(*size)
+            self._marker.write(",".join(["t_s,u_px,v_px,valid,sigma_px", *(FRAME_COLUMNS if size else ())]) + "\n")
         seen, t_s = frame.sighting, frame.t_us * 1e-6
         if seen.valid:
-            row = f"{t_s:.6f},{seen.u_px:.4f},{seen.v_px:.4f},1,{max(seen.sigma_px, 1e-4):.4f}"
+            row = f"{t_s:.6f},{seen.u_px:.4f},{seen.v_px:.4f},1,{max(seen.sigma_px, 1e-4):.4f}{self._size}"
         else:
-            row = f"{t_s:.6f},,,0,"
+            row = f"{t_s:.6f},,,0,{self._size}"
         self._write(self._marker, "marker", row)
         if self._wants_video and frame.picture is not None:
             self._add_picture(frame.picture, t_s)
@@ -368,6 +378,8 @@ def open_live(
             if colour is None:
                 raise TautError("the marker's colour is not known: pick it once with 'taut marker'")
             source = int(camera) if isinstance(camera, str) and camera.isdigit() else camera
-            live.eye = CameraEye(opened, VideoCamera(source), Tracker(colour))
+            size = None if rig.camera is None else (rig.camera.width_px, rig.camera.height_px)
+            rate_hz = None if rig.camera is None else rig.camera.frame_rate_hz
+            live.eye = CameraEye(opened, VideoCamera(source, size=size, rate_hz=rate_hz), Tracker(colour), size)
             stack.callback(live.eye.close)
         yield live

@@ -206,12 +206,14 @@ def track_video(video: Video, colour: MarkerColour | None = None, progress: Prog
     if colour is None:
         raise TautError(f"{video.path}: no marker stands out: pick its colour with 'taut marker {video.path} --at U,V'")
     tracker = Tracker(colour)
+    size: tuple[int, int] | None = None
     t_s: list[float] = []
     seen: list[Sighting] = []
     with VideoCamera(video.path) as camera:
         total = camera.frames or 0
         while (read := camera.read()) is not None:
             picture, own_s = read
+            size = size or (picture.shape[1], picture.shape[0])
             k = len(t_s)
             known = video.arrival_s is None or k < len(video.arrival_s)
             t_s.append(own_s if video.arrival_s is None else float(video.arrival_s[k]) if known else np.nan)
@@ -229,4 +231,4 @@ def track_video(video: Video, colour: MarkerColour | None = None, progress: Prog
         )
     timed = np.isfinite(t_s)
     u, v, sigma = np.array([(s.u_px, s.v_px, s.sigma_px) for s in seen])[timed].T
-    return Marker(np.array(t_s)[timed], u, v, np.array([s.valid for s in seen])[timed], sigma)
+    return Marker(np.array(t_s)[timed], u, v, np.array([s.valid for s in seen])[timed], sigma, frame_px=size)

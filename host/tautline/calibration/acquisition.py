@@ -1,0 +1,262 @@
+"""Whether recordings are what the rig says they are: frame size, unit of the range, clocks, what was seen where.
+
+Each doubt is a Reason; what contradicts the rig so that nothing measured can be used is fatal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.calibration.observations import Track
+from tautline.geometry import coarse_range_deg, pose
+from tautline.quality import Reason
+from tautline.recording import Marker, Recording
+from tautline.rig import Camera, Rig
+
+Array = npt.NDArray[np.float64]
+
+# Sizes that a camera or a converter makes of a picture, as factors of the rig's.
+_SCALES = (1 / 4, 1 / 3, 3 / 8, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2.0, 8 / 3, 3.0, 4.0)
+_EVEN = 0.01  # by which the two sides may be scaled differently: a rounded number of pixels
+_OFF = 0.02  # of the picture's width: farther from the tip's path the marker is not where the rig puts it
+_FITS = 0.1  # of that distance is left where another scale is right
+_MARGIN_PX = 2.0
+_LEAST_REACH, _MOST_REACH = 0.02, 5.0  # of the range: beyond, the two are in different units
+_MOST_BEND_DEG = 1000.0  # three turns: no bending section's
+_LOST_ENDS_S, _LOST_ENDS = 3.0, 0.05  # of motion without frames, by which a camera may start late or stop early
+_SCATTERED = 0.15  # of the image's motion that the motor's position leaves unexplained: more is no backlash
+_RATE = 0.05  # by which a steady frame rate may differ from the rig's
+_STEADY = 0.1  # of the frame period: what varies more is no rate
+_PLACES = 12  # of the motor's range, in each of which the marker has to be seen
+_SEEN = 0.3  # of the frames there
+_FEWEST = 20  # frames from which a share is one
+
+
+def doubts(recordings: Sequence[Recording], tracks: Sequence[Track], rig: Rig) -> list[Reason]:
+    """What contradicts the rig, and what of the motion was not seen. tracks: what the recordings show."""
+    found = _range(tracks, rig)
+    if rig.camera is not None and tracks[0].unit == "px":
+        found += _frame_size(recordings, tracks, rig, rig.camera)
+        found += _rate(recordings, rig.camera)
+    for recording, track in zip(recordings, tracks, strict=True):
+        found += _duration(recording, track, rig.nominal_delay_s(track.sensor))
+        if recording.marker is not None and track.unit == "px":
+            found += _lost(recording, recording.marker, rig)
+    return found
+
+
+def in_another_unit(reached: tuple[float, float], rig: Rig) -> bool:
+    """Whether the motor's positions and the rig's range cannot be in one unit."""
+    share = (reached[1] - reached[0]) / rig.actuator.span
+    beyond = max(rig.actuator.range[0] - reached[0], reached[1] - rig.actuator.range[1])
+    return share < _LEAST_REACH or share > _MOST_REACH or beyond > _MOST_REACH * rig.actuator.span
+
+
+# ---- units
+
+
+def _range(tracks: Sequence[Track], rig: Rig) -> list[Reason]:
+    actuator = rig.actuator
+    low, high = min(float(t.motor.q.min()) for t in tracks), max(float(t.motor.q.max()) for t in tracks)
+    if in_another_unit((low, high), rig):
+        ratio = actuator.span / (high - low)
+        thousand = "micrometres: write it in mm" if 300 < ratio < 30_000 else ""
+        thousand = "mm where the encoder counts micrometres" if 300 < 1 / ratio < 30_000 else thousand
+        hint = f" (is it in {thousand}?)" if thousand and actuator.unit == "mm" else ""
+        return [
+            Reason(
+                "range",
+                f"the motor goes from {low:.4g} to {high:.4g}, the rig's range is "
+                f"[{actuator.range[0]:g}, {actuator.range[1]:g}] {actuator.unit}",
+                f"give actuator.range in the unit of q{hint}",
+                fatal=True,
+            )
+        ]
+    bend = coarse_range_deg(rig)
+    if bend[1] - bend[0] > _MOST_BEND_DEG:
+        return [
+            Reason(
+                "range",
+                f"f_coarse bends the tip by {bend[1] - bend[0]:.3g} deg over the rig's range",
+                f"coarse.gain is in deg per {actuator.unit}, actuator.range in {actuator.unit}: check both",
+                fatal=True,
+            )
+        ]
+    return []
+
+
+# ---- frames
+
+
+def _frame_size(recordings: Sequence[Recording], tracks: Sequence[Track], rig: Rig, camera: Camera) -> list[Reason]:
+    said = (camera.width_px, camera.height_px)
+    for recording in recordings:
+        size = recording.marker.frame_px if recording.marker is not None else None
+        if size is None or size == said:
+            continue
+        scale = (size[0] / said[0], size[1] / said[1])
+        even = abs(scale[0] / scale[1] - 1.0) < _EVEN
+        return [
+            Reason(
+                "frame_size",
+                f"{recording.name}: its frames are {size[0]} x {size[1]} px, the rig's {said[0]} x {said[1]}",
+                _rescaled(scale[0]) if even else "calibrate the camera at this size, or record at the rig's",
+                fatal=True,
+            )
+        ]
+    for track in tracks:
+        if reason := _told_by_places(track, rig, camera):
+            return [reason]
+    return []
+
+
+def _rescaled(scale: float) -> str:
+    return (
+        "record at the rig's size, or, where the whole view was scaled and not cut, multiply fx_px, fy_px, cx_px, "
+        f"cy_px, width_px and height_px by {scale:.4g}"
+    )
+
+
+def _told_by_places(track: Track, rig: Rig, camera: Camera) -> Reason | None:
+    """Marker positions alone: outside of the frame, or on the tip's path only if they are scaled."""
+    if not len(track.t_s):
+        return None
+    low, high = track.y.min(axis=0), track.y.max(axis=0)
+    size = np.array([camera.width_px, camera.height_px])
+    outside = (low < -_MARGIN_PX).any() or (high > size - 1 + _MARGIN_PX).any()
+    some = np.linspace(0, len(track.t_s) - 1, min(60, len(track.t_s))).astype(int)
+    others = [x[some] for x in track.others_at(track.scene_s(rig.delay_s))]
+
+    q = track.motor_at(track.scene_s(rig.delay_s))[some]
+
+    def off(scale: float) -> float:
+        """px of the rig's; infinite where the angles are not f_coarse's either."""
+        c, away = pose(rig, (track.y[some] + 0.5) / scale - 0.5, *others)
+        if not np.isfinite(away).all():
+            return np.inf
+        gain = float(np.cov(q, c)[0, 1] / max(np.var(q, ddof=1), 1e-12)) / rig.coarse.gain
+        likely = scale == 1.0 or 0.5 < gain < 2.0
+        return float(np.sqrt(np.mean(away**2))) if likely else np.inf
+
+    as_is = off(1.0)
+    best = min(_SCALES, key=off)
+    if as_is > _OFF * camera.width_px and off(best) < _FITS * as_is:
+        return Reason(
+            "frame_size",
+            f"{track.name}: the marker is {as_is:.3g} px off the tip's path, but on it if the frames were {best:.3g} "
+            "times the rig's size",
+            _rescaled(best),
+            fatal=True,
+        )
+    if outside:
+        return Reason(
+            "frame_size",
+            f"{track.name}: marker positions from ({low[0]:.4g}, {low[1]:.4g}) to ({high[0]:.4g}, {high[1]:.4g}) px "
+            f"are outside of the rig's {camera.width_px} x {camera.height_px} px",
+            "the rig's camera is not the one that recorded this: calibrate the camera at the size of its frames",
+            fatal=True,
+        )
+    return None
+
+
+def _rate(recordings: Sequence[Recording], camera: Camera) -> list[Reason]:
+    """A steady rate that is not the rig's. Frames that were lost leave multiples of its period."""
+    for recording in recordings:
+        if recording.marker is None or len(recording.marker.t_s) < _FEWEST:
+            continue
+        step = np.diff(recording.marker.t_s)
+        period = float(np.median(step))
+        if np.mean(np.abs(step - period) < _STEADY * period) < 0.5:
+            continue
+        steps = period * camera.frame_rate_hz
+        if abs(steps - max(round(steps), 1)) > _RATE * max(round(steps), 1):
+            return [
+                Reason(
+                    "rate",
+                    f"{recording.name}: frames come at {1 / period:.4g} Hz, the rig says {camera.frame_rate_hz:g}",
+                    "set camera.frame_rate_hz, or check the times of the frames: a video that plays too fast or too "
+                    "slow is on another clock than the motor",
+                )
+            ]
+    return []
+
+
+def _lost(recording: Recording, marker: Marker, rig: Rig) -> list[Reason]:
+    """Parts of the motion in which the marker was mostly not seen."""
+    motor = recording.motor
+    scene = marker.t_s - rig.delay_s
+    inside = (scene >= motor.t_s[0]) & (scene <= motor.t_s[-1])
+    q = np.interp(scene, motor.t_s, motor.q)
+    edges = np.linspace(motor.q.min(), motor.q.max(), _PLACES + 1)
+    dark = []
+    for k, (low, high) in enumerate(pairwise(edges)):
+        here = inside & (q >= low) & (q <= high)
+        if here.sum() >= _FEWEST and np.mean(marker.valid[here]) < _SEEN:
+            dark.append(k)
+    if not dark:
+        return []
+    seen = np.mean(marker.valid[inside])
+    return [
+        Reason(
+            "lost",
+            f"{recording.name}: from {edges[dark[0]]:.3g} to {edges[dark[-1] + 1]:.3g} {rig.actuator.unit} the marker "
+            f"is mostly not seen ({100 * (1 - seen):.0f} % of all frames)",
+            "keep it in view and in light there, or pick its colour again (taut marker)",
+        )
+    ]
+
+
+# ---- clocks
+
+
+def _duration(recording: Recording, track: Track, delay_s: float) -> list[Reason]:
+    """Frames and motor that do not last equally long: a camera that started late or stopped early, or two clocks."""
+    whole = recording.marker.t_s if track.unit == "px" and recording.marker is not None else track.t_s
+    if len(track.t_s) < _FEWEST:
+        return []
+    motor = recording.motor
+    first, last = float(whole[0]) - delay_s, float(whole[-1]) - delay_s
+    lasts, frames = float(motor.t_s[-1] - motor.t_s[0]), last - first
+    slack = max(_LOST_ENDS_S, _LOST_ENDS * lasts)
+    moved = np.flatnonzero(np.abs(motor.q - motor.q[0]) > 0.01 * np.ptp(motor.q))
+    still = np.flatnonzero(np.abs(motor.q - motor.q[-1]) > 0.01 * np.ptp(motor.q))
+    begin, end = float(motor.t_s[moved[0]]), float(motor.t_s[still[-1]])  # of the motion
+    missing = max(first - begin, 0.0) + max(end - last, 0.0)
+    if missing <= slack and frames - lasts <= slack:
+        return []
+    says = f"{recording.name}: its frames last {frames:.4g} s, its motor {lasts:.4g}"
+    left = _unexplained(track, delay_s)
+    if left > _SCATTERED:
+        return [
+            Reason(
+                "clock",
+                f"{says}, and the image does not follow the motor ({100 * left:.0f} % of its motion is elsewhere)",
+                "the clocks contradict each other: give the frames' arrival times on the motor's clock (frames.csv)",
+                fatal=True,
+            )
+        ]
+    what = f"{missing:.3g} s of the motion have no frames" if missing > slack else "the motor's record ends first"
+    return [Reason("duration", f"{says}: {what}", "start the camera first and stop it last")]
+
+
+def _unexplained(track: Track, delay_s: float) -> float:
+    """Share of the image's variance that a curve over the motor's position leaves, for the better of either way of
+    motion taken alone: backlash is in neither."""
+    scene = track.scene_s(delay_s)
+    inside = track.within_motor(scene)
+    q, way = track.motor_at(scene), track.motor_at(scene + 0.05) - track.motor_at(scene - 0.05)
+    shares = []
+    for sign in (1, -1):
+        going = inside & (sign * way > 0)
+        if going.sum() < _FEWEST:
+            continue
+        place = np.digitize(q[going], np.linspace(q[going].min(), q[going].max(), 24))
+        y = track.y[going]
+        total = float(np.sum((y - y.mean(axis=0)) ** 2))
+        left = sum(float(np.sum((y[place == k] - y[place == k].mean(axis=0)) ** 2)) for k in np.unique(place))
+        shares.append(left / max(total, 1e-12))
+    return min(shares, default=0.0)

@@ -1,0 +1,397 @@
+"""The sensor's clock beside the motor's, before anything else is measured: how much later than the motor it is, from
+the data alone.
+
+At each lag a play of constant width and a polynomial of fifth order are fitted to what the sensor saw. What they leave,
+as a share of the tip's motion, is the misfit: it needs no pose, no camera and no model of the instrument.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline import _native
+from tautline.calibration.observations import Mask, Track, observe
+from tautline.calibration.onset import Delay, find_delay
+from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit
+from tautline.quality import Reason
+from tautline.recording import Recording, shifted
+from tautline.rig import ANGLE, Rig
+from tautline.splines import Basis
+
+Array = npt.NDArray[np.float64]
+
+REACH_S = 10.0  # an offset is looked for this far around the nominal delay
+DELAY_REACH_S = 0.25  # what is farther from the nominal delay is no delay but another clock
+FITS = 0.003  # misfit up to which the nominal delay is as right as a search could say
+_FOLLOWS = 0.25  # a misfit above says that the sensor does not follow this motor
+_RIVAL = 2.0  # times the least misfit: an offset that leaves less may be the true one
+_NOISY = 0.05  # share of noise in what was seen, above which there is no motion to compare
+_PITCH_S = 0.05
+_APART_S = 0.3  # offsets that are nearer are one
+_ORDER = 5
+_FRAMES = 400, 1500  # to search with, to measure with
+_WIDTHS = (0.0, 0.01, 0.022, 0.04, 0.065, 0.1, 0.16, 0.26, 0.4)  # shares of the motor's span
+_LONGER = 0.01  # difference of durations that a stretched clock is tried for
+_SURE_S = 0.02  # a delay that is known as well refines an offset
+_STRETCHED = 0.2  # of the misfit that a stretched clock must leave at most
+_NOMINAL_S = 0.05  # standard deviation of an angle sensor's nominal delay
+_COARSE_S = 0.02
+_PER_STROKE = 4.0  # independent errors of a model within a stroke, at most
+_STROKES = 10  # what a model does not hold is much the same in further ones
+_WHITE = 1.05  # residual over noise up to which nothing else is in it
+_EXPLAINED = 1.5
+_CLEARLY = 1.03  # times the residual
+_SAMPLES = 1.5
+_AROUND_S = 0.5
+_DITHER = 2e-3  # of the motor's span: turns within it do not matter here
+
+
+@dataclass(frozen=True)
+class Offset:
+    """What of a track's lag no delay explains. `rivals`: other offsets that fit about as well."""
+
+    offset_s: float
+    sigma_s: float
+    misfit: float
+    rivals: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Tracks with their times on the motor's clock: later than the scene by a delay and no more."""
+
+    tracks: list[Track]
+    offsets_s: tuple[float, ...]  # that were taken from each track's times
+    reasons: tuple[Reason, ...]
+
+    @classmethod
+    def as_it_is(cls, tracks: Sequence[Track]) -> Clock:
+        return cls(list(tracks), (0.0,) * len(tracks), ())
+
+    @property
+    def offset_s(self) -> float | None:
+        """The one that is farthest from 0; None where no clock was off."""
+        return max(self.offsets_s, key=abs, default=0.0) or None
+
+    @property
+    def offsets(self) -> dict[str, float]:
+        """By recording, where there is one."""
+        pairs = zip(self.tracks, self.offsets_s, strict=True)
+        return {track.name: offset for track, offset in pairs if offset}
+
+    def with_delay(self, delay: Delay, nominal_s: float) -> tuple[Clock, Delay]:
+        """A delay that was found on these tracks. Where every clock was off it cannot be told from the offsets: it is
+        the nominal one then, and they have the rest."""
+        if not self.offsets_s or not all(self.offsets_s):
+            return self, delay
+        offsets = tuple(offset + delay.delay_s - nominal_s for offset in self.offsets_s)
+        return replace(self, offsets_s=offsets), replace(delay, delay_s=nominal_s)
+
+
+def on_motor_clock(recordings: Sequence[Recording], rig: Rig) -> list[Recording]:
+    """Recordings with the offsets of their sensors' clocks taken off."""
+    return shifted(recordings, align([track for track in observe(recordings, rig) if len(track.t_s)], rig).offsets)
+
+
+def align(tracks: Sequence[Track], rig: Rig) -> Clock:
+    """Each track's own offset found and taken off; nothing is done to one that fits its nominal delay."""
+    aligned, offsets = [], []
+    reasons: list[Reason] = []
+    for track in tracks:
+        nominal_s = rig.nominal_delay_s(track.sensor)
+        found = find_offset(track, nominal_s)
+        refused = None if found is None else _refused(track, found, nominal_s)
+        offset_s = 0.0
+        if found is not None and found.offset_s and found.misfit <= _FOLLOWS:
+            track, offset_s = _taken_off(track, found, nominal_s, rig)
+        if refused is not None:
+            reasons.append(refused)
+        elif offset_s:
+            where = "behind" if offset_s > 0 else "ahead of"
+            says = f"{track.name}: the sensor's clock is {abs(offset_s):.3f} s {where} the motor's"
+            reasons.append(Reason("clock.offset", says, "it was taken off: put both on one clock"))
+        aligned.append(track)
+        offsets.append(offset_s)
+    return Clock(aligned, tuple(offsets), tuple(reasons))
+
+
+def _taken_off(track: Track, found: Offset, nominal_s: float, rig: Rig) -> tuple[Track, float]:
+    offset_s = found.offset_s
+    near = replace(track, t_s=track.t_s - offset_s)
+    delay = delay_of_all([near], nominal_s) if track.sensor == ANGLE else find_delay([near], rig, nominal_s)
+    if delay.sigma_s < _SURE_S:
+        offset_s += delay.delay_s - nominal_s
+    return replace(track, t_s=track.t_s - offset_s), offset_s
+
+
+def find_offset(track: Track, nominal_s: float) -> Offset | None:
+    """The offset beyond the nominal delay, within REACH_S. None where the track shows no motion to tell it by."""
+    sight = _Sight.of(track, _FRAMES[0])
+    if sight is None:
+        return None
+    near = nominal_s + np.arange(-4, 5) * _PITCH_S
+    least = float(sight.misfits(near).min())
+    if least <= max(FITS, 4.0 * sight.noise_share):
+        return Offset(0.0, 0.0, least)
+    lags = nominal_s + np.arange(-round(REACH_S / _PITCH_S), round(REACH_S / _PITCH_S) + 1) * _PITCH_S
+    misfits = sight.misfits(lags)
+    fine = _Sight.of(track, _FRAMES[1]) or sight
+    found = sorted((fine.refined(float(lags[i])) for i in _basins(misfits, 2.0 * _RIVAL)), key=lambda at: at.misfit)
+    if not found:
+        return Offset(0.0, np.inf, 1.0)
+    rivals: list[_Lag] = []
+    for one in found:
+        if one.misfit <= _RIVAL * found[0].misfit and all(abs(one.lag_s - r.lag_s) > _APART_S for r in rivals):
+            rivals.append(one)
+    nominal = [r for r in rivals if abs(r.lag_s - nominal_s) <= DELAY_REACH_S]
+    best = nominal[0] if nominal else rivals[0]
+    others = () if nominal else tuple(r.lag_s - nominal_s for r in rivals if r is not best)
+    return Offset(0.0 if nominal else best.lag_s - nominal_s, best.sigma_s, best.misfit, others)
+
+
+def _refused(track: Track, found: Offset, nominal_s: float) -> Reason | None:
+    """Why no offset can be believed."""
+    follows = found.misfit <= _FOLLOWS
+    if follows and not found.rivals:
+        return None
+    stretched = _stretched(track, nominal_s, found.misfit)
+    if stretched is not None:
+        return stretched
+    if follows:
+        fits = ", ".join(f"{offset:.2f}" for offset in sorted([found.offset_s, *found.rivals])[:6])
+        says = f"{track.name}: the sensor's clock is off, and offsets of {fits} s fit alike"
+        return Reason("clock.offset", says, "make a motion that does not repeat, or put both on one clock", fatal=True)
+    says = f"{track.name}: at no offset within {REACH_S:g} s does the tip follow the motor"
+    return Reason("clock.offset", says, "check that both are of one run, and their clocks", fatal=True)
+
+
+def _stretched(track: Track, nominal_s: float, misfit: float) -> Reason | None:
+    """A sensor whose times last longer or shorter than the motor's, and fit when they are made to last as long."""
+    motor_s = float(np.ptp(track.motor.t_s))
+    seen_s = float(np.ptp(track.t_s))
+    if seen_s <= 0.0 or abs(motor_s / seen_s - 1.0) < _LONGER:
+        return None
+    times = track.motor.t_s[0] + (track.t_s - track.t_s[0]) * motor_s / seen_s
+    sight = _Sight.of(replace(track, t_s=times), _FRAMES[0])
+    lags = np.arange(-round(1.0 / _PITCH_S), round(1.0 / _PITCH_S) + 1) * _PITCH_S
+    if sight is None or float(sight.misfits(nominal_s + lags).min()) > _STRETCHED * misfit:
+        return None
+    return Reason(
+        "duration",
+        f"{track.name}: {seen_s:.4g} s of frames show {motor_s:.4g} s of motor",
+        "the frames' times are wrong: record when each arrived (frames.csv), or correct the frame rate",
+        fatal=True,
+    )
+
+
+def near_delay(tracks: Sequence[Track], nominal_s: float) -> float:
+    """Where to look for the delay: nominal_s, unless another lag within DELAY_REACH_S fits clearly better."""
+    sights = [sight for sight in (_Sight.of(track, _FRAMES[0]) for track in tracks) if sight is not None]
+    if not sights:
+        return nominal_s
+    lags = nominal_s + np.linspace(-DELAY_REACH_S, DELAY_REACH_S, 21)
+    misfits = np.sum([sight.misfits(lags) for sight in sights], axis=0)
+    best = int(np.argmin(misfits))
+    clearly = misfits[best] < 0.7 * misfits[len(lags) // 2] and abs(lags[best] - nominal_s) > 0.06
+    return float(lags[best]) if clearly else nominal_s
+
+
+@dataclass(frozen=True)
+class _Lag:
+    lag_s: float
+    sigma_s: float
+    misfit: float
+
+
+@dataclass(frozen=True)
+class _Sight:
+    """A track made ready for many lags."""
+
+    track: Track  # few frames
+    turn_t: Array
+    turn_q: Array
+    low: float
+    span: float
+    noise_share: float  # of the variance seen
+    reference: tuple[float, float] | None  # of the other axes; None where they rest
+
+    @classmethod
+    def of(cls, track: Track, most: int) -> _Sight | None:
+        """None where nothing moves, or other axes do most of the time."""
+        motor = track.motor
+        span = float(np.ptp(motor.q))
+        variance = float(np.mean(np.var(track.y, axis=0))) if len(track.t_s) else 0.0
+        if len(track.t_s) < 8 * _ORDER or span <= 0.0 or variance <= 0.0:
+            return None
+        share = float(np.mean(track.sigma**2)) / variance
+        reference = None if motor.translation_mm is None and motor.rotation_deg is None else track.others_reference
+        if share > _NOISY:
+            return None
+        if reference is not None and np.mean(track.at_reference(track.t_s, reference)) < 0.9:
+            return None
+        stride = -(-len(track.t_s) // most)
+        few = replace(track, t_s=track.t_s[::stride], y=track.y[::stride], sigma=track.sigma[::stride])
+        turns = _native.turns(np.ascontiguousarray(motor.q), _DITHER * span)
+        keep = np.unique(np.concatenate([[0], turns, [len(motor.q) - 1]])).astype(np.intp)
+        return cls(few, motor.t_s[keep], motor.q[keep], float(motor.q.min()), span, share, reference)
+
+    def misfits(self, lags: npt.NDArray[Any]) -> Array:
+        return np.array([min(self.misfit(float(lag), share * self.span) for share in _WIDTHS) for lag in lags])
+
+    def misfit(self, lag_s: float, width: float) -> float:
+        """The share of the variance that is left; infinite where fewer than half of the frames have a motor."""
+        track = self.track
+        scene = track.scene_s(lag_s)
+        n = len(self.turn_t)
+        times = np.concatenate([self.turn_t, scene])
+        order = np.argsort(times, kind="stable")
+        q = np.concatenate([self.turn_q, track.motor_at(scene)])[order]
+        grid = np.array([self.low - self.span, self.low + 2.0 * self.span])
+        flat = np.full(2, width)
+        far = 10.0 * (self.span + float(np.abs(grid).max()))
+        p, other = (_native.play_trace(q, grid, flat, start)[0] for start in (-far, far))
+        counted = order >= n
+        counted &= np.abs(p - other) < 1e-9 * self.span
+        frames = order[counted] - n
+        inside = track.within_motor(scene)[frames]
+        if self.reference is not None:
+            inside &= track.at_reference(scene, self.reference)[frames]
+        frames, x = frames[inside], 2.0 * (p[counted][inside] - self.low) / self.span - 1.0
+        if 2 * len(frames) < len(scene):
+            return np.inf
+        y = track.y[frames]
+        y = y - y.mean(axis=0)
+        design = np.polynomial.chebyshev.chebvander(x, _ORDER)
+        gram = design.T @ design + 1e-9 * len(x) * np.eye(_ORDER + 1)
+        pull = design.T @ y
+        total = float(np.sum(y * y))
+        return max(total - float(np.sum(pull * np.linalg.solve(gram, pull))), 0.0) / max(total, 1e-30)
+
+    def moving(self) -> Mask:
+        """(n,) frames around which the motor moves: only they tell a delay."""
+        t = self.track.t_s
+        q = self.track.motor_at(t[:, None] + np.linspace(-_AROUND_S, _AROUND_S, 9))
+        moves: Mask = np.ptp(q, axis=1) > _DITHER * self.span
+        return moves
+
+    def refined(self, lag_s: float) -> _Lag:
+        """The best lag and width nearby, and how far off the lag may be where residuals were white."""
+        width = self.span * min(_WIDTHS, key=lambda share: self.misfit(lag_s, share * self.span))
+        step_s, step = _PITCH_S, 0.3 * width + 0.005 * self.span
+        best = self.misfit(lag_s, width)
+        for _ in range(9):
+            for other in (lag_s - step_s, lag_s + step_s):
+                if (trial := self.misfit(other, width)) < best:
+                    best, lag_s = trial, other
+            for other in (max(width - step, 0.0), width + step):
+                if (trial := self.misfit(lag_s, other)) < best:
+                    best, width = trial, other
+            step_s, step = 0.6 * step_s, 0.6 * step
+        h = 0.02
+        curvature = (self.misfit(lag_s - h, width) + self.misfit(lag_s + h, width) - 2.0 * best) / h**2
+        sigma = np.sqrt(2.0 * best / max(curvature, 1e-12) / len(self.track.t_s))
+        return _Lag(lag_s, float(sigma), best)
+
+
+def _basins(misfits: Array, above: float) -> list[int]:
+    """Where the misfit is least nearby and no more than `above` times the least of all."""
+    finite = np.where(np.isfinite(misfits), misfits, 1.0)
+    padded = np.concatenate([[np.inf], finite, [np.inf]])
+    lowest = (finite <= padded[:-2]) & (finite <= padded[2:]) & (finite <= above * finite.min() + 1e-12)
+    return [int(i) for i in np.flatnonzero(lowest & np.isfinite(misfits))]
+
+
+def delay_of_all(tracks: Sequence[Track], nominal_s: float) -> Delay:
+    """The delay at which a smooth B and a smooth path fit all frames best, weighed against the nominal one. For sensors
+    of real joints, which do not stop so sharply that the stops alone tell it."""
+    sights = [sight for sight in (_Sight.of(track, _FRAMES[1]) for track in tracks) if sight is not None]
+    if not sights:
+        return Delay(nominal_s, np.inf, 0)
+    lags = nominal_s + np.linspace(-DELAY_REACH_S, DELAY_REACH_S, 21)
+    start = float(lags[int(np.argmin(np.sum([sight.misfits(lags) for sight in sights], axis=0)))])
+    profile = _Profile(sights, nominal_s, start)
+    best = min((nominal_s, 0.5 * (start + nominal_s), start), key=profile.surprise)
+    while (better := min((best, best - _COARSE_S, best + _COARSE_S), key=profile.surprise)) != best:
+        best = better
+    for pitch_s in (_COARSE_S, 0.4 * _COARSE_S, 0.12 * _COARSE_S):
+        best, spread = profile.posterior(best, pitch_s)
+        if spread > pitch_s:
+            break
+    return Delay(best, spread, len(sights))
+
+
+def period_s(tracks: Sequence[Track]) -> float:
+    return float(np.median(np.concatenate([np.diff(track.t_s) for track in tracks])))
+
+
+def settled(free: Fitted, delay: Delay, tracks: Sequence[Track], nominal_s: float) -> Fitted:
+    """An angle sensor's joint fit at the delay that is to be believed: its own where it explains all frames, or clearly
+    more of them than at `delay`; the nominal one where its own is no more than a sample off and errors of the model
+    are there that could be it."""
+    own_s = free.curves.delay_s
+    if free.scale <= _WHITE:
+        return free
+    at_nominal = abs(own_s - nominal_s) <= _SAMPLES * period_s(tracks)
+    if not at_nominal and free.scale < _EXPLAINED:
+        return free
+    fixed = replace(free.fit, fit_delay=False, smoothing=dict(free.fit.smoothing))
+    fitted = fixed.solve(replace(free.curves, delay_s=nominal_s if at_nominal else delay.delay_s))
+    better = fitted.scale > _CLEARLY * free.scale and abs(own_s - nominal_s) < DELAY_REACH_S
+    return free if better and not at_nominal else fitted
+
+
+class _Profile:
+    """How far a delay is contradicted by all frames and by the nominal one, as a chi-square."""
+
+    def __init__(self, sights: Sequence[_Sight], nominal_s: float, start_s: float) -> None:
+        self._sights, self._nominal_s = sights, nominal_s
+        low = min(sight.low for sight in sights)
+        high = max(sight.low + sight.span for sight in sights)
+        self._fit = PlayFit(
+            [Frozen.of(sight.track, sight.moving()) for sight in sights], Basis(low, high, 8), Basis(low, high, 16),
+            fit_delay=False, settled_only=False,
+        )  # fmt: skip
+        self._smoothing = dict(self._fit.smoothing)
+        self._found: dict[float, float] = {}
+        strokes = sum(len(sight.turn_t) - 1 for sight in sights)
+        self._independent = min(_independent(self._solved(start_s)), _PER_STROKE * min(strokes, _STROKES))
+
+    def surprise(self, delay_s: float) -> float:
+        key = round(delay_s, 7)
+        if key not in self._found:
+            left = 2.0 * self._independent * float(np.log(self._solved(delay_s).scale))
+            self._found[key] = left + ((delay_s - self._nominal_s) / _NOMINAL_S) ** 2
+        return self._found[key]
+
+    def posterior(self, centre_s: float, pitch_s: float) -> tuple[float, float]:
+        """Mean and standard deviation over seven delays."""
+        delays = centre_s + pitch_s * np.arange(-3, 4)
+        surprise = np.array([self.surprise(float(delay)) for delay in delays])
+        weight = np.exp(-0.5 * np.clip(surprise - surprise.min(), 0.0, 200.0))
+        weight /= weight.sum()
+        mean = float(weight @ delays)
+        return mean, float(np.hypot(np.sqrt(weight @ (delays - mean) ** 2), pitch_s / np.sqrt(12.0)))
+
+    def _solved(self, delay_s: float) -> Fitted:
+        fit, channels = self._fit, self._sights[0].track.y.shape[1]
+        fit.smoothing = dict(self._smoothing)
+        widths = [share * self._sights[0].span for share in _WIDTHS]
+        width = min(widths, key=lambda w: sum(sight.misfit(delay_s, w) for sight in self._sights))
+        flat = Curves(np.full(fit.backlash.size, width), np.zeros((fit.follow.size, channels)), delay_s)
+        return fit.solve(flat, iterations=6)
+
+
+def _independent(fitted: Fitted) -> float:
+    """How many independent residuals there are: neighbours that are off alike count as one."""
+    count = 0.0
+    for rows, mask in zip(fitted.rows, fitted.masks, strict=True):
+        r = rows[mask]
+        if len(r) > 2:
+            alike = float(np.clip(np.sum(r[1:] * r[:-1]) / max(float(np.sum(r * r)), 1e-30), 0.0, 0.999))
+            count += len(r) * (1.0 - alike) / (1.0 + alike)
+    return max(count, 1.0)

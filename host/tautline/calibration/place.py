@@ -1,0 +1,128 @@
+"""The error that goes with the place: what the tracker does alike for as long as the marker is near.
+
+Lossy video, glare, a lens and the marker's own shading move the marker by what is around it: neighbouring frames then
+err alike, and say less than as many independent ones. Passes over the same places tell it from scatter at rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.calibration.playfit import Fitted
+
+Array = npt.NDArray[np.float64]
+
+_WINDOW = 5.0  # correlation times over which an autocorrelation is summed (Sokal)
+_LONGEST = 0.5  # of a stroke: alike for longer is no error of the tracker's but the path's or the width's own
+_TOGETHER = 0.5  # noises at rest within which two frames show one place
+_FEWEST = 40  # frames from which anything is said
+
+
+@dataclass(frozen=True)
+class PlaceNoise:
+    """Errors per coordinate in the sensor's unit, px or deg."""
+
+    rms: float  # of what neighbouring frames share
+    at_rest: float  # scatter from frame to frame where nothing moves
+    length: float  # along the image path, over which the error stays alike
+    common: float  # rms of the part that passes at other times repeat at the same place
+    effect: float  # frames that count as one independent frame; at least 1
+
+    def to_json(self) -> dict[str, float]:
+        return asdict(self)
+
+
+def place_noise(fitted: Fitted) -> PlaceNoise | None:
+    """From the residuals of a fit. None where too few frames counted."""
+    parts = [_along(fitted, k) for k in range(len(fitted.masks))]
+    error = np.concatenate([part.error for part in parts])
+    if len(error) < _FEWEST:
+        return None
+    stroke = np.concatenate([part.stroke + 1_000_000 * k for k, part in enumerate(parts)])
+    moving = np.concatenate([part.moving for part in parts])
+    at = np.concatenate([part.at for part in parts])
+    total2 = float(np.mean(error**2))
+    rest2 = min(_at_rest(error, stroke, moving), total2)
+    effect = _effect(np.concatenate([part.score for part in parts]), stroke)
+    step = np.abs(np.diff(at))[(stroke[1:] == stroke[:-1]) & moving[1:]]
+    usual = float(np.median(step)) if len(step) else 0.0
+    return PlaceNoise(
+        rms=float(np.sqrt(total2 - rest2)),
+        at_rest=float(np.sqrt(rest2)),
+        length=0.5 * (effect - 1.0) * usual,
+        common=_common(error, at, stroke, float(np.sqrt(rest2))),
+        effect=effect,
+    )
+
+
+def allowing_for_place(fitted: Fitted) -> Fitted:
+    """The same fit, its covariance that of as many frames as are independent."""
+    noise = place_noise(fitted)
+    return fitted if noise is None else replace(fitted, covariance=fitted.covariance * noise.effect)
+
+
+@dataclass(frozen=True)
+class _Along:
+    """Frames of one track that count, along the path of the tip's image."""
+
+    error: Array  # of the place along the path
+    score: Array  # what it pulls a width or a path with
+    at: Array  # where on the path
+    stroke: npt.NDArray[np.int_]
+    moving: npt.NDArray[np.bool_]
+
+
+def _along(fitted: Fitted, k: int) -> _Along:
+    fit, curves = fitted.fit, fitted.curves
+    sim, mask = fit.simulated[k], fitted.masks[k]
+    frozen = fit.tracks[k]
+    slope = fit.slope_in_view(frozen.track, curves, sim.p)
+    steep = np.maximum(np.linalg.norm(slope, axis=1), 1e-12)
+    weight = np.minimum(fitted.weights[k], 1.0)
+    error = np.sum(fitted.rows[k] * frozen.track.sigma[:, None] * slope, axis=1) / steep * np.sqrt(weight)
+    stroke = np.cumsum(np.diff(sim.side, prepend=sim.side[:1]) != 0)
+    at = np.interp(sim.p, *_path_length(sim.p[mask], steep[mask])) if mask.any() else sim.p
+    return _Along(error[mask], (error * steep)[mask], at[mask], stroke[mask], sim.moving[mask])
+
+
+def _path_length(p: Array, steep: Array) -> tuple[Array, Array]:
+    order = np.argsort(p)
+    p, steep = p[order], steep[order]
+    length = np.concatenate([[0.0], np.cumsum(0.5 * (steep[1:] + steep[:-1]) * np.diff(p))])
+    return p, length
+
+
+def _at_rest(error: Array, stroke: npt.NDArray[np.int_], moving: npt.NDArray[np.bool_]) -> float:
+    """Variance from one frame to the next where the tip rests, else wherever it is."""
+    pair = stroke[1:] == stroke[:-1]
+    still = pair & ~moving[1:] & ~moving[:-1]
+    used = still if still.sum() >= _FEWEST else pair
+    return 0.5 * float(np.mean(np.diff(error)[used] ** 2)) if used.any() else 0.0
+
+
+def _effect(score: Array, stroke: npt.NDArray[np.int_]) -> float:
+    """1 + 2 sum of the autocorrelation within strokes, over a window that fits its own length."""
+    power = float(np.mean(score**2))
+    longest = max(int(_LONGEST * np.median(np.unique(stroke, return_counts=True)[1])), 1)
+    effect = 1.0
+    for lag in range(1, longest + 1):
+        pair = stroke[lag:] == stroke[:-lag]
+        effect += 2.0 * float(np.sum((score[lag:] * score[:-lag])[pair])) / (len(score) * max(power, 1e-300))
+        if lag >= _WINDOW * 0.5 * effect:
+            break
+    return max(effect, 1.0)
+
+
+def _common(error: Array, at: Array, stroke: npt.NDArray[np.int_], at_rest: float) -> float:
+    """From products of frames that other strokes took at the same place."""
+    order = np.argsort(at)
+    error, at, stroke = error[order], at[order], stroke[order]
+    total, count = 0.0, 0
+    for ahead in range(1, 6):
+        pair = (stroke[ahead:] != stroke[:-ahead]) & (at[ahead:] - at[:-ahead] < _TOGETHER * max(at_rest, 1e-9))
+        total += float(np.sum((error[ahead:] * error[:-ahead])[pair]))
+        count += int(pair.sum())
+    return float(np.sqrt(max(total / count, 0.0))) if count >= _FEWEST else 0.0

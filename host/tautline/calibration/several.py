@@ -1,0 +1,128 @@
+"""Whether the play has several elements: their weights beside B, path and delay, from all frames at once.
+
+The widths of the elements are fixed shares of B, their weights are unknowns with sum w = 1 and sum w (2 r) = 1, none
+negative. Each step eliminates the nominal's unknowns and solves for the weights as a non-negative least squares.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import nnls
+
+from tautline import _native
+from tautline.calibration.components import between, nominal_columns
+from tautline.calibration.departures import scene_of
+from tautline.calibration.playfit import Curves, Fitted
+from tautline.elements import SINGLE, Elements, Play, warp_of
+from tautline.rig import Rig
+
+Array = npt.NDArray[np.float64]
+
+SHARES = np.array([0.15, 0.45, 0.75, 0.95, 1.1, 1.4, 1.9])  # widths of the elements, of B
+_FIRST = 0.05  # least weight of the first element: the inverse's slope is one over it (1 / 0.05 = 20)
+_LEAST = 0.01  # of a weight that is kept
+_STEPS = 12
+_STRICT = 10.0  # how much more than the data the two sums weigh
+_ENOUGH = 2e-3  # of the squares: a step that gains less is the last
+
+
+def fit_elements(fitted: Fitted, rig: Rig) -> Fitted:
+    """The joint fit with as many elements as help, from where it stands."""
+    weights = np.zeros(len(SHARES))
+    weights[np.searchsorted(SHARES, 1.0) - 1], weights[np.searchsorted(SHARES, 1.0)] = 2 / 3, 1 / 3
+    weights = _lawful(weights)
+    state = replace(fitted, fit=replace(fitted.fit, elements=_elements(weights), smoothing=fitted.fit.smoothing))
+    squares = _squares(state)
+    for _ in range(_STEPS):
+        moved, target = _step(state, weights, rig)
+        for share in (1.0, 0.5, 0.2):
+            then = _lawful(weights + share * (target - weights))
+            fit = replace(state.fit, elements=_elements(then), smoothing=state.fit.smoothing)
+            trial = replace(state, fit=fit, curves=between(state.curves, moved, share))
+            least = _squares(trial)
+            if least < squares:
+                break
+        else:
+            break
+        gained, state, weights, squares = 1.0 - least / squares, trial, then, least
+        if gained < _ENOUGH:
+            break
+    return replace(state, scale=float(np.sqrt(squares)))
+
+
+def _elements(weights: Array) -> Elements:
+    """Without those that weigh next to nothing; the rest keep both sums."""
+    kept = weights > _LEAST
+    width, weight = SHARES[kept], weights[kept] / weights[kept].sum()
+    if len(width) == 1:
+        return SINGLE
+    return Elements(tuple((width / float(weight @ width)).tolist()), tuple(weight.tolist()))
+
+
+def _lawful(weights: Array) -> Array:
+    """The nearest weights, none negative, the first that counts not too small, with both sums one."""
+    rows = np.vstack([np.eye(len(SHARES)), 1e4 * np.ones(len(SHARES)), 1e4 * SHARES])
+    found = nnls(rows, np.concatenate([weights, [1e4, 1e4]]))[0]
+    first = int(np.argmax(found > _LEAST))
+    if found[first] < _FIRST:
+        found[:first] = 0.0
+        found[first + 1] += found[first]
+        found[first] = 0.0
+        return _lawful(found)
+    return np.asarray(found)
+
+
+def _squares(fitted: Fitted) -> float:
+    rows, masks = fitted.fit.residuals(fitted.curves)
+    power = np.concatenate([np.mean(r[m] ** 2, axis=1) for r, m in zip(rows, masks, strict=True)])
+    return float(np.mean(np.minimum(power, (4.0 * fitted.scale) ** 2)))
+
+
+def _step(fitted: Fitted, weights: Array, rig: Rig) -> tuple[Curves, Array]:
+    """Curves and weights of a Gauss-Newton step."""
+    scene = scene_of(fitted, fitted.curves, rig, np.zeros(2))
+    nominal = nominal_columns(fitted.fit, scene)
+    design = sparse.csr_matrix(sparse.hstack([nominal, scene.along(_by_weight(fitted))]))
+    heavy = sparse.csr_matrix(design.multiply(np.tile(scene.weight, scene.rows.shape[1])[:, None]))
+    gram, force = np.asarray((heavy.T @ design).toarray()), np.asarray(heavy.T @ scene.rows.T.ravel()).ravel()
+    head = nominal.shape[1]
+    base, pull = fitted.fit.penalty(fitted.curves, max(fitted.scale, 1e-6))
+    own = gram[:head, :head] + base
+    own[np.diag_indices_from(own)] += 1e-9 * float(np.mean(np.diag(own)))
+    factor = cho_factor(own, check_finite=False)
+    across, first = gram[:head, head:], force[:head] - pull
+    schur = gram[head:, head:] - across.T @ cho_solve(factor, across, check_finite=False)
+    right = force[head:] - across.T @ cho_solve(factor, first, check_finite=False)
+    roots, vectors = np.linalg.eigh(schur)
+    kept = roots > 1e-10 * roots.max()
+    rows = np.sqrt(roots[kept])[:, None] * vectors[:, kept].T
+    values = rows @ weights + (vectors[:, kept].T @ right) / np.sqrt(roots[kept])
+    strict = _STRICT * float(np.sqrt(roots.max()))
+    rows = np.vstack([rows, strict * np.ones(len(weights)), strict * SHARES])
+    then = np.asarray(nnls(rows, np.concatenate([values, [strict, strict]]))[0])
+    step = cho_solve(factor, first - across @ (then - weights), check_finite=False)
+    return fitted.fit.moved(fitted.curves, np.asarray(step)), then
+
+
+def _by_weight(fitted: Fitted) -> Array:
+    """(counted frames, elements): dp/dw, but for what the two sums make of it."""
+    fit, curves = fitted.fit, fitted.curves
+    width = fit.width(curves)
+    narrow = Play(fit.grid, width).narrow
+    warp = warp_of(fit.grid, width, narrow)
+    middle = 0.5 * (np.interp(fit.grid + width / 2, warp.q, warp.x) + np.interp(fit.grid - width / 2, warp.q, warp.x))
+    by_y = 1.0 / np.maximum(np.gradient(middle, fit.grid), 1e-9)
+    _, masks = fit.residuals(curves)
+    far = 10.0 * float(np.abs(warp.x).max())
+    found = []
+    for frozen, sim, mask in zip(fit.tracks, fit.simulated, masks, strict=True):
+        positions, at = frozen.course(frozen.track.scene_s(curves.delay_s))
+        x = np.interp(positions, warp.q, warp.x)
+        plays = [_native.play_forward(x, np.array([-far, far]), np.array([share, share]), -far) for share in SHARES]
+        found.append(np.column_stack(plays)[at][mask] * np.interp(sim.p[mask], fit.grid, by_y)[:, None])
+    return np.concatenate(found)

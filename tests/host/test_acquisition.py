@@ -1,0 +1,145 @@
+"""Recordings that are not what the rig says: named, and refused where nothing that was measured can be used."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tautline import recording as recordings
+from tautline.calibration.acquisition import doubts
+from tautline.calibration.calibrate import calibrate
+from tautline.calibration.observations import observe
+from tautline.quality import Quality, Reason, Verdict
+from tautline.recording import Recording
+from tautline.rig import Actuator, Rig
+from tautline.simulated.instrument import preset, reference_rig
+from tautline.simulated.simulate import run
+from tautline.simulated.trajectory import back_and_forth
+
+RIG = reference_rig()
+
+
+@pytest.fixture(scope="module")
+def made() -> Recording:
+    path = back_and_forth(RIG.actuator, [1.2], 1.6, 16, 5.0, 0.1)
+    return run(RIG, preset("reference", RIG), path, seed=71).recording
+
+
+def quality(recording: Recording, rig: Rig = RIG) -> Quality:
+    """Of what is checked before anything is fitted."""
+    return Quality.of(doubts([recording], observe([recording], rig), rig))
+
+
+def reason(found: Quality, code: str) -> Reason:
+    return next(r for r in found.reasons if r.code == code)
+
+
+def scaled(recording: Recording, by: float, frame_px: tuple[int, int] | None = None) -> Recording:
+    marker = recording.marker
+    u, v = (by * (x + 0.5) - 0.5 for x in (marker.u_px, marker.v_px))
+    return replace(recording, marker=replace(marker, u_px=u, v_px=v, sigma_px=None, frame_px=frame_px))
+
+
+def test_nothing_is_said_of_a_recording_that_fits(made: Recording) -> None:
+    found = calibrate([replace(made, marker=replace(made.marker, frame_px=(720, 576)))], RIG).model.quality
+    assert found.verdict is Verdict.GOOD, found
+
+
+@pytest.mark.parametrize("by", [0.5, 2 / 3, 1.5])
+def test_another_frame_size_is_refused_with_its_scale_named(made: Recording, by: float) -> None:
+    told = quality(scaled(made, by, (round(720 * by), round(576 * by))))
+    assert told.verdict is Verdict.UNUSABLE
+    assert f"{by:.4g}" in reason(told, "frame_size").remedy
+    alone = quality(scaled(made, by))  # by the marker's places only
+    assert alone.verdict is Verdict.UNUSABLE
+    assert f"{by:.4g}" in reason(alone, "frame_size").remedy
+
+
+def test_a_cut_picture_has_no_scale(made: Recording) -> None:
+    found = quality(replace(made, marker=replace(made.marker, frame_px=(640, 576))))
+    assert found.verdict is Verdict.UNUSABLE
+    assert "multiply" not in reason(found, "frame_size").remedy
+
+
+def test_marker_positions_outside_of_the_frame_are_refused(made: Recording) -> None:
+    small = RIG.with_camera(width_px=200, height_px=160)
+    assert reason(quality(made, small), "frame_size").fatal
+
+
+def test_recordings_of_two_sizes_are_not_taken_together(made: Recording) -> None:
+    fits = replace(made, name="one", marker=replace(made.marker, frame_px=(720, 576)))
+    other = replace(scaled(made, 0.5, (360, 288)), name="two")
+    both = [fits, other]
+    found = Quality.of(doubts(both, observe(both, RIG), RIG))
+    assert found.verdict is Verdict.UNUSABLE and "two" in reason(found, "frame_size").says
+
+
+def test_a_wrong_hand_eye_is_no_frame_size(made: Recording) -> None:
+    turned = replace(RIG, hand_eye=replace(RIG.hand_eye, rotation_deg=(7.0, -6.0, 5.0)))
+    assert "frame_size" not in {r.code for r in quality(made, turned).reasons}
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e-3])
+def test_micrometres_for_millimetres_are_refused(made: Recording, factor: float) -> None:
+    low, high = RIG.actuator.range
+    rig = replace(RIG, actuator=Actuator("mm", (low * factor, high * factor), RIG.actuator.encoder_resolution))
+    found = calibrate([made], rig).model.quality  # a model to look at, all the same
+    assert found.verdict is Verdict.UNUSABLE
+    assert "micrometres" in reason(found, "range").remedy
+
+
+def test_a_gain_that_bends_the_tip_round_and_round_is_refused(made: Recording) -> None:
+    found = quality(made, replace(RIG, coarse=replace(RIG.coarse, gain=12_000.0)))
+    assert reason(found, "range").fatal
+
+
+def stretched(recording: Recording, by: float) -> Recording:
+    marker = recording.marker
+    first = marker.t_s[0]
+    return replace(recording, marker=replace(marker, t_s=first + (marker.t_s - first) * by))
+
+
+@pytest.mark.parametrize("by", [61 / 90, 1.4])
+def test_a_video_that_plays_at_another_speed_contradicts_the_motor(made: Recording, by: float) -> None:
+    found = quality(stretched(made, by))
+    assert found.verdict is Verdict.UNUSABLE
+    assert reason(found, "clock").fatal
+    assert reason(found, "rate").says.endswith("the rig says 25")
+
+
+def test_a_camera_that_was_stopped_early_is_only_said(made: Recording) -> None:
+    marker = made.marker
+    keep = marker.t_s < made.motor.t_s[0] + 0.68 * np.ptp(made.motor.t_s)
+    short = replace(
+        marker, **{name: getattr(marker, name)[keep] for name in ("t_s", "u_px", "v_px", "valid", "sigma_px")}
+    )
+    found = quality(replace(made, marker=short))
+    assert not reason(found, "duration").fatal
+    assert "clock" not in {r.code for r in found.reasons}
+
+
+def test_lost_frames_leave_the_rate_alone_and_a_dark_part_is_named(made: Recording) -> None:
+    marker = made.marker
+    some = np.arange(len(marker.t_s)) % 2 == 0
+    half = replace(
+        marker, **{name: getattr(marker, name)[some] for name in ("t_s", "u_px", "v_px", "valid", "sigma_px")}
+    )
+    assert "rate" not in {r.code for r in quality(replace(made, marker=half)).reasons}
+    q = np.interp(marker.t_s - RIG.delay_s, made.motor.t_s, made.motor.q)
+    dark = replace(marker, valid=marker.valid & (q > -2.5))
+    assert "-2.5" in reason(quality(replace(made, marker=dark)), "lost").says
+
+
+def test_the_frame_size_stays_with_a_recording(made: Recording, tmp_path) -> None:
+    kept = replace(made, marker=replace(made.marker, frame_px=(720, 576)))
+    recordings.save(kept, tmp_path / "one")
+    assert recordings.load(tmp_path / "one").marker.frame_px == (720, 576)
+    recordings.save(made, tmp_path / "two")
+    assert recordings.load(tmp_path / "two").marker.frame_px is None
+    file = tmp_path / "one" / "marker.csv"
+    lines = file.read_text().splitlines()
+    file.write_text("\n".join([*lines[:5], lines[5].replace("720", "640"), *lines[6:]]) + "\n")
+    torn = recordings.load(tmp_path / "one")
+    assert torn.marker.frame_px is None and any("one size" in w for w in torn.warnings)

@@ -1,0 +1,233 @@
+"""python -m tools.so101 [DATA]: two joints of a low-cost arm, calibrated on one motion each, every other one predicted.
+
+DATA holds recordings JOINT-MOTION (commanded angle in motor.csv, the joint's own sensor in angle.csv) and rig.toml.
+Default: shared/data/so101 beside the repository. It is the public data set isaac-sim2real/sage (real SO-101 runs),
+converted: one joint a folder, seconds and degrees.
+
+Baselines, each fitted to the same motion by least squares with a delay of its own:
+play         a play of constant width, then a polynomial of fifth order
+prandtl      Prandtl-Ishlinskii: 30 plays with weights of at least 0, at the play's delay
+polynomial   of fifth order, no hysteresis
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+import numpy.typing as npt
+from rich.console import Console
+from rich.table import Table
+from scipy.optimize import minimize, nnls
+
+from tautline.calibration.calibrate import Calibration, calibrate
+from tautline.errors import TautError
+from tautline.predict import predict
+from tautline.recording import Recording, load
+from tautline.rig import Rig
+
+Array = npt.NDArray[np.float64]
+Law = Callable[[Recording], Array]  # c (n,) deg at the recording's angle.t_s
+
+JOINTS = ("rotation", "elbow")
+METHODS = ("tautline", "play", "prandtl", "polynomial")
+ORDER, PLAYS = 5, 30
+DELAYS_S = np.linspace(0.0, 0.25, 11)  # to start from
+SLACK_DEG = 0.2  # a motion that reaches farther than the calibration's by less is still inside its range
+
+
+def find() -> Path | None:
+    for folder in Path(__file__).resolve().parents:
+        found = folder / "shared" / "data" / "so101"
+        if found.is_dir():
+            return found
+    return None
+
+
+def play(q: Array, width: float) -> Array:
+    """Centre coordinates of a play of constant width that starts centred on q[0]."""
+    p = np.empty_like(q)
+    state, half = q[0], 0.5 * width
+    for k, value in enumerate(q):
+        state = min(max(state, value - half), value + half)
+        p[k] = state
+    return p
+
+
+def commanded(run: Recording, delay_s: float) -> Array:
+    assert run.angle is not None
+    return np.asarray(np.interp(run.angle.t_s - delay_s, run.motor.t_s, run.motor.q))
+
+
+def measured(run: Recording) -> Array:
+    assert run.angle is not None
+    return run.angle.c_deg
+
+
+def constant_play(run: Recording, hysteresis: bool = True) -> tuple[float, float, Law]:
+    """Delay, width and law of a constant play (or none) and a polynomial, by least squares."""
+    c = measured(run)
+    low, high = float(run.motor.q.min()), float(run.motor.q.max())
+
+    def scaled(p: Array) -> Array:
+        return (2.0 * p - low - high) / (high - low)
+
+    def fitted(x: npt.NDArray[Any]) -> tuple[float, npt.NDArray[Any]]:
+        p = scaled(play(commanded(run, float(x[0])), abs(float(x[1])) if hysteresis else 0.0))
+        design = np.polynomial.chebyshev.chebvander(p, ORDER)
+        coefficients = np.linalg.lstsq(design, c, rcond=None)[0]
+        return float(np.mean((c - design @ coefficients) ** 2)), coefficients
+
+    widths = (high - low) * np.array([0.0, 0.01, 0.03, 0.06, 0.12, 0.25] if hysteresis else [0.0])
+    starts = [np.array([delay, width]) for delay in DELAYS_S for width in widths]
+    start = min(starts, key=lambda x: fitted(x)[0])
+    simplex = start + np.array([[0.0, 0.0], [0.02, 0.0], [0.0, 0.01 * (high - low)]])
+    options = {"initial_simplex": simplex, "xatol": 1e-5, "fatol": 1e-10}
+    best = minimize(lambda x: fitted(x)[0], start, method="Nelder-Mead", options=options).x  # type: ignore[call-overload]
+    delay, width = float(best[0]), abs(float(best[1])) if hysteresis else 0.0
+    coefficients = fitted(best)[1]
+
+    def law(other: Recording) -> Array:
+        p = np.clip(scaled(play(commanded(other, delay), width)), -1.05, 1.05)
+        return np.asarray(np.polynomial.chebyshev.chebval(p, coefficients))
+
+    return delay, width, law
+
+
+def prandtl(run: Recording, delay_s: float) -> Law:
+    span = float(np.ptp(run.motor.q))
+    widths = np.linspace(0.0, 0.5 * span, PLAYS)
+
+    def design(other: Recording) -> Array:
+        q = commanded(other, delay_s)
+        columns = [play(q, width) for width in widths]
+        return np.column_stack([*columns, np.ones_like(q), -np.ones_like(q)])
+
+    weights = nnls(design(run), measured(run))[0]
+    return lambda other: np.asarray(design(other) @ weights)
+
+
+def settled(run: Recording, width: float, delay_s: float) -> npt.NDArray[np.bool_]:
+    """Rows after the joint was driven through `width` both ways."""
+    assert run.angle is not None
+    q = run.motor.q
+    up = np.flatnonzero(q - np.minimum.accumulate(q) > width)
+    down = np.flatnonzero(np.maximum.accumulate(q) - q > width)
+    if not len(up) or not len(down):
+        return np.zeros(len(run.angle.t_s), dtype=bool)
+    from_s = run.motor.t_s[max(up[0], down[0])] + delay_s
+    return np.asarray(run.angle.t_s > from_s, dtype=bool)
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """All methods on one motion; `refused`: why there is no model of ours to use."""
+
+    run: Recording
+    found: Calibration | None
+    refused: str
+    delay_s: float  # of the constant play, as its width
+    width: float
+    laws: dict[str, Law]
+
+    @classmethod
+    def on(cls, run: Recording, rig: Rig) -> Calibrated:
+        delay, width, constant = constant_play(run)
+        laws = {
+            "play": constant,
+            "prandtl": prandtl(run, delay),
+            "polynomial": constant_play(run, hysteresis=False)[2],
+        }
+        found, refused = None, ""
+        try:
+            found = calibrate([run], rig)
+            if not found.model.quality.usable:
+                refused = f"{found.model.quality.reasons[0].code}: {found.model.quality.reasons[0]}"
+        except TautError as error:
+            refused = str(error)
+        if found is not None and not refused:
+            model = found.model
+
+            def ours(other: Recording) -> Array:
+                assert other.angle is not None
+                return predict(model, other.motor, other.angle.t_s - model.delay_s).c_deg
+
+            laws["tautline"] = ours
+        return cls(run, found, refused, delay, width, laws)
+
+    def rms(self, other: Recording) -> dict[str, float]:
+        """deg, of each method, on another motion; empty where it is never driven both ways through the backlash."""
+        late = settled(other, 1.2 * self.width, max(self.delay_s, 0.1))
+        if not late.any():
+            return {}
+        return {m: float(np.sqrt(np.mean((measured(other) - law(other))[late] ** 2))) for m, law in self.laws.items()}
+
+
+def inside(test: Recording, calibration: Recording) -> bool:
+    low, high = calibration.motor.q.min() - SLACK_DEG, calibration.motor.q.max() + SLACK_DEG
+    return bool(test.motor.q.min() >= low and test.motor.q.max() <= high)
+
+
+def pairs(folder: Path, joints: Sequence[str] = JOINTS) -> Iterator[tuple[Calibrated, dict[str, dict[str, float]]]]:
+    """Each motion's calibration, with the rms of every unseen motion of its joint inside its range."""
+    rig = Rig.load(folder / "rig.toml")
+    for joint in joints:
+        runs = [load(path, rig) for path in sorted(folder.glob(f"{joint}-*"))]
+        for run in runs:
+            made = Calibrated.on(run, rig)
+            others = {o.name: made.rms(o) for o in runs if o.name != run.name and inside(o, run)}
+            yield made, {name: rms for name, rms in others.items() if rms}
+
+
+@click.command()
+@click.argument("data", required=False, type=click.Path(path_type=Path, exists=True))
+@click.option("--every", is_flag=True, help="List every pair of motions too.")
+def main(data: Path | None, every: bool) -> None:
+    """A play of ours beside others' hysteresis on real joints, in deg rms on motions that were not calibrated on."""
+    console = Console(width=190, highlight=False)
+    folder = data or find()
+    if folder is None:
+        console.print("no SO-101 data beside the repository: name their folder")
+        return
+    columns = ("calibrated on", "verdict", "delay", "play's", "tests", *METHODS, "ours / play", "worst", "reasons")
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for name in columns:
+        table.add_column(name, justify="left" if name in ("calibrated on", "verdict", "reasons") else "right")
+    listed: list[str] = []
+    ratios: list[float] = []
+    for made, tests in pairs(folder):
+        said = [rms["tautline"] / rms["play"] for rms in tests.values() if "tautline" in rms]
+        ratios += said
+        medians = (np.median([r[m] for r in tests.values()]) if tests and m in made.laws else np.nan for m in METHODS)
+        quality = made.found.model.quality if made.found else None
+        table.add_row(
+            made.run.name,
+            quality.verdict.value if quality else "refused",
+            f"{1e3 * made.found.model.delay_s:.0f} ms" if made.found else "",
+            f"{1e3 * made.delay_s:.0f} ms",
+            str(len(tests)),
+            *(f"{value:.3f}" if np.isfinite(value) else "" for value in medians),
+            f"{np.median(said):.2f}" if said else "",
+            f"{max(said):.2f}" if said else "",
+            made.refused or ", ".join(reason.code for reason in (quality.reasons if quality else ())),
+        )
+        for name, rms in tests.items():
+            ratio = f"{rms['tautline'] / rms['play']:6.2f}" if "tautline" in rms else "refused"
+            figures = "  ".join(f"{m} {rms[m]:.3f}" for m in METHODS if m in rms)
+            listed.append(f"{made.run.name} -> {name}: {ratio}   {figures}")
+    console.print(table)
+    if every:
+        console.print("\n".join(listed))
+    if ratios:
+        console.print(
+            f"{len(ratios)} unseen motions inside the range: {np.median(ratios):.2f} times the constant play's error "
+            f"in the median, {max(ratios):.2f} at worst; above 1.5 in {sum(r > 1.5 for r in ratios)}"
+        )
+
+
+if __name__ == "__main__":
+    main()
