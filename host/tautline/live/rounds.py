@@ -34,12 +34,12 @@ _LATENCY_S = 0.4  # from an onset until the board has confirmed it
 _MOST_PASSES = 4
 _FRAMES_A_STROKE = 6  # in which the tip moves, at least
 _STROKES = (1, 6)  # there and back, at least and at most
+_AIM = 0.9  # of the goal, or the next round's is a little place beside this one's
 FIXED = 2  # rounds that are made whatever sigma says: few reversals do not tell a width from a delay
 # What the board takes for an onset, in shares of the range: it ends strokes, it measures nothing.
 _SIGMA_WANTED, _SIGMA_USABLE = 1e-3, 1e-2
 
 _HOPELESS = 2.0  # times the longest time that a calibration may take: not begun
-_MODEL = 1.3  # residual over noise from which on more frames do not help
 _UNTIL_MM, _UNTIL_SHARE = 3e-3, 5e-4
 
 
@@ -134,22 +134,23 @@ class Standing:
     missing: Span
     widest: float  # B
     strokes: float  # the longest that moved nothing, 0 where none did
-    residual: float  # of the frames about the model, over their noise
+    work: float  # what reaching the goal everywhere costs, in times of what was done so far
+    doubt: str  # the calibration's first, empty where it has none
 
     @classmethod
     def of(cls, found: Calibration, low: float, high: float, until: float) -> Standing:
         model = found.model
         bounds = max((onset.low for onset in found.onsets if onset.used and onset.kind == BOUND), default=0.0)
-        residual = float(found.evidence.get("joint_residual_over_noise", 1.0))
+        doubt = str(model.quality.reasons[0]) if model.quality.reasons else ""
         inside = (model.q >= model.measured[0]) & (model.q <= model.measured[1])
         if not inside.any() or model.measured[0] >= model.measured[1]:
-            return cls(np.inf, 0.5 * (low + high), (), (low, high), (low, high), 0.0, bounds, residual)
+            return cls(np.inf, 0.5 * (low + high), (), (low, high), (low, high), 0.0, bounds, np.inf, doubt)
         q, widest = model.q[inside], float(model.width[inside].max())
         sigma = np.where(np.isfinite(model.width_sigma), model.width_sigma, np.inf)[inside]
         worst = int(np.argmax(sigma))
         return cls(
             float(sigma[worst]), float(q[worst]), _places(q, sigma, until, widest), (float(q[0]), float(q[-1])),
-            _missing(found, low, high), widest, bounds, residual,
+            _missing(found, low, high), widest, bounds, float(np.mean(np.maximum(sigma / until, 1.0) ** 2)), doubt,
         )  # fmt: skip
 
     @property
@@ -165,8 +166,8 @@ class Standing:
 
 
 def _places(q: Array, sigma: Array, until: float, apart: float) -> tuple[Place, ...]:
-    """Where sigma is above the goal; places less than `apart` from each other are one."""
-    bad = np.flatnonzero(sigma > until)
+    """Where sigma is near the goal or above; places less than `apart` from each other are one."""
+    bad = np.flatnonzero(sigma > _AIM * until)
     runs = np.split(bad, np.flatnonzero(np.diff(q[bad]) > apart) + 1) if len(bad) else []
     return tuple(Place(float(q[run[0]]), float(q[run[-1]]), float(sigma[run].max())) for run in runs)
 
@@ -218,7 +219,7 @@ def next_round(
     more = (standing.worst / until) ** 2
     need = _with_ends(standing, until) if len(done) == 1 else standing.need
     if sum(place.high - place.low for place in need) <= _WHOLE * means.span:
-        return Strokes(tuple(_stroke(means, place, standing.widest, until) for place in need), means.speeds[0])
+        return Strokes(tuple(_stroke(means, place, standing.widest, until, seconds) for place in need), means.speeds[0])
     # A place's variance falls as the time spent there grows.
     approach = _APPROACH * means.span
     pass_s = (2 * means.span + 4 * _CYCLES * (standing.widest + approach + _LATENCY_S * speed)) / speed
@@ -235,13 +236,17 @@ def _with_ends(standing: Standing, until: float) -> tuple[Place, ...]:
     return (*below, *need, *above)
 
 
-def _stroke(means: Means, place: Place, widest: float, until: float) -> Stroke:
+def _stroke(means: Means, place: Place, widest: float, until: float, seconds: float) -> Stroke:
     beside = _BESIDE * means.span
     reach = 0.5 * widest + beside
+    low, high = max(place.low - reach, means.low), min(place.high + reach, means.high)
     moving = place.high - place.low + 2 * beside
     speed = min(_SPEEDS[1] * means.speeds[0], moving / (_FRAMES_A_STROKE * means.frame_s))
-    times = int(np.clip(np.ceil(0.5 * (place.sigma / until) ** 2), *_STROKES))
-    return Stroke(max(place.low - reach, means.low), min(place.high + reach, means.high), speed, times)
+    # A place's variance falls as the time spent there grows; next to the ends that is one visit so far.
+    more = (place.sigma / until) ** 2
+    wanted_s = (more - 1.0) * seconds * moving / means.span
+    times = int(np.clip(np.ceil(max(0.5 * more, 0.5 * wanted_s * speed / moving)), *_STROKES))
+    return Stroke(low, high, speed, times)
 
 
 def _round(means: Means, low: float, high: float, speeds: tuple[float, ...], cycles: int, stroke: float) -> Round:
@@ -260,7 +265,7 @@ def _round(means: Means, low: float, high: float, speeds: tuple[float, ...], cyc
 class Sight:
     """What the camera made of it."""
 
-    noise_px: float
+    noise_px: float  # from frame to frame at rest; NaN where it never rested
     unseen: Span  # positions at which the marker was mostly lost, empty (0, 0)
 
 
@@ -268,38 +273,41 @@ def why_not(
     standing: Standing, until: float, unit: str, sight: Sight, seconds: float, at_most_s: float, rounds: int
 ) -> str:
     """Why the goal is out of reach, empty where it may be reached yet: one sentence with its remedy."""
-    if standing.reached(until):
-        return ""
     out_of_time = seconds >= at_most_s
+    if standing.reached(until) or (rounds < FIXED and not out_of_time):
+        return ""
     if not standing.covered:
-        if rounds < 2 and not out_of_time:
-            return ""
         return _uncovered(standing, unit, sight)
-    needed = seconds * (standing.worst / until) ** 2
+    needed = seconds * standing.work
     if not out_of_time and needed <= _HOPELESS * at_most_s:
         return ""
-    here = f"{in_words(standing.worst, unit)} at {standing.where:.3g} {unit}"
-    if standing.residual > _MODEL:
-        return (
-            f"the frames lie {standing.residual:.2g} times their noise off the model ({here}) and more of them do not "
-            "help: ask 'taut diagnose' what the model lacks"
-        )
+    here = f"sigma is {in_words(standing.worst, unit)} at {standing.where:.3g} {unit}"
+    low, high = sight.unseen
+    if low - standing.widest < standing.where < high + standing.widest and low < high:
+        return f"{here}: {_unseen(sight, unit)}"
+    if standing.doubt:
+        return f"{here}, and more frames of the same do not help: {standing.doubt}"
     return (
-        f"with {sight.noise_px:.2g} px of noise in the marker ({here}) that takes {needed:.0f} s: steady the camera, "
-        "light or enlarge the marker, name a larger --until, or give it time with --at-most"
+        f"{here} with {sight.noise_px:.2g} px of noise in the marker, and {needed:.0f} s would be needed: steady the "
+        "camera, light or enlarge the marker, name a larger --until, or give it time with --at-most"
     )
 
 
 def _uncovered(standing: Standing, unit: str, sight: Sight) -> str:
     low, high = standing.missing
     if sight.unseen[0] < sight.unseen[1]:
-        return (
-            f"the marker is not seen from {sight.unseen[0]:.3g} to {sight.unseen[1]:.3g} {unit}: bring it into view "
-            "there, or take these positions out of actuator.range in rig.toml"
-        )
+        return _unseen(sight, unit)
     if standing.strokes > 0:
         return (
             f"strokes of {standing.strokes:.3g} {unit} moved nothing: the range leaves no room to cross the backlash: "
             "check that the tip is free to move, or widen actuator.range in rig.toml"
         )
     return f"no reversal from {low:.3g} to {high:.3g} {unit} gave a width: is the tip free to move there?"
+
+
+def _unseen(sight: Sight, unit: str) -> str:
+    low, high = sight.unseen
+    return (
+        f"the marker is not seen from {low:.3g} to {high:.3g} {unit}: bring it into view there, or take these "
+        "positions out of actuator.range in rig.toml"
+    )

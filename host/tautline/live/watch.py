@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tautline.calibration.calibrate import Calibration, Options, calibrate
-from tautline.calibration.observations import noise_of
 from tautline.errors import TautError
 from tautline.live.rounds import Sight, Standing
 from tautline.live.setup import Frame, Live, Recorder
@@ -20,6 +19,7 @@ Array = np.ndarray
 BINS = 48  # of the range
 _FIRST_FIT_S, _BETWEEN_FITS = 2.5, 0.2  # s, or this share of the time so far
 _STILL = 0.02  # of a bin: a motor that moved less from one frame to the next rests
+_MEDIAN = 0.6745  # of the size of what is normally distributed, in standard deviations
 
 
 @dataclass
@@ -80,6 +80,8 @@ class Watch:
         self._live, self._recorder, self._options, self._show = live, recorder, options, show
         self._began_us = live.now_us()
         self._last_q = float("nan")
+        self._rested: tuple[float, float] | None = None  # where the marker was in the frame before, at rest
+        self._steps: list[tuple[float, float]] = []  # of a marker at rest, px from frame to frame
         self._due_s = _FIRST_FIT_S
         self._pool = ThreadPoolExecutor(1, "calibration") if live.plant is None else None
         self._fit: Future[tuple[Calibration, float]] | None = None
@@ -117,10 +119,9 @@ class Watch:
 
     def sight(self) -> Sight:
         """What the camera made of it so far."""
-        marker = self._recorder.so_far().marker
-        assert marker is not None
-        y = np.column_stack([marker.u_px, marker.v_px])[marker.valid]
-        return Sight(noise_of(marker.t_s[marker.valid], y, 0.0), self.view.unseen)
+        steps = np.abs(self._steps)
+        noise = float(np.median(steps)) / _MEDIAN / np.sqrt(2.0) if steps.size else float("nan")
+        return Sight(noise, self.view.unseen)
 
     def _idle(self) -> None:
         """One frame more, so that none is stale after the wait."""
@@ -163,8 +164,13 @@ class Watch:
         if not np.isfinite(place).all():
             return
         first, last = (place - view.low) / (view.high - view.low) * BINS
+        seen = frame.sighting
+        rested, self._rested = self._rested, None
         if last - first < _STILL:
+            self._rested = (seen.u_px, seen.v_px) if seen.valid else None
+            if rested is not None and self._rested is not None:
+                self._steps.append((self._rested[0] - rested[0], self._rested[1] - rested[1]))
             return
         bins = slice(max(int(first), 0), min(int(last) + 1, BINS))
         way = view.rising if q > before else view.falling
-        way[bins, int(not frame.sighting.valid)] += 1
+        way[bins, int(not seen.valid)] += 1
