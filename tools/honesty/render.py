@@ -1,0 +1,112 @@
+"""Frames with a marker on an instrument over a background, written as people's cameras write them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+from tools.honesty.setup import Setup
+
+Array = NDArray[np.float64]
+GLARE = (250.0, 250.0, 250.0)
+
+
+@dataclass
+class Film:
+    codec: str = "MJPG"
+    suffix: str = "mkv"
+    quality: int | None = None  # of JPEG; None: the codec's own
+    radius_px: float = 9.0
+    colour: tuple[float, float, float] = (60.0, 190.0, 50.0)  # B, G, R
+    textured: bool = True
+    grain: float = 2.0  # grey levels of sensor noise
+    glare: bool = False  # highlights that stay where they are in the picture
+    covered: float = 0.0  # share of the frames in which something hides the marker
+    twin: bool = False  # a second marker of the same colour that lies still
+    times: bool = True  # frames.csv is written
+    scale: float = 1.0  # of the frames against the rig
+
+
+def background(rng: np.random.Generator, height: int, width: int, textured: bool) -> Array:
+    """Tissue: red, with soft structure, vessels and an uneven light. Or a plain grey wall."""
+    if not textured:
+        return np.full((height, width, 3), [118.0, 120.0, 122.0])
+    tint = np.array([80.0, 85.0, 165.0])
+    out = np.ones((height, width, 3)) * tint
+    for scale, amount in ((60, 22.0), (18, 12.0), (5, 5.0)):
+        coarse = rng.normal(0, 1, (height // scale + 3, width // scale + 3))
+        soft = cv2.resize(gaussian_filter(coarse, 0.7), (width, height), interpolation=cv2.INTER_CUBIC)
+        out += (amount * soft / soft.std())[..., None] * np.array([0.7, 0.8, 1.0])
+    for _ in range(25):
+        points = np.cumsum(rng.normal(0, 14, (30, 2)), axis=0) + rng.uniform([0, 0], [width, height])
+        cv2.polylines(out, [points.astype(np.int32)], False, (55.0, 45.0, 120.0), int(rng.integers(1, 4)), cv2.LINE_AA)
+    y, x = np.mgrid[0:height, 0:width]
+    light = np.exp(-(((x - width * 0.5) / width) ** 2 + ((y - height * 0.45) / height) ** 2) * 1.3)
+    return np.asarray(np.clip(out * light[..., None], 0, 255))
+
+
+def disc(canvas: NDArray[np.floating], at: tuple[float, float], radius: float, colour: tuple[float, float, float], shade: float = 0.0) -> None:
+    """An antialiased disc; integers are pixels' middles. `shade` darkens one side of it."""
+    u, v = at
+    height, width = canvas.shape[:2]
+    left, top = max(int(u - radius) - 3, 0), max(int(v - radius) - 3, 0)
+    right, bottom = min(int(u + radius) + 5, width), min(int(v + radius) + 5, height)
+    if right <= left or bottom <= top:
+        return
+    n = 5
+    sub = (np.arange(n) + 0.5) / n - 0.5
+    x = (np.arange(left, right)[:, None] + sub).ravel() - u
+    y = (np.arange(top, bottom)[:, None] + sub).ravel() - v
+    inside = (y[:, None] ** 2 + x[None, :] ** 2 <= radius**2).astype(float)
+    share = inside.reshape(bottom - top, n, right - left, n).mean(axis=(1, 3))[..., None].astype(canvas.dtype)
+    dx = (np.arange(left, right) - u) / radius
+    light = (1.0 - shade * dx)[None, :, None]
+    canvas[top:bottom, left:right] = (1 - share) * canvas[top:bottom, left:right] + share * np.asarray(colour) * light
+
+
+def write_video(setup: Setup, path: Path, scene: Array, arrival: Array, uv: Array) -> None:
+    film, rng, camera, image = setup.video, setup.rng, setup.camera, setup.image
+    assert isinstance(film, Film) and camera is not None and image is not None
+    height, width = round(camera.height * film.scale), round(camera.width * film.scale)
+    wall = background(rng, height, width, film.textured)
+    if film.twin:
+        far = np.array([width, height]) * np.array([0.12, 0.15])
+        disc(wall, (float(far[0]), float(far[1])), film.radius_px * film.scale, film.colour)
+    spots = [(float(x), float(y), float(r)) for x, y, r in rng.uniform([0, 0, 1.5], [width, height, 4.0], (60, 3))]
+    if film.glare:
+        for x, y, r in spots:
+            disc(wall, (x, y), r, GLARE)
+    wall = wall.astype(np.float32)
+    rate = image.fps or camera.frame_rate
+    writer = cv2.VideoWriter(str(path / f"video.{film.suffix}"), cv2.VideoWriter.fourcc(*film.codec), rate, (width, height))
+    if not writer.isOpened():
+        raise RuntimeError(f"this OpenCV writes no {film.codec}")
+    if film.quality is not None:
+        writer.set(cv2.VIDEOWRITER_PROP_QUALITY, film.quality)
+    noise = np.clip(rng.normal(0, film.grain, (7, height, width, 1)), -127, 127).astype(np.float32)
+    hidden = np.zeros(len(uv), bool)
+    while film.covered and hidden.mean() < film.covered:
+        at = int(rng.integers(0, len(uv)))
+        hidden[at : at + int(rng.integers(10, 40))] = True
+    places = (uv + 0.5) * film.scale - 0.5
+    for k, (u, v) in enumerate(places.tolist()):
+        frame = wall.copy()
+        disc(frame, (u, v), film.radius_px * film.scale, film.colour, 0.12)
+        if film.glare:
+            for x, y, r in spots:
+                if max(abs(x - u), abs(y - v)) < film.radius_px + 6:
+                    disc(frame, (x, y), r, GLARE)
+            disc(frame, (u + 0.4 * film.radius_px, v - 0.35 * film.radius_px), 1.6, (245.0, 250.0, 245.0))
+        if hidden[k]:
+            disc(frame, (u + 4, v + 3), 2.2 * film.radius_px * film.scale, (30.0, 28.0, 60.0))
+        shifted = np.roll(noise[k % 7], (13 * k) % width, axis=1)
+        writer.write(np.clip(frame + shifted + 0.5, 0, 255).astype(np.uint8))
+    writer.release()
+    if film.times:
+        stamps = image.stamp(arrival, rng) if image.stamp else arrival
+        rows = "".join(f"{k},{t:.6f}\n" for k, t in enumerate(stamps.tolist()))
+        (path / "frames.csv").write_text("frame,t_s\n" + rows)
