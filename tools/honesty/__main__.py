@@ -64,7 +64,12 @@ def scored(folders: tuple[Path, ...], conditions: bool) -> None:
 @main.command()
 @click.argument("name")
 @click.argument("seed", type=int)
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder of the case; the truth is truth.json beside it.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="Folder of the case; the truth is truth.json beside it.",
+)
 def keep(name: str, seed: int, out: Path) -> None:
     """Makes one case, runs it and keeps its recording, model and prediction."""
     from tools.honesty import runner

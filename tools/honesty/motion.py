@@ -22,7 +22,9 @@ class Motion:
         return float(self.t[-1])
 
 
-def visit(targets: Sequence[float], speeds: Sequence[float] | float, dwell: float | Sequence[float], accel: float) -> Motion:
+def visit(
+    targets: Sequence[float], speeds: Sequence[float] | float, dwell: float | Sequence[float], accel: float
+) -> Motion:
     """Stops at each target; trapezoids of speed between them. It rests 0.5 s at the start and the end."""
     speed = np.broadcast_to(np.asarray(speeds, float), (len(targets) - 1,))
     rest = np.broadcast_to(np.asarray(dwell, float), (len(targets) - 1,))
@@ -43,11 +45,15 @@ def _trapezoid(a: float, b: float, v: float, accel: float) -> Array:
     whole = way / v + ramp
     t = np.arange(1, int(np.ceil(whole / STEP_S)) + 1) * STEP_S
     t = np.minimum(t, whole)
-    s = np.where(t < ramp, accel * t**2 / 2, np.where(t < whole - ramp, v * (t - ramp / 2), way - accel * (whole - t) ** 2 / 2))
+    s = np.where(
+        t < ramp, accel * t**2 / 2, np.where(t < whole - ramp, v * (t - ramp / 2), way - accel * (whole - t) ** 2 / 2)
+    )
     return np.asarray(a + np.sign(b - a) * s)
 
 
-def ramp_strokes(rng: np.random.Generator, low: float, high: float, stroke: float, count: int, speeds: Sequence[float]) -> Motion:
+def ramp_strokes(
+    rng: np.random.Generator, low: float, high: float, stroke: float, count: int, speeds: Sequence[float]
+) -> Motion:
     """The paper's: small strokes back and forth over a ramp through the whole range, then back in one pass."""
     middle = np.concatenate([np.linspace(low + stroke / 2, high - stroke / 2, count // 2)] * 1)
     back = middle[::-1] + rng.uniform(-0.1, 0.1, len(middle)) * stroke
@@ -56,7 +62,9 @@ def ramp_strokes(rng: np.random.Generator, low: float, high: float, stroke: floa
         targets += [m + stroke / 2, m - stroke / 2]
     targets += [low, high, low]
     clipped = np.clip(targets, low, high)
-    return visit(clipped.tolist(), rng.choice(np.asarray(speeds), len(clipped) - 1), rng.uniform(0.0, 0.15), 20 * max(speeds))
+    return visit(
+        clipped.tolist(), rng.choice(np.asarray(speeds), len(clipped) - 1), rng.uniform(0.0, 0.15), 20 * max(speeds)
+    )
 
 
 def sweeps(rng: np.random.Generator, low: float, high: float, speeds: Sequence[float]) -> Motion:
@@ -69,7 +77,13 @@ def sweeps(rng: np.random.Generator, low: float, high: float, speeds: Sequence[f
 
 
 def wander(
-    rng: np.random.Generator, low: float, high: float, count: int, speeds: Sequence[float], shortest: float, longest: float
+    rng: np.random.Generator,
+    low: float,
+    high: float,
+    count: int,
+    speeds: Sequence[float],
+    shortest: float,
+    longest: float,
 ) -> Motion:
     """Strokes of random length and speed that turn anywhere, with a full stroke at the start and the end."""
     targets = [(low + high) / 2, low, high]
@@ -83,12 +97,16 @@ def wander(
             targets.append(float(rng.uniform(low + 0.3 * (high - low), low + 0.7 * (high - low))))
             heading = float(rng.choice([-1.0, 1.0]))
     targets += [high, low]
-    kept = [targets[0]] + [b for a, b in zip(targets[:-1], targets[1:], strict=True) if abs(b - a) > 1e-3 * (high - low)]
+    kept = [targets[0]] + [
+        b for a, b in zip(targets[:-1], targets[1:], strict=True) if abs(b - a) > 1e-3 * (high - low)
+    ]
     steps = len(kept) - 1
     return visit(kept, rng.choice(np.asarray(speeds), steps), rng.uniform(0.0, 0.3, steps), 20 * max(speeds))
 
 
-def sines(rng: np.random.Generator, low: float, high: float, seconds: float, fast_hz: float, slow_hz: float, share: float) -> Motion:
+def sines(
+    rng: np.random.Generator, low: float, high: float, seconds: float, fast_hz: float, slow_hz: float, share: float
+) -> Motion:
     """A slow sine through the range with a faster one of `share` of it on top; eased in and out of rest."""
     t = np.arange(int(seconds / STEP_S)) * STEP_S
     middle, half = (low + high) / 2, (high - low) / 2

@@ -77,7 +77,10 @@ def in_view(camera: Camera, bends: Sequence[float], margin: float = 30.0, slowes
         return False
     uv = project(place, camera)
     inside = (
-        (uv[:, 0] > margin) & (uv[:, 0] < camera.width - margin) & (uv[:, 1] > margin) & (uv[:, 1] < camera.height - margin)
+        (uv[:, 0] > margin)
+        & (uv[:, 0] < camera.width - margin)
+        & (uv[:, 1] > margin)
+        & (uv[:, 1] < camera.height - margin)
     )
     pace = np.hypot(*np.diff(uv, axis=0).T) / np.diff(c)
     return bool(inside.all() and pace.min() > slowest)

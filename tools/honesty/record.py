@@ -60,7 +60,7 @@ def make(setup: Setup, folder: Path) -> Made:
     rig = folder / "rig.toml"
     rig.write_text(tomli_w.dumps(rig_of(setup)))
     test, times, truth = _test(setup, folder, end)
-    return Made(paths, rig, test, times, {**truth, **_static_truth(setup, end)})
+    return Made(paths, rig, test, times, {**truth, **_static_truth(setup, moved)})
 
 
 def rig_of(setup: Setup) -> dict[str, Any]:
@@ -304,8 +304,23 @@ def _driven(q: Array, way: float) -> int:
     return len(q)
 
 
-def _static_truth(setup: Setup, end: float) -> dict[str, Any]:
-    """B and f on a grid of the centre coordinate: the mean over the recordings of what full strokes would show."""
+def _state(setup: Setup, moved: list[_Moved]) -> tuple[float, float]:
+    """Factor of the width and offset of q that count as true: as at the end, of what comes and goes the mean."""
+    factor, pull, end = 1.0, 0.0, float(moved[-1].t[-1])
+    still = (setup.actuator.low + setup.actuator.high) / 2
+    when = np.linspace(0.0, end, 400) if setup.comes_and_goes else np.full(400, end)
+    if setup.scale:
+        factor = float(np.mean(setup.scale(when, np.full(400, still))))
+    if setup.shift:
+        pull = float(np.mean(setup.shift(when, np.full(400, still))))
+    if setup.load_scale:
+        loaded = [np.mean(setup.load_scale(one.columns), axis=1) for one in moved]
+        factor, pull = factor * float(np.mean([x[0] for x in loaded])), pull + float(np.mean([x[1] for x in loaded]))
+    return factor, pull
+
+
+def _static_truth(setup: Setup, moved: list[_Moved]) -> dict[str, Any]:
+    """B and f on a grid of the centre coordinate, as full strokes would show them."""
     a = setup.actuator
     grid = np.linspace(a.low, a.high, 401)
     widest = float(np.max(setup.width(grid)))
@@ -315,18 +330,13 @@ def _static_truth(setup: Setup, end: float) -> dict[str, Any]:
     near = np.interp(shape.centre, ours.centre, ours.width, left=np.nan, right=np.nan)
     reached = np.abs(near - shape.width) < 0.015 * shape.width
     widths = np.where(reached, shape.width, np.nan)
-    factor = pull = 0.0
-    if setup.scale or setup.shift:
-        when = np.linspace(0.0, end, 400)
-        still = np.full(400, (a.low + a.high) / 2)
-        factor = float(np.mean(setup.scale(when, still))) - 1 if setup.scale else 0.0
-        pull = float(np.mean(setup.shift(when, still))) if setup.shift else 0.0
+    factor, pull = _state(setup, moved)
     c = setup.law(shape.state)
     return {
         "unit": a.unit,
         "um_per_unit": a.um_per_unit,
         "q": grid,
-        "width": np.interp(grid, shape.centre - pull, widths * (1 + factor) + setup.wider, left=np.nan, right=np.nan),
+        "width": np.interp(grid, shape.centre - pull, widths * factor + setup.wider, left=np.nan, right=np.nan),
         "remaining_deg": np.interp(grid, shape.centre - pull, c, left=np.nan, right=np.nan),
         "codes": sorted(setup.codes),
         "benign": setup.benign,

@@ -49,7 +49,13 @@ def background(rng: np.random.Generator, height: int, width: int, textured: bool
     return np.asarray(np.clip(out * light[..., None], 0, 255))
 
 
-def disc(canvas: NDArray[np.floating], at: tuple[float, float], radius: float, colour: tuple[float, float, float], shade: float = 0.0) -> None:
+def disc(
+    canvas: NDArray[np.floating],
+    at: tuple[float, float],
+    radius: float,
+    colour: tuple[float, float, float],
+    shade: float = 0.0,
+) -> None:
     """An antialiased disc; integers are pixels' middles. `shade` darkens one side of it."""
     u, v = at
     height, width = canvas.shape[:2]
@@ -82,7 +88,9 @@ def write_video(setup: Setup, path: Path, scene: Array, arrival: Array, uv: Arra
             disc(wall, (x, y), r, GLARE)
     wall = wall.astype(np.float32)
     rate = image.fps or camera.frame_rate
-    writer = cv2.VideoWriter(str(path / f"video.{film.suffix}"), cv2.VideoWriter.fourcc(*film.codec), rate, (width, height))
+    writer = cv2.VideoWriter(
+        str(path / f"video.{film.suffix}"), cv2.VideoWriter.fourcc(*film.codec), rate, (width, height)
+    )
     if not writer.isOpened():
         raise RuntimeError(f"this OpenCV writes no {film.codec}")
     if film.quality is not None:

@@ -79,7 +79,9 @@ def _calibrated(made: Made, folder: Path) -> dict[str, Any]:
     truth = made.truth
     row: dict[str, Any] = {
         **{key: truth[key] for key in ("benign", "must_not_pass", "codes", "unit", "noise")},
-        **dict.fromkeys(("z", "error_um", "sigma_um", "percent", "prediction", "delay_error_ms", "remaining_deg", "offset_s")),
+        **dict.fromkeys(
+            ("z", "error_um", "sigma_um", "percent", "prediction", "delay_error_ms", "remaining_deg", "offset_s")
+        ),
         "share": 0.0,
         "coarse": _error(truth, "coarse"),
         "constant": score.best_constant(_true(truth)),

@@ -85,7 +85,9 @@ def interval(hits: Sequence[Sequence[bool]], draws: int = 2000) -> tuple[float, 
     return float(low), float(high)
 
 
-def _share(name: str, runs: Sequence[Run], hit: Any, goal: str, at_most: float | None, at_least: float | None) -> dict[str, Any]:
+def _share(
+    name: str, runs: Sequence[Run], hit: Any, goal: str, at_most: float | None, at_least: float | None
+) -> dict[str, Any]:
     groups: dict[str, list[bool]] = {}
     for run in runs:
         groups.setdefault(run["name"], []).append(bool(hit(run)))
@@ -93,10 +95,21 @@ def _share(name: str, runs: Sequence[Run], hit: Any, goal: str, at_most: float |
     value = float(np.mean(flat)) if flat else None
     low, high = interval(list(groups.values()))
     met = None if value is None else (at_most is None or value <= at_most) and (at_least is None or value >= at_least)
-    return {"what": name, "value": value, "low": low, "high": high, "runs": len(flat), "goal": goal, "met": met, "share": True}
+    return {
+        "what": name,
+        "value": value,
+        "low": low,
+        "high": high,
+        "runs": len(flat),
+        "goal": goal,
+        "met": met,
+        "share": True,
+    }
 
 
-def _number(name: str, value: float | None, runs: int, goal: str, low: float | None, high: float | None) -> dict[str, Any]:
+def _number(
+    name: str, value: float | None, runs: int, goal: str, low: float | None, high: float | None
+) -> dict[str, Any]:
     met = None if value is None else (low is None or value >= low) and (high is None or value <= high)
     row = {"what": name, "value": value, "low": None, "high": None, "runs": runs, "goal": goal, "met": met}
     return {**row, "share": False}
@@ -129,9 +142,21 @@ def summary(runs: Sequence[Run]) -> list[dict[str, Any]]:
         _number("sigma / |error|, median", float(np.median(ratio)) if ratio else None, len(ratio), "<= 2.5", None, 2.5),
         _share("not good, not benign: a right reason", named, _right, ">= 80 %", None, 0.8),
         _share("error > 20 um and 5 %: a right reason", wrong, _right, "", None, None),
-        _share("files that contradict each other: good", [r for r in runs if r["must_not_pass"]], lambda r: r in good, "0", 0.0, None),
         _share(
-            "worse than f_coarse or a constant: good", [r for r in runs if _useless(r)], lambda r: not not_good(r), "0", 0.0, None
+            "files that contradict each other: good",
+            [r for r in runs if r["must_not_pass"]],
+            lambda r: r in good,
+            "0",
+            0.0,
+            None,
+        ),
+        _share(
+            "worse than f_coarse or a constant: good",
+            [r for r in runs if _useless(r)],
+            lambda r: not not_good(r),
+            "0",
+            0.0,
+            None,
         ),
         _share("refused (exit 1)", runs, lambda r: r["verdict"] == "refused", "", None, None),
         _share("crashed, or took too long", runs, lambda r: r["verdict"] in ("crash", "timeout"), "0", 0.0, None),

@@ -92,12 +92,17 @@ class Setup:
     codes: frozenset[str] = frozenset()  # reasons that are right
     # Effects. Time is the set-up's, over all recordings; it stands still for the test.
     scale: Callable[[Array, Array], Array] | None = None  # (t, q) -> factor of the width
+    comes_and_goes: bool = False  # scale and shift have no end state: their mean is the truth
     shift: Callable[[Array, Array], Array] | None = None  # (t, q) -> offset of q between motor and play
     wider: float = 0.0  # what a tendon's effect adds to the distance between full-stroke envelopes, unit of q
     tendon: list[Callable[[Array, Array], Array]] = field(default_factory=list)  # (t, p) -> p
     bend: list[Callable[[Array, Array, dict[str, Array]], Array]] = field(default_factory=list)  # (t, c, columns) -> c
-    columns: Callable[[Motion, np.random.Generator], dict[str, Array]] | None = None  # other joints and load of a motion
-    load_scale: Callable[[dict[str, Array]], tuple[Array, Array]] | None = None  # columns -> (factor of width, offset of q)
+    columns: Callable[[Motion, np.random.Generator], dict[str, Array]] | None = (
+        None  # other joints and load of a motion
+    )
+    load_scale: Callable[[dict[str, Array]], tuple[Array, Array]] | None = (
+        None  # columns -> (factor of width, offset of q)
+    )
     tilt: Callable[[Array, Array], Array] | None = None  # (t, c) -> rows of hand-eye angles to add, deg
     place: Callable[[Array, Array], Array] | None = None  # (t, c) -> rows of hand-eye translation to add, mm
     rig_file: Callable[[dict[str, Any]], dict[str, Any]] | None = None

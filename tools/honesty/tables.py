@@ -11,7 +11,21 @@ from tools.honesty import score
 
 Row = Mapping[str, Any]
 HEAD = ("", "value", "95 %", "runs", "goal", "met")
-COLUMNS = ("condition", "set", "verdicts", "error, um", "%", "sigma, um", "z", "measured", "prediction", "noise", "reason", "right", "s")
+COLUMNS = (
+    "condition",
+    "set",
+    "verdicts",
+    "error, um",
+    "%",
+    "sigma, um",
+    "z",
+    "measured",
+    "prediction",
+    "noise",
+    "reason",
+    "right",
+    "s",
+)
 
 
 def short(x: float | None, digits: int = 3) -> str:
@@ -60,7 +74,9 @@ def headline(title: str, rows: Sequence[Row]) -> Table:
 def conditions(rows: Sequence[Row]) -> Table:
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for name in COLUMNS:
-        table.add_column(name, justify="left" if name in ("condition", "set", "verdicts", "reason") else "right", no_wrap=True)
+        table.add_column(
+            name, justify="left" if name in ("condition", "set", "verdicts", "reason") else "right", no_wrap=True
+        )
     family = None
     for row in rows:
         if row["family"] != family:

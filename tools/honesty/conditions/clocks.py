@@ -124,7 +124,9 @@ def frames_arrive_in_bunches(rng: Rng) -> Setup:
     return s
 
 
-@condition("frame_times", "lost_frames", "clock", "clock.rate", "acquisition.jitter", "acquisition.clock_rate", "duration")
+@condition(
+    "frame_times", "lost_frames", "clock", "clock.rate", "acquisition.jitter", "acquisition.clock_rate", "duration"
+)
 def lost_frames_that_nobody_counted(rng: Rng) -> Setup:
     """Times are frame number / rate; some frames were dropped."""
     s, image = _setup(rng)

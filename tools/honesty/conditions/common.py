@@ -18,8 +18,21 @@ Rng = np.random.Generator
 
 LENSES = (
     Camera(),
-    Camera(width=640, height=480, fx=430.0, fy=432.0, cx=318.0, cy=243.0, frame_rate=30.0, delay=0.06, bending=22.0, tip=5.0),
-    Camera(width=960, height=720, fx=700.0, fy=700.0, cx=470.0, cy=365.0, frame_rate=28.0, delay=0.1, bending=16.0, tip=8.0),
+    Camera(
+        width=640,
+        height=480,
+        fx=430.0,
+        fy=432.0,
+        cx=318.0,
+        cy=243.0,
+        frame_rate=30.0,
+        delay=0.06,
+        bending=22.0,
+        tip=5.0,
+    ),
+    Camera(
+        width=960, height=720, fx=700.0, fy=700.0, cx=470.0, cy=365.0, frame_rate=28.0, delay=0.1, bending=16.0, tip=8.0
+    ),
 )
 
 
@@ -63,7 +76,9 @@ def law_curve(rng: Rng, a: Actuator, bend: float, sign: float = 1.0, dead: float
 
     def law(p: Array) -> Array:
         x = p - middle
-        return gain * (x - flat * near * np.tanh(x / near) + wave * span / 6.28 * np.sin(6.28 * x / span + phase)) + lift
+        return (
+            gain * (x - flat * near * np.tanh(x / near) + wave * span / 6.28 * np.sin(6.28 * x / span + phase)) + lift
+        )
 
     told = gain * float(rng.uniform(0.9, 1.1))
     return law, told, lift + float(rng.uniform(-3.0, 3.0)) - told * middle
@@ -82,7 +97,9 @@ def motions(rng: Rng, a: Actuator, seconds: float = 100.0, edge: float = 0.0) ->
         return motion.wander(rng, low, high, count, speeds, 0.16 * span, 0.45 * span)
     first = motion.sweeps(rng, low, high, speeds[1:])
     rest = seconds - first.duration
-    return motion.joined([first, motion.ramp_strokes(rng, low, high, stroke, _count(rest, stroke, speeds, span), speeds)])
+    return motion.joined(
+        [first, motion.ramp_strokes(rng, low, high, stroke, _count(rest, stroke, speeds, span), speeds)]
+    )
 
 
 def _count(seconds: float, stroke: float, speeds: Sequence[float], span: float) -> int:
@@ -117,7 +134,9 @@ def camera_setup(
         recordings=[motions(rng, a, seconds)],
         test=test_motion(rng, a),
         camera=camera,
-        image=ImageLog(noise_px=float(rng.uniform(0.04, 0.08)), delay_s=camera.delay + float(rng.uniform(-0.008, 0.008))),
+        image=ImageLog(
+            noise_px=float(rng.uniform(0.04, 0.08)), delay_s=camera.delay + float(rng.uniform(-0.008, 0.008))
+        ),
         motor=MotorLog(rate_hz=float(rng.choice([200.0, 500.0, 1000.0]))),
     )
 

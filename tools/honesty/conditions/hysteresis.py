@@ -145,7 +145,12 @@ def dahl_with_a_width(rng: Rng) -> Setup:
     return s
 
 
-ASYMMETRY = ("transmission.asymmetric_backlash", "hysteresis", "registration.direction_dependent", "transmission.smooth_onset")
+ASYMMETRY = (
+    "transmission.asymmetric_backlash",
+    "hysteresis",
+    "registration.direction_dependent",
+    "transmission.smooth_onset",
+)
 
 
 def _asymmetric(rng: Rng, late: float) -> Setup:
@@ -162,5 +167,3 @@ def late_one_way_by_a_twentieth(rng: Rng) -> Setup:
 @condition("asymmetry", *ASYMMETRY)
 def late_one_way_by_a_fifth(rng: Rng) -> Setup:
     return _asymmetric(rng, 0.2)
-
-

@@ -114,6 +114,7 @@ def width_differs_from_stroke_to_stroke(rng: Rng) -> Setup:
     knots = rng.normal(0, float(rng.uniform(0.02, 0.04)), 400)
     times = np.arange(400) * float(rng.uniform(2.0, 4.0))
     s.scale = lambda t, q: 1 + np.interp(t, times, knots)
+    s.comes_and_goes = True
     return s
 
 

@@ -15,7 +15,9 @@ SEEN = ("tracker", "noise", "residual", "camera", "repeatability")
 
 
 def _filmed(rng: Rng, film: Film, seconds: int = 32) -> Setup:
-    lens = replace(LENSES[1], width=480, height=360, fx=330.0, fy=330.0, cx=239.0, cy=181.0, frame_rate=25.0, delay=0.08)
+    lens = replace(
+        LENSES[1], width=480, height=360, fx=330.0, fy=330.0, cx=239.0, cy=181.0, frame_rate=25.0, delay=0.08
+    )
     s = camera_setup(rng, lens=lens)
     a = s.actuator
     speeds = [length(a, v) for v in (2.2, 3.4)]

@@ -56,7 +56,9 @@ def tilts_with_the_direction(rng: Rng) -> Setup:
     return _tilted(rng, lambda _, heading: by * heading / 2)
 
 
-@condition("registration_tilt", "registration.static", "registration", "camera.distortion", "kinematics.nonconstant_curvature")
+@condition(
+    "registration_tilt", "registration.static", "registration", "camera.distortion", "kinematics.nonconstant_curvature"
+)
 def hand_eye_was_never_right(rng: Rng) -> Setup:
     s = camera_setup(rng)
     k = s.camera
@@ -67,7 +69,9 @@ def hand_eye_was_never_right(rng: Rng) -> Setup:
     return s
 
 
-@condition("registration_tilt", "camera.distortion", "registration.static", "registration", "kinematics.nonconstant_curvature")
+@condition(
+    "registration_tilt", "camera.distortion", "registration.static", "registration", "kinematics.nonconstant_curvature"
+)
 def lens_that_was_not_told(rng: Rng) -> Setup:
     s = camera_setup(rng)
     k = s.camera

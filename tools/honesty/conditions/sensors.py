@@ -30,7 +30,10 @@ def _rough(rng: Rng, rms: float, cell: float) -> object:
         i, j = x.astype(int), y.astype(int)
         a, b = x - i, y - j
         out = [
-            f[i, j] * (1 - a) * (1 - b) + f[i + 1, j] * a * (1 - b) + f[i, j + 1] * (1 - a) * b + f[i + 1, j + 1] * a * b
+            f[i, j] * (1 - a) * (1 - b)
+            + f[i + 1, j] * a * (1 - b)
+            + f[i, j + 1] * (1 - a) * b
+            + f[i + 1, j + 1] * a * b
             for f in fields
         ]
         return np.stack(out, axis=1)
