@@ -1,1 +1,1 @@
-"""The honesty benchmark: instruments, clocks and files that share no code with the library, and what a calibration says of them."""
+"""The honesty benchmark: what a calibration says of instruments, clocks and files that share no code with it."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +56,7 @@ def ramp_strokes(
     rng: np.random.Generator, low: float, high: float, stroke: float, count: int, speeds: Sequence[float]
 ) -> Motion:
     """The paper's: small strokes back and forth over a ramp through the whole range, then back in one pass."""
-    middle = np.concatenate([np.linspace(low + stroke / 2, high - stroke / 2, count // 2)] * 1)
+    middle = np.linspace(low + stroke / 2, high - stroke / 2, count // 2)
     back = middle[::-1] + rng.uniform(-0.1, 0.1, len(middle)) * stroke
     targets = [low]
     for m in np.concatenate([middle, back]):
@@ -97,9 +98,7 @@ def wander(
             targets.append(float(rng.uniform(low + 0.3 * (high - low), low + 0.7 * (high - low))))
             heading = float(rng.choice([-1.0, 1.0]))
     targets += [high, low]
-    kept = [targets[0]] + [
-        b for a, b in zip(targets[:-1], targets[1:], strict=True) if abs(b - a) > 1e-3 * (high - low)
-    ]
+    kept = [targets[0]] + [b for a, b in pairwise(targets) if abs(b - a) > 1e-3 * (high - low)]
     steps = len(kept) - 1
     return visit(kept, rng.choice(np.asarray(speeds), steps), rng.uniform(0.0, 0.3, steps), 20 * max(speeds))
 

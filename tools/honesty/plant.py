@@ -1,7 +1,7 @@
 """What lies between motor and tip: rate-independent hystereses, the static law, and their truth.
 
-A hysteresis maps the motor's path q to the centre coordinate p; the tip is c = law(p). Its truth is always read off a slow
-full stroke (`envelopes`), never off its parameters."""
+A hysteresis maps the motor's path q to the centre coordinate p; the tip is c = law(p). Its truth is always read off
+a slow full stroke (`envelopes`), never off its parameters."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class Asymmetric:
 
 @dataclass(frozen=True)
 class Plays:
-    """Prandtl-Ishlinskii: play elements of radius r_i (in q), weights w_i; weights sum to 1, so far envelopes have slope 1."""
+    """Prandtl-Ishlinskii: play elements of radius r_i (in q) and weight w_i; the weights sum to 1."""
 
     radius: Array
     weight: Array
@@ -182,7 +182,7 @@ class Dahl:
 
 @dataclass(frozen=True)
 class Envelope:
-    """Central fibre: at centre p, the full-stroke envelopes are `width` apart; p is also what the operator gives there."""
+    """At each centre the envelopes are `width` apart."""
 
     centre: Array
     width: Array

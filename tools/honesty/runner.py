@@ -1,4 +1,4 @@
-"""Makes a case, calibrates it with the command line inside a lasting worker, predicts the unseen motion, scores, deletes.
+"""Makes a case, calibrates it, predicts the unseen motion, scores, deletes.
 
 The only module of this package that imports the library, and only its command line."""
 

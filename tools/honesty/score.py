@@ -41,7 +41,7 @@ def backlash(said: Mapping[str, Any], q: Array, width: Array, um_per_unit: float
 
 
 def image_rms(error: Array) -> float:
-    """Per coordinate: sqrt(mean((du^2 + dv^2) / 2)); one column (deg) is a plain rms. Rows without a number are worth 1e6."""
+    """Per coordinate: sqrt(mean((du^2 + dv^2) / 2)); one column (deg) is a plain rms. A row without a number: 1e6."""
     error = np.where(np.isfinite(error), np.clip(error, -1e6, 1e6), 1e6)
     return float(np.sqrt(np.mean(np.sum(error**2, axis=1) / error.shape[1])))
 
@@ -72,7 +72,7 @@ def overconfident(run: Run) -> bool:
 
 
 def interval(hits: Sequence[Sequence[bool]], draws: int = 2000) -> tuple[float, float]:
-    """95 % of a share. Runs of one condition are alike: conditions are drawn, not runs; at 0 and 1 the rule of three on them."""
+    """95 % of a share. Runs of one condition are alike: conditions are drawn, not runs; at 0 and 1 the rule of three."""
     n = np.array([len(h) for h in hits], float)
     k = np.array([sum(h) for h in hits], float)
     if len(n) == 0 or n.sum() == 0:

@@ -1,4 +1,4 @@
-"""A set-up to be recorded: an instrument, its motions, its sensors and clocks, and every way in which they can be wrong.
+"""A set-up to be recorded: an instrument, its motions, sensors and clocks, and every way in which they can be wrong.
 
 All defaults are benign. A condition changes fields; `record.py` turns the result into folders and a truth."""
 

@@ -67,7 +67,7 @@ def width_curve(rng: Rng, a: Actuator, smallest: float = 0.25, largest: float = 
 
 
 def law_curve(rng: Rng, a: Actuator, bend: float, sign: float = 1.0, dead: float = 0.4) -> tuple[Curve, float, float]:
-    """(f_remain, told gain, told offset): rises (or falls) over the range by 2 * bend deg, flatter near the straight pose."""
+    """(f_remain, told gain, told offset): over the range by 2 * bend deg, flatter near the straight pose."""
     span, middle = a.high - a.low, (a.low + a.high) / 2
     flat, near = float(rng.uniform(0, dead)), float(rng.uniform(0.06, 0.12)) * span
     wave, phase = float(rng.uniform(0.0, 0.05)), float(rng.uniform(0, 6.28))
