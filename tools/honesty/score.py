@@ -72,7 +72,7 @@ def overconfident(run: Run) -> bool:
 
 
 def interval(hits: Sequence[Sequence[bool]], draws: int = 2000) -> tuple[float, float]:
-    """95 % of a share. Runs of one condition are alike: conditions are drawn, not runs; at 0 and 1 the rule of three."""
+    """95 % of a share. Runs of one condition are alike, so conditions are drawn; at 0 and 1 the rule of three."""
     n = np.array([len(h) for h in hits], float)
     k = np.array([sum(h) for h in hits], float)
     if len(n) == 0 or n.sum() == 0:
