@@ -86,6 +86,7 @@ def _calibrated(made: Made, folder: Path) -> dict[str, Any]:
         "coarse": _error(truth, "coarse"),
         "constant": score.best_constant(_true(truth)),
         "exit": status,
+        "exit_fits": True,
         "seconds": seconds,
         "verdict": "refused",
         "reasons": [],
@@ -103,10 +104,9 @@ def _calibrated(made: Made, folder: Path) -> dict[str, Any]:
         "reasons": [reason["code"] for reason in quality["reasons"]],
         "delay_error_ms": 1000.0 * ((said.get("delay_s") or 0.0) - truth["delay_s"]),
         "offset_s": said.get("offset_s"),
+        "exit_fits": (status == 3) == (quality["verdict"] == "unusable"),
         "remaining_deg": _remaining(said, truth),
     }
-    if (status == 3) != (row["verdict"] == "unusable"):
-        row["said"] = f"exit {status} with verdict {row['verdict']}"
     return row | _predicted(made, model, folder / "predicted.csv")
 
 

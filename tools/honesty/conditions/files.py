@@ -10,7 +10,7 @@ from tools.honesty.conditions.common import Array, Rng, angle_setup, camera_setu
 from tools.honesty.conditions.registry import condition
 from tools.honesty.setup import ImageLog, Setup
 
-UNITS = ("range", "units", "unit", "coarse", "coverage")
+UNITS = ("range", "units", "coarse")
 
 
 def _image(s: Setup) -> ImageLog:
@@ -136,7 +136,7 @@ def the_motor_of_another_recording(rng: Rng) -> Setup:
     return s
 
 
-@condition("wrong_partner", "clock", "clock.offset", "range", "coarse", "residual", "direction", must_not_pass=True)
+@condition("wrong_partner", "clock", "clock.offset", "range", "coarse", "residual", must_not_pass=True)
 def another_axis_was_logged(rng: Rng) -> Setup:
     """The log holds a joint that has nothing to do with what is seen."""
     s = camera_setup(rng)
