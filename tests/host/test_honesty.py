@@ -287,8 +287,8 @@ def case(name: str, verdict: str, **changes: Any) -> dict[str, Any]:
     row: dict[str, Any] = {
         "name": name, "family": "f", "set": "tuning", "seed": 0, "benign": False, "must_not_pass": False,
         "codes": ["clock"], "noise": 0.05, "verdict": verdict, "reasons": [], "z": 1.0, "error_um": 1.0,
-        "sigma_um": 1.0, "percent": 0.1, "share": 0.9, "prediction": 0.02, "coarse": 50.0, "constant": 100.0, "delay_error_ms": 0.0,
-        "remaining_deg": 0.0, "seconds": 3.0,
+        "sigma_um": 1.0, "percent": 0.1, "share": 0.9, "prediction": 0.02, "coarse": 50.0, "constant": 100.0,
+        "delay_error_ms": 0.0, "remaining_deg": 0.0, "seconds": 3.0,
     }  # fmt: skip
     return {**row, **changes}
 
