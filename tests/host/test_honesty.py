@@ -151,6 +151,30 @@ def test_the_truth_is_what_a_slow_stroke_shows(name: str) -> None:
     assert np.abs(bend - c)[known].max() < (0.3 if slack > 0.01 else 0.05)
 
 
+def test_of_what_changes_the_end_is_true_and_of_what_comes_and_goes_the_mean(tmp_path: Path) -> None:
+    def widths(setup: Setup, name: str) -> Any:
+        return record.make(setup, tmp_path / name).truth["width"]
+
+    grown, same = build("width-grows-by-15-percent", 0), build("width-grows-by-15-percent", 0)
+    same.scale = None
+    assert np.nanmean(widths(grown, "grown") / widths(same, "same")) == pytest.approx(1.15, abs=1e-3)
+    loaded, free = build("load-that-nobody-logged", 0), build("load-that-nobody-logged", 0)
+    free.load_scale = lambda columns: (1.0 + 0.0 * columns["load_mNm"], 0.0 * columns["load_mNm"])
+    assert 1.01 < np.nanmean(widths(loaded, "loaded") / widths(free, "free")) < 1.15
+
+
+def test_counts_are_where_they_are_in_every_log_and_have_no_bias(tmp_path: Path) -> None:
+    setup = build("counts-of-100-um", 0)
+    made = record.make(setup, tmp_path)
+    count = setup.motor.resolution or setup.actuator.resolution
+    logs = [np.loadtxt(path / "motor.csv", delimiter=",", skiprows=1) for path in (*made.recordings, made.test)]
+    phase = np.concatenate([log[:, 1] for log in logs]) / count % 1.0
+    assert np.ptp((phase - phase[0] + 0.5) % 1.0) < 1e-4
+    motor = setup.recordings[0]
+    error = logs[0][:, 1] - np.interp(logs[0][:, 0], motor.t, motor.q)
+    assert abs(np.mean(error)) < 0.1 * count and np.abs(error).max() <= 0.5 * count + 1e-6
+
+
 def test_sticking_makes_the_mean_distance_of_the_strokes_wider_by_the_jump() -> None:
     setup = build("jumps-of-50-um", 2)
     base = build("jumps-of-50-um", 2)

@@ -42,6 +42,7 @@ class _Moved:
 
 def make(setup: Setup, folder: Path) -> Made:
     rng = setup.rng
+    setup.motor.phase = float(rng.uniform(0, 1))
     moved, end = _moves(setup)
     paths = []
     for number, one in enumerate(moved):
@@ -137,11 +138,11 @@ def _write_motor(setup: Setup, one: _Moved, path: Path, rng: np.random.Generator
     t = np.arange(0.0, own[-1], 1.0 / log.rate_hz)
     q = np.interp(t + log.lead_s, own, one.q)
     if log.periodic:
-        q = q + log.periodic * np.sin(2 * np.pi * q / log.period + rng.uniform(0, 6.28))
+        q = q + log.periodic * np.sin(2 * np.pi * (q / log.period + log.phase))
     if log.noise:
         q = q + rng.normal(0, log.noise, len(q))
     count = log.resolution or a.resolution
-    q = (np.floor(q / count + rng.uniform(0, 1)) + 0.5) * count
+    q = (np.floor(q / count + log.phase) + 0.5 - log.phase) * count
     t = t + one.clock0
     if log.change:
         t, q = log.change(t, q)
@@ -274,7 +275,7 @@ def _test(setup: Setup, folder: Path, end: float) -> tuple[Path, Path, dict[str,
     truth: dict[str, Any] = {
         "c_deg": np.interp(scene, own, one.c),
         "counted": scene >= _driven(one.q, widest) * STEP_S,
-        "delay_s": delay,
+        "delay_s": delay + setup.motor.lead_s,  # against what is logged
         "coarse_deg": setup.gain * np.interp(scene, own, one.q) + setup.offset,
     }
     if by_image:

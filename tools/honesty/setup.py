@@ -36,6 +36,7 @@ class MotorLog:
     vibration_hz: float = 35.0
     periodic: float = 0.0  # once-per-turn error of the reading: amplitude
     period: float = 1.0
+    phase: float = 0.0  # of counts and turns against zero, in shares of them; the same in every log
     lead_s: float = 0.0  # what is logged is the command, ahead of the motor by this
     change: Callable[[Array, Array], tuple[Array, Array]] | None = None  # (t, q) as they would be logged
 

@@ -46,7 +46,7 @@ def angle_in_radians(rng: Rng) -> Setup:
     return s
 
 
-@condition("units", *UNITS, must_not_pass=True)
+@condition("units", *UNITS)
 def gain_in_radians(rng: Rng) -> Setup:
     s = camera_setup(rng)
 
