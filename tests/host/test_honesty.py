@@ -96,6 +96,7 @@ def test_plays_on_a_warped_coordinate_are_as_wide_as_the_warp_says() -> None:
     x = np.linspace(np.interp(-2.0, grid, warped), np.interp(2.0, grid, warped), 50)
     right, left = np.interp(x + 0.5, warped, grid), np.interp(x - 0.5, warped, grid)
     assert np.abs(np.interp((right + left) / 2, shape.centre, shape.width) - (right - left)).max() < 2e-4
+    assert np.abs(shape.state - shape.centre).max() < 2e-4
 
 
 def test_the_tip_never_goes_against_the_motor() -> None:
@@ -127,14 +128,13 @@ def _where(c: Any, q: Any, p: Any) -> Any:
     return np.interp(p, c[order][moving], q[order][moving], left=np.nan, right=np.nan)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        name
-        for name, c in CONDITIONS.items()
-        if c.family in ("plays", "gradual", "bouc_wen", "dahl", "asymmetry") or name in ("falling-law", "small-widths")
-    ],
+SLOW = (
+    "falling-law ten-plays four-plays-on-one-width plays-at-their-own-states gradual-over-30-percent "
+    "bouc-wen-1 bouc-wen-5 dahl dahl-with-a-width late-one-way-by-a-fifth"
 )
+
+
+@pytest.mark.parametrize("name", SLOW.split())
 def test_the_truth_is_what_a_slow_stroke_shows(name: str) -> None:
     setup = build(name, 1)
     moved, _ = record._moves(replace(setup, recordings=[motion.visit([0.0, 1.0], 1.0, 0.0, 10.0)]))
@@ -417,6 +417,8 @@ def test_a_run_through_the_command_line(tmp_path: Path) -> None:
     row = runner.run("twenty-seconds", 0, "tuning", tmp_path / "case")
     assert row["verdict"] in ("good", "doubtful") and row["share"] > 0.5 and row["error_um"] < 20.0
     assert row["prediction"] < row["noise"] < row["coarse"]
+    truth = json.loads((tmp_path / "case.truth.json").read_text())
+    assert len(truth["width"]) == len(truth["q"]) and not list((tmp_path / "case").rglob("*truth*"))
     assert (tmp_path / "case" / "recording-0" / "marker.csv").exists() and (tmp_path / "case" / "model").exists()
 
 

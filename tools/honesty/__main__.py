@@ -68,7 +68,7 @@ def scored(folders: tuple[Path, ...], conditions: bool) -> None:
     "--out",
     type=click.Path(path_type=Path),
     required=True,
-    help="Folder of the case; the truth is truth.json beside it.",
+    help="Folder of the case; OUT.truth.json is beside it.",
 )
 def keep(name: str, seed: int, out: Path) -> None:
     """Makes one case, runs it and keeps its recording, model and prediction."""
@@ -82,6 +82,9 @@ def _chosen(which: str, only: Sequence[str], part: str | None) -> dict[str, str]
     from tools.honesty.conditions import CONDITIONS
 
     names = {name: where for name, where in sets.of_each().items() if which in (where, "all")}
+    for name in [name for name in names if not CONDITIONS[name].possible]:
+        click.echo(f"{name} is left out: it needs the package {CONDITIONS[name].needs}", err=True)
+        del names[name]
     if part:
         names = {name: names[name] for name in sets.CI if name in names}
     if only:

@@ -12,14 +12,15 @@ from scipy.ndimage import gaussian_filter
 from tools.honesty.setup import Setup
 
 Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
 GLARE = (250.0, 250.0, 250.0)
 
 
 @dataclass
 class Film:
-    codec: str = "MJPG"
+    codec: str = "MJPG"  # a four-character code of OpenCV's, or h264
     suffix: str = "mkv"
-    quality: int | None = None  # of JPEG; None: the codec's own
+    crf: int = 23  # of h264: the lower, the better
     radius_px: float = 9.0
     colour: tuple[float, float, float] = (60.0, 190.0, 50.0)  # B, G, R
     textured: bool = True
@@ -74,47 +75,89 @@ def disc(
     canvas[top:bottom, left:right] = (1 - share) * canvas[top:bottom, left:right] + share * np.asarray(colour) * light
 
 
+class _OpenCv:
+    def __init__(self, film: Film, path: Path, rate: float, size: tuple[int, int]) -> None:
+        self.writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*film.codec), rate, size)
+        if not self.writer.isOpened():
+            raise RuntimeError(f"this OpenCV writes no {film.codec}")
+
+    def write(self, frame: Image) -> None:
+        self.writer.write(frame)
+
+    def close(self) -> None:
+        self.writer.release()
+
+
+class _X264:
+    """H.264 as capture programs write it: 4:2:0, key frames seconds apart, a constant quality."""
+
+    def __init__(self, film: Film, path: Path, rate: float, size: tuple[int, int]) -> None:
+        import av  # OpenCV's wheels have no encoder for H.264
+
+        self.file = av.open(str(path), "w")
+        options = {"crf": str(film.crf), "preset": "veryfast", "g": str(round(2 * rate)), "threads": "1"}
+        self.stream = self.file.add_stream("libx264", rate=round(rate), options=options)
+        self.stream.width, self.stream.height, self.stream.pix_fmt = *size, "yuv420p"
+
+    def write(self, frame: Image) -> None:
+        import av
+
+        self.file.mux(self.stream.encode(av.VideoFrame.from_ndarray(frame, format="bgr24")))
+
+    def close(self) -> None:
+        self.file.mux(self.stream.encode())
+        self.file.close()
+
+
+GRAINS = 6  # patterns of sensor noise that take turns
+
+
 def write_video(setup: Setup, path: Path, scene: Array, arrival: Array, uv: Array) -> None:
     film, rng, camera, image = setup.video, setup.rng, setup.camera, setup.image
     assert isinstance(film, Film) and camera is not None and image is not None
     height, width = round(camera.height * film.scale), round(camera.width * film.scale)
+    radius = film.radius_px * film.scale
     wall = background(rng, height, width, film.textured)
     if film.twin:
-        far = np.array([width, height]) * np.array([0.12, 0.15])
-        disc(wall, (float(far[0]), float(far[1])), film.radius_px * film.scale, film.colour)
+        disc(wall, (0.12 * width, 0.15 * height), radius, film.colour)
     spots = [(float(x), float(y), float(r)) for x, y, r in rng.uniform([0, 0, 1.5], [width, height, 4.0], (60, 3))]
-    if film.glare:
-        for x, y, r in spots:
-            disc(wall, (x, y), r, GLARE)
-    wall = wall.astype(np.float32)
+    for x, y, r in spots if film.glare else []:
+        disc(wall, (x, y), r, GLARE)
+    grain = [rng.normal(0, film.grain, (height, width, 1)).astype(np.float32) for _ in range(GRAINS)]
+    still = [_bytes(wall + g) for g in grain]
+    hidden = _covered(rng, len(uv), film.covered)
     rate = image.fps or camera.frame_rate
-    writer = cv2.VideoWriter(
-        str(path / f"video.{film.suffix}"), cv2.VideoWriter.fourcc(*film.codec), rate, (width, height)
-    )
-    if not writer.isOpened():
-        raise RuntimeError(f"this OpenCV writes no {film.codec}")
-    if film.quality is not None:
-        writer.set(cv2.VIDEOWRITER_PROP_QUALITY, film.quality)
-    noise = np.clip(rng.normal(0, film.grain, (7, height, width, 1)), -127, 127).astype(np.float32)
-    hidden = np.zeros(len(uv), bool)
-    while film.covered and hidden.mean() < film.covered:
-        at = int(rng.integers(0, len(uv)))
-        hidden[at : at + int(rng.integers(10, 40))] = True
-    places = (uv + 0.5) * film.scale - 0.5
-    for k, (u, v) in enumerate(places.tolist()):
-        frame = wall.copy()
-        disc(frame, (u, v), film.radius_px * film.scale, film.colour, 0.12)
+    kind = _X264 if film.codec == "h264" else _OpenCv
+    writer = kind(film, path / f"video.{film.suffix}", rate, (width, height))
+    for k, (u, v) in enumerate(((uv + 0.5) * film.scale - 0.5).tolist()):
+        reach = int(3.5 * radius) + 4
+        left, top = max(int(u) - reach, 0), max(int(v) - reach, 0)
+        box = slice(top, int(v) + reach), slice(left, int(u) + reach)
+        patch, at = wall[box].copy(), (u - left, v - top)
+        disc(patch, at, radius, film.colour, 0.12)
         if film.glare:
             for x, y, r in spots:
-                if max(abs(x - u), abs(y - v)) < film.radius_px + 6:
-                    disc(frame, (x, y), r, GLARE)
-            disc(frame, (u + 0.4 * film.radius_px, v - 0.35 * film.radius_px), 1.6, (245.0, 250.0, 245.0))
+                disc(patch, (x - left, y - top), r, GLARE)
+            disc(patch, (at[0] + 0.4 * radius, at[1] - 0.35 * radius), 1.6, GLARE)
         if hidden[k]:
-            disc(frame, (u + 4, v + 3), 2.2 * film.radius_px * film.scale, (30.0, 28.0, 60.0))
-        shifted = np.roll(noise[k % 7], (13 * k) % width, axis=1)
-        writer.write(np.clip(frame + shifted + 0.5, 0, 255).astype(np.uint8))
-    writer.release()
+            disc(patch, (at[0] + 4, at[1] + 3), 2.2 * radius, (30.0, 28.0, 60.0))
+        frame = still[k % GRAINS].copy()
+        frame[box] = _bytes(patch + grain[k % GRAINS][box])
+        writer.write(frame)
+    writer.close()
     if film.times:
         stamps = image.stamp(arrival, rng) if image.stamp else arrival
         rows = "".join(f"{k},{t:.6f}\n" for k, t in enumerate(stamps.tolist()))
         (path / "frames.csv").write_text("frame,t_s\n" + rows)
+
+
+def _bytes(picture: NDArray[np.floating]) -> Image:
+    return np.clip(picture + 0.5, 0, 255).astype(np.uint8)
+
+
+def _covered(rng: np.random.Generator, n: int, share: float) -> NDArray[np.bool_]:
+    hidden = np.zeros(n, bool)
+    while hidden.mean() < share:
+        at = int(rng.integers(0, n))
+        hidden[at : at + int(rng.integers(10, 40))] = True
+    return hidden

@@ -67,6 +67,9 @@ def run(name: str, seed: int, which: str, keep: Path | None = None) -> dict[str,
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="honesty-"))) if keep is None else keep
         made = make(build(name, seed), folder)
+        if keep is not None:
+            plain = {key: x.tolist() if isinstance(x, np.ndarray) else x for key, x in made.truth.items()}
+            keep.with_name(f"{keep.name}.truth.json").write_text(json.dumps(plain))
         row = {"name": name, "family": CONDITIONS[name].family, "set": which, "seed": seed}
         return {**row, **_calibrated(made, folder)}
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tools.honesty.conditions.common import Rng, camera_setup, length
+from tools.honesty.conditions.common import Rng, angle_setup, camera_setup, length
 from tools.honesty.conditions.registry import condition
 from tools.honesty.setup import Setup
 
@@ -88,4 +88,14 @@ def commands_instead_of_positions(rng: Rng) -> Setup:
     """What is logged is ahead of the motor, beyond what a camera's nominal delay lets one expect."""
     s = camera_setup(rng)
     s.motor.lead_s = float(rng.uniform(0.06, 0.1))
+    return s
+
+
+@condition("motor_logs", "acquisition.delay", "clock.offset", "clock", "transmission.lag", "angle")
+def commands_beside_an_angle_sensor(rng: Rng) -> Setup:
+    """A servo's commands, and the joint that follows: all at 50 Hz."""
+    s = angle_setup(rng, rate_hz=50.0, seconds=100.0)
+    assert s.angle is not None
+    s.motor.rate_hz, s.motor.lead_s = 50.0, float(rng.uniform(0.06, 0.1))
+    s.angle.resolution_deg = 0.088
     return s

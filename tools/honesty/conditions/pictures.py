@@ -8,16 +8,17 @@ import numpy as np
 from tools.honesty import motion
 from tools.honesty.conditions.common import LENSES, Rng, camera_setup, length
 from tools.honesty.conditions.registry import condition
+from tools.honesty.optics import Camera
 from tools.honesty.render import Film
 from tools.honesty.setup import Setup
 
 SEEN = ("tracker", "noise", "residual", "camera", "repeatability")
 
 
-def _filmed(rng: Rng, film: Film, seconds: int = 32) -> Setup:
-    lens = replace(
-        LENSES[1], width=480, height=360, fx=330.0, fy=330.0, cx=239.0, cy=181.0, frame_rate=25.0, delay=0.08
-    )
+SMALL = replace(LENSES[1], width=480, height=360, fx=330.0, fy=330.0, cx=239.0, cy=181.0, frame_rate=25.0, delay=0.08)
+
+
+def _filmed(rng: Rng, film: Film, seconds: int = 32, lens: Camera = SMALL) -> Setup:
     s = camera_setup(rng, lens=lens)
     a = s.actuator
     speeds = [length(a, v) for v in (2.2, 3.4)]
@@ -27,7 +28,7 @@ def _filmed(rng: Rng, film: Film, seconds: int = 32) -> Setup:
     s.test = motion.teleoperated(rng, a.low + 0.3, a.high - 0.3, 20.0, length(a, 1.6))
     assert s.image is not None
     s.image.noise_px = 0.06  # what predictions are compared with
-    s.image.delay_s = 0.08 + float(rng.uniform(-0.006, 0.006))
+    s.image.delay_s = lens.delay + float(rng.uniform(-0.006, 0.006))
     s.video = film
     return s
 
@@ -45,6 +46,22 @@ def mjpeg_on_a_plain_wall(rng: Rng) -> Setup:
 @condition("video", *SEEN)
 def mpeg4(rng: Rng) -> Setup:
     return _filmed(rng, Film("mp4v", "mp4"))
+
+
+@condition("video", *SEEN, needs="av")
+def h264(rng: Rng) -> Setup:
+    return _filmed(rng, Film("h264", "mp4"))
+
+
+@condition("video", *SEEN, needs="av")
+def h264_of_few_bits(rng: Rng) -> Setup:
+    return _filmed(rng, Film("h264", "mkv", crf=33))
+
+
+@condition("video", *SEEN)
+def mjpeg_full_hd(rng: Rng) -> Setup:
+    lens = Camera(1920, 1080, 1150.0, 1150.0, 962.0, 537.0, frame_rate=30.0, delay=0.09)
+    return _filmed(rng, Film("MJPG", "mkv", radius_px=20.0), 20, lens)
 
 
 @condition("video", *SEEN, "outliers")
