@@ -346,6 +346,19 @@ def test_the_headline_counts_what_the_limits_are_about() -> None:
     ]  # fmt: skip
 
 
+def test_predictions_of_other_hystereses_are_their_worst_condition_s_median() -> None:
+    runs = [case("p", "good", family="plays", prediction=x) for x in (0.01, 0.05, 9.0)]
+    runs += [case("g", "good", family="gradual", prediction=x) for x in (0.07, 0.08, 0.09)]
+    runs += [case("d", "unusable", family="dahl", prediction=50.0)]
+    runs += [case("b", "good", benign=True, prediction=0.01), case("b", "good", benign=True, prediction=0.02)]
+    got = {row["what"]: row for row in score.summary(runs)}
+    assert got["several plays, gradual onsets: prediction, px, worst condition"]["value"] == pytest.approx(0.08)
+    assert got["Dahl: prediction, px, worst condition"]["value"] is None
+    assert "Bouc-Wen: prediction, px, worst condition" not in got
+    assert got["benign: prediction / noise, median"]["value"] == pytest.approx(0.3)
+    assert got["benign: prediction / noise, median"]["met"] is False
+
+
 def test_intervals_draw_conditions_not_runs() -> None:
     alike = [[True] * 50, [False] * 50, [True] * 50, [False] * 50]
     low, high = score.interval(alike)
@@ -431,7 +444,8 @@ def test_tables_and_picture_of_a_run(tmp_path: Path) -> None:
     scores = json.loads((tmp_path / command.SCORES).read_text())
     assert [row["name"] for row in scores["conditions"]] == names and "tuning" in scores["sets"]
     assert (tmp_path / command.PICTURE).stat().st_size > 5000
-    assert "| twenty-seconds |" in (tmp_path / command.TABLE).read_text()
+    table = (tmp_path / command.TABLE).read_text()
+    assert "| twenty-seconds |" in table and "sigma / \\|error\\|" in table
     assert tables.short(None) == "-"
 
 

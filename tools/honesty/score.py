@@ -161,7 +161,39 @@ def summary(runs: Sequence[Run]) -> list[dict[str, Any]]:
         _share("refused (exit 1)", runs, lambda r: r["verdict"] == "refused", "", None, None),
         _share("crashed, or took too long", runs, lambda r: r["verdict"] in ("crash", "timeout"), "0", 0.0, None),
     ]
+    return [*rows, *_predictions(runs)]
+
+
+HYSTERESES = (
+    ("several plays, gradual onsets", ("plays", "gradual"), 0.1),
+    ("Bouc-Wen", ("bouc_wen",), 0.2),
+    ("Dahl", ("dahl",), 1.0),
+)
+
+
+def _predictions(runs: Sequence[Run]) -> list[dict[str, Any]]:
+    """Unseen motions without noise: what a good day gives, and hystereses that are no single play."""
+    known = [r for r in runs if r["prediction"] is not None]
+    benign = [r["prediction"] / r["noise"] for r in known if r["benign"]]
+    shares = [r["share"] for r in runs if r["benign"]]
+    rows = [
+        _number("benign: prediction / noise, median", _median(benign), len(benign), "<= 0.25", None, 0.25),
+        _number("benign: share of the range that is measured, median", _median(shares), len(shares), "", None, None),
+    ]
+    for what, families, most in HYSTERESES:
+        # In px: none of these families has a rig without a camera. What is called unusable promises nothing.
+        group = [r for r in known if r["family"] in families and r["verdict"] != "unusable"]
+        medians = [row["prediction"] for row in by_condition(group)]
+        if any(r["family"] in families for r in runs):
+            worst = max(medians) if medians else None
+            rows.append(
+                _number(f"{what}: prediction, px, worst condition", worst, len(group), f"<= {most:g}", None, most)
+            )
     return rows
+
+
+def _median(values: Sequence[float]) -> float | None:
+    return float(np.median(values)) if values else None
 
 
 def _right(run: Run) -> bool:

@@ -96,7 +96,7 @@ def markdown(parts: Mapping[str, Sequence[Row]], rows: Sequence[Row]) -> str:
 
 
 def _line(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cells) + " |"
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
 def _rule(n: int) -> str:
