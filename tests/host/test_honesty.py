@@ -175,6 +175,20 @@ def test_counts_are_where_they_are_in_every_log_and_have_no_bias(tmp_path: Path)
     assert abs(np.mean(error)) < 0.1 * count and np.abs(error).max() <= 0.5 * count + 1e-6
 
 
+@pytest.mark.parametrize("name", ["image-clock-off-by-2-s", "no-times-beside-the-video"])
+def test_an_offset_is_what_the_files_show(name: str, tmp_path: Path) -> None:
+    made = record.make(build(name, 1), tmp_path)
+    path = made.recordings[0]
+    if (path / "marker.csv").exists():
+        first = np.loadtxt(path / "marker.csv", delimiter=",", skiprows=1, max_rows=1)[0]
+    else:
+        first = 0.0  # of a video without times
+    began = np.loadtxt(path / "motor.csv", delimiter=",", skiprows=1, max_rows=1)[0]
+    # The first scene is within a frame of the log's start, and arrives a delay later.
+    late = first - made.truth["offset_s"] - began
+    assert made.truth["delay_s"] <= late < made.truth["delay_s"] + 0.05
+
+
 def test_sticking_makes_the_mean_distance_of_the_strokes_wider_by_the_jump() -> None:
     setup = build("jumps-of-50-um", 2)
     base = build("jumps-of-50-um", 2)
@@ -414,12 +428,25 @@ def test_a_status_that_does_not_fit_the_verdict_is_told(monkeypatch: pytest.Monk
     assert runner._calibrated(_made(), Path())["exit_fits"] is True
 
 
+@pytest.mark.parametrize(("offset", "error_ms"), [(-2.001, -1.0), (None, 2000.0)])
+def test_the_clock_s_error_is_that_of_delay_and_offset(
+    offset: float | None, error_ms: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(runner, "taut", answer(0, {**SAID, "offset_s": offset}))
+    row = runner._calibrated(_made(), Path())
+    assert row["clock_error_ms"] == pytest.approx(error_ms) and row["clock_off_s"] == -2.0
+    settled = score.summary([case("c", "good", **{k: row[k] for k in ("clock_error_ms", "clock_off_s")})])
+    assert {r["what"]: r for r in settled}["image clock off by seconds: found to 2 ms, or unusable"]["value"] == (
+        1.0 if offset else 0.0
+    )
+
+
 def _made() -> record.Made:
     n = 10
     truth = {
         "benign": False, "must_not_pass": False, "codes": [], "unit": "mm", "noise": 0.05, "um_per_unit": 1000.0,
         "q": np.array([-5.0, 5.0]), "width": np.array([0.5, 0.5]), "remaining_deg": np.array([-50.0, 50.0]),
-        "delay_s": 0.08, "uv": np.zeros((n, 2)), "coarse_uv": np.ones((n, 2)), "c_deg": np.zeros(n),
+        "delay_s": 0.08, "offset_s": -2.0, "uv": np.zeros((n, 2)), "coarse_uv": np.ones((n, 2)), "c_deg": np.zeros(n),
         "counted": np.ones(n, bool),
     }  # fmt: skip
     return record.Made([Path("r")], Path("rig"), Path("t"), Path("times"), truth)

@@ -202,7 +202,7 @@ def _write_marker(setup: Setup, one: _Moved, path: Path, rng: np.random.Generato
     uv = uv + rng.normal(0, 1, uv.shape) * sigma[:, None]
     if image.spoil:
         uv = image.spoil(scene, uv, rng)
-    stamps = image.stamp(arrival, rng) if image.stamp else arrival
+    stamps = (image.stamp(arrival, rng) if image.stamp else arrival) + image.offset_s
     table = {"t_s": stamps + one.clock0, "u_px": uv[:, 0], "v_px": uv[:, 1]}
     if image.missed:
         table["valid"] = _stretches(len(uv), image.missed, rng)
@@ -276,6 +276,7 @@ def _test(setup: Setup, folder: Path, end: float) -> tuple[Path, Path, dict[str,
         "c_deg": np.interp(scene, own, one.c),
         "counted": scene >= _driven(one.q, widest) * STEP_S,
         "delay_s": delay + setup.motor.lead_s,  # against what is logged
+        "offset_s": setup.image.offset_s if setup.image else 0.0,
         "coarse_deg": setup.gain * np.interp(scene, own, one.q) + setup.offset,
     }
     if by_image:

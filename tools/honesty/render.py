@@ -28,7 +28,8 @@ class Film:
     glare: bool = False  # highlights that stay where they are in the picture
     covered: float = 0.0  # share of the frames in which something hides the marker
     twin: bool = False  # a second marker of the same colour that lies still
-    times: bool = True  # frames.csv is written
+    times: bool = True  # frames.csv is written; else the first frame is at 0,
+    motor_first_s: float = 0.0  # and the motor's log began this long before
     scale: float = 1.0  # of the frames against the rig
 
 
@@ -145,7 +146,9 @@ def write_video(setup: Setup, path: Path, scene: Array, arrival: Array, uv: Arra
         frame[box] = _bytes(patch + grain[k % GRAINS][box])
         writer.write(frame)
     writer.close()
-    if film.times:
+    if not film.times:
+        image.offset_s = -float(arrival[0]) - film.motor_first_s
+    else:
         stamps = image.stamp(arrival, rng) if image.stamp else arrival
         rows = "".join(f"{k},{t:.6f}\n" for k, t in enumerate(stamps.tolist()))
         (path / "frames.csv").write_text("frame,t_s\n" + rows)

@@ -82,9 +82,9 @@ def _calibrated(made: Made, folder: Path) -> dict[str, Any]:
     truth = made.truth
     row: dict[str, Any] = {
         **{key: truth[key] for key in ("benign", "must_not_pass", "codes", "unit", "noise")},
-        **dict.fromkeys(
-            ("z", "error_um", "sigma_um", "percent", "prediction", "delay_error_ms", "remaining_deg", "offset_s")
-        ),
+        **dict.fromkeys(("z", "error_um", "sigma_um", "percent", "prediction")),
+        **dict.fromkeys(("delay_error_ms", "clock_error_ms", "offset_s", "remaining_deg")),
+        "clock_off_s": truth["offset_s"],
         "share": 0.0,
         "coarse": _error(truth, "coarse"),
         "constant": score.best_constant(_true(truth)),
@@ -107,10 +107,19 @@ def _calibrated(made: Made, folder: Path) -> dict[str, Any]:
         "reasons": [reason["code"] for reason in quality["reasons"]],
         "delay_error_ms": 1000.0 * ((said.get("delay_s") or 0.0) - truth["delay_s"]),
         "offset_s": said.get("offset_s"),
+        "clock_error_ms": _clock_error(said, truth),
         "exit_fits": (status == 3) == (quality["verdict"] == "unusable"),
         "remaining_deg": _remaining(said, truth),
     }
     return row | _predicted(made, model, folder / "predicted.csv")
+
+
+def _clock_error(said: dict[str, Any], truth: dict[str, Any]) -> float | None:
+    """Of delay and offset together, where the image's clock is off by a constant."""
+    if not truth["offset_s"]:
+        return None
+    found = (said.get("delay_s") or 0.0) + (said.get("offset_s") or 0.0)
+    return float(1000.0 * (found - truth["delay_s"] - truth["offset_s"]))
 
 
 def _remaining(said: dict[str, Any], truth: dict[str, Any]) -> float | None:

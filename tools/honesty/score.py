@@ -158,6 +158,14 @@ def summary(runs: Sequence[Run]) -> list[dict[str, Any]]:
             0.0,
             None,
         ),
+        _share(
+            "image clock off by seconds: found to 2 ms, or unusable",
+            [r for r in runs if r.get("clock_off_s")],
+            _clock_settled,
+            "100 %",
+            None,
+            1.0,
+        ),
         _share("refused (exit 1)", runs, lambda r: r["verdict"] == "refused", "", None, None),
         _share("crashed, or took too long", runs, lambda r: r["verdict"] in ("crash", "timeout"), "0", 0.0, None),
     ]
@@ -198,6 +206,11 @@ def _median(values: Sequence[float]) -> float | None:
 
 def _right(run: Run) -> bool:
     return right_reason(run["reasons"], run["codes"])
+
+
+def _clock_settled(run: Run) -> bool:
+    found = run["clock_error_ms"] is not None and abs(run["clock_error_ms"]) <= 2.0
+    return found or run["verdict"] in ("unusable", "refused")
 
 
 def _useless(run: Run) -> bool:

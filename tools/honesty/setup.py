@@ -51,6 +51,7 @@ class ImageLog:
     noise_wave: Wave | None = None  # factor of the noise over time
     exposure: Wave | None = None  # s, added to the delay over time
     stamp: Callable[[Array, np.random.Generator], Array] | None = None  # true arrival times -> those written
+    offset_s: float = 0.0  # of the image's clock, constant; found or refused
     missed: float = 0.0  # share of frames in which the marker is flagged invalid, in stretches
     lost: float = 0.0  # share of frames that never arrive
     spoil: Callable[[Array, Array, np.random.Generator], Array] | None = None  # (arrival, rows u v) -> rows u v

@@ -60,7 +60,7 @@ def exposure_drifts_by_20_ms(rng: Rng) -> Setup:
 def _offset(rng: Rng, by: float) -> Setup:
     s, image = _setup(rng)
     sign = float(rng.choice([-1.0, 1.0]))
-    image.stamp = lambda t, _: t + sign * by
+    image.offset_s = sign * by
     return s
 
 

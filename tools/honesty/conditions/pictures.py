@@ -87,8 +87,8 @@ def frames_of_half_the_size(rng: Rng) -> Setup:
 @condition("video_trouble", "clock.offset", "clock", "acquisition.delay", "duration")
 def no_times_beside_the_video(rng: Rng) -> Setup:
     """The container's clock starts at 0; the motor's log began some seconds before the camera."""
-    s = _filmed(rng, Film("MJPG", "mkv", times=False))
     before = float(rng.uniform(0.4, 2.5))
+    s = _filmed(rng, Film("MJPG", "mkv", times=False, motor_first_s=before))
     s.motor.change = lambda t, q: (t + before, q)
     return s
 
