@@ -167,6 +167,7 @@ def summary(runs: Sequence[Run]) -> list[dict[str, Any]]:
             1.0,
         ),
         _share("refused (exit 1)", runs, lambda r: r["verdict"] == "refused", "", None, None),
+        _share("exit status and verdict disagree", runs, lambda r: not r.get("exit_fits", True), "0", 0.0, None),
         _share("crashed, or took too long", runs, lambda r: r["verdict"] in ("crash", "timeout"), "0", 0.0, None),
     ]
     return [*rows, *_predictions(runs)]
