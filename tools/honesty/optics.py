@@ -51,14 +51,12 @@ def tip_place(c_deg: Array, camera: Camera, translation: Array | float = 0.0, ro
     return np.stack([x * np.cos(angle), x * np.sin(angle), z + 0 * angle], axis=-1)
 
 
-def project(place: Array, camera: Camera, tilt_deg: Array | None = None, shift_mm: Array | None = None) -> Array:
-    """px, one row a place. `tilt_deg` and `shift_mm` (rows of three) are added to the hand-eye's."""
+def project(place: Array, camera: Camera, tilt_deg: Array | None = None) -> Array:
+    """px, one row a place. `tilt_deg` (rows of three) is added to the hand-eye's."""
     tilt = np.zeros(3) if tilt_deg is None else tilt_deg
     angles = np.asarray(camera.rotation) + tilt
     matrix = turn(angles[..., 0], angles[..., 1], angles[..., 2])
     seen = np.einsum("...ij,...j->...i", matrix, place) + np.asarray(camera.translation)
-    if shift_mm is not None:
-        seen = seen + shift_mm
     x, y = seen[..., 0] / seen[..., 2], seen[..., 1] / seen[..., 2]
     k1, k2, p1, p2, k3 = camera.distortion
     r2 = x**2 + y**2

@@ -158,7 +158,7 @@ def _frames(setup: Setup, one: _Moved, rng: np.random.Generator) -> tuple[Array,
     assert setup.image is not None and setup.camera is not None
     image = setup.image
     own = np.arange(len(one.q)) * STEP_S
-    rate = image.fps or setup.camera.frame_rate
+    rate = setup.camera.frame_rate
     scene = np.arange(rng.uniform(0, 1 / rate), own[-1] - image.delay_s, 1 / rate)
     arrival = scene + image.delay_s
     if image.exposure:
@@ -179,8 +179,7 @@ def _image(setup: Setup, one: _Moved, scene: Array) -> Array:
     when = np.interp(scene, own, one.t)
     heading = np.interp(scene, own, _heading(one.p))
     tilt = None if setup.tilt is None else setup.tilt(when, heading)
-    shift = None if setup.place is None else setup.place(when, heading)
-    return project(place, camera, tilt, shift)
+    return project(place, camera, tilt)
 
 
 def _heading(p: Array) -> Array:

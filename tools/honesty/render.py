@@ -127,7 +127,7 @@ def write_video(setup: Setup, path: Path, scene: Array, arrival: Array, uv: Arra
     grain = [rng.normal(0, film.grain, (height, width, 1)).astype(np.float32) for _ in range(GRAINS)]
     still = [_bytes(wall + g) for g in grain]
     hidden = _covered(rng, len(uv), film.covered)
-    rate = image.fps or camera.frame_rate
+    rate = camera.frame_rate
     kind = _X264 if film.codec == "h264" else _OpenCv
     writer = kind(film, path / f"video.{film.suffix}", rate, (width, height))
     for k, (u, v) in enumerate(((uv + 0.5) * film.scale - 0.5).tolist()):

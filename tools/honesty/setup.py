@@ -45,7 +45,6 @@ class MotorLog:
 class ImageLog:
     noise_px: float = 0.05
     delay_s: float = 0.080  # true
-    fps: float | None = None  # None: the camera's
     place_error: Callable[[Array], Array] | None = None  # px error that goes with the place (rows u, v)
     sigma_column: bool = False
     noise_wave: Wave | None = None  # factor of the noise over time
@@ -106,7 +105,6 @@ class Setup:
         None  # columns -> (factor of width, offset of q)
     )
     tilt: Callable[[Array, Array], Array] | None = None  # (t, c) -> rows of hand-eye angles to add, deg
-    place: Callable[[Array, Array], Array] | None = None  # (t, c) -> rows of hand-eye translation to add, mm
     rig_file: Callable[[dict[str, Any]], dict[str, Any]] | None = None
     video: Any = None  # render.Film: frames instead of marker.csv
     logged: frozenset[str] | None = None  # columns that are written; None: all

@@ -221,3 +221,22 @@ def high_definition(rng: Rng) -> Setup:
     assert s.image is not None
     s.image.noise_px, s.image.delay_s = 0.1, 0.094
     return s
+
+
+@condition(BENIGN)
+def reversal_curves(rng: Rng) -> Setup:
+    """From one end to ever nearer turning points and back, and the same from the other end."""
+    s = camera_setup(rng)
+    a = s.actuator
+    way = motion.fan(a.low, a.high, 12, length(a, 1.8))
+    s.recordings = [way, Motion(way.t, a.low + a.high - way.q)]
+    return s
+
+
+@condition(BENIGN)
+def angle_sensor_whose_delay_is_told(rng: Rng) -> Setup:
+    s = angle_setup(rng, seconds=100.0)
+    assert s.angle is not None
+    s.angle.told_delay_s = 0.05
+    s.angle.delay_s = 0.05 + float(rng.uniform(-0.006, 0.006))
+    return s

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,8 +153,3 @@ def slower(setup: Setup, factor: float) -> None:
     for k, m in enumerate(setup.recordings):
         t = np.arange(0, m.duration / factor, motion.STEP_S)
         setup.recordings[k] = Motion(t, np.interp(t * factor, m.t, m.q))
-
-
-def with_camera(setup: Setup, **changes: object) -> None:
-    assert setup.camera is not None
-    setup.camera = replace(setup.camera, **changes)  # type: ignore[arg-type]
