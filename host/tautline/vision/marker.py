@@ -34,6 +34,7 @@ _STAYS, _ELSEWHERE = (
 )  # of the pictures in which a thing that is not the marker stays, and the marker is not there
 _LEAP, _FASTER = 0.5, 3.0  # diameters at once, and times its usual speed, that the marker may go while it is not seen
 _WHOLE, _AROUND = 0.04, 12  # of its diameter in so many frames to either side: a marker of which nothing is hidden
+_PALE = 0.8  # of its usual purity, below which a picked colour is not the marker's own
 _AS_OFTEN = 0.9  # as the colour that was picked first, another one has to find the marker
 _SURE_PX = 1e-3  # no position is said to be known better
 _SAMPLES = 24  # frames of a video that are looked at for its marker's colour
@@ -205,7 +206,12 @@ def find_colour(pictures: Sequence[Array]) -> MarkerColour | None:
         return None
     share, _, best = max(scored, key=lambda entry: entry[:2])
     usual = _as_usual(best, pictures)
-    return usual if _moving_share(usual, pictures) >= _AS_OFTEN * share else best
+    pale = _purity(best) < _PALE * _purity(usual)
+    return usual if pale and _moving_share(usual, pictures) >= _AS_OFTEN * share else best
+
+
+def _purity(colour: MarkerColour) -> float:
+    return 1.0 - min(colour.colour) / max(*colour.colour, 1.0)
 
 
 def _as_usual(colour: MarkerColour, pictures: Sequence[Array]) -> MarkerColour:
@@ -219,7 +225,7 @@ def _as_usual(colour: MarkerColour, pictures: Sequence[Array]) -> MarkerColour:
         if seen.valid:
             with suppress(TautError):
                 found.append(pick(picture, (seen.u_px, seen.v_px)))
-    found.sort(key=lambda each: min(each.colour) / max(*each.colour, 1.0))
+    found.sort(key=_purity)
     return found[len(found) // 2] if found else colour
 
 
