@@ -153,7 +153,7 @@ class _Session:
     ) -> None:
         self.clock, self.rig, self.options, self.say = aligned, rig, options, say
         self.tracks = tracks = aligned.tracks
-        self.notes: list[str] = []
+        self.notes: list[str] = list(aligned.notes)
         self.reasons: list[Reason] = [*aligned.reasons, *reasons]
         self.evidence: dict[str, float] = {}
         self.components: Components | None = None
@@ -208,8 +208,8 @@ class _Session:
         if self.options.delay_s is not None:
             return Delay(self.options.delay_s, 0.0, 0)
         if not self.camera:
-            return clock.delay_of_all(self.tracks, self.nominal_s)
-        return find_delay(self.tracks, self.rig, clock.near_delay(self.tracks, self.nominal_s))
+            return clock.delay_of_all(self.tracks, self.rig)
+        return find_delay(self.tracks, self.rig, clock.near_delay(self.tracks, self.rig))
 
     def _joint_delay(self, stops: Delay, joint: Fitted) -> Delay:
         # Each turn is known to a rounded count: an error of time at the motor's speed.
@@ -475,13 +475,13 @@ class _Session:
         ratio = gain / self.rig.coarse.gain
         if ratio < 0:
             self.doubt(
-                "sign",
+                "coarse",
                 f"the tip bends {gain:.3g} deg/{self.unit} where f_coarse says {self.rig.coarse.gain:.3g}",
                 "a sign is wrong: check encoder direction, coarse.gain, hand_eye, a mirrored image",
             )
         elif not _LIKELY_GAIN[0] < ratio < _LIKELY_GAIN[1]:
             self.doubt(
-                "scale",
+                "coarse",
                 f"the tip bends {gain:.3g} deg/{self.unit} where f_coarse says {self.rig.coarse.gain:.3g}",
                 "check actuator.unit, the encoder's scale, camera.fx_px and the marker's distance",
             )
@@ -518,7 +518,7 @@ class _Session:
         measured = self._measured(curve, joint, source)
         beyond = np.abs(self.grid - np.clip(self.grid, *measured))
         inside = (self.grid > measured[0]) & (self.grid < measured[1])
-        floor = floor_of([t.motor for t in self.tracks], self.grid[inside], width[inside], sigma[inside], self.unit)
+        floor = floor_of(self.tracks, self.grid[inside], width[inside], sigma[inside], self.unit)
         self.reasons += floor.reasons
         sigma = np.hypot(np.hypot(sigma, floor.sigma), 0.5 * beyond)
         pass_width, pass_sigma = self._second_opinion(onsets, curve, passes)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from itertools import chain, count
 from pathlib import Path
 from typing import Any, Literal
@@ -20,10 +21,12 @@ from tautline.cli._common import (
     rig_option,
     show_quality,
     tracked,
+    warn,
 )
 from tautline.cli._live import LiveOptions, live_options, opened
 from tautline.errors import UnusableError
 from tautline.folders import check_replaceable
+from tautline.live.rounds import in_words
 from tautline.model import MODEL_FILE
 from tautline.recording import load, shifted
 
@@ -48,11 +51,27 @@ from tautline.recording import load, shifted
 )
 @live_options
 @click.option(
+    "--until",
+    metavar="SIGMA",
+    help="Live: go on until B(q) is known as well as this everywhere, one standard deviation: 3um, 0.003mm, 0.05deg; a "
+    "bare number is in um, or deg on such a rig.  [default: 3um, or 0.05 % of a range in deg]",
+)
+@click.option(
+    "--at-most",
+    "at_most_s",
+    type=click.FloatRange(min=1.0),
+    default=120.0,
+    show_default=True,
+    help="Live: s, after which it says why B(q) is not known so well.",
+)
+@click.option("--thorough", is_flag=True, help="Live: the paper's slow motion instead, some four minutes long.")
+@click.option(
     "--speed",
     "speeds",
     type=click.FloatRange(min=0.0, min_open=True),
     multiple=True,
-    help="Live: of a pass, the rig's unit per second; up to four times.",
+    help="Live: of the motion's rounds (with --thorough of its passes) in turn, the rig's unit per second; up to four "
+    "times.",
 )
 @click.option("--recording", "kept", type=click.Path(path_type=Path), help="Live: kept here. Default: OUT-recording.")
 @click.option("--video", is_flag=True, help="Live: keep the frames too.")
@@ -70,7 +89,8 @@ def command(
 ) -> None:
     """Measure B(q) and f_remain: from recordings of one instrument, or live from a board and a camera.
 
-    Live (--camera with a board, or --simulate), the board runs the calibration motion; Ctrl-C brings the axis to rest.
+    Live (--camera with a board, or --simulate), the board moves the axis until B(q) is known well enough, or it is
+    said why it cannot be; Ctrl-C brings the axis to rest.
     """
     check_replaceable(out, MODEL_FILE)
     options = Options(knots=knots, remaining=remaining)
@@ -80,14 +100,14 @@ def command(
         if live["live"].camera is None and live["live"].simulate is None:
             raise click.UsageError("name a RECORDING, or for a live calibration --camera SOURCE or --simulate")
         kept = kept or _free(out.absolute())
-        found, said = _live(kept, rig_path, out, options, **live)
+        found, said, made = _live(kept, rig_path, out, options, as_json=as_json, **live)
     quality = found.model.quality
     show_quality(quality)
     for note in found.notes:
         log(f"taut: {note}")
     result = {**found.to_json(), "model": out, "report": out / report.FILE}
     if not recording_paths:
-        result["recording"] = kept
+        result |= {"recording": kept, "motion": made}
     emit(result, as_json, "\n".join([*said, f"{out / report.FILE} shows it."]))
     if not quality.usable:
         raise UnusableError(f"{out}: written, but unusable: {quality.reasons[0]}")
@@ -116,20 +136,57 @@ def _live(
     options: Options,
     *,
     live: LiveOptions,
+    until: str | None,
+    at_most_s: float,
+    thorough: bool,
     speeds: tuple[float, ...],
     video: bool,
     seed: int,
-) -> tuple[Calibration, list[str]]:
+    as_json: bool,
+) -> tuple[Calibration, list[str], dict[str, Any]]:
+    """The calibration, what it says, and how its motion went."""
+    from tautline.cli._picture import calibration_picture
     from tautline.live.session import MotionOptions, calibrate_live
+    from tautline.live.until import Goal, calibrate_until
 
     if len(speeds) > 4:
         raise click.UsageError("--speed may be given up to four times")
-    motion = MotionOptions(speeds=speeds or None)
-    with (
-        opened(live, rig_path, seed) as setup,
-        progress_bar("calibrating") as progress,
-    ):
-        found, made = calibrate_live(setup, kept, motion, options, video, progress)
-    log(f"taut: {made.reversals} reversals in {made.seconds:.0f} s, recorded in {kept}")
+    if thorough and until is not None:
+        raise click.UsageError("--thorough is one motion, --until as many as it takes: choose one of them")
+    goal_said: list[str] = []
+    with opened(live, rig_path, seed) as setup, calibration_picture(as_json) as show:
+        unit = setup.rig.actuator.unit
+        if thorough:
+            found, motion = calibrate_live(setup, kept, MotionOptions(speeds=speeds or None), options, video, show=show)
+            made: dict[str, Any] = {}
+        else:
+            goal = Goal(None if until is None else sigma_of(until, unit), at_most_s, speeds or None)
+            found, reached = calibrate_until(setup, kept, goal, options, video, show)
+            motion = reached.motion
+            made = {"until": reached.until, "sigma": reached.standing.worst, "reached": reached.reached}
+            if reached.why:
+                made["why"] = reached.why
+                warn(f"B(q) is not known to {in_words(reached.until, unit)} everywhere: {reached.why}")
+            else:
+                low, high = found.model.measured
+                worst = in_words(reached.standing.worst, unit)
+                goal_said.append(f"From {low:.3g} to {high:.3g} {unit} its sigma is {worst} at most.")
+    made |= {"seconds": motion.seconds, "reversals": motion.reversals, "frames": motion.frames}
+    log(f"taut: {motion.reversals} reversals in {motion.seconds:.0f} s, recorded in {kept}")
     recordings = shifted([load(kept, found.model.rig)], found.offsets)
-    return found, report.save_model(found.model, recordings, out)
+    return found, [*report.save_model(found.model, recordings, out), *goal_said], made
+
+
+def sigma_of(text: str, unit: str) -> float:
+    """The goal in the rig's unit, from a number with or without a unit."""
+    matched = re.fullmatch(r"\s*([0-9.]+(?:e[-+]?\d+)?)\s*(um|µm|mm|deg|)\s*", text)
+    try:
+        value = float(matched[1]) if matched else 0.0
+    except ValueError:
+        value = 0.0
+    if not matched or value <= 0.0:
+        raise click.UsageError(f"--until {text}: a number above 0 is wanted, with its unit: 3um, 0.003mm or 0.05deg")
+    named = matched[2] or ("um" if unit == "mm" else unit)
+    if (named == "deg") != (unit == "deg"):
+        raise click.UsageError(f"--until {text}: the rig's motor counts in {unit}")
+    return value * 1e-3 if named in ("um", "µm") else value

@@ -34,8 +34,8 @@ def run(
     from tautline.evidence import Evidence, Run
     from tautline.folders import check_replaceable
     from tautline.live.following import follow_run
-    from tautline.live.session import calibrate_live
     from tautline.live.setup import open_live
+    from tautline.live.until import calibrate_until
     from tautline.model import MODEL_FILE, Model
     from tautline.recording import load
 
@@ -51,11 +51,12 @@ def run(
             f"1  board {board.identity.serial} found over USB/IP: {board.identity.axes} axis, virtual time, "
             f"instrument '{instrument}'"
         )
-        calibration, motion = calibrate_live(live, recording_folder, progress=part(0.0, 0.55))
-        model = calibration.model
+        calibration, reached = calibrate_until(live, recording_folder, progress=part(0.0, 0.55))
+        model, motion = calibration.model, reached.motion
         say(
             f"2  calibration motion: {motion.reversals} reversals in {motion.seconds:.0f} s of the board's time, "
             f"marker tracked in {motion.frames - motion.lost_frames} of {motion.frames} frames"
+            + (f"; {reached.why}" if reached.why else "")
         )
         sentences = report.save_model(model, [load(recording_folder, live.rig)], model_folder)
         say("3  " + " ".join(sentences[:2]))
@@ -82,6 +83,9 @@ def run(
         "model": model_folder,
         "recording": recording_folder,
         "reversals": motion.reversals,
+        "seconds": motion.seconds,
+        "sigma": reached.standing.worst,
+        "reached": reached.reached,
         "result": sentences,
         "error_rms_deg": {compensation: followed.rms_deg for compensation, followed in runs.items()},
         "gain": gain,

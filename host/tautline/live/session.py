@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,9 @@ from tautline.calibration.calibrate import Calibration, Options, calibrate
 from tautline.device import wire
 from tautline.errors import TautError
 from tautline.geometry import project
-from tautline.live.setup import Live, Recorder
+from tautline.live.rounds import Round, Strokes
+from tautline.live.setup import Frame, Live, Recorder
+from tautline.live.watch import Show, View, Watch
 from tautline.recording import load
 
 Array = np.ndarray
@@ -27,12 +29,14 @@ _HOST_TIMEOUT_S = 1.0
 # The board's onset detector, in shares of the range: an onset good enough to turn round, one too vague to use, a turn,
 # and the slope of the image over the range, relative to itself, may change this many times.
 _SIGMA_WANTED, _SIGMA_USABLE, _TURN, _SLOPE_CHANGES = 1.5e-4, 2.5e-3, 4e-4, 4.0
+_RUNNING = (wire.code("MOTIONS", "RUNNING"), wire.code("MOTIONS", "STOPPING"))
+_COMPLETE, _STOPPED = wire.code("MOTIONS", "COMPLETE"), wire.code("MOTIONS", "STOPPED")
 _TOO_LITTLE, _TOO_MUCH = 0.08, 2.0  # observed motion of the marker to that of f_coarse: beyond, a scale is wrong
 
 
 @dataclass(frozen=True)
 class MotionOptions:
-    """The calibration motion. Lengths in the rig's unit; None takes what suits the rig."""
+    """The thorough calibration motion. Lengths in the rig's unit; None takes what suits the rig."""
 
     speeds: tuple[float, ...] | None = None  # unit/s, of the passes
     cycles: int = 12  # turning points of a pass
@@ -75,7 +79,7 @@ def set_range(live: Live, low: float, high: float) -> None:
     live.board.ask("limits", **limits)
 
 
-def move_to(live: Live, q: float, speed: float, seen: Callable[[Any], None] | None = None) -> None:
+def move_to(live: Live, q: float, speed: float, seen: Callable[[Frame], object] | None = None) -> None:
     """Moves the motor to q (unit) at up to `speed` (unit/s) and waits; frames meanwhile go to `seen`."""
     start = live.board.status(live.axis).q * live.resolution
     live.board.ask("move", axis=live.axis, q=q / live.resolution, speed_s=speed / live.resolution)
@@ -97,8 +101,9 @@ def move_to(live: Live, q: float, speed: float, seen: Callable[[Any], None] | No
 # -- scale and sign ---------------------------------------------------------------------------------------------------
 
 
-def probe(live: Live, recorder: Recorder, speed: float) -> None:
-    """A small move either way; TautError where marker and motor do not fit, said before a motion is blamed."""
+def probe(live: Live, seen: Callable[[Frame], object], speed: float) -> None:
+    """A small move either way, whose frames go to `seen`; TautError where marker and motor do not fit, said before a
+    motion is blamed."""
     rig, unit = live.rig, live.rig.actuator.unit
     low, high = rig.actuator.range
 
@@ -107,7 +112,7 @@ def probe(live: Live, recorder: Recorder, speed: float) -> None:
         found = []
         for _ in range(frames + round(rig.delay_s * (rig.camera.frame_rate_hz if rig.camera else 25.0)) + 1):
             frame = live.look()
-            recorder.add(frame)
+            seen(frame)
             if frame.sighting.valid:
                 found.append((frame.sighting.u_px, frame.sighting.v_px))
         found = found[-frames:]
@@ -128,7 +133,7 @@ def probe(live: Live, recorder: Recorder, speed: float) -> None:
         centre = min(max(start, low + reach), high - reach)
         spots = []
         for q in (centre - reach, centre + reach, centre - reach):
-            move_to(live, q, speed, recorder.add)
+            move_to(live, q, speed, seen)
             spots.append((marker(_STILL_FRAMES), live.board.status(live.axis).q * live.resolution))
         (first, sigma), q_first = spots[1]
         (second, _), q_second = spots[2]
@@ -147,13 +152,13 @@ def probe(live: Live, recorder: Recorder, speed: float) -> None:
                 f"the marker moved {distance:.3g} px where f_coarse says {length:.3g}: a scale is too large: check "
                 "actuator.unit, encoder_resolution and coarse.gain in rig.toml, and that the camera is the rig's"
             )
-        seen = distance > max(_TOO_LITTLE * length, 12 * sigma)
-        if seen and along < -0.5 * distance:
+        moves = distance > max(_TOO_LITTLE * length, 12 * sigma)
+        if moves and along < -0.5 * distance:
             raise TautError(
                 f"the marker moves against what f_coarse says ({along:.3g} px of {length:.3g}): turn the sign of "
                 "coarse.gain in rig.toml, or check how the camera is mounted (hand_eye)"
             )
-    if seen:
+    if moves:
         return
     raise TautError(
         f"the motor moved {2 * reach:.3g} {unit}, the marker {distance:.2g} px of {length:.3g}: is this camera looking "
@@ -164,99 +169,180 @@ def probe(live: Live, recorder: Recorder, speed: float) -> None:
 # -- calibration motion -----------------------------------------------------------------------------------------------
 
 
-def record_calibration(
-    live: Live, folder: Path, options: MotionOptions | None = None, video: bool = False, progress: Progress = None
-) -> Motion:
-    """Runs the board's calibration motion and records it in `folder`; `calibrate` takes it from there.
+class Motions:
+    """Runs the board's calibration motion, once or several times in a row, and hands on each frame."""
 
-    Stopped at any time (Ctrl-C, an error), the axis comes to rest and what was recorded so far stays.
-    """
-    options = options or MotionOptions()
-    rig, unit = live.rig, live.rig.actuator.unit
-    if rig.camera is None or rig.kinematics is None or rig.hand_eye is None:
-        raise TautError("a live calibration needs [camera], [kinematics] and [hand_eye] in rig.toml")
-    low = rig.actuator.range[0] if options.low is None else options.low
-    high = rig.actuator.range[1] if options.high is None else options.high
-    fast = min(8.0 / abs(rig.coarse.gain), 0.25 * live.top_speed)  # 8 deg/s of the tip
-    speeds = options.speeds or (fast, 0.5 * fast)
-    stroke = options.stroke or 0.25 * (high - low)
-    approach = options.approach or 0.03 * (high - low)
-    if not 1 <= len(speeds) <= 4 or min(speeds) <= 0:
-        raise TautError("the calibration motion takes 1 to 4 speeds above 0")
-    counts = (high - low) / live.resolution
-    result = Motion(folder)
-    running = [wire.code("MOTIONS", name) for name in ("RUNNING", "STOPPING")]
-    state = {"state": running[0], "permille": 0, "reversals": 0}
+    def __init__(self, live: Live, recorder: Recorder, made: Motion) -> None:
+        self.live, self.recorder, self.made = live, recorder, made
+        self.permille = 0
+        self._before = 0  # reversals of the rounds before this one
+        self._state = _RUNNING[0]
+        live.board.listen("progress", self._took)
+        live.board.listen("onset", self._onset)
 
-    def took(message: wire.Message) -> None:
-        state.update(state=message.state, permille=message.permille, reversals=message.reversals)
+    def _took(self, message: wire.Message) -> None:
+        self._state, self.permille = message.state, message.permille
+        self.made.reversals = self._before + message.reversals
 
-    def onset(message: wire.Message) -> None:
-        found = {key: message.values[key] * live.resolution for key in ("q1", "q2", "width", "sigma")}
+    def _onset(self, message: wire.Message) -> None:
+        found = {key: message.values[key] * self.live.resolution for key in ("q1", "q2", "width", "sigma")}
         found |= {"direction": message.direction, "t_s": message.start_us * 1e-6, "used": message.reason == 0}
-        result.onsets.append(found)
+        self.made.onsets.append(found)
 
-    live.board.listen("progress", took)
-    live.board.listen("onset", onset)
+    def run(self, wanted: Round, enough: Callable[[Frame], bool]) -> None:
+        """Until the round is complete or `enough` says so; then the axis is at rest."""
+        live, resolution = self.live, self.live.resolution
+        counts = (wanted.high - wanted.low) / resolution
+        camera = live.rig.camera
+        assert camera is not None
+        self._before = self.made.reversals
+        live.board.ask(
+            "motion_start",
+            axis=live.axis,
+            cycles=wanted.cycles,
+            low=wanted.low / resolution,
+            high=wanted.high / resolution,
+            speed_s=[speed / resolution for speed in (*wanted.speeds, 0.0, 0.0, 0.0)[:4]],
+            transit_s=wanted.transit / resolution,
+            acceleration_s2=wanted.acceleration / resolution,
+            approach=wanted.approach / resolution,
+            stroke_max=wanted.stroke / resolution,
+            host_timeout_us=round(_HOST_TIMEOUT_S * 1e6),
+            delay_us=round(camera.delay_s * 1e6),
+            sigma_wanted=wanted.sigma_wanted / resolution,
+            sigma_usable=wanted.sigma_usable / resolution,
+            turn=max(_TURN * counts, 4.0),
+            curvature=round(min(_SLOPE_CHANGES / counts, 0.5) * 2**20),
+        )
+        self._state, self.permille = _RUNNING[0], 0
+        live.feeding = True
+        stopped = False
+        while self._state in _RUNNING:
+            frame = self.live.look()
+            self._add(frame)
+            if enough(frame) and not stopped:
+                live.board.ask("motion_stop", axis=live.axis)
+                stopped = True
+        live.feeding = False
+        ended = wire.text("MOTIONS", self._state)
+        if self._state not in (_COMPLETE, *((_STOPPED,) if stopped else ())):
+            live.board.check_fault(live.axis)
+            raise TautError(f"the calibration motion is {ended}: what was recorded is in {self.made.folder}")
+
+    def stroke(self, wanted: Strokes, enough: Callable[[Frame], bool]) -> None:
+        """Until all is done or `enough` says so; then the axis is at rest."""
+        done = [False]
+
+        def seen(frame: Frame) -> None:
+            self._add(frame)
+            done[0] = enough(frame) or done[0]
+
+        for place in wanted.places:
+            move_to(self.live, place.low, wanted.transit, seen)
+            for end in (place.high, place.low) * place.times:
+                if done[0]:
+                    return
+                move_to(self.live, end, place.speed, seen)
+                self.made.reversals += 1
+
+    def _add(self, frame: Frame) -> None:
+        self.recorder.add(frame)
+        self.made.frames += 1
+        self.made.lost_frames += not frame.sighting.valid
+
+    def still(self) -> None:
+        """Frames of the axis at rest: they show the noise, and the last of the motion has arrived with them."""
+        for _ in range(_STILL_FRAMES):
+            self.recorder.add(self.live.look())
+
+
+@contextmanager
+def moving(live: Live, folder: Path, low: float, high: float, video: bool) -> Iterator[Motions]:
+    """The motor is on within these limits and all is recorded; whatever happens, the axis comes to rest and what was
+    recorded so far stays."""
+    made = Motion(folder)
     began = live.now_us()
     with Recorder(live, folder, video) as recorder, driving(live):
         set_range(live, low, high)
+        motions = Motions(live, recorder, made)
         try:
-            if options.probe:
-                if progress:
-                    progress(0.0, "checking scale and sign")
-                probe(live, recorder, 2.0 * max(speeds))
-            live.board.ask(
-                "motion_start",
-                axis=live.axis,
-                cycles=options.cycles,
-                low=low / live.resolution,
-                high=high / live.resolution,
-                speed_s=[speed / live.resolution for speed in (*speeds, 0.0, 0.0, 0.0)[:4]],
-                transit_s=2.0 * max(speeds) / live.resolution,
-                acceleration_s2=_ACCELERATION * max(speeds) / live.resolution,
-                approach=approach / live.resolution,
-                stroke_max=stroke / live.resolution,
-                host_timeout_us=round(_HOST_TIMEOUT_S * 1e6),
-                delay_us=round(rig.camera.delay_s * 1e6),
-                sigma_wanted=_SIGMA_WANTED * counts,
-                sigma_usable=_SIGMA_USABLE * counts,
-                turn=max(_TURN * counts, 4.0),
-                curvature=round(min(_SLOPE_CHANGES / counts, 0.5) * 2**20),
-            )
-            live.feeding = True
-            while state["state"] in running:
-                frame = live.look()
-                recorder.add(frame)
-                result.frames += 1
-                result.lost_frames += not frame.sighting.valid
-                if progress:
-                    progress(state["permille"] / 1000.0, f"{state['reversals']} reversals")
-            if state["state"] != wire.code("MOTIONS", "COMPLETE"):
-                live.board.check_fault(live.axis)
-                how = wire.text("MOTIONS", state["state"])
-                raise TautError(f"the calibration motion is {how}: what was recorded is in {folder}")
-            live.feeding = False
-            for _ in range(_STILL_FRAMES):
-                recorder.add(live.look())
+            yield motions
         except BaseException as error:
             live.feeding = False
             _stop(live)
             if isinstance(error, KeyboardInterrupt):
                 raise TautError(
-                    f"stopped after {state['reversals']} reversals, the axis is at rest: "
+                    f"stopped after {made.reversals} reversals, the axis is at rest: "
                     f"'taut calibrate {folder}' uses what was recorded"
                 ) from None
             raise
-    result.reversals = state["reversals"]
-    result.seconds = (live.now_us() - began) * 1e-6
-    result.telemetry_missed = live.board.missed
-    if result.lost_frames > 0.5 * result.frames:
+    made.seconds = (live.now_us() - began) * 1e-6
+    made.telemetry_missed = live.board.missed
+
+
+def check_rig(live: Live) -> None:
+    rig = live.rig
+    if rig.camera is None or rig.kinematics is None or rig.hand_eye is None:
+        raise TautError("a live calibration needs [camera], [kinematics] and [hand_eye] in rig.toml")
+
+
+def thorough(live: Live, options: MotionOptions) -> Round:
+    """The paper's motion: slow passes with many reversals."""
+    rig = live.rig
+    low = rig.actuator.range[0] if options.low is None else options.low
+    high = rig.actuator.range[1] if options.high is None else options.high
+    fast = min(8.0 / abs(rig.coarse.gain), 0.25 * live.top_speed)  # 8 deg/s of the tip
+    speeds = options.speeds or (fast, 0.5 * fast)
+    if not 1 <= len(speeds) <= 4 or min(speeds) <= 0:
+        raise TautError("the calibration motion takes 1 to 4 speeds above 0")
+    return Round(
+        low, high, speeds, options.cycles, 2.0 * max(speeds), _ACCELERATION * max(speeds),
+        options.approach or 0.03 * (high - low), options.stroke or 0.25 * (high - low),
+        _SIGMA_WANTED * (high - low), _SIGMA_USABLE * (high - low),
+    )  # fmt: skip
+
+
+def record_calibration(
+    live: Live,
+    folder: Path,
+    options: MotionOptions | None = None,
+    video: bool = False,
+    progress: Progress = None,
+    show: Show | None = None,
+) -> Motion:
+    """Runs the thorough calibration motion and records it in `folder`; `calibrate` takes it from there.
+
+    Stopped at any time (Ctrl-C, an error), the axis comes to rest and what was recorded so far stays.
+    """
+    check_rig(live)
+    options = options or MotionOptions()
+    wanted = thorough(live, options)
+    low, high, unit = wanted.low, wanted.high, live.rig.actuator.unit
+    with moving(live, folder, low, high, video) as motions:
+        watch = Watch(live, motions.recorder, View(low, high, unit, doing=wanted.says(unit)), show=show)
+        if options.probe:
+            if progress:
+                progress(0.0, "checking scale and sign")
+            probe(live, motions.recorder.add, wanted.transit)
+
+        def seen(frame: Frame) -> bool:
+            made = motions.made
+            if show:
+                watch.frame(frame, made.reversals)
+            if progress:
+                progress(motions.permille / 1000.0, f"{made.reversals} reversals")
+            return False
+
+        with closing(watch):
+            motions.run(wanted, seen)
+        motions.still()
+    made = motions.made
+    if made.lost_frames > 0.5 * made.frames:
         raise TautError(
-            f"the marker was lost in {result.lost_frames} of {result.frames} frames: pick its colour again with 'taut "
+            f"the marker was lost in {made.lost_frames} of {made.frames} frames: pick its colour again with 'taut "
             f"marker', or bring it into view over all of [{low:g}, {high:g}] {unit}"
         )
-    return result
+    return made
 
 
 def calibrate_live(
@@ -266,13 +352,14 @@ def calibrate_live(
     options: Options | None = None,
     video: bool = False,
     progress: Progress = None,
+    show: Show | None = None,
 ) -> tuple[Calibration, Motion]:
-    """The calibration motion, recorded in `folder`, and what comes of it."""
+    """The thorough calibration motion, recorded in `folder`, and what comes of it."""
 
     def part(low: float, high: float) -> Progress:
         return (lambda share, what: progress(low + (high - low) * share, what)) if progress else None
 
-    made = record_calibration(live, folder, motion, video, part(0.0, 0.8))
+    made = record_calibration(live, folder, motion, video, part(0.0, 0.8), show)
     return calibrate([load(folder, live.rig)], live.rig, options, part(0.8, 1.0)), made
 
 

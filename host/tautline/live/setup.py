@@ -5,6 +5,7 @@ One clock holds for all of it: the board's, in microseconds on the wire and seco
 
 from __future__ import annotations
 
+import bisect
 import signal
 import threading
 import time
@@ -21,7 +22,7 @@ from tautline.device import wire
 from tautline.device.board import Board, open_board
 from tautline.errors import TautError
 from tautline.geometry import coarse_range_deg, project
-from tautline.recording import FRAME_COLUMNS
+from tautline.recording import FRAME_COLUMNS, Marker, Motor, Recording
 from tautline.rig import Rig
 from tautline.simulated.endoscope import Endoscope
 from tautline.simulated.instrument import of_name
@@ -239,6 +240,7 @@ class Recorder:
         self._count = 0
         self._last_us = -1
         self._paused = False
+        self._rows: dict[str, list[tuple[float, ...]]] = {"motor": [], "marker": []}
         live.board.listen("batch", self._batch)
 
     def __enter__(self) -> Recorder:
@@ -260,10 +262,28 @@ class Recorder:
         for i in range(batch.count):
             t_us = batch.t_us + i * batch.period_us
             if t_us > self._last_us:
-                self._motor.write(
-                    f"{t_us * 1e-6:.6f},{batch.q[i] * resolution:.7g},{batch.q_ref[i] * resolution:.7g}\n"
-                )
+                row = f"{t_us * 1e-6:.6f},{batch.q[i] * resolution:.7g},{batch.q_ref[i] * resolution:.7g}"
+                self._write(self._motor, "motor", row)
                 self._last_us = t_us
+
+    def _write(self, file: IO[str], name: str, row: str) -> None:
+        file.write(row + "\n")
+        self._rows[name].append(tuple(float(value or "nan") for value in row.split(",")))
+
+    def so_far(self) -> Recording:
+        """What the files hold, the numbers as they are written there. From any thread."""
+        motor, marker = (np.array(list(self._rows[name])) for name in ("motor", "marker"))
+        if not len(motor) or not len(marker):
+            raise TautError("nothing was recorded yet: no telemetry or no frame came")
+        t_s, u_px, v_px, valid, sigma_px = marker.T[:5]
+        seen = Marker(t_s, u_px, v_px, valid > 0.5, sigma_px)
+        return Recording(self.folder.name, Motor(*motor.T), seen, rig=self._live.rig)
+
+    def motor_at(self, t_s: float) -> float:
+        """q at a time not long ago, the rig's unit; NaN before the first sample."""
+        rows = self._rows["motor"]
+        after = bisect.bisect_right(rows, (t_s, np.inf))
+        return rows[after - 1][1] if after else float("nan")
 
     def add(self, frame: Frame) -> None:
         """One frame: marker.csv, and video where it was asked for."""
@@ -274,11 +294,10 @@ class Recorder:
             self._marker.write(",".join(["t_s,u_px,v_px,valid,sigma_px", *(FRAME_COLUMNS if size else ())]) + "\n")
         seen, t_s = frame.sighting, frame.t_us * 1e-6
         if seen.valid:
-            self._marker.write(
-                f"{t_s:.6f},{seen.u_px:.4f},{seen.v_px:.4f},1,{max(seen.sigma_px, 1e-4):.4f}{self._size}\n"
-            )
+            row = f"{t_s:.6f},{seen.u_px:.4f},{seen.v_px:.4f},1,{max(seen.sigma_px, 1e-4):.4f}{self._size}"
         else:
-            self._marker.write(f"{t_s:.6f},,,0,{self._size}\n")
+            row = f"{t_s:.6f},,,0,{self._size}"
+        self._write(self._marker, "marker", row)
         if self._wants_video and frame.picture is not None:
             self._add_picture(frame.picture, t_s)
         self._count += 1

@@ -1,0 +1,160 @@
+"""A live calibration on the screen while it runs: coverage both ways, B(q) and its sigma over the motor's range."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rich.text import Text
+
+from tautline.cli._common import log
+from tautline.live.rounds import in_words
+from tautline.live.watch import BINS, View
+
+if TYPE_CHECKING:
+    from tautline.live.watch import Show
+
+Array = np.ndarray
+
+_HEIGHT = 6  # lines of the picture of B
+_EIGHTHS = " ▁▂▃▄▅▆▇█"
+_LABEL = 14
+_FRAME_S = 0.1  # between two pictures, wall clock
+
+
+def picture(view: View) -> list[Text]:
+    """Lines of text; colours say how far sigma is from the goal."""
+    lines = [_heading(view), _way("seen rising", view.rising), _way("seen falling", view.falling)]
+    if view.found is not None:
+        q = view.low + (np.arange(BINS) + 0.5) * (view.high - view.low) / BINS
+        model = view.found.model
+        known = (q >= model.measured[0]) & (q <= model.measured[1])
+        width = np.where(known, np.interp(q, model.q, model.width), np.nan)
+        sigma = np.where(known, np.interp(q, model.q, model.width_sigma), np.inf)
+        styles = [_style(value, view.until) for value in sigma]
+        lines += [*_curve(width, styles, view.unit), _sigmas(sigma, styles, view)]
+    lines.append(_axis(view))
+    return [*lines, *(Text(part) for part in _seen_and_known(view))]
+
+
+def standing(view: View) -> str:
+    """In one line: what was seen and what is known by now."""
+    return ": ".join(_seen_and_known(view))
+
+
+def _seen_and_known(view: View) -> tuple[str, str]:
+    seen = f"{view.seconds:.1f} s, {view.frames - view.lost} of {view.frames} frames, {view.reversals} reversals"
+    if view.found is None:
+        return seen, "too early to tell B(q)"
+    low, high = view.found.model.measured
+    known = f"B(q) from {low:.3g} to {high:.3g} {view.unit}"
+    if view.standing is None or view.until is None:
+        return seen, known
+    wanted = f"wanted {in_words(view.until, view.unit)}"
+    worst = view.standing.worst
+    if not np.isfinite(worst):
+        return seen, f"B(q) is not known anywhere yet, {wanted}"
+    return seen, f"{known}, sigma {in_words(worst, view.unit)} at worst (at {view.standing.where:.3g}), {wanted}"
+
+
+def _heading(view: View) -> Text:
+    return Text(view.doing, style="bold")
+
+
+def _way(label: str, frames: Array) -> Text:
+    """Which positions were seen on this way: more frames, a higher block; ! where the marker was mostly lost."""
+    line = Text(label.ljust(_LABEL))
+    seen, lost = frames.T
+    for here, away in zip(seen, lost, strict=True):
+        if away > here:
+            line.append("!", style="red")
+        else:
+            line.append(_EIGHTHS[min(int(here), 8)], style="cyan")
+    return line
+
+
+def _style(sigma: float, until: float | None) -> str:
+    if not np.isfinite(sigma):
+        return "dim"
+    if until is None or sigma <= until:
+        return "green"
+    return "yellow" if sigma <= 3 * until else "red"
+
+
+def _curve(width: Array, styles: list[str], unit: str) -> list[Text]:
+    """B as columns from 0 up."""
+    known = width[np.isfinite(width)]
+    most = float(known.max()) if len(known) else 1.0
+    eighths = np.round(np.nan_to_num(width) / max(most, 1e-9) * 8 * _HEIGHT).astype(int)
+    lines = []
+    for row in reversed(range(_HEIGHT)):
+        label = f"B {most:.3g} {unit}" if row == _HEIGHT - 1 else ("0" if row == 0 else "")
+        line = Text(label.rjust(_LABEL - 1) + " ")
+        for level, style in zip(eighths - 8 * row, styles, strict=True):
+            line.append(_EIGHTHS[int(np.clip(level, 0, 8))], style=style)
+        lines.append(line)
+    return lines
+
+
+def _sigmas(sigma: Array, styles: list[str], view: View) -> Text:
+    """In thirds of the goal, or multiples of the best: 1 to 9, then +; a dot where nothing is known."""
+    finite = sigma[np.isfinite(sigma)]
+    one = view.until / 3 if view.until is not None else (float(finite.min()) if len(finite) else 1.0)
+    line = Text(f"sigma/{in_words(one, view.unit)}".ljust(_LABEL))
+    for value, style in zip(sigma, styles, strict=True):
+        times = np.ceil(value / one) if np.isfinite(value) else np.inf
+        line.append("·" if np.isinf(times) else ("+" if times > 9 else f"{times:.0f}"), style=style)
+    return line
+
+
+def _axis(view: View) -> Text:
+    low, middle, high = (f"{q:.3g}" for q in (view.low, 0.5 * (view.low + view.high), view.high))
+    line = f"{low}{middle.center(BINS - 2 * max(len(low), len(high)))}{high.rjust(max(len(low), len(high)))}"
+    return Text(f"q, {view.unit}".ljust(_LABEL) + line, style="dim")
+
+
+@contextmanager
+def calibration_picture(as_json: bool) -> Iterator[Show]:
+    """Shows each View: a picture where stderr is a terminal, else a line for each calibration on the way."""
+    with _drawn() if sys.stderr.isatty() and not as_json else _told() as show:
+        yield show
+
+
+@contextmanager
+def _drawn() -> Iterator[Show]:
+    from rich.console import Console, Group
+    from rich.live import Live
+
+    with Live(console=Console(stderr=True), auto_refresh=False, transient=True) as screen:
+        yield _every(_FRAME_S, lambda view: screen.update(Group(*picture(view)), refresh=True))
+
+
+def _every(seconds: float, show: Show) -> Show:
+    last = [float("-inf")]
+
+    def shown(view: View) -> None:
+        now = time.monotonic()
+        if now - last[0] >= seconds:
+            last[0] = now
+            show(view)
+
+    return shown
+
+
+@contextmanager
+def _told() -> Iterator[Callable[[View], None]]:
+    last = [0.0, ""]
+
+    def tell(view: View) -> None:
+        if view.doing != last[1]:
+            last[1] = view.doing
+            log(f"taut: {view.doing}")
+        if view.found_s != last[0]:
+            last[0] = view.found_s
+            log(f"taut: {standing(view)}")
+
+    yield tell

@@ -1,0 +1,313 @@
+"""Which motion a live calibration runs next, whether B(q) is known well enough, and why it never will be.
+
+Nothing here moves anything: a `Round` is what the board is asked for, a `Standing` what the recording so far says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.calibration.calibrate import Calibration
+from tautline.calibration.onset import BOUND
+from tautline.rig import Actuator
+
+Array = npt.NDArray[np.float64]
+Span = tuple[float, float]
+
+# Shares of the range.
+_FRAME = 0.0224  # per frame at most: 5.6 mm/s of 10 mm at 25 Hz; much faster leaves too few frames a knot
+_SECOND = 0.56  # per second at most, however fast the camera
+_APPROACH, _STROKE, _LONGEST_STROKE = 0.03, 0.25, 0.45
+_EDGE = 0.05  # so much of what can be seen may be missing at either end
+_WHOLE = 0.4  # a round that would need more of the range takes all of it
+_BESIDE = 0.02  # strokes go on for so much beyond the backlash
+
+_OF_TOP_SPEED, _OF_TOP_ACCELERATION = 0.4, 0.8  # of the axis' limits
+_RAMP_S = 0.05  # from rest to measuring speed
+_SPEEDS = (1.0, 0.6, 0.8, 0.5)  # of the rounds in turn: what depends on speed is no delay
+_CYCLES = 3  # turning points of a pass
+_LATENCY_S = 0.4  # from an onset until the board has confirmed it
+_MOST_PASSES = 4
+_FRAMES_A_STROKE = 6  # in which the tip moves, at least
+_STROKES = (1, 6)  # there and back, at least and at most
+_AIM = 0.9  # of the goal, or the next round's is a little place beside this one's
+FIXED = 2  # rounds that are made whatever sigma says: few reversals do not tell a width from a delay
+# What the board takes for an onset, in shares of the range: it ends strokes, it measures nothing.
+_SIGMA_WANTED, _SIGMA_USABLE = 1e-3, 1e-2
+
+_HOPELESS = 2.0  # times the longest time that a calibration may take: not begun
+_UNTIL_MM, _UNTIL_SHARE = 3e-3, 5e-4
+
+
+@dataclass(frozen=True)
+class Round:
+    """One run of the board's calibration motion. Lengths in the rig's unit, speeds in it per second."""
+
+    low: float
+    high: float
+    speeds: tuple[float, ...]  # of its passes, one out and one back each
+    cycles: int  # turning points of a pass
+    transit: float
+    acceleration: float
+    approach: float
+    stroke: float
+    sigma_wanted: float  # an onset as good as this ends its stroke
+    sigma_usable: float
+
+    def says(self, unit: str) -> str:
+        speeds = " and ".join(f"{speed:.3g}" for speed in dict.fromkeys(self.speeds))
+        return f"{self.low:.3g} to {self.high:.3g} {unit} at {speeds} {unit}/s"
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """There and back between two positions."""
+
+    low: float
+    high: float
+    speed: float
+    times: int
+
+
+@dataclass(frozen=True)
+class Strokes:
+    """Slow and precise, at one place after the other, where B(q) is known worst."""
+
+    places: tuple[Stroke, ...]
+    transit: float
+
+    def says(self, unit: str) -> str:
+        return " and ".join(f"{place.low:.3g} to {place.high:.3g} {unit}" for place in self.places) + " and back"
+
+
+@dataclass(frozen=True)
+class Means:
+    """What a set-up allows."""
+
+    low: float
+    high: float
+    speeds: tuple[float, ...]  # of the rounds in turn
+    acceleration: float
+    frame_s: float
+
+    @classmethod
+    def of(
+        cls, low: float, high: float, frame_rate_hz: float, top_speed: float, top_acceleration: float,
+        speeds: tuple[float, ...] | None = None,
+    ) -> Means:  # fmt: skip
+        if speeds is None:
+            fast = min(
+                _FRAME * frame_rate_hz * (high - low), _SECOND * (high - low), _OF_TOP_SPEED * top_speed,
+                _OF_TOP_ACCELERATION * top_acceleration * _RAMP_S,
+            )  # fmt: skip
+            speeds = tuple(fast * share for share in _SPEEDS)
+        acceleration = min(max(speeds) / _RAMP_S, _OF_TOP_ACCELERATION * top_acceleration)
+        return cls(low, high, speeds, acceleration, 1.0 / frame_rate_hz)
+
+    @property
+    def span(self) -> float:
+        return self.high - self.low
+
+
+@dataclass(frozen=True)
+class Place:
+    """Positions of the centre coordinate p, and sigma of B at its worst there."""
+
+    low: float
+    high: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class Standing:
+    """How well B(q) is known so far: nowhere worse than `worst`, which is at `where`. `missing` is what could be
+    measured and is not, (0, 0) where that is little."""
+
+    worst: float  # one standard deviation, unit of q
+    where: float
+    need: tuple[Place, ...]  # where sigma is above the goal
+    ends: tuple[float, float]  # of what is measured
+    missing: Span
+    widest: float  # B
+    strokes: float  # the longest that moved nothing, 0 where none did
+    work: float  # what reaching the goal everywhere costs, in times of what was done so far
+    doubt: str  # the calibration's first, empty where it has none
+
+    @classmethod
+    def of(cls, found: Calibration, low: float, high: float, until: float) -> Standing:
+        model = found.model
+        bounds = max((onset.low for onset in found.onsets if onset.used and onset.kind == BOUND), default=0.0)
+        doubt = str(model.quality.reasons[0]) if model.quality.reasons else ""
+        inside = (model.q >= model.measured[0]) & (model.q <= model.measured[1])
+        if not inside.any() or model.measured[0] >= model.measured[1]:
+            return cls(np.inf, 0.5 * (low + high), (), (low, high), (low, high), 0.0, bounds, np.inf, doubt)
+        q, widest = model.q[inside], float(model.width[inside].max())
+        sigma = np.where(np.isfinite(model.width_sigma), model.width_sigma, np.inf)[inside]
+        worst = int(np.argmax(sigma))
+        return cls(
+            float(sigma[worst]), float(q[worst]), _places(q, sigma, until, widest), (float(q[0]), float(q[-1])),
+            _missing(found, low, high), widest, bounds, float(np.mean(np.maximum(sigma / until, 1.0) ** 2)), doubt,
+        )  # fmt: skip
+
+    @property
+    def covered(self) -> bool:
+        return self.missing[0] >= self.missing[1]
+
+    def reached(self, until: float) -> bool:
+        return self.covered and self.worst <= until
+
+    def share(self, until: float) -> float:
+        """Of the way there, 0 to 1: variance falls as time goes."""
+        return min((until / self.worst) ** 2, 1.0) if self.worst > 0 else 1.0
+
+
+def _places(q: Array, sigma: Array, until: float, apart: float) -> tuple[Place, ...]:
+    """Where sigma is near the goal or above; places less than `apart` from each other are one."""
+    bad = np.flatnonzero(sigma > _AIM * until)
+    runs = np.split(bad, np.flatnonzero(np.diff(q[bad]) > apart) + 1) if len(bad) else []
+    return tuple(Place(float(q[run[0]]), float(q[run[-1]]), float(sigma[run].max())) for run in runs)
+
+
+def _missing(found: Calibration, low: float, high: float) -> Span:
+    """What is not measured of the positions where B can be seen: all but B/2 at either end."""
+    model = found.model
+    free = _EDGE * (high - low)
+    first, last = low + 0.5 * model.width[0] + free, high - 0.5 * model.width[-1] - free
+    below, above = model.measured[0] > first, model.measured[1] < last
+    if below and above:
+        return low, high
+    if below:
+        return low, float(model.measured[0])
+    return (float(model.measured[1]), high) if above else (0.0, 0.0)
+
+
+def default_until(actuator: Actuator) -> float:
+    """The goal unless another is named, unit of q: 3 um, or 0.05 % of a range in deg."""
+    return _UNTIL_MM if actuator.unit == "mm" else _UNTIL_SHARE * actuator.span
+
+
+def in_words(sigma: float, unit: str) -> str:
+    """A sigma of q as a person reads it."""
+    return f"{1e3 * sigma:.2g} µm" if unit == "mm" else f"{sigma:.2g} {unit}"
+
+
+# -- the next round ---------------------------------------------------------------------------------------------------
+
+
+def first_round(means: Means) -> Round:
+    """All of the range, out and back."""
+    return _round(means, means.low, means.high, means.speeds[:1], _CYCLES, _STROKE * means.span)
+
+
+def next_round(
+    means: Means, standing: Standing, until: float, done: Sequence[Round | Strokes], seconds: float
+) -> Round | Strokes:
+    """Strokes where B(q) is known too badly; all of the range again, as long as it will take, where that is much of it
+    or something is missing. The second round has strokes at both ends in any case: passes are there once, for a frame
+    or two, and what a smooth curve says of the rest is no measurement.
+
+    seconds: that the rounds so far took.
+    """
+    speed = means.speeds[len(done) % len(means.speeds)]
+    if not standing.covered:
+        stroke = _LONGEST_STROKE if standing.strokes > 0 else _STROKE
+        return _round(means, means.low, means.high, (speed,), _CYCLES, stroke * means.span)
+    more = (standing.worst / until) ** 2
+    need = _with_ends(standing, until) if len(done) == 1 else standing.need
+    if sum(place.high - place.low for place in need) <= _WHOLE * means.span:
+        return Strokes(tuple(_stroke(means, place, standing.widest, until, seconds) for place in need), means.speeds[0])
+    # A place's variance falls as the time spent there grows.
+    approach = _APPROACH * means.span
+    pass_s = (2 * means.span + 4 * _CYCLES * (standing.widest + approach + _LATENCY_S * speed)) / speed
+    passes = int(np.clip(np.ceil(seconds * (more - 1.0) / pass_s), 1, _MOST_PASSES))
+    return _round(means, means.low, means.high, (speed,) * passes, _CYCLES, _STROKE * means.span)
+
+
+def _with_ends(standing: Standing, until: float) -> tuple[Place, ...]:
+    """What is needed, and the ends where they are not in it; the low end first: there a pass back ends."""
+    first, last = (Place(end, end, until) for end in standing.ends)
+    need = standing.need
+    below = () if need and need[0].low <= first.low else (first,)
+    above = () if need and need[-1].high >= last.high else (last,)
+    return (*below, *need, *above)
+
+
+def _stroke(means: Means, place: Place, widest: float, until: float, seconds: float) -> Stroke:
+    beside = _BESIDE * means.span
+    reach = 0.5 * widest + beside
+    low, high = max(place.low - reach, means.low), min(place.high + reach, means.high)
+    moving = place.high - place.low + 2 * beside
+    speed = min(_SPEEDS[1] * means.speeds[0], moving / (_FRAMES_A_STROKE * means.frame_s))
+    # A place's variance falls as the time spent there grows; next to the ends that is one visit so far.
+    more = (place.sigma / until) ** 2
+    wanted_s = (more - 1.0) * seconds * moving / means.span
+    times = int(np.clip(np.ceil(max(0.5 * more, 0.5 * wanted_s * speed / moving)), *_STROKES))
+    return Stroke(low, high, speed, times)
+
+
+def _round(means: Means, low: float, high: float, speeds: tuple[float, ...], cycles: int, stroke: float) -> Round:
+    approach = min(_APPROACH * means.span, 0.4 * stroke)
+    span = means.span
+    return Round(
+        low, high, speeds, cycles, max(means.speeds[0], *speeds), means.acceleration, approach, stroke,
+        _SIGMA_WANTED * span, _SIGMA_USABLE * span,
+    )  # fmt: skip
+
+
+# -- why it never will be ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What the camera made of it."""
+
+    noise_px: float  # from frame to frame at rest; NaN where it never rested
+    unseen: Span  # positions at which the marker was mostly lost, empty (0, 0)
+
+
+def why_not(
+    standing: Standing, until: float, unit: str, sight: Sight, seconds: float, at_most_s: float, rounds: int
+) -> str:
+    """Why the goal is out of reach, empty where it may be reached yet: one sentence with its remedy."""
+    out_of_time = seconds >= at_most_s
+    if standing.reached(until) or (rounds < FIXED and not out_of_time):
+        return ""
+    if not standing.covered:
+        return _uncovered(standing, unit, sight)
+    needed = seconds * standing.work
+    if not out_of_time and needed <= _HOPELESS * at_most_s:
+        return ""
+    here = f"sigma is {in_words(standing.worst, unit)} at {standing.where:.3g} {unit}"
+    low, high = sight.unseen
+    if low - standing.widest < standing.where < high + standing.widest and low < high:
+        return f"{here}: {_unseen(sight, unit)}"
+    if standing.doubt:
+        return f"{here}, and more frames of the same do not help: {standing.doubt}"
+    return (
+        f"{here} with {sight.noise_px:.2g} px of noise in the marker, and {needed:.0f} s would be needed: steady the "
+        "camera, light or enlarge the marker, name a larger --until, or give it time with --at-most"
+    )
+
+
+def _uncovered(standing: Standing, unit: str, sight: Sight) -> str:
+    low, high = standing.missing
+    if sight.unseen[0] < sight.unseen[1]:
+        return _unseen(sight, unit)
+    if standing.strokes > 0:
+        return (
+            f"strokes of {standing.strokes:.3g} {unit} moved nothing: the range leaves no room to cross the backlash: "
+            "check that the tip is free to move, or widen actuator.range in rig.toml"
+        )
+    return f"no reversal from {low:.3g} to {high:.3g} {unit} gave a width: is the tip free to move there?"
+
+
+def _unseen(sight: Sight, unit: str) -> str:
+    low, high = sight.unseen
+    return (
+        f"the marker is not seen from {low:.3g} to {high:.3g} {unit}: bring it into view there, or take these "
+        "positions out of actuator.range in rig.toml"
+    )

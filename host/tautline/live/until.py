@@ -1,0 +1,153 @@
+"""A live calibration that goes on until B(q) is known well enough, and says why where that cannot be."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+from tautline.calibration.calibrate import Calibration, Options
+from tautline.errors import TautError
+from tautline.live.rounds import (
+    FIXED,
+    Means,
+    Round,
+    Standing,
+    Strokes,
+    default_until,
+    first_round,
+    in_words,
+    next_round,
+    why_not,
+)
+from tautline.live.session import Motion, Motions, check_rig, moving, probe
+from tautline.live.setup import Frame, Live
+from tautline.live.watch import Show, View, Watch
+
+AT_MOST_S = 120.0
+_LOST_S = 3.0  # a marker that was not seen for so long does not come back by itself
+_FINEST = 0.02  # of a count
+
+
+@dataclass(frozen=True)
+class Goal:
+    """How well B(q) is to be known: everywhere that it can be seen, as one standard deviation in unit of q."""
+
+    until: float | None = None  # None: what suits the rig
+    at_most_s: float = AT_MOST_S
+    speeds: tuple[float, ...] | None = None  # of the rounds in turn, unit/s
+
+
+@dataclass(frozen=True)
+class Reached:
+    """How far a calibration came."""
+
+    motion: Motion
+    rounds: tuple[Round | Strokes, ...]
+    standing: Standing
+    until: float
+    why: str  # the goal was not reached, empty where it was
+
+    @property
+    def reached(self) -> bool:
+        return not self.why
+
+
+def calibrate_until(
+    live: Live,
+    folder: Path,
+    goal: Goal | None = None,
+    options: Options | None = None,
+    video: bool = False,
+    show: Show | None = None,
+    progress: Callable[[float, str], None] | None = None,
+) -> tuple[Calibration, Reached]:
+    """Fast passes over the range, then rounds where B(q) is known worst. Recorded in `folder`, and what comes of it is
+    what `calibrate` makes of that recording.
+
+    Stopped at any time (Ctrl-C, an error), the axis comes to rest and what was recorded so far stays.
+    """
+    check_rig(live)
+    goal = goal or Goal()
+    rig, unit = live.rig, live.rig.actuator.unit
+    until = default_until(rig.actuator) if goal.until is None else goal.until
+    if until < _FINEST * live.resolution:
+        usual = in_words(default_until(rig.actuator), unit)
+        raise TautError(
+            f"{in_words(until, unit)} is far below the encoder's count of {live.resolution:g} {unit}: name the goal "
+            f"with its unit, as in --until '{usual}'"
+        )
+    low, high = rig.actuator.range
+    assert rig.camera is not None  # check_rig
+    limits = live.board.ask("get_limits", axis=live.axis)
+    means = Means.of(
+        low, high, rig.camera.frame_rate_hz, live.top_speed, float(limits.acceleration_s2) * live.resolution,
+        goal.speeds,
+    )  # fmt: skip
+    with moving(live, folder, low, high, video) as motions:
+        view = View(low, high, unit, until, "checking scale and sign")
+
+        def shown(view: View) -> None:
+            if show:
+                show(view)
+            if progress:
+                progress(view.share, f"{view.reversals} reversals")
+
+        with closing(Watch(live, motions.recorder, view, options, shown)) as watch:
+            shown(view)
+
+            def seen(frame: Frame) -> None:
+                motions.recorder.add(frame)
+                watch.frame(frame, 0)
+
+            probe(live, seen, means.speeds[0])
+            rounds, why = _rounds(motions, watch, means, until, goal.at_most_s)
+        found, standing = view.found, view.standing
+    assert found is not None and standing is not None
+    return found, Reached(motions.made, tuple(rounds), standing, until, why)
+
+
+def _rounds(
+    motions: Motions, watch: Watch, means: Means, until: float, at_most_s: float
+) -> tuple[list[Round | Strokes], str]:
+    """Rounds until the goal is reached; the rounds and why it was not."""
+    view = watch.view
+    lost_since: list[float] = []  # when the marker was last seen, where it is not now
+
+    def enough(frame: Frame) -> bool:
+        fresh = watch.frame(frame, motions.made.reversals)
+        if frame.sighting.valid:
+            lost_since.clear()
+        elif not lost_since:
+            lost_since.append(view.seconds)
+        elif view.seconds - lost_since[0] > _LOST_S:
+            raise TautError(
+                f"the marker was last seen {view.seconds - lost_since[0]:.0f} s ago: bring it into view, or pick its "
+                f"colour again with 'taut marker'; what was recorded is in {motions.made.folder}"
+            )
+        if view.seconds > at_most_s:
+            return True
+        return len(rounds) > FIXED and fresh and view.standing is not None and view.standing.reached(until)
+
+    rounds: list[Round | Strokes] = []
+    while True:
+        standing = view.standing
+        if standing is None or not rounds:
+            wanted: Round | Strokes = first_round(means)
+        else:
+            wanted = next_round(means, standing, until, rounds, view.seconds)
+        rounds.append(wanted)
+        view.doing = f"round {len(rounds)}: {wanted.says(view.unit)}"
+        if isinstance(wanted, Strokes):
+            motions.stroke(wanted, enough)
+        else:
+            motions.run(wanted, enough)
+        motions.still()
+        watch.settle()
+        assert view.standing is not None
+        if view.standing.reached(until) and len(rounds) >= FIXED:
+            return rounds, ""
+        why = why_not(view.standing, until, view.unit, watch.sight(), view.seconds, at_most_s, len(rounds))
+        if why:
+            return rounds, why

@@ -1,0 +1,176 @@
+"""What a live calibration knows while it runs: which positions were seen on the way up and down, and B(q) so far."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tautline.calibration.calibrate import Calibration, Options, calibrate
+from tautline.errors import TautError
+from tautline.live.rounds import Sight, Standing
+from tautline.live.setup import Frame, Live, Recorder
+
+Array = np.ndarray
+
+BINS = 48  # of the range
+_FIRST_FIT_S, _BETWEEN_FITS = 2.5, 0.2  # s, or this share of the time so far
+_STILL = 0.02  # of a bin: a motor that moved less from one frame to the next rests
+_MEDIAN = 0.6745  # of the size of what is normally distributed, in standard deviations
+
+
+@dataclass
+class View:
+    """What there is to see, from one frame to the next. Positions and widths in the rig's unit."""
+
+    low: float
+    high: float
+    unit: str
+    until: float | None = None  # the goal for sigma, where there is one
+    doing: str = ""
+    seconds: float = 0.0
+    frames: int = 0
+    lost: int = 0
+    reversals: int = 0
+    rising: Array = field(default_factory=lambda: np.zeros((BINS, 2), dtype=np.int64))  # frames: seen, lost
+    falling: Array = field(default_factory=lambda: np.zeros((BINS, 2), dtype=np.int64))
+    found: Calibration | None = None  # from a recording of `found_s`
+    standing: Standing | None = None
+    found_s: float = 0.0
+
+    @property
+    def coverage(self) -> float:
+        """Share of the range that was seen both ways."""
+        return float(np.mean((self.rising[:, 0] > 0) & (self.falling[:, 0] > 0)))
+
+    @property
+    def share(self) -> float:
+        """Of the work, 0 to 1."""
+        near = self.standing.share(self.until) if self.standing is not None and self.until is not None else 0.0
+        return 0.5 * (self.coverage + near)
+
+    @property
+    def unseen(self) -> tuple[float, float]:
+        """From the first to the last position at which the marker was mostly lost; (0, 0) where it was none."""
+        seen, lost = (self.rising + self.falling).T
+        bad = np.flatnonzero(lost > seen)
+        if not len(bad):
+            return 0.0, 0.0
+        width = (self.high - self.low) / BINS
+        return self.low + float(bad[0]) * width, self.low + float(bad[-1] + 1) * width
+
+
+Show = Callable[[View], None]
+
+
+class Watch:
+    """Takes in every frame and calibrates what was recorded so far, again and again.
+
+    With a real camera a thread does so while frames go on to be taken. In virtual time it is done between two frames,
+    so that a simulation repeats exactly.
+    """
+
+    def __init__(
+        self, live: Live, recorder: Recorder, view: View, options: Options | None = None, show: Show | None = None
+    ) -> None:
+        self.view = view
+        self._live, self._recorder, self._options, self._show = live, recorder, options, show
+        self._began_us = live.now_us()
+        self._last_q = float("nan")
+        self._rested: tuple[float, float] | None = None  # where the marker was in the frame before, at rest
+        self._steps: list[tuple[float, float]] = []  # of a marker at rest, px from frame to frame
+        self._due_s = _FIRST_FIT_S
+        self._pool = ThreadPoolExecutor(1, "calibration") if live.plant is None else None
+        self._fit: Future[tuple[Calibration, float]] | None = None
+
+    def close(self) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(wait=False, cancel_futures=True)
+
+    def frame(self, frame: Frame, reversals: int) -> bool:
+        """Takes in a frame; whether a calibration of what was recorded so far came with it."""
+        view = self.view
+        view.seconds = (frame.t_us - self._began_us) * 1e-6
+        view.frames += 1
+        view.lost += not frame.sighting.valid
+        view.reversals = reversals
+        self._cover(frame)
+        fresh = self._take()
+        if self._fit is None and view.seconds >= self._due_s:
+            self._due_s = view.seconds + max(_FIRST_FIT_S, _BETWEEN_FITS * view.seconds)
+            self._fit = self._begin()
+            fresh = self._take() or fresh
+        if self._show is not None:
+            self._show(view)
+        return fresh
+
+    def settle(self) -> None:
+        """Waits for a calibration of all that was recorded. TautError where nothing can be measured in it."""
+        while not self._take() and self._fit is not None:  # an earlier one
+            self._idle()
+        self._fit = self._begin()
+        while not self._take(strict=True):
+            self._idle()
+        if self._show is not None:
+            self._show(self.view)
+
+    def sight(self) -> Sight:
+        """What the camera made of it so far."""
+        steps = np.abs(self._steps)
+        noise = float(np.median(steps)) / _MEDIAN / np.sqrt(2.0) if steps.size else float("nan")
+        return Sight(noise, self.view.unseen)
+
+    def _idle(self) -> None:
+        """One frame more, so that none is stale after the wait."""
+        self._recorder.add(self._live.look())
+
+    def _begin(self) -> Future[tuple[Calibration, float]]:
+        recording, seconds = self._recorder.so_far(), self.view.seconds
+
+        def work() -> tuple[Calibration, float]:
+            return calibrate([recording], self._live.rig, self._options), seconds
+
+        if self._pool is not None:
+            return self._pool.submit(work)
+        done: Future[tuple[Calibration, float]] = Future()
+        try:
+            done.set_result(work())
+        except TautError as error:
+            done.set_exception(error)
+        return done
+
+    def _take(self, strict: bool = False) -> bool:
+        if self._fit is None or not self._fit.done():
+            return False
+        fit, self._fit = self._fit, None
+        with suppress(*(() if strict else (TautError,))):  # too early to tell anything
+            found, seconds = fit.result()
+            view = self.view
+            view.found, view.found_s = found, seconds
+            if view.until is not None:
+                view.standing = Standing.of(found, view.low, view.high, view.until)
+            return True
+        return False
+
+    def _cover(self, frame: Frame) -> None:
+        """Counts the positions from the frame before to this one, at the time that the frame shows."""
+        view = self.view
+        q = self._recorder.motor_at(frame.t_us * 1e-6 - self._live.rig.delay_s)
+        before, self._last_q = self._last_q, q
+        place = np.array([before, q] if before < q else [q, before])
+        if not np.isfinite(place).all():
+            return
+        first, last = (place - view.low) / (view.high - view.low) * BINS
+        seen = frame.sighting
+        rested, self._rested = self._rested, None
+        if last - first < _STILL:
+            self._rested = (seen.u_px, seen.v_px) if seen.valid else None
+            if rested is not None and self._rested is not None:
+                self._steps.append((self._rested[0] - rested[0], self._rested[1] - rested[1]))
+            return
+        bins = slice(max(int(first), 0), min(int(last) + 1, BINS))
+        way = view.rising if q > before else view.falling
+        way[bins, int(not seen.valid)] += 1

@@ -1,0 +1,166 @@
+"""What departs from a play, made by plants of this file: is it named, is B still right, does its sigma cover?"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tautline import _native
+from tautline.calibration.calibrate import Calibration, calibrate
+from tautline.calibration.components import effective
+from tautline.encoder import between_counts
+from tautline.geometry import project
+from tautline.quality import Verdict
+from tautline.recording import Marker, Motor, Recording
+from tautline.rig import Rig
+from tautline.simulated.instrument import reference_rig
+from tautline.simulated.trajectory import back_and_forth
+
+RIG = reference_rig()
+NOISE_PX, DELAY_S, RATE_HZ = 0.05, 0.083, 25.0
+GRID = np.linspace(-8.0, 8.0, 3201)
+
+
+def width_at(q: np.ndarray) -> np.ndarray:
+    return np.asarray(0.45 + 0.02 * q + 0.15 * np.exp(-0.5 * ((q - 1.0) / 1.3) ** 2))
+
+
+def bend(p: np.ndarray) -> np.ndarray:
+    return np.asarray(11.5 * p + 0.2 * p**2 + 1.5 * np.sin(0.7 * p))
+
+
+class Plant:
+    """One session on the reference rig; every departure is off unless a subclass or an argument says so."""
+
+    def __init__(self, seed: int = 31) -> None:
+        path = back_and_forth(RIG.actuator, [0.5, 1.0], 1.6, 20, 4.0, 0.1)
+        self.rng = np.random.default_rng(seed)
+        self.t, self.q = path.t_s, path.q
+        self.scene = 0.05 + np.arange(int((self.t[-1] - 0.2) * RATE_HZ)) / RATE_HZ
+        self.arrival = self.scene + DELAY_S
+        self.p = self.play(width_at(np.clip(GRID, -5.5, 5.5)))
+        self.shown = np.zeros((len(self.scene), 2))  # px on top
+        self.rig: Rig = RIG
+        self.read = self.q
+
+    def play(self, width: np.ndarray) -> np.ndarray:
+        return np.asarray(_native.play_forward(np.ascontiguousarray(self.q), GRID, width, np.nan))
+
+    def recording(self) -> Recording:
+        c = bend(np.interp(self.scene, self.t, self.p))
+        px = project(self.rig, c, 0.0, 0.0) + self.shown + self.rng.normal(0.0, NOISE_PX, self.shown.shape)
+        count = self.rig.actuator.encoder_resolution
+        motor = Motor(self.t, np.rint(self.read / count) * count)
+        return Recording("made", motor, Marker(self.arrival, px[:, 0], px[:, 1], np.ones(len(px), dtype=bool)))
+
+    def calibrated(self) -> Calibration:
+        return calibrate([self.recording()], self.rig)
+
+
+def error_of(found: Calibration, truth: np.ndarray | None = None) -> tuple[float, float]:
+    """(rms error of B, mm; z)"""
+    model = found.model
+    inside = (model.q > model.measured[0]) & (model.q < model.measured[1])
+    error = (model.width - (width_at(model.q) if truth is None else truth))[inside]
+    return float(np.sqrt(np.mean(error**2))), float(np.sqrt(np.mean((error / model.width_sigma[inside]) ** 2)))
+
+
+def codes(found: Calibration) -> set[str]:
+    return {reason.code for reason in found.model.quality.reasons}
+
+
+def test_nothing_departs_and_nothing_is_said():
+    found = Plant().calibrated()
+    um, z = error_of(found)
+    assert found.model.quality.verdict is Verdict.GOOD and not found.model.quality.reasons
+    assert um < 1e-3 and z < 1.5
+
+
+def test_a_clock_that_runs_at_another_rate_no_longer_bends_the_widths():
+    plant = Plant()
+    plant.arrival = plant.scene * (1 + 1e-4) + DELAY_S
+    um, z = error_of(plant.calibrated())
+    assert um < 1.5e-3 and z < 2.0
+
+
+def test_a_registration_that_shifts_once_is_named_and_taken_out():
+    plant = Plant()
+    plant.shown[plant.scene > 0.45 * plant.scene[-1]] = 3.0, -2.0
+    found = plant.calibrated()
+    um, z = error_of(found)
+    assert "registration.shift" in codes(found)
+    assert um < 1.5e-3 and z < 2.0
+
+
+def test_breathing_is_named_and_taken_out():
+    plant = Plant()
+    plant.shown += np.sin(2 * np.pi * plant.scene / 3.9)[:, None] * np.array([1.0, 0.7])
+    found = plant.calibrated()
+    um, z = error_of(found)
+    assert "registration.breathing" in codes(found)
+    assert um < 4e-3 and z < 2.0
+
+
+def test_widths_that_grow_are_those_of_the_end():
+    plant = Plant()
+    table, state, made = width_at(np.clip(GRID, -5.5, 5.5)), plant.q[0], np.empty_like(plant.q)
+    for k, q in enumerate(plant.q):
+        half = 0.5 * np.interp(state, GRID, table) * (1 + 0.05 * plant.t[k] / plant.t[-1])
+        state = min(max(state, q - half), q + half)
+        made[k] = state
+    plant.p = made
+    found = plant.calibrated()
+    um, z = error_of(found, 1.05 * width_at(found.model.q))
+    assert "transmission.drift" in codes(found)
+    assert um < 2e-3 and z < 2.0
+
+
+def test_a_gradual_start_is_several_elements_and_predicts_as_well_as_a_play():
+    plant = Plant()
+    width = np.full_like(GRID, 0.46)
+    plant.p = np.mean([plant.play(width * share) for share in np.linspace(0.5, 1.5, 15)], axis=0)
+    found = plant.calibrated()
+    um, z = error_of(found, np.full_like(found.model.q, 0.46))
+    assert len(found.model.elements.width) > 1
+    assert found.evidence["residual_before_components"] > 4.0  # what one element leaves, in noise
+    assert found.evidence["joint_residual_over_noise"] < 1.3
+    assert um < 4e-3 and z < 2.5
+
+
+@pytest.mark.parametrize("zero", [0.0, 0.0034])
+def test_counts_of_20_um_are_seen_wherever_their_zero_is(zero):
+    plant = Plant()
+    plant.rig = replace(RIG, actuator=replace(RIG.actuator, encoder_resolution=0.02))
+    made = plant.recording()
+    made = replace(made, motor=replace(made.motor, q=made.motor.q + zero))
+    assert not np.array_equal(between_counts(made.motor, 0.02).q, made.motor.q)
+    um, z = error_of(calibrate([made], plant.rig))
+    assert um < 5e-3 and z < 2.5
+
+
+def test_a_motor_that_reads_with_noise_is_smoothed():
+    plant = Plant()
+    plant.read = plant.q + plant.rng.normal(0.0, 0.005, len(plant.q))
+    um, _ = error_of(plant.calibrated())
+    assert um < 4e-3  # 0.2 where it is read as it is
+
+
+def test_a_ripple_of_the_encoder_is_named_and_counts_in_sigma():
+    plant = Plant()
+    plant.read = plant.q + 0.02 * np.sin(2 * np.pi * plant.q / 1.0)
+    found = plant.calibrated()
+    _, z = error_of(found)
+    assert "actuator.encoder_periodic" in codes(found)
+    assert z < 2.0
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.8])
+def test_frames_that_go_together_count_for_fewer(memory):
+    rng = np.random.default_rng(7)
+    white = rng.normal(size=(20000, 2))
+    left = np.zeros_like(white)
+    for k in range(1, len(left)):
+        left[k] = memory * left[k - 1] + white[k]
+    assert effective(left) == pytest.approx((1 + memory) / (1 - memory), rel=0.15)

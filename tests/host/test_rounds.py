@@ -1,0 +1,251 @@
+"""Which motion a live calibration runs next, when it has seen enough, why it never will, and how that looks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import click
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tautline.calibration.calibrate import Calibration
+from tautline.calibration.onset import Delay
+from tautline.cli._picture import calibration_picture, picture, standing
+from tautline.cli.calibrate import sigma_of
+from tautline.live.rounds import (
+    FIXED,
+    Means,
+    Place,
+    Round,
+    Sight,
+    Standing,
+    Strokes,
+    default_until,
+    first_round,
+    in_words,
+    next_round,
+    why_not,
+)
+from tautline.live.watch import BINS, View
+from tautline.model import Model
+from tautline.quality import Quality, Reason
+from tautline.rig import Actuator
+from tautline.simulated.instrument import reference_rig
+
+UNTIL = 3e-3
+MEANS = Means.of(-5.0, 5.0, 25.0, 16.0, 200.0)
+CLEAR = Sight(0.05, (0.0, 0.0))
+
+
+def found(
+    sigma: np.ndarray, measured: tuple[float, float] = (-4.8, 4.8), reasons: tuple[Reason, ...] = ()
+) -> Calibration:
+    """A calibration of a constant backlash of 0.4 mm whose sigma is given on a grid of 201 positions."""
+    q = np.linspace(-5.0, 5.0, 201)
+    model = Model(reference_rig(), q, np.full_like(q, 0.4), np.broadcast_to(sigma, q.shape), 12 * q, 0.08, measured)
+    model = replace(model, quality=Quality(reasons))
+    return Calibration(model, (), Delay(0.08, 1e-4, 10), "onsets", None, None, None, {}, ())
+
+
+def sigma_with(*bad: tuple[float, float, float]) -> np.ndarray:
+    """1 um, but sigma where low <= q <= high."""
+    q = np.linspace(-5.0, 5.0, 201)
+    sigma = np.full_like(q, 1e-3)
+    for low, high, value in bad:
+        sigma[(q >= low - 1e-9) & (q <= high + 1e-9)] = value
+    return sigma
+
+
+def of(calibration: Calibration, until: float = UNTIL) -> Standing:
+    return Standing.of(calibration, -5.0, 5.0, until)
+
+
+def test_reached_means_everywhere_that_can_be_seen() -> None:
+    assert of(found(sigma_with())).reached(UNTIL)
+    spot = of(found(sigma_with((2.0, 2.0, 4e-3))))
+    assert not spot.reached(UNTIL) and spot.worst == 4e-3 and spot.where == pytest.approx(2.0)
+    # Beyond what was measured sigma says nothing; what is not measured and could be counts.
+    assert of(found(sigma_with((4.9, 5.0, 1.0)))).reached(UNTIL)
+    for measured, missing in (((-4.8, 3.0), (3.0, 5.0)), ((-3.0, 4.8), (-5.0, -3.0)), ((-3.0, 3.0), (-5.0, 5.0))):
+        part = of(found(sigma_with(), measured))
+        assert part.missing == missing and not part.covered and not part.reached(UNTIL)
+    nothing = of(found(sigma_with(), (0.0, 0.0)))
+    assert not np.isfinite(nothing.worst) and not nothing.reached(UNTIL) and nothing.share(UNTIL) == 0.0
+    unknown = of(found(sigma_with((1.0, 1.0, np.nan))))
+    assert not unknown.reached(UNTIL) and unknown.where == pytest.approx(1.0)
+
+
+def test_the_first_round_is_fast_and_all_of_the_range() -> None:
+    wanted = first_round(MEANS)
+    assert (wanted.low, wanted.high) == (-5.0, 5.0)
+    assert wanted.speeds == (pytest.approx(5.6),)  # facts: 12 reversals at 5.6 mm/s, above 8 too few frames a knot
+    assert 4 * wanted.cycles + 2 >= 12
+    assert wanted.high - wanted.low > 2 * wanted.stroke and wanted.transit**2 / wanted.acceleration < 2 * wanted.stroke
+
+
+@pytest.mark.parametrize(
+    ("frame_rate", "top", "fastest"),
+    [(25.0, 16.0, 5.6), (10.0, 16.0, 2.24), (100.0, 100.0, 5.6), (25.0, 4.0, 1.6)],
+)
+def test_speed_keeps_to_the_camera_the_range_and_the_axis(frame_rate: float, top: float, fastest: float) -> None:
+    means = Means.of(-5.0, 5.0, frame_rate, top, 1e4)
+    assert means.speeds[0] == pytest.approx(fastest) and max(means.speeds) == means.speeds[0]
+    slow_axis = Means.of(-5.0, 5.0, 25.0, 16.0, 20.0)
+    assert slow_axis.acceleration <= 20.0
+    assert Means.of(-5.0, 5.0, 25.0, 16.0, 200.0, (1.0, 2.0)).speeds == (1.0, 2.0)
+
+
+def test_the_second_round_strokes_both_ends_and_what_is_worst() -> None:
+    wanted = next_round(MEANS, of(found(sigma_with((1.0, 1.2, 6e-3)))), UNTIL, [first_round(MEANS)], 16.0)
+    assert isinstance(wanted, Strokes)
+    low, middle, high = wanted.places
+    assert low.low == -5.0 and high.high == 5.0
+    assert low.high > -4.8 + 0.2 and high.low < 4.8 - 0.2  # half the width beyond: else nothing moves
+    assert middle.low < 1.0 - 0.2 and middle.high > 1.2 + 0.2
+    assert middle.times > low.times == high.times == 1
+    assert max(place.speed for place in wanted.places) < MEANS.speeds[0]
+
+
+def test_later_rounds_go_where_sigma_is_worst_alone() -> None:
+    done: list[Round | Strokes] = [first_round(MEANS)] * FIXED
+    wanted = next_round(MEANS, of(found(sigma_with((4.6, 4.8, 9e-3)))), UNTIL, done, 20.0)
+    assert isinstance(wanted, Strokes) and len(wanted.places) == 1
+    assert wanted.places[0].high == 5.0 and wanted.places[0].low > 3.5
+    everywhere = next_round(MEANS, of(found(sigma_with((-4.8, 4.8, 9e-3)))), UNTIL, done, 20.0)
+    assert isinstance(everywhere, Round) and len(everywhere.speeds) > 1
+    assert everywhere.speeds[0] != MEANS.speeds[0]  # another speed: what depends on speed is no delay
+    missing = next_round(MEANS, of(found(sigma_with(), (-4.8, 2.0))), UNTIL, done, 20.0)
+    assert isinstance(missing, Round) and (missing.low, missing.high) == (-5.0, 5.0)
+
+
+@given(
+    st.lists(st.tuples(st.floats(-4.8, 4.8), st.floats(0.0, 1.0), st.floats(1e-3, 1.0)), max_size=4),
+    st.integers(0, 5),
+    st.floats(1.0, 200.0),
+    st.floats(1e-4, 1e-2),
+)
+def test_no_round_leaves_range_or_speed(
+    bad: list[tuple[float, float, float]], rounds: int, seconds: float, until: float
+) -> None:
+    standing = of(found(sigma_with(*((low, low + more, sigma) for low, more, sigma in bad))), until)
+    wanted = next_round(MEANS, standing, until, [first_round(MEANS)] * (rounds + 1), seconds)
+    if isinstance(wanted, Round):
+        assert -5.0 <= wanted.low < wanted.high <= 5.0 and wanted.high - wanted.low > 2 * wanted.stroke
+        assert 1 <= len(wanted.speeds) <= 4 and min(wanted.speeds) > 0 and max(wanted.speeds) <= wanted.transit
+        assert wanted.stroke >= 2 * wanted.approach
+        return
+    for place in wanted.places:
+        assert -5.0 <= place.low < place.high <= 5.0 and place.times >= 1
+        assert 0 < place.speed <= MEANS.speeds[0]
+        assert place.high - place.low > 0.4 / 2  # at an end half the width is all that there is
+
+
+def test_strokes_cover_what_needs_it_both_ways() -> None:
+    standing = of(found(sigma_with((0.0, 0.5, 9e-3))))
+    wanted = next_round(MEANS, standing, UNTIL, [first_round(MEANS)] * 3, 20.0)
+    assert isinstance(wanted, Strokes)
+    place = wanted.places[0]
+    # p = q - B/2 on the way up, q + B/2 on the way down: from 0.0 to 0.5 on both.
+    assert place.high - 0.2 >= 0.5 and place.low + 0.2 <= 0.0
+    assert standing.need == (Place(pytest.approx(0.0), pytest.approx(0.5), 9e-3),)
+
+
+def test_why_not_is_said_when_it_is_hopeless_and_not_before() -> None:
+    near = of(found(sigma_with((1.0, 1.2, 4e-3))))
+    assert why_not(near, UNTIL, "mm", CLEAR, 20.0, 120.0, FIXED) == ""
+    noisy = of(found(sigma_with((-4.8, 4.8, 30e-3))))
+    assert why_not(noisy, UNTIL, "mm", CLEAR, 20.0, 120.0, 1) == ""  # before both rounds have been made
+    said = why_not(noisy, UNTIL, "mm", Sight(0.5, (0.0, 0.0)), 20.0, 120.0, FIXED)
+    assert "0.5 px of noise" in said and "30 µm" in said and "2000 s would be needed" in said
+    assert why_not(of(found(sigma_with())), UNTIL, "mm", CLEAR, 500.0, 120.0, 5) == ""
+    late = why_not(near, UNTIL, "mm", CLEAR, 121.0, 120.0, 5)
+    assert "4 µm at 1" in late and "--until" in late and "--at-most" in late
+
+
+def test_why_not_names_what_is_not_seen_and_what_is_doubted() -> None:
+    holes = of(found(sigma_with((3.5, 4.8, 0.2))))
+    said = why_not(holes, UNTIL, "mm", Sight(0.05, (3.4, 5.0)), 121.0, 120.0, 3)
+    assert "the marker is not seen from 3.4 to 5 mm" in said and "actuator.range" in said
+    elsewhere = why_not(of(found(sigma_with((-3.0, -2.0, 0.2)))), UNTIL, "mm", Sight(0.05, (3.4, 5.0)), 121.0, 120.0, 3)
+    assert "noise" in elsewhere
+    short = of(found(sigma_with(), (-4.8, 2.0)))
+    assert "not seen from 2.1 to 5" in why_not(short, UNTIL, "mm", Sight(0.05, (2.1, 5.0)), 40.0, 120.0, FIXED)
+    assert "no reversal from 2 to 5 mm" in why_not(short, UNTIL, "mm", CLEAR, 40.0, 120.0, FIXED)
+    stuck = replace(short, strokes=4.5)
+    assert "strokes of 4.5 mm moved nothing" in why_not(stuck, UNTIL, "mm", CLEAR, 40.0, 120.0, FIXED)
+    doubt = Reason("transmission.lag", "the tip follows late", "mend it")
+    slow = of(found(sigma_with((-4.8, 4.8, 0.03)), reasons=(doubt,)))
+    assert "the tip follows late: mend it" in why_not(slow, UNTIL, "mm", CLEAR, 20.0, 120.0, FIXED)
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "value"),
+    [("3", "mm", 3e-3), ("3um", "mm", 3e-3), ("2.5 µm", "mm", 2.5e-3), ("0.003mm", "mm", 3e-3), ("1e1um", "mm", 1e-2),
+     ("0.05", "deg", 0.05), ("0.05deg", "deg", 0.05)],
+)  # fmt: skip
+def test_the_goal_and_its_unit(text: str, unit: str, value: float) -> None:
+    assert sigma_of(text, unit) == pytest.approx(value)
+
+
+@pytest.mark.parametrize(
+    ("text", "unit"), [("0", "mm"), ("-3", "mm"), ("3 furlongs", "mm"), ("1.2.3", "mm"), ("", "mm"), ("3um", "deg"),
+                       ("3deg", "mm")],
+)  # fmt: skip
+def test_a_goal_that_is_none(text: str, unit: str) -> None:
+    with pytest.raises(click.UsageError, match="--until"):
+        sigma_of(text, unit)
+
+
+def test_the_goal_unless_told() -> None:
+    assert default_until(Actuator("mm", (-20.0, 20.0), 1e-3)) == 3e-3
+    assert default_until(Actuator("deg", (-90.0, 90.0), 0.01)) == pytest.approx(0.09)
+    assert in_words(3e-3, "mm") == "3 µm" and in_words(0.05, "deg") == "0.05 deg"
+
+
+def view_of(calibration: Calibration | None) -> View:
+    view = View(-5.0, 5.0, "mm", UNTIL, "round 1", seconds=9.0, frames=200, lost=3, reversals=8)
+    view.rising[:30, 0] = 4
+    view.falling[:24, 0] = 9
+    view.falling[40:42, 1] = 2
+    if calibration is not None:
+        view.found, view.found_s, view.standing = calibration, 9.0, of(calibration)
+    return view
+
+
+def test_the_picture_shows_coverage_b_and_sigma() -> None:
+    view = view_of(found(sigma_with((1.0, 2.0, 5e-3)), (-4.0, 3.0)))
+    lines = [text.plain for text in picture(view)]
+    labels = {line[:14].strip(): line[14:] for line in lines}
+    assert labels["seen rising"] == "▄" * 30 + " " * 18
+    assert labels["seen falling"] == "█" * 24 + " " * 16 + "!!" + " " * 6
+    sigma = labels["sigma/1 µm"]
+    assert len(sigma) == BINS and set(sigma) == {"·", "1", "5"}
+    at = -5.0 + (np.arange(BINS) + 0.5) * 10.0 / BINS
+    assert all((mark == "·") == (not -4.0 <= q <= 3.0) for mark, q in zip(sigma, at, strict=True))
+    assert all((mark == "5") == (1.0 <= q <= 2.0) for mark, q in zip(sigma, at, strict=True) if mark != "·")
+    top = next(line for line in lines if line.lstrip().startswith("B 0.4 mm"))
+    assert top[14:] == "".join("█" if -4.0 <= q <= 3.0 else " " for q in at)
+    assert "197 of 200 frames, 8 reversals" in lines[-2] and "sigma 5 µm at worst" in lines[-1]
+    assert "wanted 3 µm" in lines[-1]
+    assert view.coverage == 24 / BINS and 0 < view.share < 1
+    assert view.unseen == (pytest.approx(-5.0 + 40 * 10 / BINS), pytest.approx(-5.0 + 42 * 10 / BINS))
+
+
+def test_the_picture_before_anything_is_known() -> None:
+    lines = [text.plain for text in picture(view_of(None))]
+    assert lines[0] == "round 1" and "too early" in lines[-1] and not any("sigma" in line for line in lines)
+
+
+def test_without_a_terminal_a_line_for_each_step(capsys: pytest.CaptureFixture[str]) -> None:
+    view = view_of(None)
+    with calibration_picture(as_json=True) as show:
+        show(view)
+        show(view)
+        view.found = found(sigma_with())
+        view.found_s, view.standing = 9.0, of(view.found)
+        show(view)
+        show(view)
+    told = capsys.readouterr()
+    assert told.out == "" and told.err.splitlines() == ["taut: round 1", f"taut: {standing(view)}"]
