@@ -40,10 +40,14 @@ ROM_MEMSET = 200  # cycles of the boot ROM's memset for the 64 bytes or less tha
 # Most times that the loops of the control path go back.
 LOOPS = {
     "tl_app_control": (AXES, 1),  # one axis is watched in a tick
+    "tl_elements_ahead": (6,),  # as many elements as a table has, but the first
+    "tl_elements_behind": (7,),
     "tl_history_push": (2,),  # pushed once a millisecond and jitter
     "quadrature_count": (4,),  # the state machine leaves its count within 10 cycles of its own, a round here takes 5
     "port_time_us": (2,),  # the high word changes once in 71 minutes
 }
+# What a table of one play never comes to, and one of several does.
+ONE_PLAY = {"tl_several_turn": NEVER, "tl_several_lead": NEVER, "tl_elements_behind": NEVER}
 CALIBRATION = "tl_motion_tick"  # for one axis at a time, and not while it follows the tip
 # One of these in a tick, in this order, each once a millisecond (tl_axis_step: `switch (job)`). The axes are apart by a
 # tick: tl_axis_init() begins axis i with a tick less than axis i - 1, and all of them count on together.
@@ -207,8 +211,10 @@ class Cycles:
 
     measured: dict[str, dict[str, int]]
     step: int  # encoder value to duty
+    step_plays: int  # with several plays
     step_any: int  # calibration motion included
     interrupt: int  # AXES axes, from the request to the return, registers included
+    interrupt_plays: int  # the same with several plays
     millisecond: int  # the same over the ticks of a millisecond
     interrupt_measured: int  # as `interrupt`, with the worst step and watch that were measured
     branches: dict[str, int]  # "step", "onset" -> conditional branches in our functions that it reaches
@@ -216,7 +222,7 @@ class Cycles:
     unexplained: list[str]  # those of them for which tools/branches.py has no reason
 
 
-def ticks(image: Code, watch: int | None = None, step: int | None = None) -> list[int]:
+def ticks(image: Code, plays: dict[str, int], watch: int | None = None, step: int | None = None) -> list[int]:
     """Bounds of the control interrupt's cycles in each tick of a millisecond, where AXES axes follow by tables; with
     measured values in place of the bounds of a step or a watch, the registers' cycles included."""
     if gone := [name for name in (*JOBS, BEGIN, WATCH, FAIL) if name not in image.starts]:
@@ -225,8 +231,8 @@ def ticks(image: Code, watch: int | None = None, step: int | None = None) -> lis
     jobs = [*JOBS, *[""] * (count - len(JOBS))]
     # An axis that fails for a late tick does so after more than a hundred lost periods: nobody waits for that one.
     tick = bound(image, PORT, **{STEP: 0, WATCH: 0, FAIL: NEVER}).of(CONTROL) + EXCEPTION
-    steps = [step_bound(image, PORT, job, **{CALIBRATION: NEVER}) if step is None else step for job in jobs]
-    watch = bound(image, PORT).of(WATCH) if watch is None else watch
+    steps = [step_bound(image, PORT, job, **{CALIBRATION: NEVER, **plays}) if step is None else step for job in jobs]
+    watch = bound(image, PORT, **plays).of(WATCH) if watch is None else watch
     return [
         tick + sum(steps[(at - axis) % count] for axis in range(AXES)) + (watch if (at + 1) % count < AXES else 0)
         for at in range(count)
@@ -245,27 +251,33 @@ def cycles() -> Cycles:
     measured = json.loads(_run("node", str(ROOT / "tools" / "emulator" / "measure.js")))
     stand_in, image = Code(BUILD / "cycles.elf"), Code(BUILD / "tautline.elf")
     step_any = bound(stand_in, STAND_IN_PORT).of(STEP)
-    step = max(step_bound(stand_in, STAND_IN_PORT, job, **{CALIBRATION: NEVER}) for job in JOBS)
-    for kind, most in (("step_tip", step), ("step_other", step_any)):
+    step, step_plays = (
+        max(step_bound(stand_in, STAND_IN_PORT, job, **{CALIBRATION: NEVER, **plays}) for job in JOBS)
+        for plays in (ONE_PLAY, {})
+    )
+    for kind, most in (("step_tip", step), ("step_plays", step_plays), ("step_other", step_any)):
         if measured[kind]["worst"] > most:
             raise SystemExit(
                 f"budget: {kind} took {measured[kind]['worst']} cycles, the bound says {most}: mend bound.py"
             )
     each = bound(image, PORT)
     registers = sum(each.of(port) for port in EACH_STEP)
-    worst = ticks(image)
+    worst, with_plays = ticks(image, ONE_PLAY), ticks(image, {})
     branches = {"step": branches_of(stand_in, STEP), "onset": branches_of(stand_in, ONSET)}
     seen = dict(measured["seen"])
     one_way = {name: [at for at in found if seen.get(at, 0) != 3] for name, found in branches.items()}
     return Cycles(
         measured,
         step,
+        step_plays,
         step_any,
         max(worst),
+        max(with_plays),
         sum(worst),
         max(
             ticks(
                 image,
+                ONE_PLAY,
                 measured["watch"]["worst"] + each.of("port_current_ma"),
                 measured["step_tip"]["worst"] + registers,
             )
@@ -312,8 +324,8 @@ def rows() -> list[Row]:
             print(f"{label}: {', '.join(names)}")
     return [
         Row("flash image", (BUILD / "tautline.bin").stat().st_size, 65536, "bytes"),
-        Row("RAM: code and initialised data", ram_code_and_data, 22528, "bytes"),
-        Row("RAM with the stack", ram + size[".stack_dummy"], 49152, "bytes"),
+        Row("RAM: code and initialised data", ram_code_and_data, 24576, "bytes"),
+        Row("RAM with the stack", ram + size[".stack_dummy"], 65536, "bytes"),
         Row("stack, worst", deepest, size[".stack_dummy"], "bytes"),
         Row("float functions", len(floats), 0, ""),
         Row("control path: not allowed", len(forbidden), 0, "functions"),
@@ -322,13 +334,17 @@ def rows() -> list[Row]:
         Row("control step with tables, measured", worst["step_tip"], 600, "cycles"),
         Row("control step with tables, any path", cost.step, 600, "cycles"),
         Row("control step with tables, mean", cost.measured["step_tip"]["mean"], 500, "cycles"),
+        Row("control step with several plays, measured", worst["step_plays"], 1200, "cycles"),
+        Row("control step with several plays, any path", cost.step_plays, 1200, "cycles"),
         Row("control step, other modes, measured", worst["step_other"], 2200, "cycles"),
         Row("calibration motion, measured", worst["motion"], 2000, "cycles"),
         Row("control step, calibration, any path", cost.step_any, 3300, "cycles"),
         Row("once a millisecond beside it, measured", worst["watch"], 1300, "cycles"),
+        Row("the same with several plays", worst["watch_plays"], 1800, "cycles"),
         Row(f"{AXES} axes at {CONTROL_HZ} Hz, any path", load, 25, "% of the core"),
         Row(f"{AXES} axes, worst tick, measured", share * cost.interrupt_measured, 25, "% of its period"),
         Row(f"{AXES} axes, worst tick, any path", share * cost.interrupt, 25, "% of its period"),
+        Row("the same with several plays", share * cost.interrupt_plays, 33, "% of its period"),
         Row("onset update, measured", worst["onset"], 2_000_000, "cycles"),
         *[
             Row(f"branches of the {name}, seen one way for a reason", cost.one_way[name], cost.branches[name], "")

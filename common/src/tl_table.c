@@ -30,6 +30,13 @@ static const uint8_t magic[4] = {'T', 'L', 'T', 'B'};
     X(68, 4, uint32_t, created_s)
 
 enum { MODEL_ID_AT = 72, RESERVED_AT = 80, RESERVED_SIZE = 8 };
+enum { SECTION_HEAD = 4, PLAYS_HEAD = 64, PLAYS_AT = 8 };
+enum { PERIOD_LOG2_MIN = 8, PERIOD_LOG2_MAX = 26, PLAYS_MIN = 2 };
+
+#define WEIGHT_FIRST_MIN 3277U              // 0.05, Q16
+#define WEIGHT_ALL       65536U             // Q16
+#define SHARE_ERROR_MAX  ((int64_t)1 << 28) // of the sum of shares, Q44: 2^-16
+#define HALF_LOG2        26                 // of an element's half width, in Y's unit
 
 static void put(uint8_t *at, uint32_t value, unsigned size) {
     for (unsigned i = 0; i < size; i++) {
@@ -45,28 +52,97 @@ static uint32_t get(const uint8_t *at, unsigned size) {
     return value;
 }
 
+static uint8_t *put_column(uint8_t *at, const int32_t *values, unsigned nodes) {
+    for (unsigned i = 0; i < nodes; i++, at += 4) {
+        put(at, (uint32_t)values[i], 4);
+    }
+    return at;
+}
+
+static const uint8_t *get_column(const uint8_t *at, int32_t *values, unsigned nodes) {
+    for (unsigned i = 0; i < nodes; i++, at += 4) {
+        values[i] = (int32_t)get(at, 4);
+    }
+    return at;
+}
+
+static uint8_t *put_plays(uint8_t *at, const tl_table_t *table) {
+    put(at, TL_TABLE_PLAYS_SECTION, 2);
+    put(at + 2, TL_TABLE_PLAYS_SIZE(table->nodes), 2);
+    at += SECTION_HEAD;
+    memset(at, 0, PLAYS_HEAD);
+    at[0] = table->plays;
+    at[1] = table->period_log2;
+    put(at + 4, (uint32_t)table->narrow, 4);
+    for (unsigned i = 0; i < table->plays; i++) {
+        put(at + PLAYS_AT + 8U * i, table->play_width_q28[i], 4);
+        put(at + PLAYS_AT + 8U * i + 4U, table->play_weight_q16[i], 4);
+    }
+    return put_column(at + PLAYS_HEAD, table->centre, table->nodes);
+}
+
 size_t tl_table_encode(const tl_table_t *table, uint8_t *blob, size_t capacity) {
-    if (table->nodes > TL_TABLE_NODES_MAX || capacity < TL_TABLE_SIZE(table->nodes)) {
+    if (table->nodes > TL_TABLE_NODES_MAX || table->plays > TL_TABLE_PLAYS_MAX) {
         return 0;
     }
-    const size_t size = TL_TABLE_SIZE(table->nodes);
+    const bool several = table->plays != 0;
+    const size_t size = TL_TABLE_SIZE(table->nodes) + (several ? SECTION_HEAD + TL_TABLE_PLAYS_SIZE(table->nodes) : 0U);
+    if (capacity < size) {
+        return 0;
+    }
     memcpy(blob, magic, sizeof magic);
-    put(blob + 4, TL_TABLE_FORMAT, 2);
+    put(blob + 4, several ? TL_TABLE_FORMAT : TL_TABLE_FORMAT_PLAIN, 2);
     put(blob + 6, (uint32_t)size, 2);
 #define PUT(offset, bytes, type, name) put(blob + (offset), (uint32_t)table->name, bytes);
     HEADER_FIELDS(PUT)
 #undef PUT
     memcpy(blob + MODEL_ID_AT, table->model_id, sizeof table->model_id);
     memset(blob + RESERVED_AT, 0, RESERVED_SIZE);
-    uint8_t *at = blob + TL_TABLE_HEADER_SIZE;
-    for (unsigned i = 0; i < table->nodes; i++, at += 4) {
-        put(at, (uint32_t)table->width[i], 4);
-    }
-    for (unsigned i = 0; i < table->nodes; i++, at += 4) {
-        put(at, (uint32_t)table->angle[i], 4);
+    uint8_t *at = put_column(blob + TL_TABLE_HEADER_SIZE, table->width, table->nodes);
+    at = put_column(at, table->angle, table->nodes);
+    if (several) {
+        at = put_plays(at, table);
     }
     put(at, tl_crc32(0, blob, size - 4), 4);
     return size;
+}
+
+static tl_table_reason_t get_plays(const uint8_t *at, size_t size, tl_table_t *table) {
+    if (size != TL_TABLE_PLAYS_SIZE(table->nodes) || table->plays != 0) {
+        return TL_TABLE_BAD_SECTION;
+    }
+    if (at[0] < PLAYS_MIN || at[0] > TL_TABLE_PLAYS_MAX) {
+        return TL_TABLE_BAD_PLAYS;
+    }
+    table->plays = at[0];
+    table->period_log2 = at[1];
+    table->narrow = (int32_t)get(at + 4, 4);
+    for (unsigned i = 0; i < TL_TABLE_PLAYS_MAX; i++) {
+        table->play_width_q28[i] = get(at + PLAYS_AT + 8U * i, 4);
+        table->play_weight_q16[i] = get(at + PLAYS_AT + 8U * i + 4U, 4);
+        if (i >= table->plays && (table->play_width_q28[i] | table->play_weight_q16[i]) != 0) {
+            return TL_TABLE_BAD_RESERVED;
+        }
+    }
+    get_column(at + PLAYS_HEAD, table->centre, table->nodes);
+    return get(at + 2, 2) == 0 ? TL_TABLE_OK : TL_TABLE_BAD_RESERVED;
+}
+
+// From `at` up to `end`.
+static tl_table_reason_t get_sections(const uint8_t *at, const uint8_t *end, tl_table_t *table) {
+    while (at != end) {
+        const size_t left = (size_t)(end - at);
+        const size_t size = left < SECTION_HEAD ? left : get(at + 2, 2);
+        if (left < SECTION_HEAD || size > left - SECTION_HEAD || get(at, 2) != TL_TABLE_PLAYS_SECTION) {
+            return TL_TABLE_BAD_SECTION;
+        }
+        const tl_table_reason_t reason = get_plays(at + SECTION_HEAD, size, table);
+        if (reason != TL_TABLE_OK) {
+            return reason;
+        }
+        at += SECTION_HEAD + size;
+    }
+    return TL_TABLE_OK;
 }
 
 tl_table_reason_t tl_table_decode(const uint8_t *blob, size_t size, uint8_t axis, tl_table_t *table) {
@@ -76,7 +152,8 @@ tl_table_reason_t tl_table_decode(const uint8_t *blob, size_t size, uint8_t axis
     if (memcmp(blob, magic, sizeof magic) != 0) {
         return TL_TABLE_BAD_MAGIC;
     }
-    if (get(blob + 4, 2) != TL_TABLE_FORMAT) {
+    const uint32_t format = get(blob + 4, 2);
+    if (format != TL_TABLE_FORMAT_PLAIN && format != TL_TABLE_FORMAT) {
         return TL_TABLE_BAD_FORMAT;
     }
     if (get(blob + 6, 2) != size) {
@@ -94,17 +171,18 @@ tl_table_reason_t tl_table_decode(const uint8_t *blob, size_t size, uint8_t axis
     HEADER_FIELDS(GET)
 #undef GET
     memcpy(table->model_id, blob + MODEL_ID_AT, sizeof table->model_id);
-    if (table->nodes > TL_TABLE_NODES_MAX || TL_TABLE_SIZE(table->nodes) != size) {
-        return table->nodes > TL_TABLE_NODES_MAX ? TL_TABLE_BAD_NODES : TL_TABLE_BAD_SIZE;
+    if (table->nodes > TL_TABLE_NODES_MAX) {
+        return TL_TABLE_BAD_NODES;
     }
-    const uint8_t *at = blob + TL_TABLE_HEADER_SIZE;
-    for (unsigned i = 0; i < table->nodes; i++, at += 4) {
-        table->width[i] = (int32_t)get(at, 4);
+    const size_t plain = TL_TABLE_SIZE(table->nodes);
+    if (format == TL_TABLE_FORMAT_PLAIN ? plain != size : plain > size) {
+        return TL_TABLE_BAD_SIZE;
     }
-    for (unsigned i = 0; i < table->nodes; i++, at += 4) {
-        table->angle[i] = (int32_t)get(at, 4);
-    }
-    return tl_table_check(table, axis);
+    const uint8_t *at = get_column(blob + TL_TABLE_HEADER_SIZE, table->width, table->nodes);
+    at = get_column(at, table->angle, table->nodes);
+    table->plays = 0;
+    const tl_table_reason_t reason = get_sections(at, blob + size - 4, table);
+    return reason == TL_TABLE_OK ? tl_table_check(table, axis) : reason;
 }
 
 static bool beyond(int32_t value) {
@@ -201,15 +279,52 @@ static tl_table_reason_t check_nodes(const tl_table_t *t) {
     return TL_TABLE_OK;
 }
 
+// The shares of the elements: what they sum up to is told to 2^-16.
+static tl_table_reason_t check_plays(const tl_table_t *t) {
+    if (t->plays < PLAYS_MIN || t->plays > TL_TABLE_PLAYS_MAX || outside(t->narrow, 0, TL_TABLE_VALUE_MAX) ||
+        t->play_weight_q16[0] < WEIGHT_FIRST_MIN) {
+        return TL_TABLE_BAD_PLAYS;
+    }
+    uint64_t weight = 0;
+    int64_t width = -((int64_t)1 << 44);
+    for (unsigned i = 0; i < t->plays; i++) {
+        if (t->play_weight_q16[i] == 0 || (i > 0 && t->play_width_q28[i] <= t->play_width_q28[i - 1U])) {
+            return TL_TABLE_BAD_PLAYS;
+        }
+        weight += t->play_weight_q16[i];
+        if (weight > WEIGHT_ALL) {
+            return TL_TABLE_BAD_PLAYS;
+        }
+        width += (int64_t)((uint64_t)t->play_weight_q16[i] * t->play_width_q28[i]);
+    }
+    if (weight != WEIGHT_ALL || width > SHARE_ERROR_MAX || width < -SHARE_ERROR_MAX) {
+        return TL_TABLE_BAD_PLAYS;
+    }
+    const uint64_t widest = t->play_width_q28[t->plays - 1U];
+    if (t->period_log2 < PERIOD_LOG2_MIN || t->period_log2 > PERIOD_LOG2_MAX ||
+        widest << t->period_log2 >> (28 + 1 + HALF_LOG2) != 0) {
+        return TL_TABLE_BAD_WARP;
+    }
+    for (unsigned i = 0; i < t->nodes; i++) {
+        if (outside(t->centre[i], -TL_TABLE_CENTRE_MAX, TL_TABLE_CENTRE_MAX) ||
+            (i > 0 && t->centre[i] <= t->centre[i - 1U])) {
+            return TL_TABLE_BAD_WARP;
+        }
+    }
+    return TL_TABLE_OK;
+}
+
 tl_table_reason_t tl_table_check(const tl_table_t *table, uint8_t axis) {
     const tl_table_reason_t reason = check_header(table, axis);
     if (reason != TL_TABLE_OK) {
         return reason;
     }
     if (table->nodes == 0) {
-        return table->q0 != 0 || table->step_log2 != 0 ? TL_TABLE_BAD_RESERVED : TL_TABLE_OK;
+        const bool clean = table->q0 == 0 && table->step_log2 == 0 && table->plays == 0;
+        return clean ? TL_TABLE_OK : TL_TABLE_BAD_RESERVED;
     }
-    return check_nodes(table);
+    const tl_table_reason_t nodes = check_nodes(table);
+    return nodes == TL_TABLE_OK && table->plays != 0 ? check_plays(table) : nodes;
 }
 
 const char *tl_table_reason_text(tl_table_reason_t reason) {

@@ -2,7 +2,9 @@
 #include "effects.h"
 #include "plays.h"
 #include "sight.h"
+#include "thin.h"
 
+#include <algorithm>
 #include <cstring>
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
@@ -11,6 +13,8 @@
 #include <optional>
 #include <stdexcept>
 #include <string>
+#include <unordered_map>
+#include <vector>
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -20,34 +24,52 @@ namespace {
 using Values = ArrayIn<double>;
 using Marks = ArrayIn<unsigned char>;
 
-template <typename T> struct Field {
+struct Field {
     const char *name;
-    double T::*member;
+    double sight_parameters::*member;
 };
-const Field<effect_parameters> EFFECTS[] = {
-#define X(name, absent, unit, meaning) {#name, &effect_parameters::name},
-    EFFECT_PARAMETERS(X)
-#undef X
-};
-const Field<sight_parameters> SIGHTS[] = {
+const Field SIGHTS[] = {
 #define X(name, unit, meaning) {#name, &sight_parameters::name},
     SIGHT_PARAMETERS(X)
 #undef X
 };
 
-template <typename T, std::size_t N> void fill(T &into, const nb::dict &values, const Field<T> (&fields)[N]) {
+[[noreturn]] void unknown(const std::string &name) {
+    throw std::invalid_argument("no effect has a parameter '" + name + "'");
+}
+
+// Of all effects' parameters, those that are not named absent.
+std::vector<double> all_values(const nb::dict &named) {
+    static const auto index = [] {
+        std::unordered_map<std::string, size_t> found;
+        for (size_t i = 0; i < effects_parameter_count(); i++) {
+            found[effects_parameter(i)->name] = i;
+        }
+        return found;
+    }();
+    std::vector<double> values(effects_parameter_count());
+    for (size_t i = 0; i < values.size(); i++) {
+        values[i] = effects_parameter(i)->absent;
+    }
+    for (auto [key, value] : named) {
+        const auto at = index.find(nb::cast<std::string>(key));
+        if (at == index.end()) {
+            unknown(nb::cast<std::string>(key));
+        }
+        values[at->second] = nb::cast<double>(value);
+    }
+    return values;
+}
+
+void fill(sight_parameters &into, const nb::dict &values) {
     for (auto [key, value] : values) {
         const std::string name = nb::cast<std::string>(key);
-        bool known = false;
-        for (const auto &field : fields) {
-            if (name == field.name) {
-                into.*field.member = nb::cast<double>(value);
-                known = true;
-            }
+        const auto *at =
+            std::find_if(std::begin(SIGHTS), std::end(SIGHTS), [&](const Field &field) { return name == field.name; });
+        if (at == std::end(SIGHTS)) {
+            unknown(name);
         }
-        if (!known) {
-            throw std::invalid_argument("no effect has a parameter '" + name + "'");
-        }
+        into.*at->member = nb::cast<double>(value);
     }
 }
 
@@ -63,13 +85,9 @@ template <typename T> const T *column(const std::optional<ArrayIn<T>> &values, s
 
 nb::object simulate(const nb::dict &parameters, Values grid, Values width, Values c_deg, Values t_s, Values q,
                     Values at_s, std::optional<Values> translation, std::optional<Values> rotation,
-                    std::optional<Values> load, double session_s, double p0, const Plays *plays) {
-    effect_parameters e = {
-#define X(name, absent, unit, meaning) absent,
-        EFFECT_PARAMETERS(X)
-#undef X
-    };
-    fill(e, parameters, EFFECTS);
+                    std::optional<Values> load, std::optional<Values> other, double session_s, double p0,
+                    const Plays *plays) {
+    const std::vector<double> values = all_values(parameters);
     const size_t nodes = grid.shape(0), knots = t_s.shape(0), n = at_s.shape(0);
     if (nodes < 2 || width.shape(0) != nodes || c_deg.shape(0) != nodes) {
         throw std::invalid_argument("grid, width and c_deg must have one length, 2 or more");
@@ -79,7 +97,8 @@ nb::object simulate(const nb::dict &parameters, Values grid, Values width, Value
     }
     const elements several = plays ? plays->view() : elements{};
     const effect_tables tables = {grid.data(), width.data(), c_deg.data(), nodes, plays ? &several : nullptr};
-    const effect_motion motion = {t_s.data(), q.data(), column(load, knots, "load"), knots};
+    const effect_motion motion = {t_s.data(), q.data(), column(load, knots, "load"), column(other, knots, "other"),
+                                  knots};
     const effect_times times = {at_s.data(), column(translation, n, "translation"), column(rotation, n, "rotation"), n,
                                 session_s};
     auto c = new_array<double>(n), p = new_array<double>(n), tip = new_array<double>(n), gain = new_array<double>(n),
@@ -88,19 +107,19 @@ nb::object simulate(const nb::dict &parameters, Values grid, Values width, Value
     const effect_path path = {c.data(), p.data(), tip.data(), gain.data(), way.data(), side.data()};
     {
         nb::gil_scoped_release unlocked;
-        effects_simulate(&e, &tables, &motion, &times, p0, &path);
+        effects_simulate(values.data(), &tables, &motion, &times, p0, &path);
     }
     return nb::make_tuple(c, p, tip, gain, way, side);
 }
 
 ArrayOut<unsigned char> thin(Values t_s, Values values, Values tolerance, double rest_s) {
     const size_t samples = t_s.shape(0), channels = tolerance.shape(0);
-    if (channels < 1 || channels > EFFECT_CHANNELS || values.shape(0) != channels * samples) {
-        throw std::invalid_argument("values must be 1 to 4 channels, each as long as t_s");
+    if (channels < 1 || channels > THIN_CHANNELS || values.shape(0) != channels * samples) {
+        throw std::invalid_argument("values must be 1 to 12 channels, each as long as t_s");
     }
     auto keep = new_array<unsigned char>(samples);
     nb::gil_scoped_release unlocked;
-    effects_thin(t_s.data(), samples, values.data(), tolerance.data(), channels, rest_s, keep.data());
+    thin_motion(t_s.data(), samples, values.data(), tolerance.data(), channels, rest_s, keep.data());
     return keep;
 }
 
@@ -114,7 +133,7 @@ Table table(double *data, std::initializer_list<size_t> shape) {
 nb::object see(const nb::dict &parameters, Values rig, Values c_deg, std::optional<Values> translation,
                std::optional<Values> rotation, std::optional<Values> way, std::optional<Marks> shifted, bool slopes) {
     sight_parameters e = {};
-    fill(e, parameters, SIGHTS);
+    fill(e, parameters);
     sight_rig r;
     if (rig.shape(0) * sizeof(double) != sizeof r) {
         throw std::invalid_argument("rig must be the numbers of sight_rig");
@@ -141,22 +160,24 @@ nb::object see(const nb::dict &parameters, Values rig, Values c_deg, std::option
 
 void bind_effects(nb::module_ &m) {
     nb::list path, sight;
-#define X(name, absent, unit, meaning) path.append(nb::make_tuple(#name, double(absent), unit, meaning));
-    EFFECT_PARAMETERS(X)
-#undef X
+    for (size_t i = 0; i < effects_parameter_count(); i++) {
+        const effect_parameter *p = effects_parameter(i);
+        path.append(nb::make_tuple(p->name, p->absent, p->unit, std::string(effects_owner(i)) + ": " + p->meaning));
+    }
 #define X(name, unit, meaning) sight.append(nb::make_tuple(#name, 0.0, unit, meaning));
     SIGHT_PARAMETERS(X)
 #undef X
     m.attr("effect_parameters") = path; // (name, value when absent, unit, meaning): what moves the tip
     m.attr("sight_parameters") = sight; // and what changes where it is seen
     m.def("simulate_effects", simulate, "parameters"_a, "grid"_a, "width"_a, "c_deg"_a, "t_s"_a, "q"_a, "at_s"_a,
-          "translation"_a = nb::none(), "rotation"_a = nb::none(), "load"_a = nb::none(), "session_s"_a = 0.0,
-          "p0"_a = NAN, "plays"_a = nb::none(),
-          "c (deg), p, tip, gain, way and side at rising times at_s; tables are linear on `grid`; t_s, q and load are "
+          "translation"_a = nb::none(), "rotation"_a = nb::none(), "load"_a = nb::none(), "other"_a = nb::none(),
+          "session_s"_a = 0.0, "p0"_a = NAN, "plays"_a = nb::none(),
+          "c (deg), p, tip, gain, way and side at rising times at_s; tables are linear on `grid`; t_s, q, load and "
+          "other are "
           "knots, translation and rotation are at at_s. plays: several elements on the same grid and width. See "
           "effects.h.");
     m.def("thin", thin, "t_s"_a, "values"_a, "tolerance"_a, "rest_s"_a,
-          "1 where a sample must stay for straight lines to be within tolerance. See effects.h.");
+          "1 where a sample must stay for straight lines to be within tolerance. See thin.h.");
     m.def("see", see, "parameters"_a, "rig"_a, "c_deg"_a, "translation"_a = nb::none(), "rotation"_a = nb::none(),
           "way"_a = nb::none(), "shifted"_a = nb::none(), "slopes"_a = false,
           "The image (n, 2) px; with slopes also its derivatives by c (n, 2) and by a static registration (n, 2, 6). "

@@ -2,8 +2,11 @@
 #include "arrays.h"
 #include "fixed_table.h"
 
+#include <memory>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -49,7 +52,39 @@ template <typename Field> void read_field(const nb::dict &fields, const char *na
     field = nb::cast<Field>(fields[name]);
 }
 
-nb::bytes encode(const nb::dict &fields, ArrayIn<int32_t> width, ArrayIn<int32_t> angle, const nb::bytes &model_id) {
+// Section 1: the elements of the play.
+void read_plays(const nb::dict &plays, tl_table_t &table) {
+    const auto widths = nb::cast<std::vector<uint32_t>>(plays["width_q28"]);
+    const auto weights = nb::cast<std::vector<uint32_t>>(plays["weight_q16"]);
+    const auto centre = nb::cast<ArrayIn<int32_t>>(plays["centre"]);
+    if (widths.size() != weights.size() || widths.size() > TL_TABLE_PLAYS_MAX || centre.shape(0) != table.nodes) {
+        throw nb::value_error("plays need at most 7 widths, as many weights, and a centre at each node");
+    }
+    read_field(plays, "period_log2", table.period_log2);
+    read_field(plays, "narrow", table.narrow);
+    table.plays = static_cast<uint8_t>(widths.size());
+    std::copy(widths.begin(), widths.end(), table.play_width_q28);
+    std::copy(weights.begin(), weights.end(), table.play_weight_q16);
+    std::copy(centre.data(), centre.data() + table.nodes, table.centre);
+}
+
+nb::object plays_of(const tl_table_t &table) {
+    if (table.plays == 0) {
+        return nb::none();
+    }
+    nb::dict plays;
+    plays["period_log2"] = table.period_log2;
+    plays["narrow"] = table.narrow;
+    plays["width_q28"] = std::vector<uint32_t>(table.play_width_q28, table.play_width_q28 + table.plays);
+    plays["weight_q16"] = std::vector<uint32_t>(table.play_weight_q16, table.play_weight_q16 + table.plays);
+    auto centre = new_array<int32_t>(table.nodes);
+    std::copy(table.centre, table.centre + table.nodes, centre.data());
+    plays["centre"] = centre;
+    return plays;
+}
+
+nb::bytes encode(const nb::dict &fields, ArrayIn<int32_t> width, ArrayIn<int32_t> angle, const nb::bytes &model_id,
+                 std::optional<nb::dict> plays) {
     tl_table_t table{};
     if (width.shape(0) != angle.shape(0) || width.shape(0) > TL_TABLE_NODES_MAX) {
         throw nb::value_error("width and angle need the same number of nodes, at most 257");
@@ -64,14 +99,18 @@ nb::bytes encode(const nb::dict &fields, ArrayIn<int32_t> width, ArrayIn<int32_t
     memcpy(table.model_id, model_id.c_str(), sizeof table.model_id);
     std::copy(width.data(), width.data() + table.nodes, table.width);
     std::copy(angle.data(), angle.data() + table.nodes, table.angle);
+    if (plays) {
+        read_plays(*plays, table);
+    }
     std::vector<uint8_t> blob(TL_TABLE_SIZE_MAX);
     const size_t size = tl_table_encode(&table, blob.data(), blob.size());
     return nb::bytes(blob.data(), size);
 }
 
 nb::tuple check(const nb::bytes &blob, uint8_t axis) {
-    tl_table_t table;
-    const auto reason = tl_table_decode(reinterpret_cast<const uint8_t *>(blob.c_str()), blob.size(), axis, &table);
+    const auto lookup = std::make_unique<tl_lookup_t>();
+    const auto reason =
+        tl_lookup_load(lookup.get(), reinterpret_cast<const uint8_t *>(blob.c_str()), blob.size(), axis);
     return nb::make_tuple(reason_name(reason), tl_table_reason_text(reason));
 }
 
@@ -87,6 +126,7 @@ nb::dict fields_of(const FixedTable &self) {
     std::copy(table.angle, table.angle + table.nodes, angle.data());
     fields["width"] = width;
     fields["angle"] = angle;
+    fields["plays"] = plays_of(table);
     return fields;
 }
 
@@ -100,6 +140,19 @@ template <Lookup function> nb::tuple batch(const FixedTable &self, ArrayIn<int32
         y.data()[i] = function(&self.lookup, x.data()[i], &flags.data()[i]);
     }
     return nb::make_tuple(y, flags);
+}
+
+using Plain = int32_t (*)(const tl_lookup_t *, int32_t);
+
+template <Plain function> ArrayOut<int32_t> batch_plain(const FixedTable &self, ArrayIn<int32_t> x) {
+    if (self.lookup.plays == 0) {
+        throw nb::value_error("the table has a single play");
+    }
+    auto y = new_array<int32_t>(x.shape(0));
+    for (size_t i = 0; i < x.shape(0); i++) {
+        y.data()[i] = function(&self.lookup, x.data()[i]);
+    }
+    return y;
 }
 
 // As the play asks: near is where the last one was.
@@ -119,8 +172,11 @@ template <Inverse function> nb::tuple batch_near(const FixedTable &self, ArrayIn
 } // namespace
 
 void bind_tables(nb::module_ &m) {
-    m.def("table_encode", &encode, nb::arg("fields"), nb::arg("width"), nb::arg("angle"), nb::arg("model_id"),
-          "The blob of a table (fields as in tl_table.h, raw fixed-point values); its content is not checked.");
+    m.def(
+        "table_encode", &encode, nb::arg("fields"), nb::arg("width"), nb::arg("angle"), nb::arg("model_id"),
+        nb::arg("plays") = nb::none(),
+        "The blob of a table (fields as in tl_table.h, raw fixed-point values; plays: period_log2, narrow, width_q28, "
+        "weight_q16 and centre of section 1); its content is not checked.");
     m.def("table_check", &check, nb::arg("blob"), nb::arg("axis") = TL_TABLE_ANY_AXIS,
           "(name, text) of the reason why the board would refuse the blob; name is 'OK' where it would not.");
     nb::dict reasons;
@@ -137,6 +193,8 @@ void bind_tables(nb::module_ &m) {
     m.attr("AXIS_KINDS") = kinds;
     m.attr("AXIS_UNITS") = units;
     m.attr("TABLE_FORMAT") = TL_TABLE_FORMAT;
+    m.attr("TABLE_PLAYS_MAX") = TL_TABLE_PLAYS_MAX;
+    m.attr("TABLE_CENTRE_MAX") = TL_TABLE_CENTRE_MAX;
     m.attr("TABLE_AXES") = TL_TABLE_AXES;
     m.attr("TABLE_ANY_AXIS") = TL_TABLE_ANY_AXIS;
     m.attr("TABLE_NODES_MAX") = TL_TABLE_NODES_MAX;
@@ -170,6 +228,8 @@ void bind_tables(nb::module_ &m) {
         .def("angle_inverse", &batch<tl_lookup_angle_inverse>, nb::arg("c"), "p with f(p) = c, and flags")
         .def("p_low", &batch_near<tl_lookup_p_low>, nb::arg("q"), "p with p + B(p)/2 = q, and flags")
         .def("p_high", &batch_near<tl_lookup_p_high>, nb::arg("q"), "p with p - B(p)/2 = q, and flags")
+        .def("centre", &batch_plain<tl_lookup_centre>, nb::arg("p"), "Y(p) of several plays")
+        .def("centre_inverse", &batch_plain<tl_lookup_centre_inverse>, nb::arg("y"), "p with Y(p) = y")
         .def("coarse", &batch<tl_lookup_coarse>, nb::arg("q"), "the coarse kinematics and flags")
         .def("coarse_inverse", &batch<tl_lookup_coarse_inverse>, nb::arg("c"), "its inverse and flags");
 }

@@ -42,13 +42,18 @@ def between_counts(motor: Motor, resolution: float) -> Motor:
     boundary = 0.5 * (counts[changes] + counts[changes + 1])
     lasts = np.diff(times)
     before, after = np.concatenate([lasts[:1], lasts[:-1]]), np.concatenate([lasts[1:], lasts[-1:]])
+    # A motor that jumps by several counts is at the new one with the next sample, however long it stays there.
+    jumps, sample = np.abs(np.diff(counts)[changes]) > 1, t[changes + 1] - t[changes]
+    before, after = np.where(jumps[:-1], sample[:-1], before), np.where(jumps[1:], sample[1:], after)
+    first = sample[0] if jumps[0] else lasts[0]
+    last = sample[-1] if jumps[-1] else lasts[-1]
     centre = counts[changes[:-1] + 1]
     knots_t = np.empty(3 * len(times) - 2)
     knots_q = np.empty_like(knots_t)
     knots_t[0::3], knots_q[0::3] = times, boundary
     knots_t[1::3], knots_q[1::3] = times[:-1] + 0.5 * np.minimum(lasts, before), centre
     knots_t[2::3], knots_q[2::3] = times[1:] - 0.5 * np.minimum(lasts, after), centre
-    ends = [t[0], times[0] - 0.5 * lasts[0]], [times[-1] + 0.5 * lasts[-1], t[-1]]
+    ends = [t[0], times[0] - 0.5 * first], [times[-1] + 0.5 * last, t[-1]]
     knots_t = np.concatenate([ends[0], knots_t, ends[1]])
     knots_q = np.concatenate([[counts[0]] * 2, knots_q, [counts[-1]] * 2])
     order = np.argsort(knots_t, kind="stable")
@@ -132,7 +137,7 @@ def _smoothed(q: Array) -> Array:
 
 def straight_lines(motor: Motor, resolution: float) -> Motor:
     """The motor, as it was recorded, as straight lines between few knots, within what cannot be seen of the samples;
-    it rests and turns exactly when its changes of count say so. q_cmd is left out."""
+    it rests and turns exactly when its changes of count say so. q_cmd and columns that are no joint's are left out."""
     smooth = between_counts(motor, resolution)
     steps = _steps_of(motor, resolution) if smooth is not motor else None
     count = resolution if steps is None else steps.count
@@ -142,6 +147,7 @@ def straight_lines(motor: Motor, resolution: float) -> Motor:
     swing = 0.0 if motor.load_mNm is None else _TOLERANCE_LOAD * float(np.ptp(motor.load_mNm))
     tolerances = zip(others, (_TOLERANCE_MM, _TOLERANCE_DEG, swing), strict=True)
     channels = [(values, tolerance) for values, tolerance in tolerances if values is not None]
+    channels += [(v, _TOLERANCE_DEG if name.endswith("_deg") else _TOLERANCE_MM) for name, v in motor.joints.items()]
     if channels:  # their knots are the bending motor's too, but it stays at rest where it rests
         at = np.union1d(t_s, motor.t_s[_thinned(motor.t_s, channels)])
         left = np.searchsorted(t_s, at, side="right") - 1
@@ -153,7 +159,8 @@ def straight_lines(motor: Motor, resolution: float) -> Motor:
         return None if values is None else np.interp(t_s, motor.t_s, values)
 
     level = _levelled(motor.t_s, smooth.q, t_s, q, fixed)
-    return Motor(t_s, level, None, taken(others[0]), taken(others[1]), taken(others[2]))
+    joints = {name: np.interp(t_s, motor.t_s, values) for name, values in motor.joints.items()}
+    return Motor(t_s, level, None, taken(others[0]), taken(others[1]), taken(others[2]), joints)
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ class Effect:
     """One unmodelled effect that a diagnosis added; id as in `stage.name`, zero parameters meaning absent."""
 
     id: str
-    parameters: Mapping[str, float]
+    parameters: Mapping[str, Any]  # numbers; `column`: the name of one of motor.csv
 
 
 @dataclass(frozen=True)
@@ -174,6 +174,14 @@ def allowed_width(grid: Array, width: Array, steepest: float = STEEPEST) -> Arra
     both: Array = np.minimum.accumulate((rising + reach)[::-1])[::-1] - reach
     cut: Array = np.maximum(both, 0.0)
     return cut
+
+
+def monotone(c_deg: Array) -> Array:
+    """f_remain rising or falling strictly, as a model's must, where it is level."""
+    sign = np.sign(c_deg[-1] - c_deg[0])
+    least = 1e-6 * abs(c_deg[-1] - c_deg[0]) / len(c_deg) * np.arange(len(c_deg))
+    rising: Array = sign * (np.maximum.accumulate(sign * c_deg - least) + least)
+    return rising
 
 
 def interpolate(x: npt.ArrayLike, grid: Array, values: Array) -> Array:

@@ -22,6 +22,7 @@ MAX_MOTOR_GAP_S = 3600.0
 FARTHEST = 1e4  # spans of the range beyond it
 FARTHEST_PX = 1e5
 FRAME_COLUMNS = ("width_px", "height_px")  # of marker.csv: what the frames measure
+MOST_JOINTS = 8  # that are looked at
 VIDEO_NAMES = ("video.mkv", "video.mp4")
 
 
@@ -36,6 +37,16 @@ class Motor:
     rotation_deg: Array | None = None  # about the base z axis; None = 0
     load_mNm: Array | None = None
     extra: Mapping[str, Array] = field(default_factory=dict)  # unknown columns, kept
+
+    @property
+    def joints(self) -> dict[str, Array]:
+        """Further joints that move: NAME_deg or NAME_mm. At most MOST_JOINTS."""
+        moving = {
+            name: values
+            for name, values in self.extra.items()
+            if name.endswith(("_deg", "_mm")) and np.isfinite(values).all() and np.ptp(values) > 0.0
+        }
+        return dict(list(moving.items())[:MOST_JOINTS])
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ class Actuator:
     unit: str  # of q everywhere: "mm" of cable travel or "deg" of a spindle
     range: tuple[float, float]  # useful motor range, unit
     encoder_resolution: float  # unit per count
+    speed_max: float | None = None  # unit/s, of the motor; None: not known
 
     @property
     def span(self) -> float:
@@ -135,7 +136,10 @@ class Rig:
         low, high = read.numbers("actuator", "range", 2)
         if not low < high:
             raise TautError(f"{where}: actuator.range is [{low}, {high}], expected [low, high] with low < high")
-        actuator = Actuator(unit, (low, high), read.number("actuator", "encoder_resolution", above=0.0))
+        resolution = read.number("actuator", "encoder_resolution", above=0.0)
+        limited = "speed_max" in document["actuator"]
+        speed_max = read.number("actuator", "speed_max", above=0.0) if limited else None
+        actuator = Actuator(unit, (low, high), resolution, speed_max)
         coarse = Coarse(read.number("coarse", "gain"), read.number("coarse", "offset"))
         if coarse.gain == 0.0:
             raise TautError(f"{where}: coarse.gain is 0, expected deg per {unit} (negative where c falls with q)")
@@ -179,7 +183,9 @@ class Rig:
             section = getattr(self, name)
             if section is not None:
                 document[name] = {
-                    key: list(value) if isinstance(value, tuple) else value for key, value in asdict(section).items()
+                    key: list(value) if isinstance(value, tuple) else value
+                    for key, value in asdict(section).items()
+                    if value is not None
                 }
         for key, value in self.extra.items():
             if isinstance(value, Mapping) and isinstance(document.get(key), dict):
@@ -193,7 +199,7 @@ class Rig:
 
 
 _KNOWN = {
-    "actuator": {"unit", "range", "encoder_resolution"},
+    "actuator": {"unit", "range", "encoder_resolution", "speed_max"},
     "coarse": {"gain", "offset"},
     "kinematics": {"bending_length_mm", "tip_length_mm"},
     "camera": {"width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px", "distortion", "frame_rate_hz", "delay_s"},

@@ -5,10 +5,12 @@ from __future__ import annotations
 import hashlib
 import time
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from tautline import _native
+from tautline.elements import SINGLE, Elements, warp_of
 from tautline.errors import TautError
 from tautline.model import Array, Model
 from tautline.rig import MARKER, Rig
@@ -20,6 +22,10 @@ _COUNT = float(_native.COUNT_ONE)  # Q8
 _DEG = float(_native.DEG_ONE)  # Q16
 _SLOPE = 2.0**28  # deg per count, Q28
 _NANO = 1e-9
+_SHARE, _WEIGHT = 2.0**28, 2**16  # of an element's width, and of its share of the motion
+_PERIOD_LOG2 = 26  # of the warp, at most
+_HALF_LOG2 = 26  # and of half the widest element
+_WARP_OFF = 4.0, 0.02  # counts, of B: how far the warp may be off between the nodes of a board's grid
 
 
 @dataclass(frozen=True)
@@ -66,13 +72,15 @@ class Table:
     q: Array  # (n,) nodes; empty for the identity
     width: Array  # (n,) B
     c_deg: Array  # (n,) f
+    elements: Elements = SINGLE
 
 
 def model_id(model: Model) -> bytes:
-    """8 bytes that are the same for the same B, f, delay and actuator, and hardly ever else."""
+    """8 bytes that are the same for the same B, elements, f, delay and actuator, and hardly ever else."""
     actuator = model.rig.actuator
     digest = hashlib.sha256(repr((actuator.unit, actuator.range, actuator.encoder_resolution, model.delay_s)).encode())
-    for values in (model.q, model.width, model.c_deg):
+    shares = () if model.elements.single else (model.elements.width, model.elements.weight)
+    for values in (model.q, model.width, model.c_deg, *shares):
         digest.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
     return digest.digest()[:8]
 
@@ -87,27 +95,84 @@ def encode(
     """The model's blob for `axis`, or a TautError that says why a board would refuse it.
 
     B and f are sampled on a grid of 2^k Q8 counts from the lower end of the range, with at most 257 nodes; the last
-    node may lie beyond the range: there B is held and f goes on with its last slope.
+    node may lie beyond the range, and with several plays the first does: there B is held and f goes on with its last
+    slope.
     """
     rig = model.rig
     q_min, q_max = (_counts(q, rig, "actuator.range") for q in rig.actuator.range)
     span = q_max - q_min
     if span < 1:
         raise TautError("actuator.range holds less than one encoder step: check actuator.encoder_resolution")
+    # several plays look a width beyond the ends of the range
+    ends = (0.0, 0.0) if model.elements.single else (float(model.width[0]), float(model.width[-1]))
+    below, above = (_counts(width, rig, "a backlash width") for width in ends)
+    span += below + above
     step_log2 = next(k for k in range(32) if -(-span >> k) <= _native.TABLE_NODES_MAX - 1)
-    q_raw = q_min + (np.arange(-(-span >> step_log2) + 1, dtype=np.int64) << step_log2)
+    q_raw = q_min - below + (np.arange(-(-span >> step_log2) + 1, dtype=np.int64) << step_log2)
     q = q_raw * (rig.actuator.encoder_resolution / _COUNT)
     width = np.interp(q, model.q, model.width)
     c_deg = _extended(q, np.asarray(model.q, float), np.asarray(model.c_deg, float))
     fields = _fields(rig, axis, limits or Limits.of(rig), kind, model.delay_of(MARKER), created_s)
-    fields |= {"q0": q_min, "step_log2": step_log2}
+    fields |= {"q0": int(q_raw[0]), "step_log2": step_log2}
+    raw_width = _raw(width / rig.actuator.encoder_resolution * _COUNT, "a backlash width")
     blob: bytes = _native.table_encode(
         fields,
-        _raw(width / rig.actuator.encoder_resolution * _COUNT, "a backlash width"),
+        raw_width,
         _raw(c_deg * _DEG, "f_remain"),
         model_id(model),
+        _plays(model, q_raw.astype(float), raw_width.astype(float)),
     )
     return _checked(blob, axis)
+
+
+def _plays(model: Model, q: Array, width: Array) -> dict[str, Any] | None:
+    """Section 1 of the blob for widths (n,) at nodes q (n,), Q8 counts; None for a single play.
+
+    The board's warp is straight between its nodes. Where its grid is too coarse for that, B is called narrow; should
+    that be everywhere, the single play is what is left.
+    """
+    elements, unit = model.elements, model.rig.actuator.encoder_resolution / _COUNT
+    if elements.single:
+        return None
+    share = np.array(elements.weight)
+    ends = np.rint(np.cumsum(share) * _WEIGHT).astype(int)
+    weight = np.diff(ends, prepend=0)  # whole, and their sum as well
+    width_share = np.array(elements.width) * _WEIGHT / (weight @ np.array(elements.width))
+    narrow = model.play.narrow / unit
+    while narrow < width.max():
+        warp = warp_of(model.q, model.width, narrow * unit)
+        floored = np.maximum(np.interp(q * unit, model.q, model.width), narrow * unit)
+        centre = np.interp(q * unit - 0.5 * floored, warp.q, warp.x) + 0.5
+        if _warp_off(q, width, narrow, centre) <= 1.0:
+            periods, widest = float(np.abs(centre).max()), float(width_share[-1])
+            log2 = min(
+                _PERIOD_LOG2,
+                int(np.floor(np.log2(_native.TABLE_CENTRE_MAX / periods))),
+                int(np.ceil(_HALF_LOG2 + 1 - np.log2(widest))) - 1,
+            )
+            return {
+                "period_log2": log2,
+                "narrow": int(np.ceil(narrow)) if (width < narrow).any() else 0,
+                "width_q28": np.rint(width_share * _SHARE).astype(int).tolist(),
+                "weight_q16": weight.tolist(),
+                "centre": _raw(centre * 2.0**log2, "the warp of the play's elements"),
+            }
+        narrow *= 1.5
+    return None
+
+
+def _warp_off(q: Array, width: Array, narrow: float, centre: Array) -> float:
+    """How far p_lo and p_hi of a motor between the nodes are from a period apart, relative to what may be, where
+    neither is in a narrow place."""
+    floored = np.maximum(width, narrow)
+    low, high = q + 0.5 * floored, q - 0.5 * floored
+    motor = np.linspace(low[0], high[-1], 4 * len(q))
+    p_low, p_high = np.interp(motor, low, q), np.interp(motor, high, q)
+    here, there = (np.interp(p, q, width) for p in (p_low, p_high))
+    wide = (here > narrow) & (there > narrow)
+    counts, share = _WARP_OFF
+    off = np.abs(np.interp(p_high, q, centre) - np.interp(p_low, q, centre) - 1.0)
+    return float((off * here / np.maximum(counts * _COUNT, share * here))[wide].max(initial=0.0))
 
 
 def encode_identity(
@@ -154,7 +219,16 @@ def decode(blob: bytes, axis: int | None = None) -> Table:
         q=(fields["q0"] + (nodes << fields["step_log2"])) * unit,
         width=fields["width"] * unit,
         c_deg=fields["angle"] / _DEG,
+        elements=_elements(fields["plays"]),
     )
+
+
+def _elements(plays: dict[str, Any] | None) -> Elements:
+    if plays is None:
+        return SINGLE
+    weight = np.array(plays["weight_q16"]) / _WEIGHT
+    width = np.array(plays["width_q28"]) / _SHARE
+    return Elements(tuple((width / (weight @ width)).tolist()), tuple(weight.tolist()))
 
 
 def _fields(rig: Rig, axis: int, limits: Limits, kind: str, delay_s: float, created_s: int | None) -> dict[str, int]:

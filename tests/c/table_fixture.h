@@ -33,4 +33,18 @@ static inline tl_table_t table_fixture(int sign) {
     return table;
 }
 
+// The same with two plays, of half and of one and a half of B, which share the motion evenly.
+static inline tl_table_t table_fixture_several(int sign) {
+    tl_table_t table = table_fixture(sign);
+    table.plays = 2;
+    table.period_log2 = 20;
+    table.play_width_q28[0] = 1U << 27;
+    table.play_width_q28[1] = 3U << 27;
+    table.play_weight_q16[0] = table.play_weight_q16[1] = 32768;
+    for (unsigned i = 0; i < table.nodes; i++) { // 64 of 300 counts a span
+        table.centre[i] = (int32_t)((int64_t)((int32_t)i - 78) * 64 * (1 << 20) / 300);
+    }
+    return table;
+}
+
 #endif

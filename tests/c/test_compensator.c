@@ -8,7 +8,7 @@
 #define COUNTS(x) ((tl_count_q8_t)((x) * TL_COUNT_ONE))
 #define RATE      1000U
 
-static tl_lookup_t rising, falling, identity, narrow, other;
+static tl_lookup_t rising, falling, identity, narrow, other, several, downwards;
 static tl_compensator_t k;
 
 static void load(tl_lookup_t *lookup, const tl_table_t *table) {
@@ -28,6 +28,10 @@ void setUp(void) {
     load(&narrow, &table);
     table = table_fixture(-1);
     load(&falling, &table);
+    table = table_fixture_several(1);
+    load(&several, &table);
+    table = table_fixture_several(-1);
+    load(&downwards, &table);
     table = table_fixture(1);
     table.nodes = 0;
     table.q0 = 0;
@@ -319,10 +323,81 @@ static void test_extreme_settings_are_safe(void) {
                 (void)tl_compensator_step(&k, c);
                 tl_compensator_set_strength(&k, tick * 37);
                 tl_compensator_set_mode(&k, (tl_mode_t)(tick % 3));
-                tl_compensator_set_table(&k, tick % 5 == 0 ? &falling : &rising);
+                tl_compensator_set_table(&k, tick % 5 == 0 ? &falling : (tick % 5 == 2 ? &several : &rising));
             }
         }
     }
+}
+
+// Two plays of 150 and 450 counts, which share the motion evenly.
+static void test_several_plays_are_undone_one_after_the_other(void) {
+    static const struct {
+        int32_t p, q;
+    } path[] = {{50, 175},  {75, 225},  {100, 250},   {850, 1000},   {800, 750},   {750, 650},
+                {600, 450}, {650, 700}, {1000, 1150}, {-850, -1000}, {-750, -650}, {-700, -550}};
+    const tl_lookup_t *const loaded[] = {&several, &downwards};
+    for (unsigned sign = 0; sign < 2; sign++) {
+        start(loaded[sign], TL_MODE_FULL, 0);
+        tl_play_t play;
+        tl_play_start(&play, loaded[sign], 0);
+        for (size_t i = 0; i < sizeof path / sizeof path[0]; i++) {
+            const tl_deg_q16_t c = angle(loaded[sign], COUNTS(path[i].p));
+            for (int tick = 0; tick < 600; tick++) {
+                (void)tl_play_step(&play, tl_compensator_step(&k, c));
+            }
+            TEST_ASSERT_INT32_WITHIN(16, COUNTS(path[i].q), k.q);
+            TEST_ASSERT_INT32_WITHIN(16, COUNTS(path[i].p), play.p);
+            TEST_ASSERT_EQUAL_HEX32(0, k.flags);
+        }
+    }
+}
+
+// Within the backlash p and q do not tell where each play is; the forward play does.
+static void test_switched_on_in_an_inner_loop_it_knows_each_play(void) {
+    tl_play_t play;
+    tl_play_start(&play, &several, 0);
+    static const int32_t path[] = {1000, 650, 700}; // the plays are at 725 and 775, the tip at 750
+    for (size_t i = 0; i < sizeof path / sizeof path[0]; i++) {
+        (void)tl_play_step(&play, COUNTS(path[i]));
+    }
+    for (int knows = 0; knows < 2; knows++) {
+        tl_compensator_start(&k, &several, RATE, TL_MODE_FULL, COUNTS(700), tl_play_angle(&play));
+        if (knows) {
+            tl_compensator_know(&k, &play);
+        }
+        TEST_ASSERT_INT32_WITHIN(16, COUNTS(700), hold(angle(&several, COUNTS(750)), 10));
+        TEST_ASSERT_INT32_WITHIN(16, COUNTS(knows ? 900 : 925), hold(angle(&several, COUNTS(800)), 600));
+    }
+    tl_compensator_start(&k, &rising, RATE, TL_MODE_FULL, COUNTS(700), tl_play_angle(&play));
+    tl_compensator_know(&k, &play); // of another table
+    TEST_ASSERT_INT32_WITHIN(16, COUNTS(950), hold(angle(&several, COUNTS(800)), 600));
+}
+
+static void test_the_strength_shares_what_several_plays_lose(void) {
+    start(&several, TL_MODE_FULL, 0);
+    (void)hold(angle(&several, COUNTS(850)), 600);
+    tl_compensator_set_strength(&k, TL_RATIO_ONE / 2);
+    TEST_ASSERT_INT32_WITHIN(16, COUNTS(925), hold(angle(&several, COUNTS(850)), 600));
+    TEST_ASSERT_INT32_WITHIN(16, COUNTS(700), hold(angle(&several, COUNTS(750)), 600)); // 650 in full
+    tl_compensator_set_mode(&k, TL_MODE_OFF);
+    TEST_ASSERT_INT32_WITHIN(300, COUNTS(750), hold(angle(&several, COUNTS(750)), 600));
+    tl_compensator_set_mode(&k, TL_MODE_BACKLASH);
+    tl_compensator_set_strength(&k, TL_RATIO_ONE);
+    TEST_ASSERT_INT32_WITHIN(300, COUNTS(650), hold(angle(&several, COUNTS(750)), 600));
+}
+
+static void test_a_table_of_several_plays_takes_over_and_gives_back(void) {
+    start(&rising, TL_MODE_FULL, 0);
+    (void)hold(angle(&rising, COUNTS(850)), 600);
+    const tl_count_q8_t before = k.q;
+    tl_compensator_set_table(&k, &several);
+    TEST_ASSERT_EQUAL_INT32(before, k.q);
+    TEST_ASSERT_INT32_WITHIN(16, COUNTS(1000), hold(angle(&rising, COUNTS(850)), 600)); // on the same envelope
+    TEST_ASSERT_INT32_WITHIN(16, COUNTS(650), hold(angle(&rising, COUNTS(750)), 600));
+    tl_compensator_set_table(&k, &rising);
+    TEST_ASSERT_INT32_WITHIN(16, COUNTS(600), hold(angle(&rising, COUNTS(750)), 600));
+    tl_compensator_set_table(&k, &several);
+    TEST_ASSERT_INT32_WITHIN(16, COUNTS(550), hold(angle(&rising, COUNTS(700)), 600));
 }
 
 int main(void) {
@@ -342,6 +417,10 @@ int main(void) {
     RUN_TEST(test_commands_beyond_the_table_saturate_and_say_so);
     RUN_TEST(test_an_axis_outside_its_range_is_only_led_inwards);
     RUN_TEST(test_the_feed_is_held_back_by_the_speed_limit_alone);
+    RUN_TEST(test_several_plays_are_undone_one_after_the_other);
+    RUN_TEST(test_switched_on_in_an_inner_loop_it_knows_each_play);
+    RUN_TEST(test_the_strength_shares_what_several_plays_lose);
+    RUN_TEST(test_a_table_of_several_plays_takes_over_and_gives_back);
     RUN_TEST(test_extreme_settings_are_safe);
     return UNITY_END();
 }

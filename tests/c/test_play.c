@@ -99,6 +99,32 @@ static void test_without_nodes_the_instrument_follows_the_motor(void) {
     TEST_ASSERT_EQUAL_INT32(-5, tl_play_step(&play, -5));
 }
 
+// Two plays of 150 and 450 counts: the tip follows the first at half speed, then both.
+static void test_several_plays_begin_one_after_the_other(void) {
+    const tl_table_t table = table_fixture_several(1);
+    TEST_ASSERT_EQUAL_INT(TL_TABLE_OK, tl_lookup_derive(&lookup, &table, 0));
+    tl_play_start(&play, &lookup, 0);
+    static const struct {
+        int32_t q, p;
+    } path[] = {{0, 0},      {75, 0},       {225, 75},    {425, 275},   {1000, 850}, {850, 850},
+                {650, 750},  {550, 700},    {450, 600},   {600, 600},   {700, 650},  {1000, 850},
+                {1100, 950}, {-1000, -850}, {-850, -850}, {-650, -750}, {-550, -700}};
+    for (size_t i = 0; i < sizeof path / sizeof path[0]; i++) {
+        TEST_ASSERT_INT32_WITHIN(8, COUNTS(path[i].p), tl_play_step(&play, COUNTS(path[i].q)));
+        TEST_ASSERT_INT32_WITHIN(8, COUNTS(path[i].p), tl_play_step(&play, COUNTS(path[i].q))); // at rest
+        TEST_ASSERT_EQUAL_HEX32(0, play.flags);
+    }
+    (void)tl_play_step(&play, COUNTS(9000));
+    TEST_ASSERT_INT32_WITHIN(64, COUNTS(8850), play.p);
+    TEST_ASSERT_EQUAL_HEX32(TL_LOOKUP_ABOVE, play.flags);
+    (void)tl_play_step(&play, INT32_MIN); // however far beyond
+    TEST_ASSERT_EQUAL_HEX32(TL_LOOKUP_BELOW, play.flags);
+    (void)tl_play_step(&play, INT32_MAX);
+    (void)tl_play_step(&play, COUNTS(1000));
+    (void)tl_play_step(&play, COUNTS(0));
+    TEST_ASSERT_INT32_WITHIN(8, COUNTS(150), play.p);
+}
+
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_inside_the_backlash_nothing_moves);
@@ -107,6 +133,7 @@ int main(void) {
     RUN_TEST(test_only_the_turning_points_matter);
     RUN_TEST(test_the_shortest_reversals_are_seen_where_the_width_is_steep);
     RUN_TEST(test_beyond_the_grid_it_is_flagged_and_saturates);
+    RUN_TEST(test_several_plays_begin_one_after_the_other);
     RUN_TEST(test_without_nodes_the_instrument_follows_the_motor);
     return UNITY_END();
 }

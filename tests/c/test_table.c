@@ -92,7 +92,7 @@ static void test_the_largest_table_fits_a_flash_sector(void) {
     }
     table.q_max = table.q0 + 1;
     const size_t size = tl_table_encode(&table, blob, 4096 - 64);
-    TEST_ASSERT_EQUAL_UINT(TL_TABLE_SIZE_MAX, size);
+    TEST_ASSERT_EQUAL_UINT(TL_TABLE_SIZE(TL_TABLE_NODES_MAX), size);
     TEST_ASSERT_EQUAL_INT(TL_TABLE_OK, tl_table_decode(blob, size, 0, &read));
     TEST_ASSERT_EQUAL_UINT(0, tl_table_encode(&table, blob, size - 1));
     table.nodes++;
@@ -119,7 +119,7 @@ static void test_damaged_blobs_are_refused_with_their_reason(void) {
     TEST_ASSERT_EQUAL_INT(TL_TABLE_BAD_SIZE, tl_table_decode(golden, 92, TL_TABLE_ANY_AXIS, &read));
     TEST_ASSERT_EQUAL_INT(TL_TABLE_BAD_SIZE, tl_table_decode(golden, sizeof golden - 1, TL_TABLE_ANY_AXIS, &read));
     TEST_ASSERT_EQUAL_INT(TL_TABLE_BAD_MAGIC, decode_changed(0, 'X', true));
-    TEST_ASSERT_EQUAL_INT(TL_TABLE_BAD_FORMAT, decode_changed(4, 2, true));
+    TEST_ASSERT_EQUAL_INT(TL_TABLE_BAD_FORMAT, decode_changed(4, 3, true));
     TEST_ASSERT_EQUAL_INT(TL_TABLE_BAD_SIZE, decode_changed(6, 0x6D, true));
     TEST_ASSERT_EQUAL_INT(TL_TABLE_BAD_SIZE, decode_changed(12, 3, true)); // nodes that the size does not hold
     TEST_ASSERT_EQUAL_INT(TL_TABLE_BAD_NODES, decode_changed(13, 2, true));
@@ -133,6 +133,115 @@ static void test_any_flipped_bit_is_refused(void) {
         const uint8_t changed = (uint8_t)(golden[bit / 8] ^ 1U << bit % 8);
         TEST_ASSERT_NOT_EQUAL_INT(TL_TABLE_OK, decode_changed(bit / 8, changed, false));
     }
+}
+
+// Sections ----------------------------------------------------------------------------------------
+
+static tl_table_t several(void) {
+    tl_table_t t = golden_table();
+    t.plays = 2;
+    t.period_log2 = 20;
+    t.narrow = 16;
+    t.play_width_q28[0] = 1U << 27; // 0.5 and 1.5 of B, half of the motion each
+    t.play_width_q28[1] = 3U << 27;
+    t.play_weight_q16[0] = t.play_weight_q16[1] = 32768;
+    t.centre[0] = -2000000;
+    t.centre[1] = 0x12345678 & 0xFFFFFF;
+    return t;
+}
+
+static void test_a_section_follows_the_nodes(void) {
+    const tl_table_t table = several();
+    const size_t at = sizeof golden - 4; // where format 1 has its CRC
+    static const uint8_t head[] = {
+        0x01, 0x00, 0x48, 0x00, // section 1, 64 + 4 * 2 bytes
+        0x02, 0x14, 0x00, 0x00, // 2 plays, 2^20 a period
+        0x10, 0x00, 0x00, 0x00, // narrow 16
+        0x00, 0x00, 0x00, 0x08, 0x00, 0x80, 0x00, 0x00, 0x00, 0x00, 0x00, 0x18, 0x00, 0x80, 0x00, 0x00,
+    };
+    static const uint8_t centre[] = {0x80, 0x7B, 0xE1, 0xFF, 0x78, 0x56, 0x34, 0x00};
+    TEST_ASSERT_EQUAL_UINT(at + 4 + 72 + 4, tl_table_encode(&table, blob, sizeof blob));
+    TEST_ASSERT_EQUAL_UINT8(2, blob[4]);
+    TEST_ASSERT_EQUAL_HEX8_ARRAY(golden + 8, blob + 8, at - 8);
+    TEST_ASSERT_EQUAL_HEX8_ARRAY(head, blob + at, sizeof head);
+    TEST_ASSERT_EACH_EQUAL_HEX8(0, blob + at + sizeof head, 4 + 64 - sizeof head);
+    TEST_ASSERT_EQUAL_HEX8_ARRAY(centre, blob + at + 68, sizeof centre);
+    memset(&read, 0, sizeof read);
+    TEST_ASSERT_EQUAL_INT(TL_TABLE_OK, tl_table_decode(blob, at + 80, 2, &read));
+    TEST_ASSERT_EQUAL_MEMORY(&table, &read, sizeof read);
+    TEST_ASSERT_EQUAL_UINT(0, tl_table_encode(&table, blob, at + 79));
+    TEST_ASSERT_EQUAL_INT(TL_TABLE_OK, tl_table_decode(golden, sizeof golden, 2, &read));
+    TEST_ASSERT_EQUAL_UINT8(0, read.plays); // of the table before nothing stays
+}
+
+// A blob of sections: `tail` bytes after the nodes, with sizes and CRC as they belong.
+static tl_table_reason_t decode_tail(const uint8_t *tail, size_t size) {
+    const size_t at = sizeof golden - 4, whole = at + size + 4;
+    memcpy(blob, golden, at);
+    memmove(blob + at, tail, size);
+    blob[4] = 2;
+    blob[6] = (uint8_t)whole;
+    blob[7] = (uint8_t)(whole >> 8);
+    const uint32_t crc = tl_crc32(0, blob, whole - 4);
+    for (unsigned i = 0; i < 4; i++) {
+        blob[whole - 4 + i] = (uint8_t)(crc >> 8 * i);
+    }
+    return tl_table_decode(blob, whole, TL_TABLE_ANY_AXIS, &read);
+}
+
+static void test_sections_that_are_none_are_refused(void) {
+    const tl_table_t table = several();
+    uint8_t tail[160];
+    tl_table_encode(&table, blob, sizeof blob);
+    memcpy(tail, blob + sizeof golden - 4, 76);
+    memcpy(tail + 76, tail, 76);
+    TEST_ASSERT_EQUAL_INT(TL_TABLE_OK, decode_tail(tail, 76));
+    TEST_ASSERT_EQUAL_INT(TL_TABLE_OK, decode_tail(tail, 0));
+    TEST_ASSERT_EQUAL_INT(TL_TABLE_BAD_SECTION, decode_tail(tail, 152)); // twice
+    for (size_t size = 1; size < 76; size++) {
+        TEST_ASSERT_EQUAL_INT(TL_TABLE_BAD_SECTION, decode_tail(tail, size)); // cut off
+    }
+    TEST_ASSERT_EQUAL_INT(TL_TABLE_BAD_SECTION, decode_tail(tail, 77));
+    tail[0] = 2; // unknown
+    TEST_ASSERT_EQUAL_INT(TL_TABLE_BAD_SECTION, decode_tail(tail, 76));
+    tail[0] = 1;
+    tail[2] = 0x44; // of another size
+    TEST_ASSERT_EQUAL_INT(TL_TABLE_BAD_SECTION, decode_tail(tail, 72));
+    tail[2] = 0x48;
+    static const struct {
+        unsigned at;
+        uint8_t value;
+        tl_table_reason_t reason;
+    } bad[] = {{4, 1, TL_TABLE_BAD_PLAYS},     {4, 8, TL_TABLE_BAD_PLAYS},     {6, 1, TL_TABLE_BAD_RESERVED},
+               {7, 1, TL_TABLE_BAD_RESERVED},  {30, 1, TL_TABLE_BAD_RESERVED}, {67, 1, TL_TABLE_BAD_RESERVED},
+               {16, 1, TL_TABLE_BAD_PLAYS},    {5, 27, TL_TABLE_BAD_WARP},     {5, 7, TL_TABLE_BAD_WARP},
+               {11, 0x80, TL_TABLE_BAD_PLAYS}, {71, 0x7F, TL_TABLE_BAD_WARP},  {71, 0x01, TL_TABLE_BAD_WARP}};
+    for (size_t i = 0; i < sizeof bad / sizeof bad[0]; i++) {
+        const uint8_t was = tail[bad[i].at];
+        tail[bad[i].at] = bad[i].value;
+        TEST_ASSERT_EQUAL_INT_MESSAGE(bad[i].reason, decode_tail(tail, 76), "changed byte");
+        tail[bad[i].at] = was;
+    }
+}
+
+#define REFUSED_PLAYS(reason, change)                                                                                  \
+    do {                                                                                                               \
+        tl_table_t t = several();                                                                                      \
+        change;                                                                                                        \
+        TEST_ASSERT_EQUAL_INT_MESSAGE(TL_TABLE_##reason, tl_table_check(&t, TL_TABLE_ANY_AXIS), #change);              \
+    } while (0)
+
+static void test_unfit_elements_are_refused(void) {
+    REFUSED_PLAYS(OK, (void)t);
+    REFUSED_PLAYS(BAD_PLAYS, t.play_width_q28[1] = t.play_width_q28[0]);
+    REFUSED_PLAYS(BAD_PLAYS, t.play_width_q28[0] = 0);                                     // another B
+    REFUSED_PLAYS(BAD_PLAYS, (t.play_weight_q16[0] = 3276, t.play_weight_q16[1] = 62260)); // below 0.05
+    REFUSED_PLAYS(BAD_PLAYS, t.play_weight_q16[1]++);
+    REFUSED_PLAYS(BAD_PLAYS, t.narrow = -1);
+    REFUSED_PLAYS(BAD_WARP, t.centre[1] = t.centre[0]);
+    REFUSED_PLAYS(OK, t.centre[1] = TL_TABLE_CENTRE_MAX);
+    REFUSED_PLAYS(BAD_WARP, t.centre[1] = TL_TABLE_CENTRE_MAX + 1);
+    REFUSED_PLAYS(BAD_RESERVED, (t.nodes = 0, t.q0 = 0, t.step_log2 = 0)); // nothing to share
 }
 
 // Content -----------------------------------------------------------------------------------------
@@ -285,6 +394,9 @@ int main(void) {
     RUN_TEST(test_the_largest_table_fits_a_flash_sector);
     RUN_TEST(test_damaged_blobs_are_refused_with_their_reason);
     RUN_TEST(test_any_flipped_bit_is_refused);
+    RUN_TEST(test_a_section_follows_the_nodes);
+    RUN_TEST(test_sections_that_are_none_are_refused);
+    RUN_TEST(test_unfit_elements_are_refused);
     RUN_TEST(test_unfit_content_is_refused_with_its_reason);
     RUN_TEST(test_unfit_functions_are_refused_with_their_reason);
     RUN_TEST(test_spans_that_saturate_are_refused);

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from cli_runner import Taut
 
 from tautline import recording as recordings
 from tautline.calibration.acquisition import doubts
 from tautline.calibration.calibrate import calibrate
 from tautline.calibration.observations import observe
+from tautline.errors import TautError
+from tautline.live.setup import CameraEye
 from tautline.quality import Quality, Reason, Verdict
 from tautline.recording import Recording
 from tautline.rig import Actuator, Rig
@@ -143,3 +147,24 @@ def test_the_frame_size_stays_with_a_recording(made: Recording, tmp_path) -> Non
     file.write_text("\n".join([*lines[:5], lines[5].replace("720", "640"), *lines[6:]]) + "\n")
     torn = recordings.load(tmp_path / "one")
     assert torn.marker.frame_px is None and any("one size" in w for w in torn.warnings)
+
+
+def test_the_command_refuses_a_half_sized_recording(made: Recording, tmp_path, monkeypatch, capsys) -> None:
+    recordings.save(scaled(made, 0.5, (360, 288)), tmp_path / "half")
+    done = Taut(monkeypatch, capsys)("calibrate", tmp_path / "half", "--out", tmp_path / "model", "--json")
+    assert done.code == 3
+    assert json.loads(done.out)["quality"]["reasons"][0]["code"] == "frame_size"
+    assert (tmp_path / "model" / "model.json").is_file()
+
+
+def test_a_live_camera_of_another_size_is_an_error_at_its_first_frame() -> None:
+    class Half:
+        clock = "its own"
+
+        def read(self):
+            return np.zeros((288, 360, 3), np.uint8), 0.0
+
+        def close(self) -> None: ...
+
+    with pytest.raises(TautError, match="360 x 288 px, the rig's 720 x 576"):
+        CameraEye(None, Half(), None, (720, 576)).look()

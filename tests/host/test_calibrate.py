@@ -238,7 +238,7 @@ def test_a_wrong_sign_and_a_wrong_scale_are_named():
     assert any("sign is wrong" in str(reason) for reason in calibrate([flipped], RIG).model.quality.reasons)
     tenth = replace(RIG, actuator=Actuator("mm", (-0.5, 0.5), 0.0001))
     small = replace(made, motor=replace(made.motor, q=0.1 * made.motor.q))
-    assert any(reason.code == "scale" for reason in calibrate([small], tenth).model.quality.reasons)
+    assert any(reason.code == "coarse" for reason in calibrate([small], tenth).model.quality.reasons)
 
 
 def test_what_shows_nothing_is_refused():

@@ -104,8 +104,9 @@ def test_the_simulated_instrument_does_what_the_corrected_model_predicts(kind, t
     marker = made.recording.marker
     late = made.scene_s > 4.0
     seen = np.column_stack([marker.u_px, marker.v_px])[late]
-    told = predict(model, exact, made.scene_s[late]).image_px
-    if kind.repeats:
+    own_camera = kind.id in ("acquisition.clock_rate", "acquisition.held_samples")
+    told = predict(replace(model, effects=()) if own_camera else model, exact, made.scene_s[late]).image_px
+    if not kind.event or own_camera:
         assert seen == pytest.approx(told, abs=0.05)
     elif kind.id == "transmission.stick_slip":
         assert 0.1 < np.sqrt(np.mean((seen - told) ** 2)) < 20.0

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from tautline import _native, effects, geometry
 from tautline.effects import LIBRARY, simulate
+from tautline.effects.library.distortion import distorted
 from tautline.model import Model
 from tautline.recording import Motor
 from tautline.simulated.instrument import preset, reference_rig
@@ -216,7 +217,7 @@ def test_registration_and_camera():
     np.testing.assert_allclose(shifted[t > 10.01], static[t > 10.01], atol=1e-9)
     late = simulate(MODEL, STROKES, t, {"delay": 0.1}).image_px
     np.testing.assert_allclose(late, simulate(MODEL, STROKES, t - 0.1, {}).image_px, atol=1e-9)
-    assert effects.distorted(RIG.camera, {"k1": 0.1}).distortion[0] == RIG.camera.distortion[0] + 0.1
+    assert distorted(RIG.camera, {"k1": 0.1}).distortion[0] == RIG.camera.distortion[0] + 0.1
     assert np.abs(simulate(MODEL, STROKES, t, {"k1": 0.1}).image_px - plain).max() > 0.5
 
 
@@ -270,7 +271,7 @@ def test_the_image_and_its_slopes(seed):
     if values["curvature_gradient"] == 0.0:
         bend = geometry.tip_bend(RIG.kinematics, c)[0] + np.outer(translation, [0, 0, 1])
         base = registered(geometry.about_base_z(turn, bend), way, shifted, values)
-        camera = effects.distorted(RIG.camera, values)
+        camera = distorted(RIG.camera, values)
         expected = geometry.to_image(camera, geometry.to_camera(RIG.hand_eye, base))[0]
         np.testing.assert_allclose(image, expected, atol=1e-8)
     step = 1e-4
@@ -403,3 +404,78 @@ def test_a_parameter_that_no_effect_has_is_refused():
         _native.simulate_effects(
             {"nonsense": 1.0}, GRID, MODEL.width, MODEL.c_deg, np.arange(3.0), np.zeros(3), np.arange(3.0)
         )
+
+
+def swung(t, u, share, period, damping):
+    """By small steps of the differential equation, straight between them."""
+    w, y, rate, out = 2 * np.pi / period, u[0], 0.0, []
+    for i in range(len(t)):
+        if i:
+            dt = (t[i] - t[i - 1]) / 40
+            for k in range(40):
+                drive = u[i - 1] + (u[i] - u[i - 1]) * (k + 0.5) / 40
+                rate += dt * (w * w * (drive - y) - 2 * damping * w * rate)
+                y += dt * rate
+        out.append(u[i] + share * (y - u[i]))
+    return np.array(out)
+
+
+@pytest.mark.parametrize(("period", "damping"), [(0.5, 0.1), (1.3, 0.05), (0.8, 0.9)])
+def test_a_swing_is_its_differential_equation(period, damping):
+    t = np.arange(0.0, 27.0, 0.002)
+    values = {"swing_share": 0.4, "swing_period": period, "swing_damping": damping}
+    plain, path = simulate(MODEL, STROKES, t, {}), simulate(MODEL, STROKES, t, values)
+    np.testing.assert_allclose(path.tip, swung(t, plain.p, 0.4, period, damping), atol=5e-4)
+    assert np.ptp(path.tip - plain.p) > 0.05
+    sparse = simulate(MODEL, STROKES, t[::20], values)  # exact for any times that are asked for
+    np.testing.assert_allclose(sparse.tip, path.tip[::20], atol=2e-4)
+
+
+def test_another_joint_moves_c_through_its_own_play():
+    t = STROKES.t_s
+    wrist = 30.0 * np.sin(t / 3.0)
+    motor = replace(STROKES, extra={"wrist_deg": wrist})
+    values = {"c_per_joint": 0.2, "joint_play": 6.0, "column": "wrist_deg"}
+    added = simulate(MODEL, motor, t, values).c_deg - simulate(MODEL, motor, t, {}).c_deg
+    carried = _native.play_trace(wrist, np.array([-99.0, 99.0]), np.array([6.0, 6.0]), wrist[0])[0]
+    np.testing.assert_allclose(added, 0.2 * carried, atol=1e-9)
+    rests = simulate(MODEL, STROKES, t, values).c_deg
+    np.testing.assert_allclose(rests, simulate(MODEL, STROKES, t, {}).c_deg, atol=1e-9)
+
+
+@pytest.mark.parametrize("at_tip", [0.0, 1.0])
+@pytest.mark.parametrize("name", ["offset", "width_scale", "remaining_3"])
+def test_a_nominal_part_is_simulated_as_the_model_that_holds_it(name, at_tip):
+    """As far as the tables of both reach."""
+    values = {name: 0.3, "offset_at_tip": at_tip} if name == "offset" else {name: 0.3}
+    kind = effects.OWNER[name]
+    t = np.arange(6.0, 26.0, 0.01)
+    held = simulate(kind.holds(MODEL, values, 0.0), STROKES, t, {}, start_deg=3.0)
+    told = simulate(MODEL, STROKES, t, values, start_deg=3.0)
+    np.testing.assert_allclose(told.c_deg, held.c_deg, atol=1e-6)
+    assert np.ptp(told.c_deg - simulate(MODEL, STROKES, t, {}).c_deg) + abs(told.c_deg[0]) > 0.05
+
+
+def test_a_clock_of_another_rate_is_late_the_longer_it_runs():
+    t = np.array([5.0, 15.0, 25.0])
+    late = simulate(MODEL, STROKES, t, {"clock_rate": 1e-3}).c_deg
+    np.testing.assert_allclose(late, simulate(MODEL, STROKES, t * (1 - 1e-3), {}).c_deg, atol=1e-12)
+
+
+def test_dahl_s_friction_is_a_spread_of_two_with_a_tail():
+    """Travel x since a reversal from the envelope: the tip lags by B exp(-x / B), as in Dahl's first-order model."""
+    width = 0.5
+    t = np.arange(12.05, 18.0, 0.05)
+    p = simulate(made(width), STROKES, t, {"onset_spread": 2.0, "onset_tail": 1.0}).p
+    x = np.interp(t, STROKES.t_s, STROKES.q) + 4.0
+    np.testing.assert_allclose(p, -4.0 + 0.5 * width + x - width * -np.expm1(-x / width), atol=0.01 * width)
+
+
+def test_every_parameter_has_one_owner_and_every_native_one_a_descriptor():
+    names = [parameter.name for kind in LIBRARY for parameter in kind.parameters]
+    assert len(names) == len(set(names))
+    told = {name for name, *_ in (*_native.effect_parameters, *_native.sight_parameters)}
+    assert told - set(names) == {"c_per_joint", "joint_play"}  # a descriptor for each joint's column has them
+    for name, _, _, meaning in _native.effect_parameters:
+        if name in names:
+            assert meaning.split(":")[0] == effects.OWNER[name].id

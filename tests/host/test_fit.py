@@ -134,9 +134,9 @@ def test_the_right_effect_is_fitted_down_to_the_noise(parameters, throughout):
     base = fitter.nominal()
     kind = next(k for k in BY_ID.values() if next(iter(parameters)) in {p.name for p in k.amplitudes})
     limits = [10.0 * float(np.abs(r).max()) for r in base.residuals]
-    entries = {entry.only_tests: entry for entry in screen(fitter, base, [kind], limits)}
+    entries = {entry.scope: entry for entry in screen(fitter, base, [kind], limits)}
     entry = entries.get(not throughout) or entries[False]
-    found = fitter.fit(Hypothesis().plus(kind, entry.only_tests), entry.values, base.state, entry.others)
+    found = fitter.fit(Hypothesis().plus(kind, entry.scope), entry.values, base.state, entry.others)
     assert rms(found.residuals) < 1.1 * NOISE, (rms(base.residuals), found.state.values)
     if "shift_time" in parameters:
         assert found.state.values["shift_time"] == pytest.approx(parameters["shift_time"], abs=0.05)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tautline.calibration.calibrate import calibrate
+from tautline.calibration.calibrate import Calibration, calibrate
 from tautline.model import Model
 from tautline.quality import Verdict
 from tautline.recording import Recording
@@ -53,13 +53,17 @@ def z_of(model: Model, plant: Instrument) -> float:
     return float(np.sqrt(np.mean(((model.width - plant.backlash(model.q)) / model.width_sigma)[inside] ** 2)))
 
 
+def place_of(found: Calibration) -> dict[str, float]:
+    return {key.removeprefix("place_"): value for key, value in found.evidence.items()}
+
+
 def test_neighbouring_frames_that_err_alike_are_fewer() -> None:
     squares, effects = [], []
     for seed in (801, 802, 803):
         plant, recording = made(seed)
         model = calibrate([moved(recording, lingering(recording, 0.12, 7.0, seed))], RIG).model
         squares.append(z_of(model, plant) ** 2)
-        effects.append(model.extra["place_noise"]["effect"])
+        effects.append(model.extra["evidence"]["place_effect"])
     assert np.sqrt(np.mean(squares)) < 1.5  # 3.5 were they counted as independent
     assert 6.0 < np.median(effects) < 20.0  # 14 of an unending record
 
@@ -67,7 +71,7 @@ def test_neighbouring_frames_that_err_alike_are_fewer() -> None:
 def test_independent_frames_count_in_full() -> None:
     plant, recording = made(804)
     found = calibrate([recording], RIG)
-    noise = found.model.extra["place_noise"]
+    noise = place_of(found)
     assert found.model.quality.verdict is Verdict.GOOD
     assert noise["effect"] < 1.25 and noise["length"] < 0.5
     assert noise["at_rest"] == pytest.approx(0.02, rel=0.15)
@@ -76,8 +80,8 @@ def test_independent_frames_count_in_full() -> None:
 
 def test_what_passes_repeat_at_a_place_is_told_from_scatter() -> None:
     _, recording = made(805)
-    noise = calibrate([moved(recording, of_the_place(recording, 0.1, 0.15))], RIG).model.extra["place_noise"]
+    noise = place_of(calibrate([moved(recording, of_the_place(recording, 0.1, 0.15))], RIG))
     assert noise["common"] == pytest.approx(0.1, rel=0.35)
     assert noise["at_rest"] == pytest.approx(0.02, rel=0.3)
-    lasting = calibrate([moved(recording, lingering(recording, 0.1, 5.0, 1))], RIG).model.extra["place_noise"]
+    lasting = place_of(calibrate([moved(recording, lingering(recording, 0.1, 5.0, 1))], RIG))
     assert lasting["common"] < 0.04

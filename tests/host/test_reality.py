@@ -127,7 +127,7 @@ def test_what_an_effect_of_the_library_imitates_is_not_outside_of_it(monkeypatch
     monkeypatch.setitem(UNKNOWN, "coupling", KNOWN["configuration.axis_coupling"])
     imitated = make(3, "unknown", ("coupling",)).label
     assert not imitated.identifiable
-    assert make(3, "unknown", ("worn_spot",)).label.identifiable
+    assert make(3, "unknown", ("bouc_wen",)).label.identifiable
 
 
 def test_bouc_wen_bulges_within_the_envelopes_and_forgets_by_travel() -> None:

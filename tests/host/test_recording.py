@@ -181,8 +181,9 @@ def test_degrees_and_own_rig(tmp_path: Path) -> None:
     (tmp_path / "angle.csv").write_text("t_s,c_deg,note\n0.0,70,a\n0.5,nan,b\n1.0,71,c\n")
     recording = load(tmp_path)
     assert recording.rig == DEG_RIG and recording.angle is not None
-    np.testing.assert_array_equal(recording.angle.c_deg, [70, 71])
-    assert list(recording.angle.extra["note"]) == ["a", "c"] and "left out" in recording.warnings[0]
+    np.testing.assert_array_equal(recording.angle.c_deg, [70, np.nan, 71])
+    assert recording.angle.seen.tolist() == [True, False, True]
+    assert list(recording.angle.extra["note"]) == ["a", "b", "c"] and "not valid" in recording.warnings[0]
     assert "expected q_mm" in refused(tmp_path, RIG)
 
 
@@ -295,7 +296,9 @@ def recordings(draw: st.DrawFn) -> Recording:
     t_s = motor_s[0] + np.cumsum(draw(hnp.arrays(float, m, elements=st.floats(1e-4, 0.01)))) - 1e-4
     t_s[0] = motor_s[0]
     marker = Marker(t_s, u, v, valid, sigma) if unit == "mm" else None
-    angle = Angle(t_s, column(m)) if unit == "deg" or draw(st.booleans()) else None
+    read = None if valid.all() or not valid.any() or draw(st.booleans()) else valid
+    c = np.where(valid, column(m), np.nan) if read is not None else column(m)
+    angle = Angle(t_s, c, read) if unit == "deg" or draw(st.booleans()) else None
     return Recording("r", motor, marker, angle, rig=rig)
 
 

@@ -7,6 +7,7 @@ from tautline.diagnose.scatter import RIVALS, Scatter, frames, weighed
 
 FLOOR, RATE_HZ = 0.05, 25.0
 JITTER, STICK = "acquisition.jitter", "transmission.stick_slip"
+HELD = "acquisition.held_samples"
 PX_PER_UNIT = np.array([40.0, 15.0])
 
 
@@ -51,7 +52,7 @@ def swinging(t, p, rng):
 
 @pytest.mark.parametrize(
     ("make", "name"),
-    [(unsteady, JITTER), (sticking, STICK), (repeating, "repeats"), (wandering, "memory"), (swinging, "memory")],
+    [(unsteady, JITTER), (sticking, STICK), (repeating, HELD), (wandering, "memory"), (swinging, "memory")],
 )
 def test_each_says_its_own_best(make, name):
     said = told(np.random.default_rng(5), make)
@@ -60,8 +61,8 @@ def test_each_says_its_own_best(make, name):
 
 
 def test_their_sizes_are_found():
-    assert told(np.random.default_rng(6), unsteady).jitter_s == pytest.approx(0.012, rel=0.3)
-    assert told(np.random.default_rng(6), sticking).stick == pytest.approx(0.12, rel=0.4)
+    assert told(np.random.default_rng(6), unsteady).amount[JITTER] == pytest.approx(0.012, rel=0.3)
+    assert told(np.random.default_rng(6), sticking).amount[STICK] == pytest.approx(0.12, rel=0.4)
 
 
 def test_noise_alone_is_neither():

@@ -60,6 +60,7 @@ CONDITIONS = (
     Condition("glare", glare=True),
     Condition("occlusion", covered=True),
     Condition("two alike markers", alike=True),
+    Condition("two alike markers, occlusion", alike=True, covered=True),
     Condition("variable rate", variable=True),
     Condition("1080p, H.264", codec="h264", quality=23.0, width=1920, height=1080),
     Condition("half size", scale=0.5, refused=True),

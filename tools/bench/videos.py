@@ -38,7 +38,6 @@ class Outcome:
     status: int  # exit status of taut calibrate
     verdict: str
     reasons: tuple[str, ...]
-    lost: int  # frames without a marker
 
     @classmethod
     def of(cls, condition: str, seed: int, status: int, said: dict[str, Any], truth: dict[str, Any]) -> Outcome:
@@ -49,7 +48,6 @@ class Outcome:
         return cls(
             condition, seed, 1e3 * _rms(error), 1e3 * _rms(sigma[inside]), _rms(error / sigma[inside]), status,
             said["quality"]["verdict"], tuple(r["code"] for r in said["quality"]["reasons"]),
-            int(said["evidence"].get("frames_lost", 0)),
         )  # fmt: skip
 
 
@@ -115,11 +113,11 @@ def command(seeds: int, only: tuple[str, ...], as_json: bool) -> None:
         click.echo(json.dumps(plain([asdict(outcome) for outcome in outcomes]), allow_nan=False))
         return
     table = Table(title="B(q) from videos: error and stated sigma, rms within `measured`; z = rms(error / sigma)")
-    for name in ("", "seed", "error, um", "sigma, um", "z", "lost", "exit", "verdict", "reasons"):
+    for name in ("", "seed", "error, um", "sigma, um", "z", "exit", "verdict", "reasons"):
         table.add_column(name, justify="left" if name in ("", "verdict", "reasons") else "right")
     for o in outcomes:
         table.add_row(
-            o.condition, str(o.seed), f"{o.error_um:.2f}", f"{o.sigma_um:.2f}", f"{o.z:.2f}", str(o.lost),
+            o.condition, str(o.seed), f"{o.error_um:.2f}", f"{o.sigma_um:.2f}", f"{o.z:.2f}",
             str(o.status), o.verdict, ", ".join(o.reasons),
         )  # fmt: skip
     Console(width=None if sys.stdout.isatty() else 140).print(table)

@@ -7,8 +7,8 @@
 #include "tautline/tl_axis.h"
 #include "tautline/tl_onset.h"
 
-enum { STEP_TIP, STEP_OTHER, WATCH, MOTION, ONSET, LOOKUP, LOOKUP_YARDSTICK, EMPTY };
-enum { TABLES = 60, TICKS = 300, RATE_HZ = 5000, MOTIONS = 500, REVERSALS = 330 };
+enum { STEP_TIP, STEP_OTHER, WATCH, MOTION, ONSET, STEP_PLAYS, WATCH_PLAYS, LOOKUP, LOOKUP_YARDSTICK, EMPTY };
+enum { TABLES = 60, PLAY_TABLES = 30, TICKS = 300, RATE_HZ = 5000, MOTIONS = 500, REVERSALS = 330 };
 
 #define BEGIN(kind)                                                                                                    \
     do {                                                                                                               \
@@ -114,6 +114,45 @@ static void make_table(tl_table_t *table) {
     } while (tl_table_check(table, 0) != TL_TABLE_OK);
 }
 
+// The same with several plays: a width that varies little, so that 1 / B adds up to a warp.
+static void add_plays(tl_table_t *table) {
+    const int32_t step = 1 << table->step_log2, width = between(step / 2, 20 * step) + 1;
+    uint32_t weights[TL_TABLE_PLAYS_MAX], widths[TL_TABLE_PLAYS_MAX], rises = 0;
+    uint64_t weight = 0, mean = 0;
+    table->plays = (uint8_t)(between(0, 2) == 0 ? between(2, TL_TABLE_PLAYS_MAX) : TL_TABLE_PLAYS_MAX);
+    for (uint32_t i = 0; i < table->plays; i++) {
+        weights[i] = (uint32_t)between(1000, 3000);
+        rises += (uint32_t)between(i == 0 ? 0 : 1, 1000);
+        widths[i] = rises;
+        weight += weights[i];
+        mean += (uint64_t)weights[i] * widths[i];
+    }
+    uint32_t left = 65536;
+    for (uint32_t i = 0; i < table->plays; i++) {
+        const uint32_t share = (uint32_t)(((uint64_t)weights[i] << 16) / weight);
+        table->play_weight_q16[i] = i + 1U < table->plays ? share : left;
+        left -= share;
+        table->play_width_q28[i] = (uint32_t)(((uint64_t)widths[i] * weight << 28) / mean);
+    }
+    table->narrow = between(0, 1) == 0 ? 0 : width + between(0, 8) * (step / 256);
+    table->period_log2 = (uint8_t)(between(0, 1) == 0 ? between(16, 20) : 20);
+    int64_t y = -((int64_t)1 << 27);
+    for (uint32_t i = 0; i < table->nodes; i++) {
+        table->width[i] = width + (int32_t)(i % 64U < 32U ? i % 32U : 32U - i % 32U) * (step / 256);
+        table->centre[i] = (int32_t)y;
+        y += ((int64_t)step << table->period_log2) / table->width[i];
+    }
+}
+
+static void make_plays(tl_table_t *table) {
+    do {
+        make_table(table);
+        if (table->nodes > 1) {
+            add_plays(table);
+        }
+    } while (table->plays == 0 || tl_lookup_derive(&axis.lookup, table, 0) != TL_TABLE_OK);
+}
+
 // -- a motor that follows well enough, and sometimes does not
 // -----------------------------------------------------------------
 
@@ -136,7 +175,7 @@ static void __no_inline_not_in_flash_func(step)(uint32_t kind, tl_us_t now_us) {
     tl_axis_step(&axis);
     END();
     if (axis.slot == 0) {
-        BEGIN(WATCH);
+        BEGIN(axis.lookup.plays > 0 ? WATCH_PLAYS : WATCH);
         tl_axis_watch(&axis, now_us);
         END();
     }
@@ -145,11 +184,11 @@ static void __no_inline_not_in_flash_func(step)(uint32_t kind, tl_us_t now_us) {
     }
 }
 
-static void start_axis(void) {
+static void start_axis(bool plays) {
     tl_axis_init(&axis, &port, 0);
     axis.divider = (uint8_t)between(0, 3);
     quickness = between(0, 2) == 0 ? 1 << between(3, 9) : 32;
-    make_table(&axis.lookup.table);
+    (plays ? make_plays : make_table)(&axis.lookup.table);
     if (tl_lookup_derive(&axis.lookup, &axis.lookup.table, 0) != TL_TABLE_OK) {
         panic("a table that was checked is refused");
     }
@@ -221,7 +260,8 @@ static void follow_tip(tl_us_t *now_us) {
         if (between(0, 40) == 0) {
             tl_axis_set_strength(&axis, between(0, 32768));
         }
-        step(axis.mode == TL_WIRE_MODE_FOLLOW_TIP ? STEP_TIP : STEP_OTHER, *now_us);
+        const uint32_t kind = axis.lookup.plays > 0 ? STEP_PLAYS : STEP_TIP;
+        step(axis.mode == TL_WIRE_MODE_FOLLOW_TIP ? kind : STEP_OTHER, *now_us);
     }
 }
 
@@ -492,7 +532,7 @@ int main(void) {
     for (uint32_t table = 1; table <= TABLES; table++) {
         seed = table * 2654435761u;
         tl_us_t now_us = (1ULL << 32) - 1000000U; // the high word of the time changes on the way
-        start_axis();
+        start_axis(false);
         follow_tip(&now_us);
         other_modes(&now_us);
         calibrate(&now_us);
@@ -504,6 +544,12 @@ int main(void) {
     }
     motions();
     onsets();
+    for (uint32_t table = 1; table <= PLAY_TABLES; table++) {
+        seed = table * 2246822519u;
+        tl_us_t now_us = 1000000U;
+        start_axis(true);
+        follow_tip(&now_us);
+    }
     __asm__ volatile("bkpt 0xd2");
     for (;;) {
     }

@@ -6,12 +6,12 @@
 /// travels: inverses, the range of c and the flat spans are worked out by tl_lookup_load(), so they cannot
 /// disagree with f. A table without nodes is the identity: B = 0 and f is the coarse kinematics.
 ///
-/// Blob, format TL_TABLE_FORMAT, little-endian, integers in two's complement, no padding:
+/// Blob, format 1 or 2, little-endian, integers in two's complement, no padding:
 ///
 ///   offset size  field
 ///        0    4  magic "TLTB"
-///        4    2  format: TL_TABLE_FORMAT (the firmware has a version of its own)
-///        6    2  size of the whole blob in bytes: 92 + 8 * nodes
+///        4    2  format: 1, or 2 where sections follow the nodes (the firmware has a version of its own)
+///        6    2  size of the whole blob in bytes: 92 + 8 * nodes, and the sections'
 ///        8    1  axis, 0..3
 ///        9    1  kind of axis, tl_axis_kind_t: says what c is (deg, or mm for a translation)
 ///       10    1  unit of motor positions, tl_unit_t
@@ -37,7 +37,25 @@
 ///       80    8  reserved, zero
 ///       88  4*n  B, Q8 counts, n = nodes
 ///   88+4*n  4*n  f, deg Q16
-///   88+8*n    4  CRC-32 (tl_crc.h) of everything before it
+///   88+8*n  ...  format 2: sections, each 2 bytes of id, 2 bytes of the size of what follows, and that
+///      end    4  CRC-32 (tl_crc.h) of everything before it
+///
+/// A section that the reader does not know, or one that comes twice, is an error: a board undoes all that a table says,
+/// or refuses it. A table without sections is written as format 1.
+///
+/// Section 1, several plays: the elements that share B, for a motion that starts gradually. Without it there is one.
+///
+///   offset size  field
+///        0    1  plays: 2..7
+///        1    1  period_log2: a period, the width of all, is 2^period_log2 of Y, 8..26
+///        2    2  reserved, zero
+///        4    4  narrow, Q8 counts: where B(p) is less, there is one play; 0: nowhere
+///        8  8*7  for each element its share of B, Q28, rising from 0 or more, below 16, and its share of the motion,
+///                Q32, at least 0.05 for the first; zeros beyond `plays`. The shares of the motion sum up to 1, and so
+///                do their products with the shares of B
+///       64  4*n  Y at the nodes, n = nodes: Y = G(p - B/2) + 1/2 period for the warp G that makes every width a
+///                period, G(p + B/2) - G(p - B/2) = 1; strictly rising, within +-2^29; B is taken as `narrow` where it
+///                is less
 ///
 /// Thread model: functions touch only their arguments. Encoding, decoding and checking are for load time:
 /// O(nodes), 0.9 ms for the largest table on a 125 MHz Cortex-M0+, no division.
@@ -48,17 +66,23 @@
 
 #include <stddef.h>
 
-#define TL_TABLE_FORMAT        1U
-#define TL_TABLE_AXES          4U
-#define TL_TABLE_NODES_MAX     257U
-#define TL_TABLE_STEP_LOG2_MAX 23U
-#define TL_TABLE_DELAY_MAX_US  2000000U
-#define TL_TABLE_HEADER_SIZE   88U
-#define TL_TABLE_SIZE(nodes)   (TL_TABLE_HEADER_SIZE + 8U * (nodes) + 4U)
-#define TL_TABLE_SIZE_MAX      TL_TABLE_SIZE(TL_TABLE_NODES_MAX) ///< 2148: a 4096-byte flash sector has room for more
-#define TL_TABLE_ANY_AXIS      0xFFU
+#define TL_TABLE_FORMAT            2U ///< the newest that is read; 1 still is
+#define TL_TABLE_FORMAT_PLAIN      1U ///< without sections
+#define TL_TABLE_AXES              4U
+#define TL_TABLE_NODES_MAX         257U
+#define TL_TABLE_STEP_LOG2_MAX     23U
+#define TL_TABLE_DELAY_MAX_US      2000000U
+#define TL_TABLE_HEADER_SIZE       88U
+#define TL_TABLE_SIZE(nodes)       (TL_TABLE_HEADER_SIZE + 8U * (nodes) + 4U) ///< of format 1
+#define TL_TABLE_PLAYS_MAX         7U
+#define TL_TABLE_PLAYS_SECTION     1U
+#define TL_TABLE_PLAYS_SIZE(nodes) (64U + 4U * (nodes)) ///< of the section's content
+/// 3244: a 4096-byte flash sector has room for more.
+#define TL_TABLE_SIZE_MAX (TL_TABLE_SIZE(TL_TABLE_NODES_MAX) + 4U + TL_TABLE_PLAYS_SIZE(TL_TABLE_NODES_MAX))
+#define TL_TABLE_ANY_AXIS 0xFFU
 /// Positions, position -+ B/2 and angles stay within +-TL_TABLE_VALUE_MAX, so that differences never overflow.
-#define TL_TABLE_VALUE_MAX ((int32_t)0x3FFFFFFF)
+#define TL_TABLE_VALUE_MAX  ((int32_t)0x3FFFFFFF)
+#define TL_TABLE_CENTRE_MAX ((int32_t)1 << 29) ///< of Y
 
 typedef enum { TL_AXIS_BENDING = 0, TL_AXIS_TRANSLATION = 1, TL_AXIS_ROTATION = 2 } tl_axis_kind_t;
 typedef enum { TL_UNIT_MM = 0, TL_UNIT_DEG = 1 } tl_unit_t;
@@ -86,12 +110,17 @@ typedef enum { TL_UNIT_MM = 0, TL_UNIT_DEG = 1 } tl_unit_t;
     X(WIDTH_NEGATIVE, "a backlash width is negative")                                                                  \
     X(WIDTH_STEEP, "the backlash width changes by 2 or more per unit of motion (|B'| >= 2): no unique inverse")        \
     X(NOT_MONOTONE, "f_remain is not strictly rising or strictly falling")                                             \
+    X(SECTION,                                                                                                         \
+      "a section of the table is unknown, cut off or comes twice: flash newer firmware or write the table again")      \
+    X(PLAYS,                                                                                                           \
+      "the elements of the play: 2 to 7, shares that rise and sum up to 1, the first at least 0.05 of the motion")     \
+    X(WARP, "the warp of the elements does not rise, or does not make every width one")                                \
     X(FLAT, "f_remain is flatter somewhere than the stated least slope, and no flat speed is given to cross it")
 
 #define TL_TABLE_REASON_NAME(name, text) TL_TABLE_BAD_##name,
 typedef enum { TL_TABLE_OK = 0, TL_TABLE_REASONS(TL_TABLE_REASON_NAME) TL_TABLE_REASON_COUNT } tl_table_reason_t;
 
-/// A blob's content. 2.1 kB; fields as in the layout above.
+/// A blob's content. 3.2 kB; fields as in the layout above.
 typedef struct {
     uint8_t axis;
     uint8_t kind; ///< tl_axis_kind_t
@@ -116,6 +145,12 @@ typedef struct {
     uint8_t model_id[8];
     tl_count_q8_t width[TL_TABLE_NODES_MAX]; ///< B
     tl_deg_q16_t angle[TL_TABLE_NODES_MAX];  ///< f
+    uint8_t plays;                           ///< 0: one, and what follows says nothing
+    uint8_t period_log2;
+    tl_count_q8_t narrow;
+    uint32_t play_width_q28[TL_TABLE_PLAYS_MAX];
+    uint32_t play_weight_q16[TL_TABLE_PLAYS_MAX];
+    int32_t centre[TL_TABLE_NODES_MAX]; ///< Y
 } tl_table_t;
 
 /// The first thing found that makes a table's content unfit, or

@@ -199,6 +199,7 @@ uint8_t tl_axis_follow(tl_axis_t *axis, bool tip, uint8_t compensation, uint32_t
         value = tl_play_angle(&axis->play);
         axis->c_ref = axis->c_next = axis->c_last[0] = axis->c_last[1] = value;
         tl_compensator_start(&axis->compensator, &axis->lookup, TL_AXIS_PLAN_HZ, (tl_mode_t)compensation, q, value);
+        tl_compensator_know(&axis->compensator, &axis->play);
         tl_compensator_set_strength(&axis->compensator, axis->strength_q15);
     }
     axis->target = q;

@@ -1,4 +1,6 @@
-#include "tl_takeup.h"
+#include "tl_elements.h"
+#include "tl_feed.h"
+#include "tl_several.h"
 
 _Static_assert(TL_COMPENSATOR_BELOW == TL_LOOKUP_BELOW && TL_COMPENSATOR_ABOVE == TL_LOOKUP_ABOVE, "shared flags");
 
@@ -14,6 +16,7 @@ static void set_limits(tl_compensator_t *k, const tl_table_t *table) {
     tl_takeup_set_limits(&k->takeup, table, k->rate_hz);
     k->feed_max = per_tick(table->speed_max_q8, k->rate_hz);
     k->feed_flat = per_tick(table->flat_speed_q8, k->rate_hz);
+    k->step_max = per_tick(table->takeup_speed_q8, k->rate_hz).whole;
 }
 
 // Where c wants p, and where p wants q ---------------------------------------------------------------
@@ -23,15 +26,14 @@ static tl_count_q8_t target(const tl_compensator_t *k, tl_deg_q16_t c, uint32_t 
     if (k->mode != TL_MODE_FULL) {
         return tl_lookup_coarse_inverse(k->lookup, c, flags);
     }
-    const tl_table_t *table = &k->lookup->table;
     const tl_count_q8_t p = tl_lookup_angle_inverse(k->lookup, c, flags);
-    if (p < table->q_min) {
+    if (p < k->low) {
         *flags |= TL_COMPENSATOR_BELOW;
-        return table->q_min;
+        return k->low;
     }
-    if (p > table->q_max) {
+    if (p > k->high) {
         *flags |= TL_COMPENSATOR_ABOVE;
-        return table->q_max;
+        return k->high;
     }
     return p;
 }
@@ -42,42 +44,19 @@ static int32_t half_width(const tl_compensator_t *k) {
     if (k->mode == TL_MODE_OFF) {
         return 0;
     }
-    const uint32_t width = (uint32_t)tl_lookup_width(k->lookup, k->p, &ends), strength = k->strength_q15;
-    return (int32_t)((width >> 16) * strength + ((width & 0xFFFFU) * strength >> 16));
-}
-
-// q* without what is still to be taken up, before the range is minded. p -+ B/2 cannot overflow (TL_TABLE_VALUE_MAX).
-static tl_count_q8_t pushed(const tl_compensator_t *k, int32_t half) {
-    return k->p + (k->side > 0 ? half : (k->side < 0 ? -half : tl_clamp(k->start_offset, -half, half)));
-}
-
-static tl_count_q8_t fed(const tl_compensator_t *k, int32_t half) {
-    const tl_table_t *table = &k->lookup->table;
-    return tl_clamp(pushed(k, half), table->q_min, table->q_max);
+    return half_of(k, (uint32_t)tl_lookup_width(k->lookup, k->p, &ends));
 }
 
 static tl_count_q8_t fed_anew(tl_compensator_t *k) {
-    k->half = half_width(k);
+    if (k->several) {
+        tl_several_hold(k);
+    } else {
+        k->half = half_width(k);
+    }
     return fed(k, k->half);
 }
 
-// The feed goes from `before` to `after` at once; the motor takes the difference up.
-static void absorb(tl_compensator_t *k, tl_count_q8_t after, tl_count_q8_t before) {
-    tl_takeup_add(&k->takeup, after - before);
-}
-
 // One tick -------------------------------------------------------------------------------------------
-
-// The direction of p, with its memory of the furthest point; 1 if the side changes.
-static bool turned(tl_compensator_t *k) {
-    const int32_t ahead = k->p - k->anchor; // both within the range: no overflow
-    if (k->side > 0 ? ahead >= 0 : (k->side < 0 && ahead <= 0)) {
-        k->anchor = k->p;
-        return false;
-    }
-    const int32_t band = k->lookup->table.band;
-    return ahead > band || ahead < -band;
-}
 
 // On the way to the goal, where spans may be flat: never further than one span in a tick, so that none is jumped over,
 // and to the edge of a flat one first.
@@ -131,9 +110,13 @@ void tl_compensator_turn(tl_compensator_t *k) {
         advance(k);
     }
     k->feed_flags |= k->p != k->goal ? TL_COMPENSATOR_LIMITED : 0;
+    if (k->several) {
+        tl_several_turn(k);
+        return;
+    }
     const int32_t half = k->half = half_width(k);
     if (turned(k)) {
-        const tl_count_q8_t low = k->lookup->table.q_min, high = k->lookup->table.q_max, p = k->p;
+        const tl_count_q8_t low = k->low, high = k->high, p = k->p;
         const tl_count_q8_t before = tl_clamp(pushed(k, half), low, high);
         const bool up = p > k->anchor;
         k->side = up ? 1 : -1;
@@ -143,8 +126,11 @@ void tl_compensator_turn(tl_compensator_t *k) {
 }
 
 tl_count_q8_t tl_compensator_take_up(tl_compensator_t *k) {
+    if (k->moved) {
+        tl_several_lead(k);
+    }
     tl_takeup_step(&k->takeup);
-    const tl_count_q8_t q_min = k->lookup->table.q_min, q_max = k->lookup->table.q_max, last = k->q;
+    const tl_count_q8_t q_min = k->low, q_max = k->high, last = k->q;
     const tl_count_q8_t push = pushed(k, k->half), feed = tl_clamp(push, q_min, q_max);
     uint32_t flags = k->feed_flags | (push != feed ? TL_COMPENSATOR_CLIPPED : 0U);
     // Modulo 2^32: e alone may need one bit more, but q* is never far from where it was.
@@ -176,24 +162,47 @@ tl_count_q8_t tl_compensator_step(tl_compensator_t *k, tl_deg_q16_t c) {
 
 // Settings -------------------------------------------------------------------------------------------
 
+static void use(tl_compensator_t *k, const tl_lookup_t *lookup) {
+    k->lookup = lookup;
+    k->low = lookup->table.q_min;
+    k->high = lookup->table.q_max;
+    k->band = lookup->table.band;
+    k->several = lookup->plays != 0;
+    k->moved = false;
+}
+
 static void stand(tl_compensator_t *k, tl_count_q8_t p) {
     k->p = k->aim = k->goal = p;
     k->slow = false;
+    if (k->several) {
+        tl_several_stand(k);
+    }
 }
 
 void tl_compensator_start(tl_compensator_t *k, const tl_lookup_t *lookup, uint32_t rate_hz, tl_mode_t mode,
                           tl_count_q8_t q, tl_deg_q16_t c) {
     uint32_t flags = 0;
-    *k = (tl_compensator_t){.lookup = lookup, .mode = mode, .strength_q15 = lookup->table.strength_q15};
+    *k = (tl_compensator_t){.mode = mode, .strength_q15 = lookup->table.strength_q15};
+    use(k, lookup);
     tl_takeup_start(&k->takeup);
     k->rate_hz = rate_hz < RATE_MIN_HZ ? RATE_MIN_HZ : (rate_hz > RATE_MAX_HZ ? RATE_MAX_HZ : rate_hz);
     k->c = c;
-    stand(k, target(k, c, &flags));
-    k->anchor = k->p;
     k->q = tl_clamp(q, -TL_TABLE_VALUE_MAX, TL_TABLE_VALUE_MAX);
+    const tl_count_q8_t p = target(k, c, &flags);
+    k->start_offset = k->offset = tl_sub_sat(k->q, p);
+    if (k->several) {
+        tl_several_begin(k, p, k->q);
+    }
+    stand(k, p);
+    k->anchor = p;
     set_limits(k, &lookup->table);
-    k->start_offset = tl_sub_sat(k->q, k->p);
     absorb(k, fed_anew(k), k->q);
+}
+
+void tl_compensator_know(tl_compensator_t *k, const tl_play_t *play) {
+    if (k->several && play->lookup == k->lookup) {
+        tl_elements_undo(k->lookup, play->lag, k->undo);
+    }
 }
 
 // p* again for the last command under new settings, with the direction's memory moved along.
@@ -219,8 +228,12 @@ void tl_compensator_set_strength(tl_compensator_t *k, int32_t strength_q15) {
 
 void tl_compensator_set_table(tl_compensator_t *k, const tl_lookup_t *lookup) {
     const tl_count_q8_t before = fed_anew(k);
-    k->lookup = lookup;
+    const int32_t place = tl_several_place(k);
+    use(k, lookup);
     set_limits(k, &lookup->table);
+    if (k->several) {
+        tl_several_begin_at(k, place);
+    }
     settle(k, before);
 }
 

@@ -121,6 +121,46 @@ tl_count_q8_t tl_lookup_p_high(const tl_lookup_t *lookup, tl_count_q8_t q, tl_co
     return on_envelope(lookup, q, near, -1, flags);
 }
 
+// The warp of several plays -----------------------------------------------------------------------------
+
+int32_t tl_lookup_centre(const tl_lookup_t *lookup, tl_count_q8_t p) {
+    uint32_t beyond = 0;
+    const int32_t y = on_grid(lookup, lookup->table.centre, p, &beyond);
+    if (beyond == 0) {
+        return y;
+    }
+    const bool below = beyond == TL_LOOKUP_BELOW;
+    const tl_lookup_end_t *end = &lookup->end[below ? 0 : 1];
+    const uint32_t offset = (uint32_t)p - (uint32_t)lookup->q0, away = below ? 0U - offset : offset - lookup->extent;
+    const int32_t change = (int32_t)tl_scale(away < end->counts ? away : end->counts, end->per_count);
+    return below ? y - change : y + change;
+}
+
+tl_count_q8_t tl_lookup_centre_inverse(const tl_lookup_t *lookup, int32_t y) {
+    const int32_t *node = lookup->table.centre;
+    const int32_t first = node[0], last = node[lookup->extent >> lookup->step_log2];
+    if (y < first || y >= last) {
+        const bool below = y < first;
+        const tl_lookup_end_t *end = &lookup->end[below ? 0 : 1];
+        const uint32_t away = below ? (uint32_t)first - (uint32_t)y : (uint32_t)y - (uint32_t)last;
+        const int32_t change = (int32_t)tl_scale(away < end->centre ? away : end->centre, end->per_period);
+        return below ? lookup->q0 - change : lookup->q0 + (int32_t)lookup->extent + change;
+    }
+#define HALVE(spans) node = node[spans] <= y ? node + (spans) : node
+    HALVE(128);
+    HALVE(64);
+    HALVE(32);
+    HALVE(16);
+    HALVE(8);
+    HALVE(4);
+    HALVE(2);
+    HALVE(1);
+#undef HALVE
+    const uint32_t span = (uint32_t)(node - lookup->table.centre);
+    const uint32_t start = (uint32_t)node[0], rise = (uint32_t)node[1] - start;
+    return within_span(lookup, span, tl_fraction((uint32_t)y - start, rise, lookup->centre_ratio[span]));
+}
+
 tl_deg_q16_t tl_lookup_coarse(const tl_lookup_t *lookup, tl_count_q8_t q, uint32_t *flags) {
     const tl_table_t *table = &lookup->table;
     if (q < table->q_min) {

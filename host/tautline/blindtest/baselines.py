@@ -25,7 +25,7 @@ import numpy.typing as npt
 from tautline import effects
 from tautline.blindtest.scores import FAILED, NONE, STAGES, UNEXPLAINED, Answer
 from tautline.diagnose import candidates, gap, where
-from tautline.diagnose.fit import Fit, Fitter, Hypothesis
+from tautline.diagnose.fit import Fit, Fitter, Hypothesis, Scope
 from tautline.diagnose.screen import Screened, screen
 from tautline.diagnose.segment import Segment, load_reference, prepare
 from tautline.effects import Kind
@@ -71,12 +71,12 @@ class Evidence:
         return self.fitter.nominal()
 
     @cached_property
-    def screened(self) -> dict[tuple[str, bool], Screened]:
-        """Every effect in both scopes (id, tests only) after a linear step from the recalibrated model, best first."""
+    def screened(self) -> dict[tuple[str, Scope], Screened]:
+        """Every effect in its scopes (id, scope) after a linear step from the recalibrated model, best first."""
         kinds = candidates.applicable(self.fitter)
-        best: dict[tuple[str, bool], Screened] = {}
+        best: dict[tuple[str, Scope], Screened] = {}
         for entry in screen(self.fitter, self.base, kinds, candidates.outlier_limits(self.fitter, self.base)):
-            best.setdefault((entry.kind.id, entry.only_tests), entry)
+            best.setdefault((entry.kind.id, entry.scope), entry)
         return best
 
     def answer(self, fit: Fit, leading: Kind | None) -> Answer:
@@ -113,7 +113,7 @@ class _Near(Fitter):
 
     def spread(self, hypothesis: Hypothesis) -> Array:
         spread = super().spread(hypothesis)
-        scales = [self.scale(p) for p, _ in hypothesis.parameters]
+        scales = [self.scale(p) for p in (slot.parameter for slot in hypothesis.slots)]
         spread[len(spread) - len(scales) :] = scales
         return spread
 
@@ -122,18 +122,21 @@ def joint(evidence: Evidence) -> Answer:
     plain = evidence.fitter
     fitter = _Near(plain.model, plain.segments, plain.load_reference)
     fitter.floor = plain.floor
-    hypothesis = Hypothesis()
+    hypothesis = fitter.nothing
     values: dict[str, float] = {}
     seen: set[str] = set()
     for start in evidence.screened.values():
         if start.kind.id not in seen:
             seen.add(start.kind.id)
-            hypothesis = hypothesis.plus(start.kind, start.only_tests)
-            values |= {**start.values, **{p.name: 0.0 for p in start.kind.amplitudes}}
+            hypothesis = hypothesis.plus(start.kind, start.scope)
+            amplitudes = {key for key in start.values if key.split("@")[0] in {p.name for p in start.kind.amplitudes}}
+            values |= {**start.values, **dict.fromkeys(amplitudes, 0.0)}
     fit = fitter.descend(hypothesis, replace(evidence.base.state, values=values), _JOINT_STEPS)
 
     def shift(kind: Kind) -> float:
-        return max(abs(fit.state.values[p.name]) / fitter.scale(p) for p in kind.amplitudes)
+        own = {slot.key: slot.parameter for slot in hypothesis.slots if slot.parameter in kind.amplitudes}
+        own |= {p.name: p for p in kind.amplitudes if p.searched}
+        return max(abs(fit.state.values[key]) / fitter.scale(p) for key, p in own.items())
 
     return evidence.answer(fit, max(hypothesis.kinds, key=shift))
 
@@ -148,8 +151,8 @@ def bic(evidence: Evidence) -> Answer:
 
     leading = list({name: None for name, _ in evidence.screened})[:_REFITTED]
     fits = [
-        fitter.fit(Hypothesis().plus(entry.kind, only), entry.values, evidence.base.state, entry.others)
-        for (name, only), entry in evidence.screened.items()
+        fitter.fit(fitter.nothing.plus(entry.kind, scope), entry.values, evidence.base.state, entry.others)
+        for (name, scope), entry in evidence.screened.items()
         if name in leading
     ]
     best = min([evidence.base, *(fit for fit in fits if fit.finite)], key=criterion)
@@ -170,7 +173,7 @@ def features(evidence: Evidence) -> Array:
         shares = {c.axis: c.share for c in where.conditions(evidence.tests, paths, residuals)}
         numbers += [shares.get(axis, -1.0) for axis in where.AXES]
     gains = {key: entry.gain for key, entry in evidence.screened.items()}
-    numbers += [gains.get((kind.id, only), -1.0) for kind in effects.LIBRARY for only in (True, False)]
+    numbers += [gains.get((kind.id, scope), -1.0) for kind in effects.LIBRARY for scope in Scope]
     return np.array(numbers, dtype=float)
 
 

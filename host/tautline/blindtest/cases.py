@@ -14,7 +14,7 @@ import numpy.typing as npt
 from tautline.blindtest.draws import KNOWN, UNKNOWN
 from tautline.blindtest.reality import Plant, Truth, record
 from tautline.diagnose import candidates
-from tautline.diagnose.fit import Fit, Fitter, Hypothesis
+from tautline.diagnose.fit import Fit, Fitter, Scope
 from tautline.diagnose.gap import rms
 from tautline.diagnose.screen import Screened, screen
 from tautline.diagnose.segment import load_reference, prepare
@@ -40,8 +40,9 @@ _ONLY_AFTER = {
     "configuration.contact",
     "registration.static",
     "acquisition.delay",
-    "kinked_section",
-    "worn_spot",
+    "configuration.remaining",
+    "transmission.backlash",
+    "transmission.offset",
 }
 # The load is there all along, what is recorded is how much of it; a shift happens when it does; weight and a marker
 # beside the axis that came later would be a shift most of all.
@@ -170,7 +171,7 @@ def _left(session: _Session, truth: Truth, throughout: bool, outside: bool) -> f
     segments = prepare(model, recordings[0], recordings[1:])
     fitter = Fitter(model, segments, load_reference(recordings[0]))
     fitter.floor = plant.noise_px
-    left = rms(fitter.left(fitter.rows(fitter.start(), Hypothesis()))[1:])
+    left = rms(fitter.left(fitter.rows(fitter.start(), fitter.nothing))[1:])
     if not outside or left < VISIBLE * plant.noise_px:
         return left
     return min(left, *(rms(fit.residuals[1:]) for fit in _imitations(fitter)))
@@ -180,11 +181,11 @@ def _imitations(fitter: Fitter) -> list[Fit]:
     """The library's effects that come nearest, one at a time."""
     base = fitter.nominal()
     limits = candidates.outlier_limits(fitter, base)
-    best: dict[tuple[str, bool], Screened] = {}
+    best: dict[tuple[str, Scope], Screened] = {}
     for entry in screen(fitter, base, candidates.applicable(fitter), limits):
-        best.setdefault((entry.kind.id, entry.only_tests), entry)
+        best.setdefault((entry.kind.id, entry.scope), entry)
     nearest = list(best.values())[:_IMITATORS]
-    return [fitter.fit(Hypothesis().plus(e.kind, e.only_tests), e.values, start=base.state) for e in nearest]
+    return [fitter.fit(fitter.nothing.plus(e.kind, e.scope), e.values, start=base.state) for e in nearest]
 
 
 def _drawn(rng: np.random.Generator, kind: str) -> tuple[str, ...]:

@@ -84,6 +84,23 @@ KNOWN: Mapping[str, Draw] = {
     ),
     "acquisition.delay": lambda g, r: {"late": _around(g, 0.015, 0.05)},
     "acquisition.jitter": lambda g, r: {"unsteady": _size(g, 0.004, 0.012)},
+    "acquisition.held_samples": lambda g, r: {"stalls": float(g.uniform(0.1, 0.3)), "stall_s": _size(g, 0.25, 0.8)},
+    "acquisition.clock_rate": lambda g, r: {"skew": _around(g, 3e-4, 2e-3)},
+    "configuration.swing": lambda g, r: {
+        "ring_hz": float(g.uniform(0.5, 2.0)),
+        "ring_damping": float(g.uniform(0.05, 0.3)),
+    },
+    "configuration.remaining": lambda g, r: {
+        "kink": _around(g, 1.5, 5.0),
+        "kink_at": r.actuator.range[0] + float(g.uniform(0.25, 0.75)) * r.actuator.span,
+        "kink_reach": _size(g, 0.03, 0.1) * r.actuator.span,
+    },
+    "transmission.backlash": lambda g, r: {
+        "worn": _size(g, 0.4, 1.5),
+        "worn_at": r.actuator.range[0] + float(g.uniform(0.3, 0.7)) * r.actuator.span,
+        "worn_reach": _size(g, 0.06, 0.15) * r.actuator.span,
+    },
+    "transmission.offset": lambda g, r: {"homing": _around(g, 0.005, 0.03) * r.actuator.span},
 }
 
 # Effects that the library does not hold.
@@ -98,22 +115,9 @@ UNKNOWN: Mapping[str, Draw] = {
         "lost_counts": _size(g, 0.5, 2.0),
         "lost_size": _size(g, 0.003, 0.012) * r.actuator.span,
     },
-    "ringing": lambda g, r: {"ring_hz": float(g.uniform(0.5, 2.0)), "ring_damping": float(g.uniform(0.05, 0.3))},
     "gravity": lambda g, r: {"sag": _size(g, 0.2, 1.0), "sag_towards": float(g.uniform(0.0, 360.0))},
     "bouc_wen": lambda g, r: {
         "bulge": _around(g, 0.006, 0.02) * r.actuator.span,
         "bulge_travel": _size(g, 0.08, 0.3) * r.actuator.span,
     },
-    "kinked_section": lambda g, r: {
-        "kink": _around(g, 1.5, 5.0),
-        "kink_at": r.actuator.range[0] + float(g.uniform(0.25, 0.75)) * r.actuator.span,
-        "kink_reach": _size(g, 0.03, 0.1) * r.actuator.span,
-    },
-    "worn_spot": lambda g, r: {
-        "worn": _size(g, 0.4, 1.5),
-        "worn_at": r.actuator.range[0] + float(g.uniform(0.3, 0.7)) * r.actuator.span,
-        "worn_reach": _size(g, 0.06, 0.15) * r.actuator.span,
-    },
-    "stalled_video": lambda g, r: {"stalls": float(g.uniform(0.1, 0.3)), "stall_s": _size(g, 0.25, 0.8)},
-    "clock_skew": lambda g, r: {"skew": _around(g, 3e-4, 2e-3)},
 }

@@ -125,7 +125,7 @@ def _driven(
 ) -> _Tip:
     t, span = motion.t_s, plant.rig.actuator.span
     when = t + session_s
-    q = motion.q
+    q = motion.q + truth("homing")
     if rate := truth("lost_counts"):  # fast moves lose counts now and then
         lost = scatter.random(len(q)) < rate * np.abs(np.gradient(q, t)) / span * 1e-3
         q = q + np.cumsum(lost * scatter.choice([-1.0, 1.0], len(q))) * truth("lost_size")

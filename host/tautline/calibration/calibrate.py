@@ -18,7 +18,7 @@ from tautline.calibration.components import Components, separate
 from tautline.calibration.doubts import doubts, floor_of
 from tautline.calibration.observations import Track, observe
 from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, find_delay, find_onsets
-from tautline.calibration.place import allowing_for_place, place_noise
+from tautline.calibration.place import allowing_for_place, as_many_as_independent, place_noise
 from tautline.calibration.playfit import NODES, Fitted
 from tautline.calibration.remaining import Remaining, fit_remaining, morphological, pose_of, posed
 from tautline.calibration.several import fit_elements
@@ -153,10 +153,9 @@ class _Session:
     ) -> None:
         self.clock, self.rig, self.options, self.say = aligned, rig, options, say
         self.tracks = tracks = aligned.tracks
-        self.notes: list[str] = []
+        self.notes: list[str] = list(aligned.notes)
         self.reasons: list[Reason] = [*aligned.reasons, *reasons]
         self.evidence: dict[str, float] = {}
-        self.extra: dict[str, Any] = {}
         self.components: Components | None = None
         self.elements = SINGLE
         reached = [(float(t.motor.q.min()), float(t.motor.q.max())) for t in tracks]
@@ -209,8 +208,8 @@ class _Session:
         if self.options.delay_s is not None:
             return Delay(self.options.delay_s, 0.0, 0)
         if not self.camera:
-            return clock.delay_of_all(self.tracks, self.nominal_s)
-        return find_delay(self.tracks, self.rig, clock.near_delay(self.tracks, self.nominal_s))
+            return clock.delay_of_all(self.tracks, self.rig)
+        return find_delay(self.tracks, self.rig, clock.near_delay(self.tracks, self.rig))
 
     def _joint_delay(self, stops: Delay, joint: Fitted) -> Delay:
         # Each turn is known to a rounded count: an error of time at the motor's speed.
@@ -253,14 +252,14 @@ class _Session:
             joint.fit.fit_delay = False
             joint = joint.fit.solve(replace(joint.curves, delay_s=delay.delay_s))
         self.say(0.5, "what departs from a play")
-        joint = self._separated(joint)
         noise = place_noise(joint)
         if noise is not None:
-            self.extra["place_noise"] = noise.to_json()
+            self.evidence |= {f"place_{key}": value for key, value in asdict(noise).items()}
+        joint = self._separated(allowing_for_place(joint, noise))
         self.say(0.6, "passes alone")
         margin = 0.1 * float(np.median(joint.fit.width(joint.curves))) + 0.005 * self.domain.span
         passes = fit_passes(joint, margin)
-        return joint, None if passes is None else allowing_for_place(passes)
+        return joint, None if passes is None else as_many_as_independent(passes)
 
     def _separated(self, joint: Fitted) -> Fitted:
         """The joint fit with all that departs from its model beside it."""
@@ -476,13 +475,13 @@ class _Session:
         ratio = gain / self.rig.coarse.gain
         if ratio < 0:
             self.doubt(
-                "sign",
+                "coarse",
                 f"the tip bends {gain:.3g} deg/{self.unit} where f_coarse says {self.rig.coarse.gain:.3g}",
                 "a sign is wrong: check encoder direction, coarse.gain, hand_eye, a mirrored image",
             )
         elif not _LIKELY_GAIN[0] < ratio < _LIKELY_GAIN[1]:
             self.doubt(
-                "scale",
+                "coarse",
                 f"the tip bends {gain:.3g} deg/{self.unit} where f_coarse says {self.rig.coarse.gain:.3g}",
                 "check actuator.unit, the encoder's scale, camera.fx_px and the marker's distance",
             )
@@ -519,7 +518,7 @@ class _Session:
         measured = self._measured(curve, joint, source)
         beyond = np.abs(self.grid - np.clip(self.grid, *measured))
         inside = (self.grid > measured[0]) & (self.grid < measured[1])
-        floor = floor_of([t.motor for t in self.tracks], self.grid[inside], width[inside], sigma[inside], self.unit)
+        floor = floor_of(self.tracks, self.grid[inside], width[inside], sigma[inside], self.unit)
         self.reasons += floor.reasons
         sigma = np.hypot(np.hypot(sigma, floor.sigma), 0.5 * beyond)
         pass_width, pass_sigma = self._second_opinion(onsets, curve, passes)
@@ -547,7 +546,6 @@ class _Session:
             "notes": list(notes),
             "characteristic": characteristic,
             "options": asdict(self.options),
-            **self.extra,
         }
         if pass_width is not None:
             extra["pass_width"] = [_finite(v) for v in pass_width]

@@ -18,9 +18,11 @@ from tautline import _native
 from tautline.calibration.observations import Mask, Track, observe
 from tautline.calibration.onset import Delay, find_delay
 from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit
+from tautline.calibration.steps import resolved
+from tautline.geometry import project
 from tautline.quality import Reason
 from tautline.recording import Recording, shifted
-from tautline.rig import ANGLE, Rig
+from tautline.rig import ANGLE, MARKER, Rig
 from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
@@ -32,21 +34,26 @@ _FOLLOWS = 0.25  # a misfit above says that the sensor does not follow this moto
 _RIVAL = 2.0  # times the least misfit: an offset that leaves less may be the true one
 _NOISY = 0.05  # share of noise in what was seen, above which there is no motion to compare
 _PITCH_S = 0.05
-_APART_S = 0.3  # offsets that are nearer are one
+_NEAR_S = 1.0  # a clock that is off by less need not leave much
+_RIDGE = 3.0  # times the misfit between two offsets, where they are two
+_ANEW = 8  # lags after which all widths are tried
 _ORDER = 5
 _FRAMES = 400, 1500  # to search with, to measure with
 _WIDTHS = (0.0, 0.01, 0.022, 0.04, 0.065, 0.1, 0.16, 0.26, 0.4)  # shares of the motor's span
 _LONGER = 0.01  # difference of durations that a stretched clock is tried for
 _SURE_S = 0.02  # a delay that is known as well refines an offset
 _STRETCHED = 0.2  # of the misfit that a stretched clock must leave at most
-_NOMINAL_S = 0.05  # standard deviation of an angle sensor's nominal delay
+_NOMINAL_S = 0.1, 0.05  # standard deviation of an angle sensor's nominal delay, of one that the rig states
+_SPANS = (8, 16), (1, 6)  # of B and of the path; the second where a B that may bend tells no delay
+_TOLD_S = 0.025  # standard deviation up to which a delay is told
 _COARSE_S = 0.02
 _PER_STROKE = 4.0  # independent errors of a model within a stroke, at most
 _STROKES = 10  # what a model does not hold is much the same in further ones
 _WHITE = 1.05  # residual over noise up to which nothing else is in it
 _EXPLAINED = 1.5
-_CLEARLY = 1.03  # times the residual
-_SAMPLES = 1.5
+_CLEARLY = 1.1  # times the residual
+_LIKELY = 3.0  # standard deviations
+_SAMPLES, _LITTLE_S = 1.5, 0.01  # a delay of less may be an error of the model
 _AROUND_S = 0.5
 _DITHER = 2e-3  # of the motor's span: turns within it do not matter here
 
@@ -68,6 +75,7 @@ class Clock:
     tracks: list[Track]
     offsets_s: tuple[float, ...]  # that were taken from each track's times
     reasons: tuple[Reason, ...]
+    notes: tuple[str, ...] = ()
 
     @classmethod
     def as_it_is(cls, tracks: Sequence[Track]) -> Clock:
@@ -99,13 +107,18 @@ def on_motor_clock(recordings: Sequence[Recording], rig: Rig) -> list[Recording]
 
 
 def align(tracks: Sequence[Track], rig: Rig) -> Clock:
-    """Each track's own offset found and taken off; nothing is done to one that fits its nominal delay."""
+    """Each track's own offset found and taken off; nothing is done to one that fits its nominal delay. Frames at which
+    the tip follows a motor that stepped go first."""
+    tracks, stepping, notes = resolved(tracks, rig)
+    notes += [f"{t.name}: the sensor repeats its values, {t.held} of them were left out" for t in tracks if t.held]
+    if stepping:
+        return Clock(tracks, (0.0,) * len(tracks), tuple(stepping), tuple(notes))
     aligned, offsets = [], []
     reasons: list[Reason] = []
     for track in tracks:
         nominal_s = rig.nominal_delay_s(track.sensor)
-        found = find_offset(track, nominal_s)
-        refused = None if found is None else _refused(track, found, nominal_s)
+        found = find_offset(track, rig)
+        refused = None if found is None else _refused(track, found, rig)
         offset_s = 0.0
         if found is not None and found.offset_s and found.misfit <= _FOLLOWS:
             track, offset_s = _taken_off(track, found, nominal_s, rig)
@@ -117,49 +130,69 @@ def align(tracks: Sequence[Track], rig: Rig) -> Clock:
             reasons.append(Reason("clock.offset", says, "it was taken off: put both on one clock"))
         aligned.append(track)
         offsets.append(offset_s)
-    return Clock(aligned, tuple(offsets), tuple(reasons))
+    return Clock(aligned, tuple(offsets), tuple(reasons), tuple(notes))
 
 
 def _taken_off(track: Track, found: Offset, nominal_s: float, rig: Rig) -> tuple[Track, float]:
     offset_s = found.offset_s
     near = replace(track, t_s=track.t_s - offset_s)
-    delay = delay_of_all([near], nominal_s) if track.sensor == ANGLE else find_delay([near], rig, nominal_s)
+    delay = delay_of_all([near], rig) if track.sensor == ANGLE else find_delay([near], rig, nominal_s)
     if delay.sigma_s < _SURE_S:
         offset_s += delay.delay_s - nominal_s
     return replace(track, t_s=track.t_s - offset_s), offset_s
 
 
-def find_offset(track: Track, nominal_s: float) -> Offset | None:
+def find_offset(track: Track, rig: Rig) -> Offset | None:
     """The offset beyond the nominal delay, within REACH_S. None where the track shows no motion to tell it by."""
-    sight = _Sight.of(track, _FRAMES[0])
+    sight = _Sight.of(track, rig, _FRAMES[0])
     if sight is None:
         return None
-    near = nominal_s + np.arange(-4, 5) * _PITCH_S
-    least = float(sight.misfits(near).min())
-    if least <= max(FITS, 4.0 * sight.noise_share):
+    nominal_s = rig.nominal_delay_s(track.sensor)
+    near = nominal_s + np.arange(-round(_NEAR_S / _PITCH_S), round(_NEAR_S / _PITCH_S) + 1) * _PITCH_S
+    misfits = sight.misfits(near)
+    delays = np.abs(near - nominal_s) <= DELAY_REACH_S
+    least = float(misfits[delays].min())
+    at_nominal = least <= max(FITS, 4.0 * sight.noise_share) and least <= _RIVAL * misfits.min()
+    if at_nominal and sight.along(float(near[delays][int(misfits[delays].argmin())])):
         return Offset(0.0, 0.0, least)
     lags = nominal_s + np.arange(-round(REACH_S / _PITCH_S), round(REACH_S / _PITCH_S) + 1) * _PITCH_S
-    misfits = sight.misfits(lags)
-    fine = _Sight.of(track, _FRAMES[1]) or sight
-    found = sorted((fine.refined(float(lags[i])) for i in _basins(misfits, 2.0 * _RIVAL)), key=lambda at: at.misfit)
-    if not found:
+    rivals = _rivals(sight, _Sight.of(track, rig, _FRAMES[1]) or sight, lags)
+    if not rivals:
         return Offset(0.0, np.inf, 1.0)
+    nominal = [r for r in rivals if abs(r.lag_s - nominal_s) <= DELAY_REACH_S]
+    if nominal:
+        # It may be another half turn of the motion, with the wrong sign, that fits here.
+        others = () if sight.along(nominal[0].lag_s) else tuple(r.lag_s for r in rivals if sight.along(r.lag_s))
+        return Offset(0.0, nominal[0].sigma_s, nominal[0].misfit, tuple(lag - nominal_s for lag in others))
+    rivals = [r for r in rivals if sight.along(r.lag_s)] or rivals
+    others = tuple(r.lag_s - nominal_s for r in rivals[1:])
+    return Offset(rivals[0].lag_s - nominal_s, rivals[0].sigma_s, rivals[0].misfit, others)
+
+
+def _rivals(sight: _Sight, fine: _Sight, lags: npt.NDArray[Any]) -> list[_Lag]:
+    """The lags that fit about as well as the best one, best first; those with no ridge between them are one."""
+    misfits = sight.misfits(lags)
+    finite = np.where(np.isfinite(misfits), misfits, 1.0)
+    padded = np.concatenate([[np.inf], finite, [np.inf]])
+    lowest = (finite <= padded[:-2]) & (finite <= padded[2:]) & (finite <= 3.0 * _RIVAL * finite.min() + 1e-12)
+    at = np.flatnonzero(lowest & np.isfinite(misfits))
+    found = sorted((fine.refined(float(lags[i])) for i in at), key=lambda one: one.misfit)
     rivals: list[_Lag] = []
     for one in found:
-        if one.misfit <= _RIVAL * found[0].misfit and all(abs(one.lag_s - r.lag_s) > _APART_S for r in rivals):
+        if one.misfit > _RIVAL * found[0].misfit:
+            break
+        between = (finite[(lags > min(one.lag_s, r.lag_s)) & (lags < max(one.lag_s, r.lag_s))] for r in rivals)
+        if all(len(ridge) and ridge.max() > _RIDGE * one.misfit for ridge in between):
             rivals.append(one)
-    nominal = [r for r in rivals if abs(r.lag_s - nominal_s) <= DELAY_REACH_S]
-    best = nominal[0] if nominal else rivals[0]
-    others = () if nominal else tuple(r.lag_s - nominal_s for r in rivals if r is not best)
-    return Offset(0.0 if nominal else best.lag_s - nominal_s, best.sigma_s, best.misfit, others)
+    return rivals
 
 
-def _refused(track: Track, found: Offset, nominal_s: float) -> Reason | None:
+def _refused(track: Track, found: Offset, rig: Rig) -> Reason | None:
     """Why no offset can be believed."""
     follows = found.misfit <= _FOLLOWS
     if follows and not found.rivals:
         return None
-    stretched = _stretched(track, nominal_s, found.misfit)
+    stretched = _stretched(track, rig, found.misfit)
     if stretched is not None:
         return stretched
     if follows:
@@ -170,16 +203,16 @@ def _refused(track: Track, found: Offset, nominal_s: float) -> Reason | None:
     return Reason("clock.offset", says, "check that both are of one run, and their clocks", fatal=True)
 
 
-def _stretched(track: Track, nominal_s: float, misfit: float) -> Reason | None:
+def _stretched(track: Track, rig: Rig, misfit: float) -> Reason | None:
     """A sensor whose times last longer or shorter than the motor's, and fit when they are made to last as long."""
     motor_s = float(np.ptp(track.motor.t_s))
     seen_s = float(np.ptp(track.t_s))
     if seen_s <= 0.0 or abs(motor_s / seen_s - 1.0) < _LONGER:
         return None
     times = track.motor.t_s[0] + (track.t_s - track.t_s[0]) * motor_s / seen_s
-    sight = _Sight.of(replace(track, t_s=times), _FRAMES[0])
-    lags = np.arange(-round(1.0 / _PITCH_S), round(1.0 / _PITCH_S) + 1) * _PITCH_S
-    if sight is None or float(sight.misfits(nominal_s + lags).min()) > _STRETCHED * misfit:
+    sight = _Sight.of(replace(track, t_s=times), rig, _FRAMES[0])
+    lags = rig.nominal_delay_s(track.sensor) + np.arange(-round(1.0 / _PITCH_S), round(1.0 / _PITCH_S) + 1) * _PITCH_S
+    if sight is None or float(sight.misfits(lags).min()) > _STRETCHED * misfit:
         return None
     return Reason(
         "duration",
@@ -189,12 +222,13 @@ def _stretched(track: Track, nominal_s: float, misfit: float) -> Reason | None:
     )
 
 
-def near_delay(tracks: Sequence[Track], nominal_s: float) -> float:
-    """Where to look for the delay: nominal_s, unless another lag within DELAY_REACH_S fits clearly better."""
-    sights = [sight for sight in (_Sight.of(track, _FRAMES[0]) for track in tracks) if sight is not None]
+def near_delay(tracks: Sequence[Track], rig: Rig) -> float:
+    """Where to look for the delay: the nominal one, unless another lag within DELAY_REACH_S fits clearly better."""
+    nominal_s = rig.nominal_delay_s(tracks[0].sensor)
+    sights = [sight for sight in (_Sight.of(track, rig, _FRAMES[0]) for track in tracks) if sight is not None]
     if not sights:
         return nominal_s
-    lags = nominal_s + np.linspace(-DELAY_REACH_S, DELAY_REACH_S, 21)
+    lags = nominal_s + np.linspace(-DELAY_REACH_S, DELAY_REACH_S, 11)
     misfits = np.sum([sight.misfits(lags) for sight in sights], axis=0)
     best = int(np.argmin(misfits))
     clearly = misfits[best] < 0.7 * misfits[len(lags) // 2] and abs(lags[best] - nominal_s) > 0.06
@@ -219,9 +253,10 @@ class _Sight:
     span: float
     noise_share: float  # of the variance seen
     reference: tuple[float, float] | None  # of the other axes; None where they rest
+    way: Array  # (channels,) in which the tip moves as q rises, by f_coarse
 
     @classmethod
-    def of(cls, track: Track, most: int) -> _Sight | None:
+    def of(cls, track: Track, rig: Rig, most: int) -> _Sight | None:
         """None where nothing moves, or other axes do most of the time."""
         motor = track.motor
         span = float(np.ptp(motor.q))
@@ -238,13 +273,35 @@ class _Sight:
         few = replace(track, t_s=track.t_s[::stride], y=track.y[::stride], sigma=track.sigma[::stride])
         turns = _native.turns(np.ascontiguousarray(motor.q), _DITHER * span)
         keep = np.unique(np.concatenate([[0], turns, [len(motor.q) - 1]])).astype(np.intp)
-        return cls(few, motor.t_s[keep], motor.q[keep], float(motor.q.min()), span, share, reference)
+        low = float(motor.q.min())
+        ends = rig.coarse.gain * (low + np.array([0.25, 0.75]) * span) + rig.coarse.offset
+        if track.sensor == MARKER:
+            way = np.diff(project(rig, ends, *track.others_reference), axis=0)[0]
+        else:
+            way = np.diff(ends)
+        return cls(few, motor.t_s[keep], motor.q[keep], low, span, share, reference, way)
 
     def misfits(self, lags: npt.NDArray[Any]) -> Array:
-        return np.array([min(self.misfit(float(lag), share * self.span) for share in _WIDTHS) for lag in lags])
+        """Each lag's least over the widths; from one lag to the next it moves by a width at most."""
+        least, at = np.empty(len(lags)), 0
+        for i, lag in enumerate(lags):
+            near = range(len(_WIDTHS)) if i % _ANEW == 0 else range(max(at - 1, 0), min(at + 2, len(_WIDTHS)))
+            tried = [self.misfit(float(lag), _WIDTHS[k] * self.span) for k in near]
+            at = near[int(np.argmin(tried))]
+            least[i] = min(tried)
+        return least
+
+    def along(self, lag_s: float) -> bool:
+        """Whether the tip moves the way that f_coarse says."""
+        width = min(_WIDTHS, key=lambda share: self.misfit(lag_s, share * self.span)) * self.span
+        return bool(self._fitted(lag_s, width)[1] @ self.way > 0.0)
 
     def misfit(self, lag_s: float, width: float) -> float:
         """The share of the variance that is left; infinite where fewer than half of the frames have a motor."""
+        return self._fitted(lag_s, width)[0]
+
+    def _fitted(self, lag_s: float, width: float) -> tuple[float, Array]:
+        """The misfit, and how y rises with p, (channels,)."""
         track = self.track
         scene = track.scene_s(lag_s)
         n = len(self.turn_t)
@@ -263,14 +320,15 @@ class _Sight:
             inside &= track.at_reference(scene, self.reference)[frames]
         frames, x = frames[inside], 2.0 * (p[counted][inside] - self.low) / self.span - 1.0
         if 2 * len(frames) < len(scene):
-            return np.inf
+            return np.inf, np.zeros_like(self.way)
         y = track.y[frames]
         y = y - y.mean(axis=0)
         design = np.polynomial.chebyshev.chebvander(x, _ORDER)
         gram = design.T @ design + 1e-9 * len(x) * np.eye(_ORDER + 1)
         pull = design.T @ y
-        total = float(np.sum(y * y))
-        return max(total - float(np.sum(pull * np.linalg.solve(gram, pull))), 0.0) / max(total, 1e-30)
+        total = max(float(np.sum(y * y)), 1e-30)
+        coefficients = np.linalg.solve(gram, pull)
+        return max(1.0 - float(np.sum(pull * coefficients)) / total, 0.0), coefficients[1]
 
     def moving(self) -> Mask:
         """(n,) frames around which the motor moves: only they tell a delay."""
@@ -298,29 +356,26 @@ class _Sight:
         return _Lag(lag_s, float(sigma), best)
 
 
-def _basins(misfits: Array, above: float) -> list[int]:
-    """Where the misfit is least nearby and no more than `above` times the least of all."""
-    finite = np.where(np.isfinite(misfits), misfits, 1.0)
-    padded = np.concatenate([[np.inf], finite, [np.inf]])
-    lowest = (finite <= padded[:-2]) & (finite <= padded[2:]) & (finite <= above * finite.min() + 1e-12)
-    return [int(i) for i in np.flatnonzero(lowest & np.isfinite(misfits))]
-
-
-def delay_of_all(tracks: Sequence[Track], nominal_s: float) -> Delay:
+def delay_of_all(tracks: Sequence[Track], rig: Rig) -> Delay:
     """The delay at which a smooth B and a smooth path fit all frames best, weighed against the nominal one. For sensors
     of real joints, which do not stop so sharply that the stops alone tell it."""
-    sights = [sight for sight in (_Sight.of(track, _FRAMES[1]) for track in tracks) if sight is not None]
+    nominal_s = rig.nominal_delay_s(tracks[0].sensor)
+    sights = [sight for sight in (_Sight.of(track, rig, _FRAMES[1]) for track in tracks) if sight is not None]
     if not sights:
         return Delay(nominal_s, np.inf, 0)
     lags = nominal_s + np.linspace(-DELAY_REACH_S, DELAY_REACH_S, 21)
     start = float(lags[int(np.argmin(np.sum([sight.misfits(lags) for sight in sights], axis=0)))])
-    profile = _Profile(sights, nominal_s, start)
-    best = min((nominal_s, 0.5 * (start + nominal_s), start), key=profile.surprise)
-    while (better := min((best, best - _COARSE_S, best + _COARSE_S), key=profile.surprise)) != best:
-        best = better
-    for pitch_s in (_COARSE_S, 0.4 * _COARSE_S, 0.12 * _COARSE_S):
-        best, spread = profile.posterior(best, pitch_s)
-        if spread > pitch_s:
+    believed = _NOMINAL_S[rig.angle is not None]
+    for spans in _SPANS:
+        profile = _Profile(sights, spans, nominal_s, believed, start)
+        best = min((nominal_s, 0.5 * (start + nominal_s), start), key=profile.surprise)
+        while (better := min((best, best - _COARSE_S, best + _COARSE_S), key=profile.surprise)) != best:
+            best = better
+        for pitch_s in (2.0 * _COARSE_S, _COARSE_S, 0.4 * _COARSE_S, 0.12 * _COARSE_S):
+            best, spread = profile.posterior(best, pitch_s)
+            if spread > pitch_s:
+                break
+        if spread < _TOLD_S:
             break
     return Delay(best, spread, len(sights))
 
@@ -336,26 +391,32 @@ def settled(free: Fitted, delay: Delay, tracks: Sequence[Track], nominal_s: floa
     own_s = free.curves.delay_s
     if free.scale <= _WHITE:
         return free
-    at_nominal = abs(own_s - nominal_s) <= _SAMPLES * period_s(tracks)
+    at_nominal = abs(own_s - nominal_s) <= min(_SAMPLES * period_s(tracks), _LITTLE_S)
     if not at_nominal and free.scale < _EXPLAINED:
         return free
     fixed = replace(free.fit, fit_delay=False, smoothing=dict(free.fit.smoothing))
     fitted = fixed.solve(replace(free.curves, delay_s=nominal_s if at_nominal else delay.delay_s))
-    better = fitted.scale > _CLEARLY * free.scale and abs(own_s - nominal_s) < DELAY_REACH_S
-    return free if better and not at_nominal else fitted
+    likely = not at_nominal and abs(own_s - delay.delay_s) < _LIKELY * delay.sigma_s
+    return free if likely and fitted.scale > _CLEARLY * free.scale else fitted
 
 
 class _Profile:
     """How far a delay is contradicted by all frames and by the nominal one, as a chi-square."""
 
-    def __init__(self, sights: Sequence[_Sight], nominal_s: float, start_s: float) -> None:
-        self._sights, self._nominal_s = sights, nominal_s
+    def __init__(
+        self, sights: Sequence[_Sight], spans: tuple[int, int], nominal_s: float, believed_s: float, start_s: float
+    ) -> None:
+        """spans: of B and of the path. believed_s: standard deviation of the nominal delay."""
+        self._sights, self._nominal_s, self._believed_s = sights, nominal_s, believed_s
         low = min(sight.low for sight in sights)
         high = max(sight.low + sight.span for sight in sights)
         self._fit = PlayFit(
-            [Frozen.of(sight.track, sight.moving()) for sight in sights], Basis(low, high, 8), Basis(low, high, 16),
-            fit_delay=False, settled_only=False,
-        )  # fmt: skip
+            [Frozen.of(sight.track, sight.moving()) for sight in sights],
+            Basis(low, high, spans[0]),
+            Basis(low, high, spans[1]),
+            fit_delay=False,
+            settled_only=False,
+        )
         self._smoothing = dict(self._fit.smoothing)
         self._found: dict[float, float] = {}
         strokes = sum(len(sight.turn_t) - 1 for sight in sights)
@@ -365,7 +426,7 @@ class _Profile:
         key = round(delay_s, 7)
         if key not in self._found:
             left = 2.0 * self._independent * float(np.log(self._solved(delay_s).scale))
-            self._found[key] = left + ((delay_s - self._nominal_s) / _NOMINAL_S) ** 2
+            self._found[key] = left + ((delay_s - self._nominal_s) / self._believed_s) ** 2
         return self._found[key]
 
     def posterior(self, centre_s: float, pitch_s: float) -> tuple[float, float]:

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.calibration.components import Component, Components
+from tautline.calibration.observations import Track
 from tautline.encoder import between_samples
 from tautline.quality import Reason
-from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
 
@@ -25,6 +25,7 @@ _CYCLES = 4.0, 40.0  # of a ripple over what was measured
 _RIPPLE = 0.02, 5.0  # of B, and of its sigma: less is none
 _ALONE = 0.6  # of what B's shape leaves, that is one ripple
 _SHAPE = 6  # degree of a polynomial that B's own shape is
+_SMOOTHED = 0.4  # of the readings' noise: what smoothing leaves at a turn
 _COARSE = 0.015  # of B: a motor's path between its samples is known no better
 
 _DRIVE = "calibrate again once it is mended, or let taut diagnose add it to the model"
@@ -154,19 +155,28 @@ class Floor:
     reasons: tuple[Reason, ...]
 
 
-def floor_of(motors: Sequence[Motor], grid: Array, width: Array, sigma: Array, unit: str) -> Floor:
+def floor_of(tracks: Sequence[Track], grid: Array, width: Array, sigma: Array, unit: str) -> Floor:
     """grid, width and sigma where B was measured."""
     if len(grid) < _SHAPE + 2:
         return Floor(0.0, ())
     reasons, usual = [], float(np.median(width))
-    between = max(between_samples(motor) for motor in motors)
+    between = max(between_samples(track.motor) for track in tracks)
     if between > _COARSE * usual:
-        period = max(float(np.median(np.diff(motor.t_s))) for motor in motors)
+        period = max(float(np.median(np.diff(track.motor.t_s))) for track in tracks)
         reasons.append(
             Reason(
                 "rate",
                 f"the motor's samples are {period * 1e3:.0f} ms apart, its turns are known to {between:.2g} {unit}",
                 "log the motor at 100 Hz or more",
+            )
+        )
+    scatter = _SMOOTHED * max(track.motor_noise for track in tracks)
+    if scatter > _COARSE * usual:
+        reasons.append(
+            Reason(
+                "encoder",
+                f"the motor's readings scatter, its turns are known to {scatter:.2g} {unit}",
+                "shield the encoder's lines, or take one with finer counts",
             )
         )
     rippled, wave = _ripple(grid, width)
@@ -180,7 +190,7 @@ def floor_of(motors: Sequence[Motor], grid: Array, width: Array, sigma: Array, u
                 "centre the encoder's magnet or disc and calibrate again",
             )
         )
-    return Floor(float(np.hypot(between, rippled)), tuple(reasons))
+    return Floor(float(np.sqrt(between**2 + scatter**2 + rippled**2)), tuple(reasons))
 
 
 def _ripple(grid: Array, width: Array) -> tuple[float, float]:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy.ndimage import median_filter
 
 from tautline import _native
-from tautline.encoder import between_counts
+from tautline.encoder import between_counts, reading_noise
 from tautline.errors import TautError
 from tautline.recording import Motor, Recording
 from tautline.rig import ANGLE, MARKER, Rig, Sensor
@@ -21,6 +21,8 @@ Mask = npt.NDArray[np.bool_]
 _LEAST_PX, _LEAST_DEG = 1e-3, 1e-4  # noise is never taken to be less
 _DOUBTFUL = 3.0  # frames of so many times the usual stated noise do not count
 _STRAY = 12.0  # sigma, beside four usual steps, from which a lone frame is a false sighting
+_RESOLVED = 4.0  # times the least steps that a sensor shows: beyond, repeated values are no matter of resolution
+_HELD, _FEWEST_RUNS = 0.25, 8  # share of values that are repeated then, and how many must be seen
 _STILL_MM, _STILL_DEG = 0.02, 0.05  # other degrees of freedom that stay within this do not move
 
 
@@ -34,7 +36,9 @@ class Track:
     t_s: Array  # (n,) when a frame or a sensor's value arrived; rising
     y: Array  # (n, 2) px or (n, 1) deg
     sigma: Array  # (n,) noise of y, per coordinate
+    motor_noise: float = 0.0  # of the motor's readings, unit of q, that was smoothed away
     stray: int = 0  # frames left out because they show the marker elsewhere for a moment
+    held: int = 0  # left out because the sensor repeated the value before
 
     def scene_s(self, delay_s: float) -> Array:
         return self.t_s - delay_s
@@ -89,8 +93,9 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
     """One track per recording: its marker where it has one and the rig a camera, else its angle."""
     tracks = []
     for recording in recordings:
-        motor = between_counts(recording.motor, rig.actuator.encoder_resolution)
-        recording = replace(recording, motor=motor)
+        resolution = rig.actuator.encoder_resolution
+        noise = reading_noise(recording.motor)
+        recording = replace(recording, motor=between_counts(recording.motor, resolution))
         marker, angle = recording.marker, recording.angle
         if marker is not None and rig.has_camera:
             seen = marker.valid & np.isfinite(marker.u_px) & np.isfinite(marker.v_px)
@@ -105,6 +110,8 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
             raise TautError(f"{recording.name}: marker positions need a rig with [camera]: add it to rig.toml")
         else:
             raise TautError(f"{recording.name}: holds no marker positions and no angles: track its video first")
+        if noise > resolution:
+            tracks[-1] = replace(tracks[-1], motor_noise=noise)
     units = {track.unit for track in tracks if len(track.t_s)}
     if len(units) > 1:
         raise TautError("some recordings hold a marker and some an angle only: calibrate with one kind")
@@ -112,6 +119,9 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
 
 
 def _track(recording: Recording, unit: str, t: Array, y: Array, given: Array | None) -> Track:
+    fresh = not_held(y)
+    held = int(np.sum(~fresh))
+    t, y, given = t[fresh], y[fresh], None if given is None else given[fresh]
     noise = noise_of(t, y, _LEAST_PX if unit == "px" else _LEAST_DEG)
     if given is not None and len(t) and (np.isfinite(given) & (given > 0)).any():
         good = np.isfinite(given) & (given > 0)
@@ -123,7 +133,30 @@ def _track(recording: Recording, unit: str, t: Array, y: Array, given: Array | N
     noise = max(noise, 1e-9)
     stray = strays(y, noise)
     t, y = t[~stray], y[~stray]
-    return Track(recording.name, unit, recording.motor, t, y, np.full(len(t), noise), int(stray.sum()))
+    return Track(recording.name, unit, recording.motor, t, y, np.full(len(t), noise), int(stray.sum()), held)
+
+
+def not_held(y: Array) -> Mask:
+    """(n,) frames at which a sensor that is sampled and held shows y (n, channels) anew. It repeats values while the
+    tip moves by far more than its resolution; of one that rests every so many frames are fresh too."""
+    fresh = np.ones(len(y), dtype=bool)
+    if len(y) < 8:
+        return fresh
+    changes = np.flatnonzero((y[1:] != y[:-1]).any(axis=1)) + 1
+    if len(changes) == len(y) - 1 or len(changes) < 4:
+        return fresh
+    step = np.linalg.norm(y[changes] - y[changes - 1], axis=1)
+    runs = np.diff(changes)  # of the value that changes[i] began
+    moves = np.minimum(step[:-1], step[1:]) > _RESOLVED * float(np.quantile(step, 0.02))
+    if moves.sum() < _FEWEST_RUNS or np.mean(runs[moves] > 1) < _HELD:
+        return fresh
+    hold = int(np.quantile(runs[moves & (runs > 1)], 0.95))
+    edges = np.concatenate([[0], changes, [len(y)]])
+    row = np.arange(len(y))
+    run = np.searchsorted(edges, row, side="right") - 1
+    since, left = row - edges[run], edges[run + 1] - row
+    anew: Mask = (since == 0) | ((since % hold == 0) & (left >= hold))
+    return anew
 
 
 def strays(y: Array, sigma: float) -> Mask:

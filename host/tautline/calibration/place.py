@@ -6,18 +6,20 @@ err alike, and say less than as many independent ones. Passes over the same plac
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from tautline.calibration.playfit import Fitted
+from tautline.calibration.playfit import Fitted, Frozen
 
 Array = npt.NDArray[np.float64]
 
 _WINDOW = 5.0  # correlation times over which an autocorrelation is summed (Sokal)
 _LONGEST = 0.5  # of a stroke: alike for longer is no error of the tracker's but the path's or the width's own
-_TOGETHER = 0.5  # noises at rest within which two frames show one place
+_TOGETHER = 2.0  # noises at rest within which two frames show one place
+_MOSTLY = 0.7  # of what neighbouring frames share, that other passes repeat
+_ITERATIONS = 10
 _FEWEST = 40  # frames from which anything is said
 
 
@@ -30,9 +32,6 @@ class PlaceNoise:
     length: float  # along the image path, over which the error stays alike
     common: float  # rms of the part that passes at other times repeat at the same place
     effect: float  # frames that count as one independent frame; at least 1
-
-    def to_json(self) -> dict[str, float]:
-        return asdict(self)
 
 
 def place_noise(fitted: Fitted) -> PlaceNoise | None:
@@ -53,15 +52,36 @@ def place_noise(fitted: Fitted) -> PlaceNoise | None:
         rms=float(np.sqrt(total2 - rest2)),
         at_rest=float(np.sqrt(rest2)),
         length=0.5 * (effect - 1.0) * usual,
-        common=_common(error, at, stroke, float(np.sqrt(rest2))),
+        common=_common(error[moving], at[moving], stroke[moving], float(np.sqrt(rest2))),
         effect=effect,
     )
 
 
-def allowing_for_place(fitted: Fitted) -> Fitted:
+def as_many_as_independent(fitted: Fitted) -> Fitted:
     """The same fit, its covariance that of as many frames as are independent."""
     noise = place_noise(fitted)
     return fitted if noise is None else replace(fitted, covariance=fitted.covariance * noise.effect)
+
+
+def allowing_for_place(fitted: Fitted, noise: PlaceNoise | None) -> Fitted:
+    """A fit again with what goes with the place in the noise of each frame: however many frames show the tip at rest,
+    all are wrong by what is wrong there. Not where most of what neighbouring frames share is another in each pass."""
+    if noise is None or noise.common <= _MOSTLY * noise.rms:
+        return fitted
+    tracks = [_noisier(fitted, k, noise.common) for k in range(len(fitted.masks))]
+    fit = replace(fitted.fit, tracks=tracks, smoothing=dict(fitted.fit.smoothing))
+    return fit.solve(fitted.curves, iterations=_ITERATIONS)
+
+
+def _noisier(fitted: Fitted, k: int, common: float) -> Frozen:
+    """A track whose frames together know each place to no better than `common`."""
+    frozen = fitted.fit.tracks[k]
+    seen = fitted.fit.seen(frozen.track, fitted.curves, fitted.fit.simulated[k].p)
+    step = np.linalg.norm(np.diff(seen, axis=0), axis=1)
+    place = np.concatenate([[0], np.cumsum(step > _TOGETHER * frozen.track.sigma[1:])])
+    frames = np.bincount(place, weights=frozen.use)[place]
+    sigma = np.sqrt(frozen.track.sigma**2 + np.maximum(frames, 1.0) * common**2)
+    return replace(frozen, track=replace(frozen.track, sigma=sigma))
 
 
 @dataclass(frozen=True)
@@ -117,7 +137,8 @@ def _effect(score: Array, stroke: npt.NDArray[np.int_]) -> float:
 
 
 def _common(error: Array, at: Array, stroke: npt.NDArray[np.int_], at_rest: float) -> float:
-    """From products of frames that other strokes took at the same place."""
+    """From products of frames that other strokes took in passing the same place. Where the tip rests for many frames
+    the path is what they show."""
     order = np.argsort(at)
     error, at, stroke = error[order], at[order], stroke[order]
     total, count = 0.0, 0

@@ -132,17 +132,18 @@ class PlayFit:
         self.simulated = [t.simulate(self.grid, width, curves.delay_s, self.elements) for t in self.tracks]
         rows, masks = [], []
         for frozen, sim in zip(self.tracks, self.simulated, strict=True):
-            s = self.follow.value(curves.follow, sim.p)
-            y, _ = self._seen(frozen.track, s, curves.delay_s)
+            y = self.seen(frozen.track, curves, sim.p)
             rows.append((frozen.track.y - y) / frozen.track.sigma[:, None])
             masks.append(frozen.use & (sim.settled if self.settled_only else sim.known) & np.isfinite(y).all(axis=1))
         return rows, masks
 
-    def _seen(self, track: Track, s: Array, delay_s: float) -> tuple[Array, Array]:
+    def seen(self, track: Track, curves: Curves, p: Array) -> Array:
+        """y (n, coordinates) at each frame of a track."""
+        s = self.follow.value(curves.follow, p)
         if self.view is None:
-            return s, np.ones_like(s)
-        translation, rotation = track.others_at(track.scene_s(delay_s))
-        return self.view(s[:, 0], translation, rotation)
+            return s
+        translation, rotation = track.others_at(track.scene_s(curves.delay_s))
+        return self.view(s[:, 0], translation, rotation)[0]
 
     def normal(self, curves: Curves, rows: list[Array], weights: list[Array]) -> tuple[Array, Array]:
         """J'WJ and J'Wr of the whitened problem, unknowns ordered follow (channel by channel), backlash, delay.

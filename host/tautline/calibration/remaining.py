@@ -13,7 +13,7 @@ from scipy.ndimage import binary_closing, binary_fill_holes
 from scipy.optimize import isotonic_regression
 
 from tautline.calibration.observations import Track
-from tautline.calibration.place import allowing_for_place
+from tautline.calibration.place import as_many_as_independent
 from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit, View
 from tautline.calibration.smooth import SPANS, Domain
 from tautline.elements import SINGLE, Elements
@@ -102,7 +102,7 @@ def fit_remaining(
     design = basis.design(p)
     system = (design.T @ design).toarray() + 1e-3 * basis.bending + 1e-9 * np.eye(basis.size)
     start = np.linalg.solve(system, design.T @ c)
-    fitted = allowing_for_place(fit.solve(Curves(np.zeros(basis.size), start[:, None], delay_s)))
+    fitted = as_many_as_independent(fit.solve(Curves(np.zeros(basis.size), start[:, None], delay_s)))
     counted = np.concatenate([s.p[m] for s, m in zip(fitted.fit.simulated, fitted.masks, strict=True)])
     curve = basis.value(fitted.curves.follow[:, 0], grid)
     curve = carried_on(curve, grid, float(counted.min()), float(counted.max()))

@@ -15,6 +15,7 @@ COMMANDS = {
     "boards": "list the boards that are attached, with their firmware and protocol",
     "calibrate": "measure B(q) and f_remain from a recording, or live from a board and a camera",
     "predict": "what a model says the tip does under a recorded motor motion",
+    "compensate": "motor set-points that lead the tip along a trajectory, for any motor",
     "diagnose": "where model and instrument part, which effect is the cause, how far the gap shrinks",
     "flash": "load a model's tables into a board and read them back",
     "follow": "follow a trajectory of the tip, with or without compensation",

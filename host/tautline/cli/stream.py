@@ -8,15 +8,22 @@ import selectors
 import signal
 import sys
 import time
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from tautline.cli._common import emit, json_option
+from tautline.cli._common import emit, force_option, json_option, refuse_unusable
 from tautline.cli._live import axis_option, board_option
 from tautline.errors import TautError
+from tautline.model import Model
+
+if TYPE_CHECKING:
+    from tautline.device.board import Board
 
 
 @click.command("stream")
+@click.argument("model_path", metavar="[MODEL]", required=False, type=click.Path(path_type=Path))
 @board_option
 @axis_option
 @click.option(
@@ -29,23 +36,31 @@ from tautline.errors import TautError
     "--sine", type=(float, float), metavar="DEG SECONDS", help="Instead of stdin: a sine, amplitude and period."
 )
 @click.option("--duration", type=click.FloatRange(min=0.1), help="s; default until stdin or Ctrl-C ends it.")
+@force_option
 @json_option
 def command(
+    model_path: Path | None,
     board: str | None,
     axis: int,
     rate: float,
     silence: float,
     sine: tuple[float, float] | None,
     duration: float | None,
+    force: bool,
     as_json: bool,
 ) -> None:
     """Send tip set-points, deg, to one axis through its tables: one number a line on stdin, the newest counts.
+
+    With MODEL, its tables are loaded first; without, those in the board are used as they are.
 
     While stdin says nothing new for longer than --silence, nothing is sent, and the board brings the axis to rest.
     """
     from tautline.device.board import open_board
     from tautline.device.stream import SetPoints
 
+    model = None if model_path is None else Model.load(model_path)
+    if model is not None and model_path is not None:
+        refuse_unusable(model, model_path, force)
     ended = False
 
     def stop(number: int, frame: object) -> None:
@@ -54,7 +69,7 @@ def command(
 
     before = signal.signal(signal.SIGINT, stop)
     try:
-        with open_board(board) as opened, SetPoints(opened, axis, silence) as points:
+        with open_board(board) as opened, SetPoints(_loaded(opened, axis, model), axis, silence) as points:
             began = time.monotonic()
             newest, fresh = points.start_deg, 0.0
             lines = _Lines() if sine is None else None
@@ -76,6 +91,15 @@ def command(
         f"{points.sent} set-points in {points.seconds:.1f} s ({points.rate_hz:.0f} Hz), {points.late} late, "
         f"{points.refused} refused",
     )
+
+
+def _loaded(board: Board, axis: int, model: Model | None) -> Board:
+    """The board with the model's tables in the axis."""
+    if model is not None:
+        from tautline import tables
+
+        board.load_table(axis, tables.encode(model, axis=axis))
+    return board
 
 
 class _Lines:

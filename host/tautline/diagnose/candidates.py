@@ -12,15 +12,16 @@ import numpy.typing as npt
 from tautline import effects
 from tautline.diagnose import confined, gap, heldout
 from tautline.diagnose.decide import Beyond
-from tautline.diagnose.fit import Fit, Fitter, outlier_limit
+from tautline.diagnose.fit import Fit, Fitter, Scope, outlier_limit
 from tautline.diagnose.screen import Screened, screen
-from tautline.effects import BY_ID, EVENTS, SCATTERS, STICK_SLIP, Kind
+from tautline.effects import SCATTERS, Kind
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
 
 
 _MARGIN_S = 1.0  # before and after a shift that a recording has to show
+_CHANGES = 0.15  # share of a change with time that a recording has to show
 _NOISE = 4.0  # floors: what is more is no noise, and a lost marker counts no more than that
 
 
@@ -41,13 +42,17 @@ class Found:
     @property
     def parameters(self) -> int:
         """Those that were fitted, and those of the scatter."""
-        named = {p.name for kind in self.fit.hypothesis.kinds for p in (*kind.amplitudes, *kind.shapes)} - SCATTERS
-        return len(named & self.fit.state.values.keys()) + len(self.scatters)
+        hypothesis, values = self.fit.hypothesis, self.fit.state.values
+        # What each recording has of its own is paid for by its own blocks.
+        keys = {slot.key for slot in hypothesis.slots if slot.number <= 1}
+        keys |= {p.name for kind in hypothesis.kinds for p in kind.parameters if p.searched} - SCATTERS
+        return len(keys & values.keys()) + len(self.scatters)
 
     @property
     def has_path(self) -> bool:
         """Whether a prediction follows all of its effects, as far as they can be followed."""
-        return not set(self.ids) & EVENTS or "held_back" in self.fit.state.values
+        events = [kind.event for kind in self.fit.hypothesis.kinds if kind.event]
+        return all(event.mean in self.fit.state.values for event in events)
 
     def reported(self) -> Found:
         """With the parameters of its scatter in the fit, where no residual is asked for any more."""
@@ -60,7 +65,7 @@ class Search:
 
     def __init__(self, fitter: Fitter, base: Fit, kinds: Sequence[Kind], progress: Progress) -> None:
         self.fitter, self.kinds, self._progress = fitter, kinds, progress
-        self._with_path = [kind for kind in kinds if kind.id not in EVENTS]
+        self._with_path = [kind for kind in kinds if not kind.event]
         self.labels = [np.unique(gap.blocks(s), return_inverse=True)[1] for s in fitter.segments]
         self.limits = outlier_limits(fitter, base)
         self.base = self.judged(base)
@@ -89,39 +94,60 @@ class Search:
         return np.concatenate(parts)
 
     def on_top_of(self, below: Found, refits: int, both_scopes: int) -> list[Found]:
-        """The `refits` effects that screen best, each in the scope (all recordings, or those after the calibration)
-        that screens better; the best `both_scopes` of them in the other scope too. Best first."""
-        seen: dict[str, dict[bool, Screened]] = {}
+        """The `refits` effects that screen best, each in the scope that screens
+        best; the best `both_scopes` of them in their other scopes too. Best first."""
+        seen: dict[str, dict[Scope, Screened]] = {}
         for entry in screen(self.fitter, below.fit, self._with_path, self.limits):
-            seen.setdefault(entry.kind.id, {}).setdefault(entry.only_tests, entry)
+            seen.setdefault(entry.kind.id, {}).setdefault(entry.scope, entry)
         found: list[Found] = []
 
         def refit(entry: Screened) -> None:
             self._progress(f"fitting {' and '.join((*below.ids, entry.kind.id))}")
             start = {**below.fit.state.values, **entry.values}
-            hypothesis = below.fit.hypothesis.plus(entry.kind, entry.only_tests)
+            hypothesis = below.fit.hypothesis.plus(entry.kind, entry.scope)
             fit = self.fitter.fit(hypothesis, start, below.fit.state, entry.others)
             if not fit.finite:
                 return
-            if entry.kind.id != "registration.shift" or self._seen_to_happen(fit):
+            if (entry.kind.scan != "moment" or self._seen_to_happen(fit)) and self._seen_to_change(fit):
                 found.append(self.judged(fit))
 
-        for scopes in list(seen.values())[:refits]:
-            refit(next(iter(scopes.values())))
-        found.sort(key=_loss)
-        for best in found[:both_scopes]:
-            other = seen[best.ids[-1]].get(not best.fit.hypothesis.only_tests[-1])
-            if other is not None:
+        leading = list(seen)[:refits]
+        for name, scopes in seen.items():
+            best, *rest = scopes.values()
+            # A linear step tells little of parts of the nominal model: the recalibrated one has moved half way.
+            if name in leading or (both_scopes and best.kind.nominal):
+                refit(best)
+            for other in rest if both_scopes and best.kind.each else []:
                 refit(other)
+        found.sort(key=_loss)
+        for one in found[:both_scopes]:
+            kind, tried = one.fit.hypothesis.kinds[-1], one.fit.hypothesis.scopes[-1]
+            for scope, other in seen[kind.id].items():
+                if scope != tried and not kind.each:
+                    refit(other)
         return sorted(found, key=_loss)
 
-    def held_back(self, below: Found, stick: float) -> Found | None:
-        """Sticking after the calibration on top of a hypothesis, as it is in the mean: the play is wider by about the
-        length that the tip sticks for (while calibrating it is B's own)."""
-        hypothesis = below.fit.hypothesis.plus(BY_ID[STICK_SLIP], True)
-        values = {**below.fit.state.values, "stick": 0.0, "held_back": stick}
+    def posture(self, below: Found) -> Found | None:
+        """All that another posture, tension or homing changes at once on top of a hypothesis, in each recording another
+        where there are several. `below` may have some of it already."""
+        kinds = [kind for kind in self.kinds if kind.posture and not below.fit.hypothesis.find(kind.id)]
+        scope = Scope.EACH if below.fit.hypothesis.tests > 1 else Scope.TESTS
+        hypothesis = below.fit.hypothesis
+        for kind in kinds:
+            hypothesis = hypothesis.plus(kind, scope)
+        self._progress("fitting another posture")
+        values = {slot.key: 0.0 for slot in hypothesis.slots} | dict(below.fit.state.values)
         fit = self.fitter.fit(hypothesis, values, below.fit.state)
-        return self.judged(fit) if fit.finite and fit.state.values["held_back"] > 0.0 else None
+        return self.judged(fit) if kinds and fit.finite else None
+
+    def in_the_mean(self, below: Found, kind: Kind, amount: float) -> Found | None:
+        """An event after the calibration on top of a hypothesis, as it is in the mean: with sticking the play is wider
+        by about the length that the tip sticks for (while calibrating it is B's own)."""
+        assert kind.event
+        hypothesis = below.fit.hypothesis.plus(kind, Scope.TESTS)
+        values = {**below.fit.state.values, kind.event.amount: 0.0, kind.event.mean: amount}
+        fit = self.fitter.fit(hypothesis, values, below.fit.state)
+        return self.judged(fit) if fit.finite and fit.state.values[kind.event.mean] > 0.0 else None
 
     def _seen_to_happen(self, fit: Fit) -> bool:
         """A recording shows it: what comes before in it fits better without the shift, and what comes after with it. A
@@ -134,6 +160,21 @@ class Search:
                 before = seen < shift_s
                 return bool(never[before].sum() < always[before].sum() and never[~before].sum() > always[~before].sum())
         return False
+
+    def _seen_to_change(self, fit: Fit) -> bool:
+        """Of an effect that goes with time: some recording shows more of its change than is there throughout. What is
+        constant in every recording is another width or offset."""
+        kind, scope = fit.hypothesis.kinds[-1], fit.hypothesis.scopes[-1]
+        if kind.course is None:
+            return True
+        values = fit.state.values
+        at = [
+            [kind.course(values, float(s.arrival_s[s.scored][i]) + s.offset_s) for i in (0, -1)]
+            for s in self.fitter.segments
+            if not (scope and s.calibration)
+        ]
+        most = max(abs(value) for ends in at for value in ends)
+        return max(abs(last - first) for first, last in at) > _CHANGES * most
 
     def _squares(self, fit: Fit, which: int, shift_s: float) -> Array:
         """(scored,) of a recording, outliers pulled in, had the shift happened then."""
@@ -156,9 +197,11 @@ def applicable(fitter: Fitter, left_out: Collection[str] = ()) -> list[Kind]:
         for s in fitter.segments
         for values in (s.motor.translation_mm, s.motor.rotation_deg)
     )
+    joints = sorted({name for s in fitter.segments for name in s.motor.joints})
     has = {"": True, "camera": fitter.px, "load": load, "freedom": freedom}
-    kinds = [kind for kind in effects.LIBRARY if has[kind.needs] and kind.id not in left_out]
-    return [kind for kind in kinds if fitter.px or kind.id != "acquisition.delay"]
+    known = [kind for kind in effects.LIBRARY if kind.id not in left_out]
+    further = [kind.of_joint(name) for kind in known if kind.of_joint for name in joints]
+    return [*(kind for kind in known if has[kind.needs]), *further]
 
 
 def outlier_limits(fitter: Fitter, base: Fit) -> list[float]:

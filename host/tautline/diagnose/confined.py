@@ -19,11 +19,10 @@ import numpy.typing as npt
 from tautline import _native
 from tautline.diagnose.fit import STATIC_COLUMNS, Fit, Fitter, Rows
 from tautline.diagnose.segment import Segment
-from tautline.effects import JITTER, Kind
+from tautline.effects import Kind
 
 Array = npt.NDArray[np.float64]
 
-_THROUGH_ANGLE = ("actuator", "transmission", "configuration")
 _LENS_ORDER = 5  # of polynomials over the image
 _PLANE_ORDER = 5  # and over the bending angle
 _TRAVELS = (0.003, 0.01, 0.03)  # of the motor's range, in which an instrument settles in its channel
@@ -35,8 +34,8 @@ def residuals(fitter: Fitter, fit: Fit, further: Sequence[Kind] = ()) -> list[Ar
     kinds = (*fit.hypothesis.kinds, *further)
     if not fitter.px or not kinds:
         return None
-    along = any(kind.stage in _THROUGH_ANGLE for kind in kinds)
-    timed = any(kind.id == JITTER for kind in kinds)
+    along = any(kind.through_angle for kind in kinds)
+    timed = any(kind.leaves == "time" for kind in kinds)
     if along and timed:
         return None
     plain = fitter.rows(fit.state, fit.hypothesis)
@@ -44,9 +43,9 @@ def residuals(fitter: Fitter, fit: Fit, further: Sequence[Kind] = ()) -> list[Ar
     rows = [
         replace(row, columns=np.concatenate([row.columns, more], axis=2)) for row, more in zip(plain, own, strict=True)
     ]
-    scopes = list(zip(fit.hypothesis.kinds, fit.hypothesis.only_tests, strict=True))
+    scopes = list(zip(fit.hypothesis.kinds, fit.hypothesis.scopes, strict=True))
     for what, freedom in _FREEDOM.items():
-        only = [only for kind, only in scopes if kind.id.startswith(what)]
+        only = [only for kind, only in scopes if kind.leaves == what]
         if only:
             extra = freedom(fitter, rows)
             rows = [
@@ -122,4 +121,4 @@ def _channel(fitter: Fitter, rows: Sequence[Rows]) -> list[Array]:
     return found
 
 
-_FREEDOM = {"camera.": _lens, "kinematics.": _plane, "registration.direction_dependent": _channel}
+_FREEDOM = {"lens": _lens, "plane": _plane, "channel": _channel}

@@ -9,15 +9,15 @@ Pure: no fit, no file, no simulation.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 from scipy import stats
 from scipy.special import log_expit, log_ndtr, logsumexp
 
-from tautline.effects import JITTER, LIBRARY
+from tautline.effects import BY_ID, EVENTS, LIBRARY
 
 Array = npt.NDArray[np.float64]
 
@@ -37,10 +37,13 @@ NAMED = 0.5  # probability from which on an effect is named
 COVERS = 0.95  # probability that a set of effects that cannot be told apart holds
 COINCIDES = 0.1  # probability that an unknown effect goes with a column that was measured beside the motion
 MEASURED = frozenset(kind.id for kind in LIBRARY if kind.needs == "load")  # effects that follow such a column
-LAWS = frozenset({"registration.static", "registration.shift", "acquisition.delay", JITTER})
+CONSTANT = frozenset(kind.id for kind in LIBRARY if kind.nominal)  # parts of the nominal model
+LAWS = frozenset(kind.id for kind in LIBRARY if kind.law)
 AHEAD = 5.0  # of every rival, as a logarithm: an event beside another effect that is told for sure
 FLOOR_KNOWN, STEADY = 0.2, 0.07  # of the noise power's logarithm: how well a case's is known, and how unlike blocks are
 DISTURBED = 0.03  # share of blocks in which something happens that no model has, such as the moment of a shift
+MOVED = 0.2  # share of what a recalibration closes from which on a part of it is named
+HELPS = 0.7  # standard errors of the mean over blocks; one block alone that shows an effect is 1
 CONFINED = 0.5  # probability that what a wrong effect leaves is confined to its stage as well
 
 
@@ -116,8 +119,8 @@ def decide(evidence: Evidence) -> Verdict:
     log = np.full(len(hypotheses) + 1, -np.inf)
     log[-1] = weights.unknown + np.log(UNKNOWN)
     for key, i in best.items():
-        log[i] = weights.of[i] + weights.prior(len(key))
-        log[-1] = np.logaddexp(log[-1], weights.elsewhere[i] + weights.prior(len(key)))
+        log[i] = weights.of[i] + weights.prior(key)
+        log[-1] = np.logaddexp(log[-1], weights.elsewhere[i] + weights.prior(key))
     p = np.exp(log - logsumexp(log))
 
     leading = dict.fromkeys((name for h in hypotheses for name in h.ids), 0.0)
@@ -151,6 +154,55 @@ def decide(evidence: Evidence) -> Verdict:
         tuple(probability),
         best.get(frozenset(named), 0),
     )
+
+
+def with_moved(verdict: Verdict, parts: Sequence[tuple[str, float]]) -> Verdict:
+    """Recalibrating closed the gap, so what these parts of the nominal model did (ids with shares) is what was there;
+    it may yet stand in for an unknown effect. They are named as the nominal hypothesis has them."""
+    told = (1.0 - FOLLOWS) * verdict.unknown
+    leading = dict(verdict.leading)
+    for name, share in parts:
+        leading[name] = leading.get(name, 0.0) + share * told
+    named = tuple(name for name, share in parts if share >= MOVED)
+    return replace(
+        verdict,
+        unknown=verdict.unknown - told,
+        leading=leading,
+        named=named,
+        probability=tuple(1.0 - FOLLOWS for _ in named),
+        chosen=0,
+    )
+
+
+def that_help(evidence: Evidence, verdict: Verdict) -> Verdict:
+    """Only effects without which the model leaves more on blocks that the fits did not see, by more than the blocks
+    scatter; unknown where none does. Events have no path to be judged by."""
+    ids = [h.ids for h in evidence.hypotheses]
+
+    def least(names: Sequence[str]) -> int:
+        same = [i for i, own in enumerate(ids) if set(own) == set(names)]
+        return min(same, key=lambda i: float(np.mean(evidence.hypotheses[i].power)), default=0)
+
+    named, chosen, probability = (
+        list(verdict.named),
+        verdict.chosen,
+        dict(zip(verdict.named, verdict.probability, strict=False)),
+    )
+    for name in reversed(verdict.named if verdict.name == "effect" else ()):
+        rest = [other for other in named if other != name]
+        without = least(rest)
+        if name in EVENTS or (rest and not ids[without]):
+            continue
+        gained = evidence.hypotheses[without].power - evidence.hypotheses[chosen].power
+        if float(np.mean(gained)) <= HELPS * float(np.std(gained)) / np.sqrt(len(gained)):
+            named, chosen = rest, without
+    if len(named) == len(verdict.named):
+        return verdict
+    if named:
+        return replace(verdict, named=tuple(named), probability=tuple(probability[n] for n in named), chosen=chosen)
+    told = sum(verdict.leading.values())
+    nothing = dict.fromkeys(verdict.leading, 0.0)
+    return replace(verdict, unknown=verdict.unknown + told, leading=nothing, named=(), probability=(), chosen=0)
 
 
 def is_open(evidence: Evidence, power: Array | float) -> bool:
@@ -194,11 +246,25 @@ class _Likelihoods:
                 if len(more.ids) == len(h.ids) + 1 and h.ids and set(h.ids) < set(more.ids):
                     all_of_it = own[j] + (far[j] if h.scatter.any() else 0.0)
                     self.of[i] = max(self.of[i], all_of_it + self._by_chance(h, more) + confined[i])
+        self._give_way(hypotheses)
         self.unknown = max(
-            self._stands_in(h, table) + (self.prior(len(h.ids)) if h.ids else 0.0)
+            self._stands_in(h, table) + (self.prior(h.ids) if h.ids else 0.0)
             for h, table in zip(hypotheses, tables, strict=True)
             if not h.scatter.any()
         )
+
+    def _give_way(self, hypotheses: Sequence[Weighed]) -> None:
+        """An effect that can do a simpler one's part too says nothing where the simpler one alone leaves no more than a
+        right effect may: it is that one, and more of it only beside it."""
+        before = max(float(np.mean(self._before)), 1e-300)
+        simple = {
+            h.ids[0]
+            for h in hypotheses
+            if len(h.ids) == 1 and float(np.mean(h.power)) - self._floor2 < _most(h.ids) * before
+        }
+        for i, h in enumerate(hypotheses):
+            if len(h.ids) == 1 and simple & set(BY_ID[h.ids[0]].contains):
+                self.of[i] = -np.inf
 
     def _stands_in(self, h: Weighed, table: Array) -> float:
         """For an unknown effect, which now and then it follows as closely as if it were right."""
@@ -206,8 +272,9 @@ class _Likelihoods:
         chance = np.log(COINCIDES) if MEASURED & set(h.ids) else 0.0
         return float(chance + np.logaddexp(follows, np.log1p(-FOLLOWS) + logsumexp(table + _wrong())))
 
-    def prior(self, effects: int) -> float:
-        """Of one hypothesis with so many effects."""
+    def prior(self, ids: Collection[str]) -> float:
+        """Of one hypothesis. Parts of the nominal model move together."""
+        effects = len(set(ids) - CONSTANT) + bool(CONSTANT & set(ids))
         if effects == 0:
             return float(np.log(NONE))
         return float((effects - 1) * np.log(FURTHER) - np.log(self._applicable))

@@ -4,30 +4,27 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from tautline import effects
-from tautline.diagnose import confounded, decide, flexible, gap, motion, where
+from tautline.diagnose import confounded, decide, flexible, gap, motion, moved, where
 from tautline.diagnose.candidates import Found, applicable
-from tautline.diagnose.fit import Fit, Fitter, Hypothesis
+from tautline.diagnose.fit import Fit, Fitter, Scope, key
 from tautline.diagnose.gather import Gathered, gather
 from tautline.diagnose.segment import Segment, load_reference, prepare
-from tautline.geometry import rotation
-from tautline.model import Effect, Model, allowed_width
+from tautline.effects.library.registration import with_registration
+from tautline.model import Effect, Model, monotone
 from tautline.recording import Recording
-from tautline.rig import HandEye
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 FORMAT = "diagnosis/1"
-_SWALLOWED = 0.1  # a recalibration that leaves less of the gap's power has closed it
 _STEADY = 0.5  # share of a gap's power that does not change within a recording
 
 
@@ -55,23 +52,28 @@ def diagnose(
     progress(0.0, "preparing")
     segments = prepare(model, calibration, tests)
     fitter = Fitter(model, segments, load_reference(calibration))
-    frozen = fitter.residuals(fitter.start(), Hypothesis())
+    frozen = fitter.residuals(fitter.start(), fitter.nothing)
     fitter.floor = gap.noise_floor(segments, frozen)
     base = fitter.nominal()
-    floor = fitter.floor = gap.noise_floor(segments, base.residuals)
+    # A rest in which the tip goes on moving is no noise: the calibration has no more of it than its own fit leaves.
+    floor = fitter.floor = min(gap.noise_floor(segments, base.residuals), gap.rms(frozen[:1]))
     kinds = applicable(fitter, left_out)
     hidden = confounded.hidden(kinds, segments)
     kinds = [kind for kind in kinds if kind.id not in hidden]
 
     gathered = gather(fitter, frozen, base, kinds, lambda done, text: progress(0.1 + 0.8 * done, text))
-    verdict = decide.decide(gathered.evidence)
-    chosen = gathered.found[verdict.chosen]
-    named = verdict.named if verdict.name == "effect" else ()
-
+    verdict = decide.that_help(gathered.evidence, decide.decide(gathered.evidence))
     progress(0.92, "attributing")
     before = frozen[1:]
+    before_rms, recalibrated = gap.rms(before), gap.rms(base.residuals[1:])
+    swallowed = moved.closes(before_rms, recalibrated, floor) and not decide.is_open(gathered.evidence, recalibrated**2)
+    parts = moved.from_the_start(fitter, frozen, base) if swallowed and verdict.name == "unknown" else []
+    if parts:
+        verdict = decide.with_moved(verdict, [(part.id, part.share) for part in parts])
+    chosen = gathered.found[verdict.chosen]
+    named = verdict.named if verdict.name == "effect" else ()
     after = chosen.left[1:] if named else before  # without an effect nothing is added
-    before_rms, after_rms, recalibrated = gap.rms(before), gap.rms(after), gap.rms(base.residuals[1:])
+    after_rms = gap.rms(after)
     excess = max(before_rms**2 - floor**2, 1e-12)
     paths = [s.predict(model, {}, fitter.load_reference)[0] for s in segments[1:]]
     conditions = where.conditions(segments[1:], paths, before)
@@ -82,6 +84,13 @@ def diagnose(
     best = _best_of_each(gathered)
     open_still = decide.is_open(gathered.evidence, after_rms**2)
     rest = flexible.close(segments[1:], after, floor) if open_still else None
+    if parts:
+        shares = [part.share * shrink for part in parts]
+    else:
+        shares = _shapley(gathered, fitter, named, chosen, before_rms)
+        constant = [name for name in named if effects.BY_ID[name].nominal]
+        if named and len(constant) == len(named) and moved.closes(before_rms, after_rms, floor):
+            parts = moved.of_named(list(zip(named, shares, strict=True)))
     document: dict[str, Any] = {
         "format": FORMAT,
         "unit": segments[0].unit,
@@ -102,16 +111,17 @@ def diagnose(
             {
                 "id": name,
                 "probability": probability,
+                "since": _since(chosen.fit, name).since,
                 "parameters": _reported(chosen.fit, name),
+                **_of_each(chosen.fit, name, segments),
                 "shrink": share,
-                "swallowed_by_recalibration": bool(recalibrated**2 - floor**2 < _SWALLOWED * excess),
+                "swallowed_by_recalibration": moved.closes(before_rms, recalibrated, floor),
                 "loads_on_board": effects.BY_ID[name].on_board,
                 "ambiguous_with": [other for other in ambiguous if other != name] if name == named[0] else [],
             }
-            for name, probability, share in zip(
-                named, verdict.probability, _shapley(gathered, fitter, named, chosen, before_rms), strict=False
-            )
+            for name, probability, share in zip(named, verdict.probability, shares, strict=False)
         ],
+        "moved": [{"id": part.id, "share": part.share, "since": _since(chosen.fit, part.id).since} for part in parts],
         "candidates": [
             {
                 "id": name,
@@ -184,7 +194,7 @@ def _shapley(gathered: Gathered, fitter: Fitter, named: Sequence[str], chosen: F
             off = {
                 p.name for name in named if name not in key for p in effects.BY_ID[name].amplitudes
             } | effects.SCATTERS
-            values = {k: (0.0 if k in off else v) for k, v in chosen.fit.state.values.items()}
+            values = {k: (0.0 if k.split("@")[0] in off else v) for k, v in chosen.fit.state.values.items()}
             residuals = fitter.residuals(replace(chosen.fit.state, values=values), chosen.fit.hypothesis)
             known[key] = 1.0 - gap.rms(residuals[1:]) / before
         return known[key]
@@ -201,65 +211,51 @@ def _shapley(gathered: Gathered, fitter: Fitter, named: Sequence[str], chosen: F
     return shares
 
 
-def _reported(fit: Fit, name: str) -> dict[str, float]:
+def _since(fit: Fit, name: str) -> Scope:
+    """A part of the nominal that no effect stands for moved in all recordings."""
+    found = fit.hypothesis.find(name)
+    return found[1] if found else Scope.START
+
+
+def _reported(fit: Fit, name: str) -> dict[str, Any]:
+    """Where each recording has its own, those of the last test."""
+    kind, scope = fit.hypothesis.find(name) or (effects.BY_ID[name], Scope.START)
+    values = fit.state.values if fit.hypothesis.find(name) else fit.state.static
+    last = fit.hypothesis.tests
+    keys = {p.name: key(p.name, last) if scope == Scope.EACH and not p.searched else p.name for p in kind.parameters}
+    found = {parameter: float(values[at]) for parameter, at in keys.items() if at in values}
+    column = {"column": kind.column} if kind.column else {}
+    return {**found, **column, "since_calibration": float(bool(scope))}
+
+
+def _of_each(fit: Fit, name: str, segments: Sequence[Segment]) -> dict[str, Any]:
+    """What each recording has, where they differ."""
     kind = effects.BY_ID[name]
-    own = [p.name for p in (*kind.amplitudes, *kind.shapes)]
-    values = {parameter: float(fit.state.values[parameter]) for parameter in own if parameter in fit.state.values}
-    only = fit.hypothesis.only_tests[fit.hypothesis.kinds.index(kind)]
-    return {**values, "since_calibration": float(only)}
+    if _since(fit, name) != Scope.EACH:
+        return {}
+    values = fit.state.values
+    return {
+        "recordings": [
+            {"name": s.name, **{p.name: float(values[key(p.name, s.number)]) for p in kind.amplitudes}}
+            for s in segments[1:]
+        ]
+    }
 
 
 def _corrected(fit: Fit, last: Segment) -> Model:
     """The fitted model with its effects, its state as at the end of the last test: a shift has happened, a drift has
-    gone so far (its offset moved the tables' grid, its width scaled B)."""
+    gone so far."""
     model = fit.state.model
-    model = _with_registration(replace(model, c_deg=_monotone(model.c_deg)), fit.state.static)
+    model = with_registration(replace(model, c_deg=monotone(model.c_deg)), fit.state.static)
     values = fit.state.at(last, fit.hypothesis)
     end = float(last.motor.t_s[-1]) + last.offset_s
     added = []
     for kind in fit.hypothesis.kinds:
-        own = {p.name: values[p.name] for p in (*kind.amplitudes, *kind.shapes) if p.name in values}
-        if kind.id == "transmission.drift":
-            decay = own.get("drift_decay", 0.0)
-            gone = -math.expm1(-decay * end) / decay if decay > 0.0 else end
-            width = allowed_width(model.q, model.width * max(0.0, 1.0 + own["width_drift"] * gone))
-            model = replace(model, q=model.q - own["offset_drift"] * gone, width=width)
-        elif kind.id == "registration.static":
-            model = _with_registration(model, own)
-        elif kind.id == "registration.shift":
-            if end >= own["shift_time"]:
-                moved = {name.replace("shift", "static"): own[name] for name in own if name != "shift_time"}
-                model = _with_registration(model, moved)
-        elif kind.id == "acquisition.delay":
-            model = replace(model, delay_s=model.delay_s + own["delay"])
-        elif kind.id == "camera.distortion":
-            rig = model.rig
-            assert rig.camera
-            model = replace(model, rig=replace(rig, camera=effects.distorted(rig.camera, own)))
-        added.append(Effect(kind.id, own))
+        own = {p.name: values[p.name] for p in kind.parameters if p.name in values}
+        if kind.holds is not None:
+            model = kind.holds(model, own, end)
+        added.append(Effect(kind.id, own | ({"column": kind.column} if kind.column else {})))
     return replace(model, effects=tuple(added))
-
-
-def _monotone(c_deg: Array) -> Array:
-    """f_remain rising or falling strictly, as a model's must, where a fit left it level."""
-    sign = np.sign(c_deg[-1] - c_deg[0])
-    least = 1e-6 * abs(c_deg[-1] - c_deg[0]) / len(c_deg) * np.arange(len(c_deg))
-    rising: Array = sign * (np.maximum.accumulate(sign * c_deg - least) + least)
-    return rising
-
-
-def _with_registration(model: Model, static: Mapping[str, float]) -> Model:
-    """X_cam = R (Exp(turn) X + move) + t folded into the rig's hand-eye."""
-    rig = model.rig
-    if rig.hand_eye is None or not static:
-        return model
-    turn = Rotation.from_rotvec([static.get(f"static_r{a}", 0.0) for a in "xyz"], degrees=True).as_matrix()
-    move = np.array([static.get(f"static_{a}", 0.0) for a in "xyz"])
-    old = rotation(rig.hand_eye.rotation_deg)
-    rz, ry, rx = Rotation.from_matrix(old @ turn).as_euler("ZYX", degrees=True)
-    t = old @ move + np.asarray(rig.hand_eye.translation_mm)
-    hand_eye = HandEye((float(rx), float(ry), float(rz)), (float(t[0]), float(t[1]), float(t[2])))
-    return replace(model, rig=replace(rig, hand_eye=hand_eye))
 
 
 def _interval(values: Array) -> list[float]:

@@ -8,9 +8,11 @@ had when an envelope last carried it. The effects' Jacobian is a difference quot
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from enum import IntEnum
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +30,12 @@ _WIDTH_PIECES, _REMAINING_PIECES = 20, 22
 _ROUGH = 0.001  # second difference of a correction's neighbouring coefficients, share of its range
 STATIC_COLUMNS = slice(2, 8)  # of Rows.columns, with a camera
 _STATIC = tuple(p.name for p in effects.BY_ID["registration.static"].amplitudes)
+WIDTH, REMAINING, STATIC, DELAY = PARTS = (
+    "transmission.backlash",
+    "configuration.remaining",
+    "registration.static",
+    "acquisition.delay",
+)  # of the nominal model, that a recalibration moves
 _OUTLIER = 6.0  # robust standard deviations: a residual beyond is pulled in, unless it is one of many
 _AHEAD_S = 5e-3  # over which the tip's velocity is taken
 _DIFFERENCE = 0.05  # of a parameter's scale: the step of its difference quotient
@@ -39,29 +47,64 @@ _FAR = 30.0  # of a parameter's scale: its prior
 _RARE = 0.01  # a misfit that lasts longer than this share of a recording is no outlier
 
 
-@dataclass(frozen=True)
-class Hypothesis:
-    """Effects that are present, each in all recordings or only in those after the calibration."""
+class Scope(IntEnum):
+    """Since when an effect is there; what is false is there from the start."""
 
-    kinds: tuple[Kind, ...] = ()
-    only_tests: tuple[bool, ...] = ()
-
-    def plus(self, kind: Kind, only_tests: bool) -> Hypothesis:
-        return Hypothesis((*self.kinds, kind), (*self.only_tests, only_tests))
+    START = 0
+    TESTS = 1  # in all recordings after the calibration, the same
+    EACH = 2  # in each of them another
 
     @property
-    def parameters(self) -> list[tuple[Parameter, bool]]:
-        """Amplitudes and continuous shapes, with whether they hold in the tests only."""
-        return [
-            (p, only)
-            for kind, only in zip(self.kinds, self.only_tests, strict=True)
-            for p in (*kind.amplitudes, *kind.shapes)
-            if p.name not in _DISCRETE
-        ]
+    def since(self) -> str:
+        return ("start", "calibration", "recording")[self]
 
 
-# Searched over, or told by scatter; never differentiated.
-_DISCRETE = frozenset({"contact_side", "shift_time", "width_held"}) | effects.SCATTERS
+@dataclass(frozen=True)
+class Slot:
+    """A number that is fitted."""
+
+    parameter: Parameter
+    key: str  # of State.values
+    scope: Scope
+    number: int = 0  # of the recording, where each has its own
+
+    def holds_in(self, segment: Segment) -> bool:
+        if self.scope == Scope.EACH:
+            return segment.number == self.number
+        return not (self.scope and segment.calibration)
+
+
+def key(name: str, number: int) -> str:
+    """Of a parameter's value in one recording only."""
+    return f"{name}@{number}"
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """Effects that are present, and since when."""
+
+    kinds: tuple[Kind, ...] = ()
+    scopes: tuple[Scope, ...] = ()
+    tests: int = 1  # recordings after the calibration
+
+    def plus(self, kind: Kind, scope: Scope) -> Hypothesis:
+        return replace(self, kinds=(*self.kinds, kind), scopes=(*self.scopes, scope))
+
+    def find(self, name: str) -> tuple[Kind, Scope] | None:
+        """The effect of an id."""
+        return next(((k, s) for k, s in zip(self.kinds, self.scopes, strict=True) if k.id == name), None)
+
+    @property
+    def slots(self) -> list[Slot]:
+        """Amplitudes and continuous shapes."""
+        found = []
+        for kind, scope in zip(self.kinds, self.scopes, strict=True):
+            for p in (p for p in kind.parameters if not p.searched):
+                if scope == Scope.EACH:
+                    found += [Slot(p, key(p.name, i), scope, i) for i in range(1, self.tests + 1)]
+                else:
+                    found.append(Slot(p, p.name, scope))
+        return found
 
 
 @dataclass(frozen=True)
@@ -72,14 +115,17 @@ class State:
     static: Mapping[str, float]  # nominal registration, all recordings
     values: Mapping[str, float] = field(default_factory=dict)  # of the effects
 
-    def at(self, segment: Segment, hypothesis: Hypothesis) -> dict[str, float]:
+    def at(self, segment: Segment, hypothesis: Hypothesis) -> dict[str, Any]:
         """The parameters that hold in one recording."""
-        chosen = dict(self.static)
-        for kind, only in zip(hypothesis.kinds, hypothesis.only_tests, strict=True):
-            if only and segment.calibration:
+        chosen: dict[str, Any] = dict(self.static)
+        for kind, scope in zip(hypothesis.kinds, hypothesis.scopes, strict=True):
+            if scope and segment.calibration:
                 continue
-            for p in (*kind.amplitudes, *kind.shapes):
-                value = self.values.get(p.name)
+            if kind.column:
+                chosen["column"] = kind.column
+            for p in kind.parameters:
+                own = scope == Scope.EACH and not p.searched
+                value = self.values.get(key(p.name, segment.number) if own else p.name)
                 if value is not None:
                     chosen[p.name] = chosen.get(p.name, 0.0) + value if p.name in _STATIC else value
         return chosen
@@ -122,7 +168,7 @@ class Fit:
     @property
     def freedom(self) -> int:
         """How many parameters the effects have."""
-        return len(self.hypothesis.parameters)
+        return len(self.hypothesis.slots)
 
 
 class Fitter:
@@ -150,16 +196,34 @@ class Fitter:
             _bending(self._width_basis.size, _ROUGH * span), _bending(self._remaining_basis.size, _ROUGH * gain * span)
         )
         self.floor = 1.0
-        # An obstacle that begins outside of what was reached would be another gain and offset, and no obstacle.
+        # What begins outside of the angles that were reached would be another gain and offset.
         ends = np.sort(model.remaining(np.array([low, high])))
         inset = 0.05 * float(ends[1] - ends[0])
-        self._contact = (float(ends[0]) + inset, float(ends[1]) - inset)
+        self._reached = (float(ends[0]) + inset, float(ends[1]) - inset)
 
-    def nominal(self) -> Fit:
-        """The recalibrated model without any effect."""
-        found = self.descend(Hypothesis(), self.start(), _NOMINAL_STEPS)
+    @property
+    def nothing(self) -> Hypothesis:
+        """No effect."""
+        return Hypothesis(tests=len(self.segments) - 1)
+
+    def nominal(self, free: Collection[str] = PARTS) -> Fit:
+        """The recalibrated model without any effect; of PARTS only those that are free."""
+        held = self._columns_of(set(PARTS) - set(free))
+        found = self.descend(self.nothing, self.start(), _NOMINAL_STEPS, held=held)
         # Beside an effect as large as an obstacle a descent may stall for once.
-        return self.descend(Hypothesis(), found.state, _NOMINAL_STEPS)
+        return self.descend(self.nothing, found.state, _NOMINAL_STEPS, held=held)
+
+    def _columns_of(self, parts: Collection[str]) -> npt.NDArray[np.int64]:
+        """The nominal's unknowns that belong to these of PARTS."""
+        b, f = self._width_basis.size, self._remaining_basis.size
+        details = b + f
+        of = {
+            WIDTH: [*range(b), details],
+            REMAINING: [*range(b, b + f), details + 1],
+            STATIC: list(range(details + 2, details + 8)) if self.px else [],
+            DELAY: [details + 8] if self.px else [],
+        }
+        return np.array([i for part in parts for i in of[part]], dtype=np.int64)
 
     def scale(self, parameter: Parameter) -> float:
         """A parameter's natural step in its own unit."""
@@ -183,8 +247,11 @@ class Fitter:
         return [self._rows(segment, state, hypothesis, slope_b, slope_f) for segment in self.segments]
 
     def _rows(self, segment: Segment, state: State, hypothesis: Hypothesis, slope_b: Array, slope_f: Array) -> Rows:
-        model, parameters, keep = state.model, state.at(segment, hypothesis), segment.scored
-        path = segment.follow(model, parameters, self.load_reference)
+        parameters, keep = state.at(segment, hypothesis), segment.scored
+        path = segment.follow(state.model, parameters, self.load_reference)
+        model = effects.tabled(state.model, parameters)
+        if model is not state.model:
+            slope_b, slope_f = np.gradient(model.width, model.q), np.gradient(model.c_deg, model.q)
         p, tip, gain, side = path.p[keep], path.tip[keep], path.gain[keep], path.side[keep].astype(float)
         steep = np.maximum(1 + side * np.interp(p, model.q, slope_b) / 2, 0.1)
         by_width = gain * np.interp(tip, model.q, slope_f) * -side / 2 / steep
@@ -196,7 +263,7 @@ class Fitter:
             return Rows(path, p, tip, by_width, gain, np.ones((len(p), 1)), details[:, None, :], residual)
         seen, by_c, by_static = effects.image_with_slopes(model, path, parameters, segment.offset_s)
         sooner = {**parameters, "delay": parameters.get("delay", 0.0) - _AHEAD_S}
-        later = segment.follow(model, sooner, self.load_reference)
+        later = segment.follow(state.model, sooner, self.load_reference)
         by_delay = ((path.c_deg - later.c_deg) / _AHEAD_S)[:, None] * by_c
         columns = np.concatenate(
             [by_c[keep][:, :, None] * details[:, None, :], by_static[keep], by_delay[keep][:, :, None]], axis=2
@@ -242,7 +309,7 @@ class Fitter:
 
     def spread(self, hypothesis: Hypothesis) -> Array:
         """Standard deviations of the prior: of the nominal's corrections, then of the effects' parameters."""
-        return np.concatenate([self._prior, [_FAR * self.scale(p) for p, _ in hypothesis.parameters]])
+        return np.concatenate([self._prior, [_FAR * self.scale(slot.parameter) for slot in hypothesis.slots]])
 
     def stiffness(self, hypothesis: Hypothesis) -> Array:
         """The prior's inverse covariance: 1 / spread^2, and B and f_remain move smoothly: where a motion hardly reaches
@@ -253,16 +320,17 @@ class Fitter:
         return stiff
 
     def effect_columns(self, state: State, hypothesis: Hypothesis, rows: Sequence[Rows]) -> list[Array]:
-        """Of each recording (n, k, m) by difference quotients, one column for each of the hypothesis' parameters."""
+        """Of each recording (n, k, m) by difference quotients, one column for each of the hypothesis' slots."""
         found = []
         for segment, row in zip(self.segments, rows, strict=True):
-            columns = np.zeros((*row.residual.shape, len(hypothesis.parameters)))
-            for i, (parameter, only) in enumerate(hypothesis.parameters):
-                if not (only and segment.calibration):
-                    step = _DIFFERENCE * self.scale(parameter)
-                    values = {**state.values, parameter.name: state.values[parameter.name] + step}
-                    there = replace(state, values=values)
-                    columns[:, :, i] = self.moved_by(segment, there, hypothesis, parameter, row, row.residual) / step
+            slots = hypothesis.slots
+            columns = np.zeros((*row.residual.shape, len(slots)))
+            for i, slot in enumerate(slots):
+                if slot.holds_in(segment):
+                    step = _DIFFERENCE * self.scale(slot.parameter)
+                    there = replace(state, values={**state.values, slot.key: state.values[slot.key] + step})
+                    moved = self.moved_by(segment, there, hypothesis, slot.parameter, row, row.residual)
+                    columns[:, :, i] = moved / step
             found.append(columns)
         return found
 
@@ -306,8 +374,16 @@ class Fitter:
             return self
         return Fitter(self.model, [s.every(stride) for s in self.segments], self.load_reference)
 
-    def descend(self, hypothesis: Hypothesis, state: State, most: int, enough: float = _SMALL_GAIN) -> Fit:
-        """Levenberg-Marquardt, at most so many steps, and no more where one gains less than `enough` of the cost."""
+    def descend(
+        self,
+        hypothesis: Hypothesis,
+        state: State,
+        most: int,
+        enough: float = _SMALL_GAIN,
+        held: npt.NDArray[np.int64] | None = None,
+    ) -> Fit:
+        """Levenberg-Marquardt, at most so many steps, and no more where one gains less than `enough` of the cost. held:
+        unknowns of the nominal that stay."""
         rows = self.rows(state, hypothesis)
         prior = self.floor**2 * self.stiffness(hypothesis)
         damping = 1e-4
@@ -321,6 +397,9 @@ class Fitter:
                 matrix += part.matrix
                 gradient += part.gradient
             self._pin(state, hypothesis, matrix, gradient)
+            if held is not None and len(held):
+                matrix[held, :] = matrix[:, held] = gradient[held] = 0.0
+                matrix[held, held] = 1.0
             gain = 0.0
             for _ in range(8):
                 step = np.asarray(np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), gradient), dtype=float)
@@ -338,11 +417,11 @@ class Fitter:
 
     def _pin(self, state: State, hypothesis: Hypothesis, matrix: Array, gradient: Array) -> None:
         """Keeps a parameter at the end of its range where the step would lead beyond it."""
-        first = len(gradient) - len(hypothesis.parameters)
-        for i, (parameter, _) in enumerate(hypothesis.parameters, first):
-            value = state.values[parameter.name]
-            onward = value + float(np.sign(gradient[i])) * 1e-6 * self.scale(parameter)
-            if inside(parameter.name, onward) == value:
+        slots = hypothesis.slots
+        for i, slot in enumerate(slots, len(gradient) - len(slots)):
+            value = state.values[slot.key]
+            onward = value + float(np.sign(gradient[i])) * 1e-6 * self.scale(slot.parameter)
+            if inside(slot.parameter, onward) == value:
                 matrix[i, :] = matrix[:, i] = gradient[i] = 0.0
                 matrix[i, i] = 1.0
 
@@ -357,9 +436,9 @@ class Fitter:
             static = {name: state.static[name] + float(step[at + i]) for i, name in enumerate(_STATIC)}
             delay, at = delay + float(step[at + 6]), at + 7
         values = dict(state.values)
-        for i, (parameter, _) in enumerate(hypothesis.parameters):
-            value = inside(parameter.name, values[parameter.name] + float(step[at + i]))
-            values[parameter.name] = float(np.clip(value, *self._contact)) if parameter.name == "contact_c" else value
+        for i, slot in enumerate(hypothesis.slots):
+            value = inside(slot.parameter, values[slot.key] + float(step[at + i]))
+            values[slot.key] = float(np.clip(value, *self._reached)) if slot.parameter.reached else value
         return State(replace(model, width=width, c_deg=c_deg, delay_s=delay), static, values)
 
 
@@ -380,29 +459,12 @@ def _beyond(basis: Basis, grid: Array, values: Array) -> Array:
 
 def moves_tip(parameter: Parameter) -> bool:
     """Whether the tip's path depends on it, and not only what is seen of it."""
-    return parameter.name in effects.NATIVE or parameter.name == "delay"
+    return parameter.name not in effects.SIGHT
 
 
-def inside(name: str, value: float) -> float:
+def inside(parameter: Parameter, value: float) -> float:
     """A parameter kept where it means something."""
-    low, high = _RANGES.get(name, (-np.inf, np.inf))
-    return min(max(value, low), high)
-
-
-_RANGES = {
-    **dict.fromkeys(("onset_spread", "creep_share", "creep_slow", "contact_hold"), (0.0, 1.0)),
-    **dict.fromkeys(
-        ("lag", "width_per_speed", "contact_soft", "tilt_travel", "drift_decay", "held_back"),
-        (0.0, np.inf),
-    ),
-    **dict.fromkeys(("asymmetry_travel", "creep_time", "encoder_period"), (1e-3, np.inf)),
-    "onset_tail": (0.0, 1.3),
-    "lag_second": (0.0, 0.5),
-    "asymmetry_form": (0.5, 4.0),
-    "speed_exponent": (0.1, 3.0),
-    "speed_time": (2e-3, 1.0),
-    "curvature_gradient": (-0.95, 0.95),
-}
+    return min(max(value, parameter.low), parameter.high)
 
 
 def _best(fits: Sequence[Fit]) -> Fit:

@@ -11,9 +11,9 @@ import numpy.typing as npt
 from tautline.diagnose import decide, scatter
 from tautline.diagnose.candidates import Found, Search
 from tautline.diagnose.decide import Evidence, Weighed
-from tautline.diagnose.fit import Fit, Fitter
+from tautline.diagnose.fit import Fit, Fitter, Scope
 from tautline.diagnose.scatter import Scatter
-from tautline.effects import BY_ID, EVENTS, JITTER, STICK_SLIP, Kind
+from tautline.effects import EVENTS, Kind
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -65,25 +65,34 @@ class _Weighing:
         self._weighed.append(Weighed(found.ids, found.power, nothing, nothing, found.parameters, beyond=found.beyond))
         if not events:
             return
-        kinds = [kind for kind in self.search.kinds if kind.id in EVENTS]
+        kinds = [kind for kind in self.search.kinds if kind.event]
         beyond = {kind.id: self.search.beyond(found.fit, [kind]) for kind in kinds}
-        for only_tests in (False, True):
-            said = self._said(found, only_tests)
+        for scope in (Scope.START, Scope.TESTS):
+            said = self._said(found, bool(scope))
             for kind in kinds:
-                fit = replace(found.fit, hypothesis=found.fit.hypothesis.plus(kind, only_tests))
+                fit = replace(found.fit, hypothesis=found.fit.hypothesis.plus(kind, scope))
                 self._add_scatter(replace(found, fit=fit, beyond=beyond[kind.id]), kind, said)
 
-    def add_held_back(self, below: Found) -> None:
-        """Sticking after the calibration, as it is in the mean, on top of what is weighed already."""
+    def add_posture(self, found: Sequence[Found]) -> None:
+        """On top of the best of its parts."""
+        part = next((one for one in found if one.fit.hypothesis.kinds[0].posture), self.search.base)
+        posture = self.search.posture(part)
+        if posture is not None:
+            self.add(posture)
+
+    def add_in_the_mean(self, below: Found) -> None:
+        """Events after the calibration, as they are in the mean, on top of what is weighed already."""
         said = self._said(below, True)
-        if said.sticks and any(kind.id == STICK_SLIP for kind in self.search.kinds):
-            held = self.search.held_back(below, said.stick)
-            if held is not None:
-                self._add_with_scatter(held)
+        for kind in self.search.kinds:
+            if kind.event and kind.event.mean and said.beats_noise(kind.id):
+                held = self.search.in_the_mean(below, kind, said.amount[kind.id])
+                if held is not None:
+                    self._add_with_scatter(held)
 
     def _add_with_scatter(self, found: Found) -> None:
-        """A fit that has sticking after the calibration among its effects, as it is in the mean."""
-        self._add_scatter(found, BY_ID[STICK_SLIP], self._said(found, True))
+        """A fit that has an event after the calibration among its effects, as it is in the mean."""
+        kind = next(kind for kind in found.fit.hypothesis.kinds if kind.event and kind.event.mean)
+        self._add_scatter(found, kind, self._said(found, True))
 
     def _said(self, found: Found, only_tests: bool) -> Scatter:
         return scatter.of_fit(self.search.fitter, found.fit, self.search.labels, only_tests)
@@ -91,9 +100,11 @@ class _Weighing:
     def _add_scatter(self, found: Found, kind: Kind, said: Scatter) -> None:
         """`found` with what the scatter that it leaves says of one of its effects."""
         plain, level = said.loss["as it is"], said.loss["level"]
-        rival = min((said.loss[name] for name in scatter.RIVALS), key=lambda loss: float(np.mean(loss)))
-        amplitude = said.jitter_s if kind.id == JITTER else said.stick
-        found = replace(found, scatters={kind.amplitudes[0].name: amplitude})
+        rival = min(
+            (said.loss[name] for name in scatter.RIVALS if name != kind.id), key=lambda loss: float(np.mean(loss))
+        )
+        assert kind.event
+        found = replace(found, scatters={kind.event.amount: said.amount[kind.id]})
         self.found.append(found)
         self._weighed.append(
             Weighed(
@@ -115,9 +126,11 @@ class _Weighing:
         hidden = hidden and self._open(found[0])
         for i, one in enumerate(found):
             self.add(one, events=i == 0 or hidden)
+        if hidden or (found and found[0].fit.hypothesis.kinds[0].posture and self._open(found[0])):
+            self.add_posture(found)
         if hidden:
-            self.add_held_back(self.search.base)
-            self.add_held_back(found[0])
+            self.add_in_the_mean(self.search.base)
+            self.add_in_the_mean(found[0])
 
     def add_further(self, found: Sequence[Found]) -> None:
         """Of more than one effect, best first."""

@@ -21,6 +21,8 @@ FILE = "report.html"
 
 _CANDIDATES = 5
 _GUESS = 0.2  # share of a gap that an effect must close for its stage to be a guess
+_PARAMETERS = 6  # of an effect; a spline's coefficients say nothing to a reader
+_AXES = 4  # pictures of where and when it is
 _MANY_POINTS = 2500
 _TITLES = {
     "q": "motor position",
@@ -69,6 +71,7 @@ def write(diagnosis: Diagnosis, folder: Path, known_as: str = "") -> Path:
             for name, p, closes in words.rows(document, _CANDIDATES)
         ],
         "parameters": [row for effect in document["effects"] for row in _parameters(effect, unit)],
+        "moved": words.moved(document),
         "conditions": _conditions(diagnosis, unit),
         "colours": "Blue: mean residual across the image; orange: down."
         if document["unit"] == "px"
@@ -107,20 +110,22 @@ def _chain(document: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 def _parameters(effect: Mapping[str, Any], unit: str) -> list[dict[str, str]]:
     kind = BY_ID[effect["id"]]
-    known = {p.name: p for p in (*kind.amplitudes, *kind.shapes)}
-    since = bool(effect["parameters"].get("since_calibration", 0.0))
+    if kind.of_joint and "column" in effect["parameters"]:
+        kind = kind.of_joint(effect["parameters"]["column"])
+    known = {p.name: p for p in kind.parameters if p.name in effect["parameters"]}
+    known = dict(list(known.items())[:_PARAMETERS])
     return [
         {
             "effect": effect["id"],
             "name": name.replace("_", " "),
-            "value": f"{words.digits(value)} {_unit(known[name], unit)}".strip(),
-            "since": "since the calibration" if since else "all along",
+            "value": f"{words.digits(value)} {_unit(known[name], unit)}".strip() if name in known else value,
+            "since": words.SINCE[effect["since"]].strip(" ,"),
             "share": words.percent(effect["shrink"]),
             "with": ", ".join(effect["ambiguous_with"]),
             "first": name == next(iter(effect["parameters"])),
         }
         for name, value in effect["parameters"].items()
-        if name in known
+        if name in known or name == "column"
     ]
 
 
@@ -139,7 +144,7 @@ def _conditions(diagnosis: Diagnosis, unit: str) -> list[dict[str, Any]]:
         after = {}
     top = max((float(_rms(c).max()) for c in diagnosis.conditions), default=1.0)
     pictures = []
-    for condition in diagnosis.conditions:
+    for condition in diagnosis.conditions[:_AXES]:
         title = _TITLES.get(condition.axis, condition.axis)
         drawn = _condition(diagnosis, condition, after.get(condition.axis), unit, top)
         caption = f"{words.percent(condition.share)} of the gap's power goes with it; largest {condition.says}."

@@ -17,11 +17,11 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.diagnose.fit import Fit, Fitter
-from tautline.effects import JITTER, STICK_SLIP
 
 Array = npt.NDArray[np.float64]
 
-RIVALS = ("level", "memory", "repeats", "pixels")
+STICK_SLIP, JITTER, HELD = "transmission.stick_slip", "acquisition.jitter", "acquisition.held_samples"
+RIVALS = ("level", "memory", HELD, "pixels")
 _MOVES = 0.02  # of the fastest: slower is at rest
 _REMEMBERED = 3  # frames that the rival with a memory reaches back
 _BROAD = 0.03  # share of frames that follow no model
@@ -34,13 +34,11 @@ class Scatter:
     (blocks,), the constant left out so that a Gaussian of variance v gives log v."""
 
     loss: dict[str, Array]  # of the two events' ids, of RIVALS and of what is left "as it is"
-    jitter_s: float
-    stick: float  # actuator's unit
+    amount: dict[str, float]  # of each event: how much it scatters, in its parameter's unit
 
-    @property
-    def sticks(self) -> bool:
-        """Whether that says more than a level of noise."""
-        return float(np.mean(self.loss[STICK_SLIP])) < float(np.mean(self.loss["level"]))
+    def beats_noise(self, event: str) -> bool:
+        """Whether an event says more than a level of noise."""
+        return float(np.mean(self.loss[event])) < float(np.mean(self.loss["level"]))
 
 
 @dataclass(frozen=True)
@@ -163,20 +161,20 @@ def weighed(parts: Sequence[Frames], floor: float, blocks: int) -> Scatter:
     jittered, jitter_s = best(jitter, np.geomspace(min(0.1 * finest, 0.1 * _LONGEST_S), _LONGEST_S, 41))
     reach = max(float(np.quantile(driven, 0.99)), 1e-9)
     stuck, jump = best(stick, np.geomspace(0.1 * reach, 30.0 * reach, 61))
-    frozen, _ = best(repeats, np.array([0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.4]))
+    frozen, held = best(repeats, np.array([0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 0.9]))
     told = {
         JITTER: jittered,
         STICK_SLIP: stuck,
         "as it is": two_levels(as_it_is),
         "level": two_levels(r),
         "memory": two_levels(r - before @ memory),
-        "repeats": frozen,
+        HELD: frozen,
         "pixels": two_levels(r - _of_place_in_pixel(r, joined(lambda f: f.image))),
     }
     count = np.maximum(np.bincount(block, minlength=blocks), 1)
     seen = np.bincount(block, minlength=blocks) > 0
     loss = {name: seen * (-2.0 / k * np.bincount(block, x, minlength=blocks) / count - 1.0) for name, x in told.items()}
-    return Scatter(loss, jitter_s, jump)
+    return Scatter(loss, {JITTER: jitter_s, STICK_SLIP: jump, HELD: held})
 
 
 def _isotropic(squares: Array, variance: Array | float, k: int) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve
 
-from tautline.diagnose.fit import STATIC_COLUMNS, Fit, Fitter, Normal, Rows, inside
+from tautline.diagnose.fit import STATIC_COLUMNS, Fit, Fitter, Normal, Rows, Scope, inside, key
 from tautline.effects import Kind, Parameter
 
 Array = npt.NDArray[np.float64]
@@ -25,7 +25,6 @@ _PERIODS_PER_RANGE = 0.4  # step of 1 / encoder_period times the motor's range: 
 _FREE = 1e-3  # share of a column's norm that the nominal must leave of it
 _BEFORE_S = 1e-3
 _WITHIN_S = 2.0  # a shift happens within a recording: between two it is another static registration
-_NOMINAL = ("registration.static", "acquisition.delay")  # the nominal's own where they hold in all recordings
 _OTHERS = 1  # further starts of an effect's shapes
 _RANK = 1e-6  # of the free columns' normal matrix, scaled to ones
 
@@ -34,7 +33,7 @@ _RANK = 1e-6  # of the free columns' normal matrix, scaled to ones
 class Screened:
     gain: float  # share of the sum of squares that the effect would take
     kind: Kind
-    only_tests: bool
+    scope: Scope
     values: dict[str, float]  # to start from
     others: tuple[dict[str, float], ...] = ()  # the next best ones with other shapes
 
@@ -45,12 +44,12 @@ def screen(fitter: Fitter, base: Fit, kinds: Iterable[Kind], limits: Sequence[fl
     scan = _Scan(fitter.coarse, base, limits)
     found: list[Screened] = []
     for kind in kinds:
-        if kind not in base.hypothesis.kinds:
+        if base.hypothesis.find(kind.id) is None:
             starts = sorted(scan.kind(kind), key=lambda entry: -entry.gain)
-            if kind.id == "registration.shift" and starts:
+            if kind.scan == "moment" and starts:
                 starts = _Scan(fitter, base, limits).shift(kind, starts[0].values["shift_time"])
-            for scope in (True, False):
-                best = [entry for entry in starts if entry.only_tests == scope][: 1 + _OTHERS]
+            for scope in (Scope.TESTS, Scope.EACH, Scope.START):
+                best = [entry for entry in starts if entry.scope == scope][: 1 + _OTHERS]
                 if best:
                     found.append(replace(best[0], others=tuple(entry.values for entry in best[1:])))
     return sorted(found, key=lambda entry: -entry.gain)
@@ -78,9 +77,9 @@ class _Scan:
         self.squares = sum(float(np.sum(row.residual**2)) for row in self.rows) - float(self.gradient @ self.absorbed)
 
     def kind(self, kind: Kind) -> list[Screened]:
-        if kind.id == "registration.shift":
+        if kind.scan == "moment":
             return self.shift(kind)
-        if kind.id == "actuator.encoder_periodic":
+        if kind.scan == "period":
             return self._encoder(kind)
         signs = (1.0, -1.0) if any(p.one_way for p in kind.amplitudes) else (1.0,)
         return [
@@ -92,7 +91,7 @@ class _Scan:
     def _columns(self, kind: Kind, shapes: Mapping[str, float], sign: float) -> list[Array]:
         """d prediction / d amplitude of each recording, (n, k, m), the effect in every recording."""
         fitter, base = self.fitter, self.base
-        hypothesis = base.hypothesis.plus(kind, False)
+        hypothesis = base.hypothesis.plus(kind, Scope.START)
         found = [np.empty((*here.shape, len(kind.amplitudes))) for here in self.here]
         for i, parameter in enumerate(kind.amplitudes):
             step = sign * parameter.probe * fitter.scale(parameter)
@@ -108,21 +107,36 @@ class _Scan:
             for row, extra, known in zip(self.rows, columns, self.known, strict=True)
         ]
         scored = []
-        for only in (True, False):
-            if not only and kind.id in _NOMINAL:
+        tests, count = len(parts) - 1, len(kind.amplitudes)
+        for scope in Scope:
+            if (scope == Scope.START and kind.nominal) or (scope == Scope.EACH and not (kind.each and tests > 1)):
                 continue
-            amplitude, gain = self.gain(parts[1:] if only else parts)
+            summed = parts if scope == Scope.START else parts[1:]
+            if scope == Scope.EACH:
+                summed = [self._apart(part, i, tests, count) for i, part in enumerate(parts[1:])]
+            amplitude, gain = self.gain(summed)
             if amplitude is None:
                 continue
             start = dict(shapes)
-            for parameter, a in zip(kind.amplitudes, amplitude, strict=True):
+            for i, a in enumerate(amplitude):
+                parameter = kind.amplitudes[i % count]
                 reach = 10.0 * self.fitter.scale(parameter)
-                value = inside(parameter.name, float(np.clip(a, -reach, reach)))
+                value = inside(parameter, float(np.clip(a, -reach, reach)))
                 if value == 0.0 or (parameter.one_way and value * sign < 0.0):
                     gain, value = 0.0, 0.2 * sign * self.fitter.scale(parameter)  # the other way than it can be
-                start[parameter.name] = value
-            scored.append(Screened(gain, kind, only, start))
+                start[key(parameter.name, 1 + i // count) if scope == Scope.EACH else parameter.name] = value
+            scored.append(Screened(gain, kind, scope, start))
         return scored
+
+    def _apart(self, part: Normal, which: int, of: int, count: int) -> Normal:
+        """A recording's equations where each has amplitudes of its own."""
+        cut = len(self.gradient)
+        size = cut + of * count
+        at = np.concatenate([np.arange(cut), cut + which * count + np.arange(count)])
+        found = Normal(np.zeros((size, size)), np.zeros(size))
+        found.matrix[np.ix_(at, at)] = part.matrix
+        found.gradient[at] = part.gradient
+        return found
 
     def gain(self, parts: Sequence[Normal]) -> tuple[Array | None, float]:
         """Amplitudes and the share of the squares that they take, from the normal equations of the recordings that the
@@ -184,7 +198,7 @@ class _Scan:
         gain, time, amplitude = best
         values = {p.name: float(a) for p, a in zip(kind.amplitudes, amplitude, strict=True)}
         # The scene is older than its arrival; a little before the first frame that shows the shift.
-        return [Screened(gain, kind, False, {**values, "shift_time": time - self._delay() - _BEFORE_S})]
+        return [Screened(gain, kind, Scope.START, {**values, "shift_time": time - self._delay() - _BEFORE_S})]
 
     def _delay(self) -> float:
         return self.base.state.model.delay_s + self.base.state.values.get("delay", 0.0)
@@ -223,7 +237,7 @@ def _cut(row: Rows, part: slice) -> Rows:
 
 def _starts(fitter: Fitter, base: Fit, kind: Kind) -> list[dict[str, float]]:
     def values(parameter: Parameter) -> list[float]:
-        if parameter.name == "contact_c":
+        if parameter.reached:
             c = np.concatenate([s.follow(base.state.model, {}, 0.0).c_deg for s in fitter.segments])
             return [float(v) for v in np.quantile(c, [0.1, 0.25, 0.5, 0.75, 0.9])]
         unit = fitter.model.rig.actuator.span if parameter.unit == "unit" else 1.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +31,7 @@ class Segment:
     scored: npt.NDArray[np.bool_]  # (n,) after a full backlash in both directions
     offset_s: float  # added to the recording's times to get the session's
     calibration: bool
+    number: int = 1  # of the recording, the calibration is 0
 
     @property
     def unit(self) -> str:
@@ -39,18 +41,18 @@ class Segment:
     def sensor(self) -> Sensor:
         return MARKER if self.unit == "px" else ANGLE
 
-    def follow(self, model: Model, parameters: Mapping[str, float], load_reference: float) -> Path:
+    def follow(self, model: Model, parameters: Mapping[str, Any], load_reference: float) -> Path:
         """Where the tip is at the observations."""
         scene = self.arrival_s - model.delay_of(self.sensor)
         return effects.follow(
             model, self.motor, scene, parameters, load_reference=load_reference, clock_offset_s=self.offset_s
         )
 
-    def seen(self, model: Model, parameters: Mapping[str, float], path: Path) -> Array:
+    def seen(self, model: Model, parameters: Mapping[str, Any], path: Path) -> Array:
         """(n, k) what is observed of a tip that moves so."""
         return effects.image(model, path, parameters, self.offset_s) if self.unit == "px" else path.c_deg[:, None]
 
-    def predict(self, model: Model, parameters: Mapping[str, float], load_reference: float) -> tuple[Path, Array]:
+    def predict(self, model: Model, parameters: Mapping[str, Any], load_reference: float) -> tuple[Path, Array]:
         """The path at the observations and the prediction (n, k)."""
         path = self.follow(model, parameters, load_reference)
         return path, self.seen(model, parameters, path)
@@ -112,6 +114,7 @@ def prepare(model: Model, calibration: Recording, tests: Sequence[Recording]) ->
                 scored,
                 offset,
                 i == 0,
+                i,
             )
         )
     return segments

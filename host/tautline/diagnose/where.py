@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -60,7 +60,25 @@ def conditions(segments: Sequence[Segment], paths: Sequence[Path], residuals: Se
         values = np.concatenate(parts)
         if np.ptp(values) > 0.0:
             result.append(_condition(name, values, residual))
-    return sorted(result, key=lambda c: -c.share)
+    return sorted(_timeless(result, columns, residual), key=lambda c: -c.share)
+
+
+def _timeless(found: Sequence[Condition], columns: Mapping[str, list[Array]], residual: Array) -> list[Condition]:
+    """Motions differ between recordings: what goes with the session's time only because something else does, such as
+    the speed, does not go with time."""
+    others = [c for c in found if c.axis != "time"]
+    if not others:
+        return list(found)
+    best = max(others, key=lambda c: c.share)
+    usual = np.sqrt(np.interp(np.concatenate(columns[best.axis]), best.centres, best.power))
+    even = residual / np.maximum(usual, 1e-12)[:, None]
+    result = []
+    for condition in found:
+        if condition.axis == "time":
+            apart = _condition("time", np.concatenate(columns["time"]), even).share
+            condition = replace(condition, share=min(condition.share, apart))
+        result.append(condition)
+    return result
 
 
 def steady(residuals: Sequence[Array]) -> float:

@@ -7,11 +7,17 @@ from dataclasses import dataclass
 from typing import Any
 
 from tautline.diagnose.confounded import DRIFT, LOAD
-from tautline.effects import BY_ID, EVENTS, STICK_SLIP
+from tautline.effects import BY_ID, EVENTS
 
 _SMALL = 3.0  # times the noise: a gap below is called small
 _SHOWN = 0.005  # probability from which on a terminal shows a candidate
 _NO_PATH = "It has no path that repeats, so no model can predict it away."
+_NEAR = 0.5  # of a gap that an effect closes: it is told beside "unknown"
+SINCE = {
+    "start": " from the start",
+    "calibration": " since the calibration",
+    "recording": ", another in each recording",
+}
 _SHRINKS = 0.02  # of a gap that jumps or unsteady times leave: part of it has a path
 
 
@@ -36,12 +42,18 @@ def sentence(document: Mapping[str, Any]) -> str:
         )
     if document["verdict"] == "unknown":
         small = _is_small(document)
+        near = max(document["candidates"], key=lambda c: c["shrink"], default=None)
+        if near and near["shrink"] > _NEAR:
+            return (
+                f"A gap of {before}, {times}: of the known effects {near['id']} comes nearest and would close "
+                f"{percent(near['shrink'])}, but leaves what it could not{_seen(document)}."
+            )
         return (
             f"{'Nothing large is left: a small' if small else 'A'} gap of {before}, {times}, "
             f"that no known effect explains{'' if small else _seen(document)}."
         )
     effects = document["effects"]
-    named = listed([f"{BY_ID[e['id']].says} ({e['id']}, {percent(e['probability'])} sure)" for e in effects])
+    named = listed([f"{BY_ID[e['id']].says}{_since(e)} ({e['id']}, {percent(e['probability'])} sure)" for e in effects])
     if effects[0]["id"] in EVENTS and gap["shrink"] > _SHRINKS:
         text = (
             f"{_capital(named)}: what of it repeats shrinks the gap by {percent(gap['shrink'])} in the model, from "
@@ -62,6 +74,20 @@ def sentence(document: Mapping[str, Any]) -> str:
     if document["signature"]:
         text += f" The gap is {document['signature']}."
     return text
+
+
+def _since(effect: Mapping[str, Any]) -> str:
+    """Of a part of the nominal model; other effects are there or not."""
+    return SINCE[effect["since"]] if BY_ID[effect["id"]].nominal else ""
+
+
+def moved(document: Mapping[str, Any]) -> str:
+    """Which parts of the nominal model had to move; "" where the sentence says it all."""
+    parts = document["moved"]
+    if len(parts) < 2:
+        return ""
+    told = [p["id"] + SINCE[p["since"]] + f" ({percent(p['share'])})" for p in parts]
+    return f"What had to move: {listed(told)}."
 
 
 def percent(share: float) -> str:
@@ -132,12 +158,19 @@ def steps(document: Mapping[str, Any], folder: str) -> list[Step]:
             )
         )
     if event:
-        sticks = effects[0]["id"] == STICK_SLIP
-        cause, what = ("friction along the transmission", "jumps") if sticks else ("camera timing", "unsteady times")
-        told.append(Step(f"Mend the cause, {cause}: no table and no model takes its {what} away."))
+        kind = BY_ID[effects[0]["id"]].event
+        assert kind
+        told.append(Step(f"Mend the cause, {kind.cause}: no table and no model takes its {kind.what} away."))
     if effects and (not event or document["gap"]["shrink"] > _SHRINKS):
         told.append(
             Step("Predict with the corrected model.", f"taut predict {folder}/corrected RECORDING --csv OUT.csv")
+        )
+    if any(p["since"] == "start" and p["id"] == "registration.static" for p in document["moved"]):
+        told.append(
+            Step(
+                "Put the corrected hand-eye transform into the rig, and calibrate with it again: f_remain was bent "
+                f"by the wrong one ([hand_eye] of {folder}/corrected/rig.toml)."
+            )
         )
     if effects and not event:
         told.append(
@@ -179,6 +212,8 @@ def text(document: Mapping[str, Any], folder: str) -> str:
     again = document["gap_recalibrated"]["before"]
     lines.append(f"  recalibrated    {digits(again):>8} {unit} rms (B, f_remain and registration refitted on all)")
     lines.append(f"  noise           {digits(document['noise_floor']):>8} {unit} rms")
+    if moved(document):
+        lines += ["", f"  {moved(document)}"]
     lines.append("")
     for name, probability, closes in rows(document, 4):
         if probability < _SHOWN:

@@ -65,7 +65,6 @@ class CameraEye:
         taken = self._camera.read()
         if taken is None:
             raise TautError("the camera's source has ended: a live session needs a camera, not a file")
-        self._board.align(1)
         picture, arrival_s = taken
         height, width = picture.shape[:2]
         if self._size not in (None, (width, height)):
@@ -73,6 +72,7 @@ class CameraEye:
                 f"the camera's frames are {width} x {height} px, the rig's {self._size[0]} x {self._size[1]}: "
                 "set the camera to the rig's size, or calibrate it at this one and write that into rig.toml"
             )
+        self._board.align(1)
         return Frame(self._board.clock.board_us(arrival_s), self._tracker.track(picture), picture)
 
     def close(self) -> None:
@@ -275,8 +275,9 @@ class Recorder:
         motor, marker = (np.array(list(self._rows[name])) for name in ("motor", "marker"))
         if not len(motor) or not len(marker):
             raise TautError("nothing was recorded yet: no telemetry or no frame came")
-        t_s, u_px, v_px, valid, sigma_px = marker.T
-        seen = Marker(t_s, u_px, v_px, valid > 0.5, sigma_px)
+        t_s, u_px, v_px, valid, sigma_px, *size = marker.T
+        frame_px = (int(size[0][0]), int(size[1][0])) if size else None
+        seen = Marker(t_s, u_px, v_px, valid > 0.5, sigma_px, frame_px=frame_px)
         return Recording(self.folder.name, Motor(*motor.T), seen, rig=self._live.rig)
 
     def motor_at(self, t_s: float) -> float:

@@ -8,6 +8,7 @@ from math import sqrt
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from tautline._native import MARKER_CLIPPED, MARKER_CUT_OFF, MARKER_FOUND, marker_measure
 from tautline.errors import TautError
@@ -24,6 +25,14 @@ _SHRUNK, _GROWN = 0.5, 1.8  # diameter against the frame before that is still th
 _SMALLER, _LARGER = 0.3, 4.0  # diameter against the picked one
 _KEPT = 0.5  # share of the outline that must be seen
 _RAGGED = 0.15  # scatter of the edges against the radius: more is no marker but a stain
+_SAME_PLACE = 0.4  # of the diameter, within which two things are at one place
+_NEAR = 4.0  # diameters from where the marker was last, at which another blob is half as likely
+_STAYS, _ELSEWHERE = (
+    0.6,
+    0.4,
+)  # of the pictures in which a thing that is not the marker stays, and the marker is not there
+_LEAP, _FASTER = 0.5, 3.0  # diameters at once, and times its usual speed, that the marker may go while it is not seen
+_WHOLE, _AROUND = 0.04, 12  # of its diameter in so many frames to either side: a marker of which nothing is hidden
 _SURE_PX = 1e-3  # no position is said to be known better
 _SAMPLES = 24  # frames of a video that are looked at for its marker's colour
 _MARGIN_PX = 8.0  # of the region around the marker: edges are compared with what lies 5.5 px beyond them
@@ -48,13 +57,22 @@ def _lost(why: str) -> Sighting:
     return Sighting(np.nan, np.nan, np.nan, np.nan, why)
 
 
+@dataclass(frozen=True)
+class _Blob:
+    seen: Sighting
+    score: float  # how marker-like
+    cut: float  # membership half-way between it and what is around it
+
+
 class Tracker:
     """Follows one marker from frame to frame. It looks around where the marker should be now, and over the whole frame
     when it is not there. About 25 us a frame while it follows a marker of 20 px, 1 ms to search 720 x 576 px.
     """
 
-    def __init__(self, colour: MarkerColour) -> None:
+    def __init__(self, colour: MarkerColour, alike: Sequence[tuple[float, float]] = ()) -> None:
+        """alike: where things of the marker's colour and size are that are not the marker and stay there, px."""
         self.colour = colour
+        self._alike = np.array(alike, dtype=float).reshape(-1, 2)
         self._weights = np.array([*colour.weights, colour.offset], dtype=np.float32)
         length = max(sqrt(sum(level * level for level in colour.colour)), 1.0)
         self._hue = tuple(level / length for level in colour.colour)
@@ -64,7 +82,9 @@ class Tracker:
     def reset(self) -> None:
         """Forgets where the marker was: the next frame is searched as a whole."""
         self._last: Sighting | None = None
+        self._left: Sighting | None = None  # where it was seen last
         self._step = (0.0, 0.0)  # px from the frame before
+        self._nothing = _lost("no marker of this colour")  # why the last search found none
         self._cut = 0.5  # membership half-way between the marker and what is around it
 
     def track(self, picture: Array) -> Sighting:
@@ -72,14 +92,19 @@ class Tracker:
         last = self._last
         if last is not None:
             found = self._follow(picture, last)
-            if found.valid:
+            if found.valid and not self._at_another(found):
                 self._step = (found.u_px - last.u_px, found.v_px - last.v_px)
-                self._last = found
+                self._last = self._left = found
                 return found
         found = self._search(picture)
         self._step = (0.0, 0.0)
         self._last = found if found.valid else None
+        self._left = self._last or self._left
         return found
+
+    def _at_another(self, found: Sighting) -> bool:
+        away = np.hypot(*(self._alike - (found.u_px, found.v_px)).T)
+        return bool((away < _SAME_PLACE * found.diameter_px).any())
 
     def _follow(self, picture: Array, last: Sighting) -> Sighting:
         speed = max(abs(self._step[0]), abs(self._step[1]))
@@ -113,7 +138,24 @@ class Tracker:
         return Sighting(outline.u, outline.v, max(outline.sigma, _SURE_PX), outline.diameter)
 
     def _search(self, picture: Array) -> Sighting:
-        """Over the whole frame, made as small as the smallest marker allows."""
+        """Over the whole frame: the most marker-like blob, of several the one nearest to where the marker was."""
+        blobs = self.blobs(picture)
+        found = [blob for blob in blobs if not self._at_another(blob.seen)]
+        if not found:
+            self._cut = 0.5
+            return _lost("what is there is alike but never moves") if blobs else self._nothing
+        best = max(found, key=self._likeness)
+        self._cut = best.cut
+        return best.seen
+
+    def _likeness(self, blob: _Blob) -> float:
+        if self._left is None:
+            return blob.score
+        away = float(np.hypot(blob.seen.u_px - self._left.u_px, blob.seen.v_px - self._left.v_px))
+        return blob.score / (1.0 + (away / (_NEAR * self.colour.diameter_px)) ** 2)
+
+    def blobs(self, picture: Array) -> list[_Blob]:
+        """What could be the marker, over the whole frame made as small as the smallest marker allows."""
         shrink = 1
         while shrink < 4 and self._smallest_px / shrink > 2.0 and min(picture.shape[:2]) > 16 * shrink:
             shrink *= 2
@@ -121,17 +163,16 @@ class Tracker:
         y = self.colour.membership(small)
         # Fainter only when there is none: what is around a marker may come near it where the light is poor.
         for level in (0.5, _FAINT):
-            found = self._best_blob(picture, y, level, shrink)
-            if found.valid:
+            if found := self._blobs_above(picture, y, level, shrink):
                 return found
-        self._cut = 0.5
-        return found
+        return []
 
-    def _best_blob(self, picture: Array, y: Array, level: float, shrink: int) -> Sighting:
-        """The most marker-like blob above `level` in the membership y of the picture made `shrink` times smaller."""
+    def _blobs_above(self, picture: Array, y: Array, level: float, shrink: int) -> list[_Blob]:
+        """Marker-like blobs above `level` in the membership y of the picture made `shrink` times smaller."""
         _, _, stats, centroids = cv2.connectedComponentsWithStats((y > level).astype(np.uint8), connectivity=4)
         expected = 0.25 * np.pi * (self.colour.diameter_px / shrink) ** 2
-        best, best_score, best_cut = _lost("no marker of this colour"), 0.0, 0.5
+        blobs: list[_Blob] = []
+        self._nothing = _lost("no marker of this colour")
         largest = np.argsort(-np.minimum(stats[1:, cv2.CC_STAT_AREA], expected))[:6] + 1  # 0 is what is no blob
         for i in largest:
             x0, y0, width, height, area = stats[i]
@@ -143,12 +184,12 @@ class Tracker:
             found = self._measure(picture, float(u), float(v), diameter, 2.0 * shrink)
             if found.valid:  # again, now that its own level is known
                 found = self._measure(picture, found.u_px, found.v_px, found.diameter_px, 0.0)
-            ratio = found.diameter_px / self.colour.diameter_px if found.valid else 0.0
-            score = min(ratio, 1.0 / ratio) * self._cut if found.valid else 0.0
-            if score > best_score or not best.valid:
-                best, best_score, best_cut = found, score, self._cut
-        self._cut = best_cut
-        return best
+            if found.valid:
+                ratio = found.diameter_px / self.colour.diameter_px
+                blobs.append(_Blob(found, min(ratio, 1.0 / ratio) * self._cut, self._cut))
+            else:
+                self._nothing = found
+        return blobs
 
 
 def find_colour(pictures: Sequence[Array]) -> MarkerColour | None:
@@ -159,6 +200,31 @@ def find_colour(pictures: Sequence[Array]) -> MarkerColour | None:
         colours += [colour for colour in candidates(picture)[:6] if not any(_alike(colour, other) for other in colours)]
     scored = [(_moving_share(colour, pictures), -k, colour) for k, colour in enumerate(colours)]
     return max(scored, key=lambda entry: entry[:2])[2] if scored else None
+
+
+def alike_but_still(colour: MarkerColour, pictures: Sequence[Array]) -> list[tuple[float, float]]:
+    """Where things of the marker's colour and size stay in pictures of one scene, some time apart, while another one
+    moves: that is the marker. Empty where all of them move, or none does."""
+    tracker = Tracker(colour)
+    seen = [[(b.seen.u_px, b.seen.v_px) for b in tracker.blobs(picture)] for picture in pictures]
+    places = np.array([place for one in seen for place in one]).reshape(-1, 2)
+    owner = np.array([k for k, one in enumerate(seen) for _ in one], dtype=int)
+    still: list[tuple[float, float]] = []
+    left = np.ones(len(places), dtype=bool)
+    while left.any():
+        near = [
+            left & (np.hypot(*(places - place).T) < _SAME_PLACE * colour.diameter_px)
+            if left[k]
+            else np.zeros_like(left)
+            for k, place in enumerate(places)
+        ]
+        most = max(near, key=np.count_nonzero)
+        if len(np.unique(owner[most])) < _STAYS * len(pictures):
+            break
+        still.append((float(np.median(places[most, 0])), float(np.median(places[most, 1]))))
+        left &= ~most
+    moving = len(np.unique(owner[left]))
+    return still if moving >= _ELSEWHERE * len(pictures) else []
 
 
 def _alike(one: MarkerColour, other: MarkerColour) -> bool:
@@ -201,11 +267,12 @@ def track_video(video: Video, colour: MarkerColour | None = None, progress: Prog
     not list have no time and give no row.
     """
     beside = video.path.parent / COLOUR_FILE
+    samples = sample_video(video.path, _SAMPLES)
     if colour is None:
-        colour = MarkerColour.load(beside) if beside.is_file() else find_colour(sample_video(video.path, _SAMPLES))
+        colour = MarkerColour.load(beside) if beside.is_file() else find_colour(samples)
     if colour is None:
         raise TautError(f"{video.path}: no marker stands out: pick its colour with 'taut marker {video.path} --at U,V'")
-    tracker = Tracker(colour)
+    tracker = Tracker(colour, alike_but_still(colour, samples))
     size: tuple[int, int] | None = None
     t_s: list[float] = []
     seen: list[Sighting] = []
@@ -230,5 +297,41 @@ def track_video(video: Video, colour: MarkerColour | None = None, progress: Prog
             f"pick its colour with 'taut marker {video.path}', and --at U,V if it does not stand out"
         )
     timed = np.isfinite(t_s)
-    u, v, sigma = np.array([(s.u_px, s.v_px, s.sigma_px) for s in seen])[timed].T
-    return Marker(np.array(t_s)[timed], u, v, np.array([s.valid for s in seen])[timed], sigma, frame_px=size)
+    sure = of_one_marker(seen)
+    rows = np.array([(s.u_px, s.v_px, s.sigma_px) for s in seen])
+    u, v, sigma = np.where(sure[:, None], rows, np.nan)[timed].T
+    return Marker(np.array(t_s)[timed], u, v, sure[timed], sigma, frame_px=size)
+
+
+def of_one_marker(seen: Sequence[Sighting]) -> npt.NDArray[np.bool_]:
+    """Which sightings (n,) are the marker's. After a loss something else may have been taken for it: what cannot be
+    reached from where it was, at the speed that it has, is left out, starting from the longest stretch that was
+    followed. Nor is a sighting beside a loss taken whose size differs: something is in front of a part of it."""
+    valid = np.array([s.valid for s in seen])
+    place = np.array([(s.u_px, s.v_px) for s in seen])
+    size = np.array([s.diameter_px for s in seen])
+    at = np.flatnonzero(valid)
+    if len(at) < 3:
+        return valid
+    step = np.hypot(*np.diff(place[at], axis=0).T)
+    gap = np.diff(at)
+    speed = float(np.percentile(step[gap == 1], 95)) if (gap == 1).any() else 0.0
+    usual = float(np.median(size[at]))
+    jumps = step > _LEAP * usual + _FASTER * speed * gap
+    stretches = np.split(at, np.flatnonzero(jumps) + 1)
+    longest = max(range(len(stretches)), key=lambda k: len(stretches[k]))
+    for order, near, far in ((range(longest + 1, len(stretches)), -1, 0), (range(longest - 1, -1, -1), 0, -1)):
+        last = stretches[longest][near]
+        for k in order:
+            first = stretches[k][far]
+            reach = _LEAP * usual + _FASTER * speed * abs(first - last)
+            if np.hypot(*(place[first] - place[last])) > reach:
+                valid[stretches[k]] = False
+            else:
+                last = stretches[k][near]
+    lost = ~valid
+    beside = valid & (np.roll(lost, 1) | np.roll(lost, -1))
+    for k in np.flatnonzero(beside):
+        around = size[max(0, k - _AROUND) : k + _AROUND + 1][valid[max(0, k - _AROUND) : k + _AROUND + 1]]
+        valid[k] = abs(size[k] / np.median(around) - 1.0) < _WHOLE
+    return valid

@@ -12,17 +12,23 @@
 /// Rising and falling are those of p*, whatever the sign of f'. s changes only after p* has turned back by more
 /// than the table's band, so a command that jitters by less never crosses the backlash.
 ///
+/// A table of several plays (tl_table.h, section 1) gives the inverse of their mean instead of s k B / 2: what p* is to
+/// be, undone play by play. There the feed is steeper than p* after a reversal, up to 1 / w_1 times; what of that is
+/// faster than the take-up, and the jump of the first element, is taken up. Within the band all elements stay.
+///
 /// Use: load a table, tl_compensator_start() with the motor's position when the axis is switched on, then
 /// tl_compensator_step() once a control tick, 1 to 10 kHz. All other functions are called between steps from
 /// the same context. To stop, hold c*; to follow the motor while the axis is free, start again.
 /// Faults: none is fatal. Every input is valid; what could not be done is in `flags`.
 ///
-/// A step: at most about 920 cycles on a Cortex-M0+ (-O2, no wait states), in three parts of 320, 290 and 320; no
-/// division, no 64-bit product, 64-bit sums only. Memory: 160 bytes, plus the table that it points to.
+/// A step: at most about 920 cycles on a Cortex-M0+ (-O2, no wait states), in three parts of 320, 290 and 320; with
+/// seven plays the second is 560 and the third 800. No division, no 64-bit product, 64-bit sums only. Memory: 220
+/// bytes, plus the table that it points to.
 #ifndef TAUTLINE_TL_COMPENSATOR_H
 #define TAUTLINE_TL_COMPENSATOR_H
 
 #include "tautline/tl_lookup.h"
+#include "tautline/tl_play.h"
 
 typedef enum {
     TL_MODE_OFF = 0,      ///< uncompensated: p* from the coarse kinematics, no width
@@ -60,13 +66,17 @@ typedef struct {
 } tl_takeup_t;
 
 typedef struct {
-    const tl_lookup_t *lookup; ///< must outlive the compensator or the next set_table
-    uint32_t flags;            ///< of the last whole tick
-    uint32_t feed_flags;       ///< of its first part
-    uint32_t mode;             ///< tl_mode_t
-    uint32_t strength_q15;     ///< k
-    int32_t side;              ///< s
-    int32_t half;              ///< k B(p*) / 2
+    const tl_lookup_t *lookup;     ///< must outlive the compensator or the next set_table
+    tl_count_q8_t low, high, band; ///< the table's q_min, q_max and band
+    bool several;                  ///< the table has several plays
+    bool moved;                    ///< and p has moved them in this tick
+    bool turns;                    ///< and turned
+    uint32_t flags;                ///< of the last whole tick
+    uint32_t feed_flags;           ///< of its first part
+    uint32_t mode;                 ///< tl_mode_t
+    uint32_t strength_q15;         ///< k
+    int32_t side;                  ///< s
+    int32_t half;                  ///< k B(p*) / 2; of several plays s times their offset, below 0 after a reversal
     int32_t start_offset; ///< q - p* at the start: where the motor stays while s is 0, as far as it is within the width
     tl_deg_q16_t c;       ///< the last command
     tl_count_q8_t p;      ///< p*, after limits
@@ -80,6 +90,12 @@ typedef struct {
     tl_per_tick_t feed_flat;
     tl_takeup_t takeup; ///< e
     uint32_t rate_hz;
+    // Of several plays:
+    int32_t offset;                   ///< q* - p* - e, before the strength
+    int32_t centre;                   ///< Y(p*)
+    int32_t apart;                    ///< x - y
+    int32_t undo[TL_TABLE_PLAYS_MAX]; ///< lags behind y of the plays that undo them
+    int32_t step_max;                 ///< Q8 counts a tick at the take-up's speed
 } tl_compensator_t;
 
 /// Switches on: the motor is at `q` and stays there in this tick; what is missing to the backlash around the command
@@ -87,6 +103,10 @@ typedef struct {
 /// divisions.
 void tl_compensator_start(tl_compensator_t *compensator, const tl_lookup_t *lookup, uint32_t rate_hz, tl_mode_t mode,
                           tl_count_q8_t q, tl_deg_q16_t c);
+
+/// After tl_compensator_start(): where the forward play knows the elements of several plays to be, which p and q alone
+/// do not tell after a turn within the backlash. Nothing for another table, or for one play.
+void tl_compensator_know(tl_compensator_t *compensator, const tl_play_t *play);
 
 /// One tick: the motor position to go to for the command c*. O(1), bounded, no division.
 tl_count_q8_t tl_compensator_step(tl_compensator_t *compensator, tl_deg_q16_t c);

@@ -5,9 +5,9 @@
 /// and mends it by what is then left (20 bits). All functions are pure but tl_lookup_load(); any number of readers may
 /// share a loaded table. To change tables, load into another tl_lookup_t and hand the control loop its pointer.
 ///
-/// Memory: 2.7 kB each, owned by the caller, no pointers inside. Cost on a Cortex-M0+ (-O2, no wait states): width and
-/// angle 65 to 95 cycles, f's inverse 150, an envelope's 340, whatever the input. Loading takes 4 ms at most at 125
-/// MHz.
+/// Memory: 4.5 kB each, owned by the caller, no pointers inside. Cost on a Cortex-M0+ (-O2, no wait states): width and
+/// angle 65 to 95 cycles, f's and Y's inverse 150, an envelope's 340, whatever the input. Loading takes 4 ms at most at
+/// 125 MHz, 7 ms with several plays.
 ///
 /// Every function takes any int32_t and saturates. `flags` (never NULL) is ORed with TL_LOOKUP_BELOW or
 /// TL_LOOKUP_ABOVE where the argument was outside the grid, else left alone.
@@ -20,6 +20,21 @@
 #define TL_LOOKUP_ABOVE 2U ///< the result belongs to the upper end of the grid (in p)
 
 #define TL_LOOKUP_SPANS 256U
+
+/// One of several plays that share B (tl_elements.h), in Y's unit.
+typedef struct {
+    int32_t half;        ///< r: half its width
+    int32_t lag_most;    ///< rho: half the width of the play on Y that undoes it
+    uint16_t weight_q16; ///< w: its share of the motion
+    uint16_t undo;       ///< -v: how much of that play's lag the inverse is ahead, as undo * 2^(undo_log2 - 16)
+    uint32_t undo_log2;
+} tl_element_t;
+
+/// Y goes on beyond the grid as the width there says, for so many Q8 counts and so much of Y.
+typedef struct {
+    tl_scale_t per_count, per_period;
+    uint32_t counts, centre;
+} tl_lookup_end_t;
 
 typedef struct {
     // Read in every step: at the front, where one instruction reaches them.
@@ -34,10 +49,16 @@ typedef struct {
     tl_count_q8_t low_first, low_last, high_first, high_last; ///< where q meets the ends of both envelopes
     tl_deg_q16_t c_low;                                       ///< least and greatest f over [q_min, q_max]
     tl_deg_q16_t c_high;
-    tl_scale_t coarse; ///< |dc/dq| of the coarse kinematics
+    uint32_t plays;       ///< elements of the play; 0: one, without a warp
+    tl_count_q8_t narrow; ///< where B is less there is one all the same
+    int32_t half;         ///< half a period of Y
+    tl_scale_t coarse;    ///< |dc/dq| of the coarse kinematics
     tl_scale_t coarse_inverse;
-    tl_table_t table;                ///< `angle` goes on after the last node with what no angle reaches
-    uint16_t ratio[TL_LOOKUP_SPANS]; ///< 1 / rise of f in each span (tl_lookup.c)
+    tl_table_t table;                       ///< `angle` goes on after the last node with what no angle reaches
+    uint16_t ratio[TL_LOOKUP_SPANS];        ///< 1 / rise of f in each span (tl_lookup.c)
+    uint16_t centre_ratio[TL_LOOKUP_SPANS]; ///< the same of Y; `table.centre` goes on as `table.angle` does
+    tl_element_t element[TL_TABLE_PLAYS_MAX];
+    tl_lookup_end_t end[2]; ///< beyond the first and the last node
 } tl_lookup_t;
 
 /// Decodes, checks and derives. On any reason but TL_TABLE_OK `lookup` must not be used.
@@ -61,6 +82,11 @@ tl_count_q8_t tl_lookup_angle_inverse(const tl_lookup_t *lookup, tl_deg_q16_t c,
 /// is looked at.
 tl_count_q8_t tl_lookup_p_low(const tl_lookup_t *lookup, tl_count_q8_t q, tl_count_q8_t near, uint32_t *flags);
 tl_count_q8_t tl_lookup_p_high(const tl_lookup_t *lookup, tl_count_q8_t q, tl_count_q8_t near, uint32_t *flags);
+
+/// Y(p), the middle of the elements' warp, and its inverse; beyond the grid they go on as B held there says. For
+/// lookup->plays > 0. As exact.
+int32_t tl_lookup_centre(const tl_lookup_t *lookup, tl_count_q8_t p);
+tl_count_q8_t tl_lookup_centre_inverse(const tl_lookup_t *lookup, int32_t y);
 
 /// The coarse kinematics and its inverse: a line, held beyond [q_min, q_max].
 tl_deg_q16_t tl_lookup_coarse(const tl_lookup_t *lookup, tl_count_q8_t q, uint32_t *flags);

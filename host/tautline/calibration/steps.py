@@ -1,0 +1,79 @@
+"""Motors that step: a position that jumps within one sample says nothing of what the tip did in between."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline import _native
+from tautline.calibration.observations import Mask, Track, turning_hysteresis
+from tautline.quality import Reason
+from tautline.recording import Motor
+from tautline.rig import Rig
+
+Array = npt.NDArray[np.float64]
+
+_FASTER = 5.0  # than in the samples beside it: a jump
+_COUNTS, _SHARE = 20.0, 0.01  # a jump is more than so many counts, and than this share of the motor's span
+_SWEEPS = 2.0  # spans that the motor must move otherwise, so that B is seen
+_SIGMAS, _LEFT = 4.0, 0.05  # a tip within so many sigma, or this share of what the jump moved it, has settled
+_MOST_S = 3.0  # that a tip may take to settle
+
+
+def jumps(motor: Motor, resolution: float) -> npt.NDArray[np.intp]:
+    """The samples after which the motor is somewhere else at once."""
+    moved = np.abs(np.diff(motor.q))
+    speed = moved / np.diff(motor.t_s)
+    beside = np.maximum(np.append(speed[1:], 0.0), np.append(0.0, speed[:-1]))
+    least = max(_COUNTS * resolution, _SHARE * float(np.ptp(motor.q)))
+    return np.flatnonzero((moved > least) & (speed > _FASTER * beside))
+
+
+def resolved(tracks: Sequence[Track], rig: Rig) -> tuple[list[Track], list[Reason], list[str]]:
+    """Tracks without the frames at which the tip may still follow a jump of the motor; why a track cannot be used, and
+    what was left out."""
+    left, reasons, notes = [], [], []
+    resolution = rig.actuator.encoder_resolution
+    for track in tracks:
+        at = jumps(track.motor, resolution) if len(track.motor.q) > 2 else np.zeros(0, dtype=np.intp)
+        if len(at):
+            q = track.motor.q
+            turns = _native.turns(np.ascontiguousarray(q), turning_hysteresis(track.motor, resolution, np.ptp(q)))
+            total = float(np.abs(np.diff(q[np.concatenate([[0], turns, [len(q) - 1]]).astype(int)])).sum())
+            jumped = float(np.abs(np.diff(q)[at]).sum())
+            settling = _settling(track, at, rig.nominal_delay_s(track.sensor))
+            if jumped > 0.5 * total and total - jumped < _SWEEPS * float(np.ptp(q)):
+                says = f"{track.name}: the motor steps {len(at)} times within one sample and hardly moves otherwise"
+                remedy = "move it at a speed, and record its encoder, not its command"
+                reasons.append(Reason("steps", says, remedy, fatal=True))
+            elif settling.any():
+                notes.append(
+                    f"{track.name}: the motor steps {len(at)} times within one sample: {int(settling.sum())} frames at "
+                    "which the tip follows were left out"
+                )
+                seen = ~settling
+                track = replace(track, t_s=track.t_s[seen], y=track.y[seen], sigma=track.sigma[seen])
+        left.append(track)
+    return left, reasons, notes
+
+
+def _settling(track: Track, at: npt.NDArray[np.intp], nominal_s: float) -> Mask:
+    """(n,) frames from each jump on until the tip stays where it ends up before the next one."""
+    settling = np.zeros(len(track.t_s), dtype=bool)
+    begins = track.motor.t_s[at] + min(nominal_s, 0.0)
+    ends = np.append(track.motor.t_s[at[1:]], np.inf)
+    for begin, sample_s, end in zip(begins, track.motor.t_s[at + 1], ends, strict=True):
+        inside = np.flatnonzero((track.t_s > begin) & (track.t_s < min(end, sample_s + nominal_s + _MOST_S)))
+        if not len(inside):
+            continue
+        y = track.y[inside]
+        last = np.median(y[-max(1, len(y) // 4) :], axis=0)
+        away = np.linalg.norm(y - last, axis=1)
+        moving = np.flatnonzero(away > max(_SIGMAS * float(track.sigma[0]), _LEFT * float(away[0])))
+        settled = int(moving[-1]) + 1 if len(moving) else 0
+        settling[inside[:settled]] = True
+        settling[inside[track.t_s[inside] <= sample_s + nominal_s]] = True
+    return settling

@@ -1,0 +1,48 @@
+"""The effects that a model can be extended by, and the simulation with them.
+
+Every effect is a nested extension of the chain motor -> transmission -> configuration -> kinematics -> registration ->
+camera -> acquisition: a few named parameters, and with its amplitudes at zero it is absent. One descriptor (kind.py)
+owns all that is known of it; adding one is a module of library/, and a file of host/native/effects/ where it moves the
+tip by laws of its own.
+"""
+
+from tautline.effects.kind import STAGES, Event, Kind, Parameter
+from tautline.effects.library import BY_ID, EVENTS, LIBRARY, OWNER, SCATTERS
+from tautline.effects.simulation import (
+    NATIVE,
+    SIGHT,
+    Path,
+    Seen,
+    follow,
+    image,
+    image_with_slopes,
+    of_model,
+    see,
+    sight_rig,
+    simulate,
+    tabled,
+)
+
+__all__ = [
+    "BY_ID",
+    "EVENTS",
+    "LIBRARY",
+    "NATIVE",
+    "OWNER",
+    "SCATTERS",
+    "SIGHT",
+    "STAGES",
+    "Event",
+    "Kind",
+    "Parameter",
+    "Path",
+    "Seen",
+    "follow",
+    "image",
+    "image_with_slopes",
+    "of_model",
+    "see",
+    "sight_rig",
+    "simulate",
+    "tabled",
+]

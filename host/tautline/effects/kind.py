@@ -1,0 +1,94 @@
+"""What an effect is made of: the descriptor that owns its parameters, how it is looked for and how a model holds it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from tautline.model import Model
+
+STAGES = ("actuator", "transmission", "configuration", "kinematics", "registration", "camera", "acquisition")
+_THROUGH_ANGLE = STAGES[:3]
+_TABLED = STAGES[3:]  # these only change how the tip is seen
+
+# A model that holds an effect of these parameters as it is at a time of the session, s.
+Holds = Callable[[Model, Mapping[str, float], float], Model]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """`scale` is a change that a user would notice: the step of differences and the unit of priors. For a parameter in
+    the actuator's unit ("unit" at the start of its unit) it is a share of the motor's range, and so are its shapes."""
+
+    name: str
+    unit: str
+    scale: float
+    shape: tuple[float, ...] = ()  # values to start from; empty: an amplitude, zero when absent
+    probe: float = 0.3  # of `scale`: how far to go to see what an amplitude does
+    one_way: bool = False  # what it does when negative is another thing
+    low: float = float("-inf")  # where it means something
+    high: float = float("inf")
+    searched: bool = False  # over its shapes or by scatter; never differentiated
+    reached: bool = False  # a bending angle: one that the recordings go beyond
+
+
+@dataclass(frozen=True)
+class Event:
+    """An effect without a path that repeats: it is told by its scatter (diagnose/scatter.py)."""
+
+    amount: str  # the parameter that says how much it scatters
+    mean: str = ""  # and the one that says what of it repeats
+    cause: str = ""  # what to mend
+    what: str = ""  # that no model takes away
+
+
+@dataclass(frozen=True)
+class Kind:
+    """An effect of the library. `amplitudes` at zero: absent."""
+
+    id: str  # stage.name
+    amplitudes: tuple[Parameter, ...]
+    shapes: tuple[Parameter, ...] = ()
+    says: str = ""
+    # freedom: the instrument's second or third degree of freedom moves; joint: a further joint's column does.
+    needs: Literal["", "camera", "load", "freedom", "joint"] = ""
+    column: str = ""  # of motor.csv, that it follows
+    of_joint: Callable[[str], Kind] | None = None  # the same for a further joint's column
+    holds: Holds | None = None  # a corrected model holds it in its own tables, rig or delay; None: it is simulated
+    in_tables: bool = False  # it is simulated as the model that holds it
+    course: Callable[[Mapping[str, float], float], float] | None = None  # over the session's time, s: how much of it
+    event: Event | None = None
+    law: bool = False  # the same equations everywhere: rigid motion, time
+    nominal: bool = False  # a recalibration has it already where it holds in all recordings
+    posture: bool = False  # another posture, tension or homing changes it, together with others of the kind
+    contains: tuple[str, ...] = ()  # effects that it can do too
+    each: bool = False  # it alone may be another in every recording
+    scan: Literal["probe", "period", "moment"] = "probe"  # how its shapes are screened
+    # What it could do whatever its equations are, beside moving the tip through the angle (diagnose/confined.py).
+    leaves: Literal["", "lens", "plane", "channel", "time"] = ""
+
+    @property
+    def stage(self) -> str:
+        return self.id.split(".", 1)[0]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (*self.amplitudes, *self.shapes)
+
+    @property
+    def through_angle(self) -> bool:
+        return self.stage in _THROUGH_ANGLE
+
+    @property
+    def on_board(self) -> bool:
+        """Whether the tables of a corrected model, as they are, put the tip where that model says: what ends up in B
+        and f_remain themselves, and what only changes how the tip is seen."""
+        return self.holds is not None or self.stage in _TABLED
+
+
+def six(prefix: str) -> tuple[Parameter, ...]:
+    """A rigid motion: turn, then move."""
+    turn = tuple(Parameter(f"{prefix}_r{axis}", "deg", 0.5) for axis in "xyz")
+    move = tuple(Parameter(f"{prefix}_{axis}", "mm", 0.2) for axis in "xyz")
+    return turn + move

@@ -1,0 +1,13 @@
+from tautline.effects.kind import Kind, Parameter
+
+EFFECTS = (
+    Kind(
+        "transmission.asymmetric_backlash",
+        (Parameter("asymmetry", "unit", 5e-3, one_way=True),),
+        (
+            Parameter("asymmetry_travel", "unit", 0.05, (0.01, 0.03, 0.08, 0.2), low=1e-3),
+            Parameter("asymmetry_form", "", 1.0, (1.0, 2.0), low=0.5, high=4.0),
+        ),
+        says="after turning one way the tip starts late and catches up",
+    ),
+)

@@ -1,0 +1,26 @@
+from tautline.effects.kind import Kind, Parameter
+
+_ID, _SAYS = "configuration.axis_coupling", "another degree of freedom moves the bending angle"
+
+
+def _of_joint(column: str) -> Kind:
+    """Another joint of the same robot, through its own backlash."""
+    return Kind(
+        _ID,
+        (Parameter("c_per_joint", "deg", 0.05),),
+        (Parameter("joint_play", "", 1.0, (0.0, 2.0), low=0.0),),
+        says=_SAYS,
+        needs="joint",
+        column=column,
+    )
+
+
+EFFECTS = (
+    Kind(
+        _ID,
+        (Parameter("c_per_translation", "deg/mm", 0.2), Parameter("c_per_rotation", "deg/deg", 0.02)),
+        says=_SAYS,
+        needs="freedom",
+        of_joint=_of_joint,
+    ),
+)

@@ -1,0 +1,35 @@
+"""A width that is not the model's: another tension, wear, another posture."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from tautline.effects.kind import Kind, Parameter
+from tautline.model import Model, allowed_width
+from tautline.splines import Basis
+
+_PIECES = 6  # of a cubic spline over the motor's range
+_NAMES = tuple(f"width_{i}" for i in range(_PIECES + 3))
+_basis = lru_cache(maxsize=8)(Basis)
+
+
+def _in_the_table(model: Model, values: Mapping[str, float], session_s: float) -> Model:
+    basis = _basis(*model.rig.actuator.range, _PIECES)
+    added = basis.value(np.array([values.get(name, 0.0) for name in _NAMES]), np.clip(model.q, basis.low, basis.high))
+    width = model.width * max(0.0, 1.0 + values.get("width_scale", 0.0)) + added
+    return replace(model, width=allowed_width(model.q, width))
+
+
+EFFECTS = (
+    Kind(
+        "transmission.backlash",
+        (Parameter("width_scale", "", 0.1), *(Parameter(name, "unit", 5e-3) for name in _NAMES)),
+        says="the backlash is not the model's",
+        holds=_in_the_table,
+        in_tables=True,
+        nominal=True,
+        posture=True,
+    ),
+)

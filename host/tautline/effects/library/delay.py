@@ -1,0 +1,22 @@
+from collections.abc import Mapping
+from dataclasses import replace
+
+from tautline.effects.kind import Kind, Parameter
+from tautline.model import Model
+
+
+def _later(model: Model, values: Mapping[str, float], session_s: float) -> Model:
+    return replace(model, delay_s=model.delay_s + values["delay"])
+
+
+EFFECTS = (
+    Kind(
+        "acquisition.delay",
+        (Parameter("delay", "s", 0.01),),
+        says="the delay of the images is wrong",
+        needs="camera",
+        holds=_later,
+        law=True,
+        nominal=True,
+    ),
+)

@@ -1,0 +1,36 @@
+from collections.abc import Mapping
+from dataclasses import replace
+
+from tautline.effects.kind import Kind, Parameter
+from tautline.model import Model
+from tautline.rig import Camera
+
+_NAMES = ("k1", "k2", "p1", "p2", "k3")
+
+
+def distorted(camera: Camera, values: Mapping[str, float]) -> Camera:
+    """The camera with the effect's distortion on top of the rig's."""
+    k1, k2, p1, p2, k3 = (here + values.get(name, 0.0) for here, name in zip(camera.distortion, _NAMES, strict=True))
+    return replace(camera, distortion=(k1, k2, p1, p2, k3))
+
+
+def _in_the_rig(model: Model, values: Mapping[str, float], session_s: float) -> Model:
+    rig = model.rig
+    assert rig.camera
+    return replace(model, rig=replace(rig, camera=distorted(rig.camera, values)))
+
+
+EFFECTS = (
+    Kind(
+        "camera.distortion",
+        (
+            *(Parameter(name, "", 0.05) for name in ("k1", "k2")),
+            *(Parameter(name, "", 0.01) for name in ("p1", "p2")),
+            Parameter("k3", "", 0.05),
+        ),
+        says="the lens distorts otherwise than the rig says",
+        needs="camera",
+        holds=_in_the_rig,
+        leaves="lens",
+    ),
+)

@@ -1,0 +1,31 @@
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+from tautline.effects.kind import Kind, Parameter
+from tautline.model import Model, allowed_width
+
+
+def _gone(values: Mapping[str, float], session_s: float) -> float:
+    """For how long it would have taken at its first rate, s."""
+    decay = values.get("drift_decay", 0.0)
+    return -math.expm1(-decay * session_s) / decay if decay > 0.0 else session_s
+
+
+def _so_far(model: Model, values: Mapping[str, float], session_s: float) -> Model:
+    """Its offset moves the tables' grid, its width scales B."""
+    gone = _gone(values, session_s)
+    width = allowed_width(model.q, model.width * max(0.0, 1.0 + values["width_drift"] * gone))
+    return replace(model, q=model.q - values["offset_drift"] * gone, width=width)
+
+
+EFFECTS = (
+    Kind(
+        "transmission.drift",
+        (Parameter("offset_drift", "unit/s", 5e-5), Parameter("width_drift", "1/s", 5e-4)),
+        (Parameter("drift_decay", "1/s", 5e-3, (0.0, 0.01), low=0.0),),
+        says="width or offset changes with time",
+        holds=_so_far,
+        course=_gone,
+    ),
+)

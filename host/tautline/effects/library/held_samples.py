@@ -1,0 +1,12 @@
+from tautline.effects.kind import Event, Kind, Parameter
+
+EFFECTS = (
+    Kind(
+        "acquisition.held_samples",
+        (Parameter("held_share", "", 0.1, searched=True),),
+        says="the sensor repeats its values",
+        event=Event("held_share", cause="the sensor's link", what="repeated values"),
+        law=True,
+        leaves="time",
+    ),
+)

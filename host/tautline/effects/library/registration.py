@@ -1,0 +1,66 @@
+"""Where the instrument is in the camera's eyes: rigid motions, of one law each."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tautline.effects.kind import Kind, Parameter, six
+from tautline.geometry import rotation
+from tautline.model import Model
+from tautline.rig import HandEye
+
+
+def with_registration(
+    model: Model, values: Mapping[str, float], session_s: float = 0.0, prefix: str = "static"
+) -> Model:
+    """X_cam = R (Exp(turn) X + move) + t folded into the rig's hand-eye."""
+    rig = model.rig
+    if rig.hand_eye is None or not values:
+        return model
+    turn = Rotation.from_rotvec([values.get(f"{prefix}_r{a}", 0.0) for a in "xyz"], degrees=True).as_matrix()
+    move = np.array([values.get(f"{prefix}_{a}", 0.0) for a in "xyz"])
+    old = rotation(rig.hand_eye.rotation_deg)
+    rz, ry, rx = Rotation.from_matrix(old @ turn).as_euler("ZYX", degrees=True)
+    t = old @ move + np.asarray(rig.hand_eye.translation_mm)
+    hand_eye = HandEye((float(rx), float(ry), float(rz)), (float(t[0]), float(t[1]), float(t[2])))
+    return replace(model, rig=replace(rig, hand_eye=hand_eye))
+
+
+def _shifted(model: Model, values: Mapping[str, float], session_s: float) -> Model:
+    return with_registration(model, values, prefix="shift") if session_s >= values["shift_time"] else model
+
+
+EFFECTS = (
+    Kind(
+        "registration.static",
+        six("static"),
+        says="wrong hand-eye transform",
+        needs="camera",
+        holds=with_registration,
+        law=True,
+        nominal=True,
+    ),
+    Kind(
+        "registration.direction_dependent",
+        (Parameter("tilt_x", "deg", 0.3), Parameter("tilt_y", "deg", 0.3), Parameter("tilt_z", "deg", 0.3)),
+        (
+            Parameter("tilt_pivot", "mm", 5.0, (0.0,)),
+            Parameter("tilt_travel", "unit", 2e-3, (0.0, 4e-3), low=0.0),
+        ),
+        says="the registration tilts with the direction of motion",
+        needs="camera",
+        leaves="channel",
+    ),
+    Kind(
+        "registration.shift",
+        six("shift"),
+        (Parameter("shift_time", "s", 1.0, searched=True),),
+        says="the registration changes once, during a recording",
+        needs="camera",
+        holds=_shifted,
+        law=True,
+        scan="moment",
+    ),
+)

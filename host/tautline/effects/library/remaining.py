@@ -1,0 +1,35 @@
+"""A static law that is not the model's."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from tautline.effects.kind import Kind, Parameter
+from tautline.model import Model, monotone
+from tautline.splines import Basis
+
+_PIECES = 5  # of a cubic spline over the motor's range
+_NAMES = tuple(f"remaining_{i}" for i in range(_PIECES + 3))
+_basis = lru_cache(maxsize=8)(Basis)
+
+
+def _in_the_table(model: Model, values: Mapping[str, float], session_s: float) -> Model:
+    basis = _basis(*model.rig.actuator.range, _PIECES)
+    added = basis.value(np.array([values.get(name, 0.0) for name in _NAMES]), np.clip(model.q, basis.low, basis.high))
+    return replace(model, c_deg=monotone(model.c_deg + added))
+
+
+EFFECTS = (
+    Kind(
+        "configuration.remaining",
+        tuple(Parameter(name, "deg", 1.0) for name in _NAMES),
+        says="the static law f_remain is not the model's",
+        holds=_in_the_table,
+        in_tables=True,
+        nominal=True,
+        posture=True,
+        contains=("transmission.offset",),
+    ),
+)

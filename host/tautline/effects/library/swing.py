@@ -1,0 +1,13 @@
+from tautline.effects.kind import Kind, Parameter
+
+EFFECTS = (
+    Kind(
+        "configuration.swing",
+        (Parameter("swing_share", "", 0.1, low=0.0, high=1.0),),
+        (
+            Parameter("swing_period", "s", 0.3, (0.3, 0.6, 1.0, 1.7), low=0.05, high=10.0),
+            Parameter("swing_damping", "", 0.1, (0.1,), low=0.01, high=0.95),
+        ),
+        says="the tip swings after it is moved",
+    ),
+)

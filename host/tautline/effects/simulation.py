@@ -1,0 +1,187 @@
+"""The simulation of a model with effects: what moves the tip in C (host/native/effects.h), and so where the marker is
+seen (sight.h)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline import _native, geometry
+from tautline.effects.library import BY_ID, LIBRARY, SCATTERS
+from tautline.model import Model
+from tautline.recording import Motor
+from tautline.rig import Rig
+
+Array = npt.NDArray[np.float64]
+
+NATIVE = frozenset(name for name, *_ in _native.effect_parameters)  # what moves the tip
+SIGHT = frozenset(name for name, *_ in _native.sight_parameters)  # what changes where it is seen
+_TABLED = tuple(kind for kind in LIBRARY if kind.in_tables)
+_MEANS = frozenset(kind.event.mean for kind in LIBRARY if kind.event)
+
+
+@dataclass(frozen=True)
+class Path:
+    """Where the tip is at a number of scene times. All (n,)."""
+
+    scene_s: Array
+    translation_mm: Array | None  # of the instrument; None where it never moves
+    rotation_deg: Array | None
+    c_deg: Array
+    p: Array  # the play's centre coordinate
+    tip: Array  # the same after lag, creep and stick-slip: c = f_remain(tip) but for the configuration's effects
+    gain: Array  # dc / df_remain
+    way: Array  # which way the instrument lies in its channel, -1 to 1
+    side: Array  # the envelope that last carried the tip: +1 rising q, -1 falling, 0 not yet
+
+
+@dataclass(frozen=True)
+class Seen(Path):
+    image_px: Array  # (n, 2), NaN without a camera
+
+
+def of_model(model: Model, scatter: bool = False) -> dict[str, Any]:
+    """The parameters of a corrected model's effects that its tables, rig and delay do not hold already. `scatter`: with
+    one course of stick-slip instead of what it is in the mean."""
+    return {
+        name: value
+        for effect in model.effects
+        if BY_ID[effect.id].holds is None
+        for name, value in effect.parameters.items()
+        if name not in (_MEANS if scatter else SCATTERS)
+    }
+
+
+def simulate(
+    model: Model,
+    motor: Motor,
+    scene_s: npt.ArrayLike,
+    parameters: Mapping[str, Any],
+    start_deg: float | None = None,
+    load_reference: float = 0.0,
+    clock_offset_s: float = 0.0,
+) -> Seen:
+    """The model with effects of these parameters (names of LIBRARY, values absolute) at scene times (n,), in any order.
+    `motor` is used as it is: tautline.encoder takes an encoder's steps out. clock_offset_s is added to its times where
+    an effect depends on the time of the session (drift, shift). load_reference, mNm, is the load at which
+    the model's tables hold. Stick-slip and jitter scatter at random: what is here is one course of the former, and
+    nothing of the latter."""
+    path = follow(model, motor, scene_s, parameters, start_deg, load_reference, clock_offset_s)
+    px = image(model, path, parameters, clock_offset_s) if model.rig.has_camera else np.full((len(path.p), 2), np.nan)
+    return Seen(**{f.name: getattr(path, f.name) for f in fields(Path)}, image_px=px)
+
+
+def follow(
+    model: Model,
+    motor: Motor,
+    scene_s: npt.ArrayLike,
+    parameters: Mapping[str, Any],
+    start_deg: float | None = None,
+    load_reference: float = 0.0,
+    clock_offset_s: float = 0.0,
+) -> Path:
+    """Where the tip is, as in `simulate`."""
+    model = tabled(model, parameters)
+    scene = np.asarray(scene_s, dtype=float) - parameters.get("delay", 0.0)
+    if rate := parameters.get("clock_rate", 0.0):
+        scene = scene - rate * (scene - motor.t_s[0])
+    order = np.argsort(scene, kind="stable") if len(scene) > 1 and (np.diff(scene) < 0).any() else None
+    rising = scene if order is None else scene[order]
+    translation, rotation = (
+        None if values is None else np.interp(rising, motor.t_s, values)
+        for values in (motor.translation_mm, motor.rotation_deg)
+    )
+    moved = _native.simulate_effects(
+        {name: value for name, value in parameters.items() if name in NATIVE},
+        model.q,
+        model.width,
+        model.c_deg,
+        motor.t_s,
+        motor.q,
+        rising,
+        translation,
+        rotation,
+        None if motor.load_mNm is None else motor.load_mNm - load_reference,
+        motor.extra.get(parameters.get("column", "")),  # a joint that is missing is at rest
+        clock_offset_s,
+        np.nan if start_deg is None else float(model.remaining_inverse(start_deg)),
+        model.play.native,
+    )
+    found = (rising, translation, rotation, *moved)
+    if order is None:
+        return Path(*found)
+    back = np.argsort(order, kind="stable")
+    return Path(*(None if values is None else values[back] for values in found))  # type: ignore[arg-type]
+
+
+def tabled(model: Model, parameters: Mapping[str, Any]) -> Model:
+    """The model with what of these is simulated as the tables that hold it."""
+    for kind in _TABLED:
+        if any(parameter.name in parameters for parameter in kind.amplitudes):
+            assert kind.holds
+            model = kind.holds(model, parameters, 0.0)
+    return model
+
+
+def image(model: Model, path: Path, parameters: Mapping[str, Any], clock_offset_s: float = 0.0) -> Array:
+    """Where the marker is seen, (n, 2) px, with the effects of kinematics, registration and camera."""
+    return _see(model, path, parameters, clock_offset_s, False)  # type: ignore[no-any-return]
+
+
+def see(
+    model: Model,
+    c_deg: Array,
+    way: Array,
+    translation_mm: npt.ArrayLike,
+    rotation_deg: npt.ArrayLike,
+    parameters: Mapping[str, Any],
+) -> Array:
+    """As `image`, of tips whose c and way (n,) are known and whose registration does not change."""
+    n = np.ones(len(c_deg))
+    known = {name: value for name, value in parameters.items() if name in SIGHT}
+    rig = sight_rig(model.rig)
+    translation, rotation = n * np.asarray(translation_mm), n * np.asarray(rotation_deg)
+    return _native.see(known, rig, c_deg, translation, rotation, way, None, False)  # type: ignore[no-any-return]
+
+
+def image_with_slopes(
+    model: Model, path: Path, parameters: Mapping[str, Any], clock_offset_s: float = 0.0
+) -> tuple[Array, Array, Array]:
+    """The image and its derivatives: by c (n, 2) px per deg, by a further static registration (n, 2, 6)."""
+    return _see(model, path, parameters, clock_offset_s, True)  # type: ignore[no-any-return]
+
+
+def _see(model: Model, path: Path, parameters: Mapping[str, Any], clock_offset_s: float, slopes: bool) -> Any:
+    shifted = None
+    if "shift_time" in parameters:
+        shifted = (path.scene_s + clock_offset_s >= parameters["shift_time"]).view(np.uint8)
+    return _native.see(
+        {name: value for name, value in parameters.items() if name in SIGHT},
+        sight_rig(model.rig),
+        path.c_deg,
+        path.translation_mm,
+        path.rotation_deg,
+        path.way,
+        shifted,
+        slopes,
+    )
+
+
+def sight_rig(rig: Rig) -> Array:
+    """The numbers of struct sight_rig (host/native/sight.h)."""
+    assert rig.kinematics and rig.camera and rig.hand_eye
+    camera = rig.camera
+    return np.array(
+        [
+            rig.kinematics.bending_length_mm,
+            rig.kinematics.tip_length_mm,
+            *geometry.rotation(rig.hand_eye.rotation_deg).ravel(),
+            *rig.hand_eye.translation_mm,
+            *(camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px),
+            *camera.distortion,
+        ]
+    )
