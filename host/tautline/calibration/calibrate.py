@@ -144,7 +144,10 @@ def calibrate(
         raise TautError(f"the tip was seen in {frames} frames only: record the calibration motion with it in view")
     with threadpool_limits(1, "blas"):  # its systems are small: threads that wait for each other cost 10 times more
         aligned = clock.align(tracks, rig) if options.delay_s is None else clock.Clock.as_it_is(tracks)
-        return _Session(aligned, rig, options, say, acquisition_doubts(recordings, every, rig)).run()
+        moved = iter(zip(aligned.tracks, aligned.offsets_s, strict=True))
+        pairs = [next(moved) if len(track.t_s) else (track, 0.0) for track in every]
+        reasons = acquisition_doubts(recordings, *zip(*pairs, strict=True), rig)
+        return _Session(aligned, rig, options, say, reasons).run()
 
 
 class _Session:
