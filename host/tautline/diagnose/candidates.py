@@ -22,6 +22,7 @@ Progress = Callable[[str], None]
 
 _MARGIN_S = 1.0  # before and after a shift that a recording has to show
 _CHANGES = 0.15  # share of a change with time that a recording has to show
+_LITTLE = 0.1
 _NOISE = 4.0  # floors: what is more is no noise, and a lost marker counts no more than that
 
 
@@ -146,7 +147,8 @@ class Search:
         assert kind.event
         hypothesis = below.fit.hypothesis.plus(kind, Scope.TESTS)
         values = {**below.fit.state.values, kind.event.amount: 0.0, kind.event.mean: amount}
-        fit = self.fitter.fit(hypothesis, values, below.fit.state)
+        little = {kind.event.mean: _LITTLE * amount}  # what is below may hold most of it already
+        fit = self.fitter.fit(hypothesis, values, below.fit.state, [little])
         return self.judged(fit) if fit.finite and fit.state.values[kind.event.mean] > 0.0 else None
 
     def _seen_to_happen(self, fit: Fit) -> bool:
