@@ -44,8 +44,9 @@ class Found:
     def parameters(self) -> int:
         """Those that were fitted, and those of the scatter."""
         hypothesis, values = self.fit.hypothesis, self.fit.state.values
-        # What each recording has of its own is paid for by its own blocks.
-        keys = {slot.key for slot in hypothesis.slots if slot.number <= 1}
+        # A spline that each recording has of its own is paid for by its own blocks.
+        single = {p for kind in hypothesis.kinds if kind.each for p in kind.amplitudes}
+        keys = {slot.key for slot in hypothesis.slots if slot.number <= 1 or slot.parameter in single}
         keys |= {p.name for kind in hypothesis.kinds for p in kind.parameters if p.searched} - SCATTERS
         return len(keys & values.keys()) + len(self.scatters)
 
