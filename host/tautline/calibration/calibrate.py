@@ -146,7 +146,7 @@ def calibrate(
         aligned = clock.align(tracks, rig) if options.delay_s is None else clock.Clock.as_it_is(tracks)
         moved = iter(zip(aligned.tracks, aligned.offsets_s, strict=True))
         pairs = [next(moved) if len(track.t_s) else (track, 0.0) for track in every]
-        reasons = acquisition_doubts(recordings, *zip(*pairs, strict=True), rig)
+        reasons = acquisition_doubts(recordings, [track for track, _ in pairs], [offset for _, offset in pairs], rig)
         return _Session(aligned, rig, options, say, reasons).run()
 
 
