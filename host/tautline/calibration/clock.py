@@ -35,6 +35,7 @@ _RIVAL = 2.0  # times the least misfit: an offset that leaves less may be the tr
 _NOISY = 0.05  # share of noise in what was seen, above which there is no motion to compare
 _PITCH_S = 0.05
 _NEAR_S = 1.0  # a clock that is off by less need not leave much
+_BEATEN = 1.4  # times what is left by a lag nearby that is no delay
 _RIDGE = 3.0  # times the misfit between two offsets, where they are two
 _ANEW = 8  # lags after which all widths are tried
 _ORDER = 5
@@ -152,7 +153,7 @@ def find_offset(track: Track, rig: Rig) -> Offset | None:
     misfits = sight.misfits(near)
     delays = np.abs(near - nominal_s) <= DELAY_REACH_S
     least = float(misfits[delays].min())
-    at_nominal = least <= max(FITS, 4.0 * sight.noise_share) and least <= _RIVAL * misfits.min()
+    at_nominal = least <= max(FITS, 4.0 * sight.noise_share) and least <= _BEATEN * misfits.min()
     if at_nominal and sight.along(float(near[delays][int(misfits[delays].argmin())])):
         return Offset(0.0, 0.0, least)
     lags = nominal_s + np.arange(-round(REACH_S / _PITCH_S), round(REACH_S / _PITCH_S) + 1) * _PITCH_S
@@ -365,7 +366,13 @@ def delay_of_all(tracks: Sequence[Track], rig: Rig) -> Delay:
         return Delay(nominal_s, np.inf, 0)
     lags = nominal_s + np.linspace(-DELAY_REACH_S, DELAY_REACH_S, 21)
     start = float(lags[int(np.argmin(np.sum([sight.misfits(lags) for sight in sights], axis=0)))])
-    believed = _NOMINAL_S[rig.angle is not None]
+    try:
+        return _posterior(sights, nominal_s, start, _NOMINAL_S[rig.angle is not None])
+    except np.linalg.LinAlgError:  # the tip is seen at too few places
+        return Delay(nominal_s, np.inf, 0)
+
+
+def _posterior(sights: Sequence[_Sight], nominal_s: float, start: float, believed: float) -> Delay:
     for spans in _SPANS:
         profile = _Profile(sights, spans, nominal_s, believed, start)
         best = min((nominal_s, 0.5 * (start + nominal_s), start), key=profile.surprise)
