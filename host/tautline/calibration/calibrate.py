@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from tautline.calibration import clock
 from tautline.calibration.backlash import WidthCurve, fit_paper, fit_widths
 from tautline.calibration.observations import Track, observe
-from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, find_delay, find_onsets
+from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, find_onsets
 from tautline.calibration.playfit import NODES, Fitted
 from tautline.calibration.remaining import Remaining, fit_remaining, morphological, pose_of, posed
 from tautline.calibration.smooth import Domain, fit_jointly, fit_passes, freeze, overlap
@@ -188,7 +188,7 @@ class _Session:
             return Delay(self.options.delay_s, 0.0, 0)
         if not self.camera:
             return clock.delay_of_all(self.tracks, self.rig)
-        return find_delay(self.tracks, self.rig, clock.near_delay(self.tracks, self.rig))
+        return clock.delay_of_stops(self.tracks, self.rig)
 
     def _joint_delay(self, stops: Delay, joint: Fitted) -> Delay:
         # Each turn is known to a rounded count: an error of time at the motor's speed.

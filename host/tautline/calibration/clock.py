@@ -34,6 +34,7 @@ _FOLLOWS = 0.25  # a misfit above says that the sensor does not follow this moto
 _RIVAL = 2.0  # times the least misfit: an offset that leaves less may be the true one
 _NOISY = 0.05  # share of noise in what was seen, above which there is no motion to compare
 _PITCH_S = 0.05
+_EDGE_S = 0.09  # find_delay's reach is a little more
 _NEAR_S = 1.0  # a clock that is off by less need not leave much
 _BEATEN = 1.4  # times what is left by a lag nearby that is no delay
 _RIDGE = 3.0  # times the misfit between two offsets, where they are two
@@ -223,9 +224,20 @@ def _stretched(track: Track, rig: Rig, misfit: float) -> Reason | None:
     )
 
 
-def near_delay(tracks: Sequence[Track], rig: Rig) -> float:
-    """Where to look for the delay: the nominal one, unless another lag within DELAY_REACH_S fits clearly better."""
+def delay_of_stops(tracks: Sequence[Track], rig: Rig) -> Delay:
+    """find_delay's, from where all frames put it if that is beyond what it looks through around the nominal one."""
     nominal_s = rig.nominal_delay_s(tracks[0].sensor)
+    delay = find_delay(tracks, rig, nominal_s)
+    if abs(delay.delay_s - nominal_s) < _EDGE_S and np.isfinite(delay.sigma_s):
+        return delay
+    start_s = _near_delay(tracks, rig, nominal_s)
+    other = find_delay(tracks, rig, start_s)
+    inside = abs(other.delay_s - start_s) < _EDGE_S and np.isfinite(other.sigma_s)
+    return other if inside else delay
+
+
+def _near_delay(tracks: Sequence[Track], rig: Rig, nominal_s: float) -> float:
+    """The nominal delay, unless another lag within DELAY_REACH_S fits clearly better."""
     sights = [sight for sight in (_Sight.of(track, rig, _FRAMES[0]) for track in tracks) if sight is not None]
     if not sights:
         return nominal_s
