@@ -37,6 +37,7 @@ _PITCH_S = 0.05
 _EDGE_S = 0.09  # find_delay's reach is a little more
 _NEAR_S = 1.0  # a clock that is off by less need not leave much
 _BEATEN = 1.4  # times what is left by a lag nearby that is no delay
+_APART_S = 0.3  # offsets that are nearer are one
 _RIDGE = 3.0  # times the misfit between two offsets, where they are two
 _ANEW = 8  # lags after which all widths are tried
 _ORDER = 5
@@ -184,7 +185,8 @@ def _rivals(sight: _Sight, fine: _Sight, lags: npt.NDArray[Any]) -> list[_Lag]:
         if one.misfit > _RIVAL * found[0].misfit:
             break
         between = (finite[(lags > min(one.lag_s, r.lag_s)) & (lags < max(one.lag_s, r.lag_s))] for r in rivals)
-        if all(len(ridge) and ridge.max() > _RIDGE * one.misfit for ridge in between):
+        apart = all(abs(one.lag_s - r.lag_s) > _APART_S for r in rivals)
+        if apart and all(len(ridge) and ridge.max() > _RIDGE * one.misfit for ridge in between):
             rivals.append(one)
     return rivals
 
