@@ -17,8 +17,12 @@ from tautline.calibration.backlash import WidthCurve, fit_paper, fit_widths
 from tautline.calibration.components import Components, separate
 from tautline.calibration.doubts import doubts, floor_of
 from tautline.calibration.observations import Track, observe
+<<<<<<< HEAD
 from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, find_delay, find_onsets
 from tautline.calibration.place import allowing_for_place, as_many_as_independent, place_noise
+=======
+from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, find_onsets
+>>>>>>> angle
 from tautline.calibration.playfit import NODES, Fitted
 from tautline.calibration.remaining import Remaining, fit_remaining, morphological, pose_of, posed
 from tautline.calibration.several import fit_elements
@@ -212,7 +216,7 @@ class _Session:
             return Delay(self.options.delay_s, 0.0, 0)
         if not self.camera:
             return clock.delay_of_all(self.tracks, self.rig)
-        return find_delay(self.tracks, self.rig, clock.near_delay(self.tracks, self.rig))
+        return clock.delay_of_stops(self.tracks, self.rig)
 
     def _joint_delay(self, stops: Delay, joint: Fitted) -> Delay:
         # Each turn is known to a rounded count: an error of time at the motor's speed.
