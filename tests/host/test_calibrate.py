@@ -157,11 +157,7 @@ def test_an_angle_sensor_alone_needs_no_camera():
     plant = preset("davinci", rig, 5)
     made = run(rig, plant, sines(rig.actuator, 12.0, 60.0), angle_noise_deg=0.05, seed=5)
     found = calibrate([made.recording], rig)
-<<<<<<< HEAD
-    assert abs(found.model.delay_s) < 1e-3  # estimated
-=======
     assert abs(found.model.delay_s) < 1e-3
->>>>>>> angle
     test = run(rig, plant, random_smooth(rig.actuator, 15.0, 40.0, 6), angle_noise_deg=0.05, seed=6)
     told = predict(found.model, test.recording.motor, test.recording.angle.t_s - found.model.delay_s)
     assert told.image_px is None

@@ -116,11 +116,7 @@ def test_an_offset_of_the_image_is_found_to_2_ms(offset_s):
     print(f"{offset_s} s: {1e3 * error:.2f} ms off, stated {1e3 * found.delay.sigma_s:.2f}")
     assert abs(error) < 2e-3
     assert found.model.delay_s == CAMERA_RIG.delay_s
-<<<<<<< HEAD
-    assert next(r.code for r in found.model.quality.reasons) == "clock.offset"
-=======
     assert found.model.quality.reasons[0].code == "clock.offset"
->>>>>>> angle
     assert found.model.quality.usable and found.to_json()["offset_s"] == found.model.offset_s
 
 

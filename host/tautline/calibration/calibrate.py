@@ -17,12 +17,8 @@ from tautline.calibration.backlash import WidthCurve, fit_paper, fit_widths
 from tautline.calibration.components import Components, separate
 from tautline.calibration.doubts import doubts, floor_of
 from tautline.calibration.observations import Track, observe
-<<<<<<< HEAD
-from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, find_delay, find_onsets
-from tautline.calibration.place import allowing_for_place, as_many_as_independent, place_noise
-=======
 from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, find_onsets
->>>>>>> angle
+from tautline.calibration.place import allowing_for_place, as_many_as_independent, place_noise
 from tautline.calibration.playfit import NODES, Fitted
 from tautline.calibration.remaining import Remaining, fit_remaining, morphological, pose_of, posed
 from tautline.calibration.several import fit_elements
