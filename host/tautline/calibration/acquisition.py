@@ -229,6 +229,8 @@ def _duration(recording: Recording, track: Track, delay_s: float, offset_s: floa
     slack = max(_LOST_ENDS_S, _LOST_ENDS * lasts)
     moved = np.flatnonzero(np.abs(motor.q - motor.q[0]) > 0.01 * np.ptp(motor.q))
     still = np.flatnonzero(np.abs(motor.q - motor.q[-1]) > 0.01 * np.ptp(motor.q))
+    if not len(moved) or not len(still):
+        return []
     begin, end = float(motor.t_s[moved[0]]), float(motor.t_s[still[-1]])  # of the motion
     missing = max(first - begin, 0.0) + max(end - last, 0.0)
     if missing <= slack and frames - lasts <= slack:

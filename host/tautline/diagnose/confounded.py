@@ -15,10 +15,11 @@ import numpy as np
 from tautline.diagnose.segment import Segment
 from tautline.effects import Kind
 
-LOAD, DRIFT = "transmission.load_dependence", "transmission.drift"
+LOAD, DRIFT, OFFSET = "transmission.load_dependence", "transmission.drift", "transmission.offset"
 
 _LEVEL = 0.15  # of the loads' span: what lies nearer together is one level, what varies less within a run is held
 _HIDDEN = 0.2  # of a probability that two effects share: that it is the one of which nothing is recorded
+_TOLD = 1.5  # of the loads' scatter within a recording: levels that are farther apart are others
 _PLACES = 12  # over which what a motion does to its own load is averaged
 
 
@@ -26,6 +27,18 @@ def hidden(kinds: Sequence[Kind], segments: Sequence[Segment]) -> dict[str, str]
     """Effects that need not be tried, each with the one that stands for it: what is recorded before what is not."""
     both = {LOAD, DRIFT} <= {kind.id for kind in kinds}
     return {DRIFT: LOAD} if both and load_goes_with_time(segments) else {}
+
+
+def explained(kinds: Sequence[Kind], segments: Sequence[Segment]) -> list[Kind]:
+    """Without an offset of each recording where a measured load tells the recordings apart: it could follow anything
+    that does."""
+    loads = [segment.motor.load_mNm for segment in segments]
+    if any(load is None for load in loads):
+        return list(kinds)
+    levels = [float(np.median(load)) for load in loads if load is not None]
+    within = float(np.median([np.std(load) for load in loads if load is not None]))
+    told = max(levels) - min(levels) > _TOLD * within
+    return [kind for kind in kinds if not (told and kind.id == OFFSET)]
 
 
 def told(document: dict[str, Any], hidden: Mapping[str, str]) -> None:

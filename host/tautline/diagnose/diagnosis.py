@@ -59,7 +59,7 @@ def diagnose(
     # A rest in which the tip goes on moving is no noise: the calibration has no more of it than its own fit leaves.
     floor, left = gap.noise_floor(segments, base.residuals), gap.rms(frozen[:1])
     floor = fitter.floor = left if left < _NO_NOISE * floor else floor
-    kinds = applicable(fitter, left_out)
+    kinds = confounded.explained(applicable(fitter, left_out), segments)
     hidden = confounded.hidden(kinds, segments)
     kinds = [kind for kind in kinds if kind.id not in hidden]
 
