@@ -133,7 +133,7 @@ def _track(recording: Recording, unit: str, t: Array, y: Array, given: Array | N
     noise = max(noise, 1e-9)
     stray = strays(y, noise)
     t, y = t[~stray], y[~stray]
-    return Track(recording.name, unit, recording.motor, t, y, np.full(len(t), noise), int(stray.sum()), held)
+    return Track(recording.name, unit, recording.motor, t, y, np.full(len(t), noise), stray=int(stray.sum()), held=held)
 
 
 def not_held(y: Array) -> Mask:
