@@ -26,9 +26,14 @@ static inline unsigned pin_p(unsigned axis) {
     return MOTOR2040_MOTOR_A_P_PIN + 2 * axis;
 }
 
+// As pwm_gpio_to_slice_num(), which may end up in flash.
+static inline unsigned slice(unsigned axis) {
+    return pin_p(axis) >> 1 & 7;
+}
+
 static void __not_in_flash_func(set_levels)(unsigned axis, uint32_t p, uint32_t n) {
     // Both inputs of a bridge are the two channels of one slice: one write, so that they change in the same period.
-    pwm_hw->slice[pwm_gpio_to_slice_num(MOTOR2040_MOTOR_A_P_PIN + 2 * axis)].cc = p | n << 16;
+    pwm_hw->slice[slice(axis)].cc = p | n << 16;
 }
 
 static void __not_in_flash_func(select_sense)(unsigned axis) {
@@ -43,7 +48,7 @@ void bridge_init(void) {
     for (unsigned axis = 0; axis < MOTOR2040_NUM_MOTORS; axis++) {
         pwm_config config = pwm_get_default_config();
         pwm_config_set_wrap(&config, PERIOD - 1);
-        pwm_init(pwm_gpio_to_slice_num(pin_p(axis)), &config, true);
+        pwm_init(slice(axis), &config, true);
         set_levels(axis, 0, 0);
         gpio_set_function(pin_p(axis), GPIO_FUNC_PWM);
         gpio_set_function(pin_p(axis) + 1, GPIO_FUNC_PWM);
@@ -64,7 +69,7 @@ void bridge_init(void) {
 static uint32_t slices(void) {
     uint32_t mask = 0;
     for (unsigned axis = 0; axis < MOTOR2040_NUM_MOTORS; axis++) {
-        mask |= 1u << pwm_gpio_to_slice_num(pin_p(axis));
+        mask |= 1u << slice(axis);
     }
     return mask;
 }
@@ -72,8 +77,7 @@ static uint32_t slices(void) {
 uint32_t bridge_align(uint32_t ticks) {
     pwm_set_mask_enabled(0);
     for (unsigned axis = 0; axis < MOTOR2040_NUM_MOTORS; axis++) {
-        pwm_set_counter(pwm_gpio_to_slice_num(pin_p(axis)),
-                        (uint16_t)((2 * PERIOD - SENSE_BEFORE_END - ticks % PERIOD) % PERIOD));
+        pwm_set_counter(slice(axis), (uint16_t)((2 * PERIOD - SENSE_BEFORE_END - ticks % PERIOD) % PERIOD));
     }
     return slices();
 }

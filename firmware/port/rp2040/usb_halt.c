@@ -2,7 +2,6 @@
 
 #include "device/dcd.h"
 #include "device/usbd.h"
-#include "device/usbd_pvt.h"
 #include "hardware/structs/usb.h"
 #include "hardware/timer.h"
 #include "pico/platform.h"
@@ -14,6 +13,8 @@ static uint32_t cleared_us; // when the last one was
 
 void __real_dcd_edpt_clear_stall(uint8_t port, uint8_t endpoint);
 void __wrap_dcd_edpt_clear_stall(uint8_t port, uint8_t endpoint);
+bool __real_dcd_edpt_xfer(uint8_t port, uint8_t endpoint, uint8_t *buffer, uint16_t size);
+bool __wrap_dcd_edpt_xfer(uint8_t port, uint8_t endpoint, uint8_t *buffer, uint16_t size);
 
 static uint32_t bit_of(uint8_t endpoint) {
     return 1u << (2u * tu_edpt_number(endpoint) + (tu_edpt_dir(endpoint) == TUSB_DIR_IN ? 0u : 1u));
@@ -53,11 +54,15 @@ void __wrap_dcd_edpt_clear_stall(uint8_t port, uint8_t endpoint) {
     cleared_us = time_us_32();
 }
 
-// Whether a transfer that its class believes to be under way is nowhere: not with the controller, not completed, and
-// its completion not on its way through TinyUSB's queue. Interrupts of USB are off.
-static bool is_dead(uint8_t port, uint8_t endpoint) {
-    return usbd_edpt_busy(port, endpoint) && !usbd_edpt_stalled(port, endpoint) &&
-           !(usb_hw->buf_status & bit_of(endpoint)) &&
+bool __wrap_dcd_edpt_xfer(uint8_t port, uint8_t endpoint, uint8_t *buffer, uint16_t size) {
+    cleared &= ~bit_of(endpoint); // its class goes on
+    return __real_dcd_edpt_xfer(port, endpoint, buffer, size);
+}
+
+// Whether the transfer is nowhere: not with the controller, not completed, nor its completion on its way through
+// TinyUSB's queue. Interrupts of USB are off.
+static bool is_dead(uint8_t endpoint) {
+    return !tud_task_event_ready() && !(usb_hw->buf_status & bit_of(endpoint)) &&
            !(*buffer_control(endpoint) & (USB_BUF_CTRL_AVAIL | USB_BUF_CTRL_AVAIL << 16));
 }
 
@@ -72,7 +77,7 @@ void usb_halt_task(void) {
                 continue;
             }
             dcd_int_disable(0);
-            const bool dead = !tud_task_event_ready() && is_dead(0, endpoint);
+            const bool dead = is_dead(endpoint);
             dcd_int_enable(0);
             if (dead) {
                 dcd_event_xfer_complete(0, endpoint, 0, XFER_RESULT_SUCCESS, false); // its class starts the next one

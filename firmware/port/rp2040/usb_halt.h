@@ -1,7 +1,6 @@
 /// What TinyUSB 0.18 leaves out where a host clears an endpoint's halt (CLEAR_FEATURE), halted or not: the transfer
 /// that was under way is neither ended nor free to start again, so that the endpoint would never move data again. Links
-/// with
-/// --wrap=dcd_edpt_clear_stall.
+/// with --wrap=dcd_edpt_clear_stall,--wrap=dcd_edpt_xfer.
 #ifndef TAUTLINE_RP2040_USB_HALT_H
 #define TAUTLINE_RP2040_USB_HALT_H
 

@@ -44,22 +44,34 @@ test('it enumerates: descriptors, a configuration, its serial number, a request 
 });
 
 test('an endpoint whose halt is cleared beside a packet that completes goes on', () => {
-    const board = booted();
-    const { usb } = board;
-    const submit = (endpoint, setup, length) => {
-        const transfer = { status: null };
-        usb.submit({ endpoint, out: true, setup, data: new Uint8Array(length), length,
-            done: (status) => { transfer.status = status; } });
-        return transfer;
-    };
-    const done = (transfer) => board.runWhile(() => transfer.status === null, 50e3) && transfer.status === 0;
-    assert.ok(done(submit(0, setupPacket(0, 9, 1, 0, 0), 0)));
-    for (let us = 0; us < 120; us++) { // of a frame of 64 bytes: about 50 us on the wire
-        const packet = submit(1, null, 64);
-        board.run(board.nowUs + us);
+    const clear = symbol(elf, '__wrap_dcd_edpt_clear_stall') & ~1;
+    for (let after = 0; after < 150; after += 5) { // instructions into the clearing
+        const board = booted();
+        const { usb, chip } = board;
+        const submit = (endpoint, setup, length) => {
+            const transfer = { status: null };
+            usb.submit({ endpoint, out: true, setup, data: new Uint8Array(length), length,
+                done: (status) => { transfer.status = status; } });
+            return transfer;
+        };
+        const done = (transfer) => board.runWhile(() => transfer.status === null, 50e3) && transfer.status === 0;
+        assert.ok(done(submit(0, setupPacket(0, 9, 1, 0, 0), 0)));
+        const { core } = chip;
+        const execute = core.executeInstruction.bind(core);
+        let left = -1;
+        let answer = null;
+        core.executeInstruction = () => {
+            if (left < 0 && (core.PC & ~1) === clear) left = after;
+            else if (left > 0) left -= 1;
+            if (left === 0 && answer === null) answer = chip.usbCtrl.out(usb.address, 1, 0, new Uint8Array(64));
+            return execute();
+        };
         assert.ok(done(submit(0, setupPacket(2, 1, 0, 1, 0), 0)), 'CLEAR_FEATURE(ENDPOINT_HALT)');
-        assert.ok(done(packet), `cleared ${us} us after the packet was offered`);
-        assert.ok(done(submit(1, null, 64)), 'and the one after');
+        assert.notEqual(answer, null);
+        for (let packet = 0; packet < 4; packet++) {
+            assert.ok(done(submit(1, null, 64)), `packet ${packet}, ${after} instructions in, answered ${answer}`);
+        }
+        assert.equal(usb.toggleErrors + chip.usbCtrl.toggleErrors, 0);
     }
 });
 
