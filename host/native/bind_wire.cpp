@@ -5,9 +5,7 @@
 #include <cstring>
 #include <string>
 
-extern "C" {
 #include "tautline/tl_wire.h"
-}
 
 namespace nb = nanobind;
 
@@ -197,6 +195,7 @@ void bind_wire(nb::module_ &m) {
     LIST("MOTIONS", TL_WIRE_MOTIONS)
     LIST("EVENTS", TL_WIRE_EVENTS)
     LIST("BOOTS", TL_WIRE_BOOTS)
+    LIST("STORES", TL_WIRE_STORES)
 
     wire.def("encode", &encode, nb::arg("name"), nb::arg("sequence"), nb::arg("fields"),
              "The whole frame of a message; every field must be given. ValueError names the field that does not fit.");

@@ -178,12 +178,13 @@ static uint8_t for_axis(tl_app_t *app, uint8_t type, const tl_wire_message_t *of
         tl_app_table_abort(app); // its memory is the calibration's
         return tl_calibration_start(&app->calibration, axis, &of->motion_start);
     case TL_WIRE_MOTION_STOP:
-    default:
         if (app->calibration.axis != axis) {
             return TL_WIRE_REASON_NOT_CALIBRATING;
         }
         tl_calibration_stop(&app->calibration, false);
         return 0;
+    default:
+        return TL_WIRE_REASON_UNKNOWN_TYPE;
     }
 }
 
