@@ -2,9 +2,11 @@
 
 #include <string.h>
 
-#define POLL_US      1000U
-#define REBOOT_US    50000U // for the acknowledgement to leave
-#define NOBODY_READS 500000U
+#define POLL_US       1000U
+#define FRAME_IDLE_US 20000U // after which the rest of a frame does not come any more
+#define REBOOT_US     50000U // for the acknowledgement to leave
+#define NOBODY_READS  500000U
+#define REST_MOST_US  10000000U // for axes that do not come to rest
 
 // -- tables -----------------------------------------------------------------------------------------------------
 
@@ -81,7 +83,8 @@ uint8_t tl_app_table_clear(tl_app_t *app, uint8_t axis) {
 
 bool tl_app_send(tl_app_t *app, uint8_t type, uint16_t sequence, const void *message) {
     const size_t size = TL_WIRE_HEADER_SIZE + tl_wire_size(type) + TL_WIRE_CRC_SIZE;
-    if (!app->bus || size > TL_APP_QUEUE - (app->queue_head - app->queue_tail)) {
+    const bool may = app->bus || type == TL_WIRE_ERROR; // who has no session is told so
+    if (!may || size > TL_APP_QUEUE - (app->queue_head - app->queue_tail)) {
         return false;
     }
     uint8_t frame[TL_WIRE_FRAME_MAX];
@@ -270,18 +273,81 @@ tl_upload_t tl_app_table_end(tl_app_t *app, uint8_t axis) {
     return TL_UPLOAD_OK;
 }
 
+// -- session ----------------------------------------------------------------------------------------------------
+
+static void begin_session(tl_app_t *app) {
+    app->bus = true;
+    app->queue_tail = app->queue_head;
+    app->upload_size = 0;
+}
+
+static void end_session(tl_app_t *app) {
+    if (app->bus) {
+        app->counters.bus_losses++;
+    }
+    app->bus = false;
+    app->queue_tail = app->queue_head;
+    app->upload_size = 0;
+    const uint32_t state = app->port->lock(app->port->context);
+    for (uint8_t i = 0; i < app->port->axes; i++) {
+        tl_axis_t *axis = &app->axes[i];
+        axis->divider = 0;
+        axis->sample_tail = axis->sample_head;
+        tl_axis_silence(axis);
+    }
+    if (app->calibration.axis != NULL) {
+        tl_calibration_stop(&app->calibration, true);
+    }
+    app->port->unlock(app->port->context, state);
+}
+
+void tl_app_bus(tl_app_t *app, bool configured) {
+    if (configured) {
+        begin_session(app);
+    } else {
+        end_session(app);
+    }
+    const uint32_t bad = app->parser.bytes_bad;
+    memset(&app->parser, 0, sizeof(app->parser));
+    app->parser.bytes_bad = bad;
+}
+
+void tl_app_line(tl_app_t *app) {
+    app->line = true;
+}
+
 // -- task -------------------------------------------------------------------------------------------------------
 
-void tl_app_receive(tl_app_t *app, const uint8_t *bytes, size_t size) {
+static void take_frames(tl_app_t *app, const uint8_t *bytes, size_t size) {
     tl_wire_frame_t frame;
     while (tl_wire_parse(&app->parser, &bytes, &size, &frame)) {
         app->counters.frames_in++;
+        if (app->line && frame.type == TL_WIRE_HELLO) {
+            end_session(app);
+            begin_session(app);
+        }
         tl_command(app, &frame);
     }
     app->counters.bytes_bad = app->parser.bytes_bad;
 }
 
-// Within POLL_US of its loss a position is no longer trusted.
+void tl_app_receive(tl_app_t *app, const uint8_t *bytes, size_t size) {
+    app->received_us = app->port->time_us(app->port->context);
+    take_frames(app, bytes, size);
+}
+
+// A host that died in the middle of a frame, or bytes lost on the line: what comes next is not taken for the rest of
+// it.
+static void poll_half_frame(tl_app_t *app, tl_us_t now_us) {
+    if (now_us - app->received_us >= FRAME_IDLE_US) {
+        while (tl_wire_skip(&app->parser)) {
+            take_frames(app, NULL, 0);
+        }
+    }
+}
+
+// The task asks every POLL_US, later where it was busy (a new table, flash): then the position has not been trusted
+// wrongly for longer than the axis was without a new command.
 static void poll_encoders(tl_app_t *app, tl_us_t now_us) {
     for (uint8_t i = 0; i < app->port->axes; i++) {
         if (app->port->edges_lost(app->port->context, i)) {
@@ -298,6 +364,7 @@ void tl_app_task(tl_app_t *app) {
         app->polled_us = now_us;
         poll_calibration(app, now_us);
         poll_encoders(app, now_us);
+        poll_half_frame(app, now_us);
         if (app->steps != app->steps_fed) {
             app->steps_fed = app->steps;
             app->port->watchdog_feed(app->port->context);
@@ -309,33 +376,12 @@ void tl_app_task(tl_app_t *app) {
         }
         send_samples(app, &app->axes[i], now_us);
     }
-    const bool sent = app->queue_tail == app->queue_head && now_us - app->reboot_us >= REBOOT_US;
-    if (app->reboot != 0 && (sent || now_us - app->reboot_us >= NOBODY_READS)) {
+    const tl_us_t since_us = now_us - app->reboot_us;
+    const bool sent = app->queue_tail == app->queue_head && since_us >= REBOOT_US;
+    const bool rests = all_off(app) || since_us >= REST_MOST_US;
+    if (app->reboot != 0 && rests && (sent || since_us >= NOBODY_READS)) {
         app->port->reboot(app->port->context, app->reboot == 2U);
     }
-}
-
-void tl_app_bus(tl_app_t *app, bool configured) {
-    app->bus = configured;
-    app->queue_tail = app->queue_head;
-    app->upload_size = 0;
-    const uint32_t bad = app->parser.bytes_bad;
-    memset(&app->parser, 0, sizeof(app->parser));
-    app->parser.bytes_bad = bad;
-    const uint32_t state = app->port->lock(app->port->context);
-    if (!configured) {
-        app->counters.bus_losses++;
-        for (uint8_t i = 0; i < app->port->axes; i++) {
-            tl_axis_t *axis = &app->axes[i];
-            axis->divider = 0;
-            axis->sample_tail = axis->sample_head;
-            tl_axis_silence(axis);
-        }
-        if (app->calibration.axis != NULL) {
-            tl_calibration_stop(&app->calibration, true);
-        }
-    }
-    app->port->unlock(app->port->context, state);
 }
 
 // -- start and control ------------------------------------------------------------------------------------------

@@ -49,7 +49,8 @@ typedef struct {
     tl_wire_counters_t counters;
     tl_wire_parser_t parser;
     uint16_t unasked; ///< sequence of frames that no request asked for
-    bool bus;         ///< a host has configured the device
+    bool bus;         ///< a host has configured the device, or said hello on a serial line: a session
+    bool line;        ///< a serial line: only hello begins a session
     uint8_t reboot;   ///< 0 no, 1 restart, 2 boot loader: after the queue is empty
     tl_us_t reboot_us;
 
@@ -64,6 +65,7 @@ typedef struct {
     uint32_t slot;      ///< tick of axis 0's millisecond that comes next
     tl_us_t control_us; ///< time of the last control step
     tl_us_t polled_us;
+    tl_us_t received_us; ///< when bytes came last
 } tl_app_t;
 
 /// Loads the tables; a board that the watchdog restarted, or whose stored tables are all damaged, starts with that
@@ -80,7 +82,12 @@ void tl_app_task(tl_app_t *app);
 /// calibration ends as host lost, a follower comes to rest.
 void tl_app_bus(tl_app_t *app, bool configured);
 
-/// Bytes from the host, in any pieces.
+/// The host is on a serial line, which tells nobody that it comes or goes: each hello ends the session before it, as
+/// leaving the bus does, and begins one. Without a session (after a restart) every other request is refused. Once,
+/// after tl_app_init().
+void tl_app_line(tl_app_t *app);
+
+/// Bytes from the host, in any pieces. A frame whose rest does not come for 20 ms is given up.
 void tl_app_receive(tl_app_t *app, const uint8_t *bytes, size_t size);
 
 /// At most `room` bytes for the host; returns how many.
@@ -102,6 +109,11 @@ uint8_t tl_app_marker(tl_app_t *app, const tl_wire_marker_t *marker, tl_us_t now
 
 /// Queues a frame for the host; false where there is no room.
 bool tl_app_send(tl_app_t *app, uint8_t type, uint16_t sequence, const void *message);
+
+/// Answers one of the messages that carry a table (tl_command_table.c): a tl_wire_reason_t, or 0 with the type of the
+/// answer in *answer.
+uint8_t tl_command_table(tl_app_t *app, uint8_t type, const tl_wire_message_t *request, tl_wire_message_t *out,
+                         uint8_t *answer);
 
 /// Answers one request (tl_command.c).
 void tl_command(tl_app_t *app, const tl_wire_frame_t *frame);
