@@ -41,7 +41,9 @@ ROM_MEMSET = 200  # cycles of the boot ROM's memset for the 64 bytes or less tha
 LOOPS = {
     "tl_app_control": (AXES, 1),  # one axis is watched in a tick
     "tl_history_push": (2,),  # pushed once a millisecond and jitter
-    "quadrature_count": (4,),  # the state machine leaves its count within 10 cycles of its own, a round here takes 5
+    "quadrature_count": (4,),  # the state machine leaves its count within 11 cycles of its own, a round here takes 5
+    "bridge_sense_finish": (5,),  # four samples are in the FIFO, and one may come meanwhile
+    CONTROL: (1,),  # its alarm passed while it was set; the next one is a period away
     "port_time_us": (2,),  # the high word changes once in 71 minutes
 }
 CALIBRATION = "tl_motion_tick"  # for one axis at a time, and not while it follows the tip

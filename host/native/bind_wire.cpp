@@ -157,6 +157,8 @@ void bind_wire(nb::module_ &m) {
     wire.attr("USB_PRODUCT") = TL_WIRE_USB_PRODUCT;
     wire.attr("USB_MANUFACTURER") = TL_WIRE_USB_MANUFACTURER;
     wire.attr("USB_PACKET") = TL_WIRE_USB_PACKET;
+    wire.attr("SERIAL_BAUD") = TL_WIRE_SERIAL_BAUD;
+    wire.attr("PART") = TL_WIRE_PART;
     wire.attr("FRAME_MAX") = TL_WIRE_FRAME_MAX;
     wire.attr("AXES_MAX") = TL_WIRE_AXES_MAX;
     wire.attr("ALL_AXES") = TL_WIRE_ALL_AXES;

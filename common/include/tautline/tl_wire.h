@@ -3,7 +3,7 @@
 /// Each message is one field list below. The C structs, their encoding, and (through the native module) the host's
 /// Python view come from these lists; nothing about a message is written down anywhere else.
 ///
-/// A frame on the bulk pipe, little-endian, no padding:
+/// A frame on the bulk pipe or the serial line, little-endian, no padding:
 ///
 ///     magic u16 | type u8 | header check u8 | payload length u16 | sequence u16 | payload | CRC-32 u32
 ///
@@ -33,7 +33,8 @@ extern "C" {
 #define TL_WIRE_USB_VENDOR       0x1209U ///< pid.codes
 #define TL_WIRE_USB_PRODUCT      0x0001U ///< its test product: for development, never to be sold under
 #define TL_WIRE_USB_MANUFACTURER "tautline"
-#define TL_WIRE_USB_PACKET       64U ///< of both bulk endpoints, 0x01 and 0x81, of interface 0; interface 1 is DFU
+#define TL_WIRE_SERIAL_BAUD      921600U ///< of a board with a serial port: 8 data bits, no parity, 1 stop bit
+#define TL_WIRE_USB_PACKET       64U     ///< of both bulk endpoints, 0x01 and 0x81, of interface 0; interface 1 is DFU
 
 #define TL_WIRE_MAGIC       0x7E54U
 #define TL_WIRE_HEADER_SIZE 8U
@@ -200,6 +201,22 @@ extern "C" {
     F(u32, key, "TL_WIRE_KEY")                                                                                         \
     F(u8, bootloader, "1: into the chip's boot loader, to be given new firmware")
 
+#define TL_WIRE_PART 192 ///< bytes of a table in one message
+
+#define TL_WIRE_FIELDS_TABLE_WRITE(F, A)                                                                               \
+    F(u8, axis, "")                                                                                                    \
+    F(u8, count, "bytes of it that are the table's, 1 to 192")                                                         \
+    F(u16, offset, "of the first; 0 begins anew, each part follows the one before")                                    \
+    A(u8, bytes, 192, "of the blob of tl_table.h")
+
+#define TL_WIRE_FIELDS_TABLE_STORE(F, A)                                                                               \
+    F(u8, axis, "all motors off")                                                                                      \
+    F(u16, size, "of the whole table: as many bytes as were written")
+
+#define TL_WIRE_FIELDS_TABLE_READ(F, A)                                                                                \
+    F(u8, axis, "")                                                                                                    \
+    F(u16, offset, "")
+
 // -- board to host ----------------------------------------------------------------------------------------------
 
 #define TL_WIRE_FIELDS_IDENTITY(F, A)                                                                                  \
@@ -261,6 +278,12 @@ extern "C" {
     F(u32, silences, "senders that went silent")                                                                       \
     F(u32, overruns, "control steps that were late")                                                                   \
     F(u32, bus_losses, "times that a host left the bus, or was lost")
+
+#define TL_WIRE_FIELDS_TABLE_PART(F, A)                                                                                \
+    F(u8, axis, "")                                                                                                    \
+    F(u8, count, "bytes that are the table's; fewer than 192 is the end")                                              \
+    F(u16, offset, "of the first")                                                                                     \
+    A(u8, bytes, 192, "of the blob in use")
 
 #define TL_WIRE_FIELDS_BATCH(F, A)                                                                                     \
     F(u8, axis, "")                                                                                                    \
@@ -346,12 +369,16 @@ extern "C" {
     M(0x1A, JOG, jog, "-> ack; an event when it is there")                                                             \
     M(0x1B, CHECK, check, "-> ack; an event when motor and encoder agree, then it holds")                              \
     M(0x1C, ANY_TABLE, any_table, "-> ack")                                                                            \
+    M(0x20, TABLE_WRITE, table_write, "-> ack; a part of a table, kept until the last one has come")                   \
+    M(0x21, TABLE_STORE, table_store, "-> ack: the parts are checked, stored and used, as DFU does")                   \
+    M(0x22, TABLE_READ, table_read, "-> table_part, of the table in use")                                              \
     M(0x80, ACK, ack, "")                                                                                              \
     M(0x81, ERROR, error, "")                                                                                          \
     M(0x82, IDENTITY, identity, "")                                                                                    \
     M(0x83, PONG, pong, "")                                                                                            \
     M(0x84, STATUS, status, "")                                                                                        \
     M(0x85, COUNTERS, counters, "")                                                                                    \
+    M(0x88, TABLE_PART, table_part, "as an answer: table_read's")                                                      \
     M(0x90, BATCH, batch, "unasked: telemetry of one axis")                                                            \
     M(0x91, ONSET, onset, "unasked: one reversal, during a calibration motion")                                        \
     M(0x92, PROGRESS, progress, "unasked: after each reversal and at the end of the motion")                           \
@@ -382,7 +409,10 @@ extern "C" {
     C(20, ONSET, "calibration motion: a setting of the onset detector is out of its range")                            \
     C(21, NOT_CALIBRATING, "no calibration motion is under way")                                                       \
     C(22, NOT_REFERENCED, "the axis does not know its position: home it, or say where it stands")                      \
-    C(23, BEYOND_SETTINGS, "wider than the settings stored on the board: change those, or ask for less")
+    C(23, BEYOND_SETTINGS, "wider than the settings stored on the board: change those, or ask for less")               \
+    C(30, TABLE_SIZE, "the table is too long, or its parts are not in order: send it again")                           \
+    C(31, TABLE_REFUSED, "the table was refused: the axis' status says why")                                           \
+    C(32, SESSION, "the board has restarted: say hello first")
 
 // Each says what to do; a number in brackets is what fault_value holds.
 #define TL_WIRE_FAULTS(C)                                                                                              \
@@ -570,6 +600,10 @@ typedef struct {
 /// Call until it returns false. Unknown types and longer payloads than known are returned too. O(size) plus at most
 /// TL_WIRE_FRAME_MAX bytes of rescanning per false frame.
 bool tl_wire_parse(tl_wire_parser_t *parser, const uint8_t **data, size_t *size, tl_wire_frame_t *frame);
+
+/// Gives up the frame that is being waited for, whose rest does not come: what its beginning took with it may be whole,
+/// and is found by the next tl_wire_parse(), new bytes or not. False: nothing was being waited for.
+bool tl_wire_skip(tl_wire_parser_t *parser);
 
 #ifdef __cplusplus
 }

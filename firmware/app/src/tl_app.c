@@ -13,11 +13,12 @@
 #include "tautline/tl_settings.h"
 
 #define POLL_US       1000U
+#define FRAME_IDLE_US 20000U // after which the rest of a frame does not come any more
 #define REBOOT_US     50000U // for the acknowledgement to leave
 #define NOBODY_READS  500000U
-#define HALF_FRAME_US 100000U // after which the rest of a frame will not come
-#define LATE_FAULT    20000U  // us without a control step that a driven motor may not see
-#define GUARD_LATER   2U      // ticks from an axis' watch to its guard
+#define REST_MOST_US  10000000U // for axes that do not come to rest
+#define LATE_FAULT    20000U    // us without a control step that a driven motor may not see
+#define GUARD_LATER   2U        // ticks from an axis' watch to its guard
 
 // -- tables -----------------------------------------------------------------------------------------------------
 
@@ -44,46 +45,15 @@ size_t tl_app_table_read(const tl_app_t *app, uint8_t axis, uint32_t offset, uin
 
 // -- bytes ------------------------------------------------------------------------------------------------------
 
-static void forget_half_frame(tl_app_t *app) {
-    const uint32_t bad = app->parser.bytes_bad + app->parser.fill - app->parser.consumed;
-    memset(&app->parser, 0, sizeof(app->parser));
-    app->parser.bytes_bad = bad;
-}
-
-void tl_app_receive(tl_app_t *app, const uint8_t *bytes, size_t size) {
-    if (size == 0) {
-        return;
-    }
-    const tl_us_t now_us = app->port->time_us(app->port->context);
-    if (now_us - app->received_us > HALF_FRAME_US) {
-        forget_half_frame(app);
-    }
-    app->received_us = now_us;
-    tl_wire_frame_t frame;
-    while (tl_wire_parse(&app->parser, &bytes, &size, &frame)) {
-        app->counters.frames_in++;
-        for (uint8_t i = 0; i < app->port->axes; i++) {
-            const uint32_t state = app->port->lock(app->port->context);
-            tl_axis_hear(&app->axes[i]);
-            app->port->unlock(app->port->context, state);
-        }
-        tl_command(app, &frame);
-    }
-    app->counters.bytes_bad = app->parser.bytes_bad;
-}
-
-size_t tl_app_transmit(tl_app_t *app, uint8_t *out, size_t room) {
-    return tl_outbox_take(&app->outbox, out, room);
-}
-
-void tl_app_bus(tl_app_t *app, bool configured) {
-    tl_outbox_open(&app->outbox, configured);
+static void begin_session(tl_app_t *app) {
+    tl_outbox_open(&app->outbox, true);
     tl_tables_abort(&app->tables);
-    forget_half_frame(app);
-    if (configured) {
-        return;
-    }
-    app->counters.bus_losses++;
+}
+
+static void end_session(tl_app_t *app) {
+    app->counters.bus_losses += app->outbox.open ? 1U : 0U;
+    tl_outbox_open(&app->outbox, false);
+    tl_tables_abort(&app->tables);
     const uint32_t state = app->port->lock(app->port->context);
     for (uint8_t i = 0; i < app->port->axes; i++) {
         tl_axis_t *axis = &app->axes[i];
@@ -97,9 +67,62 @@ void tl_app_bus(tl_app_t *app, bool configured) {
     app->port->unlock(app->port->context, state);
 }
 
+void tl_app_bus(tl_app_t *app, bool configured) {
+    if (configured) {
+        begin_session(app);
+    } else {
+        end_session(app);
+    }
+    const uint32_t bad = app->parser.bytes_bad;
+    memset(&app->parser, 0, sizeof(app->parser));
+    app->parser.bytes_bad = bad;
+}
+
+void tl_app_line(tl_app_t *app) {
+    app->line = true;
+}
+
+static void take_frames(tl_app_t *app, const uint8_t *bytes, size_t size) {
+    tl_wire_frame_t frame;
+    while (tl_wire_parse(&app->parser, &bytes, &size, &frame)) {
+        app->counters.frames_in++;
+        if (app->line && frame.type == TL_WIRE_HELLO) {
+            end_session(app);
+            begin_session(app);
+        }
+        for (uint8_t i = 0; i < app->port->axes; i++) {
+            const uint32_t state = app->port->lock(app->port->context);
+            tl_axis_hear(&app->axes[i]);
+            app->port->unlock(app->port->context, state);
+        }
+        tl_command(app, &frame);
+    }
+    app->counters.bytes_bad = app->parser.bytes_bad;
+}
+
+void tl_app_receive(tl_app_t *app, const uint8_t *bytes, size_t size) {
+    app->received_us = app->port->time_us(app->port->context);
+    take_frames(app, bytes, size);
+}
+
+size_t tl_app_transmit(tl_app_t *app, uint8_t *out, size_t room) {
+    return tl_outbox_take(&app->outbox, out, room);
+}
+
 // -- task -------------------------------------------------------------------------------------------------------
 
-// Within POLL_US of its loss a position is no longer trusted.
+// A host that died in the middle of a frame, or bytes lost on the line: what comes next is not taken for the rest of
+// it.
+static void poll_half_frame(tl_app_t *app, tl_us_t now_us) {
+    if (now_us - app->received_us >= FRAME_IDLE_US) {
+        while (tl_wire_skip(&app->parser)) {
+            take_frames(app, NULL, 0);
+        }
+    }
+}
+
+// The task asks every POLL_US, later where it was busy (a new table, flash): then the position has not been trusted
+// wrongly for longer than the axis was without a new command.
 static void poll_encoders(tl_app_t *app, tl_us_t now_us) {
     for (uint8_t i = 0; i < app->port->axes; i++) {
         if (app->port->edges_lost(app->port->context, i)) {
@@ -114,9 +137,10 @@ static void poll_reboot(tl_app_t *app, tl_us_t now_us) {
     if (app->reboot == 0) {
         return;
     }
-    const bool told = tl_outbox_is_empty(&app->outbox) && now_us - app->reboot_us >= REBOOT_US;
-    const bool rests = tl_tables_all_off(app->port, app->axes);
-    if ((told && rests) || now_us - app->reboot_us >= NOBODY_READS) {
+    const tl_us_t since_us = now_us - app->reboot_us;
+    const bool told = tl_outbox_is_empty(&app->outbox) && since_us >= REBOOT_US;
+    const bool rests = tl_tables_all_off(app->port, app->axes) || since_us >= REST_MOST_US;
+    if (rests && (told || since_us >= NOBODY_READS)) {
         app->port->reboot(app->port->context, app->reboot == 2U);
     }
 }
@@ -125,8 +149,9 @@ void tl_app_task(tl_app_t *app) {
     const tl_us_t now_us = app->port->time_us(app->port->context);
     if (now_us - app->polled_us >= POLL_US) {
         app->polled_us = now_us;
-        poll_encoders(app, now_us);
         tl_report_calibration(app, now_us);
+        poll_encoders(app, now_us);
+        poll_half_frame(app, now_us);
         if (app->steps != app->steps_fed) {
             app->steps_fed = app->steps;
             app->port->watchdog_feed(app->port->context);

@@ -5,6 +5,7 @@
 #include "tautline/tl_axis_ask.h"
 #include "tautline/tl_axis_rest.h"
 #include "tautline/tl_axis_watch.h"
+#include "tautline/tl_command_table.h"
 #include "tautline/tl_report.h"
 #include "tautline/tl_settings.h"
 
@@ -52,6 +53,7 @@ static void identity(const tl_app_t *app, tl_us_t now_us, tl_wire_identity_t *ou
 static void status(const tl_app_t *app, uint8_t index, tl_us_t now_us, tl_wire_status_t *out) {
     const tl_axis_t *axis = &app->axes[index];
     const tl_table_in_use_t *table = &app->tables.in_use[index];
+    const uint32_t state = app->port->lock(app->port->context); // all of one moment, and no half of a 64-bit value
     *out = (tl_wire_status_t){
         .axis = index,
         .mode = axis->mode,
@@ -74,6 +76,7 @@ static void status(const tl_app_t *app, uint8_t index, tl_us_t now_us, tl_wire_s
         .settings = app->settings,
         .fault_value = axis->guard.fault_value,
     };
+    app->port->unlock(app->port->context, state);
 }
 
 static void counters(tl_app_t *app, bool clear, tl_us_t now_us, tl_wire_counters_t *out) {
@@ -272,6 +275,17 @@ static answer_t handle(tl_app_t *app, uint8_t type, const tl_wire_message_t *of,
     case TL_WIRE_GET_SETTINGS:
         return of->get_status.axis < app->port->axes ? get(app, type, of->get_status.axis, now_us, out)
                                                      : refuse(TL_WIRE_REASON_AXIS);
+    case TL_WIRE_TABLE_WRITE:
+    case TL_WIRE_TABLE_STORE:
+    case TL_WIRE_TABLE_READ: {
+        uint8_t answer = TL_WIRE_ACK;
+        tl_report_calibration(app, now_us); // one that an axis' fault has ended is over now: its memory is needed
+        if (type != TL_WIRE_TABLE_READ && app->calibration.axis != NULL) {
+            return refuse(TL_WIRE_REASON_NOT_OFF);
+        }
+        const uint8_t reason = tl_command_table(&app->tables, type, of, out, &answer);
+        return reason != 0 ? refuse(reason) : with(answer);
+    }
     case TL_WIRE_CLEAR_TABLE:
     case TL_WIRE_SETTINGS:
         return of->get_status.axis < app->port->axes ? done(write(app, type, of, now_us)) : refuse(TL_WIRE_REASON_AXIS);
@@ -300,7 +314,8 @@ static __attribute__((noinline)) void answer_request(tl_app_t *app, const tl_wir
     tl_wire_message_t request;
     tl_wire_message_t out;
     answer_t answer = refuse(reason);
-    if (frame->type != TL_WIRE_MARKER && frame->type < TL_WIRE_ACK && tl_wire_size(frame->type) != 0U) {
+    if (reason == TL_WIRE_REASON_UNKNOWN_TYPE && frame->type != TL_WIRE_MARKER && frame->type < TL_WIRE_ACK &&
+        tl_wire_size(frame->type) != 0U) {
         answer = tl_wire_decode(frame->type, frame->payload, frame->size, &request)
                      ? handle(app, frame->type, &request, now_us, &out)
                      : refuse(TL_WIRE_REASON_SHORT);
@@ -322,6 +337,10 @@ static __attribute__((noinline)) void answer_request(tl_app_t *app, const tl_wir
 void tl_command(tl_app_t *app, const tl_wire_frame_t *frame) {
     const tl_us_t now_us = app->port->time_us(app->port->context);
     uint8_t reason = TL_WIRE_REASON_UNKNOWN_TYPE;
+    if (!app->outbox.open) {
+        answer_request(app, frame, TL_WIRE_REASON_SESSION, now_us);
+        return;
+    }
     if (frame->type == TL_WIRE_MARKER) {
         reason = take_marker(app, frame, now_us);
     }

@@ -7,7 +7,8 @@ void tl_outbox_open(tl_outbox_t *outbox, bool open) {
 
 bool tl_outbox_send(tl_outbox_t *outbox, uint8_t type, uint16_t sequence, const void *message) {
     const size_t size = TL_WIRE_HEADER_SIZE + tl_wire_size(type) + TL_WIRE_CRC_SIZE;
-    if (!outbox->open || size > TL_APP_QUEUE - (outbox->head - outbox->tail)) {
+    const bool may = outbox->open || type == TL_WIRE_ERROR;
+    if (!may || size > TL_APP_QUEUE - (outbox->head - outbox->tail)) {
         return false;
     }
     uint8_t frame[TL_WIRE_FRAME_MAX];

@@ -3,6 +3,7 @@
 #include "bridge.h"
 #include "hardware/flash.h"
 #include "hardware/irq.h"
+#include "hardware/pwm.h"
 #include "hardware/sync.h"
 #include "hardware/timer.h"
 #include "hardware/watchdog.h"
@@ -13,6 +14,7 @@
 #include "quadrature.h"
 #include "tautline/tl_app.h"
 #include "tautline/tl_usb.h"
+#include "usb_halt.h"
 
 #ifndef TAUTLINE_CONTROL_HZ
 #define TAUTLINE_CONTROL_HZ 5000
@@ -142,14 +144,19 @@ static void port_reboot(void *context, bool bootloader) {
 
 // -- control step -----------------------------------------------------------------------------------------------
 
+// An alarm goes off where the timer equals it: one that has passed while it was set would be 71 minutes late.
+static void __not_in_flash_func(set_alarm)(uint32_t due) {
+    timer_hw->alarm[CONTROL_ALARM] = due;
+    while ((int32_t)(due - timer_hw->timerawl) <= 0 && (timer_hw->armed & 1u << CONTROL_ALARM) != 0) {
+        due = timer_hw->timerawl + CONTROL_PERIOD_US;
+        timer_hw->alarm[CONTROL_ALARM] = due;
+    }
+}
+
 static void __not_in_flash_func(control_interrupt)(void) {
     hw_clear_bits(&timer_hw->intr, 1u << CONTROL_ALARM);
     // From the time it was due, not from now: no drift. After a flash operation it may lie behind; then from now.
-    uint32_t due = timer_hw->alarm[CONTROL_ALARM] + CONTROL_PERIOD_US;
-    if ((int32_t)(due - timer_hw->timerawl) <= 0) {
-        due = timer_hw->timerawl + CONTROL_PERIOD_US;
-    }
-    timer_hw->alarm[CONTROL_ALARM] = due;
+    set_alarm(timer_hw->alarm[CONTROL_ALARM] + CONTROL_PERIOD_US);
 
     bridge_sense_start();
     tl_app_control(&board.app);
@@ -158,17 +165,51 @@ static void __not_in_flash_func(control_interrupt)(void) {
     board.current_ma[axis] = current;
 }
 
+// In RAM: from flash it would take as long as the cache makes it.
+static void __not_in_flash_func(start_in_time)(uint32_t bridges) {
+    const uint32_t now = timer_hw->timerawl;
+    while (timer_hw->timerawl == now) {
+    }
+    pwm_hw->en = bridges;
+    timer_hw->alarm[CONTROL_ALARM] = now + 1 + CONTROL_PERIOD_US;
+}
+
 static void start_control(void) {
     hardware_alarm_claim(CONTROL_ALARM);
     irq_set_exclusive_handler(TIMER_IRQ_0, control_interrupt);
     irq_set_priority(TIMER_IRQ_0, PICO_HIGHEST_IRQ_PRIORITY);
     hw_set_bits(&timer_hw->inte, 1u << CONTROL_ALARM);
     irq_set_enabled(TIMER_IRQ_0, true);
-    const uint32_t now = timer_hw->timerawl;
-    while (timer_hw->timerawl == now) {
+    const uint32_t bridges = bridge_align(CONTROL_PERIOD_US * (SYS_CLK_HZ / 1000000) + INTERRUPT_CYCLES);
+    const uint32_t state = save_and_disable_interrupts();
+    start_in_time(bridges);
+    restore_interrupts(state);
+}
+
+// -- what must never happen -------------------------------------------------------------------------------------
+
+// PWM goes on without the core: first the motors. Then a debugger is told; without one the watchdog restarts the board.
+static _Noreturn void __not_in_flash_func(coast_and_wait)(void) {
+    bridge_coast_all();
+    for (;;) {
+        __breakpoint();
     }
-    bridge_align(CONTROL_PERIOD_US * (SYS_CLK_HZ / 1000000) + INTERRUPT_CYCLES);
-    timer_hw->alarm[CONTROL_ALARM] = now + 1 + CONTROL_PERIOD_US;
+}
+
+void isr_hardfault(void); // of the SDK's vector table
+void isr_nmi(void);
+void __not_in_flash_func(isr_hardfault)(void) {
+    coast_and_wait();
+}
+void __not_in_flash_func(isr_nmi)(void) {
+    coast_and_wait();
+}
+
+// What the SDK's panic() becomes (PICO_PANIC_FUNCTION): it says nothing, there is nobody to read it.
+_Noreturn void board_panic(const char *format, ...);
+_Noreturn void __not_in_flash_func(board_panic)(const char *format, ...) {
+    (void)format;
+    coast_and_wait();
 }
 
 // ---------------------------------------------------------------------------------------------------------------
@@ -183,9 +224,7 @@ static tl_wire_boot_t boot_reason(void) {
 int main(void) {
     const tl_wire_boot_t boot = boot_reason();
     bridge_init();
-    for (unsigned axis = 0; axis < TAUTLINE_AXES; axis++) {
-        quadrature_init(axis, encoder_pins[axis]);
-    }
+    quadrature_init(encoder_pins, TAUTLINE_AXES);
     pico_get_unique_board_id_string(board.serial, sizeof(board.serial));
     board.port = (tl_port_t){
         .name = "rp2040",
@@ -213,6 +252,7 @@ int main(void) {
     for (;;) {
         tl_app_task(&board.app);
         tl_usb_task();
+        usb_halt_task();
         __wfi();
     }
 }

@@ -23,8 +23,12 @@ void tl_app_task(tl_app_t *app);
 /// calibration ends as host lost, and so does any motion; a follower comes to rest.
 void tl_app_bus(tl_app_t *app, bool configured);
 
-/// Bytes from the host, in any pieces. Half a frame that is not followed up within 100 ms is dropped: whoever sent it
-/// is gone.
+/// The host is on a serial line, which tells nobody that it comes or goes: each hello ends the session before it, as
+/// leaving the bus does, and begins one. Without a session (after a restart) every other request is refused. Once,
+/// after tl_app_init().
+void tl_app_line(tl_app_t *app);
+
+/// Bytes from the host, in any pieces. A frame whose rest does not come for 20 ms is given up.
 void tl_app_receive(tl_app_t *app, const uint8_t *bytes, size_t size);
 
 /// At most `room` bytes for the host; returns how many.

@@ -15,14 +15,14 @@
 typedef struct {
     uint32_t head, tail; ///< written, taken
     uint16_t unasked;    ///< sequence of frames that no request asked for
-    bool open;           ///< somebody is there to read
+    bool open;           ///< a session: a host has configured the device, or said hello on a serial line
     uint8_t bytes[TL_APP_QUEUE];
 } tl_outbox_t;
 
-/// Somebody has come, or left: what was not read is dropped.
+/// A session begins, or ends: what was not read is dropped.
 void tl_outbox_open(tl_outbox_t *outbox, bool open);
 
-/// Queues a frame; false where there is no room or nobody to read.
+/// Queues a frame; false where there is no room, or no session. Who has none is told so: errors pass.
 bool tl_outbox_send(tl_outbox_t *outbox, uint8_t type, uint16_t sequence, const void *message);
 
 /// The same for what no request asked for: it has a sequence of its own, in which one that finds no room leaves a gap.

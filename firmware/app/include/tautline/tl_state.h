@@ -20,6 +20,7 @@ typedef struct {
     tl_wire_counters_t counters;
     tl_wire_parser_t parser;
     tl_outbox_t outbox;
+    bool line;      ///< a serial line: only hello begins a session
     uint8_t reboot; ///< 0 no, 1 restart, 2 boot loader: after the outbox is empty and the axes rest
     tl_us_t reboot_us;
     tl_us_t received_us; ///< when bytes came last
