@@ -53,6 +53,7 @@ CALIBRATION = "tl_motion_tick"  # for one axis at a time, and not while it follo
 JOBS = ("tl_axis_listen", "tl_compensator_feed", "tl_compensator_turn", "tl_compensator_take_up", "tl_axis_plan")
 BEGIN = "tl_path_begin"  # where axis->slot is 0, and there the job is the first one
 WATCH, GUARD, FAIL = "tl_axis_watch", "tl_axis_guard", "tl_axis_fail"  # an axis that fails is off from then on
+TRIAL = "try_out"  # of moves, homing and checks
 LATE = "come_late"  # a tick that comes late has been waited for already
 GUARD_LATER = 2  # ticks from an axis' watch to its guard (tl_app.c)
 PORT = ("port_encoder", "port_drive", "port_current_ma", "port_time_us", "port_supply_mv", "port_driver_fault")
@@ -226,7 +227,7 @@ def ticks(
 ) -> list[int]:
     """Bounds of the control interrupt's cycles in each tick of a millisecond, where AXES axes follow by tables; with
     measured values in place of the bounds of a step, watch or guard, the registers' cycles included."""
-    if gone := [name for name in (*JOBS, BEGIN, WATCH, GUARD, FAIL, LATE) if name not in image.starts]:
+    if gone := [name for name in (*JOBS, BEGIN, WATCH, GUARD, FAIL, LATE, TRIAL) if name not in image.starts]:
         raise SystemExit(f"budget: no function {', '.join(gone)} in the image: mend JOBS")
     count = CONTROL_HZ // 1000
     jobs = [*JOBS, *[""] * (count - len(JOBS))]
@@ -234,7 +235,7 @@ def ticks(
     tick = bound(image, PORT, **{STEP: 0, WATCH: 0, GUARD: 0, LATE: NEVER}).of(CONTROL) + EXCEPTION
     steps = [step_bound(image, PORT, job, **{CALIBRATION: NEVER}) if step is None else step for job in jobs]
     watch = bound(image, PORT).of(WATCH) if watch is None else watch
-    guard = bound(image, PORT, **{FAIL: NEVER}).of(GUARD) if guard is None else guard
+    guard = bound(image, PORT, **{FAIL: NEVER, TRIAL: NEVER}).of(GUARD) if guard is None else guard
     return [
         tick
         + sum(steps[(at - axis) % count] for axis in range(AXES))

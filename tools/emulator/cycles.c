@@ -12,7 +12,7 @@
 #include "tautline/tl_onset.h"
 
 enum { STEP_TIP, STEP_OTHER, WATCH, GUARD, MOTION, ONSET, LOOKUP, LOOKUP_YARDSTICK, EMPTY };
-enum { TABLES = 60, TICKS = 300, RATE_HZ = 5000, MOTIONS = 500, REVERSALS = 330 };
+enum { TABLES = 90, TICKS = 300, RATE_HZ = 5000, MOTIONS = 600, REVERSALS = 500 };
 
 #define BEGIN(kind)                                                                                                    \
     do {                                                                                                               \
@@ -239,7 +239,7 @@ static tl_deg_q16_t any_angle(void) {
 // Motor on, at rest, no fault: from there every mode begins.
 static void hold(tl_us_t *now_us) {
     axis.fault = 0;
-    axis.checked = axis.referenced = between(0, 19) > 0;
+    axis.checked = axis.referenced = true;
     tl_axis_enable(&axis);
     tl_axis_stop(&axis, false);
     for (int i = 0; i < 5 * TICKS && axis.mode != TL_WIRE_MODE_HOLD; i++) {
@@ -366,11 +366,24 @@ static void other_modes(tl_us_t *now_us) {
                 set_point(axis.q + between(-30000, 30000), *now_us + 20000, *now_us, &late);
             }
             break;
+        case 3:
+            axis.fault = 0;
+            axis.referenced = true;
+            tl_axis_enable(&axis);
+            tl_axis_home(&axis, &(tl_wire_home_t){.direction = 1, .reach_q8 = 1 << 20});
+            break;
+        case 4:
+            axis.fault = 0;
+            tl_axis_stop(&axis, true);
+            tl_axis_check(&axis);
+            break;
         default:
             break;
         }
         step(STEP_OTHER, *now_us);
     }
+    axis.referenced = true;
+    tl_axis_admit(&axis);
 }
 
 // -- whole calibration motions of short strokes, each tick of the plan
