@@ -5,7 +5,7 @@
 #include "tautline/tl_axis_ask.h"
 
 #ifndef RANDOM_STEPS
-#define RANDOM_STEPS 10000000U // control steps
+#define RANDOM_STEPS 30000000U // control steps
 #endif
 #define AXES       2U
 #define COUNTS_LOW (-400 * TL_COUNT_ONE) // of a calibration motion
@@ -336,7 +336,9 @@ static void mend(void) {
 
 // And a helpful one, without whom nothing would ever move.
 static void help(uint8_t axis) {
-    mend();
+    if (one_in(3)) {
+        mend();
+    }
     if (fake.wiring[axis] < 0.0 && one_in(4)) {
         rewire(axis, 1.0);
     }
@@ -356,7 +358,7 @@ static void help(uint8_t axis) {
 // What happens to hardware.
 static void a_mishap(void) {
     const uint8_t axis = (uint8_t)(random_u32() % AXES);
-    switch (random_u32() % 11U) {
+    switch (random_u32() % 13U) {
     case 0:
         fake.blocked = true;
         break;
@@ -384,10 +386,11 @@ static void a_mishap(void) {
         tl_app_bus(&app, false);
         tl_app_bus(&app, true);
         break;
-    case 8: { // no control step for a while; a motor that is off is turned meanwhile
+    case 8:
+    case 10: { // no control step for a while; a motor that is off is turned meanwhile
         fake.t_us += (tl_us_t)between(10000, 100000);
         const bool free = app.axes[axis].mode == TL_WIRE_MODE_OFF && app.axes[axis].fault == TL_WIRE_FAULT_NONE;
-        fake.position[axis] += free ? between(-3000, 3000) : 0.0;
+        fake.position[axis] += free ? (one_in(2) ? 3000.0 : -3000.0) : 0.0;
         live();
         TEST_ASSERT_TRUE_MESSAGE(!free || app.axes[axis].fault == TL_WIRE_FAULT_NONE, "turned by hand is no fault");
         break;
