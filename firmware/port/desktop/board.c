@@ -8,6 +8,7 @@
 #include "flash.h"
 #include "motor.h"
 #include "tautline/tl_usb.h"
+#include "uart.h"
 
 #define WATCHDOG_US 1000000U
 
@@ -19,6 +20,7 @@ static int32_t encoder_zero[TL_WIRE_AXES_MAX]; // counters begin at 0 with each 
 static int32_t log_q8[BOARD_LOG][TL_WIRE_AXES_MAX];
 static tl_us_t next_control_us;
 static tl_us_t fed_us;
+static bool on_uart;
 static int restart; // asked for: 0 no, 1 restart, 2 boot loader
 
 // -- the port ---------------------------------------------------------------------------------------------------
@@ -121,6 +123,7 @@ bool board_open(const board_options_t *options) {
                 options->flash_file);
         return false;
     }
+    on_uart = options->on_uart;
     port = (tl_port_t){
         .name = "desktop",
         .serial = options->serial,
@@ -169,10 +172,22 @@ void board_start(tl_wire_boot_t reason) {
         motors[i].duty = 0.0;
     }
     tl_app_init(&app, &port);
+    if (on_uart) {
+        tl_serial_init(&app, uart_line());
+        return;
+    }
     if (tud_inited()) {
         tud_deinit(0);
     }
     tl_usb_init(&app);
+}
+
+static void host_task(void) {
+    if (on_uart) {
+        tl_serial_task();
+    } else {
+        tl_usb_task();
+    }
 }
 
 void board_cut(uint32_t operations) {
@@ -186,9 +201,9 @@ void board_task(void) {
     if (!state.powered || state.bootloader || state.hung) {
         return;
     }
-    tl_usb_task();
+    host_task();
     tl_app_task(&app);
-    tl_usb_task();
+    host_task();
     if (restart == 1) {
         board_start(TL_WIRE_BOOT_REQUEST);
     } else if (restart == 2) {

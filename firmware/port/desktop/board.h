@@ -14,6 +14,7 @@ typedef struct {
     uint32_t control_hz;
     const char *serial;
     const char *flash_file; // NULL: lost with the process
+    bool on_uart;           // the host is on the serial port, not on USB
 } board_options_t;
 
 typedef struct {

@@ -10,6 +10,7 @@
 
 #include "board.h"
 #include "motor.h"
+#include "uart.h"
 #include "usbip.h"
 
 #define ADVANCE_MAX_US 10000000U
@@ -80,8 +81,9 @@ static void report_state(net_connection_t *connection) {
         "{\"t_us\": %" PRIu64 ", \"board_us\": %" PRIu64 ", \"powered\": %s, \"bootloader\": %s, \"hung\": %s, "
         "\"attached\": %s, \"realtime\": %s, \"starts\": %" PRIu32 ", \"flash_operations\": %" PRIu32 ", \"q\": [",
         board->t_us, board->t_us - board->boot_us, board->powered ? "true" : "false",
-        board->bootloader ? "true" : "false", board->hung ? "true" : "false", usbip_attached() ? "true" : "false",
-        realtime ? "true" : "false", board->starts, board->flash_operations);
+        board->bootloader ? "true" : "false", board->hung ? "true" : "false",
+        usbip_attached() || uart_attached() ? "true" : "false", realtime ? "true" : "false", board->starts,
+        board->flash_operations);
     for (uint8_t i = 0; i < app->port->axes; i++) {
         put(connection, "%s%" PRId32, i == 0 ? "" : ", ", board_true_q8(i));
     }
@@ -160,10 +162,12 @@ static void request(net_connection_t *connection, char *line) {
         place(connection, argument);
     } else if (strcmp(line, "unplug") == 0) {
         usbip_plug(false);
+        uart_plug(false);
         cable = false;
         ok(connection);
     } else if (strcmp(line, "plug") == 0) {
         cable = true;
+        uart_plug(true);
         ok(connection);
     } else if (strcmp(line, "reset") == 0) {
         board_start(TL_WIRE_BOOT_POWER);
