@@ -57,6 +57,11 @@ class Bench:
             pytest.skip("needs a board on USB/IP")
         return self.where.removeprefix("usbip:")
 
+    @property
+    def leaves_its_bus(self) -> bool:
+        """Whether a host is told that the board has gone or restarted; on a serial line it only stops to answer."""
+        return not self.where.startswith("serial:")
+
     def usb(self, board: Board) -> Any:
         """PyUSB's device of an open board."""
         device = getattr(board._link, "device", None)

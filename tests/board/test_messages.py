@@ -158,6 +158,15 @@ def test_a_host_that_leaves_without_a_word(bench: Bench) -> None:
         assert board.counters().bytes_bad <= 5
 
 
+@pytest.mark.parametrize("share", [0.05, 0.3, 0.99])
+def test_a_half_frame_costs_no_later_request(board: Board, bench: Bench, share: float) -> None:
+    """As a host leaves it that dies while it writes; the next one gets its first answer."""
+    whole = wire.encode("motion_start", 7)
+    board._link.write(whole[: round(share * len(whole))])
+    bench.run(0.2)
+    assert board.ask("ping", 0.5, host_us=1).host_us == 1
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_well_formed_nonsense(bench: Bench, seed: int) -> None:
     """Every request, with values from all over their ranges: refused or done, and the board stays in order."""

@@ -10,6 +10,8 @@ import contextlib
 import errno
 import ipaddress
 import re
+import select
+import socket
 import time
 from typing import Any
 
@@ -25,6 +27,30 @@ _ASK_S = 0.5
 _EXPECTED = "expected serial:DEVICE, serial:DEVICE@BAUD or serial:tcp:HOST:PORT, such as serial:/dev/ttyUSB0"
 
 
+class _Socket:
+    """A socket with the few calls of pyserial's ports that a link needs; pyserial's own hold small writes back."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._socket = socket.create_connection((host, port), timeout=_WRITE_S)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.timeout: float | None = 0.0
+
+    def read(self, size: int) -> bytes:
+        ready, _, _ = select.select([self._socket], [], [], self.timeout)
+        if not ready:
+            return b""
+        data = self._socket.recv(size)
+        if not data:
+            raise ConnectionResetError("the other end has closed")
+        return data
+
+    def write(self, data: bytes) -> None:
+        self._socket.sendall(data)
+
+    def close(self) -> None:
+        self._socket.close()
+
+
 class SerialLink:
     """An open line. Nobody tells when a host comes or goes there: a session begins with hello."""
 
@@ -37,7 +63,7 @@ class SerialLink:
     def write(self, data: bytes) -> None:
         try:
             self._port.write(data)
-        except serial.SerialTimeoutException as error:
+        except (serial.SerialTimeoutException, TimeoutError) as error:
             raise TautError(f"{self._where}: the board does not take data: switch it off and on") from error
         except (serial.SerialException, OSError) as error:
             raise self._gone() from error
@@ -64,25 +90,31 @@ class SerialLink:
         return BoardGone(f"{self._where}: the board is gone: check plug and power, then run the command again")
 
 
+def _busy(where: str) -> TautError:
+    return TautError(f"{where}: another program uses the board: close that program first")
+
+
 def _open(where: str) -> Any:
     name = where.removeprefix("serial:")
     if found := re.fullmatch(r"tcp:(.+):(\d+)", name):
         if not _is_here(found[1]):
             raise TautError(f"--board {where}: a line over a socket is for simulated boards on this machine: 127.0.0.1")
-        url, baud = f"socket://{found[1]}:{found[2]}", wire.wire.SERIAL_BAUD
-    elif found := re.fullmatch(r"([^@]+)(?:@(\d+))?", name):
-        url, baud = found[1], int(found[2] or wire.wire.SERIAL_BAUD)
-    else:
+        try:
+            return _Socket(found[1], int(found[2]))
+        except (OSError, OverflowError) as error:
+            raise TautError(f"{where}: no board answers there: start it, or name another with --board") from error
+    found = re.fullmatch(r"([^@]+)(?:@(\d+))?", name)
+    if not found:
         raise TautError(f"--board {where}: {_EXPECTED}")
-    options: dict[str, Any] = {} if url.startswith("socket:") else {"exclusive": True}
+    baud = int(found[2] or wire.wire.SERIAL_BAUD)
     try:
-        return serial.serial_for_url(url, baudrate=baud, timeout=0.0, write_timeout=_WRITE_S, **options)
+        return serial.Serial(found[1], baud, timeout=0.0, write_timeout=_WRITE_S, exclusive=True)
     except ValueError as error:
         raise TautError(f"--board {where}: {error}: {_EXPECTED}") from error
-    except (serial.SerialException, OSError) as error:
-        if getattr(error, "errno", None) in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in str(error):
-            raise TautError(f"{where}: another program uses the board: close that program first") from error
-        if getattr(error, "errno", None) == errno.EACCES:
+    except OSError as error:  # pyserial's own is one
+        if error.errno in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in str(error):
+            raise _busy(where) from error
+        if error.errno == errno.EACCES:
             mend = "sudo usermod -a -G dialout $USER"
             raise TautError(f"{where}: no permission: run '{mend}' and log in again") from error
         raise TautError(f"{where}: no board answers there: plug it in, or name another with --board") from error
@@ -99,19 +131,29 @@ def _is_here(host: str) -> bool:
 
 def find_serial(where: str) -> list[Found]:
     """Says hello to ask who is there: without an answer nobody is."""
+    busy = Found(where, None, True, (wire.wire.MAJOR, wire.wire.MINOR), lambda: _refuse(where))
     try:
         link = SerialLink(where)
     except TautError as error:
-        if "another program" not in str(error):
-            raise
-        return [Found(where, None, True, (wire.wire.MAJOR, wire.wire.MINOR), lambda: SerialLink(where))]
+        if str(error) == str(_busy(where)):
+            return [busy]
+        raise
     with contextlib.closing(link):
-        for _ in range(link.hello_tries):
-            link.write(wire.encode("hello", 0, protocol_major=wire.wire.MAJOR, protocol_minor=wire.wire.MINOR))
-            if identity := _identity(link):
-                protocol = (identity.protocol_major, identity.protocol_minor)
-                return [Found(where, identity.serial, False, protocol, lambda: SerialLink(where))]
+        try:
+            for _ in range(link.hello_tries):
+                link.write(wire.encode("hello", 0, protocol_major=wire.wire.MAJOR, protocol_minor=wire.wire.MINOR))
+                if identity := _identity(link):
+                    protocol = (identity.protocol_major, identity.protocol_minor)
+                    return [Found(where, identity.serial, False, protocol, lambda: SerialLink(where))]
+        except BoardGone:
+            if where.startswith("serial:tcp:"):  # a simulated board closes a second connection at once
+                return [busy]
+            raise
     raise TautError(f"{where}: nothing that answers is a tautline board: check plug, power and baud rate")
+
+
+def _refuse(where: str) -> SerialLink:
+    raise _busy(where)
 
 
 def _identity(link: SerialLink) -> wire.Message | None:
