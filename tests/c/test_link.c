@@ -138,7 +138,7 @@ static void test_each_hello_on_a_line_ends_the_session_before(void) {
     fake_run_ms(20);
     fake_ask(TL_WIRE_HELLO, &hello);
     TEST_ASSERT_EQUAL(1, heard_count[TL_WIRE_IDENTITY]);
-    TEST_ASSERT_EQUAL(0, app.axes[0].divider);
+    TEST_ASSERT_EQUAL(0, app.axes[0].telemetry.divider);
     TEST_ASSERT_EQUAL(1, app.counters.bus_losses);
     fake_run_ms(20);
     memset(heard_count, 0, sizeof(heard_count));

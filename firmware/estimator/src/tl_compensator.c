@@ -1,16 +1,18 @@
 #include "tl_takeup.h"
 
+#include "tautline/tl_fast.h"
+
 _Static_assert(TL_COMPENSATOR_BELOW == TL_LOOKUP_BELOW && TL_COMPENSATOR_ABOVE == TL_LOOKUP_ABOVE, "shared flags");
 
 #define RATE_MIN_HZ 16U
 #define RATE_MAX_HZ 100000U
 
-static tl_per_tick_t per_tick(int32_t per_second_q8, uint32_t rate_hz) {
+static TL_FAST tl_per_tick_t per_tick(int32_t per_second_q8, uint32_t rate_hz) {
     const uint64_t scaled = ((uint64_t)(uint32_t)per_second_q8 << 32) / rate_hz;
     return (tl_per_tick_t){(int32_t)(scaled >> 32), (uint32_t)scaled};
 }
 
-static void set_limits(tl_compensator_t *k, const tl_table_t *table) {
+static TL_FAST void set_limits(tl_compensator_t *k, const tl_table_t *table) {
     tl_takeup_set_limits(&k->takeup, table, k->rate_hz);
     k->feed_max = per_tick(table->speed_max_q8, k->rate_hz);
     k->feed_flat = per_tick(table->flat_speed_q8, k->rate_hz);
@@ -19,7 +21,7 @@ static void set_limits(tl_compensator_t *k, const tl_table_t *table) {
 // Where c wants p, and where p wants q ---------------------------------------------------------------
 
 // p* for c, within [q_min, q_max]. The end's flags have the look-up's values.
-static tl_count_q8_t target(const tl_compensator_t *k, tl_deg_q16_t c, uint32_t *flags) {
+static TL_FAST tl_count_q8_t target(const tl_compensator_t *k, tl_deg_q16_t c, uint32_t *flags) {
     if (k->mode != TL_MODE_FULL) {
         return tl_lookup_coarse_inverse(k->lookup, c, flags);
     }
@@ -37,7 +39,7 @@ static tl_count_q8_t target(const tl_compensator_t *k, tl_deg_q16_t c, uint32_t 
 }
 
 // k B(p) / 2
-static int32_t half_width(const tl_compensator_t *k) {
+static TL_FAST int32_t half_width(const tl_compensator_t *k) {
     uint32_t ends = 0;
     if (k->mode == TL_MODE_OFF) {
         return 0;
@@ -47,11 +49,11 @@ static int32_t half_width(const tl_compensator_t *k) {
 }
 
 // q* without what is still to be taken up, before the range is minded. p -+ B/2 cannot overflow (TL_TABLE_VALUE_MAX).
-static tl_count_q8_t pushed(const tl_compensator_t *k, int32_t half) {
+static TL_FAST tl_count_q8_t pushed(const tl_compensator_t *k, int32_t half) {
     return k->p + (k->side > 0 ? half : (k->side < 0 ? -half : tl_clamp(k->start_offset, -half, half)));
 }
 
-static tl_count_q8_t fed(const tl_compensator_t *k, int32_t half) {
+static TL_FAST tl_count_q8_t fed(const tl_compensator_t *k, int32_t half) {
     const tl_table_t *table = &k->lookup->table;
     return tl_clamp(pushed(k, half), table->q_min, table->q_max);
 }
@@ -62,14 +64,14 @@ static tl_count_q8_t fed_anew(tl_compensator_t *k) {
 }
 
 // The feed goes from `before` to `after` at once; the motor takes the difference up.
-static void absorb(tl_compensator_t *k, tl_count_q8_t after, tl_count_q8_t before) {
+static TL_FAST void absorb(tl_compensator_t *k, tl_count_q8_t after, tl_count_q8_t before) {
     tl_takeup_add(&k->takeup, after - before);
 }
 
 // One tick -------------------------------------------------------------------------------------------
 
 // The direction of p, with its memory of the furthest point; 1 if the side changes.
-static bool turned(tl_compensator_t *k) {
+static TL_FAST bool turned(tl_compensator_t *k) {
     const int32_t ahead = k->p - k->anchor; // both within the range: no overflow
     if (k->side > 0 ? ahead >= 0 : (k->side < 0 && ahead <= 0)) {
         k->anchor = k->p;
@@ -81,7 +83,7 @@ static bool turned(tl_compensator_t *k) {
 
 // On the way to the goal, where spans may be flat: never further than one span in a tick, so that none is jumped over,
 // and to the edge of a flat one first.
-static tl_count_q8_t approach(const tl_compensator_t *k, tl_count_q8_t goal, bool *slow) {
+static TL_FAST tl_count_q8_t approach(const tl_compensator_t *k, tl_count_q8_t goal, bool *slow) {
     const tl_lookup_t *lookup = k->lookup;
     const int32_t step = (int32_t)1 << lookup->step_log2;
     const tl_count_q8_t p = k->p, next = p + tl_clamp(goal - p, -step, step);
@@ -99,7 +101,7 @@ static tl_count_q8_t approach(const tl_compensator_t *k, tl_count_q8_t goal, boo
 }
 
 // Moves p towards its goal, no faster than speed_max, nor than the flat speed within flat spans.
-static void advance(tl_compensator_t *k) {
+static TL_FAST void advance(tl_compensator_t *k) {
     const tl_per_tick_t *limit = &k->feed_max;
     if (k->slow) {
         limit = &k->feed_flat;
@@ -116,7 +118,7 @@ static void advance(tl_compensator_t *k) {
     k->p += way;
 }
 
-void tl_compensator_feed(tl_compensator_t *k, tl_deg_q16_t c) {
+TL_FAST void tl_compensator_feed(tl_compensator_t *k, tl_deg_q16_t c) {
     bool slow = false;
     k->c = c;
     k->feed_flags = 0;
@@ -126,7 +128,7 @@ void tl_compensator_feed(tl_compensator_t *k, tl_deg_q16_t c) {
     k->slow = slow;
 }
 
-void tl_compensator_turn(tl_compensator_t *k) {
+TL_FAST void tl_compensator_turn(tl_compensator_t *k) {
     if (k->goal != k->p) {
         advance(k);
     }
@@ -142,7 +144,7 @@ void tl_compensator_turn(tl_compensator_t *k) {
     }
 }
 
-tl_count_q8_t tl_compensator_take_up(tl_compensator_t *k) {
+TL_FAST tl_count_q8_t tl_compensator_take_up(tl_compensator_t *k) {
     tl_takeup_step(&k->takeup);
     const tl_count_q8_t q_min = k->lookup->table.q_min, q_max = k->lookup->table.q_max, last = k->q;
     const tl_count_q8_t push = pushed(k, k->half), feed = tl_clamp(push, q_min, q_max);
@@ -176,7 +178,7 @@ tl_count_q8_t tl_compensator_step(tl_compensator_t *k, tl_deg_q16_t c) {
 
 // Settings -------------------------------------------------------------------------------------------
 
-static void stand(tl_compensator_t *k, tl_count_q8_t p) {
+static TL_FAST void stand(tl_compensator_t *k, tl_count_q8_t p) {
     k->p = k->aim = k->goal = p;
     k->slow = false;
 }

@@ -11,12 +11,21 @@
 #include "uart.h"
 
 #define WATCHDOG_US 1000000U
+#define DRIVER_MA   425U // of the reference board's drivers: motor.c cuts the current off there
+#define SUPPLY_MV   6000U
+#define SUPPLY_LOW  2500U // with a supply that is ill
+#define LEAST_MV    4000U
+#define JUMP        30000 // counts
+#define COARSE      8
 
 static tl_app_t app;
 static tl_port_t port;
 static board_state_t state = {.powered = true};
 static motor_t motors[TL_WIRE_AXES_MAX];
 static int32_t encoder_zero[TL_WIRE_AXES_MAX]; // counters begin at 0 with each start
+static board_ill_t ills[TL_WIRE_AXES_MAX];
+static int32_t stuck[TL_WIRE_AXES_MAX]; // what an encoder that is unplugged shows
+static uint16_t supply_mv = SUPPLY_MV;
 static int32_t log_q8[BOARD_LOG][TL_WIRE_AXES_MAX];
 static tl_us_t next_control_us;
 static tl_us_t fed_us;
@@ -32,17 +41,35 @@ static tl_us_t port_time(void *context) {
 
 static int32_t port_encoder(void *context, uint8_t axis) {
     (void)context;
-    return (int32_t)((uint32_t)motor_counts(&motors[axis]) - (uint32_t)encoder_zero[axis]);
+    const int32_t count = (int32_t)((uint32_t)motor_counts(&motors[axis]) - (uint32_t)encoder_zero[axis]);
+    switch (ills[axis]) {
+    case BOARD_UNPLUGGED:
+        return stuck[axis];
+    case BOARD_COARSE:
+        return stuck[axis] + (count - stuck[axis]) / COARSE;
+    default:
+        return count;
+    }
 }
 
 static void port_drive(void *context, uint8_t axis, tl_duty_q15_t duty) {
     (void)context;
-    motors[axis].duty = duty / 32768.0;
+    motors[axis].duty = (ills[axis] == BOARD_REVERSED ? -duty : duty) / 32768.0;
 }
 
 static int32_t port_current(void *context, uint8_t axis) {
     (void)context;
     return (int32_t)lround(motors[axis].current);
+}
+
+static uint16_t port_supply(void *context) {
+    (void)context;
+    return supply_mv;
+}
+
+static bool port_driver_fault(void *context, uint8_t axis) {
+    (void)context;
+    return ills[axis] == BOARD_DRIVER;
 }
 
 // Counts an operation; false when the power is cut in it.
@@ -129,11 +156,15 @@ bool board_open(const board_options_t *options) {
         .serial = options->serial,
         .axes = options->axes,
         .control_hz = options->control_hz,
+        .driver_ma = DRIVER_MA,
+        .supply_low_mv = LEAST_MV,
         .time_us = port_time,
         .encoder = port_encoder,
         .edges_lost = port_edges_lost,
         .drive = port_drive,
         .current_ma = port_current,
+        .supply_mv = port_supply,
+        .driver_fault = port_driver_fault,
         .flash = flash_bytes,
         .flash_erase = port_erase,
         .flash_program = port_program,
@@ -241,6 +272,17 @@ int32_t board_log(uint64_t index, uint8_t axis) {
 
 int32_t board_true_q8(uint8_t axis) {
     return (int32_t)(uint32_t)(uint64_t)llround(motors[axis].position * 256.0);
+}
+
+void board_inject(uint8_t axis, board_ill_t ill) {
+    const int32_t shown = port_encoder(NULL, axis);
+    supply_mv = ill == BOARD_SUPPLY ? SUPPLY_LOW : SUPPLY_MV;
+    ills[axis] = ill;
+    motors[axis].blocked = ill == BOARD_BLOCKED;
+    // Whatever was or is wrong with the encoder, it goes on from what it shows; but for a jump.
+    const int32_t count = ill == BOARD_JUMP ? shown + JUMP : shown;
+    encoder_zero[axis] = (int32_t)((uint32_t)motor_counts(&motors[axis]) - (uint32_t)count);
+    stuck[axis] = count;
 }
 
 void board_place(uint8_t axis, int32_t q_q8) {

@@ -9,11 +9,17 @@
 #define STATIC        0.050   // duty that breaks it away
 #define STRIBECK      150.0   // counts/s within which static falls to sliding friction
 #define STALL         700.0   // mA at full duty, blocked
+#define CHOP          425.0   // mA at which the driver cuts the current off
 
 void motor_step(motor_t *motor) {
     const double dt = MOTOR_STEP_US * 1e-6;
-    const double drive = motor->duty - motor->speed / FREE_SPEED;
+    const double most = CHOP / STALL;
+    const double drive = fmin(fmax(motor->duty - motor->speed / FREE_SPEED, -most), most);
     motor->current = STALL * drive;
+    if (motor->blocked) {
+        motor->speed = 0.0;
+        return;
+    }
     if (motor->speed == 0.0 && fabs(motor->duty) <= STATIC) {
         return;
     }

@@ -2,6 +2,7 @@
 #ifndef MOTOR_H
 #define MOTOR_H
 
+#include <stdbool.h>
 #include <stdint.h>
 
 #define MOTOR_STEP_US 25
@@ -11,6 +12,7 @@ typedef struct {
     double speed;    // counts/s
     double duty;     // -1 to 1
     double current;  // mA
+    bool blocked;
 } motor_t;
 
 // MOTOR_STEP_US on.

@@ -10,6 +10,7 @@
 
 #include "board.h"
 #include "motor.h"
+#include "tautline/tl_axis_watch.h"
 #include "uart.h"
 #include "usbip.h"
 
@@ -93,7 +94,7 @@ static void report_state(net_connection_t *connection) {
         put(connection,
             "%s{\"q_q8\": %" PRId32 ", \"q_ref_q8\": %" PRId32 ", \"duty_q15\": %" PRId32
             ", \"mode\": %u, \"fault\": %u, \"flags\": %u}",
-            i == 0 ? "" : ", ", axis->q, axis->path.q, axis->duty, axis->mode, axis->fault, tl_axis_flags(axis));
+            i == 0 ? "" : ", ", axis->q, axis->path.q, axis->motor.duty, axis->mode, axis->fault, tl_axis_flags(axis));
     }
     put(connection, "]}\n");
 }
@@ -139,6 +140,24 @@ static void place(net_connection_t *connection, char *argument) {
     ok(connection);
 }
 
+static void inject(net_connection_t *connection, char *argument) {
+    static const char *const names[] = {"well",   "blocked", "unplugged", "reversed",
+                                        "coarse", "jump",    "driver",    "supply"};
+    char *second = strchr(argument, ' ');
+    long long axis;
+    if (second != NULL) {
+        *second++ = '\0';
+        for (size_t i = 0; i < sizeof(names) / sizeof(names[0]); i++) {
+            if (number(argument, 0, board_app()->port->axes - 1, &axis) && strcmp(second, names[i]) == 0) {
+                board_inject((uint8_t)axis, (board_ill_t)i);
+                ok(connection);
+                return;
+            }
+        }
+    }
+    refuse(connection, "inject takes an axis and well, blocked, unplugged, reversed, coarse, jump, driver or supply");
+}
+
 static void request(net_connection_t *connection, char *line) {
     char *argument = strchr(line, ' ');
     if (argument != NULL) {
@@ -160,6 +179,8 @@ static void request(net_connection_t *connection, char *line) {
         ok(connection);
     } else if (strcmp(line, "place") == 0) {
         place(connection, argument);
+    } else if (strcmp(line, "inject") == 0) {
+        inject(connection, argument);
     } else if (strcmp(line, "unplug") == 0) {
         usbip_plug(false);
         uart_plug(false);
@@ -179,7 +200,8 @@ static void request(net_connection_t *connection, char *line) {
         quit = true;
         ok(connection);
     } else {
-        refuse(connection, "not a request: advance US, state, realtime on|off, cut N, place AXIS Q8, unplug, plug, "
+        refuse(connection, "not a request: advance US, state, realtime on|off, cut N, place AXIS Q8, "
+                           "inject AXIS ILL, unplug, plug, "
                            "reset, hang, quit");
     }
 }

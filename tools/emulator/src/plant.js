@@ -20,7 +20,7 @@ export function motorConstants(file) {
         return Number(found[1]);
     };
     return { freeSpeed: get('FREE_SPEED'), timeConstant: get('TIME_CONSTANT'), sliding: get('SLIDING'),
-        static: get('STATIC'), stribeck: get('STRIBECK'), stall: get('STALL') };
+        static: get('STATIC'), stribeck: get('STRIBECK'), stall: get('STALL'), chop: get('CHOP') };
 }
 
 /** One geared motor, positions in counts; the equations of firmware/port/desktop/motor.c. */
@@ -36,7 +36,8 @@ class Motor {
     step(duty, coasts) {
         const { k } = this;
         const dt = STEP_US * 1e-6;
-        const drive = coasts ? 0 : duty - this.speed / k.freeSpeed;
+        const most = k.chop / k.stall; // the driver cuts the current off there
+        const drive = coasts ? 0 : Math.max(-most, Math.min(most, duty - this.speed / k.freeSpeed));
         this.current = k.stall * drive;
         if (this.speed === 0 && Math.abs(duty) <= k.static) return;
         const direction = Math.sign(this.speed !== 0 ? this.speed : duty);

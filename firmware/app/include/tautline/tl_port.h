@@ -10,16 +10,21 @@
 #include "tautline/tl_wire.h"
 
 #define TL_PORT_FLASH_SECTOR 4096U ///< bytes that an erase sets to 0xFF
-#define TL_PORT_FLASH_PAGE   256U  ///< bytes that a program writes; it only clears bits
+#define TL_PORT_FLASH_REGION                                                                                           \
+    (2U * (TL_WIRE_AXES_MAX + 1U) * TL_PORT_FLASH_SECTOR) ///< bytes that the app keeps things in
+#define TL_PORT_FLASH_PAGE 256U                           ///< bytes that a program writes; it only clears bits
 
 typedef struct {
     void *context;
     const char *name;   ///< "desktop", "rp2040"; at most 15 characters, lives for ever
     const char *serial; ///< USB serial number, at most 31 characters of A-Z a-z 0-9 -, lives for ever
     uint8_t axes;       ///< 1 to TL_WIRE_AXES_MAX
-    uint8_t boot;       ///< tl_boot_t: why it started
+    uint8_t boot;       ///< tl_wire_boot_t: why it started
     uint32_t
         control_hz; ///< 1000, 2000, 4000, 5000, 8000 or 10000: a period is whole microseconds, a millisecond periods
+
+    uint16_t driver_ma;     ///< at which the motor drivers limit the current by themselves; 0: not known
+    uint16_t supply_low_mv; ///< of the motors, below which they should not be driven: the default; 0: none
 
     /// Microseconds since the start, never falls. Both threads.
     tl_us_t (*time_us)(void *context);
@@ -32,7 +37,12 @@ typedef struct {
     /// Motor current, mA, the latest sample (a port may sample one axis a step); control step.
     int32_t (*current_ma)(void *context, uint8_t axis);
 
-    /// The table region, mapped for reading: 2 * axes sectors.
+    /// Supply of the motors, mV, the latest sample. Control step. NULL: not measured.
+    uint16_t (*supply_mv)(void *context);
+    /// Whether the motor driver of an axis reports a fault (nFAULT). Control step. NULL: it cannot.
+    bool (*driver_fault)(void *context, uint8_t axis);
+
+    /// The region for tables and settings, mapped for reading: TL_PORT_FLASH_REGION bytes.
     const uint8_t *flash;
     /// `offset` from the region's start, a multiple of the sector or page. Task, with every motor off; may take 0.4 s,
     /// during which the control step may stand still. `page` is in RAM: the flash chip is out of reach meanwhile.
