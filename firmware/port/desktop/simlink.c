@@ -9,7 +9,6 @@
 #include <time.h>
 
 #include "board.h"
-#include "motor.h"
 #include "tautline/tl_axis_watch.h"
 #include "uart.h"
 #include "usbip.h"
@@ -141,21 +140,19 @@ static void place(net_connection_t *connection, char *argument) {
 }
 
 static void inject(net_connection_t *connection, char *argument) {
-    static const char *const names[] = {"well",   "blocked", "unplugged", "reversed",
-                                        "coarse", "jump",    "driver",    "supply"};
     char *second = strchr(argument, ' ');
     long long axis;
+    plant_ill_t ill;
     if (second != NULL) {
         *second++ = '\0';
-        for (size_t i = 0; i < sizeof(names) / sizeof(names[0]); i++) {
-            if (number(argument, 0, board_app()->port->axes - 1, &axis) && strcmp(second, names[i]) == 0) {
-                board_inject((uint8_t)axis, (board_ill_t)i);
-                ok(connection);
-                return;
-            }
-        }
     }
-    refuse(connection, "inject takes an axis and well, blocked, unplugged, reversed, coarse, jump, driver or supply");
+    if (second == NULL || !number(argument, 0, board_app()->port->axes - 1, &axis) || !plant_ill_of(second, &ill)) {
+        refuse(connection,
+               "inject takes an axis and well, blocked, unplugged, reversed, coarse, jump, driver or supply");
+        return;
+    }
+    board_inject((uint8_t)axis, ill);
+    ok(connection);
 }
 
 static void request(net_connection_t *connection, char *line) {

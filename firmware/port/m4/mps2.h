@@ -9,12 +9,12 @@
 typedef struct {
     volatile uint32_t data, state, control, interrupt, divider; ///< divider: of the baud rate, 16 or more
 } mps2_uart_t;
-#define UART_TX_FULL    1U ///< of state
-#define UART_RX_FULL    2U
-#define UART_TX_ENABLE  1U ///< of control
-#define UART_RX_ENABLE  2U
+#define UART_TX_FULL             1U ///< of state
+#define UART_RX_FULL             2U
+#define UART_TX_ENABLE           1U ///< of control
+#define UART_RX_ENABLE           2U
 #define UART_RX_INTERRUPT_ENABLE 8U
-#define UART_RX_INTERRUPT 2U ///< of interrupt; written: cleared
+#define UART_RX_INTERRUPT        2U ///< of interrupt; written: cleared
 
 typedef struct {
     volatile uint32_t control, value, reload, interrupt; ///< counts down, from reload after 0
@@ -28,12 +28,12 @@ typedef struct {
 
 enum { IRQ_UART0_RX = 0, IRQ_UART1_RX = 2, IRQ_TIMER0 = 8, IRQS = 32 };
 
-#define PSRAM        ((uint8_t *)0x21000000U) ///< 16 MB
-#define NVIC_ENABLE  (*(volatile uint32_t *)0xE000E100U)
+#define PSRAM         ((uint8_t *)0x21000000U) ///< 16 MB
+#define NVIC_ENABLE   (*(volatile uint32_t *)0xE000E100U)
 #define NVIC_PRIORITY ((volatile uint8_t *)0xE000E400U)
-#define SCB_AIRCR    (*(volatile uint32_t *)0xE000ED0CU)
-#define SCB_CPACR    (*(volatile uint32_t *)0xE000ED88U)
-#define AIRCR_RESET  0x05FA0004U
+#define SCB_AIRCR     (*(volatile uint32_t *)0xE000ED0CU)
+#define SCB_CPACR     (*(volatile uint32_t *)0xE000ED88U)
+#define AIRCR_RESET   0x05FA0004U
 
 static inline uint32_t interrupts_off(void) {
     uint32_t before;

@@ -18,7 +18,8 @@ typedef struct {
 /// Once per start of the board, after tl_app_init(). The line must outlive the app.
 void tl_serial_init(tl_app_t *app, const tl_serial_t *line);
 
-/// Moves bytes between the line and the app. Task; call as often as possible, at least every millisecond.
-void tl_serial_task(void);
+/// Moves bytes between the line and the app; whether there were any. Task; call as often as possible, at least every
+/// millisecond.
+bool tl_serial_task(void);
 
 #endif

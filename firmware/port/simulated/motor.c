@@ -1,6 +1,6 @@
 #include "motor.h"
 
-#include <math.h>
+#include <tgmath.h>
 
 // A micro gearmotor on 6 V with its spindle: 20 000 counts/s without load, mechanical time constant 30 ms.
 #define FREE_SPEED    20000.0 // counts/s at full duty
@@ -12,9 +12,9 @@
 #define CHOP          425.0   // mA at which the driver cuts the current off
 
 void motor_step(motor_t *motor) {
-    const double dt = MOTOR_STEP_US * 1e-6;
-    const double most = CHOP / STALL;
-    const double drive = fmin(fmax(motor->duty - motor->speed / FREE_SPEED, -most), most);
+    const MOTOR_REAL dt = MOTOR_STEP_US * 1e-6;
+    const MOTOR_REAL most = CHOP / STALL;
+    const MOTOR_REAL drive = fmin(fmax(motor->duty - motor->speed / FREE_SPEED, -most), most);
     motor->current = STALL * drive;
     if (motor->blocked) {
         motor->speed = 0.0;
@@ -23,12 +23,12 @@ void motor_step(motor_t *motor) {
     if (motor->speed == 0.0 && fabs(motor->duty) <= STATIC) {
         return;
     }
-    const double direction = motor->speed != 0.0 ? copysign(1.0, motor->speed) : copysign(1.0, motor->duty);
-    const double friction = SLIDING + (STATIC - SLIDING) * exp(-fabs(motor->speed) / STRIBECK);
-    const double speed = motor->speed + (drive - direction * friction) * FREE_SPEED / TIME_CONSTANT * dt;
+    const MOTOR_REAL direction = motor->speed != 0.0 ? copysign(1.0, motor->speed) : copysign(1.0, motor->duty);
+    const MOTOR_REAL friction = SLIDING + (STATIC - SLIDING) * exp(-fabs(motor->speed) / STRIBECK);
+    const MOTOR_REAL speed = motor->speed + (drive - direction * friction) * FREE_SPEED / TIME_CONSTANT * dt;
     // Friction stops a motor, it does not turn it round.
     motor->speed = speed * direction < 0.0 ? 0.0 : speed;
-    motor->position += motor->speed * dt;
+    motor->position += (double)(motor->speed * dt);
 }
 
 int32_t motor_counts(const motor_t *motor) {
