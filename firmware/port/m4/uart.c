@@ -8,15 +8,17 @@ void uart_init(uart_t *uart, mps2_uart_t *port, uint32_t baud) {
     port->control = UART_TX_ENABLE | UART_RX_ENABLE | UART_RX_INTERRUPT_ENABLE;
 }
 
-void uart_interrupt(uart_t *uart) {
+uint32_t uart_interrupt(uart_t *uart) {
+    uint32_t count = 0;
     uart->port->interrupt = UART_RX_INTERRUPT;
-    while ((uart->port->state & UART_RX_FULL) != 0) {
+    for (; (uart->port->state & UART_RX_FULL) != 0; count++) {
         const uint8_t byte = (uint8_t)uart->port->data;
-        if (uart->head - uart->tail < UART_BUFFER) { // else it is lost: a frame that is not whole
+        if (uart->head - uart->tail < UART_BUFFER) {
             uart->bytes[uart->head % UART_BUFFER] = byte;
             uart->head = uart->head + 1U;
         }
     }
+    return count;
 }
 
 size_t uart_read(uart_t *uart, uint8_t *out, size_t room) {

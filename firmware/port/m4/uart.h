@@ -17,8 +17,8 @@ typedef struct {
 } uart_t;
 
 void uart_init(uart_t *uart, mps2_uart_t *port, uint32_t baud);
-/// For the interrupt of its receiver.
-void uart_interrupt(uart_t *uart);
+/// For the interrupt of its receiver: how many bytes there were. What finds no room is lost: a frame that is not whole.
+uint32_t uart_interrupt(uart_t *uart);
 /// At most `room` bytes that have come; returns how many.
 size_t uart_read(uart_t *uart, uint8_t *out, size_t room);
 /// As many of the bytes as there is room for; returns how many.

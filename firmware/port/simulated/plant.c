@@ -46,7 +46,7 @@ int32_t plant_encoder(const plant_t *plant, uint8_t axis) {
 }
 
 void plant_drive(plant_t *plant, uint8_t axis, tl_duty_q15_t duty) {
-    plant->motors[axis].duty = (MOTOR_REAL)(plant->ills[axis] == PLANT_REVERSED ? -duty : duty) / 32768;
+    plant->motors[axis].duty = (MOTOR_REAL)(plant->ills[axis] == PLANT_REVERSED ? -duty : duty) / (MOTOR_REAL)32768;
 }
 
 int32_t plant_current_ma(const plant_t *plant, uint8_t axis) {
