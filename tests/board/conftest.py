@@ -1,5 +1,5 @@
-"""One suite for every board: `--board desktop` (default) or `emulated`, started for each test that needs one, or as
-`taut` takes it.
+"""One suite for every board: `--board desktop` (default), `serial`, `emulated` or `m4`, started for each test that
+needs one, or as `taut` takes it.
 
 Tests that need the simulation (virtual time, power cuts, unplugging) skip on a board without a sim link.
 """
@@ -22,12 +22,16 @@ from tautline.device.board import Board, find, open_board
 from tautline.errors import TautError
 from tautline.simulated.simlink import LINE, PROGRAM, DesktopBoard, SimLink
 
-SIMULATED = ("desktop", "serial", "emulated")  # boards that are started for each test
-_EMULATED = Path(__file__).resolve().parents[2] / "tools" / "emulator" / "board.js"
+SIMULATED = ("desktop", "serial", "emulated", "m4")  # boards that are started for each test
+_TOOLS = Path(__file__).resolve().parents[2] / "tools"
+_EMULATED = _TOOLS / "emulator" / "board.js"
+_QEMU = _TOOLS / "qemu" / "board.py"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    where = "desktop, serial (the desktop board on a serial line), emulated, usbip:HOST:PORT, serial:DEVICE or a number"
+    where = (
+        "desktop, serial (the desktop board on a serial line), emulated, m4, usbip:HOST:PORT, serial:DEVICE or a number"
+    )
     parser.addoption("--board", default="desktop", help=where)
     parser.addoption("--sim", type=int, help="port of the sim link of a --board usbip:... (an emulated board)")
 
@@ -36,8 +40,10 @@ def pytest_configure(config: pytest.Config) -> None:
     board = config.getoption("--board")
     if board == "emulated":  # the real image, behind the desktop board's options and ports
         os.environ[PROGRAM] = str(_EMULATED)
-    elif board == "serial":
+    elif board in ("serial", "m4"):
         os.environ[LINE] = "uart"
+    if board == "m4":  # the second port, in QEMU
+        os.environ[PROGRAM] = str(_QEMU)
 
 
 @dataclass

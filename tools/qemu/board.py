@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The Cortex-M4 port in QEMU, behind the desktop board's options and ports: a line for the host, a sim link for its world.
+"""The Cortex-M4 port in QEMU, behind the desktop board's options and ports: a line for the host, a sim link.
 
 QEMU runs the image; its two serial ports come here. The first is the host's line. The second carries the world: time is
 granted in ticks, together with the number of the line's bytes that were sent before, and answered with the number of
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import ctypes
 import json
 import os
 import selectors
@@ -37,11 +38,23 @@ START_S = 20.0
 ANSWER_S = 120.0
 SLICE_US = 4000  # of the wall clock, between looks at the sockets
 LAG_US = 20_000
-HELP = "not a request: advance US, state, realtime on|off, cut N, place AXIS Q8, inject AXIS ILL, unplug, plug, reset, hang, quit"
+HELP = (
+    "not a request: advance US, state, realtime on|off, cut N, place AXIS Q8, inject AXIS ILL, unplug, plug, "
+    "reset, hang, quit"
+)
+
+
+class Stopped(Exception):
+    """QEMU or the image is not there any more."""
 
 
 class Refused(Exception):
     """A request that cannot be."""
+
+
+def _die_with_us() -> None:
+    """QEMU ends when this process does, however that ends."""
+    ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
 
 
 class Machine:
@@ -58,11 +71,11 @@ class Machine:
             sys.exit(f"{IMAGE} is missing: run './run m4'")
         command = [qemu, "-M", "mps2-an386,memory-backend=psram", "-kernel", str(IMAGE)]
         command += ["-object", f"memory-backend-file,id=psram,size={PSRAM_BYTES},mem-path={flash},share=on"]
-        command += ["-icount", "shift=3,sleep=off,align=off"]  # 8 ns an instruction, and no waiting
+        command += ["-icount", "shift=4,sleep=off,align=off"]  # 16 ns an instruction, and no waiting
         command += ["-nodefaults", "-display", "none", "-monitor", "none", "-nic", "none"]
         for name in ("line", "world"):
             command += ["-chardev", f"socket,id={name},path={folder / name}", "-serial", f"chardev:{name}"]
-        self.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=sys.stderr)
+        self.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=sys.stderr, preexec_fn=_die_with_us)
         self.line, self.world = (self._accept(listener) for listener in listeners)
         self.line.setblocking(False)
         self._text = b""
@@ -110,9 +123,9 @@ class Machine:
                     elif data := self.world.recv(65536):
                         self._text += data
                     else:
-                        raise ConnectionError("QEMU has ended")
+                        raise Stopped("QEMU has ended")
                 if time.monotonic() > deadline:
-                    raise ConnectionError(f"the image does not answer '{request}'")
+                    raise Stopped(f"the image does not answer '{request}'")
         answer, _, self._text = self._text.partition(b"\n")
         return answer.decode().split()
 
@@ -122,15 +135,15 @@ class Machine:
             try:
                 data = self.line.recv(65536)
             except BlockingIOError:
-                if until is None or (until - self.got) & 0xFFFFFFFF == 0:
+                if until is None or (self.got - until) & 0x80000000 == 0:
                     return
                 with selectors.DefaultSelector() as line:
                     line.register(self.line, selectors.EVENT_READ)
                     if not line.select(START_S):
-                        raise ConnectionError("bytes of the line are missing") from None
+                        raise Stopped(f"bytes of the line are missing: {until} {self.got}") from None
                 continue
             if not data:
-                raise ConnectionError("QEMU has ended")
+                raise Stopped("QEMU has ended")
             self.got = (self.got + len(data)) & 0xFFFFFFFF
             self.take(data)
 
@@ -392,7 +405,7 @@ def main() -> None:
             ports = {"uart": uart, "sim": sim, "serial": chosen.serial, "axes": chosen.axes, "rate": chosen.rate}
             print(json.dumps(ports), flush=True)
             serve(world, *listeners, chosen.parent)
-        except ConnectionError as error:
+        except Stopped as error:
             sys.exit(f"the board has stopped: {error}")
         finally:
             machine.close()

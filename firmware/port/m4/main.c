@@ -7,6 +7,7 @@
 
 #define WATCHDOG_MS 1000U
 #define WORLD_BAUD  1562500U // QEMU takes any
+#define PATIENCE    200U     // rounds with nothing to do before it sleeps: QEMU takes long to wake up
 
 static struct {
     tl_app_t app;
@@ -230,11 +231,15 @@ int main(void) {
     if (world.running && world.granted > 0U) { // the board has restarted in the middle of it
         board_clock(true);
     }
+    uint32_t patience = PATIENCE;
+    uint32_t rests = 0; // rounds in a row with nothing to do
     for (;;) {
         const bool idle = !work();
-        world_task(idle);
+        rests = idle ? rests + 1U : 0U;
+        world_task(rests > 1U);
+        patience = !idle || world.granted > 0U ? PATIENCE : patience > 0U ? patience - 1U : 0U;
         const uint32_t state = interrupts_off();
-        if (idle && !uart_has(&board.uart) && !uart_has(&world_uart)) {
+        if (patience == 0U && !uart_has(&board.uart) && !uart_has(&world_uart)) {
             wait_for_interrupt();
         }
         interrupts_restore(state);
