@@ -87,6 +87,19 @@ class Bench:
         for _ in range(max(round(seconds / 0.02), 1)):
             self.link.ask("advance 20000")
 
+    def ready(self, board: Board) -> None:
+        """Every axis checked and referenced, at position 0 and off."""
+        for axis in range(board.axes):
+            board.ask("enable", axis=axis, on=1)  # all at the same time
+        for axis in range(board.axes):
+            self.until(board, axis, "HOLD")
+        board.ask("enable", axis=wire.wire.ALL_AXES, on=0)
+        for axis in range(board.axes):
+            self.until(board, axis, "OFF")
+            if self.link is not None:
+                self.link.ask(f"place {axis} 0")
+            board.ask("set_position", axis=axis, q=0.0)
+
     def until(self, board: Board, axis: int, mode: str, seconds: float = 5.0) -> wire.Message:
         """Runs until the axis is in `mode`."""
         for _ in range(round(seconds / 0.02)):
@@ -158,7 +171,10 @@ def make_fresh(where: str, link: SimLink | None) -> None:
 
 @pytest.fixture
 def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
+    """Its axes are checked and referenced."""
     with bench_of(request) as bench:
+        with bench.open() as board:
+            bench.ready(board)
         yield bench
 
 

@@ -234,14 +234,8 @@ static bool has_patience(const tl_axis_t *axis) {
            axis->mode == TL_WIRE_MODE_CHECK;
 }
 
-TL_FAST void tl_axis_guard(tl_axis_t *axis, tl_us_t now_us) {
-    measure(axis);
-    if (axis->mode != TL_WIRE_MODE_OFF && !electrical(axis, now_us) && axis->closed) {
-        mechanical(axis, now_us);
-    }
-    if (has_patience(axis) && --axis->guard.patience == 0U) {
-        tl_axis_silence(axis);
-    }
+// What no axis that follows has to do.
+static __attribute__((noinline)) TL_FAST void try_out(tl_axis_t *axis, tl_us_t now_us) {
     if (axis->mode == TL_WIRE_MODE_MOVE) {
         arrive(axis);
     } else if (axis->mode == TL_WIRE_MODE_HOME) {
@@ -250,5 +244,18 @@ TL_FAST void tl_axis_guard(tl_axis_t *axis, tl_us_t now_us) {
         check(axis, now_us);
     } else if (axis->mode == TL_WIRE_MODE_OFF) {
         fails(axis, axis->guard.lapsed, TL_WIRE_FAULT_HOST_LOST, 0, now_us);
+    }
+}
+
+TL_FAST void tl_axis_guard(tl_axis_t *axis, tl_us_t now_us) {
+    measure(axis);
+    if (axis->mode != TL_WIRE_MODE_OFF && !electrical(axis, now_us) && axis->closed) {
+        mechanical(axis, now_us);
+    }
+    if (has_patience(axis) && --axis->guard.patience == 0U) {
+        tl_axis_silence(axis);
+    }
+    if (!tl_axis_is_following(axis)) {
+        try_out(axis, now_us);
     }
 }

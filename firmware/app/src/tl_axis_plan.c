@@ -37,25 +37,20 @@ TL_FAST void tl_axis_plan(tl_axis_t *axis) {
     tl_axis_planned_t *plan = &axis->plan;
     const tl_reference_limits_t *limits = &plan->travel;
     tl_count_q8_t target = plan->target;
-    switch (axis->mode) {
-    case TL_WIRE_MODE_OFF:
-    case TL_WIRE_MODE_CHECK:
+    const uint8_t mode = axis->mode;
+    if (!axis->closed) {
         tl_axis_settle(axis);
         return;
-    case TL_WIRE_MODE_STOPPING:
-    case TL_WIRE_MODE_STOPPING_OFF:
+    }
+    if (mode == TL_WIRE_MODE_STOPPING || mode == TL_WIRE_MODE_STOPPING_OFF) {
         come_to_rest(axis);
         return;
-    case TL_WIRE_MODE_HOLD:
+    }
+    if (mode == TL_WIRE_MODE_HOLD) {
         target = tl_reference_q(&plan->reference);
-        break;
-    case TL_WIRE_MODE_MOVE: // tl_axis_guard() sees it arrive,
-    case TL_WIRE_MODE_HOME: // and leads this one
+    } else if (mode == TL_WIRE_MODE_MOVE || mode == TL_WIRE_MODE_HOME) { // tl_axis_guard() leads, and sees it arrive
         limits = &plan->move;
         target = plan->move_target;
-        break;
-    default:
-        break;
     }
     tl_reference_step(&plan->reference, target, limits);
 }

@@ -10,7 +10,7 @@
 #define OF_WIRING (OF_POSITION | BIT(FOLLOWING) | BIT(CURRENT) | BIT(STALL) | BIT(DRIVER) | BIT(SUPPLY))
 
 TL_FAST void tl_axis_off(tl_axis_t *axis) {
-    tl_actuator_release(&axis->motor, axis->port, axis->index);
+    tl_actuator_release(&axis->motor);
     tl_axis_enter(axis, TL_WIRE_MODE_OFF);
     axis->plan.stream.used = 0;
     axis->plan.motion = NULL;

@@ -5,19 +5,18 @@
 #include "tautline/tl_fast.h"
 
 TL_FAST void tl_axis_step(tl_axis_t *axis) {
-    const tl_port_t *port = axis->port;
-    if (!tl_actuator_measure(&axis->motor, port, axis->index, &axis->q)) {          // tl_axis_watch() clamps it
-        tl_axis_fail(axis, TL_WIRE_FAULT_ENCODER, 0, port->time_us(port->context)); // the position stays where it was
+    if (!tl_actuator_measure(&axis->motor, &axis->q)) { // tl_axis_watch() clamps it
+        tl_axis_fail(axis, TL_WIRE_FAULT_ENCODER, 0, axis->port->time_us(axis->port->context)); // the position stays
     } else if (!axis->closed) {
         axis->path.q = axis->q;
-        tl_actuator_push(&axis->motor, port, axis->index, axis->q, axis->trial.duty);
+        tl_actuator_push(&axis->motor, axis->q, axis->trial.duty);
     } else {
         if (axis->slot == 0U) {
             tl_path_begin(&axis->path, &axis->plan.reference);
             tl_actuator_begin(&axis->motor, &axis->path);
         }
         tl_path_tick(&axis->path);
-        tl_actuator_set(&axis->motor, port, axis->index, axis->q, &axis->path);
+        tl_actuator_set(&axis->motor, axis->q, &axis->path);
     }
     uint32_t job = axis->slot;
     const bool last = job + 1U == axis->ticks;
@@ -31,7 +30,7 @@ TL_FAST void tl_axis_step(tl_axis_t *axis) {
 }
 
 TL_FAST void tl_axis_catch_up(tl_axis_t *axis, uint32_t elapsed_us, tl_us_t now_us) {
-    if (!tl_actuator_measure_late(&axis->motor, axis->port, axis->index, elapsed_us, &axis->q)) {
+    if (!tl_actuator_measure_late(&axis->motor, elapsed_us, &axis->q)) {
         tl_axis_fail(axis, TL_WIRE_FAULT_ENCODER, 0, now_us);
     }
 }

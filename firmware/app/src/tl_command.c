@@ -228,8 +228,7 @@ static answer_t get(const tl_app_t *app, uint8_t type, uint8_t index, tl_us_t no
 }
 
 // Requests that write flash.
-static uint8_t write(tl_app_t *app, uint8_t type, const tl_wire_message_t *of, tl_us_t now_us) {
-    tl_report_calibration(app, now_us); // one that an axis' fault has ended is over now: its memory is needed
+static uint8_t write(tl_app_t *app, uint8_t type, const tl_wire_message_t *of) {
     if (!tl_tables_all_off(app->port, app->axes)) {
         return TL_WIRE_REASON_NOT_OFF;
     }
@@ -279,7 +278,6 @@ static answer_t handle(tl_app_t *app, uint8_t type, const tl_wire_message_t *of,
     case TL_WIRE_TABLE_STORE:
     case TL_WIRE_TABLE_READ: {
         uint8_t answer = TL_WIRE_ACK;
-        tl_report_calibration(app, now_us); // one that an axis' fault has ended is over now: its memory is needed
         if (type != TL_WIRE_TABLE_READ && app->calibration.axis != NULL) {
             return refuse(TL_WIRE_REASON_NOT_OFF);
         }
@@ -288,7 +286,7 @@ static answer_t handle(tl_app_t *app, uint8_t type, const tl_wire_message_t *of,
     }
     case TL_WIRE_CLEAR_TABLE:
     case TL_WIRE_SETTINGS:
-        return of->get_status.axis < app->port->axes ? done(write(app, type, of, now_us)) : refuse(TL_WIRE_REASON_AXIS);
+        return of->get_status.axis < app->port->axes ? done(write(app, type, of)) : refuse(TL_WIRE_REASON_AXIS);
     default:
         return handle_axis(app, type, of, now_us);
     }
@@ -340,6 +338,10 @@ void tl_command(tl_app_t *app, const tl_wire_frame_t *frame) {
     if (!app->outbox.open) {
         answer_request(app, frame, TL_WIRE_REASON_SESSION, now_us);
         return;
+    }
+    if (frame->type == TL_WIRE_CLEAR_TABLE || frame->type == TL_WIRE_SETTINGS || frame->type == TL_WIRE_TABLE_WRITE ||
+        frame->type == TL_WIRE_TABLE_STORE) {
+        tl_report_calibration(app, now_us); // one that an axis' fault has ended is over now: its memory is needed
     }
     if (frame->type == TL_WIRE_MARKER) {
         reason = take_marker(app, frame, now_us);

@@ -46,7 +46,7 @@ bool tl_servo_configure(tl_servo_t *servo, const tl_servo_gains_t *gains, uint32
     return true;
 }
 
-void tl_servo_reset(tl_servo_t *servo, tl_count_q8_t q) {
+TL_FAST void tl_servo_reset(tl_servo_t *servo, tl_count_q8_t q) {
     servo->integral = 0;
     servo->predicted = (uint32_t)q << 8;
     servo->velocity = 0;

@@ -8,20 +8,20 @@
 // What follows is asked for in many places: small code first, an estimator's home is a controller's memory.
 #define ONCE __attribute__((noinline))
 
-ONCE const tl_onset_sample_t *tl_hinge_sample(const tl_onset_detector_t *d, int32_t i) {
+ONCE TL_FAST const tl_onset_sample_t *tl_hinge_sample(const tl_onset_detector_t *d, int32_t i) {
     return &d->window[((uint32_t)d->oldest + (uint32_t)i) % TL_ONSET_WINDOW];
 }
 
 /// a b - c d
-static ONCE int64_t cross(const int64_t *a, const int64_t *b, const int64_t *c, const int64_t *d) {
+static ONCE TL_FAST int64_t cross(const int64_t *a, const int64_t *b, const int64_t *c, const int64_t *d) {
     return *a * *b - *c * *d;
 }
 
-static ONCE tl_real_t quotient(int64_t numerator, int64_t denominator) {
+static ONCE TL_FAST tl_real_t quotient(int64_t numerator, int64_t denominator) {
     return tl_real_div(tl_real(numerator, 0), tl_real(denominator, 0));
 }
 
-static ONCE int32_t travel(const tl_onset_detector_t *d, int32_t i, tl_count_q8_t origin) {
+static ONCE TL_FAST int32_t travel(const tl_onset_detector_t *d, int32_t i, tl_count_q8_t origin) {
     const int32_t q = tl_hinge_sample(d, i)->q;
     return d->direction < 0 ? tl_sub_sat(origin, q) : tl_sub_sat(q, origin);
 }
@@ -54,7 +54,7 @@ TL_FAST int32_t tl_hinge_scale(const tl_onset_detector_t *d, int32_t i, tl_count
     return scale;
 }
 
-static ONCE void add_product(int64_t *sum, int32_t a, int32_t b) {
+static ONCE TL_FAST void add_product(int64_t *sum, int32_t a, int32_t b) {
     *sum += (int64_t)a * b;
 }
 
@@ -137,7 +137,7 @@ typedef struct {
     tl_real_t denominator; ///< C_xx > 0; 0: no knot tried yet
 } gain_t;
 
-static ONCE gain_t gain_at(const tl_onset_sums_t *beyond, const tl_onset_sums_t *all) {
+static ONCE TL_FAST gain_t gain_at(const tl_onset_sums_t *beyond, const tl_onset_sums_t *all) {
     const int64_t cu = cross(&all->w, &beyond->xu, &beyond->x, &all->u);
     const int64_t cv = cross(&all->w, &beyond->xv, &beyond->x, &all->v);
     const int64_t cxx = cross(&all->w, &beyond->xx, &beyond->x, &beyond->x);

@@ -52,7 +52,7 @@ static TL_FAST void drop_oldest(tl_onset_detector_t *d, int32_t n) {
 }
 
 /// |a - b|, saturated. Out of line: it is asked for in many places.
-static __attribute__((noinline)) tl_count_q8_t distance(tl_count_q8_t a, tl_count_q8_t b) {
+static __attribute__((noinline)) TL_FAST tl_count_q8_t distance(tl_count_q8_t a, tl_count_q8_t b) {
     return tl_abs_sat(tl_sub_sat(a, b));
 }
 
@@ -403,8 +403,9 @@ static TL_FAST void take_sample(tl_onset_detector_t *d, const tl_onset_sample_t 
 }
 
 /// Of a from the middle between b and c, Q16 px^2. Out of line: its 64-bit products are a lot of code.
-static __attribute__((noinline)) int64_t squared_distance(const tl_onset_sample_t *a, const tl_onset_sample_t *b,
-                                                          const tl_onset_sample_t *c) {
+static __attribute__((noinline)) TL_FAST int64_t squared_distance(const tl_onset_sample_t *a,
+                                                                  const tl_onset_sample_t *b,
+                                                                  const tl_onset_sample_t *c) {
     const int64_t u = (2 * (int64_t)a->u - b->u - c->u) / 32, v = (2 * (int64_t)a->v - b->v - c->v) / 32;
     return u * u + v * v;
 }

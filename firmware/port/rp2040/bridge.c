@@ -5,6 +5,7 @@
 #include "hardware/gpio.h"
 #include "hardware/pwm.h"
 #include "hardware/structs/iobank0.h"
+#include "hardware/structs/padsbank0.h"
 #include "pico.h"
 
 enum {
@@ -15,12 +16,14 @@ enum {
     DEAD_TIME = CLOCK_HZ / 1000000 * 450 / 1000, // t_DEAD of TI's DRV8833 data sheet: neither side conducts
     SHUNT_MILLIOHM = 470, // motor2040.hpp of Pimoroni's pimoroni-pico, gain 1; its offset of -5 mA is left out
     ADC_FULL_SCALE_MV = 3300,
+    FAULT_BELOW_MV = ADC_FULL_SCALE_MV / 4,
     SENSE_SAMPLES = 4,    // the ADC's FIFO
     SENSE_EVERY = 3 * 48, // cycles of its 48 MHz clock, 96 of which are the conversion
     ADC_SHARED_INPUT = MOTOR2040_SHARED_ADC_PIN - 26,
 };
 
-static unsigned sense_axis;
+static unsigned sense_turn;
+static unsigned sense_address;
 
 static inline unsigned pin_p(unsigned axis) {
     return MOTOR2040_MOTOR_A_P_PIN + 2 * axis;
@@ -36,8 +39,17 @@ static void __not_in_flash_func(set_levels)(unsigned axis, uint32_t p, uint32_t 
     pwm_hw->slice[slice(axis)].cc = p | n << 16;
 }
 
-static void __not_in_flash_func(select_sense)(unsigned axis) {
-    const unsigned address = MOTOR2040_CURRENT_SENSE_A_ADDR + axis;
+// In ten turns each current twice, supply and fault line once. The latter is an open drain.
+static void __not_in_flash_func(select_sense)(void) {
+    const unsigned turn = sense_turn;
+    sense_turn = turn < 9 ? turn + 1 : 0;
+    const unsigned address = turn < 5 ? turn : (turn < 9 ? turn - 5 : MOTOR2040_FAULT_SENSE_ADDR);
+    if (address == MOTOR2040_FAULT_SENSE_ADDR) {
+        hw_set_bits(&padsbank0_hw->io[MOTOR2040_SHARED_ADC_PIN], PADS_BANK0_GPIO0_PUE_BITS);
+    } else {
+        hw_clear_bits(&padsbank0_hw->io[MOTOR2040_SHARED_ADC_PIN], PADS_BANK0_GPIO0_PUE_BITS);
+    }
+    sense_address = address;
     gpio_put(MOTOR2040_ADC_ADDR_0_PIN, address & 1);
     gpio_put(MOTOR2040_ADC_ADDR_1_PIN, address >> 1 & 1);
     gpio_put(MOTOR2040_ADC_ADDR_2_PIN, address >> 2 & 1);
@@ -63,7 +75,7 @@ void bridge_init(void) {
     adc_select_input(ADC_SHARED_INPUT);
     adc_set_clkdiv(SENSE_EVERY - 1);
     adc_fifo_setup(true, false, SENSE_SAMPLES, false, false);
-    select_sense(sense_axis);
+    select_sense();
 }
 
 static uint32_t slices(void) {
@@ -109,7 +121,7 @@ void __not_in_flash_func(bridge_sense_start)(void) {
     hw_set_bits(&adc_hw->cs, ADC_CS_START_MANY_BITS);
 }
 
-int32_t __not_in_flash_func(bridge_sense_finish)(unsigned *axis) {
+int32_t __not_in_flash_func(bridge_sense_finish)(unsigned *what) {
     hw_clear_bits(&adc_hw->cs, ADC_CS_START_MANY_BITS);
     uint32_t most = 0;
     while (!(adc_hw->fcs & ADC_FCS_EMPTY_BITS)) {
@@ -117,8 +129,14 @@ int32_t __not_in_flash_func(bridge_sense_finish)(unsigned *axis) {
         most = sample > most ? sample : most;
     }
     const uint32_t millivolt = most * ADC_FULL_SCALE_MV >> 12;
-    *axis = sense_axis;
-    sense_axis = (sense_axis + 1) % MOTOR2040_NUM_MOTORS;
-    select_sense(sense_axis);
-    return (int32_t)(millivolt * ((1000u << 10) / SHUNT_MILLIOHM) >> 10);
+    *what = sense_address;
+    select_sense();
+    switch (*what) {
+    case BRIDGE_SUPPLY:
+        return (int32_t)(millivolt * ((139u << 10) / 39u) >> 10);
+    case BRIDGE_FAULT:
+        return millivolt < FAULT_BELOW_MV;
+    default:
+        return (int32_t)(millivolt * ((1000u << 10) / SHUNT_MILLIOHM) >> 10);
+    }
 }

@@ -1,4 +1,4 @@
-/// Four H-bridges (DRV8833) on PWM, and their currents over the board's one multiplexed ADC input.
+/// Four H-bridges (DRV8833) on PWM; their currents, supply and fault line over the board's one multiplexed ADC input.
 #ifndef TAUTLINE_RP2040_BRIDGE_H
 #define TAUTLINE_RP2040_BRIDGE_H
 
@@ -25,10 +25,14 @@ void bridge_coast_all(void);
 /// Starts measuring a current; once per control tick. The multiplexer was set a tick ago and has settled.
 void bridge_sense_start(void);
 
-/// The result, at least 2 us after bridge_sense_start: stores the axis (each in turn) and returns the size of its
-/// motor's current, mA, 0 to 7000. The DRV8833 limits it at 425 by chopping, at about 50 kHz: the most of up to four
-/// samples 3 us apart is taken, so that a blocked motor does not look like one without current where the first sample
-/// meets the chopper's pause. The bridge drives at the first one: 0 below a duty of 4 %.
-int32_t bridge_sense_finish(unsigned *axis);
+/// What is measured in turn: axes 0 to 3, and these.
+enum { BRIDGE_SUPPLY = 4, BRIDGE_FAULT = 5 };
+
+/// The result, at least 2 us after bridge_sense_start: stores what it is of and returns the size of a motor's current,
+/// mA, 0 to 7000, each 1 kHz; the motors' supply, mV, 500 Hz; whether a driver reports a fault, 500 Hz. The DRV8833
+/// limits the current at 425 by chopping, at about 50 kHz: the most of up to four samples 3 us apart is taken, so that
+/// a blocked motor does not look like one without current where the first sample meets the chopper's pause. The bridge
+/// drives at the first one: 0 below a duty of 4 %.
+int32_t bridge_sense_finish(unsigned *what);
 
 #endif

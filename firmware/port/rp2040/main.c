@@ -34,8 +34,9 @@ enum {
     CONTROL_PERIOD_US = 1000000 / TAUTLINE_CONTROL_HZ,
     CONTROL_ALARM = 0,
     INTERRUPT_CYCLES = 50, // from the alarm to bridge_sense_start
-    TABLE_REGION = 2 * MOTOR2040_NUM_MOTORS * FLASH_SECTOR_SIZE,
-    TABLE_OFFSET = PICO_FLASH_SIZE_BYTES - TABLE_REGION,
+    STORE_OFFSET = PICO_FLASH_SIZE_BYTES - TL_PORT_FLASH_REGION,
+    DRIVER_MA = 425,      // DRV8833: 200 mV over 0.47 ohm
+    SUPPLY_LOW_MV = 4000, // of motors for 5 V and more; the driver itself gives up at 2.6 V
     WATCHDOG_MS = 250,
     WATCHDOG_FLASH_MS = 800, // an erase takes 0.4 s at worst
     FLASH_TIMEOUT_MS = 100,
@@ -45,7 +46,7 @@ static struct {
     tl_app_t app;
     tl_port_t port;
     char serial[2 * PICO_UNIQUE_BOARD_ID_SIZE_BYTES + 1];
-    int32_t current_ma[MOTOR2040_NUM_MOTORS];
+    int32_t sensed[BRIDGE_FAULT + 1]; // currents, supply, fault
 } board;
 
 static const uint8_t encoder_pins[] = {MOTOR2040_ENCODER_A_A_PIN, MOTOR2040_ENCODER_B_A_PIN, MOTOR2040_ENCODER_C_A_PIN,
@@ -83,7 +84,18 @@ static void __not_in_flash_func(port_drive)(void *context, uint8_t axis, tl_duty
 
 static int32_t __not_in_flash_func(port_current_ma)(void *context, uint8_t axis) {
     (void)context;
-    return board.current_ma[axis];
+    return board.sensed[axis];
+}
+
+static uint16_t __not_in_flash_func(port_supply_mv)(void *context) {
+    (void)context;
+    return (uint16_t)board.sensed[BRIDGE_SUPPLY];
+}
+
+static bool __not_in_flash_func(port_driver_fault)(void *context, uint8_t axis) {
+    (void)context;
+    (void)axis; // one line for all drivers
+    return board.sensed[BRIDGE_FAULT] != 0;
 }
 
 typedef struct {
@@ -102,7 +114,7 @@ static void __not_in_flash_func(flash_operation)(void *parameter) {
 
 // The SDK's safe path: interrupts off, and so the control step stands still; the app has the motors off.
 static bool flash_safely(uint32_t offset, const uint8_t *page) {
-    flash_operation_t operation = {TABLE_OFFSET + offset, page};
+    flash_operation_t operation = {STORE_OFFSET + offset, page};
     watchdog_enable(WATCHDOG_FLASH_MS, true);
     const bool done = flash_safe_execute(flash_operation, &operation, FLASH_TIMEOUT_MS) == PICO_OK;
     watchdog_enable(WATCHDOG_MS, true);
@@ -111,12 +123,12 @@ static bool flash_safely(uint32_t offset, const uint8_t *page) {
 
 static bool port_flash_erase(void *context, uint32_t offset) {
     (void)context;
-    return offset < TABLE_REGION && flash_safely(offset, NULL);
+    return offset < TL_PORT_FLASH_REGION && flash_safely(offset, NULL);
 }
 
 static bool port_flash_program(void *context, uint32_t offset, const uint8_t *page) {
     (void)context;
-    return offset < TABLE_REGION && flash_safely(offset, page);
+    return offset < TL_PORT_FLASH_REGION && flash_safely(offset, page);
 }
 
 static void port_watchdog_feed(void *context) {
@@ -160,9 +172,9 @@ static void __not_in_flash_func(control_interrupt)(void) {
 
     bridge_sense_start();
     tl_app_control(&board.app);
-    unsigned axis;
-    const int32_t current = bridge_sense_finish(&axis);
-    board.current_ma[axis] = current;
+    unsigned what;
+    const int32_t value = bridge_sense_finish(&what);
+    board.sensed[what] = value;
 }
 
 // In RAM: from flash it would take as long as the cache makes it.
@@ -236,8 +248,12 @@ int main(void) {
         .encoder = port_encoder,
         .edges_lost = port_edges_lost,
         .drive = port_drive,
+        .driver_ma = DRIVER_MA,
+        .supply_low_mv = SUPPLY_LOW_MV,
         .current_ma = port_current_ma,
-        .flash = (const uint8_t *)(XIP_BASE + TABLE_OFFSET),
+        .supply_mv = port_supply_mv,
+        .driver_fault = port_driver_fault,
+        .flash = (const uint8_t *)(XIP_BASE + STORE_OFFSET),
         .flash_erase = port_flash_erase,
         .flash_program = port_flash_program,
         .watchdog_feed = port_watchdog_feed,

@@ -25,6 +25,7 @@ _TABLE_REFUSED = {
     "NOT_OFF": "a motor is on: tables are loaded with every motor off",
     "FLASH": "the flash could not be written",
 }
+_CHECK_S, _POLL_S = 3.0, 0.02  # of motor and encoder: what it takes at most
 _UNASKED = ("batch", "onset", "progress", "event")
 
 Listener = Callable[[wire.Message], None]
@@ -285,6 +286,26 @@ class Board:
         status = self.status(axis)
         if status.fault:
             raise TautError(f"axis {axis} has stopped: {wire.text('FAULTS', status.fault)}: mend it, then run again")
+
+    def check_reference(self, axis: int) -> None:
+        """TautError where the axis does not know its position."""
+        if not self.status(axis).flags & wire.code("FLAGS", "REFERENCED"):
+            raise TautError(
+                f"axis {axis} does not know its position: run 'taut home', or say where it stands with --at"
+            )
+
+    def switch_on(self, axis: int, wait: Callable[[float], None] = time.sleep) -> None:
+        """Motor on and holding. The first time, and after settings or wiring may have changed, the board turns it a
+        little either way to check motor and encoder, half a second. `wait` lets board time pass."""
+        self.check_fault(axis)
+        self.ask("enable", axis=axis, on=1)
+        for _ in range(round(_CHECK_S / _POLL_S)):
+            status = self.status(axis)
+            if status.mode == wire.code("MODES", "HOLD"):
+                return
+            self.check_fault(axis)
+            wait(_POLL_S)
+        raise TautError(f"axis {axis} is {wire.text('MODES', status.mode)}, not switched on: stop it, then run again")
 
     def load_table(self, axis: int, blob: bytes, progress: Callable[[float, str], None] | None = None) -> None:
         """Stores a table (motors off) and compares what the board then holds byte for byte: by DFU on USB, elsewhere

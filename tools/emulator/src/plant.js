@@ -5,6 +5,8 @@ const ENCODER_PIN = [0, 2, 12, 14];          // A of each axis, B beside it
 const SENSE_PINS = [22, 24, 25];             // of the multiplexer, lowest first
 const DEAD_TIME_US = 0.45;                   // DRV8833: neither side conducts while it switches over
 const SHUNT_OHM = 0.47;
+const SUPPLY_ADDRESS = 4;
+const FAULT_ADDRESS = 5;
 const ADC_VOLT = 3.3;
 const QUADRATURE = [0b00, 0b10, 0b11, 0b01]; // B << 1 | A as the motor turns forward
 
@@ -54,6 +56,8 @@ export class Plant {
         this.motors = ENCODER_PIN.map(() => new Motor(constants));
         this.pinZero = [0, 0, 0, 0]; // count at which the pins are both low
         this.pins = [0, 0, 0, 0];    // the count that the pins show
+        this.supplyVolt = 6;
+        this.driverFault = false;
         this.timeUs = 0;
         this.log = [];               // true positions, counts Q8, one row a millisecond
         this.chip = null;
@@ -93,12 +97,15 @@ export class Plant {
 
     #sensed() {
         const address = SENSE_PINS.reduce((sum, pin, bit) => sum | (this.chip.output(pin) << bit), 0);
+        const adc = (volt) => Math.max(0, Math.min(4095, Math.round((volt / ADC_VOLT) * 4096)));
+        if (address === SUPPLY_ADDRESS) return adc((this.supplyVolt * 3.9) / 13.9);
+        if (address === FAULT_ADDRESS) return adc(this.driverFault ? 0 : ADC_VOLT);
         if (address > 3) return 0;
         const p = this.chip.level(MOTOR_PIN + 2 * address);
         const n = this.chip.level(MOTOR_PIN + 2 * address + 1);
         if (p === n) return 0; // it brakes or coasts: nothing flows through the shunt
         const milliamp = this.motors[address].current * (p ? 1 : -1);
-        return Math.max(0, Math.min(4095, Math.round(((milliamp * 1e-3 * SHUNT_OHM) / ADC_VOLT) * 4096)));
+        return adc(milliamp * 1e-3 * SHUNT_OHM);
     }
 
     /** STEP_US on. */

@@ -6,8 +6,8 @@
 /// functions in TL_ACTUATOR_HEADER, in quotes; it is compiled in, as a call through a pointer would cost the control
 /// step a tenth.
 ///
-/// All are for the control step, but for tl_actuator_init(), tl_actuator_reset() and the functions that the header
-/// offers for settings. Positions are counts Q8. `port` and `index` name the hardware.
+/// All are for the control step, but for tl_actuator_init() and tl_actuator_reset(). Positions are counts Q8. The
+/// fields `duty` and `limit` belong to the seam, too.
 #ifndef TAUTLINE_TL_ACTUATOR_H
 #define TAUTLINE_TL_ACTUATOR_H
 
@@ -21,23 +21,31 @@
 #define TL_ACTUATOR_JUMP 2048U ///< counts in one step: above any motor's speed, below a glitch's
 
 typedef struct {
+    const tl_port_t *port;
+    uint32_t index;      ///< of the port's motors; a word, as those are cheap at this distance
     int32_t encoder;     ///< as read last, counts
     tl_duty_q15_t duty;  ///< as driven
     tl_duty_q15_t limit; ///< most drive in closed loop
     tl_servo_t servo;
 } tl_actuator_t;
 
+static inline void tl_actuator_drive(tl_actuator_t *actuator, tl_duty_q15_t duty) {
+    const tl_port_t *port = actuator->port;
+    actuator->duty = duty;
+    port->drive(port->context, (uint8_t)actuator->index, duty);
+}
+
 /// Off, at rest; what the encoder shows is position 0.
 static inline void tl_actuator_init(tl_actuator_t *actuator, const tl_port_t *port, uint8_t index) {
+    actuator->port = port;
+    actuator->index = index;
     actuator->encoder = port->encoder(port->context, index);
-    actuator->duty = 0;
-    port->drive(port->context, index, 0);
+    tl_actuator_drive(actuator, 0);
 }
 
 /// Adds what the motor has moved since the last call to *q. False: more than a motor can, *q is left alone.
-static inline bool tl_actuator_measure(tl_actuator_t *actuator, const tl_port_t *port, uint8_t index,
-                                       tl_count_q8_t *q) {
-    const int32_t encoder = port->encoder(port->context, index);
+static inline bool tl_actuator_measure(tl_actuator_t *actuator, tl_count_q8_t *q) {
+    const int32_t encoder = actuator->port->encoder(actuator->port->context, (uint8_t)actuator->index);
     const int32_t moved = (int32_t)((uint32_t)encoder - (uint32_t)actuator->encoder);
     actuator->encoder = encoder;
     if ((uint32_t)moved + TL_ACTUATOR_JUMP >= 2U * TL_ACTUATOR_JUMP) {
@@ -48,9 +56,8 @@ static inline bool tl_actuator_measure(tl_actuator_t *actuator, const tl_port_t 
 }
 
 /// The same after a pause of `elapsed_us`, in which it may have been turned by a count each microsecond.
-static inline bool tl_actuator_measure_late(tl_actuator_t *actuator, const tl_port_t *port, uint8_t index,
-                                            uint32_t elapsed_us, tl_count_q8_t *q) {
-    const int32_t encoder = port->encoder(port->context, index);
+static inline bool tl_actuator_measure_late(tl_actuator_t *actuator, uint32_t elapsed_us, tl_count_q8_t *q) {
+    const int32_t encoder = actuator->port->encoder(actuator->port->context, (uint8_t)actuator->index);
     const int32_t moved = (int32_t)((uint32_t)encoder - (uint32_t)actuator->encoder);
     const uint32_t most = TL_ACTUATOR_JUMP + (elapsed_us < 1000000U ? elapsed_us : 1000000U);
     actuator->encoder = encoder;
@@ -67,25 +74,19 @@ static inline void tl_actuator_begin(tl_actuator_t *actuator, const tl_path_t *p
 }
 
 /// Closed loop, one tick: the motor is at `q`, path->q is where it should be.
-static inline void tl_actuator_set(tl_actuator_t *actuator, const tl_port_t *port, uint8_t index, tl_count_q8_t q,
-                                   const tl_path_t *path) {
-    const tl_duty_q15_t duty = tl_servo_step(&actuator->servo, q, path, actuator->limit);
-    actuator->duty = duty;
-    port->drive(port->context, index, duty);
+static inline void tl_actuator_set(tl_actuator_t *actuator, tl_count_q8_t q, const tl_path_t *path) {
+    tl_actuator_drive(actuator, tl_servo_step(&actuator->servo, q, path, actuator->limit));
 }
 
 /// Open loop, one tick: `duty` as it is, 0 is off.
-static inline void tl_actuator_push(tl_actuator_t *actuator, const tl_port_t *port, uint8_t index, tl_count_q8_t q,
-                                    tl_duty_q15_t duty) {
+static inline void tl_actuator_push(tl_actuator_t *actuator, tl_count_q8_t q, tl_duty_q15_t duty) {
     tl_servo_observe(&actuator->servo, q);
-    actuator->duty = duty;
-    port->drive(port->context, index, duty);
+    tl_actuator_drive(actuator, duty);
 }
 
 /// Off at once, from either thread.
-static inline void tl_actuator_release(tl_actuator_t *actuator, const tl_port_t *port, uint8_t index) {
-    actuator->duty = 0;
-    port->drive(port->context, index, 0);
+static inline void tl_actuator_release(tl_actuator_t *actuator) {
+    tl_actuator_drive(actuator, 0);
 }
 
 /// Forgets what it has learnt: it rests at `q`.
