@@ -69,6 +69,11 @@ static bool port_edges_lost(void *context, uint8_t axis) {
     return false; // it counts as fast as its motors turn
 }
 
+static void port_read(void *context, uint32_t offset, uint8_t *out, size_t size) {
+    (void)context;
+    memcpy(out, flash_bytes + offset, size);
+}
+
 static bool port_erase(void *context, uint32_t offset) {
     (void)context;
     if (!state.powered) {
@@ -144,7 +149,7 @@ bool board_open(const board_options_t *options) {
         .current_ma = port_current,
         .supply_mv = port_supply,
         .driver_fault = port_driver_fault,
-        .flash = flash_bytes,
+        .flash_read = port_read,
         .flash_erase = port_erase,
         .flash_program = port_program,
         .watchdog_feed = port_feed,

@@ -72,6 +72,11 @@ static bool port_driver_fault(void *context, uint8_t axis) {
     return plant_driver_fault(&world.plant, axis);
 }
 
+static void port_flash_read(void *context, uint32_t offset, uint8_t *out, size_t size) {
+    (void)context;
+    world_flash_read(offset, out, size);
+}
+
 static bool port_flash_erase(void *context, uint32_t offset) {
     (void)context;
     return world_flash_erase(offset);
@@ -188,7 +193,7 @@ static void start(void) {
         .current_ma = port_current_ma,
         .supply_mv = port_supply_mv,
         .driver_fault = port_driver_fault,
-        .flash = world_flash(),
+        .flash_read = port_flash_read,
         .flash_erase = port_flash_erase,
         .flash_program = port_flash_program,
         .watchdog_feed = port_watchdog_feed,

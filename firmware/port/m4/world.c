@@ -35,8 +35,8 @@ void world_start(void) {
 
 // -- flash ------------------------------------------------------------------------------------------------------
 
-const uint8_t *world_flash(void) {
-    return FLASH;
+void world_flash_read(uint32_t offset, uint8_t *out, size_t size) {
+    memcpy(out, FLASH + offset, size);
 }
 
 void world_lose_power(void) {

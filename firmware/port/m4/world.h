@@ -51,7 +51,7 @@ void world_tick(void);
 void world_task(bool idle);
 
 /// Flash: as tl_port.h has it.
-const uint8_t *world_flash(void);
+void world_flash_read(uint32_t offset, uint8_t *out, size_t size);
 bool world_flash_erase(uint32_t offset);
 bool world_flash_program(uint32_t offset, const uint8_t *page);
 
