@@ -14,8 +14,7 @@ static struct {
     tl_port_t port;
     tl_serial_t line;
     uart_t uart;
-    uint32_t period;    // of the timer, its clock's ticks
-    uint32_t period_us; //
+    uint32_t period_us; // of the timer
     uint32_t fed;       // tick at which the watchdog was fed last
     uint8_t restart;    // asked for: 0 no, 1 restart, 2 boot loader
 } board;
@@ -25,20 +24,16 @@ void control_interrupt(void);
 void line_interrupt(void);
 void world_interrupt(void);
 
+static uint32_t now(void) {
+    return *(volatile uint32_t *)&world.ticks;
+}
+
 // -- tl_port.h --------------------------------------------------------------------------------------------------
 
+// In whole ticks: what the task does between two of them then takes no time, so that runs repeat exactly.
 static tl_us_t port_time_us(void *context) {
     (void)context;
-    uint32_t ticks, value, pending;
-    do { // until no tick came in between
-        ticks = *(volatile uint32_t *)&world.ticks;
-        value = TIMER0->value;
-        pending = TIMER0->interrupt;
-    } while (*(volatile uint32_t *)&world.ticks != ticks);
-    const uint32_t gone = board.period - value;
-    // The timer has begun anew and its interrupt is held back.
-    const uint32_t held = pending != 0U && gone < board.period / 2U ? board.period_us : 0U;
-    return (tl_us_t)(ticks - world.boot_ticks) * board.period_us + gone / (MPS2_CLOCK_HZ / 1000000U) + held;
+    return (tl_us_t)(now() - world.boot_ticks) * board.period_us;
 }
 
 static int32_t port_encoder(void *context, uint8_t axis) {
@@ -175,7 +170,6 @@ board_axis_t board_axis(uint8_t index) {
 
 static void start(void) {
     const world_options_t *options = world_options();
-    board.period = MPS2_CLOCK_HZ / options->control_hz;
     board.period_us = 1000000U / options->control_hz;
     board.fed = world.ticks;
     board.port = (tl_port_t){
@@ -201,8 +195,7 @@ static void start(void) {
         .unlock = port_unlock,
         .reboot = port_reboot,
     };
-    TIMER0->reload = board.period;
-    TIMER0->value = board.period;
+    TIMER0->reload = TIMER0->value = MPS2_CLOCK_HZ / options->control_hz;
     board.line = (tl_serial_t){.read = line_read, .write = line_write};
     tl_app_init(&board.app, &board.port);
     tl_serial_init(&board.app, &board.line);
@@ -242,7 +235,13 @@ int main(void) {
         const bool idle = !work();
         rests = idle ? rests + 1U : 0U;
         world_task(rests > 1U);
-        patience = !idle || world.granted > 0U ? PATIENCE : patience > 0U ? patience - 1U : 0U;
+        if (world.running && world.granted > 0U) { // then there is nothing to do before the next tick
+            for (const uint32_t tick = now(); rests > 1U && now() == tick;) {
+            }
+            patience = PATIENCE;
+            continue;
+        }
+        patience = !idle ? PATIENCE : patience > 0U ? patience - 1U : 0U;
         const uint32_t state = interrupts_off();
         if (patience == 0U && !uart_has(&board.uart) && !uart_has(&world_uart)) {
             wait_for_interrupt();
