@@ -45,6 +45,7 @@ def _motion() -> tuple[bytes, str]:
         board.ask("follow", axis=0, target=0, silence_us=60_000)
         for step in range(20):
             board.tell("set_point", axis=0, value=step * 20 * 256, at_us=0)
+            board.sync()  # it has no answer: two sockets have no order but this
             wait(0.02)
         wait(0.3)
         board.sync()
