@@ -11,6 +11,10 @@
 
 #include "tautline/tl_fast.h"
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 typedef int32_t tl_count_q8_t;  ///< motor position or width: encoder counts, Q23.8: +-8.3 M counts, 1/256 count
 typedef int32_t tl_deg_q16_t;   ///< configuration (bending angle): degrees, Q15.16: +-32768 deg, 15 udeg
 typedef int32_t tl_px_q12_t;    ///< image position: pixels, Q19.12: +-524288 px, 0.25 mpx
@@ -88,5 +92,9 @@ static inline uint32_t tl_scale(uint32_t x, tl_scale_t ratio) {
     return ratio.shift >= 0 ? tl_mul_high(x << ratio.shift, ratio.mantissa)
                             : tl_mul_high(x, ratio.mantissa) >> -ratio.shift;
 }
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

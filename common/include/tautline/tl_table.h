@@ -48,6 +48,10 @@
 
 #include <stddef.h>
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 #define TL_TABLE_FORMAT        1U
 #define TL_TABLE_AXES          4U
 #define TL_TABLE_NODES_MAX     257U
@@ -135,5 +139,9 @@ uint32_t tl_table_flat_below(const tl_table_t *table);
 
 /// A sentence for a person; never NULL, lives for ever.
 const char *tl_table_reason_text(tl_table_reason_t reason);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

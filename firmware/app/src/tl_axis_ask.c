@@ -263,8 +263,7 @@ static void begin(tl_axis_t *axis, tl_duty_q15_t most) {
     axis->plan.stream.used = 0;
     axis->guard.lapsed = false;
     axis->guard.homing = false;
-    axis->guard.still_ms = 0;
-    axis->guard.pushed_ms = 0;
+    axis->guard.still_ms = 0; // but how long it has been pushing does: asking again is no way round a stall
 }
 
 static void switch_on(tl_axis_t *axis) {
@@ -273,7 +272,8 @@ static void switch_on(tl_axis_t *axis) {
     tl_axis_admit(axis);
     axis->guard.current_mean_q8 = 0;
     axis->guard.swing = 0;
-    axis->guard.saturated = false;
+    axis->guard.pushed_ms = 0;
+    axis->guard.pushed = axis->guard.swing_way = 0;
     begin(axis, axis->referenced ? axis->limits.duty_q15 : low_duty(axis));
 }
 
@@ -374,6 +374,7 @@ uint8_t tl_axis_home(tl_axis_t *axis, const tl_wire_home_t *request) {
     begin(axis, request->duty_q15 > 0 ? request->duty_q15 : low_duty(axis));
     set_speed(axis, request->speed_q8_s, axis->plan.travel.speed / 10, axis->plan.travel.speed / 2);
     axis->plan.move_target = tl_reference_q(&axis->plan.reference);
+    axis->guard.pushed_ms = 0; // pushing here is no end
     axis->trial = (tl_axis_trial_t){.way = request->direction,
                                     .from = axis->q,
                                     .reach = request->reach_q8,

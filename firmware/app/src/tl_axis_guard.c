@@ -8,6 +8,7 @@
 #define SUPPLY_MS     20U                // a dip as long is more than a motor's start
 #define SWING_STEP    40U                // a change from limit to limit counts for so many milliseconds,
 #define SWING_MOST    400U               // and so much of it is an oscillation: ten changes at 100 Hz, 27 at 20 Hz
+#define BOTH_WAYS     3U                 // tl_actuator_pushed()
 #define STILL_MS      10U                // a move has arrived once it was at its target for so long
 #define HOME_MS       100U               // pressing against an end
 #define CHECK_STEP    64                 // of the ramp: the most drive is reached in as many milliseconds
@@ -69,8 +70,7 @@ static void feel(tl_axis_t *axis) {
     tl_axis_guarded_t *guard = &axis->guard;
     const int32_t chops_ma = axis->port->driver_ma - axis->port->driver_ma / 16; // with the noise of its measurement
     const int32_t size_ma = guard->current_ma < 0 ? -guard->current_ma : guard->current_ma;
-    const bool pushes = guard->saturated || (chops_ma > 0 && size_ma >= chops_ma);
-    guard->saturated = false;
+    const bool pushes = guard->pushed != 0 || (chops_ma > 0 && size_ma >= chops_ma);
     if (!pushes || !within(axis->q - guard->still_q, STALL_WAY)) {
         guard->still_q = axis->q;
         guard->pushed_ms = 0;
@@ -81,12 +81,12 @@ static void feel(tl_axis_t *axis) {
 
 static bool oscillates(tl_axis_t *axis) {
     tl_axis_guarded_t *guard = &axis->guard;
-    const tl_duty_q15_t duty = axis->motor.duty, limit = axis->motor.limit;
-    const int8_t way = duty == 0 || (duty < limit && duty > -limit) ? 0 : (duty > 0 ? 1 : -1);
+    const uint8_t pushed = guard->pushed;
+    guard->pushed = 0;
     guard->swing = guard->swing > 0 ? (uint16_t)(guard->swing - 1U) : 0U;
-    if (way != 0 && way != guard->swing_way) {
+    if (pushed == BOTH_WAYS || (pushed != 0 && pushed != guard->swing_way)) {
         guard->swing = (uint16_t)(guard->swing + (guard->swing_way != 0 ? SWING_STEP : 0U));
-        guard->swing_way = way;
+        guard->swing_way = pushed;
     }
     return guard->swing >= SWING_MOST;
 }

@@ -25,10 +25,9 @@ TL_FAST uint16_t tl_axis_flags(const tl_axis_t *axis) {
 
 static void note(tl_axis_t *axis) {
     uint32_t flags = 0;
-    if (tl_actuator_saturated(&axis->motor)) {
-        axis->guard.saturated = true;
-        flags |= TL_WIRE_FLAG_SATURATED_DUTY;
-    }
+    const uint8_t pushed = tl_actuator_pushed(&axis->motor);
+    axis->guard.pushed = (uint8_t)(axis->guard.pushed | pushed);
+    flags |= pushed != 0 ? TL_WIRE_FLAG_SATURATED_DUTY : 0U;
     if (axis->mode != TL_WIRE_MODE_OFF) {
         const tl_reference_t *reference = &axis->plan.reference;
         flags |= reference->clamped ? TL_WIRE_FLAG_SATURATED_RANGE : 0U;

@@ -51,7 +51,7 @@ TL_FAST void tl_servo_reset(tl_servo_t *servo, tl_count_q8_t q) {
     servo->predicted = (uint32_t)q << 8;
     servo->velocity = 0;
     servo->feed = servo->feed_step = 0;
-    servo->saturated = false;
+    servo->pushed = 0;
 }
 
 TL_FAST void tl_servo_feed(tl_servo_t *servo, const tl_path_t *path) {

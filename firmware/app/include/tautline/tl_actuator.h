@@ -94,11 +94,11 @@ static inline void tl_actuator_reset(tl_actuator_t *actuator, tl_count_q8_t q) {
     tl_servo_reset(&actuator->servo, q);
 }
 
-/// Whether it has been at its limit since the last call.
-static inline bool tl_actuator_saturated(tl_actuator_t *actuator) {
-    const bool saturated = actuator->servo.saturated;
-    actuator->servo.saturated = false;
-    return saturated;
+/// Since the last call: bit 0, it has been at its upper limit; bit 1, at its lower one.
+static inline uint8_t tl_actuator_pushed(tl_actuator_t *actuator) {
+    const uint32_t pushed = actuator->servo.pushed;
+    actuator->servo.pushed = 0;
+    return (uint8_t)pushed;
 }
 
 #endif

@@ -63,11 +63,11 @@ typedef struct {
     tl_count_q8_t still_q; ///< where the motor was when it last moved
     uint16_t pushed_ms;    ///< drive at its limit and no motion
     uint16_t swing;        ///< how often the drive has lately changed from limit to limit
-    int8_t swing_way;      ///< sign of the last limit
+    uint8_t swing_way;     ///< the last limit, as tl_actuator_pushed() has it
     uint8_t supply_ms;     ///< too low
     uint8_t driver_ms;     ///< it reports a fault
     uint8_t still_ms;      ///< a move is at its target
-    bool saturated;        ///< in the last millisecond
+    uint8_t pushed;        ///< limits of the last millisecond, likewise
     bool lapsed;           ///< the host is lost: a fault as soon as the axis rests
     bool homing;           ///< the move under way is the retreat from an end
     bool homed;            ///< the play does not know yet
