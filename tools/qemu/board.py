@@ -31,7 +31,7 @@ IMAGE = ROOT / "build" / "m4" / "tautline-m4.elf"
 PSRAM_BYTES = 16 << 20
 FLASH_BYTES = 1 << 20  # of it that stand for the flash chip: more than the app keeps things in
 OPTIONS_AT = 0xF00000  # world.c
-ILLS = ("well", "blocked", "unplugged", "reversed", "coarse", "jump", "driver", "supply")  # plant.h
+INJECT = "inject takes an axis and well, blocked, unplugged, reversed, coarse, jump, driver or supply"
 AXES_MAX = 4
 ADVANCE_MAX_US = 10_000_000
 START_S = 20.0
@@ -317,9 +317,9 @@ class World:
                     return {"error": "place takes an axis and a position in counts Q8"}
                 self.machine.ask(f"place {axis} {q}")
             case "inject":
-                if len(words) != 2 or words[0] not in map(str, range(self.axes)) or words[1] not in ILLS:
-                    return {"error": f"inject takes an axis and {', '.join(ILLS[:-1])} or {ILLS[-1]}"}
-                self.machine.ask(f"inject {words[0]} {ILLS.index(words[1])}")
+                known = len(words) == 2 and words[0] in map(str, range(self.axes)) and words[1].isalpha()
+                if not known or self.machine.ask(f"inject {words[0]} {words[1]}") != ["ok"]:
+                    return {"error": INJECT}
             case "unplug" if not words:
                 self.hang_up()
                 self.plugged = False

@@ -202,7 +202,14 @@ static void request(void) {
         plant_place(&world.plant, axis, next_number());
     } else if (strcmp(verb, "inject") == 0) {
         const uint8_t axis = (uint8_t)next_number();
-        plant_inject(&world.plant, axis, (plant_ill_t)next_number());
+        const char *name = strtok(NULL, " ");
+        plant_ill_t ill;
+        if (name == NULL || !plant_ill_of(name, &ill)) {
+            answer("refused", 0);
+            end_answer();
+            return;
+        }
+        plant_inject(&world.plant, axis, ill);
     } else if (strcmp(verb, "cut") == 0) {
         world.cut_in = (uint32_t)next_number();
     } else if (strcmp(verb, "hang") == 0) {
