@@ -58,7 +58,14 @@ LATE = "come_late"  # a tick that comes late has been waited for already
 GUARD_LATER = 2  # ticks from an axis' watch to its guard (tl_app.c)
 PORT = ("port_encoder", "port_drive", "port_current_ma", "port_time_us", "port_supply_mv", "port_driver_fault")
 EACH_STEP = ("port_encoder", "port_drive")
-STAND_IN_PORT = ("read_encoder", "take_drive", "read_current", "no_time", "read_supply", "read_fault")  # of tools/emulator/cycles.c
+STAND_IN_PORT = (
+    "read_encoder",
+    "take_drive",
+    "read_current",
+    "no_time",
+    "read_supply",
+    "read_fault",
+)  # of tools/emulator/cycles.c
 REGISTERS = ("quadrature_count", "port_time_us", "bridge_drive", "bridge_sense_start", "bridge_sense_finish", CONTROL)
 
 NOT_ALLOWED = re.compile(
@@ -222,9 +229,7 @@ class Cycles:
     unexplained: list[str]  # those of them for which tools/branches.py has no reason
 
 
-def ticks(
-    image: Code, watch: int | None = None, step: int | None = None, guard: int | None = None
-) -> list[int]:
+def ticks(image: Code, watch: int | None = None, step: int | None = None, guard: int | None = None) -> list[int]:
     """Bounds of the control interrupt's cycles in each tick of a millisecond, where AXES axes follow by tables; with
     measured values in place of the bounds of a step, watch or guard, the registers' cycles included."""
     if gone := [name for name in (*JOBS, BEGIN, WATCH, GUARD, FAIL, LATE, TRIAL) if name not in image.starts]:
@@ -301,9 +306,7 @@ def rows() -> list[Row]:
     deepest = stack.of(TASK) + stack.of(USB_INTERRUPT) + stack.of(CONTROL) + 2 * EXCEPTION_FRAME
     address, calls = code(elf)
     ports = [name for name in address if name.startswith("port_")]
-    control = reached(
-        calls, [CONTROL, *(p for p in ports if p in PORT)]
-    )
+    control = reached(calls, [CONTROL, *(p for p in ports if p in PORT)])
     forbidden = sorted(name for name in control if NOT_ALLOWED.search(name))
     floats = sorted(name for name in address if re.match(r"__aeabi_[fd](add|sub|mul|div)", name))
     in_flash = sorted(name for name in control if address[name] >> 28 == 1)

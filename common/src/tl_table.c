@@ -29,7 +29,7 @@ static const uint8_t magic[4] = {'T', 'L', 'T', 'B'};
     X(64, 4, uint32_t, delay_us)                                                                                       \
     X(68, 4, uint32_t, created_s)
 
-enum { MODEL_ID_AT = 72, RESERVED_AT = 80, RESERVED_SIZE = 8 };
+enum { MODEL_ID_AT = 72, INSTRUMENT_AT = 80 };
 
 static void put(uint8_t *at, uint32_t value, unsigned size) {
     for (unsigned i = 0; i < size; i++) {
@@ -45,6 +45,18 @@ static uint32_t get(const uint8_t *at, unsigned size) {
     return value;
 }
 
+// Printable ASCII, then zeros.
+static bool is_text(const char *text, size_t size) {
+    bool ended = false;
+    for (size_t i = 0; i < size; i++) {
+        ended = ended || text[i] == 0;
+        if (ended ? text[i] != 0 : text[i] < ' ' || text[i] > '~') {
+            return false;
+        }
+    }
+    return true;
+}
+
 size_t tl_table_encode(const tl_table_t *table, uint8_t *blob, size_t capacity) {
     if (table->nodes > TL_TABLE_NODES_MAX || capacity < TL_TABLE_SIZE(table->nodes)) {
         return 0;
@@ -57,7 +69,7 @@ size_t tl_table_encode(const tl_table_t *table, uint8_t *blob, size_t capacity) 
     HEADER_FIELDS(PUT)
 #undef PUT
     memcpy(blob + MODEL_ID_AT, table->model_id, sizeof table->model_id);
-    memset(blob + RESERVED_AT, 0, RESERVED_SIZE);
+    memcpy(blob + INSTRUMENT_AT, table->instrument, sizeof table->instrument);
     uint8_t *at = blob + TL_TABLE_HEADER_SIZE;
     for (unsigned i = 0; i < table->nodes; i++, at += 4) {
         put(at, (uint32_t)table->width[i], 4);
@@ -85,15 +97,14 @@ tl_table_reason_t tl_table_decode(const uint8_t *blob, size_t size, uint8_t axis
     if (get(blob + size - 4, 4) != tl_crc32(0, blob, size - 4)) {
         return TL_TABLE_BAD_CRC;
     }
-    for (unsigned i = 0; i < RESERVED_SIZE; i++) {
-        if (blob[RESERVED_AT + i] != 0) {
-            return TL_TABLE_BAD_RESERVED;
-        }
-    }
 #define GET(offset, bytes, type, name) table->name = (type)get(blob + (offset), bytes);
     HEADER_FIELDS(GET)
 #undef GET
     memcpy(table->model_id, blob + MODEL_ID_AT, sizeof table->model_id);
+    memcpy(table->instrument, blob + INSTRUMENT_AT, sizeof table->instrument);
+    if (!is_text(table->instrument, sizeof table->instrument)) {
+        return TL_TABLE_BAD_RESERVED;
+    }
     if (table->nodes > TL_TABLE_NODES_MAX || TL_TABLE_SIZE(table->nodes) != size) {
         return table->nodes > TL_TABLE_NODES_MAX ? TL_TABLE_BAD_NODES : TL_TABLE_BAD_SIZE;
     }

@@ -49,7 +49,8 @@ template <typename Field> void read_field(const nb::dict &fields, const char *na
     field = nb::cast<Field>(fields[name]);
 }
 
-nb::bytes encode(const nb::dict &fields, ArrayIn<int32_t> width, ArrayIn<int32_t> angle, const nb::bytes &model_id) {
+nb::bytes encode(const nb::dict &fields, ArrayIn<int32_t> width, ArrayIn<int32_t> angle, const nb::bytes &model_id,
+                 const std::string &instrument) {
     tl_table_t table{};
     if (width.shape(0) != angle.shape(0) || width.shape(0) > TL_TABLE_NODES_MAX) {
         throw nb::value_error("width and angle need the same number of nodes, at most 257");
@@ -57,6 +58,10 @@ nb::bytes encode(const nb::dict &fields, ArrayIn<int32_t> width, ArrayIn<int32_t
     if (model_id.size() != sizeof table.model_id) {
         throw nb::value_error("a model id has 8 bytes");
     }
+    if (instrument.size() > sizeof table.instrument) {
+        throw nb::value_error("an instrument's serial has at most 8 characters");
+    }
+    memcpy(table.instrument, instrument.data(), instrument.size());
 #define READ(name) read_field(fields, #name, table.name);
     TABLE_FIELDS(READ)
 #undef READ
@@ -82,6 +87,7 @@ nb::dict fields_of(const FixedTable &self) {
     TABLE_FIELDS(WRITE)
 #undef WRITE
     fields["model_id"] = nb::bytes(table.model_id, sizeof table.model_id);
+    fields["instrument"] = nb::str(table.instrument, strnlen(table.instrument, sizeof table.instrument));
     auto width = new_array<int32_t>(table.nodes), angle = new_array<int32_t>(table.nodes);
     std::copy(table.width, table.width + table.nodes, width.data());
     std::copy(table.angle, table.angle + table.nodes, angle.data());
@@ -120,6 +126,7 @@ template <Inverse function> nb::tuple batch_near(const FixedTable &self, ArrayIn
 
 void bind_tables(nb::module_ &m) {
     m.def("table_encode", &encode, nb::arg("fields"), nb::arg("width"), nb::arg("angle"), nb::arg("model_id"),
+          nb::arg("instrument") = "",
           "The blob of a table (fields as in tl_table.h, raw fixed-point values); its content is not checked.");
     m.def("table_check", &check, nb::arg("blob"), nb::arg("axis") = TL_TABLE_ANY_AXIS,
           "(name, text) of the reason why the board would refuse the blob; name is 'OK' where it would not.");

@@ -483,6 +483,27 @@ static void test_a_refused_table_leaves_the_one_in_use(void) {
     TEST_ASSERT_EQUAL(1, app.axes[0].tip.lookup.table.created_s);
 }
 
+static void test_a_table_for_another_instrument_is_refused_unless_any_will_do(void) {
+    tl_wire_settings_t own = settings();
+    memcpy(own.instrument, "SN-0042", 8);
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_SETTINGS, &own));
+    static uint8_t blob[TL_TABLE_SIZE_MAX];
+    static tl_table_t table;
+    const uint16_t size = fake_table(blob, 0, 1);
+    TEST_ASSERT_EQUAL(TL_UPLOAD_OK, fake_upload(0, blob, size)); // it does not say
+    TEST_ASSERT_EQUAL(TL_TABLE_OK, tl_table_decode(blob, size, 0, &table));
+    memcpy(table.instrument, "SN-0043", 8);
+    tl_table_encode(&table, blob, sizeof(blob));
+    TEST_ASSERT_EQUAL(TL_UPLOAD_REFUSED, fake_upload(0, blob, size));
+    TEST_ASSERT_EQUAL(TL_TABLE_BAD_INSTRUMENT, fake_status(0).table_reason);
+    TEST_ASSERT_EQUAL(0, ask_axis(TL_WIRE_ANY_TABLE));
+    TEST_ASSERT_EQUAL(TL_UPLOAD_OK, fake_upload(0, blob, size));
+    TEST_ASSERT_EQUAL(TL_UPLOAD_REFUSED, fake_upload(0, blob, size)); // once
+    memcpy(table.instrument, "SN-0042", 8);
+    tl_table_encode(&table, blob, sizeof(blob));
+    TEST_ASSERT_EQUAL(TL_UPLOAD_OK, fake_upload(0, blob, size));
+}
+
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_a_motor_blocked_near_its_target_faults_within_the_stall_time);
@@ -507,5 +528,6 @@ int main(void) {
     RUN_TEST(test_homing_and_checks_end_with_the_host_too);
     RUN_TEST(test_a_motor_turned_by_hand_during_an_erase_is_no_fault);
     RUN_TEST(test_a_refused_table_leaves_the_one_in_use);
+    RUN_TEST(test_a_table_for_another_instrument_is_refused_unless_any_will_do);
     return UNITY_END();
 }

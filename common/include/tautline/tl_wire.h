@@ -149,7 +149,7 @@ extern "C" {
     F(i32, arrive_q8, "counts within which a move has arrived, 1 or more")                                             \
     F(u16, stall_ms, "drive at its limit and the motor still for so long is a stall, 20 to 5000")                      \
     F(u16, supply_low_mv, "motor supply below it faults a driven axis; 0: not watched")                                \
-    A(text, instrument, 16, "serial of the instrument that is mounted; empty: tables of any are taken")
+    A(text, instrument, 8, "serial of the instrument that is mounted; empty: tables of any are taken")
 
 #define TL_WIRE_FIELDS_GET_SETTINGS(F, A) F(u8, axis, "")
 

@@ -124,6 +124,13 @@ void tl_tables_abort(tl_tables_t *tables) {
     tables->upload_size = 0;
 }
 
+// A table that names its instrument is for that one; where either does not say, nothing is known against it.
+static bool is_for(const tl_table_t *table, const tl_wire_settings_t *settings) {
+    _Static_assert(sizeof(table->instrument) == sizeof(settings->instrument), "one serial for both");
+    return table->instrument[0] == 0 || settings->instrument[0] == 0 ||
+           memcmp(table->instrument, settings->instrument, sizeof(table->instrument)) == 0;
+}
+
 tl_upload_t tl_tables_end(tl_tables_t *tables, uint8_t axis) {
     if (axis >= tables->port->axes) {
         return TL_UPLOAD_AXIS;
@@ -138,7 +145,11 @@ tl_upload_t tl_tables_end(tl_tables_t *tables, uint8_t axis) {
         return TL_UPLOAD_SIZE;
     }
     const uint8_t *blob = tables->scratch->upload;
-    const tl_table_reason_t reason = tl_lookup_load(&tables->scratch->trial, blob, size, axis);
+    tl_table_reason_t reason = tl_lookup_load(&tables->scratch->trial, blob, size, axis);
+    if (reason == TL_TABLE_OK && !table->any && !is_for(&tables->scratch->trial.table, &tables->axes[axis].settings)) {
+        reason = TL_TABLE_BAD_INSTRUMENT;
+    }
+    table->any = false;
     table->reason = (uint8_t)reason;
     if (reason != TL_TABLE_OK) {
         return TL_UPLOAD_REFUSED;

@@ -307,8 +307,8 @@ def open_live(
     """`simulate` names an instrument preset, or the folder of a model whose effects it then has, and starts a desktop
     board; else `board` and `camera` are opened.
 
-    at: where the motor is, the rig's unit; else the board's reference holds, and a simulated one begins at 0. pictures: False replaces the rendered
-    endoscope by the marker's projection, which is faster.
+    at: where the motor is, the rig's unit; else the board's reference holds, and a simulated one begins at 0.
+    pictures: False replaces the rendered endoscope by the marker's projection, which is faster.
     """
     with ExitStack() as stack:
         if simulate is not None:

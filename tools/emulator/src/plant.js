@@ -58,6 +58,8 @@ export class Plant {
         this.pins = [0, 0, 0, 0];    // the count that the pins show
         this.supplyVolt = 6;
         this.driverFault = false;
+        this.ills = ENCODER_PIN.map(() => 'well');
+        this.encoders = ENCODER_PIN.map(() => ({ scale: 1, from: 0 })); // counts for each one shown, beginning there
         this.timeUs = 0;
         this.log = [];               // true positions, counts Q8, one row a millisecond
         this.chip = null;
@@ -113,7 +115,9 @@ export class Plant {
         const running = this.chip !== null;
         this.motors.forEach((motor, axis) => {
             const { duty, coasts } = running ? this.#bridge(axis) : { duty: 0, coasts: true };
-            motor.step(duty, coasts);
+            const { position } = motor;
+            motor.step(this.ills[axis] === 'reversed' ? -duty : duty, coasts);
+            if (this.ills[axis] === 'blocked') Object.assign(motor, { position, speed: 0 });
             this.#turn(axis);
         });
         if (running && this.edges.length > 0) this.#schedule();
@@ -122,7 +126,9 @@ export class Plant {
     }
 
     #count(axis) {
-        return Math.floor(this.motors[axis].position) - this.pinZero[axis];
+        const count = Math.floor(this.motors[axis].position) - this.pinZero[axis];
+        const { scale, from } = this.encoders[axis];
+        return scale === 1 ? count : from + Math.trunc((count - from) / scale);
     }
 
     /** Every edge on its own: the first at once, the others spread over the step. */
@@ -167,6 +173,16 @@ export class Plant {
 
     trueQ8(axis) {
         return Math.round(this.motors[axis].position * 256);
+    }
+
+    /** What is wrong with an axis from now on, as on the desktop board; the encoder goes on from what it shows. */
+    inject(axis, ill) {
+        const shown = this.#count(axis);
+        this.ills[axis] = ill;
+        this.driverFault = ill === 'driver';
+        this.supplyVolt = ill === 'supply' ? 2.5 : 6;
+        this.encoders[axis] = { scale: { coarse: 8, unplugged: Infinity }[ill] ?? 1, from: shown };
+        this.pinZero[axis] = Math.floor(this.motors[axis].position) - shown;
     }
 
     /** Puts a motor, at rest, to a true position: the encoder does not notice. */
