@@ -88,6 +88,11 @@ static bool fake_reached(const fake_t *f, uint32_t i, uint32_t size) {
     }
 }
 
+static void fake_read(void *context, uint32_t offset, uint8_t *out, size_t size) {
+    TEST_ASSERT_TRUE(offset <= FAKE_FLASH && size <= FAKE_FLASH - offset);
+    memcpy(out, ((fake_t *)context)->flash + offset, size);
+}
+
 static bool fake_erase(void *context, uint32_t offset) {
     fake_t *f = context;
     TEST_ASSERT_EQUAL(0, offset % TL_PORT_FLASH_SECTOR);
@@ -155,7 +160,7 @@ static inline void fake_start(uint8_t axes, tl_wire_boot_t boot) {
                             .current_ma = fake_current,
                             .supply_mv = fake_supply,
                             .driver_fault = fake_driver_fault,
-                            .flash = fake.flash,
+                            .flash_read = fake_read,
                             .flash_erase = fake_erase,
                             .flash_program = fake_program,
                             .watchdog_feed = fake_feed,

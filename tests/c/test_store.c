@@ -125,8 +125,7 @@ static void test_a_flipped_bit_falls_back_to_the_older_table(void) {
     make_tables();
     fake_upload(0, blob[0], size);
     fake_upload(0, blob[1], size);
-    const uint8_t *newest = app.tables.in_use[0].blob - TL_PORT_FLASH_PAGE;
-    const uint32_t start = (uint32_t)(newest - fake.flash);
+    const uint32_t start = app.tables.in_use[0].blob - TL_PORT_FLASH_PAGE;
     uint32_t older = 0;
     for (uint32_t bit = 0; bit < 8U * TL_PORT_FLASH_SECTOR; bit += 13U) {
         const uint32_t byte = bit / 8U;

@@ -12,11 +12,13 @@ void tl_serial_init(tl_app_t *the_app, const tl_serial_t *the_line) {
     tl_app_line(app);
 }
 
-void tl_serial_task(void) {
+bool tl_serial_task(void) {
+    bool moved = false;
     uint8_t bytes[64];
     size_t count;
     while ((count = line->read(line->context, bytes, sizeof(bytes))) > 0U) {
         tl_app_receive(app, bytes, count);
+        moved = true;
     }
     for (;;) {
         if (unsent_begin == unsent_end) {
@@ -25,8 +27,9 @@ void tl_serial_task(void) {
         }
         const size_t taken = line->write(line->context, unsent + unsent_begin, unsent_end - unsent_begin);
         unsent_begin += taken;
-        if (taken == 0U || unsent_end == 0U) {
-            return;
+        if (taken == 0U) {
+            return moved;
         }
+        moved = true;
     }
 }

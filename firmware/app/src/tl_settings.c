@@ -15,8 +15,12 @@ static void use(const tl_port_t *port, tl_axis_t *axis, const tl_wire_settings_t
 
 // The settings of an axis in a slot; false where they are another firmware's, or not for this board.
 static bool read_axis(const tl_port_t *port, const tl_slot_t *slot, uint8_t index, tl_wire_settings_t *settings) {
-    const uint8_t *frame = slot->blob + index * FRAME_SIZE;
-    return slot->size == TL_WIRE_AXES_MAX * FRAME_SIZE && frame[2] == TL_WIRE_SETTINGS &&
+    uint8_t frame[FRAME_SIZE];
+    if (slot->size != TL_WIRE_AXES_MAX * FRAME_SIZE) {
+        return false;
+    }
+    port->flash_read(port->context, slot->blob + index * FRAME_SIZE, frame, sizeof(frame));
+    return frame[2] == TL_WIRE_SETTINGS &&
            tl_wire_decode(TL_WIRE_SETTINGS, frame + TL_WIRE_HEADER_SIZE, TL_WIRE_SIZE_SETTINGS, settings) &&
            settings->axis == index && tl_axis_check_settings(port, settings) == 0;
 }

@@ -34,9 +34,10 @@ static void note(tl_table_in_use_t *table, uint8_t state, const tl_slot_t *slot)
     table->crc = slot->crc;
     table->size = slot->size;
     table->blob = slot->blob;
+    table->readable = true;
 }
 
-// The best table that flash holds.
+// The best table that flash holds. Motors off: what it is read into is the calibration's at other times.
 static void load(tl_tables_t *tables, uint8_t index) {
     tl_table_in_use_t *table = &tables->in_use[index];
     tl_slot_t slots[TL_STORE_SLOTS];
@@ -50,7 +51,9 @@ static void load(tl_tables_t *tables, uint8_t index) {
         }
         uint8_t reason = TL_TABLE_BAD_CRC;
         if (slots[i].whole) {
-            reason = (uint8_t)tl_lookup_load(&tables->scratch->trial, slots[i].blob, slots[i].size, index);
+            uint8_t *blob = tables->scratch->upload;
+            tables->port->flash_read(tables->port->context, slots[i].blob, blob, slots[i].size);
+            reason = (uint8_t)tl_lookup_load(&tables->scratch->trial, blob, slots[i].size, index);
         }
         found = reason == TL_TABLE_OK;
         if (found) {
@@ -78,12 +81,13 @@ void tl_tables_init(tl_tables_t *tables, const tl_port_t *port, tl_axis_t *axes,
 }
 
 size_t tl_tables_read(const tl_tables_t *tables, uint8_t axis, uint32_t offset, uint8_t *out, size_t room) {
-    if (axis >= tables->port->axes || tables->in_use[axis].blob == NULL || offset >= tables->in_use[axis].size) {
+    const tl_port_t *port = tables->port;
+    if (axis >= port->axes || !tables->in_use[axis].readable || offset >= tables->in_use[axis].size) {
         return 0;
     }
     const size_t left = tables->in_use[axis].size - offset;
     const size_t size = left < room ? left : room;
-    memcpy(out, tables->in_use[axis].blob + offset, size);
+    port->flash_read(port->context, tables->in_use[axis].blob + offset, out, size);
     return size;
 }
 
@@ -155,7 +159,7 @@ tl_upload_t tl_tables_end(tl_tables_t *tables, uint8_t axis) {
     tl_store_order(tables->port, axis, slots);
     if (!written) { // the one in use stays, though flash may no longer have it
         if (!slots[0].whole || slots[0].crc != table->crc) {
-            table->blob = NULL;
+            table->readable = false;
         }
         return TL_UPLOAD_FLASH;
     }

@@ -9,8 +9,8 @@
 #include <time.h>
 
 #include "board.h"
-#include "motor.h"
 #include "tautline/tl_axis_watch.h"
+#include "uart.h"
 #include "usbip.h"
 
 #define ADVANCE_MAX_US 10000000U
@@ -81,8 +81,9 @@ static void report_state(net_connection_t *connection) {
         "{\"t_us\": %" PRIu64 ", \"board_us\": %" PRIu64 ", \"powered\": %s, \"bootloader\": %s, \"hung\": %s, "
         "\"attached\": %s, \"realtime\": %s, \"starts\": %" PRIu32 ", \"flash_operations\": %" PRIu32 ", \"q\": [",
         board->t_us, board->t_us - board->boot_us, board->powered ? "true" : "false",
-        board->bootloader ? "true" : "false", board->hung ? "true" : "false", usbip_attached() ? "true" : "false",
-        realtime ? "true" : "false", board->starts, board->flash_operations);
+        board->bootloader ? "true" : "false", board->hung ? "true" : "false",
+        usbip_attached() || uart_attached() ? "true" : "false", realtime ? "true" : "false", board->starts,
+        board->flash_operations);
     for (uint8_t i = 0; i < app->port->axes; i++) {
         put(connection, "%s%" PRId32, i == 0 ? "" : ", ", board_true_q8(i));
     }
@@ -139,21 +140,19 @@ static void place(net_connection_t *connection, char *argument) {
 }
 
 static void inject(net_connection_t *connection, char *argument) {
-    static const char *const names[] = {"well",   "blocked", "unplugged", "reversed",
-                                        "coarse", "jump",    "driver",    "supply"};
     char *second = strchr(argument, ' ');
     long long axis;
+    plant_ill_t ill;
     if (second != NULL) {
         *second++ = '\0';
-        for (size_t i = 0; i < sizeof(names) / sizeof(names[0]); i++) {
-            if (number(argument, 0, board_app()->port->axes - 1, &axis) && strcmp(second, names[i]) == 0) {
-                board_inject((uint8_t)axis, (board_ill_t)i);
-                ok(connection);
-                return;
-            }
-        }
     }
-    refuse(connection, "inject takes an axis and well, blocked, unplugged, reversed, coarse, jump, driver or supply");
+    if (second == NULL || !number(argument, 0, board_app()->port->axes - 1, &axis) || !plant_ill_of(second, &ill)) {
+        refuse(connection,
+               "inject takes an axis and well, blocked, unplugged, reversed, coarse, jump, driver or supply");
+        return;
+    }
+    board_inject((uint8_t)axis, ill);
+    ok(connection);
 }
 
 static void request(net_connection_t *connection, char *line) {
@@ -181,10 +180,12 @@ static void request(net_connection_t *connection, char *line) {
         inject(connection, argument);
     } else if (strcmp(line, "unplug") == 0) {
         usbip_plug(false);
+        uart_plug(false);
         cable = false;
         ok(connection);
     } else if (strcmp(line, "plug") == 0) {
         cable = true;
+        uart_plug(true);
         ok(connection);
     } else if (strcmp(line, "reset") == 0) {
         board_start(TL_WIRE_BOOT_POWER);

@@ -1,5 +1,7 @@
 // The app on a Pimoroni Motor 2040: tl_port.h on real registers, the control step on a hardware timer, the task in the
 // main loop.
+#include <string.h>
+
 #include "bridge.h"
 #include "hardware/flash.h"
 #include "hardware/irq.h"
@@ -119,6 +121,11 @@ static bool flash_safely(uint32_t offset, const uint8_t *page) {
     const bool done = flash_safe_execute(flash_operation, &operation, FLASH_TIMEOUT_MS) == PICO_OK;
     watchdog_enable(WATCHDOG_MS, true);
     return done;
+}
+
+static void port_flash_read(void *context, uint32_t offset, uint8_t *out, size_t size) {
+    (void)context;
+    memcpy(out, (const uint8_t *)(XIP_BASE + STORE_OFFSET) + offset, size);
 }
 
 static bool port_flash_erase(void *context, uint32_t offset) {
@@ -253,7 +260,7 @@ int main(void) {
         .current_ma = port_current_ma,
         .supply_mv = port_supply_mv,
         .driver_fault = port_driver_fault,
-        .flash = (const uint8_t *)(XIP_BASE + STORE_OFFSET),
+        .flash_read = port_flash_read,
         .flash_erase = port_flash_erase,
         .flash_program = port_flash_program,
         .watchdog_feed = port_watchdog_feed,

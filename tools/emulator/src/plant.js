@@ -25,7 +25,7 @@ export function motorConstants(file) {
         static: get('STATIC'), stribeck: get('STRIBECK'), stall: get('STALL'), chop: get('CHOP') };
 }
 
-/** One geared motor, positions in counts; the equations of firmware/port/desktop/motor.c. */
+/** One geared motor, positions in counts; the equations of firmware/port/simulated/motor.c. */
 class Motor {
     constructor(constants) {
         this.k = constants;

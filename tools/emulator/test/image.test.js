@@ -11,7 +11,7 @@ import { symbol } from '../src/probe.js';
 import { setupPacket } from '../src/usbhost.js';
 
 const root = path.resolve(path.dirname(fileURLToPath(import.meta.url)), '../../..');
-const motor = motorConstants(path.join(root, 'firmware/port/desktop/motor.c'));
+const motor = motorConstants(path.join(root, 'firmware/port/simulated/motor.c'));
 const elf = path.join(root, 'build/rp2040/tautline.elf');
 const WATCHDOG_FAULT = 6; // TL_WIRE_FAULTS
 const EDGES_FAULT = 9;

@@ -1,10 +1,20 @@
 /// What the app needs of a board: one const table of functions and a context that each gets back.
 ///
 /// The app is two threads of execution. The *control step*, tl_app_control(), runs at `control_hz` from a timer
-/// interrupt; the *task*, tl_app_task() with tl_usb_task(), runs in the main loop and is interrupted by it. A port with
-/// one thread (the desktop) calls both in turn. Functions say who calls them.
+/// interrupt; the *task*, tl_app_task() with tl_usb_task() or tl_serial_task(), runs in the main loop and is
+/// interrupted by it. A port with one thread (the desktop) calls both in turn. Functions say who calls them.
+///
+/// What a port's build has to do besides:
+/// - tl_usb.c (ports with USB): compile it against its TinyUSB with CFG_TUSB_MCU, and link with
+///   -Wl,--wrap=dcd_event_handler; TinyUSB also wants tusb_time_millis_api() where it knows no such board. On an RP2040
+///   --wrap=dcd_edpt_clear_stall,--wrap=dcd_edpt_xfer, too (port/rp2040/usb_halt.h).
+/// - tl_serial.c (ports with a serial port): nothing; give tl_serial_init() a tl_serial_t.
+/// - TL_FAST_SECTION where code memory is slow (tl_fast.h), TL_APP_QUEUE where RAM is short (tl_outbox.h), and
+///   TL_AXIS_TICKS_MIN=control_hz / 1000 where the rate is fixed, so that the control path has no division (tl_axis.h).
 #ifndef TAUTLINE_TL_PORT_H
 #define TAUTLINE_TL_PORT_H
+
+#include <stddef.h>
 
 #include "tautline/tl_fixed.h"
 #include "tautline/tl_wire.h"
@@ -42,8 +52,8 @@ typedef struct {
     /// Whether the motor driver of an axis reports a fault (nFAULT). Control step. NULL: it cannot.
     bool (*driver_fault)(void *context, uint8_t axis);
 
-    /// The region for tables and settings, mapped for reading: TL_PORT_FLASH_REGION bytes.
-    const uint8_t *flash;
+    /// Reads from the region for tables and settings, TL_PORT_FLASH_REGION bytes, at any offset within it. Task.
+    void (*flash_read)(void *context, uint32_t offset, uint8_t *out, size_t size);
     /// `offset` from the region's start, a multiple of the sector or page. Task, with every motor off; may take 0.4 s,
     /// during which the control step may stand still. `page` is in RAM: the flash chip is out of reach meanwhile.
     /// False: not done, the content is undefined.

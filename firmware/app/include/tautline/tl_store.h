@@ -15,13 +15,13 @@
 
 /// One slot as found in flash.
 typedef struct {
-    bool blank;          ///< nothing was ever written, or it was cleared
-    bool dated;          ///< its header is as it was written: the following are known
-    bool whole;          ///< header and blob are as they were written
-    uint32_t sequence;   ///< rises by one with each write
-    uint32_t crc;        ///< of the blob
-    uint16_t size;       ///< of the blob
-    const uint8_t *blob; ///< in flash
+    bool blank;        ///< nothing was ever written, or it was cleared
+    bool dated;        ///< its header is as it was written: the following are known
+    bool whole;        ///< header and blob are as they were written
+    uint32_t sequence; ///< rises by one with each write
+    uint32_t crc;      ///< of the blob
+    uint16_t size;     ///< of the blob
+    uint32_t blob;     ///< offset in the flash region
 } tl_slot_t;
 
 /// Looks at a slot of an axis' table or of TL_STORE_SETTINGS, as all that follow: O(size), about 0.5 ms.

@@ -27,7 +27,8 @@ typedef struct {
     uint16_t size;
     uint32_t sequence;
     uint32_t crc;
-    const uint8_t *blob; ///< in flash; NULL without one
+    uint32_t blob; ///< offset in the flash region
+    bool readable; ///< there it is
 } tl_table_in_use_t;
 
 /// Memory that is needed while a table comes.
