@@ -63,6 +63,8 @@ REASONS = (
     Reason("tl_lookup.h", "if (offset >= lookup->extent)", 2,
            "p* lies on the grid: only at its very end, or where the motor began outside"),
     Reason("tl_lookup.c", "if (p < lookup->q0)", 1, "p* is kept within [q_min, q_max], which lies on the grid"),
+    Reason("tl_ratio.h", "return bits <= TL_RATIO_BITS", 1,
+           "more than 20 bits has only a span longer than 4096 counts: one grid in thirty"),
     Reason("tl_takeup.c", "if (takeup->ahead_q36 < takeup->accel_q36)", 2, _LOW),
     Reason("tl_takeup.c", "if (spare < 0 || takeup->limits_pending)", 2,
            "a table changes only while the motor is off, and limits are taken over at rest"),
