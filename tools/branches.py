@@ -56,6 +56,8 @@ REASONS = (
            "p is within the range, and an end of it nearer than the plays' offset: seldom"),
     Reason("tl_several.c", "const tl_count_q8_t after = tl_clamp(", 2,
            "p is within the range, and an end of it nearer than the plays' offset: seldom"),
+    Reason("tl_fixed.h", "tl_mul_high(x, ratio.mantissa) >> -ratio.shift", 1,
+           "beyond the grid: of Y's unit and Q8 counts the same one is the finer in all these tables"),
     Reason("tl_elements.c", "moved = tl_clamp(moved", 2, "the instrument moves by less than a period in a millisecond"),
     Reason("tl_elements.c", "while (++element < end)", 1, "a table of several plays has two or more"),
     Reason("tl_elements.h", "span = p < lookup->q0 ? 0U", 2,

@@ -201,7 +201,7 @@ def read_motor(file: Path, rig: Rig, warnings: list[str] | None = None) -> Motor
         raise TautError(f"{file}: has a single row: expected encoder samples over some time")
     step = np.diff(t_s)
     if np.median(step) >= MAX_MOTOR_STEP_S:
-        raise TautError(f"{file}: rows are {np.median(step):.4g} s apart: expected 100 Hz or more, t_s in seconds")
+        raise TautError(f"{file}: rows are {np.median(step):.4g} s apart: expected 10 Hz or more, t_s in seconds")
     if step.max() > MAX_MOTOR_GAP_S:
         row = int(step.argmax()) + 1
         raise TautError(

@@ -1,8 +1,8 @@
 """A joint with an angle sensor, in plain numpy: a play whose width depends on the place, a bent characteristic, and a
 sensor that may be late, slow, sampled and held, or quantised."""
 
-import itertools
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -40,7 +40,7 @@ class Motion:
     @classmethod
     def through(cls, turns=TURNS, speed: float = 8.0) -> "Motion":
         parts = [np.full(500, float(turns[0]))]
-        for a, b in itertools.pairwise(turns):
+        for a, b in pairwise(turns):
             parts.append(np.linspace(a, b, max(1, int(abs(b - a) / speed * 1000)), endpoint=False))
         q = np.concatenate([*parts, np.full(500, float(turns[-1]))])
         return cls(np.arange(len(q)) / 1000.0, q)

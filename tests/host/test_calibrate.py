@@ -157,9 +157,9 @@ def test_an_angle_sensor_alone_needs_no_camera():
     plant = preset("davinci", rig, 5)
     made = run(rig, plant, sines(rig.actuator, 12.0, 60.0), angle_noise_deg=0.05, seed=5)
     found = calibrate([made.recording], rig)
-    assert abs(found.model.delay_s) < 1e-3  # estimated
+    assert abs(found.model.delay_s) < 1e-3
     test = run(rig, plant, random_smooth(rig.actuator, 15.0, 40.0, 6), angle_noise_deg=0.05, seed=6)
-    told = predict(found.model, test.recording.motor, test.recording.angle.t_s)
+    told = predict(found.model, test.recording.motor, test.recording.angle.t_s - found.model.delay_s)
     assert told.image_px is None
     reached = Frozen.of(_angle_track(made, rig)).simulate(plant.grid, plant.width, 0.0).p
     p = np.interp(test.recording.angle.t_s, test.t_s, test.p)

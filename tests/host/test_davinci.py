@@ -43,7 +43,7 @@ def test_every_rate_from_every_other_at_the_same_load():
         for other in range(RATES):
             if other != i:
                 angle = runs[other, j].angle
-                told = predict(model, runs[other, j].motor, angle.t_s).c_deg
+                told = predict(model, runs[other, j].motor, angle.t_s - model.delay_s).c_deg
                 late = angle.t_s >= FROM_S
                 rms = float(np.sqrt(np.mean((angle.c_deg - told)[late] ** 2)))
                 gains[i, other, j] = best[other, j] / rms

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tautline.diagnose.decide import Beyond, Evidence, Weighed, decide
+from tautline.diagnose.decide import Beyond, Evidence, Verdict, Weighed, decide, that_help
 
 FLOOR = 0.05
 BLOCKS = 30
@@ -180,3 +180,35 @@ def test_a_second_effect_accounts_for_what_the_first_ones_stage_cannot():
     assert decide(found).named == (LAG,)
     verdict = decide(within(found, {(LAG,): in_third(8.0), (LAG, STATIC): about(1.0)}))
     assert verdict.name == "effect" and set(verdict.named) == {LAG, STATIC}
+
+
+def helped(gains):
+    """One effect that is surely named, and by how much it lowers each block's power."""
+    count = len(gains)
+    nothing = np.zeros(count)
+    base = Weighed((), np.full(count, 4.0), nothing, nothing, 0)
+    lag = Weighed(("transmission.lag",), 4.0 - np.array(gains), nothing, nothing, 1)
+    evidence = Evidence(0.1, np.full(count, 4.0), (base, lag), 5)
+    named = Verdict(0.0, 0.1, {"transmission.lag": 0.9}, np.array([0.0, 0.9]), ("transmission.lag",), (0.9,), 1)
+    return that_help(evidence, named)
+
+
+def test_what_lowers_the_power_of_one_block_or_of_all_helps():
+    for gains in ([1.0, 0.9, 1.1, 1.0], [3.0, 0.0, 0.0, 0.0]):
+        assert helped(gains).named == ("transmission.lag",)
+
+
+def test_what_gains_less_than_blocks_scatter_is_not_named():
+    for gains in ([1.0, -0.9, 1.1, -1.0], [-1.0] * 4):
+        verdict = helped(gains)
+        assert verdict.named == () and verdict.name == "unknown"
+        assert verdict.unknown == pytest.approx(1.0) and verdict.chosen == 0
+
+
+def test_an_offset_that_leaves_what_a_right_effect_may_is_no_other_static_law():
+    nothing = np.zeros(8)
+    power = {(): 100.0, ("transmission.offset",): 0.5, ("configuration.remaining",): 0.02}
+    h = tuple(Weighed(ids, np.full(8, p), nothing, nothing, len(ids)) for ids, p in power.items())
+    assert decide(Evidence(0.1, np.full(8, 100.0), h, 5)).named == ("transmission.offset",)
+    h = (h[0], replace(h[1], power=np.full(8, 20.0)), h[2])
+    assert decide(Evidence(0.1, np.full(8, 100.0), h, 5)).named == ("configuration.remaining",)

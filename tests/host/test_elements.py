@@ -11,6 +11,7 @@ from test_play import solve
 
 from tautline import _native, effects
 from tautline.elements import SINGLE, Elements, Play, warp_of
+from tautline.encoder import between_counts
 from tautline.model import STEEPEST, Model, allowed_width
 from tautline.predict import predict
 from tautline.recording import Motor
@@ -296,11 +297,13 @@ def test_one_model_gives_one_prediction(elements, seed, started, narrow):
     if narrow:
         own = replace(own, width=np.clip(0.2 * GRID, 0.0, None))
     rng = np.random.default_rng(seed)
-    motor = Motor(np.arange(60.0), rng.uniform(-5.5, 5.5, 60))
+    motor = Motor(
+        np.arange(0.0, 60.0, 0.1), np.interp(np.arange(0.0, 60.0, 0.1), np.arange(61), rng.uniform(-5, 5, 61))
+    )
     at = np.sort(rng.uniform(-1, 61, 200))
     start = float(12.0 * motor.q[0] + rng.uniform(-1, 1)) if started else None
     expected = own.simulate(motor, at, start)
-    path_ = effects.follow(own, motor, at, {}, start)
+    path_ = effects.follow(own, between_counts(motor, 0.001), at, {}, start)
     np.testing.assert_allclose(path_.c_deg, expected, atol=1e-9)
     np.testing.assert_allclose(predict(own, motor, at, start).c_deg, expected, atol=1e-9)
 

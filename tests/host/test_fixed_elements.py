@@ -128,14 +128,17 @@ def test_forward_stays_within_two_counts_over_any_path(model: Model, seed: int) 
 @given(models(), st.integers(0, 2**32 - 1))
 @settings(max_examples=40)
 def test_forward_is_the_models_to_two_counts(model: Model, seed: int) -> None:
-    """Or, where that is more, to what the board's grid leaves of a smooth width: a 10 000th of the range."""
+    """Or, where that is more, to what straight lines between the nodes of the board's grid leave of B and of Y."""
     blob = tables.encode(model)
     low, high = Several.of(blob).table.q_range
     q = np.rint(walk(np.random.default_rng(seed), low, high, 25, 800))
     unit = model.rig.actuator.encoder_resolution / COUNT
     p = _native.FixedPlay(_native.FixedTable(blob), int(q[0])).run(q.astype(np.int32))[0]
     expected = model.play.forward(q * unit) / unit
-    assert np.abs(p - expected).max() <= max(TOLERANCE, 1e-4 * (high - low))
+    step = (1 << _native.FixedTable(blob).fields["step_log2"]) * unit
+    slope = np.gradient(model.width, model.q)
+    bend = np.abs(np.gradient(slope, model.q)).max() + (np.abs(slope) / model.width).max()  # 1 / unit
+    assert np.abs(p - expected).max() <= max(TOLERANCE, step**2 * bend / 4 / unit)
 
 
 @given(models(), st.integers(0, 2**32 - 1), st.sampled_from([0.3, 0.7, 1.0]))

@@ -245,6 +245,16 @@ def test_a_seed_gives_the_same_files_and_another_seed_others(tmp_path: Path) -> 
     assert texts[0] == texts[1] and texts[0] != texts[2]
 
 
+@pytest.mark.parametrize("name", ["times-jitter-by-20-ms", "frames-arrive-in-bunches", "variable-rate"])
+def test_times_rise_even_where_they_jitter(name: str, tmp_path: Path) -> None:
+    setup = build(name, 1)
+    setup.recordings = [motion.visit([0.0, 0.5, 0.0, 0.5], 0.1, 0.0, 10.0)]
+    path = record.make(setup, tmp_path).recordings[0]
+    file = path / ("marker.csv" if setup.video is None else "frames.csv")
+    t = np.loadtxt(file, delimiter=",", skiprows=1)[:, 0 if setup.video is None else 1]
+    assert len(t) > 200 and np.diff(t).min() > 1e-7
+
+
 @pytest.mark.parametrize(
     "name", ["twenty-seconds", "angle-80-ms-late", "another-blob-for-a-while", "load-on-a-spindle"]
 )

@@ -15,7 +15,7 @@ from tautline.calibration.onset import Delay
 from tautline.cli._picture import calibration_picture, picture, standing
 from tautline.cli.calibrate import sigma_of
 from tautline.live.rounds import (
-    FIXED,
+    FEWEST,
     Means,
     Place,
     Round,
@@ -109,7 +109,7 @@ def test_the_second_round_strokes_both_ends_and_what_is_worst() -> None:
 
 
 def test_later_rounds_go_where_sigma_is_worst_alone() -> None:
-    done: list[Round | Strokes] = [first_round(MEANS)] * FIXED
+    done: list[Round | Strokes] = [first_round(MEANS), Strokes((), 5.6)]
     wanted = next_round(MEANS, of(found(sigma_with((4.6, 4.8, 9e-3)))), UNTIL, done, 20.0)
     assert isinstance(wanted, Strokes) and len(wanted.places) == 1
     assert wanted.places[0].high == 5.0 and wanted.places[0].low > 3.5
@@ -144,7 +144,7 @@ def test_no_round_leaves_range_or_speed(
 
 def test_strokes_cover_what_needs_it_both_ways() -> None:
     standing = of(found(sigma_with((0.0, 0.5, 9e-3))))
-    wanted = next_round(MEANS, standing, UNTIL, [first_round(MEANS)] * 3, 20.0)
+    wanted = next_round(MEANS, standing, UNTIL, [first_round(MEANS), Strokes((), 5.6)], 20.0)
     assert isinstance(wanted, Strokes)
     place = wanted.places[0]
     # p = q - B/2 on the way up, q + B/2 on the way down: from 0.0 to 0.5 on both.
@@ -154,10 +154,10 @@ def test_strokes_cover_what_needs_it_both_ways() -> None:
 
 def test_why_not_is_said_when_it_is_hopeless_and_not_before() -> None:
     near = of(found(sigma_with((1.0, 1.2, 4e-3))))
-    assert why_not(near, UNTIL, "mm", CLEAR, 20.0, 120.0, FIXED) == ""
+    assert why_not(near, UNTIL, "mm", CLEAR, 20.0, 120.0, FEWEST) == ""
     noisy = of(found(sigma_with((-4.8, 4.8, 30e-3))))
     assert why_not(noisy, UNTIL, "mm", CLEAR, 20.0, 120.0, 1) == ""  # before both rounds have been made
-    said = why_not(noisy, UNTIL, "mm", Sight(0.5, (0.0, 0.0)), 20.0, 120.0, FIXED)
+    said = why_not(noisy, UNTIL, "mm", Sight(0.5, (0.0, 0.0)), 20.0, 120.0, FEWEST)
     assert "0.5 px of noise" in said and "30 µm" in said and "2000 s would be needed" in said
     assert why_not(of(found(sigma_with())), UNTIL, "mm", CLEAR, 500.0, 120.0, 5) == ""
     late = why_not(near, UNTIL, "mm", CLEAR, 121.0, 120.0, 5)
@@ -171,13 +171,13 @@ def test_why_not_names_what_is_not_seen_and_what_is_doubted() -> None:
     elsewhere = why_not(of(found(sigma_with((-3.0, -2.0, 0.2)))), UNTIL, "mm", Sight(0.05, (3.4, 5.0)), 121.0, 120.0, 3)
     assert "noise" in elsewhere
     short = of(found(sigma_with(), (-4.8, 2.0)))
-    assert "not seen from 2.1 to 5" in why_not(short, UNTIL, "mm", Sight(0.05, (2.1, 5.0)), 40.0, 120.0, FIXED)
-    assert "no reversal from 2 to 5 mm" in why_not(short, UNTIL, "mm", CLEAR, 40.0, 120.0, FIXED)
+    assert "not seen from 2.1 to 5" in why_not(short, UNTIL, "mm", Sight(0.05, (2.1, 5.0)), 40.0, 120.0, FEWEST)
+    assert "no reversal from 2 to 5 mm" in why_not(short, UNTIL, "mm", CLEAR, 40.0, 120.0, FEWEST)
     stuck = replace(short, strokes=4.5)
-    assert "strokes of 4.5 mm moved nothing" in why_not(stuck, UNTIL, "mm", CLEAR, 40.0, 120.0, FIXED)
+    assert "strokes of 4.5 mm moved nothing" in why_not(stuck, UNTIL, "mm", CLEAR, 40.0, 120.0, FEWEST)
     doubt = Reason("transmission.lag", "the tip follows late", "mend it")
     slow = of(found(sigma_with((-4.8, 4.8, 0.03)), reasons=(doubt,)))
-    assert "the tip follows late: mend it" in why_not(slow, UNTIL, "mm", CLEAR, 20.0, 120.0, FIXED)
+    assert "the tip follows late: mend it" in why_not(slow, UNTIL, "mm", CLEAR, 20.0, 120.0, FEWEST)
 
 
 @pytest.mark.parametrize(

@@ -116,12 +116,12 @@ def test_an_offset_of_the_image_is_found_to_2_ms(offset_s):
     print(f"{offset_s} s: {1e3 * error:.2f} ms off, stated {1e3 * found.delay.sigma_s:.2f}")
     assert abs(error) < 2e-3
     assert found.model.delay_s == CAMERA_RIG.delay_s
-    assert next(r.code for r in found.model.quality.reasons) == "clock.offset"
+    assert found.model.quality.reasons[0].code == "clock.offset"
     assert found.model.quality.usable and found.to_json()["offset_s"] == found.model.offset_s
 
 
 @settings(max_examples=12, deadline=None)
-@given(offset_s=st.floats(0.35, 9.5), sign=st.sampled_from([-1.0, 1.0]))
+@given(offset_s=st.floats(0.5, 9.5), sign=st.sampled_from([-1.0, 1.0]))
 def test_an_offset_of_an_angle_sensor_is_found_wherever_it_is(offset_s, sign):
     aligned = clock.align(observe([late(PLAIN, sign * offset_s)], RIG), RIG)
     assert aligned.offset_s == pytest.approx(sign * offset_s + 0.03, abs=5e-3)
@@ -142,7 +142,11 @@ def test_a_delay_out_of_find_delays_reach_is_found():
 
 def test_two_offsets_that_fit_are_refused():
     repeating = Motion.through((-30, 30) * 12, 20.0)  # once in 6 s
-    found = calibrate([late(record(repeating), 2.0)], RIG)
+    whole = late(record(repeating), 2.0)
+    motor, angle = whole.motor, whole.angle
+    k, j = (motor.t_s > 8.0) & (motor.t_s < 61.0), (angle.t_s > 11.0) & (angle.t_s < 59.0)
+    part = replace(whole, motor=Motor(motor.t_s[k], motor.q[k]), angle=Angle(angle.t_s[j], angle.c_deg[j]))
+    found = calibrate([part], RIG)
     reason = found.model.quality.reasons[0]
     print(reason)
     assert reason.code == "clock.offset" and reason.fatal and "fit alike" in reason.says
@@ -178,7 +182,7 @@ def test_held_values_count_once_and_a_rest_stays_seen(hold, seed, rest):
     rng = np.random.default_rng(seed)
     there = np.cumsum(rng.uniform(0.3, 0.6, 30))
     still = np.full(rest, there[-1])
-    samples = np.concatenate([there, still, there[::-1][1:]])
+    samples = np.concatenate([there, still, there[::-1][1:] - rng.uniform(0.01, 0.2, 29)])
     fresh = not_held(np.repeat(samples, hold)[:, None])
     assert np.array_equal(np.flatnonzero(fresh), hold * np.arange(len(samples)))
 

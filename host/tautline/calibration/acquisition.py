@@ -36,14 +36,17 @@ _SEEN = 0.3  # of the frames there
 _FEWEST = 20  # frames from which a share is one
 
 
-def doubts(recordings: Sequence[Recording], tracks: Sequence[Track], rig: Rig) -> list[Reason]:
-    """What contradicts the rig, and what of the motion was not seen. tracks: what the recordings show."""
+def doubts(
+    recordings: Sequence[Recording], tracks: Sequence[Track], offsets_s: Sequence[float], rig: Rig
+) -> list[Reason]:
+    """What contradicts the rig, and what of the motion was not seen. tracks: what the recordings show, on the motor's
+    clock, from which their own differ by offsets_s."""
     found = _range(tracks, rig)
     if rig.camera is not None and tracks[0].unit == "px":
         found += _frame_size(recordings, tracks, rig, rig.camera)
         found += _rate(recordings, rig.camera)
-    for recording, track in zip(recordings, tracks, strict=True):
-        found += _duration(recording, track, rig.nominal_delay_s(track.sensor))
+    for recording, track, offset_s in zip(recordings, tracks, offsets_s, strict=True):
+        found += _duration(recording, track, rig.nominal_delay_s(track.sensor), offset_s)
         if recording.marker is not None and track.unit == "px":
             found += _lost(recording, recording.marker, rig)
     return found
@@ -213,12 +216,14 @@ def _lost(recording: Recording, marker: Marker, rig: Rig) -> list[Reason]:
 # ---- clocks
 
 
-def _duration(recording: Recording, track: Track, delay_s: float) -> list[Reason]:
+def _duration(recording: Recording, track: Track, delay_s: float, offset_s: float) -> list[Reason]:
     """Frames and motor that do not last equally long: a camera that started late or stopped early, or two clocks."""
     whole = recording.marker.t_s if track.unit == "px" and recording.marker is not None else track.t_s
     if len(track.t_s) < _FEWEST:
         return []
     motor = recording.motor
+    if whole is not track.t_s:
+        whole = whole - offset_s
     first, last = float(whole[0]) - delay_s, float(whole[-1]) - delay_s
     lasts, frames = float(motor.t_s[-1] - motor.t_s[0]), last - first
     slack = max(_LOST_ENDS_S, _LOST_ENDS * lasts)

@@ -17,7 +17,7 @@ from tautline.calibration.backlash import WidthCurve, fit_paper, fit_widths
 from tautline.calibration.components import Components, separate
 from tautline.calibration.doubts import doubts, floor_of
 from tautline.calibration.observations import Track, observe
-from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, find_delay, find_onsets
+from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, find_onsets
 from tautline.calibration.place import allowing_for_place, as_many_as_independent, place_noise
 from tautline.calibration.playfit import NODES, Fitted
 from tautline.calibration.remaining import Remaining, fit_remaining, morphological, pose_of, posed
@@ -144,7 +144,10 @@ def calibrate(
         raise TautError(f"the tip was seen in {frames} frames only: record the calibration motion with it in view")
     with threadpool_limits(1, "blas"):  # its systems are small: threads that wait for each other cost 10 times more
         aligned = clock.align(tracks, rig) if options.delay_s is None else clock.Clock.as_it_is(tracks)
-        return _Session(aligned, rig, options, say, acquisition_doubts(recordings, every, rig)).run()
+        moved = iter(zip(aligned.tracks, aligned.offsets_s, strict=True))
+        pairs = [next(moved) if len(track.t_s) else (track, 0.0) for track in every]
+        reasons = acquisition_doubts(recordings, [track for track, _ in pairs], [offset for _, offset in pairs], rig)
+        return _Session(aligned, rig, options, say, reasons).run()
 
 
 class _Session:
@@ -209,7 +212,7 @@ class _Session:
             return Delay(self.options.delay_s, 0.0, 0)
         if not self.camera:
             return clock.delay_of_all(self.tracks, self.rig)
-        return find_delay(self.tracks, self.rig, clock.near_delay(self.tracks, self.rig))
+        return clock.delay_of_stops(self.tracks, self.rig)
 
     def _joint_delay(self, stops: Delay, joint: Fitted) -> Delay:
         # Each turn is known to a rounded count: an error of time at the motor's speed.

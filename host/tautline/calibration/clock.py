@@ -34,7 +34,10 @@ _FOLLOWS = 0.25  # a misfit above says that the sensor does not follow this moto
 _RIVAL = 2.0  # times the least misfit: an offset that leaves less may be the true one
 _NOISY = 0.05  # share of noise in what was seen, above which there is no motion to compare
 _PITCH_S = 0.05
+_EDGE_S = 0.09  # find_delay's reach is a little more
 _NEAR_S = 1.0  # a clock that is off by less need not leave much
+_BEATEN = 1.4  # times what is left by a lag nearby that is no delay
+_APART_S = 0.3  # offsets that are nearer are one
 _RIDGE = 3.0  # times the misfit between two offsets, where they are two
 _ANEW = 8  # lags after which all widths are tried
 _ORDER = 5
@@ -51,7 +54,7 @@ _PER_STROKE = 4.0  # independent errors of a model within a stroke, at most
 _STROKES = 10  # what a model does not hold is much the same in further ones
 _WHITE = 1.05  # residual over noise up to which nothing else is in it
 _EXPLAINED = 1.5
-_CLEARLY = 1.1  # times the residual
+_CLEARLY = 1.03  # times the residual
 _LIKELY = 3.0  # standard deviations
 _SAMPLES, _LITTLE_S = 1.5, 0.01  # a delay of less may be an error of the model
 _AROUND_S = 0.5
@@ -152,7 +155,7 @@ def find_offset(track: Track, rig: Rig) -> Offset | None:
     misfits = sight.misfits(near)
     delays = np.abs(near - nominal_s) <= DELAY_REACH_S
     least = float(misfits[delays].min())
-    at_nominal = least <= max(FITS, 4.0 * sight.noise_share) and least <= _RIVAL * misfits.min()
+    at_nominal = least <= max(FITS, 4.0 * sight.noise_share) and least <= _BEATEN * misfits.min()
     if at_nominal and sight.along(float(near[delays][int(misfits[delays].argmin())])):
         return Offset(0.0, 0.0, least)
     lags = nominal_s + np.arange(-round(REACH_S / _PITCH_S), round(REACH_S / _PITCH_S) + 1) * _PITCH_S
@@ -182,7 +185,8 @@ def _rivals(sight: _Sight, fine: _Sight, lags: npt.NDArray[Any]) -> list[_Lag]:
         if one.misfit > _RIVAL * found[0].misfit:
             break
         between = (finite[(lags > min(one.lag_s, r.lag_s)) & (lags < max(one.lag_s, r.lag_s))] for r in rivals)
-        if all(len(ridge) and ridge.max() > _RIDGE * one.misfit for ridge in between):
+        apart = all(abs(one.lag_s - r.lag_s) > _APART_S for r in rivals)
+        if apart and all(len(ridge) and ridge.max() > _RIDGE * one.misfit for ridge in between):
             rivals.append(one)
     return rivals
 
@@ -222,9 +226,20 @@ def _stretched(track: Track, rig: Rig, misfit: float) -> Reason | None:
     )
 
 
-def near_delay(tracks: Sequence[Track], rig: Rig) -> float:
-    """Where to look for the delay: the nominal one, unless another lag within DELAY_REACH_S fits clearly better."""
+def delay_of_stops(tracks: Sequence[Track], rig: Rig) -> Delay:
+    """find_delay's, from where all frames put it if that is beyond what it looks through around the nominal one."""
     nominal_s = rig.nominal_delay_s(tracks[0].sensor)
+    delay = find_delay(tracks, rig, nominal_s)
+    if abs(delay.delay_s - nominal_s) < _EDGE_S and np.isfinite(delay.sigma_s):
+        return delay
+    start_s = _near_delay(tracks, rig, nominal_s)
+    other = find_delay(tracks, rig, start_s)
+    inside = abs(other.delay_s - start_s) < _EDGE_S and np.isfinite(other.sigma_s)
+    return other if inside else delay
+
+
+def _near_delay(tracks: Sequence[Track], rig: Rig, nominal_s: float) -> float:
+    """The nominal delay, unless another lag within DELAY_REACH_S fits clearly better."""
     sights = [sight for sight in (_Sight.of(track, rig, _FRAMES[0]) for track in tracks) if sight is not None]
     if not sights:
         return nominal_s
@@ -365,7 +380,13 @@ def delay_of_all(tracks: Sequence[Track], rig: Rig) -> Delay:
         return Delay(nominal_s, np.inf, 0)
     lags = nominal_s + np.linspace(-DELAY_REACH_S, DELAY_REACH_S, 21)
     start = float(lags[int(np.argmin(np.sum([sight.misfits(lags) for sight in sights], axis=0)))])
-    believed = _NOMINAL_S[rig.angle is not None]
+    try:
+        return _posterior(sights, nominal_s, start, _NOMINAL_S[rig.angle is not None])
+    except np.linalg.LinAlgError:  # the tip is seen at too few places
+        return Delay(nominal_s, np.inf, 0)
+
+
+def _posterior(sights: Sequence[_Sight], nominal_s: float, start: float, believed: float) -> Delay:
     for spans in _SPANS:
         profile = _Profile(sights, spans, nominal_s, believed, start)
         best = min((nominal_s, 0.5 * (start + nominal_s), start), key=profile.surprise)

@@ -147,7 +147,8 @@ def not_held(y: Array) -> Mask:
         return fresh
     step = np.linalg.norm(y[changes] - y[changes - 1], axis=1)
     runs = np.diff(changes)  # of the value that changes[i] began
-    moves = np.minimum(step[:-1], step[1:]) > _RESOLVED * float(np.quantile(step, 0.02))
+    resolution = float(np.quantile(np.diff(np.unique(y[:, 0])), 0.05)) if len(np.unique(y[:, 0])) > 1 else np.inf
+    moves = np.minimum(step[:-1], step[1:]) > _RESOLVED * resolution
     if moves.sum() < _FEWEST_RUNS or np.mean(runs[moves] > 1) < _HELD:
         return fresh
     hold = int(np.quantile(runs[moves & (runs > 1)], 0.95))

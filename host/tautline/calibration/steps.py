@@ -27,7 +27,10 @@ def jumps(motor: Motor, resolution: float) -> npt.NDArray[np.intp]:
     """The samples after which the motor is somewhere else at once."""
     moved = np.abs(np.diff(motor.q))
     speed = moved / np.diff(motor.t_s)
-    beside = np.maximum(np.append(speed[1:], 0.0), np.append(0.0, speed[:-1]))
+    # Of three samples before and after it: a jump may be followed by the jump back.
+    padded = np.concatenate([np.zeros(3), speed, np.zeros(3)])
+    usual = np.median(np.lib.stride_tricks.sliding_window_view(padded, 3), axis=1)
+    beside = np.maximum(usual[: len(speed)], usual[4:])
     least = max(_COUNTS * resolution, _SHARE * float(np.ptp(motor.q)))
     return np.flatnonzero((moved > least) & (speed > _FASTER * beside))
 

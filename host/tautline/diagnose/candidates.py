@@ -22,6 +22,7 @@ Progress = Callable[[str], None]
 
 _MARGIN_S = 1.0  # before and after a shift that a recording has to show
 _CHANGES = 0.15  # share of a change with time that a recording has to show
+_LITTLE = 0.1
 _NOISE = 4.0  # floors: what is more is no noise, and a lost marker counts no more than that
 
 
@@ -43,8 +44,9 @@ class Found:
     def parameters(self) -> int:
         """Those that were fitted, and those of the scatter."""
         hypothesis, values = self.fit.hypothesis, self.fit.state.values
-        # What each recording has of its own is paid for by its own blocks.
-        keys = {slot.key for slot in hypothesis.slots if slot.number <= 1}
+        # A spline that each recording has of its own is paid for by its own blocks.
+        single = {p for kind in hypothesis.kinds if kind.each for p in kind.amplitudes}
+        keys = {slot.key for slot in hypothesis.slots if slot.number <= 1 or slot.parameter in single}
         keys |= {p.name for kind in hypothesis.kinds for p in kind.parameters if p.searched} - SCATTERS
         return len(keys & values.keys()) + len(self.scatters)
 
@@ -146,7 +148,8 @@ class Search:
         assert kind.event
         hypothesis = below.fit.hypothesis.plus(kind, Scope.TESTS)
         values = {**below.fit.state.values, kind.event.amount: 0.0, kind.event.mean: amount}
-        fit = self.fitter.fit(hypothesis, values, below.fit.state)
+        little = {kind.event.mean: _LITTLE * amount}  # what is below may hold most of it already
+        fit = self.fitter.fit(hypothesis, values, below.fit.state, [little])
         return self.judged(fit) if fit.finite and fit.state.values[kind.event.mean] > 0.0 else None
 
     def _seen_to_happen(self, fit: Fit) -> bool:

@@ -25,6 +25,7 @@ Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 FORMAT = "diagnosis/1"
+_NO_NOISE = 0.8  # of a floor: a calibration that leaves less shows that it is none
 _STEADY = 0.5  # share of a gap's power that does not change within a recording
 
 
@@ -56,7 +57,8 @@ def diagnose(
     fitter.floor = gap.noise_floor(segments, frozen)
     base = fitter.nominal()
     # A rest in which the tip goes on moving is no noise: the calibration has no more of it than its own fit leaves.
-    floor = fitter.floor = min(gap.noise_floor(segments, base.residuals), gap.rms(frozen[:1]))
+    floor, left = gap.noise_floor(segments, base.residuals), gap.rms(frozen[:1])
+    floor = fitter.floor = left if left < _NO_NOISE * floor else floor
     kinds = applicable(fitter, left_out)
     hidden = confounded.hidden(kinds, segments)
     kinds = [kind for kind in kinds if kind.id not in hidden]

@@ -130,7 +130,10 @@ class _Weighing:
             self.add_posture(found)
         if hidden:
             self.add_in_the_mean(self.search.base)
-            self.add_in_the_mean(found[0])
+            # Another width is what sticking does in the mean: beside it nothing of that would be seen.
+            best = next((one for one in found if not one.fit.hypothesis.kinds[0].posture), None)
+            if best is not None:
+                self.add_in_the_mean(best)
 
     def add_further(self, found: Sequence[Found]) -> None:
         """Of more than one effect, best first."""

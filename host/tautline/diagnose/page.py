@@ -22,7 +22,7 @@ FILE = "report.html"
 _CANDIDATES = 5
 _GUESS = 0.2  # share of a gap that an effect must close for its stage to be a guess
 _PARAMETERS = 6  # of an effect; a spline's coefficients say nothing to a reader
-_AXES = 4  # pictures of where and when it is
+_AXES = 3  # pictures of where and when it is
 _MANY_POINTS = 2500
 _TITLES = {
     "q": "motor position",

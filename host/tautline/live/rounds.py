@@ -35,7 +35,7 @@ _MOST_PASSES = 4
 _FRAMES_A_STROKE = 6  # in which the tip moves, at least
 _STROKES = (1, 6)  # there and back, at least and at most
 _AIM = 0.9  # of the goal, or the next round's is a little place beside this one's
-FIXED = 2  # rounds that are made whatever sigma says: few reversals do not tell a width from a delay
+FEWEST = 2  # rounds before one gives up
 # What the board takes for an onset, in shares of the range: it ends strokes, it measures nothing.
 _SIGMA_WANTED, _SIGMA_USABLE = 1e-3, 1e-2
 
@@ -198,6 +198,11 @@ def in_words(sigma: float, unit: str) -> str:
 # -- the next round ---------------------------------------------------------------------------------------------------
 
 
+def both_made(done: Sequence[Round | Strokes]) -> bool:
+    """Whether passes and strokes were made: without both sigma is not believed."""
+    return any(isinstance(made, Strokes) for made in done)
+
+
 def first_round(means: Means) -> Round:
     """All of the range, out and back."""
     return _round(means, means.low, means.high, means.speeds[:1], _CYCLES, _STROKE * means.span)
@@ -207,7 +212,7 @@ def next_round(
     means: Means, standing: Standing, until: float, done: Sequence[Round | Strokes], seconds: float
 ) -> Round | Strokes:
     """Strokes where B(q) is known too badly; all of the range again, as long as it will take, where that is much of it
-    or something is missing. The second round has strokes at both ends in any case: passes are there once, for a frame
+    or something is missing. The first strokes are at both ends, too, in any case: passes are there once, for a frame
     or two, and what a smooth curve says of the rest is no measurement.
 
     seconds: that the rounds so far took.
@@ -217,7 +222,7 @@ def next_round(
         stroke = _LONGEST_STROKE if standing.strokes > 0 else _STROKE
         return _round(means, means.low, means.high, (speed,), _CYCLES, stroke * means.span)
     more = (standing.worst / until) ** 2
-    need = _with_ends(standing, until) if len(done) == 1 else standing.need
+    need = standing.need if both_made(done) else _with_ends(standing, until)
     if sum(place.high - place.low for place in need) <= _WHOLE * means.span:
         return Strokes(tuple(_stroke(means, place, standing.widest, until, seconds) for place in need), means.speeds[0])
     # A place's variance falls as the time spent there grows.
@@ -274,7 +279,7 @@ def why_not(
 ) -> str:
     """Why the goal is out of reach, empty where it may be reached yet: one sentence with its remedy."""
     out_of_time = seconds >= at_most_s
-    if standing.reached(until) or (rounds < FIXED and not out_of_time):
+    if standing.reached(until) or (rounds < FEWEST and not out_of_time):
         return ""
     if not standing.covered:
         return _uncovered(standing, unit, sight)

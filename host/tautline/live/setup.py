@@ -275,8 +275,9 @@ class Recorder:
         motor, marker = (np.array(list(self._rows[name])) for name in ("motor", "marker"))
         if not len(motor) or not len(marker):
             raise TautError("nothing was recorded yet: no telemetry or no frame came")
-        t_s, u_px, v_px, valid, sigma_px = marker.T[:5]
-        seen = Marker(t_s, u_px, v_px, valid > 0.5, sigma_px)
+        t_s, u_px, v_px, valid, sigma_px, *size = marker.T
+        frame_px = (int(size[0][0]), int(size[1][0])) if size else None
+        seen = Marker(t_s, u_px, v_px, valid > 0.5, sigma_px, frame_px=frame_px)
         return Recording(self.folder.name, Motor(*motor.T), seen, rig=self._live.rig)
 
     def motor_at(self, t_s: float) -> float:

@@ -10,11 +10,11 @@ from pathlib import Path
 from tautline.calibration.calibrate import Calibration, Options
 from tautline.errors import TautError
 from tautline.live.rounds import (
-    FIXED,
     Means,
     Round,
     Standing,
     Strokes,
+    both_made,
     default_until,
     first_round,
     in_words,
@@ -128,7 +128,7 @@ def _rounds(
             )
         if view.seconds > at_most_s:
             return True
-        return len(rounds) > FIXED and fresh and view.standing is not None and view.standing.reached(until)
+        return both_made(rounds[:-1]) and fresh and view.standing is not None and view.standing.reached(until)
 
     rounds: list[Round | Strokes] = []
     while True:
@@ -146,7 +146,7 @@ def _rounds(
         motions.still()
         watch.settle()
         assert view.standing is not None
-        if view.standing.reached(until) and len(rounds) >= FIXED:
+        if view.standing.reached(until) and both_made(rounds):
             return rounds, ""
         why = why_not(view.standing, until, view.unit, watch.sight(), view.seconds, at_most_s, len(rounds))
         if why:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from math import sqrt
 
@@ -14,7 +15,7 @@ from tautline._native import MARKER_CLIPPED, MARKER_CUT_OFF, MARKER_FOUND, marke
 from tautline.errors import TautError
 from tautline.recording import Marker, Video
 from tautline.vision.camera import VideoCamera, sample_video
-from tautline.vision.colour import COLOUR_FILE, MarkerColour, candidates
+from tautline.vision.colour import COLOUR_FILE, MarkerColour, candidates, pick
 
 Array = np.ndarray
 Progress = Callable[[float, str], None]
@@ -33,6 +34,8 @@ _STAYS, _ELSEWHERE = (
 )  # of the pictures in which a thing that is not the marker stays, and the marker is not there
 _LEAP, _FASTER = 0.5, 3.0  # diameters at once, and times its usual speed, that the marker may go while it is not seen
 _WHOLE, _AROUND = 0.04, 12  # of its diameter in so many frames to either side: a marker of which nothing is hidden
+_PALE = 0.8  # of its usual purity, below which a picked colour is not the marker's own
+_AS_OFTEN = 0.9  # as the colour that was picked first, another one has to find the marker
 _SURE_PX = 1e-3  # no position is said to be known better
 _SAMPLES = 24  # frames of a video that are looked at for its marker's colour
 _MARGIN_PX = 8.0  # of the region around the marker: edges are compared with what lies 5.5 px beyond them
@@ -199,7 +202,31 @@ def find_colour(pictures: Sequence[Array]) -> MarkerColour | None:
     for picture in pictures[:: max(1, len(pictures) // 3)][:3]:
         colours += [colour for colour in candidates(picture)[:6] if not any(_alike(colour, other) for other in colours)]
     scored = [(_moving_share(colour, pictures), -k, colour) for k, colour in enumerate(colours)]
-    return max(scored, key=lambda entry: entry[:2])[2] if scored else None
+    if not scored:
+        return None
+    share, _, best = max(scored, key=lambda entry: entry[:2])
+    usual = _as_usual(best, pictures)
+    pale = _purity(best) < _PALE * _purity(usual)
+    return usual if pale and _moving_share(usual, pictures) >= _AS_OFTEN * share else best
+
+
+def _purity(colour: MarkerColour) -> float:
+    return 1.0 - min(colour.colour) / max(*colour.colour, 1.0)
+
+
+def _as_usual(colour: MarkerColour, pictures: Sequence[Array]) -> MarkerColour:
+    """The marker's colour picked again in all pictures, where its purity is the middle one: in the first it may have
+    been pale with light, and like other things."""
+    tracker = Tracker(colour)
+    found = []
+    for picture in pictures:
+        tracker.reset()
+        seen = tracker.track(picture)
+        if seen.valid:
+            with suppress(TautError):
+                found.append(pick(picture, (seen.u_px, seen.v_px)))
+    found.sort(key=_purity)
+    return found[len(found) // 2] if found else colour
 
 
 def alike_but_still(colour: MarkerColour, pictures: Sequence[Array]) -> list[tuple[float, float]]:
@@ -305,8 +332,8 @@ def track_video(video: Video, colour: MarkerColour | None = None, progress: Prog
 
 def of_one_marker(seen: Sequence[Sighting]) -> npt.NDArray[np.bool_]:
     """Which sightings (n,) are the marker's. After a loss something else may have been taken for it: what cannot be
-    reached from where it was, at the speed that it has, is left out, starting from the longest stretch that was
-    followed. Nor is a sighting beside a loss taken whose size differs: something is in front of a part of it."""
+    reached from where it was, at the speed that it has, is left out; of all ways to go on, the one that keeps most.
+    Nor is a sighting beside a loss taken whose size differs: something is in front of a part of it."""
     valid = np.array([s.valid for s in seen])
     place = np.array([(s.u_px, s.v_px) for s in seen])
     size = np.array([s.diameter_px for s in seen])
@@ -319,19 +346,28 @@ def of_one_marker(seen: Sequence[Sighting]) -> npt.NDArray[np.bool_]:
     usual = float(np.median(size[at]))
     jumps = step > _LEAP * usual + _FASTER * speed * gap
     stretches = np.split(at, np.flatnonzero(jumps) + 1)
-    longest = max(range(len(stretches)), key=lambda k: len(stretches[k]))
-    for order, near, far in ((range(longest + 1, len(stretches)), -1, 0), (range(longest - 1, -1, -1), 0, -1)):
-        last = stretches[longest][near]
-        for k in order:
-            first = stretches[k][far]
-            reach = _LEAP * usual + _FASTER * speed * abs(first - last)
-            if np.hypot(*(place[first] - place[last])) > reach:
-                valid[stretches[k]] = False
-            else:
-                last = stretches[k][near]
+    for k in _not_in_chain(stretches, place, lambda frames: _LEAP * usual + _FASTER * speed * frames):
+        valid[stretches[k]] = False
     lost = ~valid
     beside = valid & (np.roll(lost, 1) | np.roll(lost, -1))
     for k in np.flatnonzero(beside):
         around = size[max(0, k - _AROUND) : k + _AROUND + 1][valid[max(0, k - _AROUND) : k + _AROUND + 1]]
         valid[k] = abs(size[k] / np.median(around) - 1.0) < _WHOLE
     return valid
+
+
+def _not_in_chain(stretches: Sequence[Array], place: Array, reach: Callable[[int], float]) -> list[int]:
+    """All but those that follow each other within reach and hold most frames together."""
+    best = np.array([len(stretch) for stretch in stretches])
+    before = np.full(len(stretches), -1)
+    for k, stretch in enumerate(stretches):
+        for j in range(k):
+            end, start = stretches[j][-1], stretch[0]
+            near = np.hypot(*(place[start] - place[end])) <= reach(int(start - end))
+            if near and best[j] + len(stretch) > best[k]:
+                best[k], before[k] = best[j] + len(stretch), j
+    kept, k = set(), int(np.argmax(best))
+    while k >= 0:
+        kept.add(k)
+        k = int(before[k])
+    return [k for k in range(len(stretches)) if k not in kept]

@@ -105,7 +105,7 @@ def times_jitter_by_20_ms(rng: Rng) -> Setup:
 
     def stamp(t: Array, rng: Rng) -> Array:
         late = t + np.abs(rng.normal(0, 0.02, len(t)))
-        return np.maximum.accumulate(late + 1e-6 * np.arange(len(t)))
+        return np.maximum.accumulate(late) + 2e-6 * np.arange(len(t))
 
     image.stamp = stamp
     return s

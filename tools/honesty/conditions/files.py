@@ -82,7 +82,7 @@ def u_and_v_swapped(rng: Rng) -> Setup:
     return s
 
 
-@condition("pictures_of_another_size", *PICTURE, "coordinates", must_not_pass=True)
+@condition("pictures_of_another_size", *PICTURE, "coordinates")
 def origin_at_the_lower_left(rng: Rng) -> Setup:
     s = camera_setup(rng)
     assert s.camera is not None

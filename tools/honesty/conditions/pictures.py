@@ -99,5 +99,5 @@ def variable_rate(rng: Rng) -> Setup:
     s = _filmed(rng, Film("MJPG", "mkv"))
     assert s.image is not None
     s.image.lost = 0.08
-    s.image.stamp = lambda t, rng: np.maximum.accumulate(t + rng.exponential(0.004, len(t)) + 1e-6 * np.arange(len(t)))
+    s.image.stamp = lambda t, rng: np.maximum.accumulate(t + rng.exponential(0.004, len(t))) + 2e-6 * np.arange(len(t))
     return s
