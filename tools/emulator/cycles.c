@@ -12,7 +12,7 @@
 #include "tautline/tl_onset.h"
 
 enum { STEP_TIP, STEP_OTHER, WATCH, GUARD, MOTION, ONSET, STEP_PLAYS, WATCH_PLAYS, LOOKUP, LOOKUP_YARDSTICK, EMPTY };
-enum { TABLES = 90, PLAY_TABLES = 30, TICKS = 300, RATE_HZ = 5000, MOTIONS = 600, REVERSALS = 500 };
+enum { TABLES = 90, PLAY_TABLES = 45, TICKS = 300, RATE_HZ = 5000, MOTIONS = 600, REVERSALS = 500 };
 
 #define BEGIN(kind)                                                                                                    \
     do {                                                                                                               \

@@ -9,12 +9,12 @@ _Static_assert(TL_COMPENSATOR_BELOW == TL_LOOKUP_BELOW && TL_COMPENSATOR_ABOVE =
 #define RATE_MIN_HZ 16U
 #define RATE_MAX_HZ 100000U
 
-static TL_FAST tl_per_tick_t per_tick(int32_t per_second_q8, uint32_t rate_hz) {
+static tl_per_tick_t per_tick(int32_t per_second_q8, uint32_t rate_hz) {
     const uint64_t scaled = ((uint64_t)(uint32_t)per_second_q8 << 32) / rate_hz;
     return (tl_per_tick_t){(int32_t)(scaled >> 32), (uint32_t)scaled};
 }
 
-static TL_FAST void set_limits(tl_compensator_t *k, const tl_table_t *table) {
+static void set_limits(tl_compensator_t *k, const tl_table_t *table) {
     tl_takeup_set_limits(&k->takeup, table, k->rate_hz);
     k->feed_max = per_tick(table->speed_max_q8, k->rate_hz);
     k->feed_flat = per_tick(table->flat_speed_q8, k->rate_hz);

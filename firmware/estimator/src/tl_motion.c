@@ -178,7 +178,7 @@ static TL_FAST void begin_stopping(tl_motion_t *m, tl_motion_state_t ends_as) {
     }
 }
 
-static TL_FAST tl_motion_error_t check(const tl_motion_config_t *c, tl_count_q8_t q) {
+static tl_motion_error_t check(const tl_motion_config_t *c, tl_count_q8_t q) {
     if (c->rate_hz < 1000 || c->rate_hz > 10000) {
         return TL_MOTION_BAD_RATE;
     }

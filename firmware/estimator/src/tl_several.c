@@ -29,7 +29,7 @@ static TL_FAST int32_t held(const tl_compensator_t *k) {
     return offset < 0 ? -half_of(k, 2U * (uint32_t)-offset) : half_of(k, 2U * (uint32_t)offset);
 }
 
-TL_FAST void tl_several_hold(tl_compensator_t *k) {
+void tl_several_hold(tl_compensator_t *k) {
     const int32_t offset = held(k);
     if (k->side == 0) {
         k->start_offset = offset;
