@@ -66,7 +66,7 @@ def _range(tracks: Sequence[Track], rig: Rig) -> list[Reason]:
     actuator = rig.actuator
     low, high = min(float(t.motor.q.min()) for t in tracks), max(float(t.motor.q.max()) for t in tracks)
     if in_another_unit((low, high), rig):
-        ratio = actuator.span / (high - low)
+        ratio = actuator.span / max(high - low, 1e-12)
         thousand = "micrometres: write it in mm" if 300 < ratio < 30_000 else ""
         thousand = "mm where the encoder counts micrometres" if 300 < 1 / ratio < 30_000 else thousand
         hint = f" (is it in {thousand}?)" if thousand and actuator.unit == "mm" else ""

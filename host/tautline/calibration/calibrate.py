@@ -42,6 +42,7 @@ _STANDS_OUT = 10.0  # a motion of so many sigma is one
 _AT_ONCE = 0.75  # of the path's slope: a tip that starts slower starts gradually
 _LITTLE = 0.03  # of the width: differences below are no contradiction
 _GRADUAL = 0.4  # noise: what a gradual start must leave for several elements to be tried
+_WORSE = 1.25  # times what the best single curve leaves: a B that leaves more is not for predictions
 _HELD = 0.5  # of the square of what one element leaves beyond noise: several may leave so much
 _LIKELY_GAIN = (0.4, 2.5)  # of f_coarse's, between which f_remain's is no wrong scale
 _LIKELY_BEND = 0.5  # of f_coarse's span, by which f_remain may leave it
@@ -274,7 +275,27 @@ class _Session:
             self.components = separate(joint, self.rig, without=frozenset({"phase.even"}))
         for part in self.components.parts:
             self.evidence[f"component_{part.name}"] = part.rms
-        return self.components.applied(joint)
+        apart = self.components.applied(joint)
+        return apart if self._predicts(apart, joint) else self._as_one(joint, self.components)
+
+    def _predicts(self, apart: Fitted, joint: Fitted) -> bool:
+        """Whether B as it is without the departures predicts what was seen about as well as the one that fits it best:
+        a departure that takes B far from that stands for something else."""
+        if self.components is None or not self.components.parts:
+            return True
+        smoothing = dict(apart.fit.smoothing)
+        alone = replace(apart.fit, fit_backlash=False, fit_delay=False, smoothing=smoothing)
+        left = alone.solve(self.components.usual, iterations=5, adapt=False).scale
+        self.evidence["residual_without_components"] = left
+        return left < _WORSE * max(joint.scale, 1.0)
+
+    @staticmethod
+    def _as_one(joint: Fitted, found: Components) -> Fitted:
+        """The joint fit as it is; how far the departures would take B from it is its uncertainty."""
+        width = joint.fit.width(joint.curves)
+        joint.fit.residuals(joint.curves)
+        spread = np.hypot(found.sigma, found.width - width)
+        return replace(joint, spread=spread, delay_spread=max(found.delay_sigma, joint.delay_sigma))
 
     def _several(self, joint: Fitted, found: Components) -> Fitted | None:
         """The joint fit with several elements, where the tip starts gradually and they hold most of it."""

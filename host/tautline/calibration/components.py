@@ -53,6 +53,7 @@ class Components:
     """B with all components beside it, as it is when the session ends. Arrays on the joint fit's grid."""
 
     curves: Curves
+    usual: Curves  # the same with B as it is in the mean of the session
     width: Array
     sigma: Array  # of B, model error included
     noise_sigma: Array  # of B if there were nothing but the noise of single frames
@@ -338,7 +339,7 @@ class _Solved:
         rests = np.mean(power[~moves]) if (~moves).sum() > _FEW else np.mean(power)
         moving = np.sqrt(np.mean(power[moves]) / max(float(rests), 1e-30)) if moves.any() else 1.0
         return Components(
-            curves, self.fit.width(curves), sigma, plain, delay, self.noise, float(moving), number,
+            curves, moved, self.fit.width(curves), sigma, plain, delay, self.noise, float(moving), number,
             tuple(parts), self.clock + self.clock_step,
         )  # fmt: skip
 

@@ -28,7 +28,7 @@ Sparse = Any  # a scipy.sparse matrix, or an array
 
 # Of the travel since a turn, in widths: where what follows a reversal is told apart; beyond the last, nothing.
 _PHASES = np.array([0.0, 0.12, 0.25, 0.4, 0.55, 0.7, 0.85, 0.95, 1.05, 1.15, 1.3, 1.5, 1.75, 2.0])
-_TIMES = 10  # spans of slow drifts
+_TIMES, _STROKES_A_SPAN = 10, 3  # spans of slow drifts, at most, and strokes in each, at least
 _LAGS_S, _CREEPS_S = (0.02, 0.05, 0.1, 0.2), (0.6, 2.0)
 _FINE_S = 0.005  # of the path that lags
 _BREATHS_HZ = 0.08, 1.0
@@ -136,9 +136,9 @@ def scene_of(fitted: Fitted, curves: Curves, rig: Rig, clock: Array) -> Scene:
 def departures(scene: Scene, looked_for: Columns) -> list[Part]:
     hats = _hats(scene.phase, _PHASES)[:, :-1]
     smooth, one = _smooth(hats.shape[1]), np.eye(1)
-    slow = _slow_basis(scene.t)
     n, channels = len(scene.p), scene.slope.shape[1]
     strokes = int(scene.stroke.max(initial=0)) + 1
+    slow = _slow_basis(scene.t, min(_TIMES, strokes // _STROKES_A_SPAN))
     each = sparse.csr_matrix((np.ones(n), (np.arange(n), scene.stroke)), shape=(n, strokes))
     held = sparse.csr_matrix(each.multiply((~scene.moving)[:, None]))
     speeds = np.abs(scene.speed)
@@ -160,7 +160,7 @@ def departures(scene: Scene, looked_for: Columns) -> list[Part]:
         Part("phase.odd", scene.along(hats), smooth),
         Part("stroke", scene.along(each), np.eye(strokes)),
         Part("turn", scene.along(held), np.eye(strokes)),
-        Part("offset.time", scene.along(slow), _smooth(slow.shape[1])),
+        *([] if slow is None else [Part("offset.time", scene.along(slow), _smooth(slow.shape[1]))]),
         column("width.time", scene.by_width * scene.width * scene.t),
         column("width.speed", scene.by_width * faster, "phase.even"),
         column("clock.rate", scene.by_delay * scene.t),
@@ -173,7 +173,7 @@ def departures(scene: Scene, looked_for: Columns) -> list[Part]:
         effects = np.column_stack([load, scene.by_width * load, (scene.p - scene.p.mean()) * load])
         parts.append(Part("load", scene.along(effects), np.eye(3)))
     recordings = int(scene.recording.max(initial=0)) + 1
-    if recordings > 1:
+    if recordings > 1 and _same_places(scene, recordings):
         which = np.eye(recordings)[scene.recording]
         parts += [
             Part("offset.recording", scene.along(which), np.eye(recordings)),
@@ -181,11 +181,7 @@ def departures(scene: Scene, looked_for: Columns) -> list[Part]:
         ]
     if channels > 1:
         parts += [
-            Part(
-                "image.time",
-                scene.each(slow),
-                _smooth(slow.shape[1], channels),
-            ),
+            *([] if slow is None else [Part("image.time", scene.each(slow), _smooth(slow.shape[1], channels))]),
             Part("image.stroke", scene.each(each), np.eye(channels * strokes)),
             Part("image.side", scene.each(scene.side[:, None]), np.eye(channels)),
         ]
@@ -197,6 +193,15 @@ def departures(scene: Scene, looked_for: Columns) -> list[Part]:
             waves = np.column_stack([np.cos(turn), np.sin(turn)])
             parts.append(Part("image.breath", scene.each(waves), np.eye(2 * channels), price=_SCAN))
     return parts
+
+
+def _same_places(scene: Scene, recordings: int) -> bool:
+    """Whether all recordings show much the same positions: else what differs may be the place."""
+    spans = [scene.p[scene.recording == k] for k in range(recordings)]
+    if any(len(span) == 0 for span in spans):
+        return False
+    shared = min(float(span.max()) for span in spans) - max(float(span.min()) for span in spans)
+    return shared > 0.7 * max(float(np.ptp(span)) for span in spans)
 
 
 def _places(scene: Scene) -> Array:
@@ -296,8 +301,11 @@ def _hats(x: Array, nodes: Array) -> sparse.csr_matrix:
     return sparse.csr_matrix((np.concatenate([1 - share, share]), places), shape=(len(x), len(nodes)))
 
 
-def _slow_basis(t: Array) -> sparse.csr_matrix:
-    knots = -0.5 + np.arange(-3, _TIMES + 4) / _TIMES
+def _slow_basis(t: Array, spans: int) -> Sparse | None:
+    """None where so few spans are as quick as the motion."""
+    if spans < 2:
+        return None
+    knots = -0.5 + np.arange(-3, spans + 4) / spans
     return sparse.csr_matrix(BSpline.design_matrix(np.clip(t, -0.5, 0.5 - 1e-9), knots, 3))
 
 
