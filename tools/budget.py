@@ -39,11 +39,14 @@ ROM_MEMSET = 200  # cycles of the boot ROM's memset for the 64 bytes or less tha
 
 # Most times that the loops of the control path go back.
 LOOPS = {
-    "tl_app_control": (AXES, 1),  # one axis is watched in a tick
+    "tl_app_control": (AXES, 1, 1),  # one axis is watched in a tick, and one guarded
+    "come_late": (AXES,),
     "tl_elements_ahead": (6,),  # as many elements as a table has, but the first
     "tl_elements_behind": (7,),
     "tl_history_push": (2,),  # pushed once a millisecond and jitter
-    "quadrature_count": (4,),  # the state machine leaves its count within 10 cycles of its own, a round here takes 5
+    "quadrature_count": (4,),  # the state machine leaves its count within 11 cycles of its own, a round here takes 5
+    "bridge_sense_finish": (5,),  # four samples are in the FIFO, and one may come meanwhile
+    CONTROL: (1,),  # its alarm passed while it was set; the next one is a period away
     "port_time_us": (2,),  # the high word changes once in 71 minutes
 }
 # What a table of one play never comes to, and one of several does.
@@ -53,10 +56,20 @@ CALIBRATION = "tl_motion_tick"  # for one axis at a time, and not while it follo
 # tick: tl_axis_init() begins axis i with a tick less than axis i - 1, and all of them count on together.
 JOBS = ("tl_axis_listen", "tl_compensator_feed", "tl_compensator_turn", "tl_compensator_take_up", "tl_axis_plan")
 BEGIN = "tl_path_begin"  # where axis->slot is 0, and there the job is the first one
-WATCH, FAIL = "tl_axis_watch", "tl_axis_fail"  # an axis that fails is off from then on
-PORT = ("port_encoder", "port_drive", "port_current_ma", "port_time_us")
+WATCH, GUARD, FAIL = "tl_axis_watch", "tl_axis_guard", "tl_axis_fail"  # an axis that fails is off from then on
+TRIAL = "try_out"  # of moves, homing and checks
+LATE = "come_late"  # a tick that comes late has been waited for already
+GUARD_LATER = 2  # ticks from an axis' watch to its guard (tl_app.c)
+PORT = ("port_encoder", "port_drive", "port_current_ma", "port_time_us", "port_supply_mv", "port_driver_fault")
 EACH_STEP = ("port_encoder", "port_drive")
-STAND_IN_PORT = ("read_encoder", "take_drive", "read_current", "no_time")  # of tools/emulator/cycles.c
+STAND_IN_PORT = (
+    "read_encoder",
+    "take_drive",
+    "read_current",
+    "no_time",
+    "read_supply",
+    "read_fault",
+)  # of tools/emulator/cycles.c
 REGISTERS = ("quadrature_count", "port_time_us", "bridge_drive", "bridge_sense_start", "bridge_sense_finish", CONTROL)
 
 NOT_ALLOWED = re.compile(
@@ -222,19 +235,25 @@ class Cycles:
     unexplained: list[str]  # those of them for which tools/branches.py has no reason
 
 
-def ticks(image: Code, plays: dict[str, int], watch: int | None = None, step: int | None = None) -> list[int]:
+def ticks(
+    image: Code, plays: dict[str, int], watch: int | None = None, step: int | None = None, guard: int | None = None
+) -> list[int]:
     """Bounds of the control interrupt's cycles in each tick of a millisecond, where AXES axes follow by tables; with
-    measured values in place of the bounds of a step or a watch, the registers' cycles included."""
-    if gone := [name for name in (*JOBS, BEGIN, WATCH, FAIL) if name not in image.starts]:
+    measured values in place of the bounds of a step, watch or guard, the registers' cycles included."""
+    if gone := [name for name in (*JOBS, BEGIN, WATCH, GUARD, FAIL, LATE, TRIAL) if name not in image.starts]:
         raise SystemExit(f"budget: no function {', '.join(gone)} in the image: mend JOBS")
     count = CONTROL_HZ // 1000
     jobs = [*JOBS, *[""] * (count - len(JOBS))]
     # An axis that fails for a late tick does so after more than a hundred lost periods: nobody waits for that one.
-    tick = bound(image, PORT, **{STEP: 0, WATCH: 0, FAIL: NEVER}).of(CONTROL) + EXCEPTION
+    tick = bound(image, PORT, **{STEP: 0, WATCH: 0, GUARD: 0, LATE: NEVER}).of(CONTROL) + EXCEPTION
     steps = [step_bound(image, PORT, job, **{CALIBRATION: NEVER, **plays}) if step is None else step for job in jobs]
     watch = bound(image, PORT, **plays).of(WATCH) if watch is None else watch
+    guard = bound(image, PORT, **{FAIL: NEVER, TRIAL: NEVER}).of(GUARD) if guard is None else guard
     return [
-        tick + sum(steps[(at - axis) % count] for axis in range(AXES)) + (watch if (at + 1) % count < AXES else 0)
+        tick
+        + sum(steps[(at - axis) % count] for axis in range(AXES))
+        + (watch if (at + 1) % count < AXES else 0)
+        + (guard if (at + 1 - GUARD_LATER) % count < AXES else 0)
         for at in range(count)
     ]
 
@@ -278,8 +297,9 @@ def cycles() -> Cycles:
             ticks(
                 image,
                 ONE_PLAY,
-                measured["watch"]["worst"] + each.of("port_current_ma"),
+                measured["watch"]["worst"],
                 measured["step_tip"]["worst"] + registers,
+                measured["guard"]["worst"] + each.of("port_current_ma"),
             )
         ),
         {name: len(found) for name, found in branches.items()},
@@ -300,9 +320,7 @@ def rows() -> list[Row]:
     deepest = stack.of(TASK) + stack.of(USB_INTERRUPT) + stack.of(CONTROL) + 2 * EXCEPTION_FRAME
     address, calls = code(elf)
     ports = [name for name in address if name.startswith("port_")]
-    control = reached(
-        calls, [CONTROL, *(p for p in ports if p in ("port_time_us", "port_encoder", "port_drive", "port_current_ma"))]
-    )
+    control = reached(calls, [CONTROL, *(p for p in ports if p in PORT)])
     forbidden = sorted(name for name in control if NOT_ALLOWED.search(name))
     floats = sorted(name for name in address if re.match(r"__aeabi_[fd](add|sub|mul|div)", name))
     in_flash = sorted(name for name in control if address[name] >> 28 == 1)
@@ -324,7 +342,7 @@ def rows() -> list[Row]:
             print(f"{label}: {', '.join(names)}")
     return [
         Row("flash image", (BUILD / "tautline.bin").stat().st_size, 65536, "bytes"),
-        Row("RAM: code and initialised data", ram_code_and_data, 24576, "bytes"),
+        Row("RAM: code and initialised data", ram_code_and_data, 25600, "bytes"),
         Row("RAM with the stack", ram + size[".stack_dummy"], 65536, "bytes"),
         Row("stack, worst", deepest, size[".stack_dummy"], "bytes"),
         Row("float functions", len(floats), 0, ""),
@@ -341,6 +359,7 @@ def rows() -> list[Row]:
         Row("control step, calibration, any path", cost.step_any, 3300, "cycles"),
         Row("once a millisecond beside it, measured", worst["watch"], 1300, "cycles"),
         Row("the same with several plays", worst["watch_plays"], 1800, "cycles"),
+        Row("guards, once a millisecond, measured", worst["guard"], 700, "cycles"),
         Row(f"{AXES} axes at {CONTROL_HZ} Hz, any path", load, 25, "% of the core"),
         Row(f"{AXES} axes, worst tick, measured", share * cost.interrupt_measured, 25, "% of its period"),
         Row(f"{AXES} axes, worst tick, any path", share * cost.interrupt, 25, "% of its period"),

@@ -1,5 +1,7 @@
 #include "tautline/tl_fixed.h"
 
+#include "tautline/tl_fast.h"
+
 tl_scale_t tl_scale_of(uint32_t numerator, uint32_t denominator) {
     tl_scale_t ratio = {0, 0};
     // Both as 1.x times a power of two; then the quotient lies in (1/2, 2).
@@ -23,7 +25,7 @@ tl_scale_t tl_scale_of(uint32_t numerator, uint32_t denominator) {
     return ratio;
 }
 
-int32_t tl_lerp_fine(int32_t a, int32_t b, uint32_t t, unsigned log2) {
+TL_FAST int32_t tl_lerp_fine(int32_t a, int32_t b, uint32_t t, unsigned log2) {
     const unsigned extra = log2 - 16U; // bits of t that tl_lerp() has no room for: at most 7
     const int32_t difference = b - a;
     const uint32_t coarse = t >> extra, fine = t & ((1U << extra) - 1U);

@@ -29,7 +29,7 @@ static const uint8_t magic[4] = {'T', 'L', 'T', 'B'};
     X(64, 4, uint32_t, delay_us)                                                                                       \
     X(68, 4, uint32_t, created_s)
 
-enum { MODEL_ID_AT = 72, RESERVED_AT = 80, RESERVED_SIZE = 8 };
+enum { MODEL_ID_AT = 72, INSTRUMENT_AT = 80 };
 enum { SECTION_HEAD = 4, PLAYS_HEAD = 64, PLAYS_AT = 8 };
 enum { PERIOD_LOG2_MIN = 8, PERIOD_LOG2_MAX = 26, PLAYS_MIN = 2 };
 
@@ -81,6 +81,18 @@ static uint8_t *put_plays(uint8_t *at, const tl_table_t *table) {
     return put_column(at + PLAYS_HEAD, table->centre, table->nodes);
 }
 
+// Printable ASCII, then zeros.
+static bool is_text(const char *text, size_t size) {
+    bool ended = false;
+    for (size_t i = 0; i < size; i++) {
+        ended = ended || text[i] == 0;
+        if (ended ? text[i] != 0 : text[i] < ' ' || text[i] > '~') {
+            return false;
+        }
+    }
+    return true;
+}
+
 size_t tl_table_encode(const tl_table_t *table, uint8_t *blob, size_t capacity) {
     if (table->nodes > TL_TABLE_NODES_MAX || table->plays > TL_TABLE_PLAYS_MAX) {
         return 0;
@@ -97,7 +109,7 @@ size_t tl_table_encode(const tl_table_t *table, uint8_t *blob, size_t capacity) 
     HEADER_FIELDS(PUT)
 #undef PUT
     memcpy(blob + MODEL_ID_AT, table->model_id, sizeof table->model_id);
-    memset(blob + RESERVED_AT, 0, RESERVED_SIZE);
+    memcpy(blob + INSTRUMENT_AT, table->instrument, sizeof table->instrument);
     uint8_t *at = put_column(blob + TL_TABLE_HEADER_SIZE, table->width, table->nodes);
     at = put_column(at, table->angle, table->nodes);
     if (several) {
@@ -162,17 +174,16 @@ tl_table_reason_t tl_table_decode(const uint8_t *blob, size_t size, uint8_t axis
     if (get(blob + size - 4, 4) != tl_crc32(0, blob, size - 4)) {
         return TL_TABLE_BAD_CRC;
     }
-    for (unsigned i = 0; i < RESERVED_SIZE; i++) {
-        if (blob[RESERVED_AT + i] != 0) {
-            return TL_TABLE_BAD_RESERVED;
-        }
-    }
 #define GET(offset, bytes, type, name) table->name = (type)get(blob + (offset), bytes);
     HEADER_FIELDS(GET)
 #undef GET
     memcpy(table->model_id, blob + MODEL_ID_AT, sizeof table->model_id);
     if (table->nodes > TL_TABLE_NODES_MAX) {
         return TL_TABLE_BAD_NODES;
+    }
+    memcpy(table->instrument, blob + INSTRUMENT_AT, sizeof table->instrument);
+    if (!is_text(table->instrument, sizeof table->instrument)) {
+        return TL_TABLE_BAD_RESERVED;
     }
     const size_t plain = TL_TABLE_SIZE(table->nodes);
     if (format == TL_TABLE_FORMAT_PLAIN ? plain != size : plain > size) {

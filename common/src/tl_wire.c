@@ -237,3 +237,16 @@ bool tl_wire_parse(tl_wire_parser_t *parser, const uint8_t **data, size_t *size,
         return true;
     }
 }
+
+bool tl_wire_skip(tl_wire_parser_t *parser) {
+    if (parser->consumed != 0U) {
+        drop(parser, parser->consumed);
+        parser->consumed = 0U;
+        resynchronise(parser, 0U);
+    }
+    if (parser->fill == 0U) {
+        return false;
+    }
+    resynchronise(parser, 1U);
+    return true;
+}

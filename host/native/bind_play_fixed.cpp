@@ -2,10 +2,8 @@
 #include "arrays.h"
 #include "fixed_table.h"
 
-extern "C" {
 #include "tautline/tl_compensator.h"
 #include "tautline/tl_play.h"
-}
 
 namespace nb = nanobind;
 

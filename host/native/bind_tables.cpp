@@ -84,7 +84,7 @@ nb::object plays_of(const tl_table_t &table) {
 }
 
 nb::bytes encode(const nb::dict &fields, ArrayIn<int32_t> width, ArrayIn<int32_t> angle, const nb::bytes &model_id,
-                 std::optional<nb::dict> plays) {
+                 const std::string &instrument, std::optional<nb::dict> plays) {
     tl_table_t table{};
     if (width.shape(0) != angle.shape(0) || width.shape(0) > TL_TABLE_NODES_MAX) {
         throw nb::value_error("width and angle need the same number of nodes, at most 257");
@@ -92,6 +92,10 @@ nb::bytes encode(const nb::dict &fields, ArrayIn<int32_t> width, ArrayIn<int32_t
     if (model_id.size() != sizeof table.model_id) {
         throw nb::value_error("a model id has 8 bytes");
     }
+    if (instrument.size() > sizeof table.instrument) {
+        throw nb::value_error("an instrument's serial has at most 8 characters");
+    }
+    memcpy(table.instrument, instrument.data(), instrument.size());
 #define READ(name) read_field(fields, #name, table.name);
     TABLE_FIELDS(READ)
 #undef READ
@@ -121,6 +125,7 @@ nb::dict fields_of(const FixedTable &self) {
     TABLE_FIELDS(WRITE)
 #undef WRITE
     fields["model_id"] = nb::bytes(table.model_id, sizeof table.model_id);
+    fields["instrument"] = nb::str(table.instrument, strnlen(table.instrument, sizeof table.instrument));
     auto width = new_array<int32_t>(table.nodes), angle = new_array<int32_t>(table.nodes);
     std::copy(table.width, table.width + table.nodes, width.data());
     std::copy(table.angle, table.angle + table.nodes, angle.data());
@@ -174,7 +179,7 @@ template <Inverse function> nb::tuple batch_near(const FixedTable &self, ArrayIn
 void bind_tables(nb::module_ &m) {
     m.def(
         "table_encode", &encode, nb::arg("fields"), nb::arg("width"), nb::arg("angle"), nb::arg("model_id"),
-        nb::arg("plays") = nb::none(),
+        nb::arg("instrument") = "", nb::arg("plays") = nb::none(),
         "The blob of a table (fields as in tl_table.h, raw fixed-point values; plays: period_log2, narrow, width_q28, "
         "weight_q16 and centre of section 1); its content is not checked.");
     m.def("table_check", &check, nb::arg("blob"), nb::arg("axis") = TL_TABLE_ANY_AXIS,

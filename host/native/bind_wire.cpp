@@ -5,9 +5,7 @@
 #include <cstring>
 #include <string>
 
-extern "C" {
 #include "tautline/tl_wire.h"
-}
 
 namespace nb = nanobind;
 
@@ -159,6 +157,8 @@ void bind_wire(nb::module_ &m) {
     wire.attr("USB_PRODUCT") = TL_WIRE_USB_PRODUCT;
     wire.attr("USB_MANUFACTURER") = TL_WIRE_USB_MANUFACTURER;
     wire.attr("USB_PACKET") = TL_WIRE_USB_PACKET;
+    wire.attr("SERIAL_BAUD") = TL_WIRE_SERIAL_BAUD;
+    wire.attr("PART") = TL_WIRE_PART;
     wire.attr("FRAME_MAX") = TL_WIRE_FRAME_MAX;
     wire.attr("AXES_MAX") = TL_WIRE_AXES_MAX;
     wire.attr("ALL_AXES") = TL_WIRE_ALL_AXES;
@@ -197,6 +197,7 @@ void bind_wire(nb::module_ &m) {
     LIST("MOTIONS", TL_WIRE_MOTIONS)
     LIST("EVENTS", TL_WIRE_EVENTS)
     LIST("BOOTS", TL_WIRE_BOOTS)
+    LIST("STORES", TL_WIRE_STORES)
 
     wire.def("encode", &encode, nb::arg("name"), nb::arg("sequence"), nb::arg("fields"),
              "The whole frame of a message; every field must be given. ValueError names the field that does not fit.");

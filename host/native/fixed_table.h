@@ -2,9 +2,7 @@
 #ifndef TAUTLINE_NATIVE_FIXED_TABLE_H
 #define TAUTLINE_NATIVE_FIXED_TABLE_H
 
-extern "C" {
 #include "tautline/tl_lookup.h"
-}
 
 struct FixedTable {
     tl_lookup_t lookup;

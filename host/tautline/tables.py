@@ -69,6 +69,7 @@ class Table:
     delay_s: float
     created_s: int  # since 1970
     model_id: bytes
+    instrument: str  # the serial that it was made for, "" where it does not say
     q: Array  # (n,) nodes; empty for the identity
     width: Array  # (n,) B
     c_deg: Array  # (n,) f
@@ -91,8 +92,12 @@ def encode(
     limits: Limits | None = None,
     kind: str = "bending",
     created_s: int | None = None,
+    instrument: str = "",
 ) -> bytes:
     """The model's blob for `axis`, or a TautError that says why a board would refuse it.
+
+    instrument: the serial of the one that it was made for, at most 8 characters: a board whose settings name another
+    refuses the table.
 
     B and f are sampled on a grid of 2^k Q8 counts from the lower end of the range, with at most 257 nodes; the last
     node may lie beyond the range, and with several plays the first does: there B is held and f goes on with its last
@@ -120,6 +125,7 @@ def encode(
         raw_width,
         _raw(c_deg * _DEG, "f_remain"),
         model_id(model),
+        instrument,
         _plays(model, q_raw.astype(float), raw_width.astype(float)),
     )
     return _checked(blob, axis)
@@ -216,6 +222,7 @@ def decode(blob: bytes, axis: int | None = None) -> Table:
         delay_s=fields["delay_us"] * 1e-6,
         created_s=fields["created_s"],
         model_id=fields["model_id"],
+        instrument=fields["instrument"],
         q=(fields["q0"] + (nodes << fields["step_log2"])) * unit,
         width=fields["width"] * unit,
         c_deg=fields["angle"] / _DEG,

@@ -1,5 +1,5 @@
-"""One suite for every board: `--board desktop` (default) or `emulated`, started for each test that needs one, or as
-`taut` takes it.
+"""One suite for every board: `--board desktop` (default), `serial`, `emulated` or `m4`, started for each test that
+needs one, or as `taut` takes it.
 
 Tests that need the simulation (virtual time, power cuts, unplugging) skip on a board without a sim link.
 """
@@ -13,25 +13,37 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tautline.device import wire
 from tautline.device.board import Board, find, open_board
 from tautline.errors import TautError
-from tautline.simulated.simlink import PROGRAM, DesktopBoard, SimLink
+from tautline.simulated.simlink import LINE, PROGRAM, DesktopBoard, SimLink
 
-_EMULATED = Path(__file__).resolve().parents[2] / "tools" / "emulator" / "board.js"
+SIMULATED = ("desktop", "serial", "emulated", "m4")  # boards that are started for each test
+_TOOLS = Path(__file__).resolve().parents[2] / "tools"
+_EMULATED = _TOOLS / "emulator" / "board.js"
+_QEMU = _TOOLS / "qemu" / "board.py"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--board", default="desktop", help="desktop, emulated, usbip:HOST:PORT or a serial number")
+    where = (
+        "desktop, serial (the desktop board on a serial line), emulated, m4, usbip:HOST:PORT, serial:DEVICE or a number"
+    )
+    parser.addoption("--board", default="desktop", help=where)
     parser.addoption("--sim", type=int, help="port of the sim link of a --board usbip:... (an emulated board)")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    if config.getoption("--board") == "emulated":  # the real image, behind the desktop board's options and ports
+    board = config.getoption("--board")
+    if board == "emulated":  # the real image, behind the desktop board's options and ports
         os.environ[PROGRAM] = str(_EMULATED)
+    elif board in ("serial", "m4"):
+        os.environ[LINE] = "uart"
+    if board == "m4":  # the second port, in QEMU
+        os.environ[PROGRAM] = str(_QEMU)
 
 
 @dataclass
@@ -52,6 +64,16 @@ class Bench:
         return self.where.removeprefix("usbip:")
 
     @property
+    def leaves_its_bus(self) -> bool:
+        """Whether a host is told that the board has gone or restarted; on a serial line it only stops to answer."""
+        return not self.where.startswith("serial:")
+
+    def usb(self, board: Board) -> Any:
+        """PyUSB's device of an open board."""
+        device = getattr(board._link, "device", None)
+        return device if device is not None else pytest.skip("needs a board on USB")
+
+    @property
     def sim(self) -> SimLink:
         if self.link is None:
             pytest.skip("needs a simulated board: no sim link here")
@@ -64,6 +86,19 @@ class Bench:
             return
         for _ in range(max(round(seconds / 0.02), 1)):
             self.link.ask("advance 20000")
+
+    def ready(self, board: Board) -> None:
+        """Every axis checked and referenced, at position 0 and off."""
+        for axis in range(board.axes):
+            board.ask("enable", axis=axis, on=1)  # all at the same time
+        for axis in range(board.axes):
+            self.until(board, axis, "HOLD")
+        board.ask("enable", axis=wire.wire.ALL_AXES, on=0)
+        for axis in range(board.axes):
+            self.until(board, axis, "OFF")
+            if self.link is not None:
+                self.link.ask(f"place {axis} 0")
+            board.ask("set_position", axis=axis, q=0.0)
 
     def until(self, board: Board, axis: int, mode: str, seconds: float = 5.0) -> wire.Message:
         """Runs until the axis is in `mode`."""
@@ -94,7 +129,7 @@ class WallClock:
 @contextmanager
 def bench_of(request: pytest.FixtureRequest, axes: int = 2, flash: Path | None = None) -> Iterator[Bench]:
     where = request.config.getoption("--board")
-    if where in ("desktop", "emulated"):
+    if where in SIMULATED:
         with DesktopBoard(axes=axes, flash=flash, serial="TEST-1") as desktop:
             link = desktop.link()
             yield Bench(desktop.where, link, desktop)
@@ -136,7 +171,10 @@ def make_fresh(where: str, link: SimLink | None) -> None:
 
 @pytest.fixture
 def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
+    """Its axes are checked and referenced."""
     with bench_of(request) as bench:
+        with bench.open() as board:
+            bench.ready(board)
         yield bench
 
 

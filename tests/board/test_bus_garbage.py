@@ -33,7 +33,7 @@ _SIM = (
 @pytest.fixture
 def board(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[DesktopBoard]:
     where = request.config.getoption("--board")
-    if where not in ("desktop", "emulated"):
+    if where not in ("desktop", "emulated"):  # on USB
         pytest.skip("for simulated boards: a real one has no such sockets")
     if where == "desktop" and _SANITIZED.is_file():
         monkeypatch.setenv(PROGRAM, str(_SANITIZED))

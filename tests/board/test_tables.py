@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import usb.core
 
-from conftest import Bench, bench_of
+from conftest import SIMULATED, Bench, bench_of
 from tautline import tables
 from tautline.device import wire
-from tautline.device.board import Board, BoardGone
+from tautline.device.board import Board, BoardGone, BoardRefused
 from tautline.device.dfu import Dfu
 from tautline.errors import TautError
 from tautline.model import Model
@@ -69,6 +69,42 @@ def test_bad_tables_are_refused_with_a_reason_and_the_old_one_stays(board: Board
     assert board.read_table(0) == bytes(good)
 
 
+def test_tables_by_message_and_by_dfu_are_the_same(board: Board) -> None:
+    board.load_table_by_messages(0, blob())
+    assert board.read_table(0) == board.read_table_by_messages(0) == blob()
+    board.load_table(0, blob(0, 0.5))
+    assert board.read_table_by_messages(0) == blob(0, 0.5)
+    with pytest.raises(TautError, match="another axis"):
+        board.load_table_by_messages(0, blob(1))
+    with pytest.raises(TautError, match="longer"):
+        board.load_table_by_messages(0, blob() + bytes(8000))
+    assert board.read_table(0) == blob(0, 0.5)
+
+
+def test_a_part_that_comes_twice_or_is_lost_ends_the_upload(board: Board) -> None:
+    board.load_table(0, blob())
+    part = wire.wire.PART
+    new = blob(0, 0.5)
+
+    def send(index: int) -> None:
+        piece = new[index * part : (index + 1) * part]
+        values = tuple(piece) + (0,) * (part - len(piece))
+        board.ask("table_write", axis=0, count=len(piece), offset=index * part, bytes=values)
+
+    for wrong in (1, 3):  # again the same; not the next
+        for index in range(2):
+            send(index)
+        with pytest.raises(BoardRefused) as refused:
+            send(wrong)
+        assert refused.value.reason == "TABLE_SIZE"
+    for index in range(3):
+        send(index)
+    with pytest.raises(BoardRefused) as refused:  # the end of it never came
+        board.ask("table_store", axis=0, size=len(new))
+    assert refused.value.reason == "TABLE_SIZE"
+    assert board.read_table(0) == blob()
+
+
 def test_a_table_is_refused_while_a_motor_is_on(board: Board, bench: Bench) -> None:
     board.load_table(0, blob())
     board.ask("enable", axis=0, on=1)
@@ -85,7 +121,7 @@ def test_a_download_broken_off_leaves_the_old_table(bench: Bench) -> None:
         board.load_table(0, blob())
     for blocks in (1, 3, 5):
         with bench.open() as board:
-            device = board._device
+            device = bench.usb(board)
             board_interface = 1
             device.set_interface_altsetting(board_interface, 0)
             for number in range(blocks):
@@ -103,8 +139,9 @@ def test_a_download_broken_off_leaves_the_old_table(bench: Bench) -> None:
 
 
 def test_a_board_that_holds_something_else_is_noticed(board: Board, monkeypatch: pytest.MonkeyPatch) -> None:
-    upload = Dfu.upload
+    upload, read = Dfu.upload, Board.read_table_by_messages
     monkeypatch.setattr(Dfu, "upload", lambda self: upload(self)[:-1] + b"?")
+    monkeypatch.setattr(Board, "read_table_by_messages", lambda self, axis: read(self, axis)[:-1] + b"?")
     with pytest.raises(TautError, match="another table than was sent"):
         board.load_table(0, blob())
 
@@ -128,7 +165,7 @@ def test_a_power_cut_at_any_write_leaves_the_old_or_the_new_table(
     request: pytest.FixtureRequest, tmp_path: Path
 ) -> None:
     """Counted from the flash operation at which the power goes; every one of a download until it completes."""
-    if request.config.getoption("--board") not in ("desktop", "emulated"):
+    if request.config.getoption("--board") not in SIMULATED:
         pytest.skip("cuts the power of a simulated board")
     outcomes = []
     for cut in range(1, 40):

@@ -7,11 +7,13 @@
 #include <unity.h>
 
 #include "tautline/tl_app.h"
+#include "tautline/tl_axis_rest.h"
 
 #define FAKE_HZ    5000U
 #define FAKE_SPEED 20000.0 // counts/s at full duty
 #define FAKE_LAG   0.02    // s
-#define FAKE_FLASH (2U * TL_WIRE_AXES_MAX * TL_PORT_FLASH_SECTOR)
+#define FAKE_FLASH TL_PORT_FLASH_REGION
+#define FAKE_CHOP  1200 // mA
 
 typedef struct {
     tl_us_t t_us;
@@ -21,6 +23,9 @@ typedef struct {
     int32_t current_ma;
     bool slipped[TL_WIRE_AXES_MAX]; // until the app has asked
     bool blocked;
+    bool driver_fault[TL_WIRE_AXES_MAX];
+    uint16_t supply_mv;
+    double wiring[TL_WIRE_AXES_MAX]; // counts that the encoder shows for one of the motor's: -1 where wires are swapped
     uint8_t flash[FAKE_FLASH];
     uint32_t operations;
     uint32_t cut_at;      // the operation in which the power goes; 0 never
@@ -38,7 +43,8 @@ static tl_us_t fake_time(void *context) {
     return ((fake_t *)context)->t_us;
 }
 static int32_t fake_encoder(void *context, uint8_t axis) {
-    const double position = ((fake_t *)context)->position[axis];
+    const fake_t *f = context;
+    const double position = f->position[axis] * f->wiring[axis];
     return (int32_t)(position < 0.0 ? position - 1.0 : position);
 }
 static void fake_drive(void *context, uint8_t axis, tl_duty_q15_t duty) {
@@ -53,6 +59,13 @@ static bool fake_edges_lost(void *context, uint8_t axis) {
 static int32_t fake_current(void *context, uint8_t axis) {
     (void)axis;
     return ((fake_t *)context)->current_ma;
+}
+
+static uint16_t fake_supply(void *context) {
+    return ((fake_t *)context)->supply_mv;
+}
+static bool fake_driver_fault(void *context, uint8_t axis) {
+    return ((fake_t *)context)->driver_fault[axis];
 }
 
 static bool fake_operate(fake_t *f) {
@@ -73,6 +86,11 @@ static bool fake_reached(const fake_t *f, uint32_t i, uint32_t size) {
     default:
         return (i * 2654435761U >> 16 & 1U) != 0U;
     }
+}
+
+static void fake_read(void *context, uint32_t offset, uint8_t *out, size_t size) {
+    TEST_ASSERT_TRUE(offset <= FAKE_FLASH && size <= FAKE_FLASH - offset);
+    memcpy(out, ((fake_t *)context)->flash + offset, size);
 }
 
 static bool fake_erase(void *context, uint32_t offset) {
@@ -133,12 +151,16 @@ static inline void fake_start(uint8_t axes, tl_wire_boot_t boot) {
                             .axes = axes,
                             .boot = (uint8_t)boot,
                             .control_hz = FAKE_HZ,
+                            .driver_ma = FAKE_CHOP,
+                            .supply_low_mv = 4000,
                             .time_us = fake_time,
                             .encoder = fake_encoder,
                             .edges_lost = fake_edges_lost,
                             .drive = fake_drive,
                             .current_ma = fake_current,
-                            .flash = fake.flash,
+                            .supply_mv = fake_supply,
+                            .driver_fault = fake_driver_fault,
+                            .flash_read = fake_read,
                             .flash_erase = fake_erase,
                             .flash_program = fake_program,
                             .watchdog_feed = fake_feed,
@@ -152,7 +174,19 @@ static inline void fake_start(uint8_t axes, tl_wire_boot_t boot) {
 static inline void fake_new(uint8_t axes) {
     memset(&fake, 0, sizeof(fake));
     memset(fake.flash, 0xFF, sizeof(fake.flash));
+    fake.supply_mv = 6000;
+    for (uint8_t i = 0; i < TL_WIRE_AXES_MAX; i++) {
+        fake.wiring[i] = 1.0;
+    }
     fake_start(axes, TL_WIRE_BOOT_POWER);
+}
+
+// Every axis as it is after its check and its homing, at its present position.
+static inline void fake_ready(void) {
+    for (uint8_t i = 0; i < fake_port.axes; i++) {
+        app.axes[i].checked = app.axes[i].referenced = true;
+        tl_axis_admit(&app.axes[i]);
+    }
 }
 
 static inline void fake_step(void) {

@@ -4,6 +4,7 @@
 
 void setUp(void) {
     fake_new(2);
+    fake_ready();
 }
 void tearDown(void) {}
 
@@ -116,6 +117,7 @@ static void test_an_encoder_that_jumps_faults_even_when_off(void) {
 static void test_safe_stop_works_from_every_state(void) {
     for (int state = 0; state < 4; state++) {
         fake_new(2);
+        fake_ready();
         if (state > 0) {
             fake_enable(0, 1);
         }
@@ -458,6 +460,7 @@ typedef struct {
 static void calibrate(calibrated_t *done, uint8_t left_over, void (*meanwhile)(uint32_t ms)) {
     static uint8_t rubbish[TL_TABLE_SIZE_MAX];
     fake_new(2);
+    fake_ready();
     memset(rubbish, left_over, sizeof(rubbish));
     TEST_ASSERT_EQUAL(TL_UPLOAD_OK, tl_app_table_data(&app, 0, 0, rubbish, sizeof(rubbish)));
     fake_enable(0, 1);
@@ -471,7 +474,7 @@ static void calibrate(calibrated_t *done, uint8_t left_over, void (*meanwhile)(u
         }
         meanwhile(ms);
         fake_run_ms(1);
-        done->q_ref[ms] = tl_reference_q(&app.axes[0].reference);
+        done->q_ref[ms] = tl_reference_q(&app.axes[0].plan.reference);
     }
     TEST_ASSERT_EQUAL(TL_WIRE_MODE_CALIBRATE, fake_status(0).mode);
     const tl_wire_motion_stop_t stop = {.axis = 0};
@@ -507,12 +510,12 @@ static void test_uploads_during_a_calibration_are_refused_and_leave_it_as_it_is(
     calibrate(&disturbed, 0xFF, upload);
     TEST_ASSERT_EQUAL_MEMORY(&alone, &disturbed, sizeof(alone));
     TEST_ASSERT_TRUE(alone.q_ref[1499] != alone.q_ref[1400]); // it moved
-    TEST_ASSERT_EQUAL(TL_WIRE_TABLE_NONE, app.tables[0].state);
+    TEST_ASSERT_EQUAL(TL_WIRE_TABLE_NONE, app.tables.in_use[0].state);
     fake_enable(0, 0);
     fake_run_ms(300);
     TEST_ASSERT_EQUAL(TL_UPLOAD_SIZE, tl_app_table_data(&app, 0, 256, sent, 256)); // nothing of those is left
     TEST_ASSERT_EQUAL(TL_UPLOAD_OK, fake_upload(0, sent, sent_size));
-    TEST_ASSERT_EQUAL_MEMORY(sent, app.tables[0].blob, sent_size);
+    TEST_ASSERT_EQUAL_MEMORY(sent, fake.flash + app.tables.in_use[0].blob, sent_size);
 }
 
 // Whether an upload of which half has come can go on.
@@ -541,7 +544,7 @@ static void test_a_request_to_calibrate_drops_an_upload_under_way(void) {
     TEST_ASSERT_EQUAL(TL_UPLOAD_OK, tl_app_table_data(&app, 0, 0, sent, 512));
     fake_run_ms(50);
     TEST_ASSERT_EQUAL(TL_UPLOAD_OK, upload_the_rest());
-    TEST_ASSERT_EQUAL_MEMORY(sent, app.tables[0].blob, sent_size);
+    TEST_ASSERT_EQUAL_MEMORY(sent, fake.flash + app.tables.in_use[0].blob, sent_size);
     fake_listen();
     TEST_ASSERT_EQUAL(TL_WIRE_MOTION_FAILED, heard[TL_WIRE_PROGRESS].progress.state);
 }

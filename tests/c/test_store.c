@@ -28,7 +28,7 @@ static uint32_t in_use(void) {
     TEST_ASSERT_EQUAL(size, got);
     for (uint32_t i = 0; i < 3; i++) {
         if (memcmp(blob[i], read, size) == 0) {
-            TEST_ASSERT_EQUAL(i + 1, app.axes[0].lookup.table.created_s); // and the look-up is of that very table
+            TEST_ASSERT_EQUAL(i + 1, app.axes[0].tip.lookup.table.created_s); // and the look-up is of that very table
             return i + 1;
         }
     }
@@ -81,7 +81,7 @@ static void test_a_power_cut_at_any_operation_leaves_the_old_or_the_new_table(vo
                 const uint32_t found = in_use();
                 TEST_ASSERT_TRUE(found == before || found == before + 1);
                 // A torn header of the very first table cannot be told from a damaged one: that is said, not hidden.
-                const bool torn = found == 0 && app.tables[0].state == TL_WIRE_TABLE_BAD;
+                const bool torn = found == 0 && app.tables.in_use[0].state == TL_WIRE_TABLE_BAD;
                 TEST_ASSERT_EQUAL(torn ? TL_WIRE_FAULT_TABLE : TL_WIRE_FAULT_NONE, app.axes[0].fault);
                 TEST_ASSERT_TRUE(!torn || before == 0);
                 old_ones += found == before;
@@ -107,14 +107,14 @@ static void test_a_power_cut_while_clearing_leaves_the_newest_table_or_none(void
             fake.operations = 0;
             fake.cut_at = cut;
             fake.cut_pattern = pattern;
-            TEST_ASSERT_EQUAL(TL_WIRE_REASON_FLASH, tl_app_table_clear(&app, 0));
+            TEST_ASSERT_EQUAL(TL_WIRE_REASON_FLASH, tl_tables_clear(&app.tables, 0));
             restart();
             TEST_ASSERT_TRUE(in_use() == 2 || (cut == 2 && in_use() == 0));
         }
     }
     fake_new(1);
     fake_upload(0, blob[0], size);
-    TEST_ASSERT_EQUAL(0, tl_app_table_clear(&app, 0));
+    TEST_ASSERT_EQUAL(0, tl_tables_clear(&app.tables, 0));
     restart();
     TEST_ASSERT_EQUAL(0, in_use());
     TEST_ASSERT_EQUAL(TL_WIRE_TABLE_NONE, fake_status(0).table);
@@ -125,8 +125,7 @@ static void test_a_flipped_bit_falls_back_to_the_older_table(void) {
     make_tables();
     fake_upload(0, blob[0], size);
     fake_upload(0, blob[1], size);
-    const uint8_t *newest = app.tables[0].blob - TL_PORT_FLASH_PAGE;
-    const uint32_t start = (uint32_t)(newest - fake.flash);
+    const uint32_t start = app.tables.in_use[0].blob - TL_PORT_FLASH_PAGE;
     uint32_t older = 0;
     for (uint32_t bit = 0; bit < 8U * TL_PORT_FLASH_SECTOR; bit += 13U) {
         const uint32_t byte = bit / 8U;
@@ -134,7 +133,7 @@ static void test_a_flipped_bit_falls_back_to_the_older_table(void) {
         restart();
         const bool matters = byte < 20U || (byte >= 256U && byte < 256U + size);
         TEST_ASSERT_EQUAL(matters ? 1 : 2, in_use());
-        TEST_ASSERT_EQUAL(matters ? TL_WIRE_TABLE_OLDER : TL_WIRE_TABLE_NEWEST, app.tables[0].state);
+        TEST_ASSERT_EQUAL(matters ? TL_WIRE_TABLE_OLDER : TL_WIRE_TABLE_NEWEST, app.tables.in_use[0].state);
         TEST_ASSERT_EQUAL(TL_WIRE_FAULT_NONE, app.axes[0].fault);
         older += matters;
         fake.flash[start + byte] ^= (uint8_t)(1U << (bit % 8U));

@@ -10,12 +10,12 @@ import pytest
 
 from tautline import tables
 from tautline.device import wire
-from tautline.device.board import open_board
+from tautline.device.board import Board, open_board
 from tautline.live.session import MotionOptions, calibrate_live
 from tautline.live.setup import Live, PointEye
 from tautline.model import Model
 from tautline.simulated.instrument import preset
-from tautline.simulated.simlink import PROGRAM, DesktopBoard, Plant
+from tautline.simulated.simlink import PROGRAM, DesktopBoard, Plant, SimLink
 
 ROOT = Path(__file__).resolve().parents[2]
 EMULATED = ROOT / "tools" / "emulator" / "board.js"
@@ -29,10 +29,20 @@ def emulated(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(PROGRAM, str(EMULATED))
 
 
+def made_ready(board: Board, link: SimLink) -> None:
+    """The axis is checked, referenced at 0 and off: what a board that was just switched on wants before it moves."""
+    board.switch_on(0, lambda seconds: link.ask(f"advance {round(seconds * 1e6)}"))
+    board.ask("enable", axis=0, on=0)
+    link.ask("advance 20000")
+    link.ask("place 0 0")
+    board.ask("set_position", axis=0, q=0.0)
+
+
 def calibrated() -> tuple[Model, float]:
     """The model of the reference instrument as this board measures it, and how long the axis moved, s."""
     with DesktopBoard() as process, open_board(process.where) as board, tempfile.TemporaryDirectory() as folder:
         link = process.link()
+        made_ready(board, link)
         instrument = preset("reference")
         plant = Plant(link, instrument)
         eye = PointEye(plant, noise_px=0.005)  # so that two boards are compared, not two samples of noise
@@ -111,6 +121,7 @@ def test_the_watchdog_bites_in_every_state(state: str) -> None:
         with open_board(process.where) as board:
             board.load_table(0, blob(1.0))
             if state != "off":
+                made_ready(board, link)
                 board.ask("enable", axis=0, on=1)
             if state == "move":
                 board.ask("move", axis=0, q=2000.0, speed_s=1000.0)

@@ -273,7 +273,7 @@ def test_garbage_in_the_section_never_harms(model: Model, seed: int, data: st.Da
         plays[what] = [int(rng.integers(0, 2**32)) if rng.random() < 0.3 else value for value in plays[what]]
     else:
         plays[what] = int(rng.integers(0, 256)) if what == "period_log2" else int(rng.integers(-(2**31), 2**31))
-    odd = _native.table_encode(fields, width, angle, model_id, plays)
+    odd = _native.table_encode(fields, width, angle, model_id, plays=plays)
     if _native.table_check(odd)[0] == "OK":
         anything = rng.integers(-(2**31), 2**31, 300, dtype=np.int32)
         table = _native.FixedTable(odd)
@@ -294,8 +294,8 @@ def test_a_warp_that_does_not_fit_the_width_is_refused() -> None:
     fields = dict(_native.FixedTable(simple(GRADUAL)[1]).fields)
     width, angle, model_id, plays = (fields.pop(name) for name in ("width", "angle", "model_id", "plays"))
     wrong = {**plays, "centre": (plays["centre"] * 0.9).astype(np.int32)}
-    assert _native.table_check(_native.table_encode(fields, width, angle, model_id, plays))[0] == "OK"
-    assert _native.table_check(_native.table_encode(fields, width, angle, model_id, wrong))[0] == "WARP"
+    assert _native.table_check(_native.table_encode(fields, width, angle, model_id, plays=plays))[0] == "OK"
+    assert _native.table_check(_native.table_encode(fields, width, angle, model_id, plays=wrong))[0] == "WARP"
 
 
 def test_the_reference_is_the_models_play() -> None:

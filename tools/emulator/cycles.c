@@ -4,11 +4,15 @@
 #include <string.h>
 
 #include "pico.h"
-#include "tautline/tl_axis.h"
+#include "tautline/tl_axis_ask.h"
+#include "tautline/tl_axis_guard.h"
+#include "tautline/tl_axis_rest.h"
+#include "tautline/tl_axis_step.h"
+#include "tautline/tl_axis_watch.h"
 #include "tautline/tl_onset.h"
 
-enum { STEP_TIP, STEP_OTHER, WATCH, MOTION, ONSET, STEP_PLAYS, WATCH_PLAYS, LOOKUP, LOOKUP_YARDSTICK, EMPTY };
-enum { TABLES = 60, PLAY_TABLES = 30, TICKS = 300, RATE_HZ = 5000, MOTIONS = 500, REVERSALS = 330 };
+enum { STEP_TIP, STEP_OTHER, WATCH, GUARD, MOTION, ONSET, STEP_PLAYS, WATCH_PLAYS, LOOKUP, LOOKUP_YARDSTICK, EMPTY };
+enum { TABLES = 90, PLAY_TABLES = 45, TICKS = 300, RATE_HZ = 5000, MOTIONS = 600, REVERSALS = 500 };
 
 #define BEGIN(kind)                                                                                                    \
     do {                                                                                                               \
@@ -57,13 +61,25 @@ static int32_t __not_in_flash_func(read_current)(void *context, uint8_t axis) {
     return current;
 }
 
+static uint16_t __not_in_flash_func(read_supply)(void *context) {
+    (void)context;
+    return 6000;
+}
+static bool __not_in_flash_func(read_fault)(void *context, uint8_t axis) {
+    (void)context;
+    (void)axis;
+    return false;
+}
+
 static const tl_port_t port = {.name = "cycles",
                                .axes = 1,
                                .control_hz = RATE_HZ,
                                .time_us = no_time,
                                .encoder = read_encoder,
                                .drive = take_drive,
-                               .current_ma = read_current};
+                               .current_ma = read_current,
+                               .supply_mv = read_supply,
+                               .driver_fault = read_fault};
 
 // -- random valid tables
 // ---------------------------------------------------------------------------------------------------
@@ -150,7 +166,7 @@ static void make_plays(tl_table_t *table) {
         if (table->nodes > 1) {
             add_plays(table);
         }
-    } while (table->plays == 0 || tl_lookup_derive(&axis.lookup, table, 0) != TL_TABLE_OK);
+    } while (table->plays == 0 || tl_lookup_derive(&axis.tip.lookup, table, 0) != TL_TABLE_OK);
 }
 
 // -- a motor that follows well enough, and sometimes does not
@@ -169,42 +185,74 @@ static void turn_motor(void) {
     current = between(0, 600);
 }
 
+static uint8_t follow(bool tip, uint8_t compensation, uint32_t silence_us, tl_us_t now_us) {
+    const tl_wire_follow_t request = {.target = tip, .compensation = compensation, .silence_us = silence_us};
+    return tl_axis_follow(&axis, &request, now_us);
+}
+
+static void set_point(int32_t value, tl_us_t at_us, tl_us_t now_us, bool *late) {
+    const tl_wire_set_point_t request = {.value = value, .at_us = at_us};
+    tl_axis_set_point(&axis, &request, now_us, late);
+}
+
+static void move(tl_count_q8_t q, int32_t speed_q8_s) {
+    const tl_wire_move_t request = {.q_q8 = q, .speed_q8_s = speed_q8_s, .silence_us = 50000000U};
+    tl_axis_move(&axis, &request);
+}
+
 static void __no_inline_not_in_flash_func(step)(uint32_t kind, tl_us_t now_us) {
     turn_motor();
     BEGIN(kind);
     tl_axis_step(&axis);
     END();
     if (axis.slot == 0) {
-        BEGIN(axis.lookup.plays > 0 ? WATCH_PLAYS : WATCH);
+        BEGIN(axis.tip.lookup.plays > 0 ? WATCH_PLAYS : WATCH);
         tl_axis_watch(&axis, now_us);
         END();
+    } else if (axis.slot == 2) {
+        BEGIN(GUARD);
+        tl_axis_guard(&axis, now_us);
+        END();
     }
-    if (axis.sample_head - axis.sample_tail > (uint32_t)between(0, 31)) {
-        axis.sample_tail = axis.sample_head;
+    if (axis.telemetry.head - axis.telemetry.tail > (uint32_t)between(0, 31)) {
+        axis.telemetry.tail = axis.telemetry.head;
     }
 }
 
 static void start_axis(bool plays) {
     tl_axis_init(&axis, &port, 0);
-    axis.divider = (uint8_t)between(0, 3);
+    tl_wire_settings_t settings = axis.settings; // the widest
+    settings.speed_q8_s = TL_REFERENCE_SPEED_MAX;
+    settings.acceleration_q8_s2 = TL_REFERENCE_ACCELERATION_MAX;
+    settings.following_error_q8 = TL_AXIS_RANGE_MAX;
+    settings.current_ma = 0;
+    settings.stall_ms = (uint16_t)between(20, 5000);
+    tl_axis_use_settings(&axis, &settings);
+    axis.telemetry.divider = (uint8_t)between(0, 3);
     quickness = between(0, 2) == 0 ? 1 << between(3, 9) : 32;
-    (plays ? make_plays : make_table)(&axis.lookup.table);
-    if (tl_lookup_derive(&axis.lookup, &axis.lookup.table, 0) != TL_TABLE_OK) {
+    (plays ? make_plays : make_table)(&axis.tip.lookup.table);
+    if (tl_lookup_derive(&axis.tip.lookup, &axis.tip.lookup.table, 0) != TL_TABLE_OK) {
         panic("a table that was checked is refused");
     }
-    const tl_table_t *table = &axis.lookup.table;
+    const tl_table_t *table = &axis.tip.lookup.table;
     const tl_count_q8_t begins[] = {table->q_min, table->q_max, between(table->q_min, table->q_max),
                                     between(table->q_min, table->q_max), table->q_min - between(0, 100000)};
     tl_axis_set_position(&axis, begins[between(0, 4)]);
     tl_axis_use_table(&axis, true);
-    tl_servo_gains_t gains = axis.servo.gains;
+    const tl_servo_gains_t *before = &axis.motor.servo.gains;
+    tl_wire_servo_t gains = {.proportional = before->proportional,
+                             .integral = before->integral,
+                             .derivative = before->derivative,
+                             .feed_forward = before->feed_forward,
+                             .inertia = before->inertia,
+                             .friction_q15 = before->friction};
     if (between(0, 2) == 0) {
-        gains = (tl_servo_gains_t){.proportional = between(0, TL_SERVO_GAIN_MAX),
-                                   .integral = between(0, TL_SERVO_GAIN_MAX),
-                                   .derivative = between(0, TL_SERVO_GAIN_MAX),
-                                   .feed_forward = between(0, TL_SERVO_GAIN_MAX),
-                                   .inertia = between(0, TL_SERVO_GAIN_MAX),
-                                   .friction = between(0, TL_SERVO_GAIN_MAX)};
+        gains = (tl_wire_servo_t){.proportional = between(0, TL_SERVO_GAIN_MAX),
+                                  .integral = between(0, TL_SERVO_GAIN_MAX),
+                                  .derivative = between(0, TL_SERVO_GAIN_MAX),
+                                  .feed_forward = between(0, TL_SERVO_GAIN_MAX),
+                                  .inertia = between(0, TL_SERVO_GAIN_MAX),
+                                  .friction_q15 = between(0, TL_SERVO_GAIN_MAX)};
     }
     if (tl_axis_set_servo(&axis, &gains) != 0) {
         panic("gains within their range are refused");
@@ -213,7 +261,7 @@ static void start_axis(bool plays) {
     limits.following_error_q8 = between(0, 4) == 0 ? between(256, 20000) : 1000 * 256;
     limits.current_ma = between(0, 9) == 0 ? 200 : 1000;
     limits.duty_q15 = between(0, 3) == 0 ? between(0, 32768) : 32768;
-    limits.speed_q8_s = between(1000, 60000) * 256;
+    limits.speed_q8_s = between(1000, 30000) * 256;
     limits.acceleration_q8_s2 = between(50000, 2000000) * 256;
     tl_axis_set_limits(&axis, &limits);
     axis.history = between(0, 1) == 0 ? &history : NULL;
@@ -221,7 +269,7 @@ static void start_axis(bool plays) {
 }
 
 static tl_deg_q16_t any_angle(void) {
-    const tl_lookup_t *lookup = &axis.lookup;
+    const tl_lookup_t *lookup = &axis.tip.lookup;
     const int32_t span = lookup->c_high / 2 - lookup->c_low / 2;
     return tl_add_sat(lookup->c_low / 2 + lookup->c_high / 2,
                       between(-span, span) + between(-span / 4 - 1, span / 4 + 1));
@@ -230,6 +278,7 @@ static tl_deg_q16_t any_angle(void) {
 // Motor on, at rest, no fault: from there every mode begins.
 static void hold(tl_us_t *now_us) {
     axis.fault = 0;
+    axis.checked = axis.referenced = true;
     tl_axis_enable(&axis);
     tl_axis_stop(&axis, false);
     for (int i = 0; i < 5 * TICKS && axis.mode != TL_WIRE_MODE_HOLD; i++) {
@@ -243,7 +292,7 @@ static void hold(tl_us_t *now_us) {
 static void follow_tip(tl_us_t *now_us) {
     hold(now_us);
     const uint32_t silence_us = between(0, 5) == 0 ? (uint32_t)between(5000, 60000) : 50000000U;
-    if (tl_axis_follow(&axis, true, (uint8_t)between(0, 5) % 3u, silence_us, *now_us) != 0) {
+    if (follow(true, (uint8_t)between(0, 5) % 3u, silence_us, *now_us) != 0) {
         return;
     }
     const int32_t often = between(5, 60); // a set-point in so many ticks
@@ -253,21 +302,21 @@ static void follow_tip(tl_us_t *now_us) {
         *now_us += 1000000 / RATE_HZ;
         if (between(0, often) == 0) {
             const tl_us_t at = between(0, 1) == 0 ? 0 : *now_us + (tl_us_t)between(1000, 60000);
-            tl_axis_set_point(&axis, any_angle(), at, *now_us, &late);
+            set_point(any_angle(), at, *now_us, &late);
         } else if (between(0, 5) == 0) {
-            tl_axis_set_point(&axis, axis.c_next + between(-jitter, jitter), 0, *now_us, &late);
+            set_point(axis.plan.c_next + between(-jitter, jitter), 0, *now_us, &late);
         }
         if (between(0, 40) == 0) {
             tl_axis_set_strength(&axis, between(0, 32768));
         }
-        const uint32_t kind = axis.lookup.plays > 0 ? STEP_PLAYS : STEP_TIP;
+        const uint32_t kind = axis.tip.lookup.plays > 0 ? STEP_PLAYS : STEP_TIP;
         step(axis.mode == TL_WIRE_MODE_FOLLOW_TIP ? kind : STEP_OTHER, *now_us);
     }
 }
 
 // Moves that arrive, and set-points beyond the ends of the range, without a table: far ways.
 static void move_far(tl_us_t *now_us) {
-    tl_axis_fail(&axis, TL_WIRE_FAULT_STOPPED, *now_us);
+    tl_axis_fail(&axis, TL_WIRE_FAULT_STOPPED, 0, *now_us);
     axis.fault = 0;
     tl_axis_use_table(&axis, false);
     tl_wire_limits_t limits = axis.limits;
@@ -278,21 +327,20 @@ static void move_far(tl_us_t *now_us) {
     limits.speed_q8_s = 1 << (between(0, 1) == 0 ? 22 : between(12, 22));
     tl_axis_set_limits(&axis, &limits);
     const int32_t from_end = 1 << (between(0, 1) == 0 ? between(23, 24) : between(4, 27));
-    tl_axis_set_position(&axis, between(0, 1) == 0 ? axis.low + from_end : axis.high - from_end);
+    tl_axis_set_position(&axis, between(0, 1) == 0 ? axis.plan.low + from_end : axis.plan.high - from_end);
     hold(now_us);
     bool late;
     for (int i = 0; i < 12; i++) {
-        const tl_count_q8_t target =
-            tl_clamp(axis.q + between(-1, 1) * (1 << (between(0, 1) == 0 ? 12 : between(0, 28))), axis.low, axis.high);
-        const bool follow = between(0, 1) == 0 && tl_axis_follow(&axis, false, 0, 50000000, *now_us) == 0;
-        if (!follow) {
-            tl_axis_move(&axis, target, between(0, 1) * (1 << between(8, 22)));
+        const tl_count_q8_t target = tl_clamp(
+            axis.q + between(-1, 1) * (1 << (between(0, 1) == 0 ? 12 : between(0, 28))), axis.plan.low, axis.plan.high);
+        const bool follows = between(0, 1) == 0 && follow(false, 0, 50000000, *now_us) == 0;
+        if (!follows) {
+            move(target, between(0, 1) * (1 << between(8, 22)));
         }
         for (int32_t left = between(50, 600); left > 0; left--) {
             *now_us += 1000000 / RATE_HZ;
-            if (follow && left % 40 == 0) {
-                tl_axis_set_point(&axis, axis.target + between(-1, 1) * (1 << between(0, 24)), *now_us + 8000, *now_us,
-                                  &late);
+            if (follows && left % 40 == 0) {
+                set_point(axis.plan.target + between(-1, 1) * (1 << between(0, 24)), *now_us + 8000, *now_us, &late);
             }
             step(STEP_OTHER, *now_us);
         }
@@ -302,7 +350,7 @@ static void move_far(tl_us_t *now_us) {
 static void calibrate(tl_us_t *now_us) {
     hold(now_us);
     const int32_t stroke = between(20, 800) * 256;
-    const int32_t q = tl_reference_q(&axis.reference);
+    const int32_t q = tl_reference_q(&axis.plan.reference);
     tl_motion_config_t config = {.low = q - between(-stroke, 3 * stroke),
                                  .speed_count = (uint8_t)between(1, TL_MOTION_SPEEDS),
                                  .cycles = (uint8_t)between(1, 4),
@@ -333,7 +381,7 @@ static void calibrate(tl_us_t *now_us) {
         }
         step(STEP_OTHER, *now_us);
     }
-    axis.motion = NULL;
+    axis.plan.motion = NULL;
     tl_axis_stop(&axis, false);
 }
 
@@ -346,7 +394,7 @@ static void other_modes(tl_us_t *now_us) {
         case 0:
             axis.fault = 0;
             tl_axis_enable(&axis);
-            tl_axis_move(&axis, between(axis.low, axis.high), between(0, 1) * between(1, 5000 * 256));
+            move(between(axis.plan.low, axis.plan.high), between(0, 1) * between(1, 5000 * 256));
             break;
         case 1:
             tl_axis_stop(&axis, between(0, 1) == 0);
@@ -354,15 +402,28 @@ static void other_modes(tl_us_t *now_us) {
         case 2:
             axis.fault = 0;
             tl_axis_enable(&axis);
-            if (tl_axis_follow(&axis, false, 0, (uint32_t)between(1000, 50000), *now_us) == 0) {
-                tl_axis_set_point(&axis, axis.q + between(-30000, 30000), *now_us + 20000, *now_us, &late);
+            if (follow(false, 0, (uint32_t)between(1000, 50000), *now_us) == 0) {
+                set_point(axis.q + between(-30000, 30000), *now_us + 20000, *now_us, &late);
             }
+            break;
+        case 3:
+            axis.fault = 0;
+            axis.referenced = true;
+            tl_axis_enable(&axis);
+            tl_axis_home(&axis, &(tl_wire_home_t){.direction = 1, .reach_q8 = 1 << 20});
+            break;
+        case 4:
+            axis.fault = 0;
+            tl_axis_stop(&axis, true);
+            tl_axis_check(&axis);
             break;
         default:
             break;
         }
         step(STEP_OTHER, *now_us);
     }
+    axis.referenced = true;
+    tl_axis_admit(&axis);
 }
 
 // -- whole calibration motions of short strokes, each tick of the plan
@@ -513,10 +574,10 @@ static void lookups(void) {
     volatile int32_t sink;
     uint32_t flags = 0;
     for (int i = 0; i < TICKS; i++) {
-        const tl_table_t *table = &axis.lookup.table;
+        const tl_table_t *table = &axis.tip.lookup.table;
         const tl_count_q8_t p = between(table->q_min, table->q_max);
         BEGIN(LOOKUP);
-        sink = tl_lookup_width(&axis.lookup, p, &flags);
+        sink = tl_lookup_width(&axis.tip.lookup, p, &flags);
         END();
         const int32_t x = between(0, (table->nodes << 20) - 1);
         BEGIN(LOOKUP_YARDSTICK);
@@ -537,7 +598,7 @@ int main(void) {
         other_modes(&now_us);
         calibrate(&now_us);
         follow_tip(&now_us);
-        if (axis.lookup.table.nodes > 1) {
+        if (axis.tip.lookup.table.nodes > 1) {
             lookups();
         }
         move_far(&now_us);

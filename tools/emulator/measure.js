@@ -8,9 +8,11 @@ import { Chip } from './src/chip.js';
 import { Flash } from './src/flash.js';
 import { SimulationClock } from './src/rp2040js.js';
 
-const KINDS = ['step_tip', 'step_other', 'watch', 'motion', 'onset', 'step_plays', 'watch_plays', 'lookup', 'lookup_yardstick', 'empty'];
+const KINDS = [
+  'step_tip', 'step_other', 'watch', 'guard', 'motion', 'onset', 'step_plays', 'watch_plays', 'lookup', 'lookup_yardstick', 'empty',
+];
 const LOOKUP = KINDS.indexOf('lookup'); // and what follows may run from flash
-const LIMIT_S = 90; // of emulated time
+const LIMIT_S = 150; // of emulated time
 const TAKEN = 1;
 const NOT_TAKEN = 2;
 

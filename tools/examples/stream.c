@@ -128,6 +128,11 @@ int main(int argc, char **argv) {
     }
 
     request(TL_WIRE_ENABLE, &(tl_wire_enable_t){.axis = axis, .on = 1}, TL_WIRE_ACK, &answer);
+    do { // the first time it checks motor and encoder before it holds
+        const struct timespec pause = {.tv_nsec = 20000000};
+        nanosleep(&pause, NULL);
+        request(TL_WIRE_GET_STATUS, &(tl_wire_get_status_t){.axis = axis}, TL_WIRE_STATUS, &answer);
+    } while (answer.status.mode == TL_WIRE_MODE_CHECK);
     const tl_wire_follow_t follow = {.axis = axis, .target = TIP, .compensation = FULL, .silence_us = SILENCE_US};
     request(TL_WIRE_FOLLOW, &follow, TL_WIRE_ACK, &answer);
     request(TL_WIRE_GET_STATUS, &(tl_wire_get_status_t){.axis = axis}, TL_WIRE_STATUS, &answer);

@@ -5,8 +5,16 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 /// The CRC of `size` bytes; chain blocks by passing the previous result as `crc`, start with 0.
 /// 64 bytes of table, about 20 cycles a byte on a Cortex-M0+.
 uint32_t tl_crc32(uint32_t crc, const void *data, size_t size);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

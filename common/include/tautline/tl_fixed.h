@@ -9,6 +9,12 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "tautline/tl_fast.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 typedef int32_t tl_count_q8_t;  ///< motor position or width: encoder counts, Q23.8: +-8.3 M counts, 1/256 count
 typedef int32_t tl_deg_q16_t;   ///< configuration (bending angle): degrees, Q15.16: +-32768 deg, 15 udeg
 typedef int32_t tl_px_q12_t;    ///< image position: pixels, Q19.12: +-524288 px, 0.25 mpx
@@ -21,7 +27,7 @@ typedef uint64_t tl_us_t;       ///< time since the board's start, microseconds
 #define TL_PX_ONE    ((tl_px_q12_t)1 << 12)
 #define TL_RATIO_ONE ((tl_ratio_q15_t)1 << 15)
 
-static inline int32_t tl_add_sat(int32_t a, int32_t b) {
+static inline TL_FAST int32_t tl_add_sat(int32_t a, int32_t b) {
     const uint32_t sum = (uint32_t)a + (uint32_t)b;
     const uint32_t overflow = ~((uint32_t)a ^ (uint32_t)b) & ((uint32_t)a ^ sum);
     if (overflow >> 31) {
@@ -30,7 +36,7 @@ static inline int32_t tl_add_sat(int32_t a, int32_t b) {
     return (int32_t)sum;
 }
 
-static inline int32_t tl_sub_sat(int32_t a, int32_t b) {
+static inline TL_FAST int32_t tl_sub_sat(int32_t a, int32_t b) {
     const uint32_t difference = (uint32_t)a - (uint32_t)b;
     const uint32_t overflow = ((uint32_t)a ^ (uint32_t)b) & ((uint32_t)a ^ difference);
     if (overflow >> 31) {
@@ -86,5 +92,9 @@ static inline uint32_t tl_scale(uint32_t x, tl_scale_t ratio) {
     return ratio.shift >= 0 ? tl_mul_high(x << ratio.shift, ratio.mantissa)
                             : tl_mul_high(x, ratio.mantissa) >> -ratio.shift;
 }
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

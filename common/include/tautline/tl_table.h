@@ -34,7 +34,7 @@
 ///       64    4  camera delay t_delay, us, unsigned, at most 2 s
 ///       68    4  created, seconds since 1970, unsigned
 ///       72    8  model id: any bytes by which the host knows the model again
-///       80    8  reserved, zero
+///       80    8  instrument that it was made for: its serial, ASCII, padded with 0; all 0: it does not say
 ///       88  4*n  B, Q8 counts, n = nodes
 ///   88+4*n  4*n  f, deg Q16
 ///   88+8*n  ...  format 2: sections, each 2 bytes of id, 2 bytes of the size of what follows, and that
@@ -66,6 +66,10 @@
 
 #include <stddef.h>
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 #define TL_TABLE_FORMAT            2U ///< the newest that is read; 1 still is
 #define TL_TABLE_FORMAT_PLAIN      1U ///< without sections
 #define TL_TABLE_AXES              4U
@@ -94,7 +98,7 @@ typedef enum { TL_UNIT_MM = 0, TL_UNIT_DEG = 1 } tl_unit_t;
     X(FORMAT, "the table has another format version: flash matching firmware or write the table again")                \
     X(SIZE, "the size in the header is not the blob's size")                                                           \
     X(CRC, "the CRC-32 does not match: the table was damaged on its way")                                              \
-    X(RESERVED, "reserved bytes, or the grid of a table without nodes, are not zero")                                  \
+    X(RESERVED, "the instrument's serial is no text, or the grid of a table without nodes is not zero")                \
     X(AXIS, "the table is for another axis, or for none that exists")                                                  \
     X(KIND, "the kind of axis is not bending, translation or rotation")                                                \
     X(UNIT, "the unit is not mm or deg")                                                                               \
@@ -115,7 +119,9 @@ typedef enum { TL_UNIT_MM = 0, TL_UNIT_DEG = 1 } tl_unit_t;
     X(PLAYS,                                                                                                           \
       "the elements of the play: 2 to 7, shares that rise and sum up to 1, the first at least 0.05 of the motion")     \
     X(WARP, "the warp of the elements does not rise, or does not make every width one")                                \
-    X(FLAT, "f_remain is flatter somewhere than the stated least slope, and no flat speed is given to cross it")
+    X(FLAT, "f_remain is flatter somewhere than the stated least slope, and no flat speed is given to cross it")       \
+    X(INSTRUMENT,                                                                                                      \
+      "the table was made for another instrument than the board's settings name: flash that one's, or --force")
 
 #define TL_TABLE_REASON_NAME(name, text) TL_TABLE_BAD_##name,
 typedef enum { TL_TABLE_OK = 0, TL_TABLE_REASONS(TL_TABLE_REASON_NAME) TL_TABLE_REASON_COUNT } tl_table_reason_t;
@@ -143,6 +149,7 @@ typedef struct {
     uint32_t delay_us;
     uint32_t created_s;
     uint8_t model_id[8];
+    char instrument[8];                      ///< not terminated where all are used
     tl_count_q8_t width[TL_TABLE_NODES_MAX]; ///< B
     tl_deg_q16_t angle[TL_TABLE_NODES_MAX];  ///< f
     uint8_t plays;                           ///< 0: one, and what follows says nothing
@@ -170,5 +177,9 @@ uint32_t tl_table_flat_below(const tl_table_t *table);
 
 /// A sentence for a person; never NULL, lives for ever.
 const char *tl_table_reason_text(tl_table_reason_t reason);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

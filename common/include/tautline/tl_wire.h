@@ -3,7 +3,7 @@
 /// Each message is one field list below. The C structs, their encoding, and (through the native module) the host's
 /// Python view come from these lists; nothing about a message is written down anywhere else.
 ///
-/// A frame on the bulk pipe, little-endian, no padding:
+/// A frame on the bulk pipe or the serial line, little-endian, no padding:
 ///
 ///     magic u16 | type u8 | header check u8 | payload length u16 | sequence u16 | payload | CRC-32 u32
 ///
@@ -24,12 +24,17 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#define TL_WIRE_MAJOR            1
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define TL_WIRE_MAJOR            2
 #define TL_WIRE_MINOR            0
 #define TL_WIRE_USB_VENDOR       0x1209U ///< pid.codes
 #define TL_WIRE_USB_PRODUCT      0x0001U ///< its test product: for development, never to be sold under
 #define TL_WIRE_USB_MANUFACTURER "tautline"
-#define TL_WIRE_USB_PACKET       64U ///< of both bulk endpoints, 0x01 and 0x81, of interface 0; interface 1 is DFU
+#define TL_WIRE_SERIAL_BAUD      921600U ///< of a board with a serial port: 8 data bits, no parity, 1 stop bit
+#define TL_WIRE_USB_PACKET       64U     ///< of both bulk endpoints, 0x01 and 0x81, of interface 0; interface 1 is DFU
 
 #define TL_WIRE_MAGIC       0x7E54U
 #define TL_WIRE_HEADER_SIZE 8U
@@ -41,7 +46,7 @@
 #define TL_WIRE_ALL_AXES      0xFFU ///< accepted as `axis` by enable (off only), safe_stop, clear_fault, telemetry
 #define TL_WIRE_BATCH_SAMPLES 8U    ///< telemetry samples in a frame
 #define TL_WIRE_DIVIDER_MAX   60U   ///< of telemetry: its period fits 16 bits of microseconds
-#define TL_WIRE_KEY           0x74617574U ///< what reboot asks for, so that no stray byte restarts a board
+#define TL_WIRE_KEY           0x74617574U ///< what reboot and settings ask for, so that no stray byte does either
 
 // Field lists: F(kind, name, doc) is one value, A(kind, name, count, doc) an array. Kinds: u8 u16 u32 u64 i8 i16 i32,
 // and text (count bytes, padded with 0). Suffixes as in tl_fixed.h; _q8 counts, _q16 deg, _q12 px, _q15 ratio or duty.
@@ -60,10 +65,10 @@
 
 #define TL_WIRE_FIELDS_ENABLE(F, A)                                                                                    \
     F(u8, axis, "or all (off only)")                                                                                   \
-    F(u8, on, "1: hold where it is; 0: motor off. An axis that moves is brought to rest within its limits first")
+    F(u8, on, "1: hold where it is, after a check where one is due; 0: motor off, after coming to rest within limits")
 
 #define TL_WIRE_FIELDS_FOLLOW(F, A)                                                                                    \
-    F(u8, axis, "enabled, at rest")                                                                                    \
+    F(u8, axis, "enabled, at rest, referenced")                                                                        \
     F(u8, target, "what set_point's value is: 0 motor position, 1 configuration, through the tables")                  \
     F(u8, compensation, "of a configuration: 0 coarse kinematics alone, 1 and backlash, 2 f_remain and backlash")      \
     F(u32, silence_us, "without a set_point for so long the axis comes to rest and holds; 0: the default, 100 ms")
@@ -74,9 +79,28 @@
     F(u64, at_us, "board time at which it holds, joined by straight lines; 0: a period of the sender from now")
 
 #define TL_WIRE_FIELDS_MOVE(F, A)                                                                                      \
-    F(u8, axis, "enabled, not calibrating")                                                                            \
+    F(u8, axis, "enabled, referenced, not calibrating")                                                                \
     F(i32, q_q8, "counts: go there within speed and acceleration, then hold")                                          \
-    F(i32, speed_q8_s, "counts/s; 0: the limit")
+    F(i32, speed_q8_s, "counts/s; 0: the limit")                                                                       \
+    F(u32, silence_us, "without any message from the host for so long it comes to rest and faults; 0: 1 s")
+
+#define TL_WIRE_FIELDS_JOG(F, A)                                                                                       \
+    F(u8, axis, "enabled, at rest; needs no reference")                                                                \
+    F(i32, way_q8, "counts from here, at low duty, without regard to position limits; then hold")                      \
+    F(i32, speed_q8_s, "counts/s; 0: a tenth of the limit, and never more than half of it")                            \
+    F(u32, silence_us, "as move's")
+
+#define TL_WIRE_FIELDS_HOME(F, A)                                                                                      \
+    F(u8, axis, "enabled, at rest; needs no reference")                                                                \
+    F(i8, direction, "of the mechanical end: -1 or 1")                                                                 \
+    F(i32, duty_q15, "drive that may press against the end; 0: the settings' low duty, which is also the most")        \
+    F(i32, speed_q8_s, "counts/s; 0: a tenth of the limit, and never more than half of it")                            \
+    F(i32, reach_q8, "counts within which the end must be")                                                            \
+    F(i32, end_q8, "counts: what the position is there")                                                               \
+    F(i32, retreat_q8, "counts to go back from it, then hold")                                                         \
+    F(u32, silence_us, "as move's")
+
+#define TL_WIRE_FIELDS_CHECK(F, A) F(u8, axis, "motor off: drives a little either way, as the first enable does")
 
 #define TL_WIRE_FIELDS_STRENGTH(F, A)                                                                                  \
     F(u8, axis, "")                                                                                                    \
@@ -84,10 +108,9 @@
 
 #define TL_WIRE_FIELDS_SET_POSITION(F, A)                                                                              \
     F(u8, axis, "motor off")                                                                                           \
-    F(i32, q_q8, "counts: what the present position is from now on")
+    F(i32, q_q8, "counts: what the present position is from now on: the axis is referenced")
 
-#define TL_WIRE_FIELDS_LIMITS(F, A)                                                                                    \
-    F(u8, axis, "")                                                                                                    \
+#define TL_WIRE_VALUES_LIMITS(F, A)                                                                                    \
     F(i32, q_low_q8, "counts")                                                                                         \
     F(i32, q_high_q8, "counts")                                                                                        \
     F(i32, speed_q8_s, "counts/s")                                                                                     \
@@ -96,10 +119,13 @@
     F(i32, current_ma, "mean over 20 ms above which the axis faults; 0: not watched")                                  \
     F(i32, following_error_q8, "counts between reference and position above which the axis faults")
 
+#define TL_WIRE_FIELDS_LIMITS(F, A)                                                                                    \
+    F(u8, axis, "off or holding. In force until the board restarts; within its settings, which no limits widen")       \
+    TL_WIRE_VALUES_LIMITS(F, A)
+
 #define TL_WIRE_FIELDS_GET_LIMITS(F, A) F(u8, axis, "")
 
-#define TL_WIRE_FIELDS_SERVO(F, A)                                                                                     \
-    F(u8, axis, "motor off")                                                                                           \
+#define TL_WIRE_VALUES_SERVO(F, A)                                                                                     \
     F(i32, proportional, "duty Q15 per count")                                                                         \
     F(i32, integral, "duty Q15 per count and second")                                                                  \
     F(i32, derivative, "duty Q15 per 1000 counts/s")                                                                   \
@@ -107,7 +133,27 @@
     F(i32, inertia, "duty Q15 per 100000 counts/s2 of the reference")                                                  \
     F(i32, friction_q15, "duty in the direction of the reference's motion: the dead band")
 
+#define TL_WIRE_FIELDS_SERVO(F, A)                                                                                     \
+    F(u8, axis, "motor off. To be tried until the board restarts; the next enable checks motor and encoder")           \
+    TL_WIRE_VALUES_SERVO(F, A)
+
 #define TL_WIRE_FIELDS_GET_SERVO(F, A) F(u8, axis, "")
+
+// What belongs to the board, its motor and its instrument. Kept in flash in this very form, without key.
+#define TL_WIRE_FIELDS_SETTINGS(F, A)                                                                                  \
+    F(u8, axis, "all motors off. In force at once, with the gains; the next enable checks motor and encoder")          \
+    F(u32, key, "TL_WIRE_KEY; 0 in an answer")                                                                         \
+    TL_WIRE_VALUES_LIMITS(F, A)                                                                                        \
+    TL_WIRE_VALUES_SERVO(F, A)                                                                                         \
+    F(i32, low_duty_q15, "most drive of check, homing and jog")                                                        \
+    F(i32, arrive_q8, "counts within which a move has arrived, 1 or more")                                             \
+    F(u16, stall_ms, "drive at its limit and the motor still for so long is a stall, 20 to 5000")                      \
+    F(u16, supply_low_mv, "motor supply below it faults a driven axis; 0: not watched")                                \
+    A(text, instrument, 8, "serial of the instrument that is mounted; empty: tables of any are taken")
+
+#define TL_WIRE_FIELDS_GET_SETTINGS(F, A) F(u8, axis, "")
+
+#define TL_WIRE_FIELDS_ANY_TABLE(F, A) F(u8, axis, "its next table may be one made for another instrument")
 
 #define TL_WIRE_FIELDS_TELEMETRY(F, A)                                                                                 \
     F(u8, axis, "or all")                                                                                              \
@@ -122,7 +168,7 @@
     F(i32, sigma_q12, "px, one standard deviation per coordinate; 0: unknown")
 
 #define TL_WIRE_FIELDS_MOTION_START(F, A)                                                                              \
-    F(u8, axis, "enabled, at rest")                                                                                    \
+    F(u8, axis, "enabled, at rest, referenced")                                                                        \
     F(u8, cycles, "turning points of a pass, 1 to 100")                                                                \
     F(i32, low_q8, "counts: the range to cover")                                                                       \
     F(i32, high_q8, "counts")                                                                                          \
@@ -155,6 +201,22 @@
     F(u32, key, "TL_WIRE_KEY")                                                                                         \
     F(u8, bootloader, "1: into the chip's boot loader, to be given new firmware")
 
+#define TL_WIRE_PART 192 ///< bytes of a table in one message
+
+#define TL_WIRE_FIELDS_TABLE_WRITE(F, A)                                                                               \
+    F(u8, axis, "")                                                                                                    \
+    F(u8, count, "bytes of it that are the table's, 1 to 192")                                                         \
+    F(u16, offset, "of the first; 0 begins anew, each part follows the one before")                                    \
+    A(u8, bytes, 192, "of the blob of tl_table.h")
+
+#define TL_WIRE_FIELDS_TABLE_STORE(F, A)                                                                               \
+    F(u8, axis, "all motors off")                                                                                      \
+    F(u16, size, "of the whole table: as many bytes as were written")
+
+#define TL_WIRE_FIELDS_TABLE_READ(F, A)                                                                                \
+    F(u8, axis, "")                                                                                                    \
+    F(u16, offset, "")
+
 // -- board to host ----------------------------------------------------------------------------------------------
 
 #define TL_WIRE_FIELDS_IDENTITY(F, A)                                                                                  \
@@ -167,6 +229,7 @@
     F(u32, control_hz, "")                                                                                             \
     F(u64, t_us, "board time")                                                                                         \
     F(u8, boot, "why it started: TL_WIRE_BOOTS")                                                                       \
+    F(u16, driver_ma, "at which its motor drivers limit the current by themselves: the most that limits may say")      \
     A(text, port, 16, "which board: desktop, rp2040")                                                                  \
     A(text, serial, 32, "")                                                                                            \
     A(text, build, 32, "")
@@ -192,7 +255,10 @@
     F(i32, c_est_q16, "deg, estimated from q by the play operator and f_remain")                                       \
     F(i32, duty_q15, "")                                                                                               \
     F(i32, current_ma, "")                                                                                             \
-    F(i32, strength_q15, "")
+    F(i32, strength_q15, "")                                                                                           \
+    F(u16, supply_mv, "of the motors; 0: not measured")                                                                \
+    F(u8, settings, "TL_WIRE_STORES")                                                                                  \
+    F(i32, fault_value, "what was measured when the fault came, in the unit that its text names; else 0")
 
 #define TL_WIRE_FIELDS_COUNTERS(F, A)                                                                                  \
     F(u64, t_us, "")                                                                                                   \
@@ -213,10 +279,17 @@
     F(u32, overruns, "control steps that were late")                                                                   \
     F(u32, bus_losses, "times that a host left the bus, or was lost")
 
+#define TL_WIRE_FIELDS_TABLE_PART(F, A)                                                                                \
+    F(u8, axis, "")                                                                                                    \
+    F(u8, count, "bytes that are the table's; fewer than 192 is the end")                                              \
+    F(u16, offset, "of the first")                                                                                     \
+    A(u8, bytes, 192, "of the blob in use")
+
 #define TL_WIRE_FIELDS_BATCH(F, A)                                                                                     \
     F(u8, axis, "")                                                                                                    \
     F(u8, count, "samples filled, the others are 0")                                                                   \
     F(u16, period_us, "")                                                                                              \
+    F(u16, supply_mv, "of the motors; 0: not measured")                                                                \
     F(u64, t_us, "of the first sample")                                                                                \
     A(i32, q_q8, 8, "counts")                                                                                          \
     A(i32, q_ref_q8, 8, "counts")                                                                                      \
@@ -290,12 +363,22 @@
     M(0x14, CLEAR_FAULT, clear_fault, "-> ack")                                                                        \
     M(0x15, CLEAR_TABLE, clear_table, "-> ack")                                                                        \
     M(0x16, REBOOT, reboot, "-> ack, then the board is gone from the bus")                                             \
+    M(0x17, SETTINGS, settings, "-> ack; as an answer: get_settings'")                                                 \
+    M(0x18, GET_SETTINGS, get_settings, "-> settings")                                                                 \
+    M(0x19, HOME, home, "-> ack; an event when it is there, then referenced")                                          \
+    M(0x1A, JOG, jog, "-> ack; an event when it is there")                                                             \
+    M(0x1B, CHECK, check, "-> ack; an event when motor and encoder agree, then it holds")                              \
+    M(0x1C, ANY_TABLE, any_table, "-> ack")                                                                            \
+    M(0x20, TABLE_WRITE, table_write, "-> ack; a part of a table, kept until the last one has come")                   \
+    M(0x21, TABLE_STORE, table_store, "-> ack: the parts are checked, stored and used, as DFU does")                   \
+    M(0x22, TABLE_READ, table_read, "-> table_part, of the table in use")                                              \
     M(0x80, ACK, ack, "")                                                                                              \
     M(0x81, ERROR, error, "")                                                                                          \
     M(0x82, IDENTITY, identity, "")                                                                                    \
     M(0x83, PONG, pong, "")                                                                                            \
     M(0x84, STATUS, status, "")                                                                                        \
     M(0x85, COUNTERS, counters, "")                                                                                    \
+    M(0x88, TABLE_PART, table_part, "as an answer: table_read's")                                                      \
     M(0x90, BATCH, batch, "unasked: telemetry of one axis")                                                            \
     M(0x91, ONSET, onset, "unasked: one reversal, during a calibration motion")                                        \
     M(0x92, PROGRESS, progress, "unasked: after each reversal and at the end of the motion")                           \
@@ -324,19 +407,34 @@
     C(18, MOTION_CYCLES, "calibration motion: 1 to 100 cycles")                                                        \
     C(19, MOTION_RATE, "calibration motion: transit is too fast for the control rate")                                 \
     C(20, ONSET, "calibration motion: a setting of the onset detector is out of its range")                            \
-    C(21, NOT_CALIBRATING, "no calibration motion is under way")
+    C(21, NOT_CALIBRATING, "no calibration motion is under way")                                                       \
+    C(22, NOT_REFERENCED, "the axis does not know its position: home it, or say where it stands")                      \
+    C(23, BEYOND_SETTINGS, "wider than the settings stored on the board: change those, or ask for less")               \
+    C(30, TABLE_SIZE, "the table is too long, or its parts are not in order: send it again")                           \
+    C(31, TABLE_REFUSED, "the table was refused: the axis' status says why")                                           \
+    C(32, SESSION, "the board has restarted: say hello first")
 
+// Each says what to do; a number in brackets is what fault_value holds.
 #define TL_WIRE_FAULTS(C)                                                                                              \
     C(0, NONE, "none")                                                                                                 \
-    C(1, FOLLOWING, "the motor did not follow: blocked, unpowered, or encoder disconnected")                           \
-    C(2, CURRENT, "motor current over its limit")                                                                      \
-    C(3, HOST_LOST, "the host was lost during a calibration motion")                                                   \
-    C(4, TABLE, "no valid table in either slot, though one was stored")                                                \
-    C(5, OVERRUN, "control steps came late")                                                                           \
-    C(6, WATCHDOG, "the firmware hung and was restarted by the watchdog")                                              \
+    C(1, FOLLOWING, "the motor did not follow (by counts): free it, check its supply and the encoder's plug")          \
+    C(2, CURRENT, "motor current over its limit (mA): free the motor, or raise the limit in the settings")             \
+    C(3, HOST_LOST, "the host was lost during a motion: start it again")                                               \
+    C(4, TABLE, "no valid table in either slot, though one was stored: flash it again")                                \
+    C(5, OVERRUN, "control steps came late (by us): report it with the board's counters")                              \
+    C(6, WATCHDOG, "the firmware hung and was restarted by the watchdog: report it")                                   \
     C(7, STOPPED, "stopped by safe_stop")                                                                              \
-    C(8, ENCODER, "the encoder jumped")                                                                                \
-    C(9, EDGES, "encoder edges were lost: the position is off by some counts")
+    C(8, ENCODER, "the encoder jumped (by counts): check its plug and screen, then home the axis")                     \
+    C(9, EDGES, "encoder edges were lost: the position is off by some counts: home the axis")                          \
+    C(10, STALL, "drive at its limit and the motor stood still (at duty 1/32768): free it, or raise its limits")       \
+    C(11, DRIVER, "the motor driver reports over-current, heat or low voltage: check motor wires for a short")         \
+    C(12, SUPPLY, "the motors' supply is too low (mV): check power supply and fuse")                                   \
+    C(13, OSCILLATION, "the drive swung between its limits: lower the servo gains")                                    \
+    C(14, REVERSED, "motor and encoder count against each other (by counts): swap the motor's two wires")              \
+    C(15, SCALE, "the motor turned at another speed than the gains say (counts/s): check encoder and feed_forward")    \
+    C(16, UNMOVED, "at low drive the encoder saw no motion: check motor and encoder plugs, supply, and what blocks")   \
+    C(17, NO_END, "no end was found within the reach (counts gone): check the direction, or allow more reach")         \
+    C(18, SETTINGS, "the settings in flash are damaged: commission the axis again")
 
 #define TL_WIRE_MODES(C)                                                                                               \
     C(0, OFF, "motor off")                                                                                             \
@@ -346,7 +444,15 @@
     C(4, FOLLOW_TIP, "follows configurations through the tables")                                                      \
     C(5, CALIBRATE, "calibration motion")                                                                              \
     C(6, STOPPING, "comes to rest, then holds")                                                                        \
-    C(7, STOPPING_OFF, "comes to rest, then switches off")
+    C(7, STOPPING_OFF, "comes to rest, then switches off")                                                             \
+    C(8, CHECK, "checks motor and encoder at low drive, then holds")                                                   \
+    C(9, HOME, "looks for a mechanical end at low drive, then holds")
+
+#define TL_WIRE_STORES(C)                                                                                              \
+    C(0, DEFAULT, "never stored: the port's defaults")                                                                 \
+    C(1, NEWEST, "the newest stored ones")                                                                             \
+    C(2, OLDER, "those before: the newest are damaged")                                                                \
+    C(3, BAD, "none of those stored is whole: the port's defaults")
 
 #define TL_WIRE_TABLES(C)                                                                                              \
     C(0, NONE, "none: identity")                                                                                       \
@@ -363,7 +469,10 @@
     C(0x0020, SATURATED_DUTY, "the drive is at its limit")                                                             \
     C(0x0040, TAKE_UP, "crossing the backlash")                                                                        \
     C(0x0080, COMPENSATING, "tables in use")                                                                           \
-    C(0x0100, SILENT, "the last sender went silent")
+    C(0x0100, SILENT, "the last sender went silent")                                                                   \
+    C(0x0200, REFERENCED, "the position is known")                                                                     \
+    C(0x0400, CHECKED, "motor and encoder agree in sign and scale")                                                    \
+    C(0x0800, DRIVER_FAULT, "the motor driver reports a fault (nFAULT)")
 
 #define TL_WIRE_MOTIONS(C)                                                                                             \
     C(0, IDLE, "never started")                                                                                        \
@@ -379,7 +488,9 @@
     C(2, ARRIVED, "a move has arrived")                                                                                \
     C(3, SILENT, "the sender went silent: the axis comes to rest")                                                     \
     C(4, RESTED, "the axis has come to rest")                                                                          \
-    C(4, TABLE, "a new table is in use")
+    C(5, TABLE, "a new table is in use")                                                                               \
+    C(6, HOMED, "the end was found: the axis is referenced")                                                           \
+    C(7, CHECKED, "motor and encoder agree")
 
 #define TL_WIRE_BOOTS(C)                                                                                               \
     C(0, POWER, "power on")                                                                                            \
@@ -428,6 +539,7 @@ enum { TL_WIRE_MESSAGES(TL_WIRE_SIZE_) }; ///< bytes of payload
 #define TL_WIRE_MOTION_(code, NAME, text) TL_WIRE_MOTION_##NAME = (code),
 #define TL_WIRE_EVENT_(code, NAME, text)  TL_WIRE_EVENT_##NAME = (code),
 #define TL_WIRE_BOOT_(code, NAME, text)   TL_WIRE_BOOT_##NAME = (code),
+#define TL_WIRE_STORE_(code, NAME, text)  TL_WIRE_STORE_##NAME = (code),
 TL_WIRE_CODES_(REASONS, reason, TL_WIRE_REASON_)
 TL_WIRE_CODES_(FAULTS, fault, TL_WIRE_FAULT_)
 TL_WIRE_CODES_(MODES, mode, TL_WIRE_MODE_)
@@ -436,6 +548,27 @@ TL_WIRE_CODES_(FLAGS, flag, TL_WIRE_FLAG_)
 TL_WIRE_CODES_(MOTIONS, motion, TL_WIRE_MOTION_)
 TL_WIRE_CODES_(EVENTS, event_code, TL_WIRE_EVENT_)
 TL_WIRE_CODES_(BOOTS, boot, TL_WIRE_BOOT_)
+TL_WIRE_CODES_(STORES, store, TL_WIRE_STORE_)
+
+/// Whether a list has this code: tl_wire_is_fault() and so on. A code given twice does not compile.
+#define TL_WIRE_CASE_(code, NAME, text) case (code):
+#define TL_WIRE_IS_(LIST, name)                                                                                        \
+    static inline bool tl_wire_is_##name(uint32_t code) {                                                              \
+        switch (code) {                                                                                                \
+            TL_WIRE_##LIST(TL_WIRE_CASE_) return true;                                                                 \
+        default:                                                                                                       \
+            return false;                                                                                              \
+        }                                                                                                              \
+    }
+TL_WIRE_IS_(REASONS, reason)
+TL_WIRE_IS_(FAULTS, fault)
+TL_WIRE_IS_(MODES, mode)
+TL_WIRE_IS_(TABLES, table)
+TL_WIRE_IS_(FLAGS, flag)
+TL_WIRE_IS_(MOTIONS, motion)
+TL_WIRE_IS_(EVENTS, event_code)
+TL_WIRE_IS_(BOOTS, boot)
+TL_WIRE_IS_(STORES, store)
 
 /// Bytes of payload of a message of this type, 0 where the type is unknown. O(1).
 size_t tl_wire_size(uint8_t type);
@@ -467,5 +600,13 @@ typedef struct {
 /// Call until it returns false. Unknown types and longer payloads than known are returned too. O(size) plus at most
 /// TL_WIRE_FRAME_MAX bytes of rescanning per false frame.
 bool tl_wire_parse(tl_wire_parser_t *parser, const uint8_t **data, size_t *size, tl_wire_frame_t *frame);
+
+/// Gives up the frame that is being waited for, whose rest does not come: what its beginning took with it may be whole,
+/// and is found by the next tl_wire_parse(), new bytes or not. False: nothing was being waited for.
+bool tl_wire_skip(tl_wire_parser_t *parser);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

@@ -1,103 +1,36 @@
-// The control step of one axis. A port puts this file, and all that it reaches, where no flash is read.
-#include "tautline/tl_axis.h"
+#include "tautline/tl_axis_step.h"
 
-#define ENCODER_JUMP 2048U // counts in one step: above any motor's speed, below a glitch's
+#include "tautline/tl_axis_plan.h"
+#include "tautline/tl_axis_rest.h"
+#include "tautline/tl_fast.h"
 
-void tl_axis_fail(tl_axis_t *axis, tl_wire_fault_t fault, tl_us_t now_us) {
-    tl_axis_drive(axis, 0);
-    axis->mode = TL_WIRE_MODE_OFF;
-    axis->stream.used = 0;
-    axis->motion = NULL;
-    if (axis->fault == TL_WIRE_FAULT_NONE) {
-        axis->fault = (uint8_t)fault;
-        axis->fault_us = now_us;
-        tl_axis_event(axis, TL_WIRE_EVENT_FAULT);
-    }
-}
-
-void tl_axis_stop(tl_axis_t *axis, bool then_off) {
-    if (axis->mode == TL_WIRE_MODE_OFF || (axis->mode == TL_WIRE_MODE_HOLD && !then_off)) {
-        return;
-    }
-    axis->stream.used = 0;
-    axis->motion = NULL;
-    axis->mode = then_off ? TL_WIRE_MODE_STOPPING_OFF : TL_WIRE_MODE_STOPPING;
-}
-
-void tl_axis_silence(tl_axis_t *axis) {
-    if (tl_axis_is_following(axis)) {
-        tl_axis_stop(axis, false);
-        axis->silent = true;
-        tl_axis_event(axis, TL_WIRE_EVENT_SILENT);
-    }
-}
-
-void tl_axis_rest(tl_axis_t *axis) {
-    axis->target = axis->q;
-    tl_reference_set(&axis->reference, axis->q);
-    tl_path_set(&axis->path, axis->q);
-}
-
-// -- on every tick ----------------------------------------------------------------------------------------------
-
-static inline void do_job(tl_axis_t *axis, uint32_t job) {
-    const bool tip = axis->mode == TL_WIRE_MODE_FOLLOW_TIP;
-    switch (job) {
-    case 0U:
-        tl_axis_listen(axis);
-        break;
-    case 1U:
-        if (tip) {
-            tl_compensator_feed(&axis->compensator, axis->c_next);
-        }
-        break;
-    case 2U:
-        if (tip) {
-            tl_compensator_turn(&axis->compensator);
-        }
-        break;
-    case 3U:
-        if (tip) {
-            axis->target = tl_compensator_take_up(&axis->compensator);
-        } else if (axis->mode == TL_WIRE_MODE_CALIBRATE) {
-            axis->target = tl_motion_tick(axis->motion).q;
-        }
-        break;
-    default:
-        tl_axis_plan(axis);
-        break;
-    }
-}
-
-void tl_axis_step(tl_axis_t *axis) {
-    const tl_port_t *port = axis->port;
-    const int32_t encoder = port->encoder(port->context, axis->index);
-    const int32_t moved = (int32_t)((uint32_t)encoder - (uint32_t)axis->encoder);
-    axis->encoder = encoder;
-    if ((uint32_t)moved + ENCODER_JUMP >= 2U * ENCODER_JUMP) {
-        tl_axis_fail(axis, TL_WIRE_FAULT_ENCODER, port->time_us(port->context)); // the position stays where it was
+TL_FAST void tl_axis_step(tl_axis_t *axis) {
+    if (!tl_actuator_measure(&axis->motor, &axis->q)) { // tl_axis_watch() clamps it
+        tl_axis_fail(axis, TL_WIRE_FAULT_ENCODER, 0, axis->port->time_us(axis->port->context)); // the position stays
+    } else if (!axis->closed) {
+        axis->path.q = axis->q;
+        tl_actuator_push(&axis->motor, axis->q, axis->trial.duty);
     } else {
-        axis->q += moved * TL_COUNT_ONE; // the watch clamps it
-        if (axis->mode == TL_WIRE_MODE_OFF) {
-            axis->path.q = axis->q;
-            tl_servo_observe(&axis->servo, axis->q);
-            tl_axis_drive(axis, 0);
-        } else {
-            if (axis->slot == 0U) {
-                tl_path_begin(&axis->path, &axis->reference);
-                tl_servo_feed(&axis->servo, &axis->path);
-            }
-            tl_path_tick(&axis->path);
-            tl_axis_drive(axis, tl_servo_step(&axis->servo, axis->q, &axis->path, axis->limits.duty_q15));
+        if (axis->slot == 0U) {
+            tl_path_begin(&axis->path, &axis->plan.reference);
+            tl_actuator_begin(&axis->motor, &axis->path);
         }
+        tl_path_tick(&axis->path);
+        tl_actuator_set(&axis->motor, axis->q, &axis->path);
     }
     uint32_t job = axis->slot;
     const bool last = job + 1U == axis->ticks;
     axis->slot = last ? 0U : job + 1U;
     while (job < TL_AXIS_JOBS) {
-        do_job(axis, job++);
+        tl_axis_job(axis, job++);
         if (!last || TL_AXIS_TICKS_MIN >= TL_AXIS_JOBS) { // else all that are left: below 5 kHz there are fewer ticks
             break;
         }
+    }
+}
+
+TL_FAST void tl_axis_catch_up(tl_axis_t *axis, uint32_t elapsed_us, tl_us_t now_us) {
+    if (!tl_actuator_measure_late(&axis->motor, elapsed_us, &axis->q)) {
+        tl_axis_fail(axis, TL_WIRE_FAULT_ENCODER, 0, now_us);
     }
 }

@@ -1,5 +1,8 @@
 #include "tautline/tl_calibration.h"
 
+#include "tautline/tl_axis_ask.h"
+#include "tautline/tl_axis_rest.h"
+
 // The wire names the motion's states and errors by the estimator's own numbers.
 _Static_assert((int)TL_WIRE_MOTION_IDLE == (int)TL_MOTION_IDLE, "motion states");
 _Static_assert((int)TL_WIRE_MOTION_RUNNING == (int)TL_MOTION_RUNNING, "motion states");
@@ -54,7 +57,7 @@ uint8_t tl_calibration_start(tl_calibration_t *calibration, tl_axis_t *axis, con
     if (calibration->axis != NULL) {
         return TL_WIRE_REASON_BUSY;
     }
-    if (request->host_timeout_us == 0 || request->low_q8 < axis->low || request->high_q8 > axis->high) {
+    if (request->host_timeout_us == 0 || request->low_q8 < axis->plan.low || request->high_q8 > axis->plan.high) {
         return TL_WIRE_REASON_RANGE;
     }
     tl_motion_config_t motion = {
@@ -73,21 +76,32 @@ uint8_t tl_calibration_start(tl_calibration_t *calibration, tl_axis_t *axis, con
         motion.speed_count++;
     }
     const tl_onset_config_t onset = onset_config(request);
-    if (!tl_onset_init(&calibration->detector, &onset)) {
+    if (!tl_onset_init(&calibration->work->detector, &onset)) {
         return TL_WIRE_REASON_ONSET;
     }
-    const tl_motion_error_t error = tl_motion_start(&calibration->motion, &motion, tl_reference_q(&axis->reference));
+    const tl_motion_error_t error =
+        tl_motion_start(&calibration->work->motion, &motion, tl_reference_q(&axis->plan.reference));
     if (error != TL_MOTION_OK) {
         return reason_of(error);
     }
-    tl_history_init(&calibration->history);
-    const uint8_t reason = tl_axis_calibrate(axis, &calibration->motion, &calibration->history);
+    tl_history_init(&calibration->work->history);
+    const uint8_t reason = tl_axis_calibrate(axis, &calibration->work->motion, &calibration->work->history);
     if (reason == 0) {
         calibration->axis = axis;
         calibration->host_lost = false;
         calibration->reversals = 0;
     }
     return reason;
+}
+
+void tl_calibration_frame(tl_calibration_t *calibration) {
+    tl_motion_frame(&calibration->work->motion);
+}
+
+void tl_calibration_turn(tl_calibration_t *calibration, const tl_onset_t *onset) {
+    if (onset->started) { // else the stroke goes on, so that the tip is on an envelope again at its end
+        tl_motion_onset(&calibration->work->motion, onset->direction);
+    }
 }
 
 static bool finished(tl_calibration_t *calibration, bool is_finished) {
@@ -104,11 +118,13 @@ bool tl_calibration_marker(tl_calibration_t *calibration, const tl_wire_marker_t
         .valid = marker->valid != 0,
         .other_motion = marker->other_motion != 0,
     };
-    return finished(calibration, tl_onset_sample(&calibration->detector, &calibration->history, &sample, onset));
+    return finished(calibration,
+                    tl_onset_sample(&calibration->work->detector, &calibration->work->history, &sample, onset));
 }
 
 bool tl_calibration_poll(tl_calibration_t *calibration, tl_us_t now_us, tl_onset_t *onset) {
-    return finished(calibration, tl_onset_poll(&calibration->detector, &calibration->history, now_us, onset));
+    return finished(calibration,
+                    tl_onset_poll(&calibration->work->detector, &calibration->work->history, now_us, onset));
 }
 
 bool tl_calibration_ended(tl_calibration_t *calibration, tl_us_t now_us, uint8_t *state) {
@@ -116,7 +132,7 @@ bool tl_calibration_ended(tl_calibration_t *calibration, tl_us_t now_us, uint8_t
     if (axis == NULL) {
         return false;
     }
-    const tl_motion_state_t motion = tl_motion_state(&calibration->motion);
+    const tl_motion_state_t motion = tl_motion_state(&calibration->work->motion);
     if (axis->mode == TL_WIRE_MODE_CALIBRATE && (motion == TL_MOTION_RUNNING || motion == TL_MOTION_STOPPING)) {
         return false;
     }
@@ -125,7 +141,7 @@ bool tl_calibration_ended(tl_calibration_t *calibration, tl_us_t now_us, uint8_t
         *state = TL_WIRE_MOTION_FAILED;
     } else if (motion == TL_MOTION_HOST_LOST || calibration->host_lost) {
         *state = TL_WIRE_MOTION_HOST_LOST;
-        tl_axis_fail(axis, TL_WIRE_FAULT_HOST_LOST, now_us);
+        tl_axis_fail(axis, TL_WIRE_FAULT_HOST_LOST, 0, now_us);
     } else if (axis->mode == TL_WIRE_MODE_CALIBRATE) {
         tl_axis_stop(axis, false); // it rests: the axis holds from here on
     } else {
@@ -138,7 +154,7 @@ bool tl_calibration_ended(tl_calibration_t *calibration, tl_us_t now_us, uint8_t
 
 void tl_calibration_stop(tl_calibration_t *calibration, bool host_lost) {
     calibration->host_lost = calibration->host_lost || host_lost;
-    tl_motion_stop(&calibration->motion);
+    tl_motion_stop(&calibration->work->motion);
 }
 
 void tl_calibration_onset_message(const tl_calibration_t *calibration, const tl_onset_t *onset,
@@ -169,7 +185,7 @@ void tl_calibration_progress_message(const tl_calibration_t *calibration, const 
     *message = (tl_wire_progress_t){
         .axis = axis->index,
         .state = state,
-        .permille = tl_motion_progress(&calibration->motion),
+        .permille = tl_motion_progress(&calibration->work->motion),
         .reversals = calibration->reversals,
         .t_us = now_us,
     };

@@ -1,6 +1,13 @@
+#include "tautline/tl_command.h"
+
 #include <string.h>
 
-#include "tautline/tl_app.h"
+#include "tautline/tl_axis_ask.h"
+#include "tautline/tl_axis_rest.h"
+#include "tautline/tl_axis_watch.h"
+#include "tautline/tl_command_table.h"
+#include "tautline/tl_report.h"
+#include "tautline/tl_settings.h"
 
 // A handler's answer: a message to send back (type), an acknowledgement, nothing, or a reason to refuse.
 typedef struct {
@@ -35,6 +42,7 @@ static void identity(const tl_app_t *app, tl_us_t now_us, tl_wire_identity_t *ou
         .control_hz = app->port->control_hz,
         .t_us = now_us,
         .boot = app->port->boot,
+        .driver_ma = app->port->driver_ma,
     };
     memcpy(out->firmware, version, sizeof(version));
     copy_text(out->port, sizeof(out->port), app->port->name);
@@ -44,7 +52,8 @@ static void identity(const tl_app_t *app, tl_us_t now_us, tl_wire_identity_t *ou
 
 static void status(const tl_app_t *app, uint8_t index, tl_us_t now_us, tl_wire_status_t *out) {
     const tl_axis_t *axis = &app->axes[index];
-    const tl_table_in_use_t *table = &app->tables[index];
+    const tl_table_in_use_t *table = &app->tables.in_use[index];
+    const uint32_t state = app->port->lock(app->port->context); // all of one moment, and no half of a 64-bit value
     *out = (tl_wire_status_t){
         .axis = index,
         .mode = axis->mode,
@@ -55,55 +64,47 @@ static void status(const tl_app_t *app, uint8_t index, tl_us_t now_us, tl_wire_s
         .table_sequence = table->sequence,
         .table_crc = table->crc,
         .t_us = now_us,
-        .fault_us = axis->fault_us,
+        .fault_us = axis->guard.fault_us,
         .q_q8 = axis->q,
         .q_ref_q8 = axis->path.q,
-        .c_ref_q16 = axis->c_ref,
-        .c_est_q16 = axis->has_table ? tl_play_angle(&axis->play) : 0,
-        .duty_q15 = axis->duty,
-        .current_ma = axis->current_ma,
-        .strength_q15 = axis->strength_q15,
+        .c_ref_q16 = axis->tip.c_ref,
+        .c_est_q16 = axis->has_table ? tl_play_angle(&axis->tip.play) : 0,
+        .duty_q15 = axis->motor.duty,
+        .current_ma = axis->guard.current_ma,
+        .strength_q15 = axis->tip.strength_q15,
+        .supply_mv = axis->guard.supply_mv,
+        .settings = app->settings,
+        .fault_value = axis->guard.fault_value,
     };
+    app->port->unlock(app->port->context, state);
 }
 
 static void counters(tl_app_t *app, bool clear, tl_us_t now_us, tl_wire_counters_t *out) {
     *out = app->counters;
     out->t_us = now_us;
     for (uint8_t i = 0; i < app->port->axes; i++) {
-        out->telemetry_dropped += app->axes[i].samples_dropped;
+        out->telemetry_dropped += app->axes[i].telemetry.dropped;
     }
     if (clear) {
         memset(&app->counters, 0, sizeof(app->counters));
         app->parser.bytes_bad = 0;
         for (uint8_t i = 0; i < app->port->axes; i++) {
-            app->axes[i].samples_dropped = 0;
+            app->axes[i].telemetry.dropped = 0;
         }
     }
 }
 
 static uint8_t set_point(tl_app_t *app, const tl_wire_set_point_t *request, tl_us_t now_us) {
     bool late = false;
-    const uint8_t reason = tl_axis_set_point(&app->axes[request->axis], request->value, request->at_us, now_us, &late);
+    const uint8_t reason = tl_axis_set_point(&app->axes[request->axis], request, now_us, &late);
     app->counters.set_points += reason == 0 ? 1U : 0U;
     app->counters.set_points_dropped += reason == 0 ? 0U : 1U;
     app->counters.set_points_late += late ? 1U : 0U;
     return reason;
 }
 
-static uint8_t servo(tl_axis_t *axis, const tl_wire_servo_t *request) {
-    const tl_servo_gains_t gains = {
-        .proportional = request->proportional,
-        .integral = request->integral,
-        .derivative = request->derivative,
-        .feed_forward = request->feed_forward,
-        .inertia = request->inertia,
-        .friction = request->friction_q15,
-    };
-    return tl_axis_set_servo(axis, &gains);
-}
-
 static void get_servo(const tl_axis_t *axis, tl_wire_servo_t *out) {
-    const tl_servo_gains_t *gains = &axis->servo.gains;
+    const tl_servo_gains_t *gains = &axis->motor.servo.gains;
     *out = (tl_wire_servo_t){
         .axis = axis->index,
         .proportional = gains->proportional,
@@ -126,19 +127,13 @@ static uint8_t enable(tl_axis_t *axis, uint8_t on) {
     return 0;
 }
 
-static uint8_t clear_fault(tl_axis_t *axis) {
-    axis->fault = TL_WIRE_FAULT_NONE;
-    axis->fault_us = 0;
-    return 0;
-}
-
 static uint8_t telemetry(tl_axis_t *axis, uint8_t divider) {
     if (divider > TL_WIRE_DIVIDER_MAX) {
         return TL_WIRE_REASON_RANGE;
     }
-    axis->divider = divider;
-    axis->skipped = 0;
-    axis->sample_tail = axis->sample_head; // a batch holds samples of one period
+    axis->telemetry.divider = divider;
+    axis->telemetry.skipped = 0;
+    axis->telemetry.tail = axis->telemetry.head; // a batch holds samples of one period
     return 0;
 }
 
@@ -150,40 +145,44 @@ static uint8_t for_axis(tl_app_t *app, uint8_t type, const tl_wire_message_t *of
     case TL_WIRE_TELEMETRY:
         return telemetry(axis, of->telemetry.divider);
     case TL_WIRE_SAFE_STOP:
-        tl_axis_fail(axis, TL_WIRE_FAULT_STOPPED, now_us);
+        tl_axis_fail(axis, TL_WIRE_FAULT_STOPPED, 0, now_us);
         return 0;
     case TL_WIRE_CLEAR_FAULT:
-        return clear_fault(axis);
+        return tl_axis_clear_fault(axis);
     case TL_WIRE_FOLLOW:
-        return of->follow.target > 1U ? TL_WIRE_REASON_RANGE
-                                      : tl_axis_follow(axis, of->follow.target == 1U, of->follow.compensation,
-                                                       of->follow.silence_us, now_us);
+        return tl_axis_follow(axis, &of->follow, now_us);
     case TL_WIRE_MOVE:
-        return tl_axis_move(axis, of->move.q_q8, of->move.speed_q8_s);
+        return tl_axis_move(axis, &of->move);
+    case TL_WIRE_JOG:
+        return tl_axis_jog(axis, &of->jog);
+    case TL_WIRE_HOME:
+        return tl_axis_home(axis, &of->home);
+    case TL_WIRE_CHECK:
+        return tl_axis_check(axis);
     case TL_WIRE_STRENGTH:
-        if (of->strength.strength_q15 < 0 || of->strength.strength_q15 > TL_RATIO_ONE) {
-            return TL_WIRE_REASON_RANGE;
-        }
-        tl_axis_set_strength(axis, of->strength.strength_q15);
-        return 0;
+        return tl_axis_set_strength(axis, of->strength.strength_q15);
     case TL_WIRE_SET_POSITION:
         return tl_axis_set_position(axis, of->set_position.q_q8);
     case TL_WIRE_LIMITS:
         return tl_axis_set_limits(axis, &of->limits);
     case TL_WIRE_SERVO:
-        return servo(axis, &of->servo);
+        return tl_axis_set_servo(axis, &of->servo);
+    case TL_WIRE_ANY_TABLE:
+        app->tables.in_use[axis->index].any = true;
+        return 0;
     case TL_WIRE_SET_POINT:
         return set_point(app, &of->set_point, now_us);
     case TL_WIRE_MOTION_START:
-        tl_app_table_abort(app); // its memory is the calibration's
+        tl_tables_abort(&app->tables); // its memory is the calibration's
         return tl_calibration_start(&app->calibration, axis, &of->motion_start);
     case TL_WIRE_MOTION_STOP:
-    default:
         if (app->calibration.axis != axis) {
             return TL_WIRE_REASON_NOT_CALIBRATING;
         }
         tl_calibration_stop(&app->calibration, false);
         return 0;
+    default:
+        return TL_WIRE_REASON_UNKNOWN_TYPE;
     }
 }
 
@@ -208,6 +207,41 @@ static answer_t handle_axis(tl_app_t *app, uint8_t type, const tl_wire_message_t
         }
     }
     return (answer_t){.type = type == TL_WIRE_SET_POINT ? 0U : TL_WIRE_ACK, .reason = reason};
+}
+
+static answer_t get(const tl_app_t *app, uint8_t type, uint8_t index, tl_us_t now_us, tl_wire_message_t *out) {
+    const tl_axis_t *axis = &app->axes[index];
+    switch (type) {
+    case TL_WIRE_GET_LIMITS:
+        out->limits = axis->limits;
+        return with(TL_WIRE_LIMITS);
+    case TL_WIRE_GET_SERVO:
+        get_servo(axis, &out->servo);
+        return with(TL_WIRE_SERVO);
+    case TL_WIRE_GET_SETTINGS:
+        out->settings = axis->settings;
+        return with(TL_WIRE_SETTINGS);
+    default:
+        status(app, index, now_us, &out->status);
+        return with(TL_WIRE_STATUS);
+    }
+}
+
+// Requests that write flash.
+static uint8_t write(tl_app_t *app, uint8_t type, const tl_wire_message_t *of) {
+    if (!tl_tables_all_off(app->port, app->axes)) {
+        return TL_WIRE_REASON_NOT_OFF;
+    }
+    if (type == TL_WIRE_CLEAR_TABLE) {
+        return tl_tables_clear(&app->tables, of->clear_table.axis);
+    }
+    if (of->settings.key != TL_WIRE_KEY) {
+        return TL_WIRE_REASON_KEY;
+    }
+    tl_tables_abort(&app->tables);
+    const uint8_t reason = tl_settings_store(app->port, app->axes, &of->settings, app->work.tables.upload);
+    app->settings = reason == 0 ? TL_WIRE_STORE_NEWEST : app->settings;
+    return reason;
 }
 
 static answer_t handle(tl_app_t *app, uint8_t type, const tl_wire_message_t *of, tl_us_t now_us,
@@ -237,26 +271,22 @@ static answer_t handle(tl_app_t *app, uint8_t type, const tl_wire_message_t *of,
     case TL_WIRE_GET_STATUS:
     case TL_WIRE_GET_LIMITS:
     case TL_WIRE_GET_SERVO:
-    case TL_WIRE_CLEAR_TABLE: {
-        const uint8_t index = of->get_status.axis;
-        if (index >= app->port->axes) {
-            return refuse(TL_WIRE_REASON_AXIS);
+    case TL_WIRE_GET_SETTINGS:
+        return of->get_status.axis < app->port->axes ? get(app, type, of->get_status.axis, now_us, out)
+                                                     : refuse(TL_WIRE_REASON_AXIS);
+    case TL_WIRE_TABLE_WRITE:
+    case TL_WIRE_TABLE_STORE:
+    case TL_WIRE_TABLE_READ: {
+        uint8_t answer = TL_WIRE_ACK;
+        if (type != TL_WIRE_TABLE_READ && app->calibration.axis != NULL) {
+            return refuse(TL_WIRE_REASON_NOT_OFF);
         }
-        if (type == TL_WIRE_CLEAR_TABLE) {
-            return done(tl_app_table_clear(app, index));
-        }
-        if (type == TL_WIRE_GET_LIMITS) {
-            out->limits = app->axes[index].limits;
-            out->limits.axis = index;
-            return with(TL_WIRE_LIMITS);
-        }
-        if (type == TL_WIRE_GET_SERVO) {
-            get_servo(&app->axes[index], &out->servo);
-            return with(TL_WIRE_SERVO);
-        }
-        status(app, index, now_us, &out->status);
-        return with(TL_WIRE_STATUS);
+        const uint8_t reason = tl_command_table(&app->tables, type, of, out, &answer);
+        return reason != 0 ? refuse(reason) : with(answer);
     }
+    case TL_WIRE_CLEAR_TABLE:
+    case TL_WIRE_SETTINGS:
+        return of->get_status.axis < app->port->axes ? done(write(app, type, of)) : refuse(TL_WIRE_REASON_AXIS);
     default:
         return handle_axis(app, type, of, now_us);
     }
@@ -274,7 +304,7 @@ static __attribute__((noinline)) bool decode_marker(const tl_wire_frame_t *frame
 
 static uint8_t take_marker(tl_app_t *app, const tl_wire_frame_t *frame, tl_us_t now_us) {
     tl_wire_marker_t marker;
-    return decode_marker(frame, &marker) ? tl_app_marker(app, &marker, now_us) : TL_WIRE_REASON_SHORT;
+    return decode_marker(frame, &marker) ? tl_report_marker(app, &marker, now_us) : TL_WIRE_REASON_SHORT;
 }
 
 static __attribute__((noinline)) void answer_request(tl_app_t *app, const tl_wire_frame_t *frame, uint8_t reason,
@@ -282,7 +312,8 @@ static __attribute__((noinline)) void answer_request(tl_app_t *app, const tl_wir
     tl_wire_message_t request;
     tl_wire_message_t out;
     answer_t answer = refuse(reason);
-    if (frame->type != TL_WIRE_MARKER && frame->type < TL_WIRE_ACK && tl_wire_size(frame->type) != 0U) {
+    if (reason == TL_WIRE_REASON_UNKNOWN_TYPE && frame->type != TL_WIRE_MARKER && frame->type < TL_WIRE_ACK &&
+        tl_wire_size(frame->type) != 0U) {
         answer = tl_wire_decode(frame->type, frame->payload, frame->size, &request)
                      ? handle(app, frame->type, &request, now_us, &out)
                      : refuse(TL_WIRE_REASON_SHORT);
@@ -294,14 +325,24 @@ static __attribute__((noinline)) void answer_request(tl_app_t *app, const tl_wir
     } else if (answer.type == TL_WIRE_ACK) {
         out.ack.request = frame->type;
     }
-    if (answer.type != 0U && !tl_app_send(app, answer.type, frame->sequence, &out)) {
-        app->counters.replies_dropped++;
+    if (answer.type != 0U) {
+        const bool sent = tl_outbox_send(&app->outbox, answer.type, frame->sequence, &out);
+        app->counters.frames_out += sent ? 1U : 0U;
+        app->counters.replies_dropped += sent ? 0U : 1U;
     }
 }
 
 void tl_command(tl_app_t *app, const tl_wire_frame_t *frame) {
     const tl_us_t now_us = app->port->time_us(app->port->context);
     uint8_t reason = TL_WIRE_REASON_UNKNOWN_TYPE;
+    if (!app->outbox.open) {
+        answer_request(app, frame, TL_WIRE_REASON_SESSION, now_us);
+        return;
+    }
+    if (frame->type == TL_WIRE_CLEAR_TABLE || frame->type == TL_WIRE_SETTINGS || frame->type == TL_WIRE_TABLE_WRITE ||
+        frame->type == TL_WIRE_TABLE_STORE) {
+        tl_report_calibration(app, now_us); // one that an axis' fault has ended is over now: its memory is needed
+    }
     if (frame->type == TL_WIRE_MARKER) {
         reason = take_marker(app, frame, now_us);
     }

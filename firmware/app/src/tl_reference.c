@@ -1,9 +1,13 @@
 #include "tautline/tl_reference.h"
 
-#define NEAR ((tl_count_q8_t)1 << 14) // 64 counts: distances up to there are kept in Q24
-#define FAR  ((tl_count_q8_t)1 << 22) // 16384 counts: farther ones count as that
+#include "tautline/tl_fast.h"
 
-void tl_reference_set(tl_reference_t *reference, tl_count_q8_t q) { // field by field: the control step has no memset
+#define ACCELERATION_MAX (1 << 26) // counts/tick2 Q24: with four of them, and twice the greatest speed, below 2^31
+#define NEAR             ((tl_count_q8_t)1 << 14) // 64 counts: distances up to there are kept in Q24
+#define FAR              ((tl_count_q8_t)1 << 22) // 16384 counts: farther ones count as that
+
+TL_FAST void tl_reference_set(tl_reference_t *reference,
+                              tl_count_q8_t q) { // field by field: the control step has no memset
     reference->q = reference->target = q;
     reference->fraction = 0;
     reference->velocity = 0;
@@ -45,8 +49,8 @@ static inline bool within(int32_t x, int32_t most) {
 }
 
 // Catches up with a target that is not reached at once.
-static int32_t catch_up(const tl_reference_t *reference, int32_t target_speed, tl_count_q8_t apart,
-                        const tl_reference_limits_t *limits) {
+static TL_FAST int32_t catch_up(const tl_reference_t *reference, int32_t target_speed, tl_count_q8_t apart,
+                                const tl_reference_limits_t *limits) {
     const int32_t before = reference->velocity, a = limits->acceleration, most = limits->speed;
     const tl_count_q8_t ahead = target_speed > 0 ? reference->high - reference->q : reference->q - reference->low;
     if (ahead <= limits->stop) {
@@ -62,7 +66,7 @@ static int32_t catch_up(const tl_reference_t *reference, int32_t target_speed, t
     return velocity < -most ? (before + a < -most ? before + a : -most) : velocity;
 }
 
-void tl_reference_step(tl_reference_t *reference, tl_count_q8_t wanted, const tl_reference_limits_t *limits) {
+TL_FAST void tl_reference_step(tl_reference_t *reference, tl_count_q8_t wanted, const tl_reference_limits_t *limits) {
     const tl_count_q8_t target = tl_clamp(wanted, reference->low, reference->high);
     reference->clamped = target != wanted;
     const int32_t most_q8 = limits->speed >> 16;
@@ -100,9 +104,40 @@ void tl_reference_step(tl_reference_t *reference, tl_count_q8_t wanted, const tl
     advance(reference, catch_up(reference, target_speed, apart, limits));
 }
 
-bool tl_reference_brake(tl_reference_t *reference, const tl_reference_limits_t *limits) {
+TL_FAST bool tl_reference_brake(tl_reference_t *reference, const tl_reference_limits_t *limits) {
     const int32_t before = reference->velocity;
     advance(reference, before - tl_clamp(before, -limits->acceleration, limits->acceleration));
     reference->target = reference->q;
     return reference->velocity == 0;
+}
+
+tl_reference_limits_t tl_reference_limits(int32_t speed, int32_t acceleration, uint32_t rate_hz) {
+    const int64_t rate = (int64_t)rate_hz;
+    speed = tl_clamp(speed, 1, TL_REFERENCE_SPEED_MAX);
+    acceleration = tl_clamp(acceleration, TL_REFERENCE_ACCELERATION_MIN, TL_REFERENCE_ACCELERATION_MAX);
+    const int64_t per_tick = ((int64_t)speed << 16) / rate;
+    const int64_t per_tick2 = ((int64_t)acceleration << 16) / (rate * rate);
+    tl_reference_limits_t limits = {
+        .speed = (int32_t)per_tick,
+        .acceleration = per_tick2 > ACCELERATION_MAX ? ACCELERATION_MAX : (int32_t)per_tick2,
+    };
+    // A speed relative to the target's is at most twice the limit.
+    while ((2 * (int64_t)limits.speed + limits.acceleration) >> limits.speed_down >= 32768) {
+        limits.speed_down++;
+    }
+    limits.acceleration_scaled = limits.acceleration >> limits.speed_down;
+    // v (v + a) / 2a, of speeds v 2^speed_down: 2^(2 speed_down - 25) / a in counts. As 2^(bits + 15) / a has 16 bits:
+    uint32_t bits = 0;
+    while (limits.acceleration >> bits != 0) {
+        bits++;
+    }
+    limits.ratio = (uint32_t)(((uint64_t)1 << (bits + 15U)) / (uint32_t)limits.acceleration);
+    const uint32_t down =
+        24U + bits - 2U * limits.speed_down; // in counts it would lose this much, and so has it to spare
+    limits.ratio_down = down > 16U ? down - 16U : 0U;
+    limits.way_down = down > 16U ? 0U : 16U - down;
+    const int64_t ticks = limits.speed / limits.acceleration + 2;
+    const int64_t stop = (ticks * (limits.speed / 2 + 1)) >> 16;
+    limits.stop = stop < INT32_MAX ? (int32_t)stop : INT32_MAX;
+    return limits;
 }

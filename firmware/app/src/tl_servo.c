@@ -1,5 +1,7 @@
 #include "tautline/tl_servo.h"
 
+#include "tautline/tl_fast.h"
+
 #define ACCELERATION_MAX (TL_REFERENCE_ACCELERATION_MAX / TL_COUNT_ONE) // counts/s2
 #define SPEED_MAX        (TL_REFERENCE_SPEED_MAX / TL_COUNT_ONE)        // counts/s
 
@@ -44,10 +46,23 @@ bool tl_servo_configure(tl_servo_t *servo, const tl_servo_gains_t *gains, uint32
     return true;
 }
 
-void tl_servo_reset(tl_servo_t *servo, tl_count_q8_t q) {
+TL_FAST void tl_servo_reset(tl_servo_t *servo, tl_count_q8_t q) {
     servo->integral = 0;
     servo->predicted = (uint32_t)q << 8;
     servo->velocity = 0;
     servo->feed = servo->feed_step = 0;
-    servo->saturated = false;
+    servo->pushed = 0;
+}
+
+TL_FAST void tl_servo_feed(tl_servo_t *servo, const tl_path_t *path) {
+    // D on the path's speed belongs to it: the step takes D on the measured one off again. Gains have 17 bits here.
+    const int32_t bend = path->bend >> servo->bend_down, gain = servo->path_gain;
+    const int32_t way = path->speed != 0 ? path->speed : bend;
+    int32_t feed = ((path->speed >> servo->speed_down >> 1) * gain >> 1) + (bend * servo->inertia >> 2);
+    if (way != 0) {
+        const int32_t friction = servo->gains.friction << 8;
+        feed += way > 0 ? friction : -friction;
+    }
+    servo->feed = feed;
+    servo->feed_step = bend * gain >> servo->bend_per_speed;
 }

@@ -26,18 +26,54 @@ static void put_word(uint8_t *out, uint32_t word) {
     }
 }
 
-static bool is_blank(const uint8_t *bytes, size_t size) {
-    for (size_t i = 0; i < size; i++) {
-        if (bytes[i] != 0xFFU) {
+// What flash holds is looked at in pieces of this size: not every chip is mapped.
+#define PIECE 64U
+
+static uint32_t read_piece(const tl_port_t *port, uint32_t offset, uint32_t left, uint8_t piece[PIECE]) {
+    const uint32_t size = left < PIECE ? left : PIECE;
+    port->flash_read(port->context, offset, piece, size);
+    return size;
+}
+
+static bool is_blank(const tl_port_t *port, uint32_t offset, uint32_t size) {
+    uint8_t piece[PIECE];
+    for (uint32_t at = 0; at < size; at += PIECE) {
+        const uint32_t count = read_piece(port, offset + at, size - at, piece);
+        for (uint32_t i = 0; i < count; i++) {
+            if (piece[i] != 0xFFU) {
+                return false;
+            }
+        }
+    }
+    return true;
+}
+
+static bool holds(const tl_port_t *port, uint32_t offset, const uint8_t *bytes, uint32_t size) {
+    uint8_t piece[PIECE];
+    for (uint32_t at = 0; at < size; at += PIECE) {
+        const uint32_t count = read_piece(port, offset + at, size - at, piece);
+        if (memcmp(piece, bytes + at, count) != 0) {
             return false;
         }
     }
     return true;
 }
 
+static uint32_t crc_of(const tl_port_t *port, uint32_t offset, uint32_t size) {
+    uint8_t piece[PIECE];
+    uint32_t crc = 0U;
+    for (uint32_t at = 0; at < size; at += PIECE) {
+        const uint32_t count = read_piece(port, offset + at, size - at, piece);
+        crc = tl_crc32(crc, piece, count);
+    }
+    return crc;
+}
+
 tl_slot_t tl_store_slot(const tl_port_t *port, uint8_t axis, uint8_t slot) {
-    const uint8_t *page = port->flash + offset_of(axis, slot);
-    tl_slot_t found = {.blank = is_blank(page, TL_PORT_FLASH_PAGE)};
+    const uint32_t offset = offset_of(axis, slot);
+    tl_slot_t found = {.blank = is_blank(port, offset, TL_PORT_FLASH_PAGE)};
+    uint8_t page[HEADER_SIZE];
+    port->flash_read(port->context, offset, page, sizeof(page));
     const uint32_t size = get_word(page + 8);
     if (get_word(page) != MAGIC || size > TL_TABLE_SIZE_MAX ||
         get_word(page + 16) != tl_crc32(0U, page, HEADER_SIZE - 4U)) {
@@ -47,8 +83,8 @@ tl_slot_t tl_store_slot(const tl_port_t *port, uint8_t axis, uint8_t slot) {
     found.sequence = get_word(page + 4);
     found.size = (uint16_t)size;
     found.crc = get_word(page + 12);
-    found.blob = page + TL_PORT_FLASH_PAGE;
-    found.whole = tl_crc32(0U, found.blob, found.size) == found.crc;
+    found.blob = offset + TL_PORT_FLASH_PAGE;
+    found.whole = crc_of(port, found.blob, found.size) == found.crc;
     return found;
 }
 
@@ -70,12 +106,12 @@ static bool program_page(const tl_port_t *port, uint32_t offset, const uint8_t *
     memset(page, 0xFF, sizeof(page));
     memcpy(page, bytes, size);
     port->watchdog_feed(port->context);
-    return port->flash_program(port->context, offset, page) && memcmp(port->flash + offset, page, sizeof(page)) == 0;
+    return port->flash_program(port->context, offset, page) && holds(port, offset, page, sizeof(page));
 }
 
 static bool erase(const tl_port_t *port, uint32_t offset) {
     port->watchdog_feed(port->context);
-    return port->flash_erase(port->context, offset) && is_blank(port->flash + offset, TL_PORT_FLASH_SECTOR);
+    return port->flash_erase(port->context, offset) && is_blank(port, offset, TL_PORT_FLASH_SECTOR);
 }
 
 bool tl_store_write(const tl_port_t *port, uint8_t axis, const uint8_t *blob, uint16_t size) {

@@ -2,6 +2,8 @@
 #include "tl_feed.h"
 #include "tl_several.h"
 
+#include "tautline/tl_fast.h"
+
 _Static_assert(TL_COMPENSATOR_BELOW == TL_LOOKUP_BELOW && TL_COMPENSATOR_ABOVE == TL_LOOKUP_ABOVE, "shared flags");
 
 #define RATE_MIN_HZ 16U
@@ -22,7 +24,7 @@ static void set_limits(tl_compensator_t *k, const tl_table_t *table) {
 // Where c wants p, and where p wants q ---------------------------------------------------------------
 
 // p* for c, within [q_min, q_max]. The end's flags have the look-up's values.
-static tl_count_q8_t target(const tl_compensator_t *k, tl_deg_q16_t c, uint32_t *flags) {
+static TL_FAST tl_count_q8_t target(const tl_compensator_t *k, tl_deg_q16_t c, uint32_t *flags) {
     if (k->mode != TL_MODE_FULL) {
         return tl_lookup_coarse_inverse(k->lookup, c, flags);
     }
@@ -39,7 +41,7 @@ static tl_count_q8_t target(const tl_compensator_t *k, tl_deg_q16_t c, uint32_t 
 }
 
 // k B(p) / 2
-static int32_t half_width(const tl_compensator_t *k) {
+static TL_FAST int32_t half_width(const tl_compensator_t *k) {
     uint32_t ends = 0;
     if (k->mode == TL_MODE_OFF) {
         return 0;
@@ -60,7 +62,7 @@ static tl_count_q8_t fed_anew(tl_compensator_t *k) {
 
 // On the way to the goal, where spans may be flat: never further than one span in a tick, so that none is jumped over,
 // and to the edge of a flat one first.
-static tl_count_q8_t approach(const tl_compensator_t *k, tl_count_q8_t goal, bool *slow) {
+static TL_FAST tl_count_q8_t approach(const tl_compensator_t *k, tl_count_q8_t goal, bool *slow) {
     const tl_lookup_t *lookup = k->lookup;
     const int32_t step = (int32_t)1 << lookup->step_log2;
     const tl_count_q8_t p = k->p, next = p + tl_clamp(goal - p, -step, step);
@@ -78,7 +80,7 @@ static tl_count_q8_t approach(const tl_compensator_t *k, tl_count_q8_t goal, boo
 }
 
 // Moves p towards its goal, no faster than speed_max, nor than the flat speed within flat spans.
-static void advance(tl_compensator_t *k) {
+static TL_FAST void advance(tl_compensator_t *k) {
     const tl_per_tick_t *limit = &k->feed_max;
     if (k->slow) {
         limit = &k->feed_flat;
@@ -95,7 +97,7 @@ static void advance(tl_compensator_t *k) {
     k->p += way;
 }
 
-void tl_compensator_feed(tl_compensator_t *k, tl_deg_q16_t c) {
+TL_FAST void tl_compensator_feed(tl_compensator_t *k, tl_deg_q16_t c) {
     bool slow = false;
     k->c = c;
     k->feed_flags = 0;
@@ -105,7 +107,7 @@ void tl_compensator_feed(tl_compensator_t *k, tl_deg_q16_t c) {
     k->slow = slow;
 }
 
-void tl_compensator_turn(tl_compensator_t *k) {
+TL_FAST void tl_compensator_turn(tl_compensator_t *k) {
     if (k->goal != k->p) {
         advance(k);
     }
@@ -125,7 +127,7 @@ void tl_compensator_turn(tl_compensator_t *k) {
     }
 }
 
-tl_count_q8_t tl_compensator_take_up(tl_compensator_t *k) {
+TL_FAST tl_count_q8_t tl_compensator_take_up(tl_compensator_t *k) {
     if (k->moved) {
         tl_several_lead(k);
     }
@@ -171,7 +173,7 @@ static void use(tl_compensator_t *k, const tl_lookup_t *lookup) {
     k->moved = false;
 }
 
-static void stand(tl_compensator_t *k, tl_count_q8_t p) {
+static TL_FAST void stand(tl_compensator_t *k, tl_count_q8_t p) {
     k->p = k->aim = k->goal = p;
     k->slow = false;
     if (k->several) {

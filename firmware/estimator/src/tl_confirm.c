@@ -1,5 +1,7 @@
 #include "tl_confirm.h"
 
+#include "tautline/tl_fast.h"
+
 #define PRIOR_DOF   8   ///< degrees of freedom that the stated noise is worth
 #define DOF_MAX     512 ///< of remembered noise: about four reversals
 #define NOISE_FLOOR 26  ///< (0.005 px)^2, Q16, weight 16: below it the image's own resolution
@@ -12,7 +14,7 @@ void tl_confirm_begin(tl_onset_detector_t *d) {
     d->noise_measured = false;
 }
 
-tl_real_t tl_confirm_required(const tl_onset_detector_t *d, tl_real_t unit, int32_t dof) {
+TL_FAST tl_real_t tl_confirm_required(const tl_onset_detector_t *d, tl_real_t unit, int32_t dof) {
     const tl_real_t nu = tl_real(d->noise_dof + dof, 0);
     // e^x = (1 + x / 256)^256; x is at most 4095 / 8
     tl_real_t power = tl_real_add(tl_real(1, 0), tl_real_div(tl_real(d->config.threshold, -12), nu));
@@ -22,13 +24,13 @@ tl_real_t tl_confirm_required(const tl_onset_detector_t *d, tl_real_t unit, int3
     return tl_real_mul(tl_real_mul(tl_real_add(power, tl_real(-1, 0)), nu), unit);
 }
 
-tl_real_t tl_confirm_unit_variance(const tl_onset_detector_t *d, tl_real_t residual, int32_t dof) {
+TL_FAST tl_real_t tl_confirm_unit_variance(const tl_onset_detector_t *d, tl_real_t residual, int32_t dof) {
     const tl_real_t sum = tl_real_add(tl_real(d->noise_sum, 0), residual);
     const tl_real_t variance = tl_real_div(sum, tl_real(d->noise_dof + dof, 0));
     return tl_real_less(variance, tl_real(NOISE_FLOOR, 0)) ? tl_real(NOISE_FLOOR, 0) : variance;
 }
 
-void tl_confirm_remember(tl_onset_detector_t *d, tl_real_t residual, int32_t dof) {
+TL_FAST void tl_confirm_remember(tl_onset_detector_t *d, tl_real_t residual, int32_t dof) {
     if (!d->noise_measured && dof >= 2 * PRIOR_DOF) { // what was stated has served
         d->noise_measured = true;
         d->noise_sum = 0;
@@ -44,25 +46,25 @@ void tl_confirm_remember(tl_onset_detector_t *d, tl_real_t residual, int32_t dof
     }
 }
 
-tl_real_t tl_confirm_curvature_bias2(const tl_onset_config_t *config, tl_real_t span) {
+TL_FAST tl_real_t tl_confirm_curvature_bias2(const tl_onset_config_t *config, tl_real_t span) {
     // curvature in 1/2^20 a count, span in Q8 counts
     const tl_real_t twelfth = tl_real(((int64_t)1 << 34) / 12, -34 - 28);
     return tl_real_square(tl_real_mul(tl_real_mul(tl_real(config->curvature, 0), tl_real_square(span)), twelfth));
 }
 
 /// Of the difference of two encoder positions: 1/12 count^2 each, Q8 counts squared.
-static tl_real_t encoder_variance(void) {
+static TL_FAST tl_real_t encoder_variance(void) {
     return tl_real(((int64_t)TL_COUNT_ONE * TL_COUNT_ONE << 17) / 6, -17);
 }
 
-tl_real_t tl_confirm_knot_variance(const tl_onset_config_t *config, tl_real_t variance, tl_real_t unit,
-                                   tl_real_t span) {
+TL_FAST tl_real_t tl_confirm_knot_variance(const tl_onset_config_t *config, tl_real_t variance, tl_real_t unit,
+                                           tl_real_t span) {
     return tl_real_add(tl_real_add(tl_real_mul(variance, unit), encoder_variance()),
                        tl_confirm_curvature_bias2(config, span));
 }
 
 /// Replaces the hinge by a break where the image jumped at the onset, beyond doubt.
-static void allow_for_jump(const tl_onset_detector_t *d, tl_confirm_t *e) {
+static TL_FAST void allow_for_jump(const tl_onset_detector_t *d, tl_confirm_t *e) {
     tl_hinge_break_t jump;
     if (!tl_hinge_break(d, &jump)) {
         return;
@@ -84,12 +86,12 @@ static void allow_for_jump(const tl_onset_detector_t *d, tl_confirm_t *e) {
 
 /// Whether what the hinge leaves is more than the noise known so far explains; DOUBT in units of its variance
 /// is half of what a jump must gain.
-static bool fits_badly(const tl_onset_detector_t *d, const tl_confirm_t *e) {
+static TL_FAST bool fits_badly(const tl_onset_detector_t *d, const tl_confirm_t *e) {
     const tl_real_t known = tl_real_div(tl_real(d->noise_sum, 0), tl_real(d->noise_dof, 0));
     return tl_real_less(tl_real_mul(known, tl_real(e->dof + DOUBT, 0)), e->hinge.residual);
 }
 
-bool tl_confirm_evaluate(const tl_onset_detector_t *d, tl_confirm_t *e) {
+TL_FAST bool tl_confirm_evaluate(const tl_onset_detector_t *d, tl_confirm_t *e) {
     if (!tl_hinge_fit(d, &e->hinge)) {
         return false;
     }
@@ -105,7 +107,7 @@ bool tl_confirm_evaluate(const tl_onset_detector_t *d, tl_confirm_t *e) {
     return true;
 }
 
-bool tl_confirm_glance(const tl_onset_detector_t *d) {
+TL_FAST bool tl_confirm_glance(const tl_onset_detector_t *d) {
     const int32_t dof = 2 * d->all.n - 5;
     if (d->held < d->config.frames_min || dof < 1) {
         return false;
@@ -116,7 +118,7 @@ bool tl_confirm_glance(const tl_onset_detector_t *d) {
     return tl_real_less(required, tl_real_shift(gain, 1));
 }
 
-bool tl_confirm_may_improve(const tl_onset_detector_t *d, const tl_confirm_t *e) {
+TL_FAST bool tl_confirm_may_improve(const tl_onset_detector_t *d, const tl_confirm_t *e) {
     const tl_onset_config_t *config = &d->config;
     if (e->jumped) {
         return false;
@@ -129,7 +131,7 @@ bool tl_confirm_may_improve(const tl_onset_detector_t *d, const tl_confirm_t *e)
             tl_real_less(tl_real_shift(bias2, 2), statistical));
 }
 
-tl_real_t tl_confirm_variance(const tl_onset_detector_t *d, const tl_confirm_t *e) {
+TL_FAST tl_real_t tl_confirm_variance(const tl_onset_detector_t *d, const tl_confirm_t *e) {
     if (e->jumped) {
         return e->variance;
     }
@@ -142,11 +144,11 @@ tl_real_t tl_confirm_variance(const tl_onset_detector_t *d, const tl_confirm_t *
     return tl_real_less(e->variance, wide) ? wide : e->variance;
 }
 
-int32_t tl_confirm_sigma(tl_real_t variance) {
+TL_FAST int32_t tl_confirm_sigma(tl_real_t variance) {
     return tl_real_to_q(tl_real_sqrt(variance), 0);
 }
 
-tl_px_q12_t tl_confirm_noise(tl_real_t unit) {
+TL_FAST tl_px_q12_t tl_confirm_noise(tl_real_t unit) {
     _Static_assert(TL_CONFIRM_WEIGHT == 16, "unit / 16 is the variance in Q16: sixteen times itself in Q24");
     return tl_confirm_sigma(tl_real_shift(unit, 4));
 }

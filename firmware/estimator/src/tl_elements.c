@@ -1,10 +1,12 @@
 #include "tl_elements.h"
 
+#include "tautline/tl_fast.h"
+
 #define ONE_Q16   ((uint64_t)1 << 16)
 #define MOVED_MAX ((int32_t)1 << 28) // further than from one end of the widest play to the other
 
 // lag * factor / 2^16, rounded down.
-static inline int32_t share(int32_t lag, uint32_t factor) {
+static TL_FAST inline int32_t share(int32_t lag, uint32_t factor) {
     return (lag >> 16) * (int32_t)factor + (int32_t)(((uint32_t)lag & 0xFFFFU) * factor >> 16);
 }
 
@@ -32,7 +34,7 @@ void tl_elements_start(const tl_lookup_t *lookup, int32_t apart, int32_t lag[]) 
     }
 }
 
-int32_t tl_elements_behind(const tl_lookup_t *lookup, int32_t moved, int32_t lag[]) {
+TL_FAST int32_t tl_elements_behind(const tl_lookup_t *lookup, int32_t moved, int32_t lag[]) {
     const tl_element_t *element = lookup->element, *end = element + lookup->plays;
     int32_t sum = 0;
     moved = tl_clamp(moved, -MOVED_MAX, MOVED_MAX);
@@ -57,7 +59,7 @@ void tl_elements_undo(const tl_lookup_t *lookup, const int32_t lag[], int32_t un
     }
 }
 
-int32_t tl_elements_ahead(const tl_lookup_t *lookup, int32_t moved, int32_t undo[]) {
+TL_FAST int32_t tl_elements_ahead(const tl_lookup_t *lookup, int32_t moved, int32_t undo[]) {
     const tl_element_t *element = lookup->element, *end = element + lookup->plays;
     int32_t sum = 0;
     moved = tl_clamp(moved, -MOVED_MAX, MOVED_MAX);

@@ -7,6 +7,7 @@
 #ifndef TAUTLINE_TL_ELEMENTS_H
 #define TAUTLINE_TL_ELEMENTS_H
 
+#include "tautline/tl_fast.h"
 #include "tautline/tl_lookup.h"
 
 /// The lags behind x of plays that are as near to one place as they can be, y being `apart` below x. One division.
@@ -22,7 +23,7 @@ void tl_elements_undo(const tl_lookup_t *lookup, const int32_t lag[], int32_t un
 int32_t tl_elements_ahead(const tl_lookup_t *lookup, int32_t moved, int32_t undo[]);
 
 /// Whether p lies in a place that is narrow: a span with both ends narrow, where one play stands for all.
-static inline bool tl_elements_narrow(const tl_lookup_t *lookup, tl_count_q8_t p) {
+static TL_FAST inline bool tl_elements_narrow(const tl_lookup_t *lookup, tl_count_q8_t p) {
     const uint32_t last = (lookup->extent >> lookup->step_log2) - 1U, offset = (uint32_t)p - (uint32_t)lookup->q0;
     const uint32_t at = offset >> lookup->step_log2, span = p < lookup->q0 ? 0U : (at < last ? at : last);
     const tl_count_q8_t *width = lookup->table.width + span;
@@ -30,7 +31,7 @@ static inline bool tl_elements_narrow(const tl_lookup_t *lookup, tl_count_q8_t p
 }
 
 /// x for the motor at q, from the envelope on `side` (+1: p_lo) whose p is `p`.
-static inline int32_t tl_elements_motor(const tl_lookup_t *lookup, int32_t side, tl_count_q8_t p) {
+static TL_FAST inline int32_t tl_elements_motor(const tl_lookup_t *lookup, int32_t side, tl_count_q8_t p) {
     return tl_lookup_centre(lookup, p) + (side > 0 ? lookup->half : -lookup->half);
 }
 

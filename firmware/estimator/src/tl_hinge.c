@@ -1,30 +1,32 @@
 #include "tl_hinge.h"
 
+#include "tautline/tl_fast.h"
+
 #define TRAVEL_MAX (((int32_t)1 << 17) - 1) ///< of a point, units of x
 #define IMAGE_MAX  (((int32_t)1 << 18) - 1) ///< of a point, Q8 px: 1024 px from the reference
 
 // What follows is asked for in many places: small code first, an estimator's home is a controller's memory.
 #define ONCE __attribute__((noinline))
 
-ONCE const tl_onset_sample_t *tl_hinge_sample(const tl_onset_detector_t *d, int32_t i) {
+ONCE TL_FAST const tl_onset_sample_t *tl_hinge_sample(const tl_onset_detector_t *d, int32_t i) {
     return &d->window[((uint32_t)d->oldest + (uint32_t)i) % TL_ONSET_WINDOW];
 }
 
 /// a b - c d
-static ONCE int64_t cross(const int64_t *a, const int64_t *b, const int64_t *c, const int64_t *d) {
+static ONCE TL_FAST int64_t cross(const int64_t *a, const int64_t *b, const int64_t *c, const int64_t *d) {
     return *a * *b - *c * *d;
 }
 
-static ONCE tl_real_t quotient(int64_t numerator, int64_t denominator) {
+static ONCE TL_FAST tl_real_t quotient(int64_t numerator, int64_t denominator) {
     return tl_real_div(tl_real(numerator, 0), tl_real(denominator, 0));
 }
 
-static ONCE int32_t travel(const tl_onset_detector_t *d, int32_t i, tl_count_q8_t origin) {
+static ONCE TL_FAST int32_t travel(const tl_onset_detector_t *d, int32_t i, tl_count_q8_t origin) {
     const int32_t q = tl_hinge_sample(d, i)->q;
     return d->direction < 0 ? tl_sub_sat(origin, q) : tl_sub_sat(q, origin);
 }
 
-tl_hinge_point_t tl_hinge_point(const tl_onset_detector_t *d, int32_t i, tl_count_q8_t origin, int32_t scale) {
+TL_FAST tl_hinge_point_t tl_hinge_point(const tl_onset_detector_t *d, int32_t i, tl_count_q8_t origin, int32_t scale) {
     const tl_onset_sample_t *s = tl_hinge_sample(d, i);
     return (tl_hinge_point_t){
         .x = tl_clamp(travel(d, i, origin) / ((int32_t)1 << scale), -TRAVEL_MAX, TRAVEL_MAX),
@@ -34,11 +36,11 @@ tl_hinge_point_t tl_hinge_point(const tl_onset_detector_t *d, int32_t i, tl_coun
     };
 }
 
-tl_hinge_point_t tl_hinge_image(const tl_onset_detector_t *d, int32_t i) {
+TL_FAST tl_hinge_point_t tl_hinge_image(const tl_onset_detector_t *d, int32_t i) {
     return tl_hinge_point(d, i, tl_hinge_sample(d, i)->q, 0);
 }
 
-int32_t tl_hinge_scale(const tl_onset_detector_t *d, int32_t i, tl_count_q8_t origin) {
+TL_FAST int32_t tl_hinge_scale(const tl_onset_detector_t *d, int32_t i, tl_count_q8_t origin) {
     int32_t farthest = 0;
     for (; i < d->held; i++) {
         const int32_t x = travel(d, i, origin);
@@ -52,11 +54,11 @@ int32_t tl_hinge_scale(const tl_onset_detector_t *d, int32_t i, tl_count_q8_t or
     return scale;
 }
 
-static ONCE void add_product(int64_t *sum, int32_t a, int32_t b) {
+static ONCE TL_FAST void add_product(int64_t *sum, int32_t a, int32_t b) {
     *sum += (int64_t)a * b;
 }
 
-void tl_hinge_add(tl_onset_sums_t *sums, const tl_hinge_point_t *point) {
+TL_FAST void tl_hinge_add(tl_onset_sums_t *sums, const tl_hinge_point_t *point) {
     const int32_t x = point->x, u = point->u, v = point->v, w = point->w, wu = w * u, wv = w * v; // below 2^24
     sums->n++;
     sums->w += w;
@@ -70,7 +72,7 @@ void tl_hinge_add(tl_onset_sums_t *sums, const tl_hinge_point_t *point) {
     add_product(&sums->yy, wv, v);
 }
 
-tl_onset_sums_t tl_hinge_without(const tl_onset_sums_t *sums, const tl_onset_sums_t *part) {
+TL_FAST tl_onset_sums_t tl_hinge_without(const tl_onset_sums_t *sums, const tl_onset_sums_t *part) {
     return (tl_onset_sums_t){
         .w = sums->w - part->w,
         .u = sums->u - part->u,
@@ -81,25 +83,25 @@ tl_onset_sums_t tl_hinge_without(const tl_onset_sums_t *sums, const tl_onset_sum
 }
 
 /// Moves the origin of x back by `delta`: every x grows by it.
-static void shift(tl_onset_sums_t *sums, int64_t delta) {
+static TL_FAST void shift(tl_onset_sums_t *sums, int64_t delta) {
     sums->xx += delta * (2 * sums->x + delta * sums->w);
     sums->x += delta * sums->w;
     sums->xu += delta * sums->u;
     sums->xv += delta * sums->v;
 }
 
-static tl_real_t square_sum(int64_t a, int64_t b) {
+static TL_FAST tl_real_t square_sum(int64_t a, int64_t b) {
     return tl_real_add(tl_real_square(tl_real(a, 0)), tl_real_square(tl_real(b, 0)));
 }
 
-tl_real_t tl_hinge_scatter(const tl_onset_sums_t *sums) {
+TL_FAST tl_real_t tl_hinge_scatter(const tl_onset_sums_t *sums) {
     const tl_real_t mean = tl_real_div(square_sum(sums->u, sums->v), tl_real(sums->w, 0));
     const tl_real_t scatter = tl_real_sub(tl_real(sums->yy, 0), mean);
     return scatter > 0 ? scatter : tl_real(0, 0);
 }
 
-bool tl_hinge_meet(const tl_onset_sums_t *line, const tl_onset_sums_t *level, int32_t scale,
-                   tl_hinge_meeting_t *meeting) {
+TL_FAST bool tl_hinge_meet(const tl_onset_sums_t *line, const tl_onset_sums_t *level, int32_t scale,
+                           tl_hinge_meeting_t *meeting) {
     const int64_t determinant = cross(&line->w, &line->xx, &line->x, &line->x);
     const int64_t cu = cross(&line->w, &line->xu, &line->x, &line->u);
     const int64_t cv = cross(&line->w, &line->xv, &line->x, &line->v);
@@ -135,7 +137,7 @@ typedef struct {
     tl_real_t denominator; ///< C_xx > 0; 0: no knot tried yet
 } gain_t;
 
-static ONCE gain_t gain_at(const tl_onset_sums_t *beyond, const tl_onset_sums_t *all) {
+static ONCE TL_FAST gain_t gain_at(const tl_onset_sums_t *beyond, const tl_onset_sums_t *all) {
     const int64_t cu = cross(&all->w, &beyond->xu, &beyond->x, &all->u);
     const int64_t cv = cross(&all->w, &beyond->xv, &beyond->x, &all->v);
     const int64_t cxx = cross(&all->w, &beyond->xx, &beyond->x, &beyond->x);
@@ -143,7 +145,7 @@ static ONCE gain_t gain_at(const tl_onset_sums_t *beyond, const tl_onset_sums_t 
 }
 
 /// Makes *best the gain of the knot at which `beyond` begins, if that is greater.
-static bool improves(gain_t *best, const tl_onset_sums_t *beyond, const tl_onset_sums_t *all) {
+static TL_FAST bool improves(gain_t *best, const tl_onset_sums_t *beyond, const tl_onset_sums_t *all) {
     const gain_t gain = gain_at(beyond, all);
     if (gain.denominator == 0 ||
         (best->denominator != 0 && !tl_real_less(tl_real_mul(best->numerator, gain.denominator),
@@ -155,13 +157,13 @@ static bool improves(gain_t *best, const tl_onset_sums_t *beyond, const tl_onset
 }
 
 /// T itself.
-static tl_real_t value_of(const gain_t *gain, const tl_onset_sums_t *all) {
+static TL_FAST tl_real_t value_of(const gain_t *gain, const tl_onset_sums_t *all) {
     return tl_real_div(tl_real_div(gain->numerator, gain->denominator), tl_real(all->w, 0));
 }
 
 /// Moves the knot of `beyond` to where its line meets the level of the other samples, if that lies between
 /// `low` and `high`. Returns how far; 0 leaves it.
-static int32_t refine(tl_onset_sums_t *beyond, const tl_onset_sums_t *all, int32_t low, int32_t high) {
+static TL_FAST int32_t refine(tl_onset_sums_t *beyond, const tl_onset_sums_t *all, int32_t low, int32_t high) {
     const tl_onset_sums_t level = tl_hinge_without(all, beyond);
     tl_hinge_meeting_t meeting;
     if (!tl_hinge_meet(beyond, &level, 0, &meeting)) {
@@ -185,12 +187,12 @@ typedef struct {
     tl_onset_sums_t beyond; ///< samples after k, x from sample k
 } walk_t;
 
-static int32_t walk_begins(const tl_onset_detector_t *d) {
+static TL_FAST int32_t walk_begins(const tl_onset_detector_t *d) {
     const int32_t span = d->config.frames_max + 2;
     return d->held > span ? d->held - span : 0;
 }
 
-static void begin_walk(const tl_onset_detector_t *d, walk_t *walk) {
+static TL_FAST void begin_walk(const tl_onset_detector_t *d, walk_t *walk) {
     walk->first = walk_begins(d);
     walk->origin = tl_hinge_sample(d, walk->first)->q;
     walk->scale = tl_hinge_scale(d, walk->first, walk->origin);
@@ -199,7 +201,7 @@ static void begin_walk(const tl_onset_detector_t *d, walk_t *walk) {
     walk->beyond = (tl_onset_sums_t){0};
 }
 
-static bool walk_on(const tl_onset_detector_t *d, walk_t *walk) {
+static TL_FAST bool walk_on(const tl_onset_detector_t *d, walk_t *walk) {
     if (walk->k == walk->first) {
         return false;
     }
@@ -213,7 +215,7 @@ static bool walk_on(const tl_onset_detector_t *d, walk_t *walk) {
     return true;
 }
 
-tl_real_t tl_hinge_glance(const tl_onset_detector_t *d) {
+TL_FAST tl_real_t tl_hinge_glance(const tl_onset_detector_t *d) {
     gain_t best = {0, 0};
     walk_t walk;
     int32_t next = 2;
@@ -228,7 +230,7 @@ tl_real_t tl_hinge_glance(const tl_onset_detector_t *d) {
 }
 
 /// The best of the samples as knots: its place in the window, -1 where there is none.
-static int32_t best_sample(const tl_onset_detector_t *d, tl_onset_sums_t *beyond, gain_t *best) {
+static TL_FAST int32_t best_sample(const tl_onset_detector_t *d, tl_onset_sums_t *beyond, gain_t *best) {
     int32_t at = -1;
     walk_t walk;
     begin_walk(d, &walk);
@@ -243,8 +245,8 @@ static int32_t best_sample(const tl_onset_detector_t *d, tl_onset_sums_t *beyond
 }
 
 /// What remains to be said of a hinge whose knot is found: `beyond` counts x from it.
-static void describe(const tl_onset_detector_t *d, const tl_onset_sums_t *beyond, const gain_t *best, int32_t scale,
-                     tl_hinge_t *fit) {
+static TL_FAST void describe(const tl_onset_detector_t *d, const tl_onset_sums_t *beyond, const gain_t *best,
+                             int32_t scale, tl_hinge_t *fit) {
     const int64_t determinant = cross(&beyond->w, &beyond->xx, &beyond->x, &beyond->x);
     const tl_real_t slope = tl_real_div(tl_real_sqrt(best->numerator), best->denominator);
     fit->level = tl_hinge_without(&d->all, beyond);
@@ -258,7 +260,7 @@ static void describe(const tl_onset_detector_t *d, const tl_onset_sums_t *beyond
     fit->residual = fit->residual > 0 ? fit->residual : 0;
 }
 
-bool tl_hinge_fit(const tl_onset_detector_t *d, tl_hinge_t *fit) {
+TL_FAST bool tl_hinge_fit(const tl_onset_detector_t *d, tl_hinge_t *fit) {
     tl_onset_sums_t beyond;
     gain_t best;
     if (d->held < 2 || d->all.n < 3) {
@@ -297,7 +299,7 @@ bool tl_hinge_fit(const tl_onset_detector_t *d, tl_hinge_t *fit) {
     return true;
 }
 
-bool tl_hinge_break(const tl_onset_detector_t *d, tl_hinge_break_t *fit) {
+TL_FAST bool tl_hinge_break(const tl_onset_detector_t *d, tl_hinge_break_t *fit) {
     bool found = false;
     walk_t walk;
     begin_walk(d, &walk);
@@ -321,7 +323,7 @@ bool tl_hinge_break(const tl_onset_detector_t *d, tl_hinge_break_t *fit) {
     return found;
 }
 
-tl_real_t tl_hinge_spread(const tl_onset_detector_t *d, const tl_hinge_t *fit, tl_real_t loss) {
+TL_FAST tl_real_t tl_hinge_spread(const tl_onset_detector_t *d, const tl_hinge_t *fit, tl_real_t loss) {
     const tl_real_t least = tl_real_sub(fit->gain, loss);
     tl_real_t spread = tl_real(0, 0);
     walk_t walk;
@@ -338,7 +340,7 @@ tl_real_t tl_hinge_spread(const tl_onset_detector_t *d, const tl_hinge_t *fit, t
     return spread;
 }
 
-tl_real_t tl_hinge_blind(const tl_onset_detector_t *d, tl_real_t slope, tl_real_t gain) {
+TL_FAST tl_real_t tl_hinge_blind(const tl_onset_detector_t *d, tl_real_t slope, tl_real_t gain) {
     walk_t walk;
     begin_walk(d, &walk);
     // slope^2 C_xx / W >= gain

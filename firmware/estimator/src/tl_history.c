@@ -1,5 +1,7 @@
 #include "tautline/tl_history.h"
 
+#include "tautline/tl_fast.h"
+
 #include <stdatomic.h>
 #include <string.h>
 
@@ -9,7 +11,7 @@
 _Static_assert((TL_HISTORY_SIZE & RING_MASK) == 0 && KEPT_MAX < TL_HISTORY_SIZE, "ring size");
 
 /// a + (b - a) numerator / denominator, rounded half away from a; 0 <= numerator <= denominator < 2^15.
-static int32_t interpolate(int32_t a, int32_t b, uint32_t numerator, uint32_t denominator) {
+static TL_FAST int32_t interpolate(int32_t a, int32_t b, uint32_t numerator, uint32_t denominator) {
     const bool falling = b < a;
     const uint32_t difference = falling ? (uint32_t)a - (uint32_t)b : (uint32_t)b - (uint32_t)a;
     // The product is split so that one 32-bit division is enough: quotient and remainder of the difference.
@@ -19,7 +21,7 @@ static int32_t interpolate(int32_t a, int32_t b, uint32_t numerator, uint32_t de
     return (int32_t)(falling ? (uint32_t)a - part : (uint32_t)a + part);
 }
 
-static void write_entry(tl_history_t *h, tl_us_t t_us, tl_count_q8_t q) {
+static TL_FAST void write_entry(tl_history_t *h, tl_us_t t_us, tl_count_q8_t q) {
     h->q[h->count & RING_MASK] = q;
     h->grid_us = t_us;
     if (h->kept < KEPT_MAX) {
@@ -32,7 +34,7 @@ void tl_history_init(tl_history_t *history) {
     memset(history, 0, sizeof *history);
 }
 
-void tl_history_push(tl_history_t *history, tl_us_t t_us, tl_count_q8_t q) {
+TL_FAST void tl_history_push(tl_history_t *history, tl_us_t t_us, tl_count_q8_t q) {
     if (history->kept == 0) {
         write_entry(history, t_us, q);
     } else if (t_us <= history->pushed_us) {
@@ -52,7 +54,7 @@ void tl_history_push(tl_history_t *history, tl_us_t t_us, tl_count_q8_t q) {
     history->pushed_q = q;
 }
 
-tl_history_status_t tl_history_at(const tl_history_t *history, tl_us_t t_us, tl_count_q8_t *q) {
+TL_FAST tl_history_status_t tl_history_at(const tl_history_t *history, tl_us_t t_us, tl_count_q8_t *q) {
     uint32_t count;
     uint32_t kept;
     tl_us_t grid_us;

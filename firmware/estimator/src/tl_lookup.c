@@ -1,5 +1,7 @@
 #include "tautline/tl_lookup.h"
 
+#include "tautline/tl_fast.h"
+
 #include "tl_ratio.h"
 
 // Functions of p -------------------------------------------------------------------------------------
@@ -23,11 +25,11 @@ static inline int32_t on_grid(const tl_lookup_t *lookup, const int32_t *values, 
     return values[extent >> log2];
 }
 
-tl_count_q8_t tl_lookup_width(const tl_lookup_t *lookup, tl_count_q8_t p, uint32_t *flags) {
+TL_FAST tl_count_q8_t tl_lookup_width(const tl_lookup_t *lookup, tl_count_q8_t p, uint32_t *flags) {
     return lookup->extent == 0 ? 0 : on_grid(lookup, lookup->table.width, p, flags);
 }
 
-tl_deg_q16_t tl_lookup_angle(const tl_lookup_t *lookup, tl_count_q8_t p, uint32_t *flags) {
+TL_FAST tl_deg_q16_t tl_lookup_angle(const tl_lookup_t *lookup, tl_count_q8_t p, uint32_t *flags) {
     return lookup->extent == 0 ? tl_lookup_coarse(lookup, p, flags) : on_grid(lookup, lookup->table.angle, p, flags);
 }
 
@@ -38,7 +40,7 @@ static inline tl_count_q8_t within_span(const tl_lookup_t *lookup, uint32_t span
     return lookup->q0 + (int32_t)((span << log2) + ((fraction_q31 + (1U << (30U - log2))) >> (31U - log2)));
 }
 
-tl_count_q8_t tl_lookup_angle_inverse(const tl_lookup_t *lookup, tl_deg_q16_t c, uint32_t *flags) {
+TL_FAST tl_count_q8_t tl_lookup_angle_inverse(const tl_lookup_t *lookup, tl_deg_q16_t c, uint32_t *flags) {
     if (lookup->extent == 0) {
         return tl_lookup_coarse_inverse(lookup, c, flags);
     }
@@ -70,8 +72,8 @@ tl_count_q8_t tl_lookup_angle_inverse(const tl_lookup_t *lookup, tl_deg_q16_t c,
 
 // p with 2p + B(p) = 2q, or 2p - B(p) = 2q where `sign` is -1 instead of 0; `first` and `last`: where q meets the ends
 // of that envelope. One piece of code for both: 0.7 kB less of a controller's memory for 50 cycles.
-static tl_count_q8_t on_envelope(const tl_lookup_t *lookup, tl_count_q8_t q, tl_count_q8_t near, int32_t sign,
-                                 uint32_t *flags) {
+static TL_FAST tl_count_q8_t on_envelope(const tl_lookup_t *lookup, tl_count_q8_t q, tl_count_q8_t near, int32_t sign,
+                                         uint32_t *flags) {
     const tl_count_q8_t *width = lookup->table.width;
     if (lookup->extent == 0) {
         return q;
@@ -113,17 +115,18 @@ static tl_count_q8_t on_envelope(const tl_lookup_t *lookup, tl_count_q8_t q, tl_
     return within_span(lookup, span, tl_fraction(x - start, rise, tl_ratio_of(rise)));
 }
 
-tl_count_q8_t tl_lookup_p_low(const tl_lookup_t *lookup, tl_count_q8_t q, tl_count_q8_t near, uint32_t *flags) {
+TL_FAST tl_count_q8_t tl_lookup_p_low(const tl_lookup_t *lookup, tl_count_q8_t q, tl_count_q8_t near, uint32_t *flags) {
     return on_envelope(lookup, q, near, 0, flags);
 }
 
-tl_count_q8_t tl_lookup_p_high(const tl_lookup_t *lookup, tl_count_q8_t q, tl_count_q8_t near, uint32_t *flags) {
+TL_FAST tl_count_q8_t tl_lookup_p_high(const tl_lookup_t *lookup, tl_count_q8_t q, tl_count_q8_t near,
+                                       uint32_t *flags) {
     return on_envelope(lookup, q, near, -1, flags);
 }
 
 // The warp of several plays -----------------------------------------------------------------------------
 
-int32_t tl_lookup_centre(const tl_lookup_t *lookup, tl_count_q8_t p) {
+TL_FAST int32_t tl_lookup_centre(const tl_lookup_t *lookup, tl_count_q8_t p) {
     uint32_t beyond = 0;
     const int32_t y = on_grid(lookup, lookup->table.centre, p, &beyond);
     if (beyond == 0) {
@@ -136,7 +139,7 @@ int32_t tl_lookup_centre(const tl_lookup_t *lookup, tl_count_q8_t p) {
     return below ? y - change : y + change;
 }
 
-tl_count_q8_t tl_lookup_centre_inverse(const tl_lookup_t *lookup, int32_t y) {
+TL_FAST tl_count_q8_t tl_lookup_centre_inverse(const tl_lookup_t *lookup, int32_t y) {
     const int32_t *node = lookup->table.centre;
     const int32_t first = node[0], last = node[lookup->extent >> lookup->step_log2];
     if (y < first || y >= last) {
@@ -161,7 +164,7 @@ tl_count_q8_t tl_lookup_centre_inverse(const tl_lookup_t *lookup, int32_t y) {
     return within_span(lookup, span, tl_fraction((uint32_t)y - start, rise, lookup->centre_ratio[span]));
 }
 
-tl_deg_q16_t tl_lookup_coarse(const tl_lookup_t *lookup, tl_count_q8_t q, uint32_t *flags) {
+TL_FAST tl_deg_q16_t tl_lookup_coarse(const tl_lookup_t *lookup, tl_count_q8_t q, uint32_t *flags) {
     const tl_table_t *table = &lookup->table;
     if (q < table->q_min) {
         *flags |= TL_LOOKUP_BELOW;
@@ -175,7 +178,7 @@ tl_deg_q16_t tl_lookup_coarse(const tl_lookup_t *lookup, tl_count_q8_t q, uint32
     return lookup->turn != 0 ? table->coarse_c_min - change : table->coarse_c_min + change;
 }
 
-tl_count_q8_t tl_lookup_coarse_inverse(const tl_lookup_t *lookup, tl_deg_q16_t c, uint32_t *flags) {
+TL_FAST tl_count_q8_t tl_lookup_coarse_inverse(const tl_lookup_t *lookup, tl_deg_q16_t c, uint32_t *flags) {
     const tl_table_t *table = &lookup->table;
     const int32_t x = c ^ lookup->turn;
     const int32_t first = table->coarse_c_min ^ lookup->turn, last = table->coarse_c_max ^ lookup->turn;

@@ -1,5 +1,7 @@
 #include "tautline/tl_motion.h"
 
+#include "tautline/tl_fast.h"
+
 #include <string.h>
 
 #define POSITION_MAX ((int32_t)1 << 30) ///< Q8: 4 M counts
@@ -11,49 +13,49 @@
 /// On the way to where the first reversal will be; a reversal is under way; it is over.
 enum { PREPARING, MEASURING, TRAVELLING };
 
-static int64_t q32(int64_t q8) {
+static TL_FAST int64_t q32(int64_t q8) {
     return q8 * ((int64_t)1 << 24);
 }
-static int64_t low_end(const tl_motion_t *m) {
+static TL_FAST int64_t low_end(const tl_motion_t *m) {
     return q32(m->config.low);
 }
-static int64_t high_end(const tl_motion_t *m) {
+static TL_FAST int64_t high_end(const tl_motion_t *m) {
     return q32(m->config.high);
 }
-static int64_t stroke_max(const tl_motion_t *m) {
+static TL_FAST int64_t stroke_max(const tl_motion_t *m) {
     return q32(m->config.stroke_max);
 }
-static int64_t smaller(int64_t a, int64_t b) {
+static TL_FAST int64_t smaller(int64_t a, int64_t b) {
     return a < b ? a : b;
 }
-static int64_t larger(int64_t a, int64_t b) {
+static TL_FAST int64_t larger(int64_t a, int64_t b) {
     return a > b ? a : b;
 }
 
 /// Distance until rest when braking begins on the next tick: a (1 + 2 + ... + (steps - 1)), never less than
 /// needed.
-static int64_t braking_distance(int64_t acceleration, uint32_t steps) {
+static TL_FAST int64_t braking_distance(int64_t acceleration, uint32_t steps) {
     return steps < 2 ? 0 : acceleration * (int64_t)((uint64_t)steps * (steps - 1U) / 2U);
 }
 
-static bool is_forward(const tl_motion_t *m) {
+static TL_FAST bool is_forward(const tl_motion_t *m) {
     return m->leg % 2U == 0;
 }
-static uint32_t legs_of_pass(const tl_motion_t *m) {
+static TL_FAST uint32_t legs_of_pass(const tl_motion_t *m) {
     return 2U * m->config.cycles + 1U;
 }
 
-static bool goes_back(const tl_motion_t *m) {
+static TL_FAST bool goes_back(const tl_motion_t *m) {
     return m->pass % 2U != 0;
 }
-static int64_t far_end(const tl_motion_t *m) {
+static TL_FAST int64_t far_end(const tl_motion_t *m) {
     return goes_back(m) ? low_end(m) : high_end(m);
 }
 
 /// End of the forward leg under way: a turning point of the pass or its far end. Both passes reach their
 /// first turning point where the range begins to be visible to them; half a step between them interleaves the
 /// middles of their strokes.
-static int64_t turning_point(const tl_motion_t *m) {
+static TL_FAST int64_t turning_point(const tl_motion_t *m) {
     const uint32_t i = m->leg / 2U;
     if (i >= m->config.cycles) {
         return far_end(m);
@@ -62,7 +64,7 @@ static int64_t turning_point(const tl_motion_t *m) {
     return goes_back(m) ? m->first - offset : m->first + offset;
 }
 
-static void begin_leg(tl_motion_t *m, uint8_t phase, int64_t target) {
+static TL_FAST void begin_leg(tl_motion_t *m, uint8_t phase, int64_t target) {
     m->direction = target < m->position ? -1 : 1;
     m->phase = phase;
     m->began = m->position;
@@ -70,13 +72,13 @@ static void begin_leg(tl_motion_t *m, uint8_t phase, int64_t target) {
 }
 
 /// A forward leg goes on to its turning point without a rest: until its onset all of the range is before it.
-static void begin_reversal(tl_motion_t *m) {
+static TL_FAST void begin_reversal(tl_motion_t *m) {
     const int64_t back = goes_back(m) ? smaller(m->position + stroke_max(m), high_end(m))
                                       : larger(m->position - stroke_max(m), low_end(m));
     begin_leg(m, MEASURING, is_forward(m) ? far_end(m) : back);
 }
 
-static void end_measuring(tl_motion_t *m) {
+static TL_FAST void end_measuring(tl_motion_t *m) {
     const int64_t further = braking_distance(m->acceleration, m->steps) + q32(m->config.approach);
     const bool rising = m->direction > 0;
     m->phase = TRAVELLING;
@@ -92,7 +94,7 @@ static void end_measuring(tl_motion_t *m) {
     m->target = rising ? larger(m->target, turning_point(m)) : smaller(m->target, turning_point(m));
 }
 
-static void end_leg(tl_motion_t *m) {
+static TL_FAST void end_leg(tl_motion_t *m) {
     m->speed = 0;
     m->steps = 0;
     if (m->phase == PREPARING && m->position != low_end(m)) {
@@ -110,13 +112,13 @@ static void end_leg(tl_motion_t *m) {
     }
 }
 
-static int64_t left_to_target(const tl_motion_t *m) {
+static TL_FAST int64_t left_to_target(const tl_motion_t *m) {
     return m->direction > 0 ? m->target - m->position : m->position - m->target;
 }
 
 /// Takes `speed` for this tick if that leaves room to brake: to rest at the target, and to measuring speed
 /// before the approach.
-static bool take_speed(tl_motion_t *m, int64_t speed, uint32_t steps) {
+static TL_FAST bool take_speed(tl_motion_t *m, int64_t speed, uint32_t steps) {
     const int64_t left = left_to_target(m);
     const int64_t needed = speed + braking_distance(m->acceleration, steps);
     if (needed > left) {
@@ -133,13 +135,13 @@ static bool take_speed(tl_motion_t *m, int64_t speed, uint32_t steps) {
     return true;
 }
 
-static bool speed_up(tl_motion_t *m, int64_t cap) {
+static TL_FAST bool speed_up(tl_motion_t *m, int64_t cap) {
     const int64_t faster = smaller(m->speed + m->acceleration, cap);
     const uint32_t steps = faster <= m->acceleration * m->steps ? m->steps : m->steps + 1U;
     return faster > m->speed && take_speed(m, faster, steps);
 }
 
-static void choose_speed(tl_motion_t *m) {
+static TL_FAST void choose_speed(tl_motion_t *m) {
     const int64_t measuring = m->measuring[m->pass / 2U];
     const int64_t cap = m->phase == MEASURING ? measuring : m->transit;
     const int64_t left = left_to_target(m);
@@ -160,7 +162,7 @@ static void choose_speed(tl_motion_t *m) {
     m->steps = m->steps > 0 ? m->steps - 1U : 0;
 }
 
-static void brake(tl_motion_t *m) {
+static TL_FAST void brake(tl_motion_t *m) {
     m->speed = larger(m->speed - m->acceleration, 0);
     m->steps = m->steps > 0 ? m->steps - 1U : 0;
     if (m->speed == 0) {
@@ -169,7 +171,7 @@ static void brake(tl_motion_t *m) {
     }
 }
 
-static void begin_stopping(tl_motion_t *m, tl_motion_state_t ends_as) {
+static TL_FAST void begin_stopping(tl_motion_t *m, tl_motion_state_t ends_as) {
     if (m->state == TL_MOTION_RUNNING) {
         m->state = TL_MOTION_STOPPING;
         m->ends_as = (uint8_t)ends_as;
@@ -237,7 +239,7 @@ tl_motion_error_t tl_motion_start(tl_motion_t *motion, const tl_motion_config_t 
     return TL_MOTION_OK;
 }
 
-tl_motion_reference_t tl_motion_tick(tl_motion_t *motion) {
+TL_FAST tl_motion_reference_t tl_motion_tick(tl_motion_t *motion) {
     tl_motion_t *m = motion;
     if (m->state == TL_MOTION_RUNNING) {
         if (m->timeout_ticks > 0 && ++m->quiet_ticks > m->timeout_ticks) {

@@ -1,5 +1,7 @@
 #include "tautline/tl_onset.h"
 
+#include "tautline/tl_fast.h"
+
 #include <string.h>
 
 #include "tl_confirm.h"
@@ -44,24 +46,24 @@ bool tl_onset_init(tl_onset_detector_t *detector, const tl_onset_config_t *confi
     return true;
 }
 
-static void drop_oldest(tl_onset_detector_t *d, int32_t n) {
+static TL_FAST void drop_oldest(tl_onset_detector_t *d, int32_t n) {
     d->oldest = (uint8_t)(((uint32_t)d->oldest + (uint32_t)n) % TL_ONSET_WINDOW);
     d->held = (uint8_t)(d->held - n);
 }
 
 /// |a - b|, saturated. Out of line: it is asked for in many places.
-static __attribute__((noinline)) tl_count_q8_t distance(tl_count_q8_t a, tl_count_q8_t b) {
+static __attribute__((noinline)) TL_FAST tl_count_q8_t distance(tl_count_q8_t a, tl_count_q8_t b) {
     return tl_abs_sat(tl_sub_sat(a, b));
 }
 
 /// Q8 counts/s over samples i to k.
-static int32_t speed_between(tl_onset_detector_t *d, int32_t i, int32_t k) {
+static TL_FAST int32_t speed_between(tl_onset_detector_t *d, int32_t i, int32_t k) {
     const uint32_t us = tl_hinge_sample(d, k)->t_us - tl_hinge_sample(d, i)->t_us;
     const tl_count_q8_t way = distance(tl_hinge_sample(d, k)->q, tl_hinge_sample(d, i)->q);
     return us == 0 ? 0 : tl_real_to_q(tl_real_div(tl_real((int64_t)way * 1000000, 0), tl_real(us, 0)), 0);
 }
 
-static void measure_stop(tl_onset_detector_t *d, const tl_onset_sums_t *level, tl_real_t unit) {
+static TL_FAST void measure_stop(tl_onset_detector_t *d, const tl_onset_sums_t *level, tl_real_t unit) {
     tl_hinge_meeting_t meeting;
     if (!d->entered || d->approach.n < 3 || level->n < LEVEL_MIN ||
         !tl_hinge_meet(&d->approach, level, d->approach_scale, &meeting)) {
@@ -75,7 +77,7 @@ static void measure_stop(tl_onset_detector_t *d, const tl_onset_sums_t *level, t
 
 /// The reversal under way is over, and told if it is worth it; the tip follows the motor or not, as far as is
 /// known.
-static void end_reversal(tl_onset_detector_t *d, tl_onset_reason_t reason, bool worth, tl_onset_t *onset) {
+static TL_FAST void end_reversal(tl_onset_detector_t *d, tl_onset_reason_t reason, bool worth, tl_onset_t *onset) {
     d->phase = FOLLOWING;
     d->on_envelope = d->reversal.started;
     d->reversal.reason = (uint8_t)reason;
@@ -87,13 +89,13 @@ static void end_reversal(tl_onset_detector_t *d, tl_onset_reason_t reason, bool 
     }
 }
 
-static void clear_window(tl_onset_detector_t *d) {
+static TL_FAST void clear_window(tl_onset_detector_t *d) {
     d->held = 0;
     d->known = 0;
 }
 
 /// The image has started: writes the onset and goes on following with the samples beyond the knot.
-static void finish_started(tl_onset_detector_t *d, const tl_confirm_t *e, tl_onset_t *onset) {
+static TL_FAST void finish_started(tl_onset_detector_t *d, const tl_confirm_t *e, tl_onset_t *onset) {
     const tl_onset_config_t *config = &d->config;
     tl_onset_t *r = &d->reversal;
     const int32_t first = d->held - e->hinge.beyond;
@@ -133,7 +135,7 @@ static void finish_started(tl_onset_detector_t *d, const tl_confirm_t *e, tl_ons
 }
 
 /// The stroke ended and the image had not (yet) moved.
-static void finish_unstarted(tl_onset_detector_t *d, const tl_confirm_t *e, tl_onset_t *onset) {
+static TL_FAST void finish_unstarted(tl_onset_detector_t *d, const tl_confirm_t *e, tl_onset_t *onset) {
     tl_onset_reason_t reason = TL_ONSET_TOO_FEW_SAMPLES;
     tl_hinge_meeting_t approach;
     if (!d->entered) {
@@ -158,7 +160,7 @@ static void finish_unstarted(tl_onset_detector_t *d, const tl_confirm_t *e, tl_o
 }
 
 /// Decides what the frames so far prove, and must if the stroke has ended.
-static void decide(tl_onset_detector_t *d, bool ended, tl_onset_t *onset) {
+static TL_FAST void decide(tl_onset_detector_t *d, bool ended, tl_onset_t *onset) {
     tl_confirm_t e;
     const bool fitted = (ended || tl_confirm_glance(d)) && tl_confirm_evaluate(d, &e);
     const bool confirmed = fitted && e.confirmed;
@@ -175,7 +177,7 @@ static void decide(tl_onset_detector_t *d, bool ended, tl_onset_t *onset) {
 }
 
 /// Whether the motor lost an eighth of its speed at sample i; the turn follows on the last one before it.
-static bool slows_down(tl_onset_detector_t *d, int32_t i, int32_t before) {
+static TL_FAST bool slows_down(tl_onset_detector_t *d, int32_t i, int32_t before) {
     const bool last = i + 1 == before;
     const tl_count_q8_t q = last ? d->reversal.q1 : tl_hinge_sample(d, i + 1)->q;
     const uint32_t us =
@@ -186,7 +188,7 @@ static bool slows_down(tl_onset_detector_t *d, int32_t i, int32_t before) {
 
 /// The line of the approach, from the samples up to the turn: as many as curvature allows, without those that
 /// saw the motor slow down (a wrong t_delay shifts them less than the others).
-static void measure_approach(tl_onset_detector_t *d, int32_t before) {
+static TL_FAST void measure_approach(tl_onset_detector_t *d, int32_t before) {
     const tl_onset_config_t *config = &d->config;
     const tl_count_q8_t q1 = d->reversal.q1;
     memset(&d->approach, 0, sizeof d->approach);
@@ -218,7 +220,7 @@ static void measure_approach(tl_onset_detector_t *d, int32_t before) {
 }
 
 /// Whether the image moved on the approach beyond noise.
-static bool approach_moves(const tl_onset_detector_t *d) {
+static TL_FAST bool approach_moves(const tl_onset_detector_t *d) {
     tl_hinge_meeting_t meeting;
     const tl_onset_sums_t any_level = {.w = 1, .n = 1};
     if (d->approach.n < 3 || !tl_hinge_meet(&d->approach, &any_level, d->approach_scale, &meeting)) {
@@ -232,14 +234,14 @@ static bool approach_moves(const tl_onset_detector_t *d) {
 }
 
 /// Samples from the i-th on.
-static void add_images(tl_onset_detector_t *d, int32_t i) {
+static TL_FAST void add_images(tl_onset_detector_t *d, int32_t i) {
     for (; i < d->held; i++) {
         const tl_hinge_point_t point = tl_hinge_image(d, i);
         tl_hinge_add(&d->all, &point);
     }
 }
 
-static void begin_reversal(tl_onset_detector_t *d, int8_t direction) {
+static TL_FAST void begin_reversal(tl_onset_detector_t *d, int8_t direction) {
     const uint32_t turn_us = (uint32_t)d->extreme_us;
     d->direction = direction;
     d->phase = CROSSING;
@@ -278,7 +280,7 @@ static void begin_reversal(tl_onset_detector_t *d, int8_t direction) {
 }
 
 /// Follows the motor to `q`.
-static void follow_motor(tl_onset_detector_t *d, tl_us_t t_us, tl_count_q8_t q, tl_onset_t *onset) {
+static TL_FAST void follow_motor(tl_onset_detector_t *d, tl_us_t t_us, tl_count_q8_t q, tl_onset_t *onset) {
     const tl_count_q8_t turn = d->config.turn;
     if (d->direction == 0) {
         if (!d->placed) {
@@ -313,7 +315,7 @@ static void follow_motor(tl_onset_detector_t *d, tl_us_t t_us, tl_count_q8_t q, 
 }
 
 /// Follows the motor through the history up to `until_us`.
-static void scan(tl_onset_detector_t *d, const tl_history_t *history, tl_us_t until_us, tl_onset_t *onset) {
+static TL_FAST void scan(tl_onset_detector_t *d, const tl_history_t *history, tl_us_t until_us, tl_onset_t *onset) {
     const tl_us_t span_us = TL_HISTORY_SPAN_MS * 1000U;
     if (until_us > d->scanned_us + span_us) {
         d->scanned_us = until_us - span_us;
@@ -333,7 +335,7 @@ static void scan(tl_onset_detector_t *d, const tl_history_t *history, tl_us_t un
 }
 
 /// The marker was away, or the crossing lasts, for too long.
-static void check_time(tl_onset_detector_t *d, tl_us_t scene_us, tl_onset_t *onset) {
+static TL_FAST void check_time(tl_onset_detector_t *d, tl_us_t scene_us, tl_onset_t *onset) {
     if (d->phase != CROSSING) {
         return;
     }
@@ -346,7 +348,7 @@ static void check_time(tl_onset_detector_t *d, tl_us_t scene_us, tl_onset_t *ons
     }
 }
 
-static int32_t weight_of(const tl_onset_config_t *config, tl_px_q12_t sigma) {
+static TL_FAST int32_t weight_of(const tl_onset_config_t *config, tl_px_q12_t sigma) {
     if (sigma <= 0) {
         return TL_CONFIRM_WEIGHT;
     }
@@ -358,7 +360,7 @@ static int32_t weight_of(const tl_onset_config_t *config, tl_px_q12_t sigma) {
 
 /// Halves what has left the window, all - window: all becomes (all + window) / 2. The sums of a long level
 /// stay within their range, and a level that creeps is followed.
-static void fade(tl_onset_detector_t *d) {
+static TL_FAST void fade(tl_onset_detector_t *d) {
     add_images(d, 0);
     d->all.w >>= 1;
     d->all.u >>= 1;
@@ -367,7 +369,7 @@ static void fade(tl_onset_detector_t *d) {
     d->all.n >>= 1;
 }
 
-static void take(tl_onset_detector_t *d, const tl_onset_sample_t *sample) {
+static TL_FAST void take(tl_onset_detector_t *d, const tl_onset_sample_t *sample) {
     if (d->held == TL_ONSET_WINDOW) {
         drop_oldest(d, 1);
     }
@@ -376,7 +378,8 @@ static void take(tl_onset_detector_t *d, const tl_onset_sample_t *sample) {
 }
 
 /// A sample that its neighbours vouch for.
-static void take_sample(tl_onset_detector_t *d, const tl_onset_sample_t *sample, tl_us_t scene_us, tl_onset_t *onset) {
+static TL_FAST void take_sample(tl_onset_detector_t *d, const tl_onset_sample_t *sample, tl_us_t scene_us,
+                                tl_onset_t *onset) {
     if (d->phase == FOLLOWING) {
         take(d, sample);
         return;
@@ -400,8 +403,9 @@ static void take_sample(tl_onset_detector_t *d, const tl_onset_sample_t *sample,
 }
 
 /// Of a from the middle between b and c, Q16 px^2. Out of line: its 64-bit products are a lot of code.
-static __attribute__((noinline)) int64_t squared_distance(const tl_onset_sample_t *a, const tl_onset_sample_t *b,
-                                                          const tl_onset_sample_t *c) {
+static __attribute__((noinline)) TL_FAST int64_t squared_distance(const tl_onset_sample_t *a,
+                                                                  const tl_onset_sample_t *b,
+                                                                  const tl_onset_sample_t *c) {
     const int64_t u = (2 * (int64_t)a->u - b->u - c->u) / 32, v = (2 * (int64_t)a->v - b->v - c->v) / 32;
     return u * u + v * v;
 }
@@ -409,15 +413,16 @@ static __attribute__((noinline)) int64_t squared_distance(const tl_onset_sample_
 /// Whether the image was elsewhere for one frame: off the middle of its neighbours by more than OUTLIER sigma, and
 /// by more than 0.7 of what lies between them: a start or a jump between them puts it off by half at most, whenever
 /// the frames came. All within +-4096 px.
-static bool is_outlier(const tl_onset_detector_t *d, const tl_onset_sample_t *before, const tl_onset_sample_t *sample,
-                       const tl_onset_sample_t *after) {
+static TL_FAST bool is_outlier(const tl_onset_detector_t *d, const tl_onset_sample_t *before,
+                               const tl_onset_sample_t *sample, const tl_onset_sample_t *after) {
     const int64_t off = squared_distance(sample, before, after), apart = squared_distance(after, before, before);
     const int64_t variance = d->noise_sum / ((int64_t)d->noise_dof * sample->weight);
     return off > OUTLIER * OUTLIER * variance && 2 * off > apart;
 }
 
 /// A frame with its marker waits for the next one, which tells whether to believe it.
-static void take_frame(tl_onset_detector_t *d, const tl_onset_sample_t *sample, tl_us_t scene_us, tl_onset_t *onset) {
+static TL_FAST void take_frame(tl_onset_detector_t *d, const tl_onset_sample_t *sample, tl_us_t scene_us,
+                               tl_onset_t *onset) {
     const tl_onset_sample_t waiting = d->waiting;
     const tl_us_t waiting_us = d->seen_us;
     d->waiting = *sample;
@@ -433,8 +438,8 @@ static void take_frame(tl_onset_detector_t *d, const tl_onset_sample_t *sample, 
     d->known = d->known == 0 ? 1 : 2;
 }
 
-bool tl_onset_sample(tl_onset_detector_t *detector, const tl_history_t *history, const tl_marker_t *marker,
-                     tl_onset_t *onset) {
+TL_FAST bool tl_onset_sample(tl_onset_detector_t *detector, const tl_history_t *history, const tl_marker_t *marker,
+                             tl_onset_t *onset) {
     tl_onset_detector_t *d = detector;
     d->told = false;
     if (marker->arrival_us <= d->arrival_us) {
@@ -466,7 +471,8 @@ bool tl_onset_sample(tl_onset_detector_t *detector, const tl_history_t *history,
     return d->told;
 }
 
-bool tl_onset_poll(tl_onset_detector_t *detector, const tl_history_t *history, tl_us_t now_us, tl_onset_t *onset) {
+TL_FAST bool tl_onset_poll(tl_onset_detector_t *detector, const tl_history_t *history, tl_us_t now_us,
+                           tl_onset_t *onset) {
     tl_onset_detector_t *d = detector;
     d->told = false;
     if (now_us < (tl_us_t)d->config.delay_us + POLL_LAG_US) {

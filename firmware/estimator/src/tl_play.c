@@ -1,11 +1,12 @@
 #include "tautline/tl_play.h"
 
+#include "tautline/tl_fast.h"
 #include "tl_elements.h"
 
 // Where p has just been solved for, 2 |q - p| is B(p) but for p's error times (2 + |B'|) < 4: 1.5 of the last bit and
 // 2^-19 of a span (tl_fraction()). It is kept smaller than B(p) by that, so that comparing with it may ask for a
 // solution in vain but never misses one.
-static uint32_t width_at(const tl_lookup_t *lookup, uint32_t twice_apart) {
+static TL_FAST uint32_t width_at(const tl_lookup_t *lookup, uint32_t twice_apart) {
     const uint32_t error = 6U + ((4U << lookup->step_log2) >> 19);
     return twice_apart > error ? twice_apart - error : 0;
 }
@@ -24,7 +25,7 @@ void tl_play_start(tl_play_t *play, const tl_lookup_t *lookup, tl_count_q8_t p) 
 }
 
 // The elements that the motor drags follow the envelope towards which it moves; the others stay.
-static tl_count_q8_t step_of_several(tl_play_t *play, tl_count_q8_t q) {
+TL_FAST static tl_count_q8_t step_of_several(tl_play_t *play, tl_count_q8_t q) {
     const tl_lookup_t *lookup = play->lookup;
     if (q == play->q) {
         return play->p;
@@ -50,7 +51,7 @@ static tl_count_q8_t step_of_several(tl_play_t *play, tl_count_q8_t q) {
     return p;
 }
 
-tl_count_q8_t tl_play_step(tl_play_t *play, tl_count_q8_t q) {
+TL_FAST tl_count_q8_t tl_play_step(tl_play_t *play, tl_count_q8_t q) {
     q = tl_clamp(q, -TL_TABLE_VALUE_MAX, TL_TABLE_VALUE_MAX);
     if (play->lookup->plays != 0) {
         return step_of_several(play, q);
@@ -77,7 +78,7 @@ tl_count_q8_t tl_play_step(tl_play_t *play, tl_count_q8_t q) {
     return play->p;
 }
 
-tl_deg_q16_t tl_play_angle(const tl_play_t *play) {
+TL_FAST tl_deg_q16_t tl_play_angle(const tl_play_t *play) {
     uint32_t flags = 0;
     return tl_lookup_angle(play->lookup, play->p, &flags);
 }

@@ -1,18 +1,20 @@
 #include "tl_real.h"
 
-static int32_t mantissa(tl_real_t a) {
+#include "tautline/tl_fast.h"
+
+static TL_FAST int32_t mantissa(tl_real_t a) {
     return (int32_t)(uint32_t)((uint64_t)a >> 32);
 }
 
-static int32_t exponent(tl_real_t a) {
+static TL_FAST int32_t exponent(tl_real_t a) {
     return (int32_t)(uint32_t)a;
 }
 
-static tl_real_t pack(int32_t m, int32_t e) {
+static TL_FAST tl_real_t pack(int32_t m, int32_t e) {
     return (tl_real_t)((uint64_t)(uint32_t)m << 32 | (uint32_t)e);
 }
 
-tl_real_t tl_real(int64_t value, int32_t e) {
+TL_FAST tl_real_t tl_real(int64_t value, int32_t e) {
     uint64_t magnitude = value < 0 ? 0U - (uint64_t)value : (uint64_t)value;
     if (magnitude == 0) {
         return 0;
@@ -41,26 +43,26 @@ tl_real_t tl_real(int64_t value, int32_t e) {
     return pack(value < 0 ? -(int32_t)m : (int32_t)m, e);
 }
 
-tl_real_t tl_real_mul(tl_real_t a, tl_real_t b) {
+TL_FAST tl_real_t tl_real_mul(tl_real_t a, tl_real_t b) {
     return tl_real((int64_t)mantissa(a) * mantissa(b), exponent(a) + exponent(b));
 }
 
-tl_real_t tl_real_square(tl_real_t a) {
+TL_FAST tl_real_t tl_real_square(tl_real_t a) {
     return tl_real_mul(a, a);
 }
 
-tl_real_t tl_real_shift(tl_real_t a, int32_t e) {
+TL_FAST tl_real_t tl_real_shift(tl_real_t a, int32_t e) {
     return a == 0 ? 0 : pack(mantissa(a), exponent(a) + e);
 }
 
-tl_real_t tl_real_div(tl_real_t a, tl_real_t b) {
+TL_FAST tl_real_t tl_real_div(tl_real_t a, tl_real_t b) {
     if (b == 0) {
         return pack(INT32_MAX, 1 << 20);
     }
     return tl_real((int64_t)mantissa(a) * ((int64_t)1 << 31) / mantissa(b), exponent(a) - 31 - exponent(b));
 }
 
-tl_real_t tl_real_add(tl_real_t a, tl_real_t b) {
+TL_FAST tl_real_t tl_real_add(tl_real_t a, tl_real_t b) {
     if (a == 0 || (b != 0 && exponent(a) < exponent(b))) {
         const tl_real_t swap = a;
         a = b;
@@ -74,15 +76,15 @@ tl_real_t tl_real_add(tl_real_t a, tl_real_t b) {
                    exponent(a) - 30);
 }
 
-tl_real_t tl_real_sub(tl_real_t a, tl_real_t b) {
+TL_FAST tl_real_t tl_real_sub(tl_real_t a, tl_real_t b) {
     return tl_real_add(a, pack(-mantissa(b), exponent(b)));
 }
 
-bool tl_real_less(tl_real_t a, tl_real_t b) {
+TL_FAST bool tl_real_less(tl_real_t a, tl_real_t b) {
     return tl_real_sub(a, b) < 0;
 }
 
-tl_real_t tl_real_sqrt(tl_real_t a) {
+TL_FAST tl_real_t tl_real_sqrt(tl_real_t a) {
     if (a <= 0) {
         return 0;
     }
@@ -100,7 +102,7 @@ tl_real_t tl_real_sqrt(tl_real_t a) {
     return tl_real((int64_t)root, (exponent(a) - shift) / 2);
 }
 
-int32_t tl_real_to_q(tl_real_t a, int32_t bits) {
+TL_FAST int32_t tl_real_to_q(tl_real_t a, int32_t bits) {
     const int32_t e = exponent(a) + bits;
     if (a == 0 || e < -31) {
         return 0;

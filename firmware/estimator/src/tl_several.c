@@ -3,8 +3,10 @@
 #include "tl_elements.h"
 #include "tl_feed.h"
 
+#include "tautline/tl_fast.h"
+
 // Where the elements want q, from p on, pushed from above or below: on the envelope of that side.
-static int32_t offset_on(const tl_compensator_t *k, bool up) {
+static TL_FAST int32_t offset_on(const tl_compensator_t *k, bool up) {
     const tl_lookup_t *lookup = k->lookup;
     uint32_t ends = 0;
     if (tl_elements_narrow(lookup, k->p)) {
@@ -19,7 +21,7 @@ static int32_t offset_on(const tl_compensator_t *k, bool up) {
 }
 
 // The offset as far as it is compensated.
-static int32_t held(const tl_compensator_t *k) {
+static TL_FAST int32_t held(const tl_compensator_t *k) {
     const int32_t offset = k->offset;
     if (k->mode == TL_MODE_OFF) {
         return 0;
@@ -37,7 +39,7 @@ void tl_several_hold(tl_compensator_t *k) {
     }
 }
 
-void tl_several_turn(tl_compensator_t *k) {
+TL_FAST void tl_several_turn(tl_compensator_t *k) {
     const bool turns = turned(k);
     k->turns = turns;
     if (turns) {
@@ -54,7 +56,7 @@ void tl_several_turn(tl_compensator_t *k) {
     k->moved = true;
 }
 
-void tl_several_lead(tl_compensator_t *k) {
+TL_FAST void tl_several_lead(tl_compensator_t *k) {
     const bool up = k->side > 0; // it has a side: p has moved
     const tl_count_q8_t before = tl_clamp(k->p + (up ? k->half : -k->half), k->low, k->high);
     k->moved = false;

@@ -1,6 +1,8 @@
 #include "tl_takeup.h"
 
-static int64_t at_least_1(int64_t value) {
+#include "tautline/tl_fast.h"
+
+static TL_FAST int64_t at_least_1(int64_t value) {
     return value > 0 ? value : 1;
 }
 
@@ -18,14 +20,14 @@ void tl_takeup_set_limits(tl_takeup_t *takeup, const tl_table_t *table, uint32_t
     takeup->limits_pending = 1;
 }
 
-void tl_takeup_set(tl_takeup_t *takeup, int32_t rest_q8) {
+TL_FAST void tl_takeup_set(tl_takeup_t *takeup, int32_t rest_q8) {
     const int64_t rest = (int64_t)(takeup->heading > 0 ? rest_q8 : -rest_q8) * ((int64_t)1 << TL_TAKEUP_FRACTION_BITS);
     takeup->ahead_q36 = takeup->spare_q36 = rest;
     takeup->speed_q36 = 0;
 }
 
 // From rest: new limits, and the way to what is left. False if nothing is.
-static bool set_off(tl_takeup_t *takeup) {
+static TL_FAST bool set_off(tl_takeup_t *takeup) {
     if (takeup->limits_pending) {
         takeup->speed_max_q36 = takeup->next_speed_max_q36;
         takeup->accel_q36 = takeup->next_accel_q36;
@@ -44,7 +46,7 @@ static bool set_off(tl_takeup_t *takeup) {
 
 // The speed is n accel. One more tick at it and then braking take accel n (n + 1) / 2: what is ahead beyond that is
 // spare, and is kept up to date by sums alone.
-void tl_takeup_step(tl_takeup_t *takeup) {
+TL_FAST void tl_takeup_step(tl_takeup_t *takeup) {
     int64_t speed = takeup->speed_q36;
     if (speed == 0 && !set_off(takeup)) {
         return;

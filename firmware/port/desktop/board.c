@@ -1,24 +1,23 @@
 #include "board.h"
 
-#include <math.h>
 #include <stdio.h>
 #include <string.h>
 #include <tusb.h>
 
 #include "flash.h"
-#include "motor.h"
 #include "tautline/tl_usb.h"
+#include "uart.h"
 
 #define WATCHDOG_US 1000000U
 
 static tl_app_t app;
 static tl_port_t port;
 static board_state_t state = {.powered = true};
-static motor_t motors[TL_WIRE_AXES_MAX];
-static int32_t encoder_zero[TL_WIRE_AXES_MAX]; // counters begin at 0 with each start
+static plant_t plant;
 static int32_t log_q8[BOARD_LOG][TL_WIRE_AXES_MAX];
 static tl_us_t next_control_us;
 static tl_us_t fed_us;
+static bool on_uart;
 static int restart; // asked for: 0 no, 1 restart, 2 boot loader
 
 // -- the port ---------------------------------------------------------------------------------------------------
@@ -30,17 +29,27 @@ static tl_us_t port_time(void *context) {
 
 static int32_t port_encoder(void *context, uint8_t axis) {
     (void)context;
-    return (int32_t)((uint32_t)motor_counts(&motors[axis]) - (uint32_t)encoder_zero[axis]);
+    return plant_encoder(&plant, axis);
 }
 
 static void port_drive(void *context, uint8_t axis, tl_duty_q15_t duty) {
     (void)context;
-    motors[axis].duty = duty / 32768.0;
+    plant_drive(&plant, axis, duty);
 }
 
 static int32_t port_current(void *context, uint8_t axis) {
     (void)context;
-    return (int32_t)lround(motors[axis].current);
+    return plant_current_ma(&plant, axis);
+}
+
+static uint16_t port_supply(void *context) {
+    (void)context;
+    return plant.supply_mv;
+}
+
+static bool port_driver_fault(void *context, uint8_t axis) {
+    (void)context;
+    return plant_driver_fault(&plant, axis);
 }
 
 // Counts an operation; false when the power is cut in it.
@@ -51,15 +60,18 @@ static bool operate(void) {
 
 static void lose_power(void) {
     state.powered = false;
-    for (uint8_t i = 0; i < port.axes; i++) {
-        motors[i].duty = 0.0;
-    }
+    plant_release(&plant);
 }
 
 static bool port_edges_lost(void *context, uint8_t axis) {
     (void)context;
     (void)axis;
     return false; // it counts as fast as its motors turn
+}
+
+static void port_read(void *context, uint32_t offset, uint8_t *out, size_t size) {
+    (void)context;
+    memcpy(out, flash_bytes + offset, size);
 }
 
 static bool port_erase(void *context, uint32_t offset) {
@@ -121,17 +133,23 @@ bool board_open(const board_options_t *options) {
                 options->flash_file);
         return false;
     }
+    on_uart = options->on_uart;
+    plant_init(&plant, options->axes);
     port = (tl_port_t){
         .name = "desktop",
         .serial = options->serial,
         .axes = options->axes,
         .control_hz = options->control_hz,
+        .driver_ma = PLANT_DRIVER_MA,
+        .supply_low_mv = PLANT_LEAST_MV,
         .time_us = port_time,
         .encoder = port_encoder,
         .edges_lost = port_edges_lost,
         .drive = port_drive,
         .current_ma = port_current,
-        .flash = flash_bytes,
+        .supply_mv = port_supply,
+        .driver_fault = port_driver_fault,
+        .flash_read = port_read,
         .flash_erase = port_erase,
         .flash_program = port_program,
         .watchdog_feed = port_feed,
@@ -164,15 +182,24 @@ void board_start(tl_wire_boot_t reason) {
     restart = 0;
     fed_us = state.t_us;
     next_control_us = state.t_us;
-    for (uint8_t i = 0; i < port.axes; i++) {
-        encoder_zero[i] = motor_counts(&motors[i]);
-        motors[i].duty = 0.0;
-    }
+    plant_start(&plant);
     tl_app_init(&app, &port);
+    if (on_uart) {
+        tl_serial_init(&app, uart_line());
+        return;
+    }
     if (tud_inited()) {
         tud_deinit(0);
     }
     tl_usb_init(&app);
+}
+
+static void host_task(void) {
+    if (on_uart) {
+        tl_serial_task();
+    } else {
+        tl_usb_task();
+    }
 }
 
 void board_cut(uint32_t operations) {
@@ -186,9 +213,9 @@ void board_task(void) {
     if (!state.powered || state.bootloader || state.hung) {
         return;
     }
-    tl_usb_task();
+    host_task();
     tl_app_task(&app);
-    tl_usb_task();
+    host_task();
     if (restart == 1) {
         board_start(TL_WIRE_BOOT_REQUEST);
     } else if (restart == 2) {
@@ -208,9 +235,7 @@ void board_step(void) {
             board_start(TL_WIRE_BOOT_WATCHDOG);
         }
     }
-    for (uint8_t i = 0; i < port.axes; i++) {
-        motor_step(&motors[i]);
-    }
+    plant_step(&plant);
     state.t_us += MOTOR_STEP_US;
     if (state.t_us % 1000U == 0U) {
         for (uint8_t i = 0; i < port.axes; i++) {
@@ -225,13 +250,11 @@ int32_t board_log(uint64_t index, uint8_t axis) {
 }
 
 int32_t board_true_q8(uint8_t axis) {
-    return (int32_t)(uint32_t)(uint64_t)llround(motors[axis].position * 256.0);
+    return plant_true_q8(&plant, axis);
 }
-
+void board_inject(uint8_t axis, plant_ill_t ill) {
+    plant_inject(&plant, axis, ill);
+}
 void board_place(uint8_t axis, int32_t q_q8) {
-    const int32_t before = motor_counts(&motors[axis]);
-    motors[axis].position = q_q8 / 256.0;
-    motors[axis].speed = 0.0;
-    const uint32_t moved = (uint32_t)motor_counts(&motors[axis]) - (uint32_t)before;
-    encoder_zero[axis] = (int32_t)((uint32_t)encoder_zero[axis] + moved);
+    plant_place(&plant, axis, q_q8);
 }

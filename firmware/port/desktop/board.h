@@ -5,6 +5,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "plant.h"
 #include "tautline/tl_app.h"
 
 #define BOARD_LOG 16384U // milliseconds of true motor positions kept
@@ -14,6 +15,7 @@ typedef struct {
     uint32_t control_hz;
     const char *serial;
     const char *flash_file; // NULL: lost with the process
+    bool on_uart;           // the host is on the serial port, not on USB
 } board_options_t;
 
 typedef struct {
@@ -47,6 +49,7 @@ int32_t board_log(uint64_t index, uint8_t axis);
 int32_t board_true_q8(uint8_t axis);
 // Sets a motor, at rest, to a true position (counts Q8): where the instrument was put by hand.
 void board_place(uint8_t axis, int32_t q_q8);
+void board_inject(uint8_t axis, plant_ill_t ill);
 
 // Whether the device is on its USB bus.
 bool board_on_bus(void);

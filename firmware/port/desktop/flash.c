@@ -5,7 +5,7 @@
 
 #include "tautline/tl_port.h"
 
-#define SIZE (FLASH_SECTORS * TL_PORT_FLASH_SECTOR)
+#define SIZE TL_PORT_FLASH_REGION
 
 uint8_t flash_bytes[SIZE];
 static FILE *file;

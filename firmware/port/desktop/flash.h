@@ -7,8 +7,6 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#define FLASH_SECTORS 8U
-
 extern uint8_t flash_bytes[];
 
 bool flash_open(const char *file); // NULL: memory only

@@ -9,6 +9,7 @@
 
 #include "board.h"
 #include "simlink.h"
+#include "uart.h"
 #include "usbip.h"
 
 static volatile sig_atomic_t stopped;
@@ -21,8 +22,8 @@ static void stop(int signal_number) {
 static _Noreturn void usage(const char *what) {
     fprintf(stderr,
             "tautline-board: %s\n"
-            "usage: tautline-board --usbip PORT --sim PORT [--flash FILE] [--axes 1..4] [--rate HZ] [--serial S] "
-            "[--realtime] [--parent PID]\n"
+            "usage: tautline-board --usbip PORT | --uart PORT --sim PORT [--flash FILE] [--axes 1..4] [--rate HZ] "
+            "[--serial S] [--realtime] [--parent PID]\n"
             "ports: 0 lets the system choose; the line of JSON on stdout names them\n",
             what);
     exit(2);
@@ -77,24 +78,27 @@ static void flush(const service_t *service) {
     }
 }
 
-static void serve(const service_t *usb, const service_t *sim, long parent) {
+// `host` is USB/IP or the serial port.
+static void serve(const service_t *host, const service_t *sim, long parent) {
     struct pollfd fds[2 + USBIP_CONNECTIONS + SIMLINK_CONNECTIONS];
     bool ran = false;
     uint32_t starts = board_state()->starts;
     while (stopped == 0 && !simlink_quit() && (parent == 0 || getppid() == (pid_t)parent)) {
-        const size_t first = collect(usb, fds);
+        const size_t first = collect(host, fds);
         const size_t all = first + collect(sim, fds + first);
         const int idle = simlink_wait();
         const int patience = parent != 0 && (idle < 0 || idle > 500) ? 500 : idle;
         if (poll(fds, (nfds_t)all, ran ? 0 : patience) < 0 && errno != EINTR) {
             break;
         }
-        exchange(usb, fds);
+        exchange(host, fds);
         usbip_receive();
         do { // the device has room for one packet, and waits for no socket
             board_task();
         } while (usbip_transfer());
         exchange(sim, fds + first);
+        uart_receive();
+        board_task();
         simlink_receive();
         ran = simlink_run();
         ran = usbip_transfer() || ran;
@@ -103,25 +107,21 @@ static void serve(const service_t *usb, const service_t *sim, long parent) {
             starts = board_state()->starts;
         }
         usbip_plug(simlink_cable() && board_on_bus());
-        flush(usb);
+        flush(host);
         flush(sim);
     }
 }
 
 int main(int argc, char **argv) {
     static const struct option options[] = {
-        {"usbip", required_argument, NULL, 'u'},
-        {"sim", required_argument, NULL, 's'},
-        {"flash", required_argument, NULL, 'f'},
-        {"axes", required_argument, NULL, 'a'},
-        {"rate", required_argument, NULL, 'r'},
-        {"serial", required_argument, NULL, 'n'},
-        {"realtime", no_argument, NULL, 't'},
-        {"parent", required_argument, NULL, 'p'},
-        {NULL, 0, NULL, 0},
+        {"usbip", required_argument, NULL, 'u'},  {"uart", required_argument, NULL, 'l'},
+        {"sim", required_argument, NULL, 's'},    {"flash", required_argument, NULL, 'f'},
+        {"axes", required_argument, NULL, 'a'},   {"rate", required_argument, NULL, 'r'},
+        {"serial", required_argument, NULL, 'n'}, {"realtime", no_argument, NULL, 't'},
+        {"parent", required_argument, NULL, 'p'}, {NULL, 0, NULL, 0},
     };
     board_options_t board = {.axes = 1, .control_hz = 5000, .serial = "DESKTOP-1"};
-    int usb_port = -1;
+    int host_port = -1;
     int sim_port = -1;
     bool realtime = false;
     long parent = 0;
@@ -129,7 +129,9 @@ int main(int argc, char **argv) {
     while ((option = getopt_long(argc, argv, "", options, NULL)) != -1) {
         switch (option) {
         case 'u':
-            usb_port = (int)integer(optarg, 0, 65535, "--usbip takes a port");
+        case 'l':
+            board.on_uart = option == 'l';
+            host_port = (int)integer(optarg, 0, 65535, "--usbip and --uart take a port");
             break;
         case 's':
             sim_port = (int)integer(optarg, 0, 65535, "--sim takes a port");
@@ -157,8 +159,8 @@ int main(int argc, char **argv) {
             usage("unknown option");
         }
     }
-    if (usb_port < 0 || sim_port < 0 || optind != argc) {
-        usage("--usbip and --sim are needed, and nothing but options");
+    if (host_port < 0 || sim_port < 0 || optind != argc) {
+        usage("--usbip or --uart, and --sim are needed, and nothing but options");
     }
     if (1000000U % board.control_hz != 0U || board.control_hz % TL_AXIS_PLAN_HZ != 0U) {
         usage("--rate takes 1000, 2000, 4000, 5000, 8000 or 10000 Hz");
@@ -172,9 +174,10 @@ int main(int argc, char **argv) {
         return 1;
     }
     usbip_init();
+    uart_init();
     simlink_init(realtime);
-    const int usb_listener = net_listen(usb_port, &usb_port);
-    const int sim_listener = usb_listener < 0 ? -1 : net_listen(sim_port, &sim_port);
+    const int host_listener = net_listen(host_port, &host_port);
+    const int sim_listener = host_listener < 0 ? -1 : net_listen(sim_port, &sim_port);
     if (sim_listener < 0) {
         fprintf(stderr, "tautline-board: cannot listen: %s: choose other ports, or 0\n", strerror(errno));
         return 1;
@@ -182,11 +185,12 @@ int main(int argc, char **argv) {
     signal(SIGINT, stop);
     signal(SIGTERM, stop);
     signal(SIGPIPE, SIG_IGN);
-    printf("{\"usbip\": %d, \"sim\": %d, \"serial\": \"%s\", \"axes\": %u, \"rate\": %u}\n", usb_port, sim_port,
-           board.serial, board.axes, board.control_hz);
+    printf("{\"%s\": %d, \"sim\": %d, \"serial\": \"%s\", \"axes\": %u, \"rate\": %u}\n",
+           board.on_uart ? "uart" : "usbip", host_port, sim_port, board.serial, board.axes, board.control_hz);
     fflush(stdout);
-    const service_t usb = {usbip_connections, USBIP_CONNECTIONS, usb_listener, usbip_closed};
+    const service_t usb = {usbip_connections, USBIP_CONNECTIONS, host_listener, usbip_closed};
+    const service_t uart = {uart_connections, UART_CONNECTIONS, host_listener, uart_closed};
     const service_t sim = {simlink_connections, SIMLINK_CONNECTIONS, sim_listener, simlink_closed};
-    serve(&usb, &sim, parent);
+    serve(board.on_uart ? &uart : &usb, &sim, parent);
     return 0;
 }

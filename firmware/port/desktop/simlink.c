@@ -9,7 +9,8 @@
 #include <time.h>
 
 #include "board.h"
-#include "motor.h"
+#include "tautline/tl_axis_watch.h"
+#include "uart.h"
 #include "usbip.h"
 
 #define ADVANCE_MAX_US 10000000U
@@ -80,8 +81,9 @@ static void report_state(net_connection_t *connection) {
         "{\"t_us\": %" PRIu64 ", \"board_us\": %" PRIu64 ", \"powered\": %s, \"bootloader\": %s, \"hung\": %s, "
         "\"attached\": %s, \"realtime\": %s, \"starts\": %" PRIu32 ", \"flash_operations\": %" PRIu32 ", \"q\": [",
         board->t_us, board->t_us - board->boot_us, board->powered ? "true" : "false",
-        board->bootloader ? "true" : "false", board->hung ? "true" : "false", usbip_attached() ? "true" : "false",
-        realtime ? "true" : "false", board->starts, board->flash_operations);
+        board->bootloader ? "true" : "false", board->hung ? "true" : "false",
+        usbip_attached() || uart_attached() ? "true" : "false", realtime ? "true" : "false", board->starts,
+        board->flash_operations);
     for (uint8_t i = 0; i < app->port->axes; i++) {
         put(connection, "%s%" PRId32, i == 0 ? "" : ", ", board_true_q8(i));
     }
@@ -91,7 +93,7 @@ static void report_state(net_connection_t *connection) {
         put(connection,
             "%s{\"q_q8\": %" PRId32 ", \"q_ref_q8\": %" PRId32 ", \"duty_q15\": %" PRId32
             ", \"mode\": %u, \"fault\": %u, \"flags\": %u}",
-            i == 0 ? "" : ", ", axis->q, axis->path.q, axis->duty, axis->mode, axis->fault, tl_axis_flags(axis));
+            i == 0 ? "" : ", ", axis->q, axis->path.q, axis->motor.duty, axis->mode, axis->fault, tl_axis_flags(axis));
     }
     put(connection, "]}\n");
 }
@@ -137,6 +139,22 @@ static void place(net_connection_t *connection, char *argument) {
     ok(connection);
 }
 
+static void inject(net_connection_t *connection, char *argument) {
+    char *second = strchr(argument, ' ');
+    long long axis;
+    plant_ill_t ill;
+    if (second != NULL) {
+        *second++ = '\0';
+    }
+    if (second == NULL || !number(argument, 0, board_app()->port->axes - 1, &axis) || !plant_ill_of(second, &ill)) {
+        refuse(connection,
+               "inject takes an axis and well, blocked, unplugged, reversed, coarse, jump, driver or supply");
+        return;
+    }
+    board_inject((uint8_t)axis, ill);
+    ok(connection);
+}
+
 static void request(net_connection_t *connection, char *line) {
     char *argument = strchr(line, ' ');
     if (argument != NULL) {
@@ -158,12 +176,16 @@ static void request(net_connection_t *connection, char *line) {
         ok(connection);
     } else if (strcmp(line, "place") == 0) {
         place(connection, argument);
+    } else if (strcmp(line, "inject") == 0) {
+        inject(connection, argument);
     } else if (strcmp(line, "unplug") == 0) {
         usbip_plug(false);
+        uart_plug(false);
         cable = false;
         ok(connection);
     } else if (strcmp(line, "plug") == 0) {
         cable = true;
+        uart_plug(true);
         ok(connection);
     } else if (strcmp(line, "reset") == 0) {
         board_start(TL_WIRE_BOOT_POWER);
@@ -175,7 +197,8 @@ static void request(net_connection_t *connection, char *line) {
         quit = true;
         ok(connection);
     } else {
-        refuse(connection, "not a request: advance US, state, realtime on|off, cut N, place AXIS Q8, unplug, plug, "
+        refuse(connection, "not a request: advance US, state, realtime on|off, cut N, place AXIS Q8, "
+                           "inject AXIS ILL, unplug, plug, "
                            "reset, hang, quit");
     }
 }

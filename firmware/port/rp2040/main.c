@@ -1,8 +1,11 @@
 // The app on a Pimoroni Motor 2040: tl_port.h on real registers, the control step on a hardware timer, the task in the
 // main loop.
+#include <string.h>
+
 #include "bridge.h"
 #include "hardware/flash.h"
 #include "hardware/irq.h"
+#include "hardware/pwm.h"
 #include "hardware/sync.h"
 #include "hardware/timer.h"
 #include "hardware/watchdog.h"
@@ -13,6 +16,7 @@
 #include "quadrature.h"
 #include "tautline/tl_app.h"
 #include "tautline/tl_usb.h"
+#include "usb_halt.h"
 
 #ifndef TAUTLINE_CONTROL_HZ
 #define TAUTLINE_CONTROL_HZ 5000
@@ -32,8 +36,9 @@ enum {
     CONTROL_PERIOD_US = 1000000 / TAUTLINE_CONTROL_HZ,
     CONTROL_ALARM = 0,
     INTERRUPT_CYCLES = 50, // from the alarm to bridge_sense_start
-    TABLE_REGION = 2 * MOTOR2040_NUM_MOTORS * FLASH_SECTOR_SIZE,
-    TABLE_OFFSET = PICO_FLASH_SIZE_BYTES - TABLE_REGION,
+    STORE_OFFSET = PICO_FLASH_SIZE_BYTES - TL_PORT_FLASH_REGION,
+    DRIVER_MA = 425,      // DRV8833: 200 mV over 0.47 ohm
+    SUPPLY_LOW_MV = 4000, // of motors for 5 V and more; the driver itself gives up at 2.6 V
     WATCHDOG_MS = 250,
     WATCHDOG_FLASH_MS = 800, // an erase takes 0.4 s at worst
     FLASH_TIMEOUT_MS = 100,
@@ -43,7 +48,7 @@ static struct {
     tl_app_t app;
     tl_port_t port;
     char serial[2 * PICO_UNIQUE_BOARD_ID_SIZE_BYTES + 1];
-    int32_t current_ma[MOTOR2040_NUM_MOTORS];
+    int32_t sensed[BRIDGE_FAULT + 1]; // currents, supply, fault
 } board;
 
 static const uint8_t encoder_pins[] = {MOTOR2040_ENCODER_A_A_PIN, MOTOR2040_ENCODER_B_A_PIN, MOTOR2040_ENCODER_C_A_PIN,
@@ -81,7 +86,18 @@ static void __not_in_flash_func(port_drive)(void *context, uint8_t axis, tl_duty
 
 static int32_t __not_in_flash_func(port_current_ma)(void *context, uint8_t axis) {
     (void)context;
-    return board.current_ma[axis];
+    return board.sensed[axis];
+}
+
+static uint16_t __not_in_flash_func(port_supply_mv)(void *context) {
+    (void)context;
+    return (uint16_t)board.sensed[BRIDGE_SUPPLY];
+}
+
+static bool __not_in_flash_func(port_driver_fault)(void *context, uint8_t axis) {
+    (void)context;
+    (void)axis; // one line for all drivers
+    return board.sensed[BRIDGE_FAULT] != 0;
 }
 
 typedef struct {
@@ -100,21 +116,26 @@ static void __not_in_flash_func(flash_operation)(void *parameter) {
 
 // The SDK's safe path: interrupts off, and so the control step stands still; the app has the motors off.
 static bool flash_safely(uint32_t offset, const uint8_t *page) {
-    flash_operation_t operation = {TABLE_OFFSET + offset, page};
+    flash_operation_t operation = {STORE_OFFSET + offset, page};
     watchdog_enable(WATCHDOG_FLASH_MS, true);
     const bool done = flash_safe_execute(flash_operation, &operation, FLASH_TIMEOUT_MS) == PICO_OK;
     watchdog_enable(WATCHDOG_MS, true);
     return done;
 }
 
+static void port_flash_read(void *context, uint32_t offset, uint8_t *out, size_t size) {
+    (void)context;
+    memcpy(out, (const uint8_t *)(XIP_BASE + STORE_OFFSET) + offset, size);
+}
+
 static bool port_flash_erase(void *context, uint32_t offset) {
     (void)context;
-    return offset < TABLE_REGION && flash_safely(offset, NULL);
+    return offset < TL_PORT_FLASH_REGION && flash_safely(offset, NULL);
 }
 
 static bool port_flash_program(void *context, uint32_t offset, const uint8_t *page) {
     (void)context;
-    return offset < TABLE_REGION && flash_safely(offset, page);
+    return offset < TL_PORT_FLASH_REGION && flash_safely(offset, page);
 }
 
 static void port_watchdog_feed(void *context) {
@@ -142,20 +163,34 @@ static void port_reboot(void *context, bool bootloader) {
 
 // -- control step -----------------------------------------------------------------------------------------------
 
+// An alarm goes off where the timer equals it: one that has passed while it was set would be 71 minutes late.
+static void __not_in_flash_func(set_alarm)(uint32_t due) {
+    timer_hw->alarm[CONTROL_ALARM] = due;
+    while ((int32_t)(due - timer_hw->timerawl) <= 0 && (timer_hw->armed & 1u << CONTROL_ALARM) != 0) {
+        due = timer_hw->timerawl + CONTROL_PERIOD_US;
+        timer_hw->alarm[CONTROL_ALARM] = due;
+    }
+}
+
 static void __not_in_flash_func(control_interrupt)(void) {
     hw_clear_bits(&timer_hw->intr, 1u << CONTROL_ALARM);
     // From the time it was due, not from now: no drift. After a flash operation it may lie behind; then from now.
-    uint32_t due = timer_hw->alarm[CONTROL_ALARM] + CONTROL_PERIOD_US;
-    if ((int32_t)(due - timer_hw->timerawl) <= 0) {
-        due = timer_hw->timerawl + CONTROL_PERIOD_US;
-    }
-    timer_hw->alarm[CONTROL_ALARM] = due;
+    set_alarm(timer_hw->alarm[CONTROL_ALARM] + CONTROL_PERIOD_US);
 
     bridge_sense_start();
     tl_app_control(&board.app);
-    unsigned axis;
-    const int32_t current = bridge_sense_finish(&axis);
-    board.current_ma[axis] = current;
+    unsigned what;
+    const int32_t value = bridge_sense_finish(&what);
+    board.sensed[what] = value;
+}
+
+// In RAM: from flash it would take as long as the cache makes it.
+static void __not_in_flash_func(start_in_time)(uint32_t bridges) {
+    const uint32_t now = timer_hw->timerawl;
+    while (timer_hw->timerawl == now) {
+    }
+    pwm_hw->en = bridges;
+    timer_hw->alarm[CONTROL_ALARM] = now + 1 + CONTROL_PERIOD_US;
 }
 
 static void start_control(void) {
@@ -164,11 +199,36 @@ static void start_control(void) {
     irq_set_priority(TIMER_IRQ_0, PICO_HIGHEST_IRQ_PRIORITY);
     hw_set_bits(&timer_hw->inte, 1u << CONTROL_ALARM);
     irq_set_enabled(TIMER_IRQ_0, true);
-    const uint32_t now = timer_hw->timerawl;
-    while (timer_hw->timerawl == now) {
+    const uint32_t bridges = bridge_align(CONTROL_PERIOD_US * (SYS_CLK_HZ / 1000000) + INTERRUPT_CYCLES);
+    const uint32_t state = save_and_disable_interrupts();
+    start_in_time(bridges);
+    restore_interrupts(state);
+}
+
+// -- what must never happen -------------------------------------------------------------------------------------
+
+// PWM goes on without the core: first the motors. Then a debugger is told; without one the watchdog restarts the board.
+static _Noreturn void __not_in_flash_func(coast_and_wait)(void) {
+    bridge_coast_all();
+    for (;;) {
+        __breakpoint();
     }
-    bridge_align(CONTROL_PERIOD_US * (SYS_CLK_HZ / 1000000) + INTERRUPT_CYCLES);
-    timer_hw->alarm[CONTROL_ALARM] = now + 1 + CONTROL_PERIOD_US;
+}
+
+void isr_hardfault(void); // of the SDK's vector table
+void isr_nmi(void);
+void __not_in_flash_func(isr_hardfault)(void) {
+    coast_and_wait();
+}
+void __not_in_flash_func(isr_nmi)(void) {
+    coast_and_wait();
+}
+
+// What the SDK's panic() becomes (PICO_PANIC_FUNCTION): it says nothing, there is nobody to read it.
+_Noreturn void board_panic(const char *format, ...);
+_Noreturn void __not_in_flash_func(board_panic)(const char *format, ...) {
+    (void)format;
+    coast_and_wait();
 }
 
 // ---------------------------------------------------------------------------------------------------------------
@@ -183,9 +243,7 @@ static tl_wire_boot_t boot_reason(void) {
 int main(void) {
     const tl_wire_boot_t boot = boot_reason();
     bridge_init();
-    for (unsigned axis = 0; axis < TAUTLINE_AXES; axis++) {
-        quadrature_init(axis, encoder_pins[axis]);
-    }
+    quadrature_init(encoder_pins, TAUTLINE_AXES);
     pico_get_unique_board_id_string(board.serial, sizeof(board.serial));
     board.port = (tl_port_t){
         .name = "rp2040",
@@ -197,8 +255,12 @@ int main(void) {
         .encoder = port_encoder,
         .edges_lost = port_edges_lost,
         .drive = port_drive,
+        .driver_ma = DRIVER_MA,
+        .supply_low_mv = SUPPLY_LOW_MV,
         .current_ma = port_current_ma,
-        .flash = (const uint8_t *)(XIP_BASE + TABLE_OFFSET),
+        .supply_mv = port_supply_mv,
+        .driver_fault = port_driver_fault,
+        .flash_read = port_flash_read,
         .flash_erase = port_flash_erase,
         .flash_program = port_flash_program,
         .watchdog_feed = port_watchdog_feed,
@@ -213,6 +275,7 @@ int main(void) {
     for (;;) {
         tl_app_task(&board.app);
         tl_usb_task();
+        usb_halt_task();
         __wfi();
     }
 }

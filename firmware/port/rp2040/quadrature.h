@@ -5,15 +5,17 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-/// Starts state machine `axis` (0 to 3) on pins `pin_a` and `pin_a + 1`, with the count at 0 and pull-ups on.
-/// Once per axis, before anything else uses PIO 0.
-void quadrature_init(unsigned axis, unsigned pin_a);
+/// Starts state machine i on pins `pins_a[i]` and the one above, for `axes` of them (1 to 4), with pull-ups on and the
+/// counts at 0. Waits 0.5 ms for the pull-ups: an open-collector encoder's lines rise slowly, and are no edges. Once,
+/// before anything else uses PIO 0.
+void quadrature_init(const uint8_t *pins_a, unsigned axes);
 
 /// Edges counted since the start, up while B leads A (forward, on Pimoroni's motors); wraps at 2^32. From any context,
 /// about 40 cycles.
 int32_t quadrature_count(unsigned axis);
 
-/// Whether an edge was lost (A and B changed within one round, 80 ns) since the last call.
+/// Whether an edge was lost since the last call: A and B changed within one round (90 ns), and it was no glitch of less
+/// than 1.2 us.
 bool quadrature_slipped(unsigned axis);
 
 #endif

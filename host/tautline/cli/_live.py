@@ -23,7 +23,7 @@ board_option = click.option(
     "--board",
     metavar="BOARD",
     envvar="TAUTLINE_BOARD",
-    help="Serial number of a board on USB, or usbip:HOST:PORT. Default: the only one attached, or $TAUTLINE_BOARD.",
+    help="Serial number of a board on USB, usbip:HOST:PORT serial:DEVICE. Default: the only one, or $TAUTLINE_BOARD.",
 )
 axis_option = click.option("--axis", type=click.IntRange(0, 3), default=0, show_default=True, help="Axis of the board.")
 camera_option = click.option(

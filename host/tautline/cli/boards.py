@@ -11,7 +11,7 @@ from tautline.errors import TautError
 
 
 @click.command("boards")
-@click.option("--board", metavar="BOARD", help="This one alone: its serial number, or usbip:HOST:PORT.")
+@click.option("--board", metavar="BOARD", help="This one alone: its serial number, usbip:HOST:PORT or serial:DEVICE.")
 @json_option
 def command(board: str | None, as_json: bool) -> None:
     """List the boards on USB and the one that $TAUTLINE_BOARD names: serial number, firmware, protocol, axes, tables.

@@ -1,38 +1,34 @@
-"""A board: found over USB or USB/IP, opened, asked, listened to. The calls are PyUSB's, whatever the bus."""
+"""A board: found over USB, USB/IP or a serial line, opened, asked, listened to. The messages are the same on each."""
 
 from __future__ import annotations
 
 import contextlib
-import errno
-import os
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
-import libusb_package
-import usb.core
-import usb.util
-
-from tautline.device import usbip_backend, wire
+from tautline.device import wire
 from tautline.device.clock import Clock
-from tautline.device.dfu import Dfu, DfuError
+from tautline.device.dfu import DfuError
+from tautline.device.link import BoardGone, Found, Link
+from tautline.device.serial_link import find_serial
+from tautline.device.usb_link import find_usb, find_usbip, named
 from tautline.errors import TautError
 
-ENVIRONMENT = "TAUTLINE_BOARD"
-_OUT, _IN = 0x01, 0x81
-_CONTROL, _TABLES = 0, 1  # interfaces
-_READ_BYTES = 4096
+__all__ = ["Board", "BoardGone", "BoardRefused", "Found", "check_protocol", "find", "open_board"]
+
 _ANSWER_S = 2.0
-_WRITE_MS = 1000
+_STORE_S = 10.0  # a table: an erase and ten pages
+_TABLE_REFUSED = {
+    "TABLE_SIZE": "the table is longer than the board takes, or a part of it was lost: load it again",
+    "NOT_OFF": "a motor is on: tables are loaded with every motor off",
+    "FLASH": "the flash could not be written",
+}
+_CHECK_S, _POLL_S = 3.0, 0.02  # of motor and encoder: what it takes at most
 _UNASKED = ("batch", "onset", "progress", "event")
 
 Listener = Callable[[wire.Message], None]
-
-
-class BoardGone(TautError):
-    """The board left the bus."""
 
 
 class BoardRefused(TautError):
@@ -43,76 +39,23 @@ class BoardRefused(TautError):
         self.reason = next((name for name, (value, _) in wire.wire.REASONS.items() if value == code), str(code))
 
 
-@dataclass(frozen=True)
-class Found:
-    """A board on a bus, not opened."""
-
-    device: usb.core.Device
-    where: str  # usb:SERIAL or usbip:HOST:PORT
-    serial: str | None  # None: in use, or not allowed to ask
-    busy: bool
-
-    @property
-    def protocol(self) -> tuple[int, int]:
-        return self.device.bcdDevice >> 8, self.device.bcdDevice & 0xFF
-
-
 def find(where: str | None = None) -> list[Found]:
-    """`where`: usbip:HOST:PORT, a serial number, usb:SERIAL, or None for every board on USB and the one that the
-    environment variable TAUTLINE_BOARD names."""
-    if where is not None and where.startswith("usbip:"):
-        return _find_usbip(where)
-    found = _find_usb()
+    """`where`: usbip:HOST:PORT, serial:DEVICE, a serial number, usb:SERIAL, or None for every board on USB and the one
+    that the environment variable TAUTLINE_BOARD names."""
+    if where is not None and where.startswith(("usbip:", "serial:")):
+        return _find_named(where)
+    found = find_usb()
     if where is not None:
         serial = where.removeprefix("usb:")
         return [board for board in found if board.serial == serial]
-    named = os.environ.get(ENVIRONMENT)
-    if named and named.startswith("usbip:"):
-        found += _find_usbip(named)
+    other = named()
+    if other and other.startswith(("usbip:", "serial:")):
+        found += _find_named(other)
     return found
 
 
-def _find_usb() -> list[Found]:
-    backend = libusb_package.get_libusb1_backend()
-    if backend is None:
-        return []
-    found = []
-    for device in _ours(backend):
-        try:
-            serial, busy = device.serial_number, False
-        except (usb.core.USBError, ValueError):  # not allowed to open it
-            serial, busy = None, True
-        finally:
-            usb.util.dispose_resources(device)
-        found.append(Found(device, f"usb:{serial or f'{device.bus}-{device.address}'}", serial, busy))
-    return found
-
-
-def _find_usbip(where: str) -> list[Found]:
-    address = where.split(":")
-    if len(address) != 3 or not address[2].isdigit():
-        raise TautError(f"--board {where}: expected usbip:HOST:PORT, such as usbip:127.0.0.1:3240")
-    try:
-        devices = list(_ours(usbip_backend.Backend(address[1], int(address[2]))))
-    except usb.core.USBError as error:
-        raise TautError(f"{where}: {error.strerror}: start the board, or name another with --board") from error
-    found = []
-    for device in devices:
-        busy = device.iSerialNumber == 0
-        found.append(Found(device, where, None if busy else device.serial_number, busy))
-        usb.util.dispose_resources(device)
-    return found
-
-
-def _ours(backend: Any) -> Iterator[usb.core.Device]:
-    found = usb.core.find(
-        find_all=True, backend=backend, idVendor=wire.wire.USB_VENDOR, idProduct=wire.wire.USB_PRODUCT
-    )
-    for device in found:
-        with contextlib.suppress(usb.core.USBError, ValueError):  # the pair of numbers may be shared: ask for the name
-            if device.iManufacturer and device.manufacturer != wire.wire.USB_MANUFACTURER:
-                continue
-        yield device
+def _find_named(where: str) -> list[Found]:
+    return find_usbip(where) if where.startswith("usbip:") else find_serial(where)
 
 
 def open_board(where: str | None = None) -> Board:
@@ -120,7 +63,9 @@ def open_board(where: str | None = None) -> Board:
     found = find(where)
     if not found:
         looked = f"no board '{where}' was found" if where else "no board was found"
-        raise TautError(f"{looked}: plug it in, name one with --board usbip:HOST:PORT, or use --simulate")
+        raise TautError(
+            f"{looked}: plug it in, name one with --board usbip:HOST:PORT or serial:DEVICE, or use --simulate"
+        )
     if len(found) > 1:
         choices = " or ".join(f"--board {board.where}" for board in found)
         raise TautError(f"{len(found)} boards were found: say which with {choices}")
@@ -135,7 +80,7 @@ def check_protocol(found: Found) -> None:
     speaks = f"{found.where} speaks protocol {theirs}, this tautline speaks {ours}"
     if theirs > ours:
         raise TautError(f"{speaks}: run 'pip install --upgrade tautline'")
-    if found.where.startswith("usbip:"):
+    if found.where.startswith(("usbip:", "serial:tcp:")):
         raise TautError(f"{speaks}: run 'cmake --build --preset gcc' and start the board again")
     mend = "cp build/rp2040/tautline.uf2 /media/$USER/RPI-RP2/"
     raise TautError(f"{speaks}: hold BOOTSEL while plugging the board in, then run '{mend}'")
@@ -154,7 +99,7 @@ class Board:
         self.clock = Clock()
         self.missed = 0  # unasked messages that never came
         self.refused: list[BoardRefused] = []  # of messages that have no answer
-        self._device = found.device
+        self._link: Link = found.open()
         self._listeners: dict[str, list[Listener]] = {name: [] for name in _UNASKED}
         self._decoder = wire.Decoder()
         self._arrived = threading.Condition()
@@ -167,13 +112,25 @@ class Board:
         self._reader: threading.Thread | None = None
         self._lost: TautError | None = None
         self._stop = threading.Event()
-        with self._errors():
-            usb.util.claim_interface(self._device, _CONTROL)
         try:
-            self.identity = self.ask("hello", protocol_major=wire.wire.MAJOR, protocol_minor=wire.wire.MINOR)
+            self.identity = self._hello()
         except BaseException:
             self.close()
             raise
+
+    def _hello(self) -> wire.Message:
+        tries = self._link.hello_tries
+        for left in reversed(range(tries)):
+            try:
+                return self.ask(
+                    "hello", _ANSWER_S / tries, protocol_major=wire.wire.MAJOR, protocol_minor=wire.wire.MINOR
+                )
+            except (BoardGone, BoardRefused):
+                raise
+            except TautError:
+                if left == 0:
+                    raise
+        raise AssertionError("a link allows one try at least")
 
     # -- life ---------------------------------------------------------------------------------------------------
 
@@ -187,8 +144,7 @@ class Board:
         self._stop.set()
         if self._reader is not None and self._reader is not threading.current_thread():
             self._reader.join()
-        with contextlib.suppress(usb.core.USBError):
-            usb.util.dispose_resources(self._device)
+        self._link.close()
 
     @contextlib.contextmanager
     def reading(self) -> Iterator[None]:
@@ -209,25 +165,6 @@ class Board:
                 self.poll(0.05)
             except TautError:
                 return
-
-    @contextlib.contextmanager
-    def _errors(self) -> Iterator[None]:
-        try:
-            yield
-        except usb.core.USBError as error:
-            raise self._explain(error) from error
-
-    def _explain(self, error: usb.core.USBError) -> TautError:
-        if error.errno in (errno.ENODEV, errno.EIO, errno.ESHUTDOWN, errno.ENOENT):
-            return BoardGone(f"{self.where}: the board is gone: check plug and power, then run the command again")
-        if error.errno == errno.EBUSY:
-            return TautError(f"{self.where}: another program uses the board: close that program first")
-        if error.errno == errno.EACCES:
-            mend = "sudo cp tools/70-tautline.rules /etc/udev/rules.d/"
-            return TautError(f"{self.where}: no permission: run '{mend}' and plug the board in again")
-        if error.errno == errno.ETIMEDOUT:
-            return TautError(f"{self.where}: the board does not take data: switch it off and on")
-        return TautError(f"{self.where}: USB failed ({error}): unplug the board and plug it in again")
 
     # -- messages -----------------------------------------------------------------------------------------------
 
@@ -269,6 +206,8 @@ class Board:
             if self._lost is not None and sequence not in self._answers:
                 raise self._lost
         if answer.name == "error":
+            if answer.reason == wire.code("REASONS", "SESSION"):
+                raise BoardGone(f"{self.where}: the board has restarted: run the command again")
             raise BoardRefused(name, answer.reason)
         return answer
 
@@ -277,17 +216,14 @@ class Board:
         if self._lost is not None:
             raise self._lost
         try:
-            with self._errors():
-                data = self._device.read(_IN, _READ_BYTES, timeout=max(round(timeout_s * 1000), 1))
+            data = self._link.read(timeout_s)
         except TautError as error:
-            if isinstance(error.__cause__, usb.core.USBTimeoutError):
-                return 0
             with self._arrived:
                 self._lost = error
                 self._arrived.notify_all()
             raise
         count = 0
-        for message in self._decoder.feed(bytes(data)):
+        for message in self._decoder.feed(data):
             count += 1
             self._take(message)
         return count
@@ -314,8 +250,8 @@ class Board:
     def _write(self, frame: bytes) -> None:
         if self._lost is not None:
             raise self._lost
-        with self._writing, self._errors():
-            self._device.write(_OUT, frame, timeout=_WRITE_MS)
+        with self._writing:
+            self._link.write(frame)
 
     # -- what takes more than one message -----------------------------------------------------------------------
 
@@ -351,23 +287,81 @@ class Board:
         if status.fault:
             raise TautError(f"axis {axis} has stopped: {wire.text('FAULTS', status.fault)}: mend it, then run again")
 
+    def check_reference(self, axis: int) -> None:
+        """TautError where the axis does not know its position."""
+        if not self.status(axis).flags & wire.code("FLAGS", "REFERENCED"):
+            raise TautError(
+                f"axis {axis} does not know its position: run 'taut home', or say where it stands with --at"
+            )
+
+    def switch_on(self, axis: int, wait: Callable[[float], None] = time.sleep) -> None:
+        """Motor on and holding. The first time, and after settings or wiring may have changed, the board turns it a
+        little either way to check motor and encoder, half a second. `wait` lets board time pass."""
+        self.check_fault(axis)
+        self.ask("enable", axis=axis, on=1)
+        for _ in range(round(_CHECK_S / _POLL_S)):
+            status = self.status(axis)
+            if status.mode == wire.code("MODES", "HOLD"):
+                return
+            self.check_fault(axis)
+            wait(_POLL_S)
+        raise TautError(f"axis {axis} is {wire.text('MODES', status.mode)}, not switched on: stop it, then run again")
+
     def load_table(self, axis: int, blob: bytes, progress: Callable[[float, str], None] | None = None) -> None:
-        """Stores a table by DFU (motors off) and compares what the board then holds byte for byte."""
+        """Stores a table (motors off) and compares what the board then holds byte for byte: by DFU on USB, elsewhere
+        in messages."""
         self.check_axis(axis)
-        try:
-            with self._errors(), Dfu(self._device, _TABLES, axis) as dfu:
-                dfu.download(blob, progress)
-                stored = dfu.upload()
-        except DfuError as error:
-            raise self._refusal(axis, error) from error
+        dfu = self._link.tables(axis)
+        if dfu is None:
+            self.load_table_by_messages(axis, blob, progress)
+            stored = self.read_table_by_messages(axis)
+        else:
+            try:
+                with dfu as route:
+                    route.download(blob, progress)
+                    stored = route.upload()
+            except DfuError as error:
+                raise self._refusal(axis, error) from error
         if stored != blob:
             raise TautError(f"axis {axis}: the board holds another table than was sent: flash it again")
 
     def read_table(self, axis: int) -> bytes:
         """The table in use, b"" where the axis has none."""
         self.check_axis(axis)
-        with self._errors(), Dfu(self._device, _TABLES, axis) as dfu:
-            return dfu.upload()
+        dfu = self._link.tables(axis)
+        if dfu is None:
+            return self.read_table_by_messages(axis)
+        with dfu as route:
+            return bytes(route.upload())
+
+    def load_table_by_messages(
+        self, axis: int, blob: bytes, progress: Callable[[float, str], None] | None = None
+    ) -> None:
+        """What any link can do, USB too."""
+        part = wire.wire.PART
+        try:
+            for offset in range(0, len(blob), part):
+                piece = blob[offset : offset + part]
+                values = tuple(piece) + (0,) * (part - len(piece))
+                self.ask("table_write", axis=axis, count=len(piece), offset=offset, bytes=values)
+                if progress:
+                    progress(min((offset + part) / len(blob), 1.0), "loading")
+            self.ask("table_store", _STORE_S, axis=axis, size=len(blob))
+        except BoardRefused as error:
+            reason = self.status(axis).table_reason
+            if error.reason == "TABLE_REFUSED" and reason:
+                says = f"the board refused the table of axis {axis}: {wire.table_reason(reason)}"
+            else:
+                says = f"the board refused the table: {_TABLE_REFUSED.get(error.reason, str(error))}"
+            raise TautError(says) from error
+
+    def read_table_by_messages(self, axis: int) -> bytes:
+        blob = bytearray()
+        while True:
+            part = self.ask("table_read", axis=axis, offset=len(blob))
+            blob += bytes(part.bytes[: part.count].tolist())
+            if part.count < wire.wire.PART:
+                return bytes(blob)
 
     def _refusal(self, axis: int, error: DfuError) -> TautError:
         """DFU has one byte for the reason; the status message has the table's own."""

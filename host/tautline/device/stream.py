@@ -21,6 +21,7 @@ class SetPoints:
         """silence_s: without a set-point for so long the board brings the axis to rest by itself."""
         board.check_axis(axis)
         board.check_fault(axis)
+        board.check_reference(axis)
         self._board, self._axis, self._silence_s = board, axis, silence_s
         self.start_deg = 0.0
         self.sent = 0
@@ -31,7 +32,7 @@ class SetPoints:
     def __enter__(self) -> SetPoints:
         self._board.align(16)
         self._board.refused.clear()
-        self._board.ask("enable", axis=self._axis, on=1)
+        self._board.switch_on(self._axis)
         self._follow()
         self.start_deg = float(self._board.status(self._axis).c_ref)
         self._began = self._next = self._last = time.monotonic()

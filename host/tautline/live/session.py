@@ -64,18 +64,25 @@ class Motion:
 def driving(live: Live) -> Iterator[None]:
     """The motor is on inside; whatever happens, the axis is at rest and the motor off after."""
     live.board.check_fault(live.axis)
+    live.board.check_reference(live.axis)
     with live.interruptible():
-        live.board.ask("enable", axis=live.axis, on=1)
         try:
+            live.board.switch_on(live.axis, live.wait)
             yield
         finally:
             live.release()
 
 
 def set_range(live: Live, low: float, high: float) -> None:
-    """Position limits of the axis, the rig's unit. The other limits stay."""
+    """Position limits of the axis, the rig's unit, within the settings on the board. The other limits stay."""
     limits = dict(live.board.ask("get_limits", axis=live.axis).values)
-    limits.update(q_low=low / live.resolution, q_high=high / live.resolution)
+    own = live.board.ask("get_settings", axis=live.axis)
+    limits.update(q_low=max(low / live.resolution, own.q_low), q_high=min(high / live.resolution, own.q_high))
+    if limits["q_low"] >= limits["q_high"]:
+        raise TautError(
+            f"the settings on the board keep axis {live.axis} within [{own.q_low * live.resolution:g}, "
+            f"{own.q_high * live.resolution:g}] {live.rig.actuator.unit}, outside the rig's range: check both"
+        )
     live.board.ask("limits", **limits)
 
 

@@ -26,7 +26,7 @@ from tautline.recording import FRAME_COLUMNS, Marker, Motor, Recording
 from tautline.rig import Rig
 from tautline.simulated.endoscope import Endoscope
 from tautline.simulated.instrument import of_name
-from tautline.simulated.simlink import DesktopBoard, Plant
+from tautline.simulated.simlink import DesktopBoard, Plant, SimLink
 from tautline.vision.camera import Camera, SimulatedCamera, VideoCamera
 from tautline.vision.colour import MarkerColour, pick
 from tautline.vision.marker import Sighting, Tracker
@@ -320,6 +320,10 @@ class Recorder:
         self._frames.write(f"{self._count},{t_s:.6f}\n")
 
 
+def _pass(link: SimLink, seconds: float) -> None:
+    link.ask(f"advance {round(seconds * 1e6)}")
+
+
 @contextmanager
 def open_live(
     *,
@@ -336,8 +340,8 @@ def open_live(
     """`simulate` names an instrument preset, or the folder of a model whose effects it then has, and starts a desktop
     board; else `board` and `camera` are opened.
 
-    at: where the motor is, the rig's unit; else the board's count holds. pictures: False replaces the rendered
-    endoscope by the marker's projection, which is faster.
+    at: where the motor is, the rig's unit; else the board's reference holds, and a simulated one begins at 0.
+    pictures: False replaces the rendered endoscope by the marker's projection, which is faster.
     """
     with ExitStack() as stack:
         if simulate is not None:
@@ -346,16 +350,20 @@ def open_live(
             opened = stack.enter_context(open_board(desktop.where))
             link = desktop.link()
             stack.callback(link.close)
-            if at is not None:
-                link.ask(f"place {axis} {round(at / instrument.rig.actuator.encoder_resolution * 256)}")
-                opened.ask("set_position", axis=axis, q=at / instrument.rig.actuator.encoder_resolution)
+            # What a user does once with a real one: the check, and a reference, here where the simulation is put.
+            opened.switch_on(axis, lambda seconds: _pass(link, seconds))
+            opened.ask("enable", axis=axis, on=0)
+            _pass(link, _SLICE_S)
+            place = (at or 0.0) / instrument.rig.actuator.encoder_resolution
+            link.ask(f"place {axis} {round(place * 256)}")
+            opened.ask("set_position", axis=axis, q=place)
             plant = Plant(link, instrument, axis)
             live = Live(opened, instrument.rig, axis, None, plant)
             if pictures and instrument.drawn and instrument.rig.has_camera:
                 endoscope = Endoscope(instrument.rig, seed=seed)
                 middle = 0.5 * sum(coarse_range_deg(instrument.rig))
-                place = project(instrument.rig, middle)[0]
-                seen_as = pick(endoscope.frame(middle, 0.0, 0.0), (float(place[0]), float(place[1])))
+                spot = project(instrument.rig, middle)[0]
+                seen_as = pick(endoscope.frame(middle, 0.0, 0.0), (float(spot[0]), float(spot[1])))
                 eye: Eye = LockstepEye(plant, SimulatedCamera(endoscope, plant.scene), Tracker(seen_as))
             elif instrument.rig.has_camera:
                 eye = PointEye(plant, seed=seed)

@@ -23,6 +23,7 @@ from tautline.simulated.instrument import Instrument
 
 Array = np.ndarray
 PROGRAM = "TAUTLINE_DESKTOP_BOARD"  # environment: the program, where it is not built in the usual place
+LINE = "TAUTLINE_DESKTOP_LINE"  # environment: "uart" puts simulated boards on a serial line in place of USB
 _BUILT = Path(__file__).resolve().parents[3] / "build" / "gcc" / "firmware" / "port" / "desktop" / "tautline-board"
 _START_S = 10.0
 _ANSWER_S = 60.0
@@ -84,17 +85,19 @@ class DesktopBoard:
     ) -> None:
         self._folder = None if flash else tempfile.TemporaryDirectory(prefix="tautline-")
         self.flash = flash or Path(self._folder.name if self._folder else ".") / "flash.bin"
-        command = [str(program()), "--usbip", "0", "--sim", "0", "--flash", str(self.flash), "--axes", str(axes)]
+        line = os.environ.get(LINE, "usbip")
+        command = [str(program()), f"--{line}", "0", "--sim", "0", "--flash", str(self.flash), "--axes", str(axes)]
         command += ["--rate", str(rate_hz), "--serial", serial, "--parent", str(os.getpid())]
         command += ["--realtime"] if realtime else []
         self.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE)
         assert self.process.stdout is not None
-        line = self.process.stdout.readline()
-        if not line:
+        started = self.process.stdout.readline()
+        if not started:
             self.close()
             raise TautError(f"the desktop board did not start (exit status {self.process.returncode})")
-        self.ports: dict[str, Any] = json.loads(line)
-        self.where = f"usbip:127.0.0.1:{self.ports['usbip']}"
+        self.ports: dict[str, Any] = json.loads(started)
+        prefix = "serial:tcp" if "uart" in self.ports else "usbip"
+        self.where = f"{prefix}:127.0.0.1:{self.ports[line]}"
 
     def link(self) -> SimLink:
         return SimLink(self.ports["sim"])

@@ -7,8 +7,8 @@ import { Probe } from './probe.js';
 import { SimulationClock } from './rp2040js.js';
 import { UsbHost } from './usbhost.js';
 
-export const TABLE_REGION = 8 * Flash.sectorSize; // at the end of flash, as firmware/port/rp2040/main.c has it
-const ENUMERATION_US = 500e3;                     // a board that is not on the bus by then never will be
+export const TABLE_REGION = 10 * Flash.sectorSize; // at the end of flash: TL_PORT_FLASH_REGION
+const ENUMERATION_US = 500e3;                      // a board that is not on the bus by then never will be
 const BRANCH_TO_SELF = 0xe7fe;
 
 /**

@@ -8,6 +8,8 @@ const SRAM_BASE = 0x20000000;
 const BOOT2_SIZE = 256;
 const POLL_CYCLES = 125; // of the ROM waiting for the flash chip: a microsecond
 
+const OUTOVER_LOW = 2; // of a pin's control register: its output, whatever its function does
+const OUTOVER_HIGH = 3;
 const FUNCTION_PWM = 4;
 const FUNCTION_SIO = 5;
 const PIO0_IRQ0 = 7;
@@ -172,6 +174,8 @@ export class Chip extends RP2040 {
     /** Average level of a pin that the chip drives, 0 to 1; an undriven one is pulled low by what it leads to. */
     output(pin) {
         const gpio = this.gpio[pin];
+        const forced = (gpio.ctrl >>> 8) & 3;
+        if (forced >= OUTOVER_LOW) return forced === OUTOVER_HIGH ? 1 : 0;
         switch (gpio.functionSelect) {
             case FUNCTION_PWM:
                 return this.pwm.duty(pin);
@@ -184,7 +188,8 @@ export class Chip extends RP2040 {
 
     /** Level of a pin now, 0 or 1. */
     level(pin) {
-        return this.gpio[pin].functionSelect === FUNCTION_PWM ? this.pwm.level(pin) : this.output(pin);
+        const { ctrl, functionSelect } = this.gpio[pin];
+        return functionSelect === FUNCTION_PWM && ((ctrl >>> 8) & 3) < OUTOVER_LOW ? this.pwm.level(pin) : this.output(pin);
     }
 
     /** Runs up to a time of its clock, or until its state changes. */

@@ -43,7 +43,7 @@ async function main() {
     let board;
     try {
         board = loadBoard(root, { image: values.image, flashFile: values.flash ?? null, id: chipId(values.serial),
-            motor: motorConstants(path.join(root, 'firmware/port/desktop/motor.c')) });
+            motor: motorConstants(path.join(root, 'firmware/port/simulated/motor.c')) });
     } catch (error) {
         fail(error.message, 1);
     }

@@ -45,8 +45,11 @@ class Machine extends StateMachine {
         }
         let key = null;
         let keyCycle = 0;
+        let last = this.pc;
         while (this.cycle + period <= cycle) {
-            if (this.pc === this.wrapBottom && cycle - this.cycle > CHECK_PERIODIC_FROM * period) {
+            const back = this.pc < last; // once a round, whatever loop it is
+            last = this.pc;
+            if (back && cycle - this.cycle > CHECK_PERIODIC_FROM * period) {
                 const now = this.key;
                 if (now === key) {
                     const round = this.cycle - keyCycle;

@@ -5,6 +5,8 @@ const ENCODER_PIN = [0, 2, 12, 14];          // A of each axis, B beside it
 const SENSE_PINS = [22, 24, 25];             // of the multiplexer, lowest first
 const DEAD_TIME_US = 0.45;                   // DRV8833: neither side conducts while it switches over
 const SHUNT_OHM = 0.47;
+const SUPPLY_ADDRESS = 4;
+const FAULT_ADDRESS = 5;
 const ADC_VOLT = 3.3;
 const QUADRATURE = [0b00, 0b10, 0b11, 0b01]; // B << 1 | A as the motor turns forward
 
@@ -20,10 +22,10 @@ export function motorConstants(file) {
         return Number(found[1]);
     };
     return { freeSpeed: get('FREE_SPEED'), timeConstant: get('TIME_CONSTANT'), sliding: get('SLIDING'),
-        static: get('STATIC'), stribeck: get('STRIBECK'), stall: get('STALL') };
+        static: get('STATIC'), stribeck: get('STRIBECK'), stall: get('STALL'), chop: get('CHOP') };
 }
 
-/** One geared motor, positions in counts; the equations of firmware/port/desktop/motor.c. */
+/** One geared motor, positions in counts; the equations of firmware/port/simulated/motor.c. */
 class Motor {
     constructor(constants) {
         this.k = constants;
@@ -36,7 +38,8 @@ class Motor {
     step(duty, coasts) {
         const { k } = this;
         const dt = STEP_US * 1e-6;
-        const drive = coasts ? 0 : duty - this.speed / k.freeSpeed;
+        const most = k.chop / k.stall; // the driver cuts the current off there
+        const drive = coasts ? 0 : Math.max(-most, Math.min(most, duty - this.speed / k.freeSpeed));
         this.current = k.stall * drive;
         if (this.speed === 0 && Math.abs(duty) <= k.static) return;
         const direction = Math.sign(this.speed !== 0 ? this.speed : duty);
@@ -53,6 +56,10 @@ export class Plant {
         this.motors = ENCODER_PIN.map(() => new Motor(constants));
         this.pinZero = [0, 0, 0, 0]; // count at which the pins are both low
         this.pins = [0, 0, 0, 0];    // the count that the pins show
+        this.supplyVolt = 6;
+        this.driverFault = false;
+        this.ills = ENCODER_PIN.map(() => 'well');
+        this.encoders = ENCODER_PIN.map(() => ({ scale: 1, from: 0 })); // counts for each one shown, beginning there
         this.timeUs = 0;
         this.log = [];               // true positions, counts Q8, one row a millisecond
         this.chip = null;
@@ -92,12 +99,15 @@ export class Plant {
 
     #sensed() {
         const address = SENSE_PINS.reduce((sum, pin, bit) => sum | (this.chip.output(pin) << bit), 0);
+        const adc = (volt) => Math.max(0, Math.min(4095, Math.round((volt / ADC_VOLT) * 4096)));
+        if (address === SUPPLY_ADDRESS) return adc((this.supplyVolt * 3.9) / 13.9);
+        if (address === FAULT_ADDRESS) return adc(this.driverFault ? 0 : ADC_VOLT);
         if (address > 3) return 0;
         const p = this.chip.level(MOTOR_PIN + 2 * address);
         const n = this.chip.level(MOTOR_PIN + 2 * address + 1);
         if (p === n) return 0; // it brakes or coasts: nothing flows through the shunt
         const milliamp = this.motors[address].current * (p ? 1 : -1);
-        return Math.max(0, Math.min(4095, Math.round(((milliamp * 1e-3 * SHUNT_OHM) / ADC_VOLT) * 4096)));
+        return adc(milliamp * 1e-3 * SHUNT_OHM);
     }
 
     /** STEP_US on. */
@@ -105,7 +115,9 @@ export class Plant {
         const running = this.chip !== null;
         this.motors.forEach((motor, axis) => {
             const { duty, coasts } = running ? this.#bridge(axis) : { duty: 0, coasts: true };
-            motor.step(duty, coasts);
+            const { position } = motor;
+            motor.step(this.ills[axis] === 'reversed' ? -duty : duty, coasts);
+            if (this.ills[axis] === 'blocked') Object.assign(motor, { position, speed: 0 });
             this.#turn(axis);
         });
         if (running && this.edges.length > 0) this.#schedule();
@@ -114,7 +126,9 @@ export class Plant {
     }
 
     #count(axis) {
-        return Math.floor(this.motors[axis].position) - this.pinZero[axis];
+        const count = Math.floor(this.motors[axis].position) - this.pinZero[axis];
+        const { scale, from } = this.encoders[axis];
+        return scale === 1 ? count : from + Math.trunc((count - from) / scale);
     }
 
     /** Every edge on its own: the first at once, the others spread over the step. */
@@ -159,6 +173,16 @@ export class Plant {
 
     trueQ8(axis) {
         return Math.round(this.motors[axis].position * 256);
+    }
+
+    /** What is wrong with an axis from now on, as on the desktop board; the encoder goes on from what it shows. */
+    inject(axis, ill) {
+        const shown = this.#count(axis);
+        this.ills[axis] = ill;
+        this.driverFault = ill === 'driver';
+        this.supplyVolt = ill === 'supply' ? 2.5 : 6;
+        this.encoders[axis] = { scale: { coarse: 8, unplugged: Infinity }[ill] ?? 1, from: shown };
+        this.pinZero[axis] = Math.floor(this.motors[axis].position) - shown;
     }
 
     /** Puts a motor, at rest, to a true position: the encoder does not notice. */

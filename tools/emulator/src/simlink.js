@@ -5,7 +5,8 @@ const SLICE_US = 1000;
 const TURN_US = 4000; // of the wall clock, after which USB and sockets have theirs
 const LAG_US = 20000;
 const AXES = 4;
-const HELP = 'not a request: advance US, state, realtime on|off, cut N, place AXIS Q8, unplug, plug, reset, hang, quit';
+const ILLS = ['well', 'blocked', 'unplugged', 'reversed', 'coarse', 'driver', 'supply']; // no jump: no encoder's edges do
+const HELP = 'not a request: advance US, state, realtime on|off, cut N, place AXIS Q8, inject AXIS ILL, unplug, plug, reset, hang, quit';
 
 const wallUs = () => Number(process.hrtime.bigint() / 1000n);
 
@@ -120,6 +121,12 @@ export class SimLink {
                     return { error: 'place takes an axis and a position in counts Q8' };
                 }
                 this.board.plant.place(numbers[0], numbers[1]);
+                return ok();
+            case 'inject':
+                if (words.length !== 2 || !(Number(words[0]) in this.board.plant.motors) || !ILLS.includes(words[1])) {
+                    return { error: `inject takes an axis and ${ILLS.join(', ')}` };
+                }
+                this.board.plant.inject(Number(words[0]), words[1]);
                 return ok();
             case 'unplug':
                 this.usbip.plug(false);

@@ -11,7 +11,7 @@ import { symbol } from '../src/probe.js';
 import { setupPacket } from '../src/usbhost.js';
 
 const root = path.resolve(path.dirname(fileURLToPath(import.meta.url)), '../../..');
-const motor = motorConstants(path.join(root, 'firmware/port/desktop/motor.c'));
+const motor = motorConstants(path.join(root, 'firmware/port/simulated/motor.c'));
 const elf = path.join(root, 'build/rp2040/tautline.elf');
 const WATCHDOG_FAULT = 6; // TL_WIRE_FAULTS
 const EDGES_FAULT = 9;
@@ -41,6 +41,38 @@ test('it enumerates: descriptors, a configuration, its serial number, a request 
     assert.equal(control(setupPacket(0x80, 6, 0x3ee, 0x409, 255)).status, -32);           // no such string: STALL
     assert.equal(control(setupPacket(0, 9, 0, 0, 0)).status, 0);                          // and it goes on
     assert.equal(usb.toggleErrors + board.chip.usbCtrl.toggleErrors, 0);
+});
+
+test('an endpoint whose halt is cleared beside a packet that completes goes on', () => {
+    const clear = symbol(elf, '__wrap_dcd_edpt_clear_stall') & ~1;
+    for (let after = 0; after < 120; after += 10) { // instructions into the clearing
+        const board = booted();
+        const { usb, chip } = board;
+        const submit = (endpoint, setup, length) => {
+            const transfer = { status: null };
+            usb.submit({ endpoint, out: true, setup, data: new Uint8Array(length), length,
+                done: (status) => { transfer.status = status; } });
+            return transfer;
+        };
+        const done = (transfer) => board.runWhile(() => transfer.status === null, 50e3) && transfer.status === 0;
+        assert.ok(done(submit(0, setupPacket(0, 9, 1, 0, 0), 0)));
+        const { core } = chip;
+        const execute = core.executeInstruction.bind(core);
+        let left = -1;
+        let answer = null;
+        core.executeInstruction = () => {
+            if (left < 0 && (core.PC & ~1) === clear) left = after;
+            else if (left > 0) left -= 1;
+            if (left === 0 && answer === null) answer = chip.usbCtrl.out(usb.address, 1, 0, new Uint8Array(0));
+            return execute();
+        };
+        assert.ok(done(submit(0, setupPacket(2, 1, 0, 1, 0), 0)), 'CLEAR_FEATURE(ENDPOINT_HALT)');
+        assert.notEqual(answer, null);
+        for (let packet = 0; packet < 4; packet++) {
+            assert.ok(done(submit(1, null, 64)), `packet ${packet}, ${after} instructions in, answered ${answer}`);
+        }
+        assert.equal(usb.toggleErrors + chip.usbCtrl.toggleErrors, 0);
+    }
 });
 
 test('two runs are the same to the cycle', () => {
@@ -80,6 +112,102 @@ test('no edge is lost at 200 000 counts/s, on four encoders, both ways', () => {
     for (const pin of [12, 13]) chip.drive(pin, !chip.gpio[pin].inputValue); // both at once
     board.run(board.nowUs + 3000);
     assert.deepEqual([0, 1, 2, 3].map((axis) => board.axis(axis).fault), [0, 0, EDGES_FAULT, 0], 'a lost edge is told');
+});
+
+/** Sets both lines of an encoder; the plant's motors stand still. */
+function show(board, axis, state) {
+    const pin = [0, 2, 12, 14][axis];
+    board.chip.drive(pin, (state & 1) !== 0);
+    board.chip.drive(pin + 1, (state & 2) !== 0);
+}
+
+test('a glitch beside an edge is no lost edge, and both lines count on right after it', () => {
+    const board = booted();
+    const { chip } = board;
+    board.plant.alarm.cancel();
+    const start = SM_Y(chip, 0);
+    const turn = [0b00, 0b10, 0b11, 0b01];
+    for (let edge = 1; edge <= 200; edge++) {
+        show(board, 0, turn[(edge + 1) % 4]); // this edge, and for half a microsecond the other line, too
+        board.run(board.nowUs + 0.5);
+        show(board, 0, turn[edge % 4]);
+        board.run(board.nowUs + 20);
+    }
+    chip.pio[0].sync();
+    assert.equal(SM_Y(chip, 0) - start, 200);
+    board.run(board.nowUs + 3000);
+    assert.equal(board.axis(0).fault, 0);
+});
+
+test('lines that rise slowly after the pull-ups went on are no edges', () => {
+    const board = loadBoard(root, { motor });
+    const PULL_UP = 1 << 3;
+    const pads = 0x4001c004;
+    board.plant.alarm.cancel();
+    assert.ok(board.runWhile(() => (board.chip.readUint32(pads + 4 * 15) & PULL_UP) === 0, 500e3));
+    board.run(board.nowUs + 300);
+    for (const axis of [0, 1, 2, 3]) show(board, axis, 0b11);
+    assert.ok(board.waitForUsb());
+    board.run(board.nowUs + 5000);
+    assert.deepEqual([0, 1, 2, 3].map((axis) => [board.axis(axis).fault, SM_Y(board.chip, axis)]), Array(4).fill([0, 0]));
+});
+
+for (const [what, happen] of [
+    ['HardFault', ({ core }) => core.exceptionEntry(3)],
+    ['panic', ({ core }) => { core.PC = symbol(elf, 'panic') & ~1; }],
+]) {
+    test(`a ${what} lets every motor coast first of all`, () => {
+        const board = booted();
+        board.run(board.nowUs + 1000);
+        const output = () => [4, 5, 6, 7, 8, 9, 10, 11].map((pin) => board.chip.output(pin));
+        assert.deepEqual(output(), Array(8).fill(1));
+        board.runWhile(() => board.chip.core.IPSR !== 0, 1000);
+        board.chip.core.waiting = false;
+        happen(board.chip);
+        const before = board.nowUs;
+        assert.throws(() => board.run(board.nowUs + 1000), Fault); // the breakpoint that a debugger would see
+        assert.deepEqual(output(), Array(8).fill(0));
+        assert.ok(board.nowUs - before < 5, `after ${board.nowUs - before} us`);
+    });
+}
+
+test('an alarm that passes while it is set comes a period later, not 71 minutes', () => {
+    const board = booted();
+    const timer = board.chip.peripherals[0x40054];
+    const write = timer.writeUint32.bind(timer);
+    let delays = 0;
+    timer.writeUint32 = (offset, value) => {
+        if (offset === 0x10 && delays === 0) {
+            delays += 1;
+            board.clock.tick(250e3); // the core was held up between looking at the time and setting the alarm
+        }
+        write(offset, value);
+    };
+    board.run(board.nowUs + 1000);
+    assert.equal(delays, 1);
+    const before = board.starts;
+    board.run(board.nowUs + 400e3); // the watchdog would bite
+    assert.equal(board.starts, before);
+});
+
+test('currents are sampled just before the end of a PWM period, and three times after it', () => {
+    const board = booted();
+    const { chip } = board;
+    const after = [];
+    const sense = chip.adc.onADCRead;
+    let first = true;
+    chip.adc.onADCRead = (channel) => {
+        const slice = chip.pwm.slices[2];
+        const period = 50;
+        if (first) after.push(period - ((board.clock.nanos - slice.start) / 1000) % period);
+        first = false;
+        sense(channel);
+    };
+    for (let tick = 0; tick < 20; tick++) {
+        first = true;
+        board.run(board.nowUs + 200);
+    }
+    assert.ok(after.every((us) => us > 0.1 && us < 1.5), `${Math.min(...after)} to ${Math.max(...after)} us before the end`);
 });
 
 test('reading flash while it is not mapped is a fault, writing to it always', () => {

@@ -1,23 +1,24 @@
-/// One axis: where its motor is, where it should be, what drives it there, and what is wrong.
+/// The state of one axis: where its motor is, where it should be, and what is wrong. Data alone; who changes what:
 ///
-/// tl_axis_step() is the control step (tl_axis_step.c, with all that it needs); everything else belongs to the task
-/// and must be called under the port's lock. Any fault puts the axis into its safe state: motor off, compensation off,
-/// until the fault is cleared.
+/// - tl_axis_step.h, the control step: on every tick encoder, actuator, path; once a millisecond, in TL_AXIS_JOBS jobs
+///   that are spread over its ticks, the plan (tl_axis_plan.h). Planning looks ahead, so that a set-point with a time
+///   is met at that time.
+/// - tl_axis_watch.h and tl_axis_guard.h, once a millisecond each, after the motors have their duty: forward play,
+///   history and telemetry; what puts an axis into its safe state, checks it and homes it.
+/// - tl_axis_rest.h: what brings an axis to rest, for all of these.
+/// - tl_axis_ask.h: what a host asks for. The task, under the port's lock.
 ///
-/// The control step has two rates. On every tick: encoder, servo, duty, and whether the motor follows. Once a
-/// millisecond, in TL_AXIS_JOBS jobs that are spread over its ticks, it plans: set-points, inverse with take-up, limits
-/// on speed and acceleration. tl_path.h joins what is planned. Planning looks ahead, so that a set-point with a time is
-/// met at that time. Also once a millisecond, but after the motors have their duty, comes tl_axis_watch().
+/// Any fault puts the axis into its safe state: motor off, compensation off, until the fault is cleared.
 #ifndef TAUTLINE_TL_AXIS_H
 #define TAUTLINE_TL_AXIS_H
 
+#include "tautline/tl_actuator.h"
 #include "tautline/tl_compensator.h"
 #include "tautline/tl_history.h"
 #include "tautline/tl_motion.h"
 #include "tautline/tl_path.h"
 #include "tautline/tl_play.h"
 #include "tautline/tl_port.h"
-#include "tautline/tl_servo.h"
 #include "tautline/tl_stream.h"
 
 #define TL_AXIS_PLAN_HZ 1000U ///< control_hz is a multiple of it
@@ -26,11 +27,73 @@
 #ifndef TL_AXIS_TICKS_MIN
 #define TL_AXIS_TICKS_MIN 1U
 #endif
-#define TL_AXIS_SAMPLES        16U     ///< telemetry samples waiting for the task, a power of two
-#define TL_AXIS_SILENCE_US     100000U ///< default
-#define TL_AXIS_SILENCE_MAX_US 60000000U
-#define TL_AXIS_AHEAD_US       10000000U ///< a set-point may lie this far ahead
-#define TL_AXIS_RANGE_MAX      (4000000 * TL_COUNT_ONE)
+#define TL_AXIS_SAMPLES   16U ///< telemetry samples waiting for the task, a power of two
+#define TL_AXIS_RANGE_MAX (4000000 * TL_COUNT_ONE)
+
+/// Once a millisecond: from what the host asks for to the reference.
+typedef struct {
+    tl_count_q8_t target; ///< of the reference
+    tl_reference_t reference;
+    tl_reference_limits_t travel;
+    tl_reference_limits_t move; ///< `travel` with the speed of the move under way
+    tl_count_q8_t move_target;
+    uint32_t lead_us;        ///< by which the time that is planned for is ahead of the last tick of its millisecond
+    tl_deg_q16_t c_next;     ///< demanded two milliseconds from now,
+    tl_deg_q16_t c_last[2];  ///< in one, and now: half a millisecond after the watch, and before
+    tl_motion_t *motion;     ///< while calibrating, else NULL
+    tl_count_q8_t low, high; ///< position limits in force
+    tl_us_t heard_us;        ///< when the last set-point came
+    tl_stream_t stream;
+} tl_axis_planned_t;
+
+/// The tables at work.
+typedef struct {
+    tl_deg_q16_t c_ref; ///< demanded at the last watch
+    int32_t strength_q15;
+    int32_t takeup_accel; ///< counts/s2, as the table says; `lookup` has what the axis' limits leave of it
+    tl_play_t play;
+    tl_compensator_t compensator;
+    tl_lookup_t lookup;
+} tl_axis_tip_t;
+
+/// What the guards remember.
+typedef struct {
+    int32_t current_ma;
+    int32_t current_mean_q8;
+    tl_count_q8_t still_q; ///< where the motor was when it last moved
+    uint16_t pushed_ms;    ///< drive at its limit and no motion
+    uint16_t swing;        ///< how often the drive has lately changed from limit to limit
+    uint8_t swing_way;     ///< the last limit, as tl_actuator_pushed() has it
+    uint8_t supply_ms;     ///< too low
+    uint8_t driver_ms;     ///< it reports a fault
+    uint8_t still_ms;      ///< a move is at its target
+    uint8_t pushed;        ///< limits of the last millisecond, likewise
+    bool lapsed;           ///< the host is lost: a fault as soon as the axis rests
+    bool homing;           ///< the move under way is the retreat from an end
+    bool homed;            ///< the play does not know yet
+    uint32_t patience;     ///< milliseconds until the sender, or the host, counts as lost
+    uint32_t silence_ms;   ///< what patience begins from
+    uint16_t supply_mv;
+    int32_t fault_value;
+    tl_us_t fault_us;
+} tl_axis_guarded_t;
+
+/// A check of motor and encoder, or a search for an end, under way.
+typedef struct {
+    int8_t way;
+    uint8_t phase;
+    bool moved, right_scale;
+    uint16_t ms;         ///< of the phase
+    tl_duty_q15_t duty;  ///< of open loop: 0 but during a check
+    tl_duty_q15_t most;  ///< of the check
+    tl_count_q8_t from;  ///< where the phase began
+    tl_count_q8_t mark;  ///< where measuring its speed began
+    tl_count_q8_t least; ///< way of the measured time at the right scale,
+    tl_count_q8_t far;   ///< and the greatest; 0: the gains do not say
+    int32_t speed;       ///< as measured, counts/s
+    tl_count_q8_t reach; ///< of homing,
+    tl_count_q8_t end, retreat;
+} tl_axis_trial_t;
 
 typedef struct {
     uint32_t t_us; ///< low word
@@ -40,6 +103,14 @@ typedef struct {
     uint16_t flags;
 } tl_sample_t;
 
+typedef struct {
+    uint8_t divider; ///< of 1 kHz; 0 off
+    uint8_t skipped;
+    volatile uint32_t head, tail; ///< written, taken
+    uint32_t dropped;
+    tl_sample_t samples[TL_AXIS_SAMPLES];
+} tl_axis_telemetry_t;
+
 /// What every tick needs comes first: near offsets are cheap on a Cortex-M0+.
 typedef struct {
     const tl_port_t *port;
@@ -47,56 +118,26 @@ typedef struct {
     uint8_t mode;   ///< tl_wire_mode_t
     uint8_t fault;  ///< tl_wire_fault_t
     uint8_t events; ///< bit n: tl_wire_event_code_t n came; the task clears it
+    bool closed;    ///< the actuator follows the path; else it gets trial.duty
     bool silent;
     bool has_table;
+    bool referenced; ///< the position is known
+    bool checked;    ///< motor and encoder agree
     uint16_t noted;  ///< tl_wire_flag_t of the last millisecond
     uint32_t ticks;  ///< of a millisecond
     uint32_t slot;   ///< ticks since the millisecond began
-    int32_t encoder; ///< as read last, counts
     tl_count_q8_t q; ///< position
-    tl_duty_q15_t duty;
-    tl_path_t path;          ///< where it should be now
-    tl_wire_limits_t limits; ///< as set; the table's are respected, too
-    tl_servo_t servo;
-
-    tl_count_q8_t target; ///< of the reference
-    tl_reference_t reference;
-    tl_reference_limits_t travel;
-    tl_reference_limits_t move; ///< `travel` with the speed of the move under way
-    tl_count_q8_t move_target;
-    uint32_t lead_us;       ///< by which the time that is planned for is ahead of the last tick of its millisecond
-    uint32_t patience;      ///< milliseconds until a follower's sender counts as silent
-    tl_deg_q16_t c_next;    ///< demanded two milliseconds from now,
-    tl_deg_q16_t c_last[2]; ///< in one, and now: half a millisecond after the watch, and before
-    tl_deg_q16_t c_ref;     ///< demanded at the last watch
-    tl_motion_t *motion;    ///< while calibrating, else NULL
-    tl_history_t *history;  ///< likewise
-    tl_play_t play;
-    tl_compensator_t compensator;
-
-    tl_count_q8_t low, high; ///< position limits in force
-    int32_t current_ma;
-    int32_t current_mean_q8;
-    tl_us_t fault_us;
-    int32_t strength_q15;
-    int32_t takeup_accel; ///< counts/s2, as the table says; `lookup` has what the axis' limits leave of it
-    uint32_t silence_us;
-    tl_us_t heard_us; ///< when the last set-point came
-
-    uint8_t divider; ///< of 1 kHz telemetry; 0 off
-    uint8_t skipped;
-    volatile uint32_t sample_head, sample_tail; ///< written, taken
-    uint32_t samples_dropped;
-    tl_stream_t stream;
-    tl_sample_t samples[TL_AXIS_SAMPLES];
-    tl_lookup_t lookup;
+    tl_path_t path;  ///< where it should be now
+    tl_actuator_t motor;
+    tl_axis_planned_t plan;
+    tl_axis_guarded_t guard;
+    tl_axis_trial_t trial;
+    tl_history_t *history;   ///< while calibrating, else NULL
+    tl_wire_limits_t limits; ///< in force; the table's are respected, too
+    tl_wire_settings_t settings;
+    tl_axis_telemetry_t telemetry;
+    tl_axis_tip_t tip;
 } tl_axis_t;
-
-/// Off, at position 0, without a table, with default limits and gains.
-void tl_axis_init(tl_axis_t *axis, const tl_port_t *port, uint8_t index);
-
-/// The control step: reads the encoder, drives the motor. At port->control_hz.
-void tl_axis_step(tl_axis_t *axis);
 
 static inline bool tl_axis_is_following(const tl_axis_t *axis) {
     return axis->mode == TL_WIRE_MODE_FOLLOW_MOTOR || axis->mode == TL_WIRE_MODE_FOLLOW_TIP;
@@ -105,47 +146,5 @@ static inline bool tl_axis_is_following(const tl_axis_t *axis) {
 static inline void tl_axis_event(tl_axis_t *axis, tl_wire_event_code_t code) {
     axis->events = (uint8_t)(axis->events | (1U << code));
 }
-
-static inline void tl_axis_drive(tl_axis_t *axis, tl_duty_q15_t duty) {
-    const tl_port_t *port = axis->port;
-    axis->duty = duty;
-    port->drive(port->context, axis->index, duty);
-}
-
-/// Forward play, encoder history, current limit, telemetry: after the step in which axis->slot came back to 0.
-void tl_axis_watch(tl_axis_t *axis, tl_us_t now_us);
-
-/// Parts of the control step: set-points in, reference out.
-void tl_axis_listen(tl_axis_t *axis);
-void tl_axis_plan(tl_axis_t *axis);
-
-/// At rest where the motor is: what switching on begins from.
-void tl_axis_rest(tl_axis_t *axis);
-
-/// tl_wire_flag_t now, and those that came within the last millisecond.
-uint16_t tl_axis_flags(const tl_axis_t *axis);
-
-/// Takes the content of axis->lookup into use, or none. The motor must be off.
-void tl_axis_use_table(tl_axis_t *axis, bool has_table);
-
-/// Motor off at once, compensation off; the first fault stays the one that is reported.
-void tl_axis_fail(tl_axis_t *axis, tl_wire_fault_t fault, tl_us_t now_us);
-
-/// Comes to rest within limits; then holds, or switches off.
-void tl_axis_stop(tl_axis_t *axis, bool then_off);
-
-/// A follower's sender is gone: it comes to rest and holds. Nothing in any other mode.
-void tl_axis_silence(tl_axis_t *axis);
-
-/// A reason, or 0 when done. Preconditions that the axis itself knows are checked here.
-uint8_t tl_axis_enable(tl_axis_t *axis);
-uint8_t tl_axis_move(tl_axis_t *axis, tl_count_q8_t target, int32_t speed_q8_s);
-uint8_t tl_axis_follow(tl_axis_t *axis, bool tip, uint8_t compensation, uint32_t silence_us, tl_us_t now_us);
-uint8_t tl_axis_set_point(tl_axis_t *axis, int32_t value, tl_us_t at_us, tl_us_t now_us, bool *late);
-uint8_t tl_axis_calibrate(tl_axis_t *axis, tl_motion_t *motion, tl_history_t *history);
-uint8_t tl_axis_set_limits(tl_axis_t *axis, const tl_wire_limits_t *limits);
-uint8_t tl_axis_set_servo(tl_axis_t *axis, const tl_servo_gains_t *gains);
-uint8_t tl_axis_set_position(tl_axis_t *axis, tl_count_q8_t q);
-void tl_axis_set_strength(tl_axis_t *axis, int32_t strength_q15);
 
 #endif

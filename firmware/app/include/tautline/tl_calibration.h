@@ -4,25 +4,29 @@
 
 #include "tautline/tl_axis.h"
 #include "tautline/tl_onset.h"
-#include "tautline/tl_table.h"
+
+/// What a calibration needs while it runs, from tl_calibration_start() until tl_calibration_ended() has said so.
+typedef struct {
+    tl_motion_t motion;
+    tl_history_t history;
+    tl_onset_detector_t detector;
+} tl_calibration_work_t;
 
 typedef struct {
     tl_axis_t *axis; ///< NULL: none
     bool host_lost;  ///< it ends for that reason
     uint16_t reversals;
-    union {
-        struct { // from tl_calibration_start() until tl_calibration_ended() has said so
-            tl_motion_t motion;
-            tl_history_t history;
-            tl_onset_detector_t detector;
-        };
-        uint8_t upload[TL_TABLE_SIZE_MAX]; ///< the app's, while `axis` is NULL: a table that the host sends
-    };
+    tl_calibration_work_t *work; ///< may be others' while `axis` is NULL; lost also by a start that is refused
 } tl_calibration_t;
 
-/// Why `request` cannot be, or 0 when the axis has begun to move. `upload` is lost, also where it cannot be. Task,
-/// under the lock; 64-bit divisions.
+/// Why `request` cannot be, or 0 when the axis has begun to move. Task, under the lock; 64-bit divisions.
 uint8_t tl_calibration_start(tl_calibration_t *calibration, tl_axis_t *axis, const tl_wire_motion_start_t *request);
+
+/// A frame has come, whatever it shows: the host is there. Under the lock.
+void tl_calibration_frame(tl_calibration_t *calibration);
+
+/// A finished reversal turns the motion round. Under the lock.
+void tl_calibration_turn(tl_calibration_t *calibration, const tl_onset_t *onset);
 
 /// Takes in a frame; true when that finishes a reversal and `*onset` is written. Task, not under the lock.
 bool tl_calibration_marker(tl_calibration_t *calibration, const tl_wire_marker_t *marker, tl_onset_t *onset);

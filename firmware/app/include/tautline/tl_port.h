@@ -1,25 +1,40 @@
 /// What the app needs of a board: one const table of functions and a context that each gets back.
 ///
 /// The app is two threads of execution. The *control step*, tl_app_control(), runs at `control_hz` from a timer
-/// interrupt; the *task*, tl_app_task() with tl_usb_task(), runs in the main loop and is interrupted by it. A port with
-/// one thread (the desktop) calls both in turn. Functions say who calls them.
+/// interrupt; the *task*, tl_app_task() with tl_usb_task() or tl_serial_task(), runs in the main loop and is
+/// interrupted by it. A port with one thread (the desktop) calls both in turn. Functions say who calls them.
+///
+/// What a port's build has to do besides:
+/// - tl_usb.c (ports with USB): compile it against its TinyUSB with CFG_TUSB_MCU, and link with
+///   -Wl,--wrap=dcd_event_handler; TinyUSB also wants tusb_time_millis_api() where it knows no such board. On an RP2040
+///   --wrap=dcd_edpt_clear_stall,--wrap=dcd_edpt_xfer, too (port/rp2040/usb_halt.h).
+/// - tl_serial.c (ports with a serial port): nothing; give tl_serial_init() a tl_serial_t.
+/// - TL_FAST_SECTION where code memory is slow (tl_fast.h), TL_APP_QUEUE where RAM is short (tl_outbox.h), and
+///   TL_AXIS_TICKS_MIN=control_hz / 1000 where the rate is fixed, so that the control path has no division (tl_axis.h).
 #ifndef TAUTLINE_TL_PORT_H
 #define TAUTLINE_TL_PORT_H
+
+#include <stddef.h>
 
 #include "tautline/tl_fixed.h"
 #include "tautline/tl_wire.h"
 
 #define TL_PORT_FLASH_SECTOR 4096U ///< bytes that an erase sets to 0xFF
-#define TL_PORT_FLASH_PAGE   256U  ///< bytes that a program writes; it only clears bits
+#define TL_PORT_FLASH_REGION                                                                                           \
+    (2U * (TL_WIRE_AXES_MAX + 1U) * TL_PORT_FLASH_SECTOR) ///< bytes that the app keeps things in
+#define TL_PORT_FLASH_PAGE 256U                           ///< bytes that a program writes; it only clears bits
 
 typedef struct {
     void *context;
     const char *name;   ///< "desktop", "rp2040"; at most 15 characters, lives for ever
     const char *serial; ///< USB serial number, at most 31 characters of A-Z a-z 0-9 -, lives for ever
     uint8_t axes;       ///< 1 to TL_WIRE_AXES_MAX
-    uint8_t boot;       ///< tl_boot_t: why it started
+    uint8_t boot;       ///< tl_wire_boot_t: why it started
     uint32_t
         control_hz; ///< 1000, 2000, 4000, 5000, 8000 or 10000: a period is whole microseconds, a millisecond periods
+
+    uint16_t driver_ma;     ///< at which the motor drivers limit the current by themselves; 0: not known
+    uint16_t supply_low_mv; ///< of the motors, below which they should not be driven: the default; 0: none
 
     /// Microseconds since the start, never falls. Both threads.
     tl_us_t (*time_us)(void *context);
@@ -32,8 +47,13 @@ typedef struct {
     /// Motor current, mA, the latest sample (a port may sample one axis a step); control step.
     int32_t (*current_ma)(void *context, uint8_t axis);
 
-    /// The table region, mapped for reading: 2 * axes sectors.
-    const uint8_t *flash;
+    /// Supply of the motors, mV, the latest sample. Control step. NULL: not measured.
+    uint16_t (*supply_mv)(void *context);
+    /// Whether the motor driver of an axis reports a fault (nFAULT). Control step. NULL: it cannot.
+    bool (*driver_fault)(void *context, uint8_t axis);
+
+    /// Reads from the region for tables and settings, TL_PORT_FLASH_REGION bytes, at any offset within it. Task.
+    void (*flash_read)(void *context, uint32_t offset, uint8_t *out, size_t size);
     /// `offset` from the region's start, a multiple of the sector or page. Task, with every motor off; may take 0.4 s,
     /// during which the control step may stand still. `page` is in RAM: the flash chip is out of reach meanwhile.
     /// False: not done, the content is undefined.

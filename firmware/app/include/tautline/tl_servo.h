@@ -26,7 +26,7 @@ typedef struct {
     tl_duty_q15_t friction;
 } tl_servo_gains_t;
 
-/// Fields are the module's own, but `gains` and `saturated` may be read.
+/// Fields are the module's own, but `gains` and `pushed` may be read.
 typedef struct {
     uint32_t predicted;   ///< position, counts Q16, modulo 2^32: only differences count
     int32_t velocity;     ///< as measured, counts/tick Q24
@@ -39,11 +39,11 @@ typedef struct {
     int32_t derivative;      ///< duty Q25 for such a unit
     int32_t integral_step;   ///< duty Q29 for each Q8 count and tick
     int32_t integral;        ///< duty Q29
+    uint32_t pushed;         ///< 1: the drive was at its upper limit, 2: at its lower one; for the reader to clear
     int32_t path_gain;       ///< duty Q25 for a unit of the path's speed: feed-forward and D
     uint32_t bend_down;      ///< bits that leave a change of speed in 14
     uint32_t bend_per_speed; ///< further ones to a unit of speed, and two
     int32_t inertia;         ///< duty Q25 for a unit of change
-    bool saturated;          ///< the drive was at its limit; for the reader to clear
     tl_servo_gains_t gains;
 } tl_servo_t;
 
@@ -85,7 +85,7 @@ static inline tl_duty_q15_t tl_servo_step(tl_servo_t *servo, tl_count_q8_t q, co
     const int32_t integral = servo->integral;
     sum += (error * servo->proportional >> 8) + (integral >> 14);
     if (sum > limit || sum < -limit) {
-        servo->saturated = true;
+        servo->pushed |= sum > 0 ? 1U : 2U;
         sum = sum > 0 ? limit : -limit;
         if ((sum > 0) == (error > 0)) {
             return sum;

@@ -30,6 +30,10 @@
 #include "tautline/tl_lookup.h"
 #include "tautline/tl_play.h"
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 typedef enum {
     TL_MODE_OFF = 0,      ///< uncompensated: p* from the coarse kinematics, no width
     TL_MODE_BACKLASH = 1, ///< p* from the coarse kinematics, width from the table
@@ -125,5 +129,9 @@ void tl_compensator_set_table(tl_compensator_t *compensator, const tl_lookup_t *
 
 /// What is still to be taken up, Q8 counts, signed as in q* = ... - e.
 tl_count_q8_t tl_compensator_rest(const tl_compensator_t *compensator);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

@@ -16,6 +16,10 @@
 
 #include "tautline/tl_table.h"
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 #define TL_LOOKUP_BELOW 1U ///< the result belongs to the lower end of the grid (in p)
 #define TL_LOOKUP_ABOVE 2U ///< the result belongs to the upper end of the grid (in p)
 
@@ -102,5 +106,9 @@ static inline bool tl_lookup_is_flat(const tl_lookup_t *lookup, tl_count_q8_t p)
     const int32_t turn = lookup->turn;
     return (uint32_t)(((node[1] - node[0]) ^ turn) - turn) < lookup->flat_below; // its size: f rises, or falls
 }
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

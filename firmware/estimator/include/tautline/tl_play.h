@@ -13,6 +13,10 @@
 
 #include "tautline/tl_lookup.h"
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 typedef struct {
     const tl_lookup_t *lookup; ///< must outlive the play
     tl_count_q8_t p;
@@ -34,5 +38,9 @@ tl_count_q8_t tl_play_step(tl_play_t *play, tl_count_q8_t q);
 
 /// f(p) of the last step: the configuration. About 40 cycles.
 tl_deg_q16_t tl_play_angle(const tl_play_t *play);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

@@ -2,15 +2,21 @@
 #ifndef MOTOR_H
 #define MOTOR_H
 
+#include <stdbool.h>
 #include <stdint.h>
 
 #define MOTOR_STEP_US 25
 
+#ifndef MOTOR_REAL
+#define MOTOR_REAL double // float where the core has no other: then with -fsingle-precision-constant
+#endif
+
 typedef struct {
-    double position; // counts
-    double speed;    // counts/s
-    double duty;     // -1 to 1
-    double current;  // mA
+    double position;    // counts
+    MOTOR_REAL speed;   // counts/s
+    MOTOR_REAL duty;    // -1 to 1
+    MOTOR_REAL current; // mA
+    bool blocked;
 } motor_t;
 
 // MOTOR_STEP_US on.

@@ -1,0 +1,13 @@
+/// What is seen and told of one axis once a millisecond.
+#ifndef TAUTLINE_TL_AXIS_WATCH_H
+#define TAUTLINE_TL_AXIS_WATCH_H
+
+#include "tautline/tl_axis.h"
+
+/// Forward play, encoder history, telemetry: after the step in which axis->slot came back to 0.
+void tl_axis_watch(tl_axis_t *axis, tl_us_t now_us);
+
+/// tl_wire_flag_t now, and those that came within the last millisecond.
+uint16_t tl_axis_flags(const tl_axis_t *axis);
+
+#endif

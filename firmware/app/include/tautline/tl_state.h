@@ -1,0 +1,35 @@
+/// All that the application knows: data alone. tl_app.h runs it, tl_command.h answers requests with it, tl_report.h
+/// tells of it unasked.
+#ifndef TAUTLINE_TL_STATE_H
+#define TAUTLINE_TL_STATE_H
+
+#include "tautline/tl_calibration.h"
+#include "tautline/tl_outbox.h"
+#include "tautline/tl_tables.h"
+
+typedef struct {
+    const tl_port_t *port;
+    tl_axis_t axes[TL_WIRE_AXES_MAX];
+    tl_tables_t tables;
+    tl_calibration_t calibration;
+    union {
+        tl_calibration_work_t calibration; ///< while an axis calibrates
+        tl_tables_scratch_t tables;        ///< else
+    } work;
+    uint8_t settings; ///< tl_wire_store_t
+    tl_wire_counters_t counters;
+    tl_wire_parser_t parser;
+    tl_outbox_t outbox;
+    bool line;      ///< a serial line: only hello begins a session
+    uint8_t reboot; ///< 0 no, 1 restart, 2 boot loader: after the outbox is empty and the axes rest
+    tl_us_t reboot_us;
+    tl_us_t received_us; ///< when bytes came last
+
+    volatile uint32_t steps; ///< control steps, so that the task feeds the watchdog only while they go on
+    uint32_t steps_fed;
+    uint32_t slot;      ///< tick of axis 0's millisecond that comes next
+    tl_us_t control_us; ///< time of the last control step
+    tl_us_t polled_us;
+} tl_app_t;
+
+#endif

@@ -1,0 +1,468 @@
+#include "tautline/tl_axis_ask.h"
+
+#include <string.h>
+
+#include "tautline/tl_axis_guard.h"
+#include "tautline/tl_axis_rest.h"
+
+#define AT_ONCE_US 50000U // longest time that a set-point without one takes
+#define PLAN_US    (1000000U / TL_AXIS_PLAN_HZ)
+#define CHECK_US   2000000U // a check ends by itself before
+
+#define COPY(kind, name, doc)              to->name = from->name;
+#define COPY_ARRAY(kind, name, count, doc) memcpy(to->name, from->name, sizeof(to->name));
+
+// -- settings, limits, gains ------------------------------------------------------------------------------------
+
+tl_wire_settings_t tl_axis_default_settings(const tl_port_t *port, uint8_t index) {
+    return (tl_wire_settings_t){
+        .axis = index,
+        .q_low_q8 = -TL_AXIS_RANGE_MAX,
+        .q_high_q8 = TL_AXIS_RANGE_MAX,
+        .speed_q8_s = 16000 * TL_COUNT_ONE,
+        .acceleration_q8_s2 = 200000 * TL_COUNT_ONE,
+        .duty_q15 = TL_RATIO_ONE,
+        .current_ma = port->driver_ma - port->driver_ma / 16, // a chopped current never shows more than the driver's
+        .following_error_q8 = 300 * TL_COUNT_ONE,
+        .proportional = 900,
+        .integral = 12000,
+        .derivative = 600,
+        .feed_forward = 1640,
+        .inertia = 4900,
+        .friction_q15 = 1300,
+        .low_duty_q15 = TL_RATIO_ONE / 4,
+        .arrive_q8 = 4 * TL_COUNT_ONE,
+        .stall_ms = 300,
+        .supply_low_mv = port->supply_low_mv,
+    };
+}
+
+static void limits_of(const tl_wire_settings_t *from, tl_wire_limits_t *to) {
+    *to = (tl_wire_limits_t){.axis = from->axis};
+    TL_WIRE_VALUES_LIMITS(COPY, COPY_ARRAY)
+}
+
+static bool is_sound(const tl_port_t *port, const tl_wire_limits_t *limits) {
+    const int32_t most_ma = port->driver_ma > 0 ? port->driver_ma : 100000;
+    return limits->q_low_q8 < limits->q_high_q8 && limits->q_low_q8 >= -TL_AXIS_RANGE_MAX &&
+           limits->q_high_q8 <= TL_AXIS_RANGE_MAX && limits->speed_q8_s >= 1 &&
+           limits->speed_q8_s <= TL_REFERENCE_SPEED_MAX &&
+           limits->acceleration_q8_s2 >= TL_REFERENCE_ACCELERATION_MIN &&
+           limits->acceleration_q8_s2 <= TL_REFERENCE_ACCELERATION_MAX && limits->duty_q15 >= 0 &&
+           limits->duty_q15 <= TL_RATIO_ONE && limits->current_ma >= 0 && limits->current_ma <= most_ma &&
+           limits->following_error_q8 >= TL_COUNT_ONE && limits->following_error_q8 <= TL_AXIS_RANGE_MAX;
+}
+
+static bool are_within(const tl_wire_limits_t *limits, const tl_wire_settings_t *settings) {
+    const bool current =
+        settings->current_ma == 0 || (limits->current_ma > 0 && limits->current_ma <= settings->current_ma);
+    return limits->q_low_q8 >= settings->q_low_q8 && limits->q_high_q8 <= settings->q_high_q8 &&
+           limits->speed_q8_s <= settings->speed_q8_s && limits->acceleration_q8_s2 <= settings->acceleration_q8_s2 &&
+           limits->duty_q15 <= settings->duty_q15 && current &&
+           limits->following_error_q8 <= settings->following_error_q8;
+}
+
+static bool set_gains(tl_axis_t *axis, const tl_wire_servo_t *from) {
+    const tl_servo_gains_t gains = {
+        .proportional = from->proportional,
+        .integral = from->integral,
+        .derivative = from->derivative,
+        .feed_forward = from->feed_forward,
+        .inertia = from->inertia,
+        .friction = from->friction_q15,
+    };
+    if (!tl_servo_configure(&axis->motor.servo, &gains, axis->port->control_hz)) {
+        return false;
+    }
+    axis->checked = false; // its scale is checked against them
+    return true;
+}
+
+uint8_t tl_axis_check_settings(const tl_port_t *port, const tl_wire_settings_t *settings) {
+    tl_wire_limits_t limits;
+    limits_of(settings, &limits);
+    const int32_t gains[] = {settings->proportional, settings->integral, settings->derivative,
+                             settings->feed_forward, settings->inertia,  settings->friction_q15};
+    for (unsigned i = 0; i < sizeof(gains) / sizeof(gains[0]); i++) {
+        if (gains[i] < 0 || gains[i] > TL_SERVO_GAIN_MAX) {
+            return TL_WIRE_REASON_RANGE;
+        }
+    }
+    const bool sound = is_sound(port, &limits) && settings->low_duty_q15 >= 0 &&
+                       settings->low_duty_q15 <= settings->duty_q15 && settings->arrive_q8 >= TL_COUNT_ONE &&
+                       settings->arrive_q8 <= TL_AXIS_RANGE_MAX && settings->stall_ms >= 20U &&
+                       settings->stall_ms <= 5000U;
+    return sound ? 0 : TL_WIRE_REASON_RANGE;
+}
+
+static void apply_limits(tl_axis_t *axis) {
+    int32_t speed = axis->limits.speed_q8_s;
+    if (axis->has_table) {
+        tl_table_t *table = &axis->tip.lookup.table;
+        // A take-up that brakes harder than the reference may would overshoot. The last quarter is left to the feed.
+        const int32_t acceleration = axis->limits.acceleration_q8_s2 / TL_COUNT_ONE / 4 * 3;
+        table->takeup_accel = axis->tip.takeup_accel < acceleration ? axis->tip.takeup_accel : acceleration;
+        speed = table->speed_max_q8 < speed ? table->speed_max_q8 : speed;
+    }
+    axis->plan.travel = tl_reference_limits(speed, axis->limits.acceleration_q8_s2, TL_AXIS_PLAN_HZ);
+    tl_axis_admit(axis);
+}
+
+void tl_axis_use_settings(tl_axis_t *axis, const tl_wire_settings_t *settings) {
+    axis->settings = *settings;
+    limits_of(settings, &axis->limits);
+    const tl_wire_settings_t *from = settings;
+    tl_wire_servo_t gains, *to = &gains;
+    TL_WIRE_VALUES_SERVO(COPY, COPY_ARRAY)
+    set_gains(axis, &gains);
+    apply_limits(axis);
+}
+
+uint8_t tl_axis_set_limits(tl_axis_t *axis, const tl_wire_limits_t *limits) {
+    if (!is_sound(axis->port, limits)) {
+        return TL_WIRE_REASON_RANGE;
+    }
+    if (!are_within(limits, &axis->settings)) {
+        return TL_WIRE_REASON_BEYOND_SETTINGS;
+    }
+    if (axis->mode != TL_WIRE_MODE_OFF && axis->mode != TL_WIRE_MODE_HOLD) {
+        return TL_WIRE_REASON_BUSY;
+    }
+    axis->limits = *limits;
+    axis->motor.limit = limits->duty_q15 < axis->motor.limit ? limits->duty_q15 : axis->motor.limit;
+    apply_limits(axis);
+    return 0;
+}
+
+uint8_t tl_axis_set_servo(tl_axis_t *axis, const tl_wire_servo_t *gains) {
+    if (axis->mode != TL_WIRE_MODE_OFF) {
+        return TL_WIRE_REASON_NOT_OFF;
+    }
+    return set_gains(axis, gains) ? 0 : TL_WIRE_REASON_RANGE;
+}
+
+uint8_t tl_axis_set_strength(tl_axis_t *axis, int32_t strength_q15) {
+    if (strength_q15 < 0 || strength_q15 > TL_RATIO_ONE) {
+        return TL_WIRE_REASON_RANGE;
+    }
+    axis->tip.strength_q15 = strength_q15;
+    if (axis->mode == TL_WIRE_MODE_FOLLOW_TIP) {
+        tl_compensator_set_strength(&axis->tip.compensator, strength_q15);
+    }
+    return 0;
+}
+
+// -- where it is ------------------------------------------------------------------------------------------------
+
+uint8_t tl_axis_set_position(tl_axis_t *axis, tl_count_q8_t q) {
+    if (axis->mode != TL_WIRE_MODE_OFF) {
+        return TL_WIRE_REASON_NOT_OFF;
+    }
+    if (q < -TL_AXIS_RANGE_MAX || q > TL_AXIS_RANGE_MAX) {
+        return TL_WIRE_REASON_RANGE;
+    }
+    axis->q = q / TL_COUNT_ONE * TL_COUNT_ONE;
+    axis->referenced = true;
+    tl_actuator_reset(&axis->motor, axis->q);
+    tl_axis_settle(axis);
+    tl_axis_admit(axis);
+    if (axis->has_table) {
+        tl_play_start(&axis->tip.play, &axis->tip.lookup, axis->q);
+    }
+    return 0;
+}
+
+// The motor has pressed against an end: the tip is on that side's envelope, and has followed the retreat since.
+static void find_tip(tl_axis_t *axis) {
+    axis->guard.homed = false;
+    if (axis->has_table) {
+        const tl_count_q8_t end = axis->trial.end;
+        tl_play_t *play = &axis->tip.play;
+        tl_play_start(play, &axis->tip.lookup, end);
+        tl_play_step(play, end - axis->trial.way * TL_AXIS_RANGE_MAX);
+        tl_play_step(play, end);
+        tl_play_step(play, axis->q);
+    }
+}
+
+void tl_axis_hear(tl_axis_t *axis) {
+    if (axis->guard.homed) {
+        find_tip(axis);
+    }
+    if (!tl_axis_is_following(axis)) { // a follower's sender sends set-points
+        axis->guard.patience = axis->guard.silence_ms;
+    }
+}
+
+void tl_axis_use_table(tl_axis_t *axis, bool has_table) {
+    axis->has_table = has_table;
+    if (has_table) {
+        axis->tip.strength_q15 = axis->tip.lookup.table.strength_q15;
+        axis->tip.takeup_accel = axis->tip.lookup.table.takeup_accel;
+        tl_play_start(&axis->tip.play, &axis->tip.lookup, axis->q);
+    }
+    apply_limits(axis);
+}
+
+void tl_axis_init(tl_axis_t *axis, const tl_port_t *port, uint8_t index) {
+    memset(axis, 0, sizeof(*axis));
+    axis->port = port;
+    axis->index = index;
+    tl_actuator_init(&axis->motor, port, index);
+    axis->ticks = port->control_hz / TL_AXIS_PLAN_HZ;
+    // Axes plan in different ticks, and are watched in different ones.
+    axis->slot = (axis->ticks - index % axis->ticks) % axis->ticks;
+    // A point that is planned in this millisecond is the middle of the curve's second next, and ticks are the middles
+    // of theirs.
+    const uint32_t period_us = 1000000U / port->control_hz;
+    axis->plan.lead_us = 3U * PLAN_US / 2U + period_us / 2U;
+    axis->plan.stream.now_us = port->time_us(port->context) + axis->plan.lead_us + index % axis->ticks * period_us;
+    tl_path_init(&axis->path, 0, axis->ticks);
+    axis->tip.strength_q15 = TL_RATIO_ONE;
+    const tl_wire_settings_t settings = tl_axis_default_settings(port, index);
+    tl_axis_use_settings(axis, &settings);
+}
+
+// -- motions ----------------------------------------------------------------------------------------------------
+
+static uint8_t ready(const tl_axis_t *axis) {
+    if (axis->fault != TL_WIRE_FAULT_NONE) {
+        return TL_WIRE_REASON_FAULT;
+    }
+    return axis->mode == TL_WIRE_MODE_OFF ? TL_WIRE_REASON_OFF : 0;
+}
+
+static uint8_t ready_at_rest(const tl_axis_t *axis) {
+    const uint8_t reason = ready(axis);
+    return reason == 0 && axis->mode != TL_WIRE_MODE_HOLD ? TL_WIRE_REASON_BUSY : reason;
+}
+
+static uint8_t ready_and_referenced(const tl_axis_t *axis) {
+    const uint8_t reason = ready_at_rest(axis);
+    return reason == 0 && !axis->referenced ? TL_WIRE_REASON_NOT_REFERENCED : reason;
+}
+
+static int32_t low_duty(const tl_axis_t *axis) {
+    const int32_t low = axis->settings.low_duty_q15, most = axis->limits.duty_q15;
+    return low < most ? low : most;
+}
+
+static bool may_be_silent(tl_axis_t *axis, uint32_t silence_us) {
+    if (silence_us > TL_AXIS_SILENCE_MAX_US) {
+        return false;
+    }
+    axis->guard.silence_ms = (silence_us > 0 ? silence_us : TL_AXIS_MOVE_SILENCE_US) / PLAN_US + 1U;
+    axis->guard.patience = axis->guard.silence_ms;
+    return true;
+}
+
+// A motion begins: nothing of the last one counts any more.
+static void begin(tl_axis_t *axis, tl_duty_q15_t most) {
+    axis->motor.limit = most;
+    axis->silent = false;
+    axis->plan.stream.used = 0;
+    axis->guard.lapsed = false;
+    axis->guard.homing = false;
+    axis->guard.still_ms = 0; // but how long it has been pushing does: asking again is no way round a stall
+}
+
+static void switch_on(tl_axis_t *axis) {
+    tl_axis_settle(axis);
+    tl_actuator_reset(&axis->motor, axis->q);
+    tl_axis_admit(axis);
+    axis->guard.current_mean_q8 = 0;
+    axis->guard.swing = 0;
+    axis->guard.pushed_ms = 0;
+    axis->guard.pushed = axis->guard.swing_way = 0;
+    begin(axis, axis->referenced ? axis->limits.duty_q15 : low_duty(axis));
+}
+
+uint8_t tl_axis_enable(tl_axis_t *axis) {
+    if (axis->fault != TL_WIRE_FAULT_NONE) {
+        return TL_WIRE_REASON_FAULT;
+    }
+    if (axis->mode == TL_WIRE_MODE_OFF) {
+        switch_on(axis);
+        if (axis->checked) {
+            tl_axis_enter(axis, TL_WIRE_MODE_HOLD);
+        } else {
+            may_be_silent(axis, CHECK_US);
+            tl_axis_start_check(axis);
+        }
+    } else if (axis->mode == TL_WIRE_MODE_STOPPING_OFF) {
+        axis->guard.lapsed = false;
+        tl_axis_enter(axis, TL_WIRE_MODE_STOPPING);
+    }
+    return 0;
+}
+
+uint8_t tl_axis_check(tl_axis_t *axis) {
+    if (axis->mode != TL_WIRE_MODE_OFF) {
+        return TL_WIRE_REASON_NOT_OFF;
+    }
+    axis->checked = false;
+    return tl_axis_enable(axis);
+}
+
+// The speed of a move: as asked, 0 is the one that is the default.
+static void set_speed(tl_axis_t *axis, int32_t speed_q8_s, int32_t by_default, int32_t most) {
+    const tl_reference_limits_t asked =
+        tl_reference_limits(speed_q8_s > 0 ? speed_q8_s : 1, axis->limits.acceleration_q8_s2, TL_AXIS_PLAN_HZ);
+    const int32_t speed = speed_q8_s > 0 ? asked.speed : by_default;
+    axis->plan.move = axis->plan.travel;
+    axis->plan.move.speed = speed < most ? speed : most;
+}
+
+uint8_t tl_axis_move(tl_axis_t *axis, const tl_wire_move_t *request) {
+    const uint8_t reason = ready(axis);
+    if (reason != 0) {
+        return reason;
+    }
+    if (axis->mode == TL_WIRE_MODE_CALIBRATE || axis->mode == TL_WIRE_MODE_CHECK || axis->mode == TL_WIRE_MODE_HOME ||
+        (axis->mode == TL_WIRE_MODE_MOVE && axis->guard.homing)) {
+        return TL_WIRE_REASON_BUSY;
+    }
+    if (!axis->referenced) {
+        return TL_WIRE_REASON_NOT_REFERENCED;
+    }
+    if (request->q_q8 < axis->plan.low || request->q_q8 > axis->plan.high || request->speed_q8_s < 0 ||
+        !may_be_silent(axis, request->silence_us)) {
+        return TL_WIRE_REASON_RANGE;
+    }
+    begin(axis, axis->limits.duty_q15);
+    const int32_t most = axis->plan.travel.speed;
+    set_speed(axis, request->speed_q8_s, most, most);
+    axis->plan.move_target = request->q_q8;
+    tl_axis_enter(axis, TL_WIRE_MODE_MOVE);
+    return 0;
+}
+
+uint8_t tl_axis_jog(tl_axis_t *axis, const tl_wire_jog_t *request) {
+    const uint8_t reason = ready_at_rest(axis);
+    if (reason != 0) {
+        return reason;
+    }
+    const int64_t target = (int64_t)tl_reference_q(&axis->plan.reference) + request->way_q8;
+    if (target < axis->plan.low || target > axis->plan.high || request->speed_q8_s < 0 ||
+        !may_be_silent(axis, request->silence_us)) {
+        return TL_WIRE_REASON_RANGE;
+    }
+    begin(axis, low_duty(axis));
+    set_speed(axis, request->speed_q8_s, axis->plan.travel.speed / 10, axis->plan.travel.speed / 2);
+    axis->plan.move_target = (tl_count_q8_t)target;
+    tl_axis_enter(axis, TL_WIRE_MODE_MOVE);
+    return 0;
+}
+
+uint8_t tl_axis_home(tl_axis_t *axis, const tl_wire_home_t *request) {
+    const uint8_t reason = ready_at_rest(axis);
+    if (reason != 0) {
+        return reason;
+    }
+    const tl_wire_limits_t *limits = &axis->limits;
+    const int64_t back = (int64_t)request->end_q8 - (int64_t)request->direction * request->retreat_q8;
+    const bool sound = (request->direction == 1 || request->direction == -1) && request->duty_q15 >= 0 &&
+                       request->duty_q15 <= low_duty(axis) && request->speed_q8_s >= 0 && request->reach_q8 > 0 &&
+                       request->reach_q8 <= TL_AXIS_RANGE_MAX && request->retreat_q8 >= 0 &&
+                       request->end_q8 >= -TL_AXIS_RANGE_MAX && request->end_q8 <= TL_AXIS_RANGE_MAX &&
+                       back >= limits->q_low_q8 && back <= limits->q_high_q8;
+    if (!sound || !may_be_silent(axis, request->silence_us)) {
+        return TL_WIRE_REASON_RANGE;
+    }
+    axis->referenced = false;
+    tl_axis_admit(axis);
+    begin(axis, request->duty_q15 > 0 ? request->duty_q15 : low_duty(axis));
+    set_speed(axis, request->speed_q8_s, axis->plan.travel.speed / 10, axis->plan.travel.speed / 2);
+    axis->plan.move_target = tl_reference_q(&axis->plan.reference);
+    axis->guard.pushed_ms = 0; // pushing here is no end
+    axis->trial = (tl_axis_trial_t){.way = request->direction,
+                                    .from = axis->q,
+                                    .reach = request->reach_q8,
+                                    .end = request->end_q8 / TL_COUNT_ONE * TL_COUNT_ONE,
+                                    .retreat = request->retreat_q8};
+    tl_axis_enter(axis, TL_WIRE_MODE_HOME);
+    return 0;
+}
+
+// Milliseconds until the sender is silent: silence after the time of its last set-point.
+static uint32_t patience(const tl_axis_t *axis, tl_us_t now_us) {
+    return (uint32_t)(tl_stream_end(&axis->plan.stream) - now_us) / PLAN_US + axis->guard.silence_ms;
+}
+
+uint8_t tl_axis_follow(tl_axis_t *axis, const tl_wire_follow_t *request, tl_us_t now_us) {
+    const uint8_t reason = ready_and_referenced(axis);
+    if (reason != 0) {
+        return reason;
+    }
+    if (request->target > 1U || request->compensation > (uint8_t)TL_MODE_FULL ||
+        request->silence_us > TL_AXIS_SILENCE_MAX_US) {
+        return TL_WIRE_REASON_RANGE;
+    }
+    const bool tip = request->target == 1U;
+    if (tip && !axis->has_table) {
+        return TL_WIRE_REASON_NO_TABLE;
+    }
+    tl_axis_planned_t *plan = &axis->plan;
+    const tl_count_q8_t q = tl_reference_q(&plan->reference);
+    int32_t value = q;
+    if (tip) {
+        value = tl_play_angle(&axis->tip.play);
+        axis->tip.c_ref = plan->c_next = plan->c_last[0] = plan->c_last[1] = value;
+        tl_compensator_start(&axis->tip.compensator, &axis->tip.lookup, TL_AXIS_PLAN_HZ,
+                             (tl_mode_t)request->compensation, q, value);
+        tl_compensator_know(&axis->tip.compensator, &axis->tip.play);
+        tl_compensator_set_strength(&axis->tip.compensator, axis->tip.strength_q15);
+    }
+    begin(axis, axis->limits.duty_q15);
+    plan->target = q;
+    tl_stream_start(&plan->stream, value, axis->ticks);
+    const uint32_t silence_us = request->silence_us > 0 ? request->silence_us : TL_AXIS_FOLLOW_SILENCE_US;
+    axis->guard.silence_ms = silence_us / PLAN_US + 1U;
+    axis->guard.patience = patience(axis, now_us);
+    plan->heard_us = now_us;
+    tl_axis_enter(axis, tip ? TL_WIRE_MODE_FOLLOW_TIP : TL_WIRE_MODE_FOLLOW_MOTOR);
+    return 0;
+}
+
+uint8_t tl_axis_set_point(tl_axis_t *axis, const tl_wire_set_point_t *request, tl_us_t now_us, bool *late) {
+    if (!tl_axis_is_following(axis)) {
+        const uint8_t reason = ready(axis);
+        return reason != 0 ? reason : TL_WIRE_REASON_NOT_FOLLOWING;
+    }
+    const tl_us_t at_us = request->at_us;
+    if (at_us > now_us + TL_AXIS_AHEAD_US) {
+        return TL_WIRE_REASON_RANGE;
+    }
+    tl_axis_planned_t *plan = &axis->plan;
+    // Without a time: reached in the time that has passed since the one before, so that a steady sender's points make a
+    // line and no steps.
+    const tl_us_t start_us = tl_stream_end(&plan->stream), since_us = now_us - plan->heard_us;
+    const tl_us_t end_us = at_us != 0 ? at_us : start_us + (since_us < AT_ONCE_US ? since_us : AT_ONCE_US);
+    if (!tl_stream_add(&plan->stream, request->value, end_us)) {
+        return TL_WIRE_REASON_QUEUE_FULL;
+    }
+    *late = at_us != 0 && at_us <= start_us;
+    plan->heard_us = now_us;
+    axis->guard.patience = patience(axis, now_us);
+    return 0;
+}
+
+uint8_t tl_axis_calibrate(tl_axis_t *axis, tl_motion_t *motion, tl_history_t *history) {
+    const uint8_t reason = ready_and_referenced(axis);
+    if (reason != 0) {
+        return reason;
+    }
+    begin(axis, axis->limits.duty_q15);
+    axis->plan.target = tl_reference_q(&axis->plan.reference);
+    axis->plan.motion = motion;
+    axis->history = history;
+    tl_axis_enter(axis, TL_WIRE_MODE_CALIBRATE);
+    return 0;
+}
+
+uint8_t tl_axis_clear_fault(tl_axis_t *axis) {
+    axis->fault = TL_WIRE_FAULT_NONE;
+    axis->guard.fault_us = 0;
+    axis->guard.fault_value = 0;
+    return 0;
+}

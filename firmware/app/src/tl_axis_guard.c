@@ -1,0 +1,261 @@
+#include "tautline/tl_axis_guard.h"
+
+#include "tautline/tl_axis_rest.h"
+#include "tautline/tl_fast.h"
+
+#define STALL_WAY     (8 * TL_COUNT_ONE) // within it for the stall time, a pushing motor stands still
+#define DRIVER_MS     5U                 // a fault line that is low for as long is no glitch
+#define SUPPLY_MS     20U                // a dip as long is more than a motor's start
+#define SWING_STEP    40U                // a change from limit to limit counts for so many milliseconds,
+#define SWING_MOST    400U               // and so much of it is an oscillation: ten changes at 100 Hz, 27 at 20 Hz
+#define BOTH_WAYS     3U                 // tl_actuator_pushed()
+#define STILL_MS      10U                // a move has arrived once it was at its target for so long
+#define HOME_MS       100U               // pressing against an end
+#define CHECK_STEP    64                 // of the ramp: the most drive is reached in as many milliseconds
+#define CHECK_MOVED   (6 * TL_COUNT_ONE) // a motion
+#define CHECK_LONGEST 400U               // to see one
+#define CHECK_SETTLE  24U                // at the most drive, until its speed is measured, over
+#define CHECK_MEASURE 32U                // so long
+#define CHECK_BRAKE   100U               // and then to rest
+#define CHECK_PUSH    2621               // drive beyond friction: 8 %
+
+enum { CHECK_RAMP, CHECK_RUN, CHECK_TIME, CHECK_REST };
+
+static bool fails(tl_axis_t *axis, bool bad, tl_wire_fault_t fault, int32_t value, tl_us_t now_us) {
+    if (bad) {
+        tl_axis_fail(axis, fault, value, now_us);
+    }
+    return bad;
+}
+
+static inline bool within(tl_count_q8_t way, tl_count_q8_t most) {
+    return way <= most && way >= -most;
+}
+
+// -- what is measured, also while the motor is off ----------------------------------------------------------------
+
+static inline uint8_t counted(uint8_t ms, bool is) {
+    return is ? (uint8_t)(ms < UINT8_MAX ? ms + 1U : ms) : 0U;
+}
+
+static void measure(tl_axis_t *axis) {
+    const tl_port_t *port = axis->port;
+    tl_axis_guarded_t *guard = &axis->guard;
+    guard->current_ma = tl_clamp(port->current_ma(port->context, axis->index), -100000, 100000);
+    const int32_t magnitude = guard->current_ma < 0 ? -guard->current_ma : guard->current_ma;
+    const int32_t difference = tl_clamp(magnitude * 256 - guard->current_mean_q8, -(1 << 20), 1 << 20);
+    guard->current_mean_q8 += (difference * (32768 / 20)) >> 15; // first-order mean over 20 ms
+    if (port->supply_mv != NULL) {
+        guard->supply_mv = port->supply_mv(port->context);
+        guard->supply_ms = counted(guard->supply_ms, guard->supply_mv < axis->settings.supply_low_mv);
+    }
+    if (port->driver_fault != NULL) {
+        guard->driver_ms = counted(guard->driver_ms, port->driver_fault(port->context, axis->index));
+    }
+}
+
+// -- faults of a driven motor -----------------------------------------------------------------------------------
+
+static bool electrical(tl_axis_t *axis, tl_us_t now_us) {
+    const tl_axis_guarded_t *guard = &axis->guard;
+    const int32_t most = axis->limits.current_ma;
+    return fails(axis, guard->driver_ms >= DRIVER_MS, TL_WIRE_FAULT_DRIVER, 0, now_us) ||
+           fails(axis, guard->supply_ms >= SUPPLY_MS, TL_WIRE_FAULT_SUPPLY, guard->supply_mv, now_us) ||
+           fails(axis, most > 0 && guard->current_mean_q8 > most * 256, TL_WIRE_FAULT_CURRENT,
+                 guard->current_mean_q8 >> 8, now_us);
+}
+
+// How long it has been pushing without a motion. A driver at its own current limit pushes as hard as it can, too.
+static void feel(tl_axis_t *axis) {
+    tl_axis_guarded_t *guard = &axis->guard;
+    const int32_t chops_ma = axis->port->driver_ma - axis->port->driver_ma / 16; // with the noise of its measurement
+    const int32_t size_ma = guard->current_ma < 0 ? -guard->current_ma : guard->current_ma;
+    const bool pushes = guard->pushed != 0 || (chops_ma > 0 && size_ma >= chops_ma);
+    if (!pushes || !within(axis->q - guard->still_q, STALL_WAY)) {
+        guard->still_q = axis->q;
+        guard->pushed_ms = 0;
+    } else if (guard->pushed_ms < UINT16_MAX) {
+        guard->pushed_ms++;
+    }
+}
+
+static bool oscillates(tl_axis_t *axis) {
+    tl_axis_guarded_t *guard = &axis->guard;
+    const uint8_t pushed = guard->pushed;
+    guard->pushed = 0;
+    guard->swing = guard->swing > 0 ? (uint16_t)(guard->swing - 1U) : 0U;
+    if (pushed == BOTH_WAYS || (pushed != 0 && pushed != guard->swing_way)) {
+        guard->swing = (uint16_t)(guard->swing + (guard->swing_way != 0 ? SWING_STEP : 0U));
+        guard->swing_way = pushed;
+    }
+    return guard->swing >= SWING_MOST;
+}
+
+static bool mechanical(tl_axis_t *axis, tl_us_t now_us) {
+    const tl_count_q8_t error = axis->path.q - axis->q;
+    feel(axis);
+    const bool stalls = axis->mode != TL_WIRE_MODE_HOME && axis->guard.pushed_ms >= axis->settings.stall_ms;
+    return fails(axis, !within(error, axis->limits.following_error_q8), TL_WIRE_FAULT_FOLLOWING, error / TL_COUNT_ONE,
+                 now_us) ||
+           fails(axis, stalls, TL_WIRE_FAULT_STALL, axis->motor.duty, now_us) ||
+           fails(axis, oscillates(axis), TL_WIRE_FAULT_OSCILLATION, 0, now_us);
+}
+
+// -- moves ------------------------------------------------------------------------------------------------------
+
+static void arrive(tl_axis_t *axis) {
+    const tl_count_q8_t target = axis->plan.move_target;
+    tl_axis_guarded_t *guard = &axis->guard;
+    const bool there = tl_reference_rests_at(&axis->plan.reference, target) && axis->path.q == target &&
+                       tl_path_rests(&axis->path) && within(axis->q - target, axis->settings.arrive_q8);
+    guard->still_ms = counted(guard->still_ms, there);
+    if (guard->still_ms >= STILL_MS) {
+        tl_axis_enter(axis, TL_WIRE_MODE_HOLD);
+        tl_axis_event(axis, guard->homing ? TL_WIRE_EVENT_HOMED : TL_WIRE_EVENT_ARRIVED);
+        guard->homing = false;
+    }
+}
+
+static void home(tl_axis_t *axis, tl_us_t now_us) {
+    const tl_axis_trial_t *trial = &axis->trial;
+    const tl_count_q8_t gone = (axis->q - trial->from) * trial->way;
+    if (fails(axis, gone > trial->reach, TL_WIRE_FAULT_NO_END, gone / TL_COUNT_ONE, now_us)) {
+        return;
+    }
+    if (axis->guard.pushed_ms < HOME_MS) {
+        const tl_count_q8_t lead = axis->limits.following_error_q8 / 2;
+        axis->plan.move_target = axis->q + (trial->way > 0 ? lead : -lead);
+        return;
+    }
+    axis->q = trial->end;
+    tl_axis_settle(axis);
+    tl_actuator_reset(&axis->motor, axis->q);
+    axis->referenced = true;
+    tl_axis_admit(axis);
+    axis->guard.homing = axis->guard.homed = true;
+    axis->guard.pushed_ms = 0;
+    axis->guard.still_q = axis->q;
+    const tl_reference_t *reference = &axis->plan.reference;
+    const tl_count_q8_t back = trial->end - (trial->way > 0 ? trial->retreat : -trial->retreat);
+    axis->plan.move_target = tl_clamp(back, reference->low, reference->high);
+    tl_axis_enter(axis, TL_WIRE_MODE_MOVE);
+}
+
+// -- check of motor and encoder ---------------------------------------------------------------------------------
+
+void tl_axis_start_check(tl_axis_t *axis) {
+    const tl_servo_gains_t *gains = &axis->motor.servo.gains;
+    int32_t most = gains->friction + CHECK_PUSH;
+    most = most < axis->settings.low_duty_q15 ? most : axis->settings.low_duty_q15;
+    most = most < axis->limits.duty_q15 ? most : axis->limits.duty_q15;
+    tl_count_q8_t way = 0; // at (most - friction) / feed_forward thousand counts/s
+    if (gains->feed_forward > 0 && most > gains->friction) {
+        way = (most - gains->friction) * (int32_t)(CHECK_MEASURE * TL_COUNT_ONE) / gains->feed_forward;
+    }
+    tl_axis_enter(axis, TL_WIRE_MODE_CHECK);
+    axis->trial = (tl_axis_trial_t){
+        .way = 1, .phase = CHECK_RAMP, .most = most, .from = axis->q, .least = way / 3, .far = way * 3};
+}
+
+static void next_phase(tl_axis_t *axis, uint8_t phase) {
+    axis->trial.phase = phase;
+    axis->trial.ms = 0;
+    axis->trial.mark = axis->q;
+    if (phase == CHECK_RAMP) {
+        axis->trial.from = axis->q;
+    } else if (phase == CHECK_REST) {
+        axis->trial.duty = 0;
+    }
+}
+
+// It has come to rest: the other way, or the verdict.
+static void turn(tl_axis_t *axis, tl_us_t now_us) {
+    tl_axis_trial_t *trial = &axis->trial;
+    if (trial->way > 0) {
+        trial->way = -1;
+        next_phase(axis, CHECK_RAMP);
+    } else if (!fails(axis, !trial->moved, TL_WIRE_FAULT_UNMOVED, 0, now_us) &&
+               !fails(axis, !trial->right_scale, TL_WIRE_FAULT_SCALE, trial->speed, now_us)) {
+        axis->checked = true;
+        tl_axis_event(axis, TL_WIRE_EVENT_CHECKED);
+        tl_axis_settle(axis);
+        tl_actuator_reset(&axis->motor, axis->q);
+        tl_axis_admit(axis);
+        tl_axis_enter(axis, TL_WIRE_MODE_HOLD);
+    }
+}
+
+static void check(tl_axis_t *axis, tl_us_t now_us) {
+    tl_axis_trial_t *trial = &axis->trial;
+    const tl_count_q8_t way = trial->way > 0 ? axis->q - trial->from : trial->from - axis->q;
+    trial->ms++;
+    if (fails(axis, trial->phase != CHECK_REST && way < -CHECK_MOVED, TL_WIRE_FAULT_REVERSED, way / TL_COUNT_ONE,
+              now_us)) {
+        return;
+    }
+    switch (trial->phase) {
+    case CHECK_RAMP: {
+        const int32_t duty = (trial->most * (int32_t)trial->ms) / CHECK_STEP;
+        trial->duty = trial->way > 0 ? duty : -duty;
+        if (trial->ms == CHECK_STEP) {
+            next_phase(axis, CHECK_RUN);
+        }
+        break;
+    }
+    case CHECK_RUN:
+        if (way > CHECK_MOVED && trial->ms >= CHECK_SETTLE) {
+            trial->moved = true;
+            next_phase(axis, CHECK_TIME);
+        } else if (trial->ms >= CHECK_LONGEST) {
+            next_phase(axis, CHECK_REST);
+        }
+        break;
+    case CHECK_TIME:
+        if (trial->ms == CHECK_MEASURE) {
+            const tl_count_q8_t timed = trial->way > 0 ? axis->q - trial->mark : trial->mark - axis->q;
+            trial->speed = timed / TL_COUNT_ONE * (int32_t)(1000U / CHECK_MEASURE);
+            trial->right_scale =
+                trial->right_scale || trial->far == 0 || (timed >= trial->least && timed <= trial->far);
+            next_phase(axis, CHECK_REST);
+        }
+        break;
+    default:
+        if (trial->ms == CHECK_BRAKE) {
+            turn(axis, now_us);
+        }
+        break;
+    }
+}
+
+// ---------------------------------------------------------------------------------------------------------------
+
+static bool has_patience(const tl_axis_t *axis) {
+    return tl_axis_is_following(axis) || axis->mode == TL_WIRE_MODE_MOVE || axis->mode == TL_WIRE_MODE_HOME ||
+           axis->mode == TL_WIRE_MODE_CHECK;
+}
+
+// What no axis that follows has to do.
+static __attribute__((noinline)) TL_FAST void try_out(tl_axis_t *axis, tl_us_t now_us) {
+    if (axis->mode == TL_WIRE_MODE_MOVE) {
+        arrive(axis);
+    } else if (axis->mode == TL_WIRE_MODE_HOME) {
+        home(axis, now_us);
+    } else if (axis->mode == TL_WIRE_MODE_CHECK) {
+        check(axis, now_us);
+    } else if (axis->mode == TL_WIRE_MODE_OFF) {
+        fails(axis, axis->guard.lapsed, TL_WIRE_FAULT_HOST_LOST, 0, now_us);
+    }
+}
+
+TL_FAST void tl_axis_guard(tl_axis_t *axis, tl_us_t now_us) {
+    measure(axis);
+    if (axis->mode != TL_WIRE_MODE_OFF && !electrical(axis, now_us) && axis->closed) {
+        mechanical(axis, now_us);
+    }
+    if (has_patience(axis) && --axis->guard.patience == 0U) {
+        tl_axis_silence(axis);
+    }
+    if (!tl_axis_is_following(axis)) {
+        try_out(axis, now_us);
+    }
+}

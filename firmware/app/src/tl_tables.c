@@ -1,0 +1,170 @@
+#include "tautline/tl_tables.h"
+
+#include <string.h>
+
+#include "tautline/tl_axis_ask.h"
+
+bool tl_tables_all_off(const tl_port_t *port, const tl_axis_t *axes) {
+    for (uint8_t i = 0; i < port->axes; i++) {
+        if (axes[i].mode != TL_WIRE_MODE_OFF) {
+            return false;
+        }
+    }
+    return true;
+}
+
+// The look-up in `scratch` into use, or none. The motor is off: nothing but the watch looks at the table meanwhile.
+static void use(tl_tables_t *tables, uint8_t index, bool found) {
+    const tl_port_t *port = tables->port;
+    tl_axis_t *axis = &tables->axes[index];
+    uint32_t state = port->lock(port->context);
+    axis->has_table = false; // keeps the control step away from the look-up
+    port->unlock(port->context, state);
+    if (found) {
+        axis->tip.lookup = tables->scratch->trial;
+    }
+    state = port->lock(port->context);
+    tl_axis_use_table(axis, found);
+    port->unlock(port->context, state);
+}
+
+static void note(tl_table_in_use_t *table, uint8_t state, const tl_slot_t *slot) {
+    table->state = state;
+    table->sequence = slot->sequence;
+    table->crc = slot->crc;
+    table->size = slot->size;
+    table->blob = slot->blob;
+    table->readable = true;
+}
+
+// The best table that flash holds. Motors off: what it is read into is the calibration's at other times.
+static void load(tl_tables_t *tables, uint8_t index) {
+    tl_table_in_use_t *table = &tables->in_use[index];
+    tl_slot_t slots[TL_STORE_SLOTS];
+    tl_store_order(tables->port, index, slots);
+    const uint8_t before = table->reason;
+    *table = (tl_table_in_use_t){.state = TL_WIRE_TABLE_NONE, .reason = before};
+    bool found = false;
+    for (unsigned i = 0; i < TL_STORE_SLOTS && !found; i++) {
+        if (slots[i].blank) {
+            continue;
+        }
+        uint8_t reason = TL_TABLE_BAD_CRC;
+        if (slots[i].whole) {
+            uint8_t *blob = tables->scratch->upload;
+            tables->port->flash_read(tables->port->context, slots[i].blob, blob, slots[i].size);
+            reason = (uint8_t)tl_lookup_load(&tables->scratch->trial, blob, slots[i].size, index);
+        }
+        found = reason == TL_TABLE_OK;
+        if (found) {
+            // A damaged slot of unknown age may have been the newer one.
+            const tl_slot_t *other = &slots[1U - i];
+            const bool newest = other->blank || (other->dated && (int32_t)(slots[i].sequence - other->sequence) > 0);
+            note(table, newest ? TL_WIRE_TABLE_NEWEST : TL_WIRE_TABLE_OLDER, &slots[i]);
+            table->reason = before;
+        } else {
+            table->state = TL_WIRE_TABLE_BAD;
+            table->reason = reason;
+        }
+    }
+    use(tables, index, found);
+}
+
+void tl_tables_init(tl_tables_t *tables, const tl_port_t *port, tl_axis_t *axes, tl_tables_scratch_t *scratch) {
+    memset(tables, 0, sizeof(*tables));
+    tables->port = port;
+    tables->axes = axes;
+    tables->scratch = scratch;
+    for (uint8_t i = 0; i < port->axes; i++) {
+        load(tables, i);
+    }
+}
+
+size_t tl_tables_read(const tl_tables_t *tables, uint8_t axis, uint32_t offset, uint8_t *out, size_t room) {
+    const tl_port_t *port = tables->port;
+    if (axis >= port->axes || !tables->in_use[axis].readable || offset >= tables->in_use[axis].size) {
+        return 0;
+    }
+    const size_t left = tables->in_use[axis].size - offset;
+    const size_t size = left < room ? left : room;
+    port->flash_read(port->context, tables->in_use[axis].blob + offset, out, size);
+    return size;
+}
+
+uint8_t tl_tables_clear(tl_tables_t *tables, uint8_t axis) {
+    if (!tl_tables_all_off(tables->port, tables->axes)) {
+        return TL_WIRE_REASON_NOT_OFF;
+    }
+    const bool done = tl_store_clear(tables->port, axis);
+    tl_tables_abort(tables);
+    tables->in_use[axis].reason = TL_TABLE_OK;
+    load(tables, axis);
+    return done ? 0 : TL_WIRE_REASON_FLASH;
+}
+
+tl_upload_t tl_tables_data(tl_tables_t *tables, uint8_t axis, uint32_t offset, const uint8_t *bytes, size_t size) {
+    if (axis >= tables->port->axes) {
+        return TL_UPLOAD_AXIS;
+    }
+    if (offset == 0) {
+        tables->upload_size = 0;
+        tables->upload_axis = axis;
+    }
+    if (axis != tables->upload_axis || offset != tables->upload_size ||
+        size > TL_TABLE_SIZE_MAX - tables->upload_size) {
+        tables->upload_size = 0;
+        return TL_UPLOAD_SIZE;
+    }
+    memcpy(tables->scratch->upload + offset, bytes, size);
+    tables->upload_size += (uint32_t)size;
+    return TL_UPLOAD_OK;
+}
+
+void tl_tables_abort(tl_tables_t *tables) {
+    tables->upload_size = 0;
+}
+
+// A table that names its instrument is for that one; where either does not say, nothing is known against it.
+static bool is_for(const tl_table_t *table, const tl_wire_settings_t *settings) {
+    _Static_assert(sizeof(table->instrument) == sizeof(settings->instrument), "one serial for both");
+    return table->instrument[0] == 0 || settings->instrument[0] == 0 ||
+           memcmp(table->instrument, settings->instrument, sizeof(table->instrument)) == 0;
+}
+
+tl_upload_t tl_tables_end(tl_tables_t *tables, uint8_t axis) {
+    if (axis >= tables->port->axes) {
+        return TL_UPLOAD_AXIS;
+    }
+    const uint16_t size = (uint16_t)tables->upload_size;
+    tl_table_in_use_t *table = &tables->in_use[axis];
+    tl_tables_abort(tables);
+    if (!tl_tables_all_off(tables->port, tables->axes)) {
+        return TL_UPLOAD_NOT_OFF;
+    }
+    if (size == 0 || axis != tables->upload_axis) {
+        return TL_UPLOAD_SIZE;
+    }
+    const uint8_t *blob = tables->scratch->upload;
+    tl_table_reason_t reason = tl_lookup_load(&tables->scratch->trial, blob, size, axis);
+    if (reason == TL_TABLE_OK && !table->any && !is_for(&tables->scratch->trial.table, &tables->axes[axis].settings)) {
+        reason = TL_TABLE_BAD_INSTRUMENT;
+    }
+    table->any = false;
+    table->reason = (uint8_t)reason;
+    if (reason != TL_TABLE_OK) {
+        return TL_UPLOAD_REFUSED;
+    }
+    const bool written = tl_store_write(tables->port, axis, blob, size);
+    tl_slot_t slots[TL_STORE_SLOTS];
+    tl_store_order(tables->port, axis, slots);
+    if (!written) { // the one in use stays, though flash may no longer have it
+        if (!slots[0].whole || slots[0].crc != table->crc) {
+            table->readable = false;
+        }
+        return TL_UPLOAD_FLASH;
+    }
+    note(table, TL_WIRE_TABLE_NEWEST, &slots[0]);
+    use(tables, axis, true);
+    tl_axis_event(&tables->axes[axis], TL_WIRE_EVENT_TABLE);
+    return TL_UPLOAD_OK;
+}

@@ -1,0 +1,166 @@
+"""A board on a serial line: the same frames over a UART, with pyserial.
+
+serial:/dev/ttyUSB0, serial:COM3, either with @BAUD behind it; and for simulated boards serial:tcp:HOST:PORT, where a
+socket of this machine is the line.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import ipaddress
+import re
+import select
+import socket
+import time
+from typing import Any
+
+import serial
+
+from tautline.device import wire
+from tautline.device.link import BoardGone, Found
+from tautline.errors import TautError
+
+_WRITE_S = 1.0
+_READ_BYTES = 4096
+_ASK_S = 0.5
+_EXPECTED = "expected serial:DEVICE, serial:DEVICE@BAUD or serial:tcp:HOST:PORT, such as serial:/dev/ttyUSB0"
+
+
+class _Socket:
+    """A socket with the few calls of pyserial's ports that a link needs; pyserial's own hold small writes back."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._socket = socket.create_connection((host, port), timeout=_WRITE_S)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.timeout: float | None = 0.0
+
+    def read(self, size: int) -> bytes:
+        ready, _, _ = select.select([self._socket], [], [], self.timeout)
+        if not ready:
+            return b""
+        data = self._socket.recv(size)
+        if not data:
+            raise ConnectionResetError("the other end has closed")
+        return data
+
+    def write(self, data: bytes) -> None:
+        self._socket.sendall(data)
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class SerialLink:
+    """An open line. Nobody tells when a host comes or goes there: a session begins with hello."""
+
+    hello_tries = 4  # a line may have lost the first, or the board still waits for the rest of a frame
+
+    def __init__(self, where: str) -> None:
+        self._where = where
+        self._port = _open(where)
+
+    def write(self, data: bytes) -> None:
+        try:
+            self._port.write(data)
+        except (serial.SerialTimeoutException, TimeoutError) as error:
+            raise TautError(f"{self._where}: the board does not take data: switch it off and on") from error
+        except (serial.SerialException, OSError) as error:
+            raise self._gone() from error
+
+    def read(self, timeout_s: float) -> bytes:
+        try:
+            self._port.timeout = max(timeout_s, 0.0)
+            first = self._port.read(1)
+            if not first:
+                return b""
+            self._port.timeout = 0.0
+            return bytes(first + self._port.read(_READ_BYTES))
+        except (serial.SerialException, OSError, TypeError) as error:  # TypeError: closed by another thread
+            raise self._gone() from error
+
+    def tables(self, axis: int) -> None:
+        return None
+
+    def close(self) -> None:
+        with contextlib.suppress(serial.SerialException, OSError):
+            self._port.close()
+
+    def _gone(self) -> BoardGone:
+        return BoardGone(f"{self._where}: the board is gone: check plug and power, then run the command again")
+
+
+def _busy(where: str) -> TautError:
+    return TautError(f"{where}: another program uses the board: close that program first")
+
+
+def _open(where: str) -> Any:
+    name = where.removeprefix("serial:")
+    if found := re.fullmatch(r"tcp:(.+):(\d+)", name):
+        if not _is_here(found[1]):
+            raise TautError(f"--board {where}: a line over a socket is for simulated boards on this machine: 127.0.0.1")
+        try:
+            return _Socket(found[1], int(found[2]))
+        except (OSError, OverflowError) as error:
+            raise TautError(f"{where}: no board answers there: start it, or name another with --board") from error
+    found = re.fullmatch(r"([^@]+)(?:@(\d+))?", name)
+    if not found:
+        raise TautError(f"--board {where}: {_EXPECTED}")
+    baud = int(found[2] or wire.wire.SERIAL_BAUD)
+    try:
+        return serial.Serial(found[1], baud, timeout=0.0, write_timeout=_WRITE_S, exclusive=True)
+    except ValueError as error:
+        raise TautError(f"--board {where}: {error}: {_EXPECTED}") from error
+    except OSError as error:  # pyserial's own is one
+        if error.errno in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in str(error):
+            raise _busy(where) from error
+        if error.errno == errno.EACCES:
+            mend = "sudo usermod -a -G dialout $USER"
+            raise TautError(f"{where}: no permission: run '{mend}' and log in again") from error
+        raise TautError(f"{where}: no board answers there: plug it in, or name another with --board") from error
+
+
+def _is_here(host: str) -> bool:
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return False
+
+
+def find_serial(where: str) -> list[Found]:
+    """Says hello to ask who is there: without an answer nobody is."""
+    busy = Found(where, None, True, (wire.wire.MAJOR, wire.wire.MINOR), lambda: _refuse(where))
+    try:
+        link = SerialLink(where)
+    except TautError as error:
+        if str(error) == str(_busy(where)):
+            return [busy]
+        raise
+    with contextlib.closing(link):
+        try:
+            for _ in range(link.hello_tries):
+                link.write(wire.encode("hello", 0, protocol_major=wire.wire.MAJOR, protocol_minor=wire.wire.MINOR))
+                if identity := _identity(link):
+                    protocol = (identity.protocol_major, identity.protocol_minor)
+                    return [Found(where, identity.serial, False, protocol, lambda: SerialLink(where))]
+        except BoardGone:
+            if where.startswith("serial:tcp:"):  # a simulated board closes a second connection at once
+                return [busy]
+            raise
+    raise TautError(f"{where}: nothing that answers is a tautline board: check plug, power and baud rate")
+
+
+def _refuse(where: str) -> SerialLink:
+    raise _busy(where)
+
+
+def _identity(link: SerialLink) -> wire.Message | None:
+    decoder = wire.Decoder()
+    deadline = time.monotonic() + _ASK_S
+    while (left := deadline - time.monotonic()) > 0.0:
+        for message in decoder.feed(link.read(left)):
+            if message.name == "identity":
+                return message
+    return None

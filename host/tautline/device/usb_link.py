@@ -1,0 +1,127 @@
+"""Boards on USB and USB/IP: found by their ids and names, opened, read and written by PyUSB."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+from collections.abc import Iterator
+from typing import Any
+
+import libusb_package
+import usb.core
+import usb.util
+
+from tautline.device import usbip_backend, wire
+from tautline.device.dfu import Dfu
+from tautline.device.link import BoardGone, Found
+from tautline.errors import TautError
+
+ENVIRONMENT = "TAUTLINE_BOARD"
+_OUT, _IN = 0x01, 0x81
+_CONTROL, _TABLES = 0, 1  # interfaces
+_READ_BYTES = 4096
+_WRITE_MS = 1000
+
+
+class UsbLink:
+    """The vendor interface of an open device; the DFU interface carries tables."""
+
+    hello_tries = 1
+
+    def __init__(self, device: usb.core.Device, where: str) -> None:
+        self.device, self._where = device, where
+        with self._errors():
+            usb.util.claim_interface(device, _CONTROL)
+
+    def write(self, data: bytes) -> None:
+        with self._errors():
+            self.device.write(_OUT, data, timeout=_WRITE_MS)
+
+    def read(self, timeout_s: float) -> bytes:
+        with self._errors():
+            try:
+                return bytes(self.device.read(_IN, _READ_BYTES, timeout=max(round(timeout_s * 1000), 1)))
+            except usb.core.USBTimeoutError:
+                return b""
+
+    @contextlib.contextmanager
+    def tables(self, axis: int) -> Iterator[Dfu]:
+        with self._errors(), Dfu(self.device, _TABLES, axis) as dfu:
+            yield dfu
+
+    def close(self) -> None:
+        with contextlib.suppress(usb.core.USBError):
+            usb.util.dispose_resources(self.device)
+
+    @contextlib.contextmanager
+    def _errors(self) -> Iterator[None]:
+        try:
+            yield
+        except usb.core.USBError as error:
+            raise self._explain(error) from error
+
+    def _explain(self, error: usb.core.USBError) -> TautError:
+        if error.errno in (errno.ENODEV, errno.EIO, errno.ESHUTDOWN, errno.ENOENT):
+            return BoardGone(f"{self._where}: the board is gone: check plug and power, then run the command again")
+        if error.errno == errno.EBUSY:
+            return TautError(f"{self._where}: another program uses the board: close that program first")
+        if error.errno == errno.EACCES:
+            mend = "sudo cp tools/70-tautline.rules /etc/udev/rules.d/"
+            return TautError(f"{self._where}: no permission: run '{mend}' and plug the board in again")
+        if error.errno == errno.ETIMEDOUT:
+            return TautError(f"{self._where}: the board does not take data: switch it off and on")
+        return TautError(f"{self._where}: USB failed ({error}): unplug the board and plug it in again")
+
+
+def _found(device: usb.core.Device, where: str, serial: str | None, busy: bool) -> Found:
+    protocol = (device.bcdDevice >> 8, device.bcdDevice & 0xFF)
+    return Found(where, serial, busy, protocol, lambda: UsbLink(device, where))
+
+
+def find_usb() -> list[Found]:
+    backend = libusb_package.get_libusb1_backend()
+    if backend is None:
+        return []
+    found = []
+    for device in _ours(backend):
+        try:
+            serial, busy = device.serial_number, False
+        except (usb.core.USBError, ValueError):  # not allowed to open it
+            serial, busy = None, True
+        finally:
+            usb.util.dispose_resources(device)
+        found.append(_found(device, f"usb:{serial or f'{device.bus}-{device.address}'}", serial, busy))
+    return found
+
+
+def find_usbip(where: str) -> list[Found]:
+    address = where.split(":")
+    if len(address) != 3 or not address[2].isdigit():
+        raise TautError(f"--board {where}: expected usbip:HOST:PORT, such as usbip:127.0.0.1:3240")
+    try:
+        devices = list(_ours(usbip_backend.Backend(address[1], int(address[2]))))
+    except usb.core.USBError as error:
+        raise TautError(f"{where}: {error.strerror}: start the board, or name another with --board") from error
+    found = []
+    for device in devices:
+        busy = device.iSerialNumber == 0
+        found.append(_found(device, where, None if busy else device.serial_number, busy))
+        usb.util.dispose_resources(device)
+    return found
+
+
+def named() -> str | None:
+    """The board that the environment names."""
+    return os.environ.get(ENVIRONMENT)
+
+
+def _ours(backend: Any) -> Iterator[usb.core.Device]:
+    found = usb.core.find(
+        find_all=True, backend=backend, idVendor=wire.wire.USB_VENDOR, idProduct=wire.wire.USB_PRODUCT
+    )
+    for device in found:
+        with contextlib.suppress(usb.core.USBError, ValueError):  # the pair of numbers may be shared: ask for the name
+            if device.iManufacturer and device.manufacturer != wire.wire.USB_MANUFACTURER:
+                continue
+        yield device
