@@ -13,6 +13,8 @@ from tautline.errors import TautError
 # Name, and the line that `taut --help` shows. Module tautline.cli.NAME holds a click command called `command`.
 COMMANDS = {
     "boards": "list the boards that are attached, with their firmware and protocol",
+    "home": "find an axis' mechanical end at low drive, so that the board knows its position",
+    "clear": "clear a board's faults, and say which they were and what mends them",
     "calibrate": "measure B(q) and f_remain from a recording, or live from a board and a camera",
     "predict": "what a model says the tip does under a recorded motor motion",
     "diagnose": "where model and instrument part, which effect is the cause, how far the gap shrinks",
