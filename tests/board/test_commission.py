@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
 
+import numpy as np
 import pytest
 from test_calibration import SHORT, live_on, off
 from test_commands import run
@@ -14,8 +14,10 @@ from conftest import Bench
 from tautline.device import wire
 from tautline.device.board import Board
 from tautline.errors import TautError
+from tautline.live.following import follow
 from tautline.live.homing import Homing, home
 from tautline.live.session import record_calibration
+from tautline.live.setup import Live
 from tautline.simulated.instrument import preset
 
 
@@ -62,3 +64,93 @@ def test_clear_names_the_fault_and_its_remedy(board: Board, bench: Bench) -> Non
     assert [(row["axis"], row["fault"]) for row in again["axes"]] == [(1, None)]
     with pytest.raises(TautError, match="no axis 3"):
         run("clear", "--axis", "3", board=bench.where)
+
+
+# From 7000 counts/s a shorted motor (30 ms, friction of 700 counts/s) needs 72 ms to come to rest.
+RUN_DOWN_S = 0.08
+# What happens, the faults that it may be, and within what time they are noticed, s: of a stall 0.3, of current 5 times
+# its filter's 0.02, of a supply 0.02, of a driver 0.005; a calibration dwells at its slowest.
+ILLS = [
+    ("blocked", ("STALL", "CURRENT", "FOLLOWING"), 0.35),
+    ("unplugged", ("STALL", "FOLLOWING", "CURRENT"), 0.4),
+    ("reversed", ("FOLLOWING", "STALL", "CURRENT"), 0.4),
+    ("jump", ("ENCODER", "EDGES"), 0.005),
+    ("driver", ("DRIVER",), 0.01),
+    ("supply", ("SUPPLY",), 0.03),
+]
+
+
+@pytest.mark.parametrize("doing", ["calibration", "follow"])
+@pytest.mark.parametrize(("ill", "faults", "within_s"), ILLS, ids=[ill for ill, *_ in ILLS])
+def test_a_fault_on_the_way_is_named_with_its_remedy_and_leaves_the_motor_at_rest(
+    bench: Bench, tmp_path: Path, doing: str, ill: str, faults: tuple[str, ...], within_s: float
+) -> None:
+    injected: list[float] = []
+
+    def half_way(share: float, what: str) -> None:
+        assert live.plant is not None
+        if share > 0.4 and not injected:
+            bench.sim.ask(f"inject 0 {ill}")
+            injected.append(live.plant.now_s)
+
+    with live_on(bench, preset("constant")) as live:
+        with pytest.raises(TautError, match=r"^axis 0 has stopped: .*: .*taut clear") as said:
+            if doing == "calibration":
+                record_calibration(live, tmp_path / "rec", SHORT, progress=half_way)
+            else:
+                t = np.arange(0.0, 6.0, 0.01)
+                follow(live, t, 2.0 * np.sin(t * np.pi), tip=False, progress=half_way)
+        status = live.board.status(0)
+        name = next(name for name, (code, _) in wire.wire.FAULTS.items() if code == status.fault)
+        assert name in faults and wire.fault(status) in str(said.value)
+        assert off(live.board) and not status.flags & wire.code("FLAGS", "ENABLED")
+        assert 0.0 <= status.fault_us * 1e-6 - injected[0] <= within_s
+        assert rested(live, injected[0]) <= within_s + RUN_DOWN_S
+
+
+def rested(live: Live, since_s: float) -> float:
+    """How long after `since_s` the motor moved last, s."""
+    assert live.plant is not None
+    live.wait(0.5)
+    t, q, _, _ = live.plant.truth()
+    moving = t[np.abs(q - q[-1]) > live.resolution]
+    return float(max(moving[-1] - since_s, 0.0))
+
+
+INJECTED = {
+    "blocked": ("CURRENT", 0.35),
+    "unplugged": ("UNMOVED", 1.2),
+    "reversed": ("REVERSED", 0.2),
+    "coarse": ("SCALE", 0.6),
+    "jump": ("ENCODER", 0.05),
+    "driver": ("DRIVER", 0.05),
+    "supply": ("SUPPLY", 0.08),
+    "silence": ("HOST_LOST", 1.1),
+    "cable": (None, 0.1),
+}
+
+
+@pytest.mark.parametrize("ill", INJECTED)
+def test_each_fault_can_be_seen_by_a_user(ill: str) -> None:
+    assert INJECTED.keys() == run("inject")["faults"].keys()
+    done = run("inject", ill)
+    fault, within_s = INJECTED[ill]
+    assert done["fault"] == fault and done["rest_s"] <= within_s
+    if fault is None:
+        assert "the board is gone" in done["says"]
+    else:
+        assert 0.0 <= done["noticed_s"] <= within_s and "Then run 'taut clear'" in done["says"]
+
+
+def test_faults_go_to_simulated_boards_alone(bench: Bench) -> None:
+    with pytest.raises(TautError, match="simulated boards alone"):
+        run("inject", "blocked", "--board", bench.where)
+    if bench.process is None:
+        return
+    run("inject", "supply", "--axis", "1", "--sim", str(bench.process.ports["sim"]))
+    with bench.open() as board:
+        bench.run(0.1)
+        assert board.status(1).supply_mv < 3000
+        run("inject", "well", "--axis", "1", "--sim", str(bench.process.ports["sim"]))
+        bench.run(0.1)
+        assert board.status(1).supply_mv > 5000

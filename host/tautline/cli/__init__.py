@@ -28,6 +28,7 @@ COMMANDS = {
     "compare": "how B and f_remain changed between models",
     "report": "write a model's report again",
     "blindtest": "diagnose instruments whose effect is withheld, then open the labels and score",
+    "inject": "let a fault happen on a simulated board, and see what is said of it",
     "demo": "the whole job on a simulated instrument, without hardware",
 }
 
