@@ -14,6 +14,7 @@ from conftest import Bench
 from tautline.device import wire
 from tautline.device.board import Board
 from tautline.errors import TautError
+from tautline.live.commission import commission
 from tautline.live.following import follow
 from tautline.live.homing import Homing, home
 from tautline.live.session import record_calibration
@@ -154,3 +155,70 @@ def test_faults_go_to_simulated_boards_alone(bench: Bench) -> None:
         run("inject", "well", "--axis", "1", "--sim", str(bench.process.ports["sim"]))
         bench.run(0.1)
         assert board.status(1).supply_mv > 5000
+
+
+def test_commission_measures_the_motor_and_stores_what_it_found(bench: Bench) -> None:
+    said: list[str] = []
+    with live_on(bench, preset("reference")) as live:
+        assert live.plant is not None
+        live.plant.end_at(-3.0, 9.0)
+        before = dict(live.board.ask("get_settings", axis=0).values)
+        lazy = before | {"proportional": 300, "derivative": 200, "feed_forward": 1200, "friction": 0.03}
+        live.board.ask("settings", **(lazy | {"key": wire.wire.KEY}), timeout_s=5.0)
+        found = commission(live, lambda question: True, said.append, Homing(), 350, "SN-7")
+        assert off(live.board) and live.board.status(0).fault == 0
+        # The motor's own: motor.c's free speed, and a friction between sliding and static.
+        assert found.speed_s == pytest.approx(20000.0, rel=0.03) and 0.03 < found.friction < 0.05
+        assert found.q == pytest.approx(-4.8, abs=0.02)  # 2 % of the range from its low end, by lazy gains
+        assert found.settings["feed_forward"] == pytest.approx(32768.0 / 20.0, rel=0.03)
+        assert 2 * found.factor in found.steps and found.steps[found.factor].rms < 3.0
+    assert len(said) == 4 + len(found.steps)
+    bench.sim.ask("reset")
+    bench.run(0.1)
+    with bench.open() as again:
+        kept = again.ask("get_settings", axis=0)
+        assert (kept.q_low, kept.q_high, kept.current_ma, kept.instrument) == (-5000.0, 5000.0, 350, "SN-7")
+        assert kept.friction == pytest.approx(found.friction, abs=1e-4)
+        assert kept.proportional == round(300 * found.factor)
+        again.switch_on(0, bench.run)
+        again.ask("enable", axis=0, on=0)
+
+
+@pytest.mark.parametrize("agreed", [0, 1, 2, 3])
+def test_commission_does_nothing_that_was_not_agreed_to(bench: Bench, agreed: int) -> None:
+    asked: list[str] = []
+
+    def agree(question: str) -> bool:
+        asked.append(question)
+        return len(asked) <= agreed
+
+    with live_on(bench, preset("reference")) as live:
+        assert live.plant is not None
+        live.plant.end_at(-3.0, 9.0)
+        gains = live.board.ask("get_servo", axis=0).values
+        with pytest.raises(TautError, match="stopped as you said"):
+            commission(live, agree, lambda text: None)
+        assert len(asked) == agreed + 1 and off(live.board)
+        assert live.board.ask("get_servo", axis=0).values == gains
+        kept = live.board.ask("get_settings", axis=0).values
+        assert all(kept[name] == gains[name] for name in gains)
+        q = live.plant.truth()[1]
+        if agreed == 0:
+            assert np.ptp(q) == 0.0
+        if agreed == 1:
+            assert 0.01 < np.ptp(q) < 0.5
+
+
+@pytest.mark.parametrize(("ill", "remedy"), [("reversed", "swap the motor's two wires"), ("unplugged", "plugs")])
+def test_commission_says_what_is_wired_wrongly(bench: Bench, ill: str, remedy: str) -> None:
+    bench.sim.ask(f"inject 0 {ill}")
+    with live_on(bench, preset("reference")) as live:
+        with pytest.raises(TautError, match=f"{remedy}.*taut clear"):
+            commission(live, lambda question: True, lambda text: None)
+        assert off(live.board)
+
+
+def test_commission_as_a_user_calls_it(tmp_path: Path) -> None:
+    done = run("commission", "--simulate", "--yes", "--out", str(tmp_path / "steps.png"))
+    assert done["factor"] in (1.0, 2.0) and done["settings"]["q_low"] == -5000.0 and done["error_rms"] < 2.0
+    assert (tmp_path / "steps.png").read_bytes().startswith(b"\x89PNG")

@@ -13,6 +13,7 @@ from tautline.errors import TautError
 # Name, and the line that `taut --help` shows. Module tautline.cli.NAME holds a click command called `command`.
 COMMANDS = {
     "boards": "list the boards that are attached, with their firmware and protocol",
+    "commission": "put a motor into service: polarity, scale, current, ends and servo gains, stored on the board",
     "home": "find an axis' mechanical end at low drive, so that the board knows its position",
     "clear": "clear a board's faults, and say which they were and what mends them",
     "calibrate": "measure B(q) and f_remain from a recording, or live from a board and a camera",

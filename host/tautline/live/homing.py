@@ -69,8 +69,8 @@ def home(live: Live, homing: Homing | None = None) -> float:
             retreat=retreat / live.resolution,
         )
         settle(live, 2.0 * (reach + retreat) / speed + _BEYOND_S)
-        live.board.check_reference(live.axis)
-        return float(live.board.status(live.axis).q) * live.resolution
+    live.board.check_reference(live.axis)
+    return float(live.board.status(live.axis).q) * live.resolution
 
 
 def settle(live: Live, longest_s: float) -> None:
