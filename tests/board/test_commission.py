@@ -222,3 +222,17 @@ def test_commission_as_a_user_calls_it(tmp_path: Path) -> None:
     done = run("commission", "--simulate", "--yes", "--out", str(tmp_path / "steps.png"))
     assert done["factor"] in (1.0, 2.0) and done["settings"]["q_low"] == -5000.0 and done["error_rms"] < 2.0
     assert (tmp_path / "steps.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_simulated_board_listens_on_this_machine_alone(bench: Bench) -> None:
+    if bench.process is None:
+        pytest.skip("needs a board of our own")
+    ports = {int(bench.process.ports[name]) for name in ("usbip", "sim")}
+    listening = []
+    for table in ("/proc/net/tcp", "/proc/net/tcp6"):
+        for line in Path(table).read_text().splitlines()[1:] if Path(table).exists() else []:
+            local, state = line.split()[1], line.split()[3]
+            address, port = local.split(":")
+            if state == "0A" and int(port, 16) in ports:
+                listening.append(address)
+    assert listening == ["0100007F"] * 2  # 127.0.0.1
