@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import signal
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +45,48 @@ def test_home_gives_up_where_no_end_comes(bench: Bench) -> None:
         live.board.ask("clear_fault", axis=0)
         with pytest.raises(TautError, match="choose another --end"):
             home(live, Homing(end=-1e6))
+
+
+def after_batches(live: Live, count: int, what: Callable[[], object]) -> None:
+    """Calls `what` once, in the middle of whatever runs when so many telemetry messages have come."""
+    seen: list[wire.Message] = []
+
+    def took(batch: wire.Message) -> None:
+        seen.append(batch)
+        if len(seen) == count:
+            what()
+
+    live.board.listen("batch", took)
+    live.board.ask("telemetry", axis=0, divider=1)
+
+
+def test_ctrl_c_during_homing_leaves_the_motor_at_rest_and_no_position(bench: Bench) -> None:
+    with live_on(bench, preset("reference")) as live:
+        pressed: list[float] = []
+
+        def press() -> None:
+            assert live.plant is not None
+            pressed.append(live.plant.now_s)
+            signal.raise_signal(signal.SIGINT)
+
+        after_batches(live, 100, press)
+        with pytest.raises(KeyboardInterrupt):
+            home(live)
+        assert off(live.board) and not live.board.status(0).flags & wire.code("FLAGS", "REFERENCED")
+        assert rested(live, pressed[0]) < 0.1
+
+
+@pytest.mark.parametrize("count", [40, 150, 400])
+def test_a_fault_while_commissioning_stores_nothing(bench: Bench, count: int) -> None:
+    with live_on(bench, preset("reference")) as live:
+        assert live.plant is not None
+        live.plant.end_at(-3.0, 9.0)
+        gains = dict(live.board.ask("get_servo", axis=0).values)
+        after_batches(live, count, lambda: live.board.tell("safe_stop", axis=0))
+        with pytest.raises(TautError, match=r"^axis 0 has stopped: stopped by safe_stop.*taut clear"):
+            commission(live, lambda question: True, lambda text: None)
+        assert off(live.board) and live.board.ask("get_servo", axis=0).values == gains
+        assert live.board.ask("get_settings", axis=0).proportional == gains["proportional"]
 
 
 def test_home_as_a_user_calls_it() -> None:

@@ -27,7 +27,7 @@ def command(
     A desktop board of its own is started for it and moved. With --sim the fault happens to a board that runs already,
     to be seen in whatever uses it; FAULT 'well' takes it back.
     """
-    from tautline.simulated import faults
+    from tautline.live import faults
 
     if board is not None:
         raise TautError("faults are injected into simulated boards alone: leave --board out, or name --sim PORT")
@@ -54,7 +54,7 @@ def command(
 
 
 def _into(port: int, axis: int, fault: str) -> None:
-    from tautline.simulated import faults
+    from tautline.live import faults
     from tautline.simulated.simlink import SimLink
 
     link = SimLink(port)
