@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -59,6 +60,12 @@ def data_uri(made: Figure) -> str:
     with mpl.rc_context(STYLE):
         made.savefig(out, format="svg", dpi=120, metadata={"Date": None, "Creator": None})
     return "data:image/svg+xml;base64," + base64.b64encode(out.getvalue()).decode()
+
+
+def save(made: Figure, path: Path) -> None:
+    """As a picture; the name's ending says of which kind."""
+    with mpl.rc_context(STYLE):
+        made.savefig(path, dpi=120)
 
 
 def onsets_of(model: Model) -> list[Onset]:
@@ -366,6 +373,27 @@ def compared(models: Mapping[str, Model]) -> Figure:
     axes[0, 1].set(xlabel=f"q ({unit})", ylabel="bending c (deg)")
     axes[0, 1].set_title("f_remain (thick) and the envelopes that B makes of it")
     axes[0, 0].legend(loc="best")
+    return made
+
+
+@mpl.rc_context(STYLE)
+def servo_steps(steps: Mapping[float, Any], chosen: float) -> Figure:
+    """The motor's answer to a step at the axis' limits, by factor of the gains; the chosen one is thick."""
+    made, axes = figure(11, 5.0, 2, 1, sharex=True)
+    top, bottom = axes[:, 0]
+    for (factor, step), colour in zip(steps.items(), _colours(len(steps)), strict=True):
+        width = 2.0 if factor == chosen else 0.9
+        if factor == chosen:
+            top.plot(1e3 * step.t_s, step.q_ref, color=INK, lw=2.4, alpha=0.35, label="reference")
+        top.plot(1e3 * step.t_s, step.q, color=colour, lw=width, label=f"gains x {factor:g}")
+        name = f"x {factor:g}: rms {step.rms:.2f}"
+        bottom.plot(1e3 * step.t_s, step.q - step.q_ref, color=colour, lw=width, label=name)
+    top.set(ylabel="motor (counts)")
+    top.set_title("Step response of the servo")
+    bottom.set(xlabel="time (ms)", ylabel="off by (counts)")
+    bottom.set_title("Following error")
+    for ax in (top, bottom):
+        ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=5, borderaxespad=0.1)
     return made
 
 

@@ -13,6 +13,9 @@ from tautline.errors import TautError
 # Name, and the line that `taut --help` shows. Module tautline.cli.NAME holds a click command called `command`.
 COMMANDS = {
     "boards": "list the boards that are attached, with their firmware and protocol",
+    "commission": "put a motor into service: polarity, scale, current, ends and servo gains, stored on the board",
+    "home": "find an axis' mechanical end at low drive, so that the board knows its position",
+    "clear": "clear a board's faults, and say which they were and what mends them",
     "calibrate": "measure B(q) and f_remain from a recording, or live from a board and a camera",
     "predict": "what a model says the tip does under a recorded motor motion",
     "compensate": "motor set-points that lead the tip along a trajectory, for any motor",
@@ -27,6 +30,7 @@ COMMANDS = {
     "compare": "how B and f_remain changed between models",
     "report": "write a model's report again",
     "blindtest": "diagnose instruments whose effect is withheld, then open the labels and score",
+    "inject": "let a fault happen on a simulated board, and see what is said of it",
     "demo": "the whole job on a simulated instrument, without hardware",
 }
 

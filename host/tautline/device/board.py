@@ -285,7 +285,7 @@ class Board:
         """TautError where the axis has a fault."""
         status = self.status(axis)
         if status.fault:
-            raise TautError(f"axis {axis} has stopped: {wire.text('FAULTS', status.fault)}: mend it, then run again")
+            raise TautError(f"axis {axis} has stopped: {wire.fault(status)}. Then run 'taut clear', and this again")
 
     def check_reference(self, axis: int) -> None:
         """TautError where the axis does not know its position."""

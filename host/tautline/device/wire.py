@@ -16,6 +16,7 @@ from tautline import _native
 
 wire = _native.wire
 _SCALE = re.compile(r"_q(\d+)(?=_|$)")
+_MEASURED = re.compile(r"\((by |at duty )?(?:1(/))?([^)]+)\)")  # "(mA)", "(by counts)", "(at duty 1/32768)"
 
 
 @dataclass(frozen=True)
@@ -101,6 +102,14 @@ def text(codes: str, number: int) -> str:
         if value == number:
             return str(says)
     return f"code {number}, unknown to this version of tautline"
+
+
+def fault(status: Message) -> str:
+    """The fault in a status with what was measured in its brackets, "" where there is none."""
+    if not status.fault:
+        return ""
+    says = text("FAULTS", status.fault)
+    return _MEASURED.sub(lambda found: f"({found[1] or ''}{status.fault_value}{found[2] or ' '}{found[3]})", says, 1)
 
 
 def flags(number: int) -> list[str]:

@@ -28,6 +28,7 @@ _BUILT = Path(__file__).resolve().parents[3] / "build" / "gcc" / "firmware" / "p
 _START_S = 10.0
 _ANSWER_S = 60.0
 _Q8 = 256.0
+_END_STEP_US = 5000  # between which a mechanical end is looked for
 
 
 class SimLink:
@@ -131,6 +132,7 @@ class Plant:
         self._p: list[Array] = []
         self._c: list[Array] = []
         self._way: list[Array] = []
+        self._ends: tuple[float, float] | None = None
         instrument.reset()
         state = link.ask("state")
         self._boot_us = state["t_us"] - state["board_us"]
@@ -153,7 +155,24 @@ class Plant:
         behind_us = int(np.ceil((t_s - self.now_s) * 1e3 - 1e-6)) * 1000
         if behind_us <= 0:
             return
-        answer = self.link.ask(f"advance {behind_us}")
+        while self._ends is not None and behind_us > 0:
+            self._advance(min(behind_us, _END_STEP_US))
+            self._meet(*self._ends)
+            behind_us -= _END_STEP_US
+        if behind_us > 0:
+            self._advance(behind_us)
+
+    def end_at(self, low: float, high: float) -> None:
+        """From now on the motor has mechanical ends there, the rig's unit: it cannot go on, but come back."""
+        self._ends = low, high
+
+    def _meet(self, low: float, high: float) -> None:
+        q, drive = float(self._q[-1][-1]), self.link.ask("state")["axes"][self.axis]["duty_q15"]
+        held = (q <= low and drive < 0) or (q >= high and drive > 0)
+        self.link.ask(f"inject {self.axis} {'blocked' if held else 'well'}")
+
+    def _advance(self, us: int) -> None:
+        answer = self.link.ask(f"advance {us}")
         q = np.asarray(answer["q"][self.axis], dtype=np.float64) * self.resolution / _Q8
         step = answer["dt_us"]
         self._append((answer["t_us"] - self._boot_us + step * np.arange(1 - len(q), 1)) * 1e-6, q)

@@ -1,0 +1,92 @@
+"""taut commission"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from tautline.cli._common import emit, json_option, log, rig_option
+from tautline.cli._live import LiveOptions, axis_option, board_option, opened, simulate_option
+from tautline.errors import TautError
+
+
+@click.command("commission")
+@board_option
+@axis_option
+@simulate_option
+@rig_option
+@click.option("--to", "way", type=click.Choice(["low", "high"]), default="low", show_default=True, help="End to find.")
+@click.option("--end", type=float, help="Position there, the rig's unit. Default: that end of the rig's range.")
+@click.option("--current", type=click.IntRange(1), help="Limit of the motor's current, mA. Default: as it is.")
+@click.option("--instrument", default="", help="Serial of the instrument, 8 letters at most: other tables are refused.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("commission.png"),
+    show_default=True,
+    help="Picture of the step response.",
+)
+@click.option("--yes", is_flag=True, help="Ask nothing: the instrument is free to move, and what is found is stored.")
+@json_option
+def command(
+    board: str | None,
+    axis: int,
+    simulate: str | None,
+    rig_path: Path | None,
+    way: str,
+    end: float | None,
+    current: int | None,
+    instrument: str,
+    out: Path,
+    yes: bool,
+    as_json: bool,
+) -> None:
+    """Put a motor into service: polarity, scale, current, ends and servo gains, stored on the board as its settings.
+
+    Each part is asked for before the motor moves; Ctrl-C ends it with the motor at rest. The range is the rig's.
+    """
+    from tautline import figures
+    from tautline.live.commission import commission
+    from tautline.live.homing import Homing
+
+    if len(instrument.encode()) > 8:
+        raise click.UsageError("--instrument takes 8 letters at most")
+    with opened(LiveOptions(board, axis, None, Path(), simulate, None), rig_path) as live:
+        if live.plant is not None:
+            live.plant.end_at(*live.rig.actuator.range)
+        found = commission(
+            live,
+            (lambda question: True) if yes else (lambda question: click.confirm(question, err=True)),
+            log,
+            Homing(-1 if way == "low" else 1, end),
+            current,
+            instrument,
+        )
+        serial = live.board.identity.serial
+    try:
+        figures.save(figures.servo_steps(found.steps, found.factor), out)
+    except OSError as error:
+        raise TautError(f"{out}: cannot be written ({error.strerror}): all is stored on the board") from error
+    step = found.steps[found.factor]
+    changed = {name: value for name, value in found.settings.items() if found.before[name] != value}
+    result = {
+        "board": serial,
+        "axis": axis,
+        "q": found.q,
+        "friction": found.friction,
+        "speed_s": found.speed_s,
+        "current_ma": found.current_ma,
+        "factor": found.factor,
+        "error_rms": step.rms,
+        "overshoot": step.overshoot,
+        "settling_s": step.settling_s,
+        "settings": found.settings,
+        "changed": sorted(changed),
+        "picture": out,
+    }
+    shown = [
+        f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}" for name, value in changed.items()
+    ]
+    said = f"stored {', '.join(shown)}" if shown else "the settings stay as they were"
+    emit(result, as_json, f"{serial} axis {axis}: {said}\n{out} shows the steps.")

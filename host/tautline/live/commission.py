@@ -1,0 +1,254 @@
+"""Puts a motor into service: polarity and scale, an end, friction and speed, servo gains; then stores it all on the
+board as the axis' settings. Nothing moves that was not agreed to, and the motor is off between the parts."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from tautline.device import wire
+from tautline.errors import TautError
+from tautline.live.homing import Homing, home, settle
+from tautline.live.session import driving, move_to
+from tautline.live.setup import Live
+
+Array = np.ndarray
+Say = Callable[[str], None]
+Agree = Callable[[str], bool]
+
+FACTORS = (0.5, 1.0, 2.0, 4.0)  # of the gains that are tried; the last one only shows that there is a margin
+_MARGIN = 2.0  # gains so much higher must still be sound
+_GAINS = ("proportional", "integral", "derivative")
+_UNSOUND = ("OSCILLATION", "FOLLOWING", "CURRENT")  # faults that too high or too low a gain may cause
+_GAIN_MAX = 32767
+_CENTRE, _STEP = 0.3, 0.02  # of the range: where it moves, from the end that was found, and how far for a step
+_WAY, _SPEEDS = 0.3, (0.1, 0.3)  # of the range to see friction, and of the top speed
+_SETTLE_S, _AFTER_S = 0.3, 0.1  # after a step; of that, what is drawn and counted
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step of the target at the axis' limits. Times s, positions counts from where it began."""
+
+    t_s: Array
+    q: Array
+    q_ref: Array
+    rms: float  # of the following error until it has settled, counts
+    overshoot: float  # counts
+    settling_s: float  # from the reference's arrival until the motor stays within the settings' `arrive`
+
+
+@dataclass
+class Commissioned:
+    before: dict[str, Any]  # settings
+    settings: dict[str, Any]  # as they are stored
+    friction: float = 0.0  # share of full drive
+    speed_s: float = 0.0  # counts/s at full drive, without load
+    current_ma: int = 0  # the most that was seen
+    q: float = 0.0  # after homing, the rig's unit
+    steps: dict[float, Step] = field(default_factory=dict)  # by factor of the gains
+    factor: float = 1.0
+
+
+class _Tape:
+    """Telemetry of the axis since the last rewind."""
+
+    def __init__(self, live: Live) -> None:
+        self._axis = live.axis
+        self._rows: list[Array] = []
+        live.board.listen("batch", self._take)
+        live.board.ask("telemetry", axis=live.axis, divider=1)
+
+    def _take(self, batch: wire.Message) -> None:
+        if batch.axis == self._axis:
+            t = (batch.t_us + batch.period_us * np.arange(batch.count)) * 1e-6
+            n = batch.count
+            self._rows.append(np.column_stack([t, batch.q[:n], batch.q_ref[:n], batch.duty[:n]]))
+
+    def rewind(self) -> None:
+        self._rows.clear()
+
+    def read(self) -> tuple[Array, Array, Array, Array]:
+        """t_s, q, q_ref in counts, duty."""
+        if not self._rows:
+            raise TautError("the board sends no telemetry: run 'taut monitor' and look for what was dropped")
+        t, q, q_ref, duty = np.concatenate(self._rows).T
+        return t, q, q_ref, duty
+
+
+def commission(
+    live: Live, agree: Agree, say: Say, homing: Homing | None = None, current_ma: int | None = None, serial: str = ""
+) -> Commissioned:
+    """The whole walk. `agree` is asked before anything moves or is stored, `say` is told what was found.
+
+    TautError where something is wrong, with what mends it, or where it was not agreed to: the settings then stay, but
+    for the range, which is the rig's."""
+    board, axis, unit = live.board, live.axis, live.rig.actuator.unit
+    board.check_axis(axis)
+    board.check_fault(axis)
+    before = dict(board.ask("get_settings", axis=axis).values)
+    low, high = (q / live.resolution for q in live.rig.actuator.range)
+    found = Commissioned(before, before | {"q_low": low, "q_high": high, "instrument": serial or before["instrument"]})
+    if current_ma is not None:
+        found.settings["current_ma"] = current_ma
+
+    _agreed(agree, "The motor turns a little either way. Is the instrument free to move?")
+    _check(live)
+    say("polarity and scale: motor and encoder agree")
+
+    _store(live, before | {"q_low": low, "q_high": high})
+    homing = homing or Homing()
+    _agreed(agree, f"The motor goes to the {'low' if homing.direction < 0 else 'high'} end, weakly. May it?")
+    found.q = home(live, homing)
+    ends = ", ".join(f"{q:g}" for q in live.rig.actuator.range)
+    say(f"ends: found, now at {found.q:.4g} {unit}; range [{ends}] {unit}")
+
+    _agreed(agree, "The motor moves over a third of its range, then in quick steps. May it?")
+    tape = _Tape(live)
+    try:
+        _friction(live, tape, found, homing.direction)
+        say(
+            f"drive: friction {100 * found.friction:.1f} %, {found.speed_s:.0f} counts/s at full drive; "
+            f"current up to {found.current_ma} mA, limit {found.settings['current_ma']} mA"
+        )
+        _tune(live, tape, found, homing.direction, say)
+    finally:
+        with contextlib.suppress(TautError):  # gone: what is stored holds at its next start
+            board.ask("telemetry", axis=axis, divider=0)
+            board.ask("servo", **_servo(before))
+
+    _agreed(agree, f"Store gains x {found.factor:g}, range, current limit and instrument on the board?")
+    _store(live, found.settings)
+    _check(live)
+    say("stored, and checked again")
+    return found
+
+
+def _agreed(agree: Agree, question: str) -> None:
+    if not agree(question):
+        raise TautError("stopped as you said: the gains on the board are as before. Run it again when all is ready")
+
+
+def _check(live: Live) -> None:
+    """Motor and encoder, at low drive; leaves the motor off."""
+    with live.interruptible():
+        try:
+            live.board.ask("check", axis=live.axis)
+            settle(live, 5.0)
+        finally:
+            live.release()
+
+
+def _store(live: Live, settings: dict[str, Any]) -> None:
+    live.board.ask("settings", **(settings | {"key": wire.wire.KEY}), timeout_s=5.0)
+
+
+def _servo(settings: dict[str, Any]) -> dict[str, Any]:
+    return {name: settings[name] for name in ("axis", *_GAINS, "feed_forward", "inertia", "friction")}
+
+
+# -- friction and speed -----------------------------------------------------------------------------------------------
+
+
+def _friction(live: Live, tape: _Tape, found: Commissioned, direction: int) -> None:
+    """Drive at two speeds either way: duty = friction + speed / free speed."""
+    span, start = live.rig.actuator.span, found.q
+    rows = []
+    with driving(live):
+        for share in _SPEEDS:
+            speed = share * min(live.top_speed, span / 0.5)
+            for q in (start - direction * _WAY * span, start):
+                tape.rewind()
+                move_to(live, q, speed)
+                found.current_ma = max(found.current_ma, abs(live.board.status(live.axis).current_ma))
+                t, _, q_ref, duty = tape.read()
+                rate = np.gradient(q_ref, t)
+                even = np.abs(np.abs(rate) - speed / live.resolution) < 0.02 * speed / live.resolution
+                if even.sum() < 20:
+                    raise TautError("too little of the motion was even: allow more speed in the board's settings")
+                rows.append((speed / live.resolution, float(np.mean(duty[even] * np.sign(rate[even])))))
+    speeds, drive = np.array(rows).T
+    slope, friction = np.polyfit(speeds, drive, 1)
+    if slope <= 0:
+        raise TautError("more speed took less drive: look for what rubs, and for a supply that sags")
+    found.friction, found.speed_s = max(float(friction), 0.0), float(1.0 / slope)
+    found.settings["friction"] = found.friction
+    found.settings["feed_forward"] = min(round(1000.0 * 32768.0 * float(slope)), _GAIN_MAX)
+
+
+# -- servo gains ------------------------------------------------------------------------------------------------------
+
+
+def _tune(live: Live, tape: _Tape, found: Commissioned, direction: int, say: Say) -> None:
+    """The gains that follow best of those that are sound with a margin."""
+    for factor in FACTORS:
+        tried = found.settings | _scaled(found.settings, factor)
+        step = _try(live, tape, tried, found.q, direction)
+        if step is None:
+            say(f"gains x {factor:g}: not sound")
+            break
+        found.steps[factor] = step
+        say(
+            f"gains x {factor:g}: off by {step.rms:.1f} counts rms, {step.overshoot:.1f} beyond the target, "
+            f"settled in {1e3 * step.settling_s:.0f} ms"
+        )
+    fit = [factor for factor in found.steps if factor * _MARGIN in found.steps]
+    if not fit:
+        raise TautError(
+            "no gains are sound with a margin of 2: look for play between motor and encoder, and the supply"
+        )
+    found.factor = min(fit, key=lambda factor: found.steps[factor].rms + found.steps[factor].overshoot)
+    found.settings |= _scaled(found.settings, found.factor)
+
+
+def _scaled(settings: dict[str, Any], factor: float) -> dict[str, Any]:
+    return {name: min(round(settings[name] * factor), _GAIN_MAX) for name in _GAINS}
+
+
+def _try(live: Live, tape: _Tape, settings: dict[str, Any], start: float, direction: int) -> Step | None:
+    """A step either way; None where the gains are not sound. The worse of the two counts."""
+    live.board.ask("servo", **_servo(settings))
+    span = live.rig.actuator.span
+    centre = start - direction * _CENTRE * span
+    try:
+        with driving(live):
+            move_to(live, centre, 0.25 * live.top_speed)
+            steps = [_step(live, tape, centre + way * _STEP * span, settings["arrive"]) for way in (-direction, 0)]
+    except TautError:
+        fault = live.board.status(live.axis).fault
+        if fault not in [wire.code("FAULTS", name) for name in _UNSOUND]:
+            raise
+        live.board.ask("clear_fault", axis=live.axis)
+        return None
+    return replace(
+        steps[0],
+        rms=max(step.rms for step in steps),
+        overshoot=max(step.overshoot for step in steps),
+        settling_s=max(step.settling_s for step in steps),
+    )
+
+
+def _step(live: Live, tape: _Tape, q_to: float, arrive: float) -> Step:
+    live.wait(_SETTLE_S)
+    tape.rewind()
+    move_to(live, q_to, live.top_speed)
+    live.wait(_SETTLE_S)
+    t, q, q_ref, _ = tape.read()
+    origin, target = q_ref[0], q_to / live.resolution
+    arrived = t[np.flatnonzero(q_ref != q_ref[-1])[-1]] if np.ptp(q_ref) else t[0]
+    outside = t[np.abs(q - target) > arrive]
+    way = 1.0 if target > origin else -1.0
+    first = np.flatnonzero(q_ref != origin)
+    shown = slice(max(int(first[0]) - 20, 0) if len(first) else 0, int(np.searchsorted(t, arrived + _AFTER_S)))
+    return Step(
+        t[shown] - t[shown][0],
+        q[shown] - origin,
+        q_ref[shown] - origin,
+        rms=float(np.sqrt(np.mean((q - q_ref)[shown] ** 2))),
+        overshoot=float(max(np.max((q - target) * way), 0.0)),
+        settling_s=float(max(outside[-1] - arrived, 0.0)) if len(outside) else 0.0,
+    )

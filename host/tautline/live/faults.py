@@ -1,0 +1,105 @@
+"""What can go wrong with a simulated board, and what is then said: each fault in the middle of a move, or before the
+check of motor and encoder where that is what finds it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tautline.device import wire
+from tautline.errors import TautError
+from tautline.live.session import driving
+from tautline.live.setup import Live
+from tautline.simulated.simlink import SimLink
+
+_RUN_S = 0.3  # into a move
+_SHARE = 0.4  # of the range: its way
+_PATIENCE_S = 3.0  # within which every fault is noticed
+_RESTS = 1.0  # counts within which a motor rests
+
+
+@dataclass(frozen=True)
+class Fault:
+    what: str
+    request: str | None  # of the sim link, None: the host is silent
+    at_check: bool = False
+
+
+FAULTS = {
+    "blocked": Fault("the motor is held fast", "inject {axis} blocked"),
+    "unplugged": Fault("the encoder shows nothing any more", "inject {axis} unplugged", at_check=True),
+    "reversed": Fault("the motor's wires are swapped", "inject {axis} reversed", at_check=True),
+    "coarse": Fault("the encoder counts every eighth count", "inject {axis} coarse", at_check=True),
+    "jump": Fault("the encoder jumps, once", "inject {axis} jump"),
+    "driver": Fault("the motor driver reports a fault", "inject {axis} driver"),
+    "supply": Fault("the motors' supply is low", "inject {axis} supply"),
+    "silence": Fault("the host says nothing any more", None),
+    "cable": Fault("the USB cable is pulled", "unplug"),
+}
+
+
+@dataclass(frozen=True)
+class Noticed:
+    says: str  # the line of the error
+    fault: str | None  # its name in tl_wire.h's TL_WIRE_FAULTS, None where the board cannot be asked
+    noticed_s: float | None  # from the fault to the motor off
+    rest_s: float  # from the fault to the motor's rest
+    way: float  # of the motor in it, the rig's unit
+
+
+def inject(link: SimLink, axis: int, name: str) -> None:
+    """From now on. TautError where the link cannot do it."""
+    request = FAULTS[name].request
+    if request is None:
+        raise TautError("nobody can silence another program: stop it, or leave --sim out")
+    link.ask(request.format(axis=axis))
+
+
+def show(live: Live, name: str) -> Noticed:
+    """Runs into the fault and tells what came of it. `live` is simulated, its axis referenced."""
+    assert live.plant is not None
+    injected_s = live.plant.now_s
+    try:
+        if FAULTS[name].at_check:
+            inject(live.plant.link, live.axis, name)
+            live.board.ask("check", axis=live.axis)
+            _watch(live)
+        with driving(live):
+            q = _SHARE * live.rig.actuator.span / live.resolution
+            live.board.ask("move", axis=live.axis, q=q, speed_s=0.25 * q)
+            live.wait(_RUN_S)
+            injected_s = live.plant.now_s
+            if FAULTS[name].request is None:
+                live.plant.advance_to(injected_s + _PATIENCE_S)
+            else:
+                inject(live.plant.link, live.axis, name)
+            _watch(live)
+    except TautError as error:
+        return _noticed(live, str(error), injected_s)
+    raise TautError(f"nobody noticed '{name}': report it")
+
+
+def _watch(live: Live) -> None:
+    for _ in range(round(_PATIENCE_S / 0.02)):
+        live.wait(0.02)
+        live.board.check_fault(live.axis)
+
+
+def _noticed(live: Live, says: str, injected_s: float) -> Noticed:
+    plant = live.plant
+    assert plant is not None
+    plant.advance_to(plant.now_s + 0.5)
+    fault, noticed_s = None, None
+    try:
+        status = live.board.status(live.axis)
+        fault = next(name for name, (code, _) in wire.wire.FAULTS.items() if code == status.fault)
+        noticed_s = status.fault_us * 1e-6 - injected_s
+    except TautError:
+        pass  # the board is gone
+    t, q, _, _ = plant.truth()
+    since = t >= injected_s
+    t, q = t[since], q[since]
+    moving = np.flatnonzero(np.abs(q - q[-1]) > _RESTS * live.resolution)
+    rest_s = float(t[moving[-1]] - injected_s) if len(moving) else 0.0
+    return Noticed(says, fault, noticed_s, rest_s, float(np.ptp(q)))

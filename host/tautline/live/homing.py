@@ -1,0 +1,85 @@
+"""A reference for an axis: its mechanical end, found at low drive. Pressing against it takes up the slack."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from tautline.device import wire
+from tautline.errors import TautError
+from tautline.live.setup import Live
+
+_STEP_S = 0.02
+_RETREAT = 0.02  # of the range
+_REACH = 1.5  # of the range
+_SPEED = 0.1  # of the range, per second
+_BEYOND_S = 10.0  # what a homing may take beyond the time for its reach
+
+
+@dataclass(frozen=True)
+class Homing:
+    """Lengths in the rig's unit; None takes what suits the rig."""
+
+    direction: int = -1  # of the end
+    end: float | None = None  # what the position is there; else the end of the rig's range
+    retreat: float | None = None
+    reach: float | None = None
+    speed: float | None = None
+    drive: float = 0.0  # share of full drive that may press; 0: the settings' low one
+
+
+@contextmanager
+def weakly(live: Live) -> Iterator[None]:
+    """The motor is on inside, referenced or not; whatever happens, the axis is at rest and the motor off after."""
+    live.board.check_fault(live.axis)
+    with live.interruptible():
+        try:
+            live.board.switch_on(live.axis, live.wait)
+            yield
+        finally:
+            live.release()
+
+
+def home(live: Live, homing: Homing | None = None) -> float:
+    """Looks for the end and goes back a little; the position after it, the rig's unit. Leaves the motor off."""
+    homing = homing or Homing()
+    low, high = live.rig.actuator.range
+    span, unit = live.rig.actuator.span, live.rig.actuator.unit
+    end = homing.end if homing.end is not None else (low if homing.direction < 0 else high)
+    retreat = _RETREAT * span if homing.retreat is None else homing.retreat
+    reach = _REACH * span if homing.reach is None else homing.reach
+    speed = min(homing.speed or _SPEED * span, 0.5 * live.top_speed)
+    limits = live.board.ask("get_limits", axis=live.axis)
+    rests = end - homing.direction * retreat
+    if not limits.q_low <= rests / live.resolution <= limits.q_high:
+        raise TautError(
+            f"axis {live.axis} would rest at {rests:g} {unit}, beyond the board's limits "
+            f"[{limits.q_low * live.resolution:g}, {limits.q_high * live.resolution:g}]: choose another --end"
+        )
+    with weakly(live):
+        live.board.ask(
+            "home",
+            axis=live.axis,
+            direction=homing.direction,
+            duty=homing.drive,
+            speed_s=speed / live.resolution,
+            reach=reach / live.resolution,
+            end=end / live.resolution,
+            retreat=retreat / live.resolution,
+        )
+        settle(live, 2.0 * (reach + retreat) / speed + _BEYOND_S)
+    live.board.check_reference(live.axis)
+    return float(live.board.status(live.axis).q) * live.resolution
+
+
+def settle(live: Live, longest_s: float) -> None:
+    """Waits until the axis holds; TautError where it has a fault, or goes on for too long."""
+    waited = 0.0
+    while waited < longest_s:
+        live.wait(_STEP_S)
+        waited += _STEP_S
+        live.board.check_fault(live.axis)
+        if live.board.status(live.axis).mode == wire.code("MODES", "HOLD"):
+            return
+    raise TautError(f"axis {live.axis} does not come to rest: check its limits and servo gains")

@@ -1,0 +1,290 @@
+"""The commands that put a board into service, and what is said where something goes wrong meanwhile."""
+
+from __future__ import annotations
+
+import re
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_calibration import SHORT, live_on, off
+from test_commands import run
+
+from conftest import Bench
+from tautline.device import wire
+from tautline.device.board import Board
+from tautline.errors import TautError
+from tautline.live.commission import commission
+from tautline.live.following import follow
+from tautline.live.homing import Homing, home
+from tautline.live.session import record_calibration
+from tautline.live.setup import Live
+from tautline.simulated.instrument import preset
+
+
+def test_home_finds_the_end_and_the_board_knows_its_position(bench: Bench) -> None:
+    with live_on(bench, preset("reference")) as live:
+        assert live.plant is not None
+        live.plant.end_at(-2.0, 2.5)  # true positions, not the board's
+        for direction, end, true in ((-1, -4.0, -2.0), (1, 3.0, 2.5)):
+            q = home(live, Homing(direction, end=end, retreat=0.25))
+            assert off(live.board) and live.board.status(0).flags & wire.code("FLAGS", "REFERENCED")
+            assert q == pytest.approx(end - 0.25 * direction, abs=0.005)
+            assert live.plant.truth()[1][-1] == pytest.approx(true - 0.25 * direction, abs=0.02)
+
+
+def test_home_gives_up_where_no_end_comes(bench: Bench) -> None:
+    with live_on(bench, preset("reference")) as live:
+        with pytest.raises(TautError, match=r"no end was found within the reach \(\d+ counts gone\).*taut clear"):
+            home(live, Homing(reach=0.5))
+        assert off(live.board)
+        with pytest.raises(TautError, match="taut clear"):
+            home(live)
+        live.board.ask("clear_fault", axis=0)
+        with pytest.raises(TautError, match="choose another --end"):
+            home(live, Homing(end=-1e6))
+
+
+def after_batches(live: Live, count: int, what: Callable[[], object]) -> None:
+    """Calls `what` once, in the middle of whatever runs when so many telemetry messages have come."""
+    seen: list[wire.Message] = []
+
+    def took(batch: wire.Message) -> None:
+        seen.append(batch)
+        if len(seen) == count:
+            what()
+
+    live.board.listen("batch", took)
+    live.board.ask("telemetry", axis=0, divider=1)
+
+
+def test_ctrl_c_during_homing_leaves_the_motor_at_rest_and_no_position(bench: Bench) -> None:
+    with live_on(bench, preset("reference")) as live:
+        pressed: list[float] = []
+
+        def press() -> None:
+            assert live.plant is not None
+            pressed.append(live.plant.now_s)
+            signal.raise_signal(signal.SIGINT)
+
+        after_batches(live, 100, press)
+        with pytest.raises(KeyboardInterrupt):
+            home(live)
+        assert off(live.board) and not live.board.status(0).flags & wire.code("FLAGS", "REFERENCED")
+        assert rested(live, pressed[0]) < 0.1
+
+
+@pytest.mark.parametrize("count", [40, 150, 400])
+def test_a_fault_while_commissioning_stores_nothing(bench: Bench, count: int) -> None:
+    with live_on(bench, preset("reference")) as live:
+        assert live.plant is not None
+        live.plant.end_at(-3.0, 9.0)
+        gains = dict(live.board.ask("get_servo", axis=0).values)
+        after_batches(live, count, lambda: live.board.tell("safe_stop", axis=0))
+        with pytest.raises(TautError, match=r"^axis 0 has stopped: stopped by safe_stop.*taut clear"):
+            commission(live, lambda question: True, lambda text: None)
+        assert off(live.board) and live.board.ask("get_servo", axis=0).values == gains
+        assert live.board.ask("get_settings", axis=0).proportional == gains["proportional"]
+
+
+def test_home_as_a_user_calls_it() -> None:
+    done = run("home", "--simulate", "--to", "high", "--retreat", "0.2")
+    assert done["referenced"] and done["q"] == pytest.approx(done["end"] - 0.2, abs=0.005)
+
+
+def test_clear_names_the_fault_and_its_remedy(board: Board, bench: Bench) -> None:
+    board.ask("safe_stop", axis=0)
+    board.switch_on(1, bench.run)
+    bench.sim.ask("inject 1 supply")
+    bench.run(0.1)
+    board.close()
+    done = run("clear", board=bench.where)
+    assert done["axes"][0]["fault"] == wire.text("FAULTS", wire.code("FAULTS", "STOPPED"))
+    assert re.search(r"\(2\d\d\d mV\): check power supply", done["axes"][1]["fault"])
+    assert [row["left"] for row in done["axes"]] == [None, None]
+    bench.sim.ask("inject 1 well")
+    again = run("clear", "--axis", "1", board=bench.where)
+    assert [(row["axis"], row["fault"]) for row in again["axes"]] == [(1, None)]
+    with pytest.raises(TautError, match="no axis 3"):
+        run("clear", "--axis", "3", board=bench.where)
+
+
+# From 7000 counts/s a shorted motor (30 ms, friction of 700 counts/s) needs 72 ms to come to rest.
+RUN_DOWN_S = 0.08
+# What happens, the faults that it may be, and within what time they are noticed, s: of a stall 0.3, of current 5 times
+# its filter's 0.02, of a supply 0.02, of a driver 0.005; a calibration dwells at its slowest.
+ILLS = [
+    ("blocked", ("STALL", "CURRENT", "FOLLOWING"), 0.35),
+    ("unplugged", ("STALL", "FOLLOWING", "CURRENT"), 0.4),
+    ("reversed", ("FOLLOWING", "STALL", "CURRENT"), 0.4),
+    ("jump", ("ENCODER", "EDGES"), 0.005),
+    ("driver", ("DRIVER",), 0.01),
+    ("supply", ("SUPPLY",), 0.03),
+]
+
+
+@pytest.fixture
+def can_happen(request: pytest.FixtureRequest, ill: str) -> None:
+    if ill == "jump" and request.config.getoption("--board") == "emulated":
+        pytest.skip("an emulated encoder does not jump")
+
+
+@pytest.mark.usefixtures("can_happen")
+@pytest.mark.parametrize("doing", ["calibration", "follow"])
+@pytest.mark.parametrize(("ill", "faults", "within_s"), ILLS, ids=[ill for ill, *_ in ILLS])
+def test_a_fault_on_the_way_is_named_with_its_remedy_and_leaves_the_motor_at_rest(
+    bench: Bench, tmp_path: Path, doing: str, ill: str, faults: tuple[str, ...], within_s: float
+) -> None:
+    injected: list[float] = []
+
+    def half_way(share: float, what: str) -> None:
+        assert live.plant is not None
+        if share > 0.4 and not injected:
+            bench.sim.ask(f"inject 0 {ill}")
+            injected.append(live.plant.now_s)
+
+    with live_on(bench, preset("constant")) as live:
+        with pytest.raises(TautError, match=r"^axis 0 has stopped: .*: .*taut clear") as said:
+            if doing == "calibration":
+                record_calibration(live, tmp_path / "rec", SHORT, progress=half_way)
+            else:
+                t = np.arange(0.0, 6.0, 0.01)
+                follow(live, t, 2.0 * np.sin(t * np.pi), tip=False, progress=half_way)
+        status = live.board.status(0)
+        name = next(name for name, (code, _) in wire.wire.FAULTS.items() if code == status.fault)
+        assert name in faults and wire.fault(status) in str(said.value)
+        assert off(live.board) and not status.flags & wire.code("FLAGS", "ENABLED")
+        assert 0.0 <= status.fault_us * 1e-6 - injected[0] <= within_s
+        assert rested(live, injected[0]) <= within_s + RUN_DOWN_S
+
+
+def rested(live: Live, since_s: float) -> float:
+    """How long after `since_s` the motor moved last, s."""
+    assert live.plant is not None
+    live.wait(0.5)
+    t, q, _, _ = live.plant.truth()
+    moving = t[np.abs(q - q[-1]) > live.resolution]
+    return float(max(moving[-1] - since_s, 0.0))
+
+
+INJECTED = {
+    "blocked": ("CURRENT", 0.35),
+    "unplugged": ("UNMOVED", 1.2),
+    "reversed": ("REVERSED", 0.2),
+    "coarse": ("SCALE", 0.6),
+    "jump": ("ENCODER", 0.05),
+    "driver": ("DRIVER", 0.05),
+    "supply": ("SUPPLY", 0.08),
+    "silence": ("HOST_LOST", 1.1),
+    "cable": (None, 0.1),
+}
+
+
+@pytest.mark.usefixtures("can_happen")
+@pytest.mark.parametrize("ill", INJECTED)
+def test_each_fault_can_be_seen_by_a_user(ill: str) -> None:
+    assert INJECTED.keys() == run("inject")["faults"].keys()
+    done = run("inject", ill)
+    fault, within_s = INJECTED[ill]
+    assert done["fault"] == fault and done["rest_s"] <= within_s
+    if fault is None:
+        assert "the board is gone" in done["says"]
+    else:
+        assert 0.0 <= done["noticed_s"] <= within_s and "Then run 'taut clear'" in done["says"]
+
+
+def test_faults_go_to_simulated_boards_alone(bench: Bench) -> None:
+    with pytest.raises(TautError, match="simulated boards alone"):
+        run("inject", "blocked", "--board", bench.where)
+    if bench.process is None:
+        return
+    run("inject", "supply", "--axis", "1", "--sim", str(bench.process.ports["sim"]))
+    with bench.open() as board:
+        bench.run(0.1)
+        assert board.status(1).supply_mv < 3000
+        run("inject", "well", "--axis", "1", "--sim", str(bench.process.ports["sim"]))
+        bench.run(0.1)
+        assert board.status(1).supply_mv > 5000
+
+
+def test_commission_measures_the_motor_and_stores_what_it_found(bench: Bench) -> None:
+    said: list[str] = []
+    with live_on(bench, preset("reference")) as live:
+        assert live.plant is not None
+        live.plant.end_at(-3.0, 9.0)
+        before = dict(live.board.ask("get_settings", axis=0).values)
+        lazy = before | {"proportional": 300, "derivative": 200, "feed_forward": 1200, "friction": 0.03}
+        live.board.ask("settings", **(lazy | {"key": wire.wire.KEY}), timeout_s=5.0)
+        found = commission(live, lambda question: True, said.append, Homing(), 350, "SN-7")
+        assert off(live.board) and live.board.status(0).fault == 0
+        # The motor's own: motor.c's free speed, and a friction between sliding and static.
+        assert found.speed_s == pytest.approx(20000.0, rel=0.03) and 0.03 < found.friction < 0.05
+        assert found.q == pytest.approx(-4.8, abs=0.02)  # 2 % of the range from its low end, by lazy gains
+        assert found.settings["feed_forward"] == pytest.approx(32768.0 / 20.0, rel=0.03)
+        assert 2 * found.factor in found.steps and found.steps[found.factor].rms < 3.0
+    assert len(said) == 4 + len(found.steps)
+    bench.sim.ask("reset")
+    bench.run(0.1)
+    with bench.open() as again:
+        kept = again.ask("get_settings", axis=0)
+        assert (kept.q_low, kept.q_high, kept.current_ma, kept.instrument) == (-5000.0, 5000.0, 350, "SN-7")
+        assert kept.friction == pytest.approx(found.friction, abs=1e-4)
+        assert kept.proportional == round(300 * found.factor)
+        again.switch_on(0, bench.run)
+        again.ask("enable", axis=0, on=0)
+
+
+@pytest.mark.parametrize("agreed", [0, 1, 2, 3])
+def test_commission_does_nothing_that_was_not_agreed_to(bench: Bench, agreed: int) -> None:
+    asked: list[str] = []
+
+    def agree(question: str) -> bool:
+        asked.append(question)
+        return len(asked) <= agreed
+
+    with live_on(bench, preset("reference")) as live:
+        assert live.plant is not None
+        live.plant.end_at(-3.0, 9.0)
+        gains = live.board.ask("get_servo", axis=0).values
+        with pytest.raises(TautError, match="stopped as you said"):
+            commission(live, agree, lambda text: None)
+        assert len(asked) == agreed + 1 and off(live.board)
+        assert live.board.ask("get_servo", axis=0).values == gains
+        kept = live.board.ask("get_settings", axis=0).values
+        assert all(kept[name] == gains[name] for name in gains)
+        q = live.plant.truth()[1]
+        if agreed == 0:
+            assert np.ptp(q) == 0.0
+        if agreed == 1:
+            assert 0.01 < np.ptp(q) < 0.5
+
+
+@pytest.mark.parametrize(("ill", "remedy"), [("reversed", "swap the motor's two wires"), ("unplugged", "plugs")])
+def test_commission_says_what_is_wired_wrongly(bench: Bench, ill: str, remedy: str) -> None:
+    bench.sim.ask(f"inject 0 {ill}")
+    with live_on(bench, preset("reference")) as live:
+        with pytest.raises(TautError, match=f"{remedy}.*taut clear"):
+            commission(live, lambda question: True, lambda text: None)
+        assert off(live.board)
+
+
+def test_commission_as_a_user_calls_it(tmp_path: Path) -> None:
+    done = run("commission", "--simulate", "--yes", "--out", str(tmp_path / "steps.png"))
+    assert done["factor"] in (1.0, 2.0) and done["settings"]["q_low"] == -5000.0 and done["error_rms"] < 2.0
+    assert (tmp_path / "steps.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_simulated_board_listens_on_this_machine_alone(bench: Bench) -> None:
+    if bench.process is None:
+        pytest.skip("needs a board of our own")
+    ports = {int(bench.process.ports[name]) for name in ("usbip", "sim")}
+    listening = []
+    for table in ("/proc/net/tcp", "/proc/net/tcp6"):
+        for line in Path(table).read_text().splitlines()[1:] if Path(table).exists() else []:
+            local, state = line.split()[1], line.split()[3]
+            address, port = local.split(":")
+            if state == "0A" and int(port, 16) in ports:
+                listening.append(address)
+    assert listening == ["0100007F"] * 2  # 127.0.0.1
