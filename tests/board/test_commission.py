@@ -103,7 +103,7 @@ def test_clear_names_the_fault_and_its_remedy(board: Board, bench: Bench) -> Non
     done = run("clear", board=bench.where)
     assert done["axes"][0]["fault"] == wire.text("FAULTS", wire.code("FAULTS", "STOPPED"))
     assert re.search(r"\(2\d\d\d mV\): check power supply", done["axes"][1]["fault"])
-    assert [row["left"] for row in done["axes"]] == [None, None]
+    assert not any(row["left"] for row in done["axes"])
     bench.sim.ask("inject 1 well")
     again = run("clear", "--axis", "1", board=bench.where)
     assert [(row["axis"], row["fault"]) for row in again["axes"]] == [(1, None)]
