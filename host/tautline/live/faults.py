@@ -16,6 +16,7 @@ from tautline.simulated.simlink import SimLink
 _RUN_S = 0.3  # into a move
 _SHARE = 0.4  # of the range: its way
 _PATIENCE_S = 3.0  # within which every fault is noticed
+_SLICE_S = 0.5  # of time without a word
 _RESTS = 1.0  # counts within which a motor rests
 
 
@@ -71,12 +72,16 @@ def show(live: Live, name: str) -> Noticed:
             live.wait(_RUN_S)
             injected_s = live.plant.now_s
             if FAULTS[name].request is None:
-                live.plant.advance_to(injected_s + _PATIENCE_S)
+                while live.plant.now_s < injected_s + _PATIENCE_S:
+                    live.plant.advance_to(live.plant.now_s + _SLICE_S)
             else:
                 inject(live.plant.link, live.axis, name)
             _watch(live)
     except TautError as error:
-        return _noticed(live, str(error), injected_s)
+        seen = _noticed(live, str(error), injected_s)
+        if seen.fault == "NONE":
+            raise  # of another cause
+        return seen
     raise TautError(f"nobody noticed '{name}': report it")
 
 
