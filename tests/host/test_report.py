@@ -127,7 +127,10 @@ def test_a_sensor_without_camera(tmp_path: Path) -> None:
     model = true_model(plant, [an_onset(plant, 1.5, 50.0, -1)])
     seen = evidence.collect(model, [recording])
     assert seen.unit == "deg" and seen.rms()[2] == pytest.approx(0.02, rel=0.2)
-    assert "delay" not in read(report.write(model, tmp_path, seen)).text
+    assert (
+        "delay of the sensor"
+        not in read(report.write(replace(model, sensor="angle", delay_s=0.0), tmp_path, seen)).text
+    )
 
 
 def test_a_model_that_measured_nothing_says_so(measured: tuple[Model, Recording], tmp_path: Path) -> None:

@@ -43,6 +43,7 @@ _AT_ONCE = 0.75  # of the path's slope: a tip that starts slower starts graduall
 _LITTLE = 0.03  # of the width: differences below are no contradiction
 _GRADUAL = 0.4  # noise: what a gradual start must leave for several elements to be tried
 _WORSE = 1.25  # times what the best single curve leaves: a B that leaves more is not for predictions
+_FEW_ONSETS, _NEARER = 6, 0.5  # onsets that may say so, and their mean squared z against one B over that to the other
 _HELD = 0.5  # of the square of what one element leaves beyond noise: several may leave so much
 _LIKELY_GAIN = (0.4, 2.5)  # of f_coarse's, between which f_remain's is no wrong scale
 _LIKELY_BEND = 0.5  # of f_coarse's span, by which f_remain may leave it
@@ -259,13 +260,13 @@ class _Session:
         noise = place_noise(joint)
         if noise is not None:
             self.evidence |= {f"place_{key}": value for key, value in asdict(noise).items()}
-        joint = self._separated(allowing_for_place(joint, noise))
+        joint = self._separated(allowing_for_place(joint, noise), onsets, curve)
         self.say(0.6, "passes alone")
         margin = 0.1 * float(np.median(joint.fit.width(joint.curves))) + 0.005 * self.domain.span
         passes = fit_passes(joint, margin)
         return joint, None if passes is None else as_many_as_independent(passes)
 
-    def _separated(self, joint: Fitted) -> Fitted:
+    def _separated(self, joint: Fitted, onsets: Sequence[Onset], curve: WidthCurve | None) -> Fitted:
         """The joint fit with all that departs from its model beside it."""
         self.evidence["residual_before_components"] = joint.scale
         self.components = separate(joint, self.rig)
@@ -276,7 +277,18 @@ class _Session:
         for part in self.components.parts:
             self.evidence[f"component_{part.name}"] = part.rms
         apart = self.components.applied(joint)
-        return apart if self._predicts(apart, joint) else self._as_one(joint, self.components)
+        if self._predicts(apart, joint) or self._nearer(onsets, curve, apart, joint):
+            return apart
+        return self._as_one(joint, self.components)
+
+    def _nearer(self, onsets: Sequence[Onset], curve: WidthCurve | None, apart: Fitted, joint: Fitted) -> bool:
+        """Whether the onsets, which know no model, say the B beside the departures."""
+        widths = [o for o in onsets if o.used and o.kind in (HINGE, BRACKET)]
+        if curve is None or len(widths) < _FEW_ONSETS:
+            return False
+        sigma = joint.width_sigma(self.grid)
+        off = [self._against(widths, curve, fit.fit.width(fit.curves), sigma) for fit in (apart, joint)]
+        return float(np.mean(off[0] ** 2)) < _NEARER * float(np.mean(off[1] ** 2))
 
     def _predicts(self, apart: Fitted, joint: Fitted) -> bool:
         """Whether B as it is without the departures predicts what was seen about as well as the one that fits it best:

@@ -15,7 +15,8 @@ import numpy as np
 from tautline.diagnose.segment import Segment
 from tautline.effects import Kind
 
-LOAD, DRIFT, OFFSET = "transmission.load_dependence", "transmission.drift", "transmission.offset"
+LOAD, DRIFT = "transmission.load_dependence", "transmission.drift"
+ANOTHER = frozenset({"transmission.offset", "transmission.backlash", "configuration.remaining"})  # of each recording
 
 _LEVEL = 0.15  # of the loads' span: what lies nearer together is one level, what varies less within a run is held
 _HIDDEN = 0.2  # of a probability that two effects share: that it is the one of which nothing is recorded
@@ -30,7 +31,7 @@ def hidden(kinds: Sequence[Kind], segments: Sequence[Segment]) -> dict[str, str]
 
 
 def explained(kinds: Sequence[Kind], segments: Sequence[Segment]) -> list[Kind]:
-    """Without an offset of each recording where a measured load tells the recordings apart: it could follow anything
+    """Without an offset, width or law of each recording where a measured load tells recordings apart: it could follow all
     that does."""
     loads = [segment.motor.load_mNm for segment in segments]
     if any(load is None for load in loads):
@@ -38,7 +39,7 @@ def explained(kinds: Sequence[Kind], segments: Sequence[Segment]) -> list[Kind]:
     levels = [float(np.median(load)) for load in loads if load is not None]
     within = float(np.median([np.std(load) for load in loads if load is not None]))
     told = max(levels) - min(levels) > _TOLD * within
-    return [kind for kind in kinds if not (told and kind.id == OFFSET)]
+    return [kind for kind in kinds if not (told and kind.id in ANOTHER)]
 
 
 def told(document: dict[str, Any], hidden: Mapping[str, str]) -> None:
