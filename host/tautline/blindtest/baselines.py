@@ -136,7 +136,7 @@ def joint(evidence: Evidence) -> Answer:
     def shift(kind: Kind) -> float:
         own = {slot.key: slot.parameter for slot in hypothesis.slots if slot.parameter in kind.amplitudes}
         own |= {p.name: p for p in kind.amplitudes if p.searched}
-        return max(abs(fit.state.values[key]) / fitter.scale(p) for key, p in own.items())
+        return max((abs(fit.state.values.get(key, 0.0)) / fitter.scale(p) for key, p in own.items()), default=0.0)
 
     return evidence.answer(fit, max(hypothesis.kinds, key=shift))
 
