@@ -18,6 +18,8 @@ Array = npt.NDArray[np.float64]
 _TOLERANCE_COUNTS, _TOLERANCE_MM, _TOLERANCE_DEG, _TOLERANCE_LOAD = 0.5, 5e-4, 5e-3, 1e-3
 _STEPS = 0.5  # counts more for an encoder's own steps
 _COARSE = 5e-4  # of the motor's travel: finer counts are seen nowhere
+_COARSER = 30.0  # times the rig's step, at most: what is more is a motor that steps
+_LEAPS = 12.0  # times the usual step between readings: a motor that jumps
 _SKIPS = 3.5  # of five neighbouring readings, that changed
 _SCATTERS = 1.0  # counts of noise from which readings are smoothed
 _REST_S = 0.05  # a motor that stands still for longer rests
@@ -83,7 +85,8 @@ def _steps_of(motor: Motor, resolution: float) -> _Steps | None:
     moves = moves[moves > 0.02 * resolution]
     if len(moves) < 2:
         return None
-    for count, zero in ((resolution, 0.0), (resolution, float(motor.q[0])), (float(moves.min()), float(motor.q[0]))):
+    coarser = min(float(moves.min()), _COARSER * resolution)
+    for count, zero in ((resolution, 0.0), (resolution, float(motor.q[0])), (coarser, float(motor.q[0]))):
         counts = (motor.q - zero) / count
         whole = np.rint(counts)
         if np.count_nonzero(np.diff(whole)) >= 2 and np.mean(np.abs(counts - whole) < 0.05) >= 0.95:
@@ -97,6 +100,8 @@ def _skips(motor: Motor, encoder: _Steps | None) -> bool:
     moves = steps[steps > 0]
     if len(moves) < 10 or encoder is None or encoder.count < _COARSE * float(np.ptp(motor.q)):
         return False
+    if moves.max() > _LEAPS * float(np.median(moves)):
+        return False  # it steps: a smooth path through that is none
     rested = np.convolve(steps > 0, np.ones(5), mode="same")  # a slow motor changes its count now and then
     return bool(np.mean(rested[steps > 0]) > _SKIPS)
 

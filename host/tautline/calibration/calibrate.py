@@ -288,7 +288,8 @@ class _Session:
             return False
         sigma = joint.width_sigma(self.grid)
         off = [self._against(widths, curve, fit.fit.width(fit.curves), sigma) for fit in (apart, joint)]
-        return float(np.mean(off[0] ** 2)) < _NEARER * float(np.mean(off[1] ** 2))
+        near, far = (float(np.mean(z**2)) for z in off)
+        return far > _AGREE and near < _NEARER * far
 
     def _predicts(self, apart: Fitted, joint: Fitted) -> bool:
         """Whether B as it is without the departures predicts what was seen about as well as the one that fits it best:

@@ -31,8 +31,8 @@ def hidden(kinds: Sequence[Kind], segments: Sequence[Segment]) -> dict[str, str]
 
 
 def explained(kinds: Sequence[Kind], segments: Sequence[Segment]) -> list[Kind]:
-    """Without an offset, width or law of each recording where a measured load tells recordings apart: it could follow all
-    that does."""
+    """Without the offset, width and law of each recording where a measured load tells recordings apart: they could
+    follow all that does."""
     loads = [segment.motor.load_mNm for segment in segments]
     if any(load is None for load in loads):
         return list(kinds)
