@@ -501,7 +501,7 @@ class _Session:
         if self.components is not None:
             low, high = self._measured(curve, joint, source)
             inside = (self.grid > low) & (self.grid < high)
-            self.reasons += doubts(self.components, inside, self.unit, self.tracks[0].unit)
+            self.reasons += doubts(self.components, inside, self.unit)
 
     def _sanity(self, remaining: Remaining) -> None:
         """Scale and sign before anything else is blamed."""

@@ -56,7 +56,6 @@ class Components:
     usual: Curves  # the same with B as it is in the mean of the session
     width: Array
     sigma: Array  # of B, model error included
-    noise_sigma: Array  # of B if there were nothing but the noise of single frames
     delay_sigma: float
     noise: float  # rms over the stated noise of what no component explains
     moving: float  # the same of frames at which the tip moves, over that of the others
@@ -339,7 +338,7 @@ class _Solved:
         rests = np.mean(power[~moves]) if (~moves).sum() > _FEW else np.mean(power)
         moving = np.sqrt(np.mean(power[moves]) / max(float(rests), 1e-30)) if moves.any() else 1.0
         return Components(
-            curves, moved, self.fit.width(curves), sigma, plain, delay, self.noise, float(moving), number,
+            curves, moved, self.fit.width(curves), sigma, delay, self.noise, float(moving), number,
             tuple(parts), self.clock + self.clock_step,
         )  # fmt: skip
 

@@ -113,8 +113,8 @@ _MEANS: dict[str, tuple[str, str, str]] = {
 }
 
 
-def doubts(found: Components, counted: npt.NDArray[np.bool_], unit: str, seen: str) -> list[Reason]:
-    """Likeliest first. counted: the grid's places at which B was measured; unit: of q; seen: of the observations."""
+def doubts(found: Components, counted: npt.NDArray[np.bool_], unit: str) -> list[Reason]:
+    """Likeliest first. counted: the grid's places at which B was measured; unit: of q."""
     usual = max(float(np.median(found.width[counted])) if counted.any() else 0.0, 1e-12)
     sigma = float(np.sqrt(np.mean(found.sigma[counted] ** 2))) if counted.any() else np.inf
     reasons = []
@@ -125,8 +125,11 @@ def doubts(found: Components, counted: npt.NDArray[np.bool_], unit: str, seen: s
             reasons.append((part.chi2, _reason(part, shift, unit)))
     told = [reason for _, reason in sorted(reasons, key=lambda each: -each[0])]
     if found.noise > _EXPLAINED:
-        told.insert(0 if not told else len(told), _scatter(found, seen))
-    return list({reason.code: reason for reason in reversed(told)}.values())[::-1]
+        told.append(_scatter(found))
+    first: dict[str, Reason] = {}
+    for reason in told:
+        first.setdefault(reason.code, reason)
+    return list(first.values())
 
 
 def _reason(part: Component, shift: float, unit: str) -> Reason:
@@ -134,7 +137,7 @@ def _reason(part: Component, shift: float, unit: str) -> Reason:
     return Reason(code, f"{says} ({part.rms:.1f} times the noise, {shift:.2g} {unit} of B)", remedy)
 
 
-def _scatter(found: Components, seen: str) -> Reason:
+def _scatter(found: Components) -> Reason:
     times = f"{found.noise:.1f} times the noise of a tip at rest is left"
     if found.effective < _WHITE and found.moving > _SPEEDS:
         return Reason(
