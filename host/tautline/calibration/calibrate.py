@@ -16,12 +16,13 @@ from tautline.calibration.acquisition import in_another_unit
 from tautline.calibration.backlash import WidthCurve, fit_paper, fit_widths
 from tautline.calibration.components import Components, separate
 from tautline.calibration.doubts import doubts, floor_of
+from tautline.calibration.holding import released
 from tautline.calibration.observations import Track, observe
 from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, find_onsets
 from tautline.calibration.place import allowing_for_place, as_many_as_independent, place_noise
-from tautline.calibration.playfit import NODES, Fitted
+from tautline.calibration.playfit import NODES, Curves, Fitted
 from tautline.calibration.remaining import Remaining, fit_remaining, morphological, pose_of, posed
-from tautline.calibration.several import fit_elements
+from tautline.calibration.several import fit_elements, left
 from tautline.calibration.smooth import Domain, fit_jointly, fit_passes, freeze, overlap
 from tautline.calibration.worth import worth
 from tautline.elements import SINGLE
@@ -45,6 +46,9 @@ _GRADUAL = 0.4  # noise: what a gradual start must leave for several elements to
 _WORSE = 1.25  # times what the best single curve leaves: a B that leaves more is not for predictions
 _FEW_ONSETS, _NEARER = 6, 0.5  # onsets that may say so, and their mean squared z against one B over that to the other
 _HELD = 0.5  # of the square of what one element leaves beyond noise: several may leave so much
+_HELD_SHARE = 0.1  # of all frames: where more are left out the rest may be wrong too
+_OF_ELEMENTS = frozenset({"phase.even", "image.side"})  # what several elements, or their number, stand for
+_BETWEEN_ELEMENTS = 0.003  # of B: what elements of a few shares leave, alike on every stroke
 _LIKELY_GAIN = (0.4, 2.5)  # of f_coarse's, between which f_remain's is no wrong scale
 _LIKELY_BEND = 0.5  # of f_coarse's span, by which f_remain may leave it
 _LARGE = 0.1  # of the image's motion (rms): a registration that is off by less still tells angles
@@ -172,8 +176,8 @@ class _Session:
         self.nominal_s = rig.nominal_delay_s(tracks[0].sensor)
         self.unit = rig.actuator.unit
 
-    def doubt(self, code: str, says: str, remedy: str, *, fatal: bool = False) -> None:
-        self.reasons.append(Reason(code, says, remedy, fatal))
+    def doubt(self, code: str, says: str, remedy: str, *, fatal: bool = False, mild: bool = False) -> None:
+        self.reasons.append(Reason(code, says, remedy, fatal, mild))
 
     def run(self) -> Calibration:
         if self.reached[1] - self.reached[0] < max(5 * self.rig.actuator.encoder_resolution, 1e-3 * self.domain.span):
@@ -181,6 +185,7 @@ class _Session:
                 f"the motor does not move (q stays within {self.reached[1] - self.reached[0]:.3g} {self.unit}): "
                 "record the calibration motion, and check the encoder and its unit"
             )
+        self._release()
         self.say(0.05, "image stops")
         delay = self._delay()
         self.say(0.15, "onsets")
@@ -206,6 +211,18 @@ class _Session:
         self._depart(joint, curve, source)
         self.say(1.0, "done")
         return self._result(onsets, delay, curve, joint, passes, width, sigma, source, remaining)
+
+    def _release(self) -> None:
+        """Leaves out frames at which the tracker held a place that the tip had left."""
+        before = sum(len(track.t_s) for track in self.tracks)
+        self.tracks = released(self.tracks, self._one_curve(self.nominal_s), self.domain, self.nominal_s)
+        if held := before - sum(len(track.t_s) for track in self.tracks):
+            self.doubt(
+                "acquisition.held_samples",
+                f"{held} frames repeat a place that the tip had left",
+                "let the tracker say when it does not see the marker",
+                mild=held < _HELD_SHARE * before,
+            )
 
     # ---- the delay
 
@@ -273,10 +290,12 @@ class _Session:
         several = self._several(joint, self.components) if self.options.elements == "auto" else None
         if several is not None:
             joint, self.elements = several, several.fit.elements
-            self.components = separate(joint, self.rig, without=frozenset({"phase.even"}))
+            found = separate(joint, self.rig, without=_OF_ELEMENTS)
+            self.components = replace(found, sigma=np.hypot(found.sigma, _BETWEEN_ELEMENTS * found.width))
         for part in self.components.parts:
             self.evidence[f"component_{part.name}"] = part.rms
         apart = self.components.applied(joint)
+        self.evidence["residual_alone"] = joint.scale
         if self._predicts(apart, joint) or self._nearer(onsets, curve, apart, joint):
             return apart
         return self._as_one(joint, self.components)
@@ -284,7 +303,7 @@ class _Session:
     def _nearer(self, onsets: Sequence[Onset], curve: WidthCurve | None, apart: Fitted, joint: Fitted) -> bool:
         """Whether the onsets, which know no model, say the B beside the departures."""
         widths = [o for o in onsets if o.used and o.kind in (HINGE, BRACKET)]
-        if curve is None or len(widths) < _FEW_ONSETS:
+        if curve is None or len(widths) < _FEW_ONSETS or not self.elements.single:
             return False
         sigma = joint.width_sigma(self.grid)
         off = [self._against(widths, curve, fit.fit.width(fit.curves), sigma) for fit in (apart, joint)]
@@ -296,11 +315,9 @@ class _Session:
         a departure that takes B far from that stands for something else."""
         if self.components is None or not self.components.parts:
             return True
-        smoothing = dict(apart.fit.smoothing)
-        alone = replace(apart.fit, fit_backlash=False, fit_delay=False, smoothing=smoothing)
-        left = alone.solve(self.components.usual, iterations=5, adapt=False).scale
-        self.evidence["residual_without_components"] = left
-        return left < _WORSE * max(joint.scale, 1.0)
+        rest = self._left_with(apart, self.components.usual)
+        self.evidence["residual_alone"] = rest
+        return rest < _WORSE * max(joint.scale, 1.0)
 
     @staticmethod
     def _as_one(joint: Fitted, found: Components) -> Fitted:
@@ -315,8 +332,8 @@ class _Session:
         gradual = next((part for part in found.parts if part.name == "phase.even"), None)
         if gradual is None or gradual.rms < max(_GRADUAL, 0.5 * max(part.rms for part in found.parts)):
             return None
-        several = fit_elements(found.applied(joint), self.rig)
-        before, after = (max(scale**2 - found.noise**2, 0.0) for scale in (joint.scale, several.scale))
+        several = fit_elements(found.applied(joint), self.rig, fit_delay=self.options.delay_s is None)
+        before, after = (max(scale**2 - found.noise**2, 0.0) for scale in (left(joint), several.scale))
         return several if after < _HELD * before and not several.fit.elements.single else None
 
     def _explained(self, joint: Fitted) -> bool:
@@ -355,11 +372,31 @@ class _Session:
         z = self._against(widths, curve, width, sigma)
         self.evidence["onsets_against_joint_z2"] = float(np.mean(z**2))
         self.evidence["joint_residual_over_noise"] = joint.scale
+        if not self.elements.single:  # of several an onset shows the first
+            return width, sigma, JOINT
         agreed = self._explained(joint) or float(np.mean(z**2)) < _AGREE
-        if not jumping(widths) and (agreed or not self._contradicted(widths, curve, passes)):
+        jumps = jumping(widths) and not self._foretells(joint, curve)
+        if not jumps and (agreed or not self._contradicted(widths, curve, passes)):
             return width, sigma, JOINT
         self.notes.append("the passes contradict the onsets: B(q) is the onsets' alone")
         return self._filled(widths, curve, joint, passes)
+
+    def _foretells(self, joint: Fitted, curve: WidthCurve) -> bool:
+        """Whether the joint fit's B predicts what was seen, and the onsets' does not: the tip starts late, and is on
+        its envelope all the same."""
+        design = joint.fit.backlash.design(self.grid)
+        backlash = np.linalg.lstsq(design.toarray(), curve.width, rcond=None)[0]
+        rest = self._left_with(joint, replace(joint.curves, backlash=backlash))
+        self.evidence["residual_with_onsets"] = rest
+        return rest > _WORSE * max(joint.scale, 1.0)
+
+    @staticmethod
+    def _left_with(fitted: Fitted, curves: Curves) -> float:
+        """Residual over noise with this B and delay, once the path fits them; measured as the fit's own scale is."""
+        smoothing = dict(fitted.fit.smoothing)
+        alone = replace(fitted.fit, fit_backlash=False, fit_delay=False, smoothing=smoothing)
+        solved = alone.solve(curves, iterations=5, adapt=False)
+        return solved.scale if alone.elements.single else left(replace(solved, scale=fitted.scale))
 
     def _held(self, joint: Fitted, curve: WidthCurve | None) -> Array:
         """The joint fit's B, held beyond the positions that passes both ways or onsets reached: what lies there could
@@ -501,7 +538,14 @@ class _Session:
         if self.components is not None:
             low, high = self._measured(curve, joint, source)
             inside = (self.grid > low) & (self.grid < high)
-            self.reasons += doubts(self.components, inside, self.unit)
+            if not self.elements.single and self.components.noise > _EXPLAINED:
+                rest = f"{self.components.noise:.1f} times the noise"
+                self.doubt(
+                    "transmission.smooth_onset",
+                    f"after a reversal the tip starts gradually, and several plays leave {rest}",
+                    "its hysteresis is of another kind: expect as much of a prediction",
+                )
+            self.reasons += doubts(self.components, inside, self.unit, self.evidence["residual_alone"])
 
     def _sanity(self, remaining: Remaining) -> None:
         """Scale and sign before anything else is blamed."""
@@ -521,10 +565,15 @@ class _Session:
                 "coarse",
                 f"the tip bends {gain:.3g} deg/{self.unit} where f_coarse says {self.rig.coarse.gain:.3g}",
                 "check actuator.unit, the encoder's scale, camera.fx_px and the marker's distance",
+                mild=self.camera and not self._misplaced(remaining.residual),
             )
         self.evidence["residual"] = remaining.residual
-        if self.camera and remaining.residual > max(5.0, 20 * float(np.median(self.tracks[0].sigma))):
+        if self.camera and self._misplaced(remaining.residual):
             self._registration(remaining.residual, ratio, p, c)
+
+    def _misplaced(self, residual: float) -> bool:
+        """Whether the marker is not where camera, hand_eye and kinematics put it."""
+        return residual > max(5.0, 20 * float(np.median(self.tracks[0].sigma)))
 
     def _registration(self, residual: float, ratio: float, p: Array, c: Array) -> None:
         """The marker is off the path that the rig gives it. Where f_remain was bent beyond belief to come near it, no
