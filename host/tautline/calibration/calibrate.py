@@ -45,7 +45,9 @@ _LITTLE = 0.03  # of the width: differences below are no contradiction
 _GRADUAL = 0.4  # noise: what a gradual start must leave for several elements to be tried
 _WORSE = 1.25  # times what the best single curve leaves: a B that leaves more is not for predictions
 _FEW_ONSETS, _NEARER = 6, 0.5  # onsets that may say so, and their mean squared z against one B over that to the other
+_ONE_WAY, _OTHER_WAY = 4.0, 0.3  # standard errors by which onsets are late, and of that what the other way's may be
 _HELD = 0.5  # of the square of what one element leaves beyond noise: several may leave so much
+_HOLE, _STEEP = 0.03, 0.05  # of the range, without a frame one way; least slope of B that it may hide
 _HELD_SHARE = 0.1  # of all frames: where more are left out the rest may be wrong too
 _OF_ELEMENTS = frozenset({"phase.even", "image.side"})  # what several elements, or their number, stand for
 _BETWEEN_ELEMENTS = 0.003  # of B: what elements of a few shares leave, alike on every stroke
@@ -127,6 +129,12 @@ def jumping(onsets: Sequence[Onset]) -> bool:
     """Whether the image jumps at most onsets: no joint fit knows that."""
     widths = [o for o in onsets if o.used and o.kind in (HINGE, BRACKET)]
     return 2 * sum(o.kind == BRACKET for o in widths) > len(widths)
+
+
+def _nearest(p: Array, at: Array) -> Array:
+    """(at, 2) the sorted p on either side of each place."""
+    k = np.searchsorted(p, at)
+    return np.column_stack([p[np.clip(k - 1, 0, len(p) - 1)], p[np.clip(k, 0, len(p) - 1)]])
 
 
 def _finite(value: float) -> float | None:
@@ -287,7 +295,8 @@ class _Session:
         """The joint fit with all that departs from its model beside it."""
         self.evidence["residual_before_components"] = joint.scale
         self.components = separate(joint, self.rig)
-        several = self._several(joint, self.components) if self.options.elements == "auto" else None
+        gradual = self.options.elements == "auto" and not jumping(onsets)
+        several = self._several(joint, self.components) if gradual else None
         if several is not None:
             joint, self.elements = several, several.fit.elements
             found = separate(joint, self.rig, without=_OF_ELEMENTS)
@@ -375,15 +384,23 @@ class _Session:
         if not self.elements.single:  # of several an onset shows the first
             return width, sigma, JOINT
         agreed = self._explained(joint) or float(np.mean(z**2)) < _AGREE
-        jumps = jumping(widths) and not self._foretells(joint, curve)
+        jumps = jumping(widths) and not self._foretells(widths, joint, curve)
         if not jumps and (agreed or not self._contradicted(widths, curve, passes)):
             return width, sigma, JOINT
         self.notes.append("the passes contradict the onsets: B(q) is the onsets' alone")
         return self._filled(widths, curve, joint, passes)
 
-    def _foretells(self, joint: Fitted, curve: WidthCurve) -> bool:
-        """Whether the joint fit's B predicts what was seen, and the onsets' does not: the tip starts late, and is on
-        its envelope all the same."""
+    def _foretells(self, widths: Sequence[Onset], joint: Fitted, curve: WidthCurve) -> bool:
+        """Whether onsets come late one way only, against a joint fit that predicts what was seen where they do not: the
+        tip is on its envelope all the same. Where both ways jump alike, the image does."""
+        at, up = np.array([o.q_mean for o in widths]), np.array([o.direction > 0 for o in widths])
+        if min(up.sum(), (~up).sum()) < _FEW_ONSETS // 2:
+            return False
+        late = np.array([o.width for o in widths]) - np.interp(at, self.grid, joint.fit.width(joint.curves))
+        near, far = sorted((late[up], late[~up]), key=lambda way: abs(way.mean()))
+        clear = max(_ONE_WAY * far.std() / np.sqrt(len(far)), _LITTLE * float(np.median(curve.width)))
+        if far.mean() < clear or abs(near.mean()) > _OTHER_WAY * far.mean():
+            return False
         design = joint.fit.backlash.design(self.grid)
         backlash = np.linalg.lstsq(design.toarray(), curve.width, rcond=None)[0]
         rest = self._left_with(joint, replace(joint.curves, backlash=backlash))
@@ -607,6 +624,8 @@ class _Session:
         floor = floor_of(self.tracks, self.grid[inside], width[inside], sigma[inside], self.unit)
         self.reasons += floor.reasons
         sigma = np.hypot(np.hypot(sigma, floor.sigma), 0.5 * beyond)
+        if source != ONSETS and joint is not None:
+            sigma = np.hypot(sigma, self._bridged(joint, width, inside))
         pass_width, pass_sigma = self._second_opinion(onsets, curve, passes)
         characteristic = self._characteristic(delay.delay_s)
         aligned, delay = self.clock.with_delay(delay, self.nominal_s)
@@ -640,6 +659,37 @@ class _Session:
             model, tuple(onsets), delay, source, curve, pass_width, pass_sigma, self.evidence, notes, names,
             aligned.offsets,
         )  # fmt: skip
+
+    def _bridged(self, joint: Fitted, width: Array, inside: npt.NDArray[np.bool_]) -> Array:
+        """(grid,) by how much B may be another where nothing was passed both ways: as it changes elsewhere."""
+        ways = [
+            np.unique(
+                np.concatenate(
+                    [s.p[m & (s.side == way)] for s, m in zip(joint.fit.simulated, joint.masks, strict=True)]
+                )
+            )
+            for way in (-1, 1)
+        ]
+        if not all(len(p) for p in ways):
+            return np.zeros(len(self.grid))
+        apart = np.max([np.min(np.abs(self.grid[:, None] - _nearest(p, self.grid)), axis=1) for p in ways], axis=0)
+        gap = np.maximum(apart - _HOLE * self.domain.span, 0.0)
+        holes = inside & (gap > 0)
+        if not holes.any():
+            return np.zeros(len(self.grid))
+        steep = (
+            float(np.sqrt(np.mean(np.gradient(width, self.grid)[inside & ~holes] ** 2)))
+            if (inside & ~holes).any()
+            else 0.5
+        )
+        at = self.grid[holes]
+        self.doubt(
+            "coverage",
+            f"from {at[0]:.3g} to {at[-1]:.3g} {self.unit} the tip passes one way at most in places",
+            "move through all of the range both ways",
+            mild=steep * float(gap[holes].max()) < _LITTLE * float(np.median(width[inside])),
+        )
+        return np.where(inside, max(1.5 * steep, _STEEP) * gap, 0.0)
 
     def _measured(self, curve: WidthCurve | None, joint: Fitted | None, source: str) -> tuple[float, float]:
         if curve is not None:
