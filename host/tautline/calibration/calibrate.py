@@ -562,7 +562,12 @@ class _Session:
                     f"after a reversal the tip starts gradually, and several plays leave {rest}",
                     "its hysteresis is of another kind: expect as much of a prediction",
                 )
-            self.reasons += doubts(self.components, inside, self.unit, self.evidence["residual_alone"])
+            alone = self.evidence["residual_alone"]
+            rough = self.components.rough or any(track.motor_noise > 0 for track in self.tracks)
+            found = doubts(self.components, inside, self.unit, alone, rough)
+            if self.camera and any(not reason.mild for reason in found):
+                self.reasons += clock.jumps(self.tracks, self.rig)
+            self.reasons += found
 
     def _sanity(self, remaining: Remaining) -> None:
         """Scale and sign before anything else is blamed."""

@@ -18,6 +18,7 @@ Array = npt.NDArray[np.float64]
 
 _EXPLAINED = 1.3  # residual over noise up to which a model explains its data (formats: good)
 _LEFT = 2.0  # residual over noise, without its departures, from which a model does not predict
+_MOST = 1.5  # the same, up to which it does where some frames show something else
 _STRONG = 1.2  # of the noise: a departure that is a doubt whatever else is
 _MOSTLY = 0.5  # of the strongest: one that has its part in what is left
 _SHIFTED = 0.03  # of B: what leaving a component out would change, from which it is told
@@ -56,6 +57,11 @@ _MEANS: dict[str, tuple[str, str, str]] = {
         "encoder",
         "where the tip rests after a turn is not where the motor's counts say that it turned",
         "look for stick-slip, a coarse or noisy encoder",
+    ),
+    "turn.itself": (
+        "repeatability",
+        "where the tip rests after a turn differs from turn to turn",
+        "look for stick-slip",
     ),
     "offset.recording": (
         "transmission.offset",
@@ -119,10 +125,10 @@ _MEANS: dict[str, tuple[str, str, str]] = {
 }
 
 
-def doubts(found: Components, counted: npt.NDArray[np.bool_], unit: str, alone: float) -> list[Reason]:
+def doubts(found: Components, counted: npt.NDArray[np.bool_], unit: str, alone: float, rough: bool) -> list[Reason]:
     """Likeliest first; mild where B holds, and the model predicts what was seen without its departures about as well as
     noise lets it. counted: the grid's places at which B was measured; unit: of q; alone: residual over noise of B,
-    path and delay alone."""
+    path and delay alone; rough: the motor's counts or noise show in the image."""
     usual = max(float(np.median(found.width[counted])) if counted.any() else 0.0, 1e-12)
     sigma = float(np.sqrt(np.mean(found.sigma[counted] ** 2))) if counted.any() else np.inf
     strongest = max((part.rms for part in found.parts), default=0.0)
@@ -134,7 +140,8 @@ def doubts(found: Components, counted: npt.NDArray[np.bool_], unit: str, alone: 
         predicts = alone < _LEFT or part.rms < _MOSTLY * strongest
         if moves or not predicts or (not counts and np.hypot(1.0, part.rms) > _EXPLAINED):
             mild = not moves and predicts and (counts or part.rms < _STRONG)
-            reasons.append((part.chi2, _reason(part, shift, unit, mild)))
+            kind = "turn.itself" if part.name == "turn" and not rough else part.name
+            reasons.append((part.chi2, _reason(kind, part, shift, unit, mild)))
     told = [reason for _, reason in sorted(reasons, key=lambda each: -each[0])]
     if found.noise > _EXPLAINED:
         told.append(_scatter(found, alone))
@@ -144,13 +151,13 @@ def doubts(found: Components, counted: npt.NDArray[np.bool_], unit: str, alone: 
     return list(first.values())
 
 
-def _reason(part: Component, shift: float, unit: str, mild: bool) -> Reason:
-    code, says, remedy = _MEANS[part.name.rstrip("0123456789.")]
+def _reason(kind: str, part: Component, shift: float, unit: str, mild: bool) -> Reason:
+    code, says, remedy = _MEANS[kind.rstrip("0123456789.")]
     return Reason(code, f"{says} ({part.rms:.1f} times the noise, {shift:.2g} {unit} of B)", remedy, mild=mild)
 
 
 def _scatter(found: Components, alone: float) -> Reason:
-    if alone < _EXPLAINED:  # of most frames
+    if alone < _MOST:  # of most frames
         says = f"some frames are far off ({found.noise:.1f} times the noise with them, {alone:.1f} without)"
         return Reason("outliers", says, "look for a second blob of the marker's colour", mild=True)
     times = f"{found.noise:.1f} times the noise of a tip at rest is left"
