@@ -16,9 +16,10 @@ const BRANCH_TO_SELF = 0xe7fe;
  * Everything is driven by run(); nothing happens between two calls.
  */
 export class Board {
-    /** image, bootrom: bytes; flashFile: keeps the tables between runs, null: nothing does. */
-    constructor({ image, bootrom, motor, probe, flashFile = null, id }) {
+    /** image, bootrom: bytes; flashFile: keeps the tables between runs, null: nothing does; revision: see Chip. */
+    constructor({ image, bootrom, motor, probe, flashFile = null, id, revision }) {
         this.probe = probe;
+        this.revision = revision;
         this.flash = new Flash(2 << 20, id);
         this.flash.bytes.set(image);
         this.bootrom = new Uint32Array(4096);
@@ -62,7 +63,7 @@ export class Board {
     start(kept = null) {
         this.bootUs = this.plant.timeUs;
         this.clock = new SimulationClock();
-        this.chip = new Chip({ clock: this.clock, flash: this.flash, bootrom: this.bootrom, kept });
+        this.chip = new Chip({ clock: this.clock, flash: this.flash, bootrom: this.bootrom, kept, revision: this.revision });
         this.powered = true;
         this.bootloader = false;
         this.hung = false;
@@ -132,13 +133,14 @@ export class Board {
     }
 }
 
-/** A board with the image that './run firmware' built, or another. */
+/** A board with the image that './run firmware' built, or with the one in another build folder. */
 export function loadBoard(root, options = {}) {
-    const build = `${root}/build/rp2040`;
+    const usual = `${root}/build/rp2040`;
+    const build = options.build ?? usual;
     const file = (name) => {
         if (!fs.existsSync(name)) throw new Error(`${name} is missing: run './run firmware'`);
         return fs.readFileSync(name);
     };
-    return new Board({ ...options, probe: new Probe(`${build}/tautline.elf`, `${build}/emulator/layout.bin`), image: file(options.image ?? `${build}/tautline.bin`),
-        bootrom: file(`${build}/emulator/bootrom.bin`) });
+    return new Board({ ...options, probe: new Probe(`${build}/tautline.elf`, `${usual}/emulator/layout.bin`),
+        image: file(`${build}/tautline.bin`), bootrom: file(`${usual}/emulator/bootrom.bin`) });
 }
