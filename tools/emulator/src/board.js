@@ -7,6 +7,9 @@ import { Probe } from './probe.js';
 import { SimulationClock } from './rp2040js.js';
 import { UsbHost } from './usbhost.js';
 
+const EXCEPTIONS = { nmi: 2, hardfault: 3 };
+const CRASH_MOST_US = 1000;
+
 export const TABLE_REGION = 10 * Flash.sectorSize; // at the end of flash: TL_PORT_FLASH_REGION
 const ENUMERATION_US = 500e3;                      // a board that is not on the bus by then never will be
 const BRANCH_TO_SELF = 0xe7fe;
@@ -130,6 +133,24 @@ export class Board {
         this.chip.writeUint16(trap, BRANCH_TO_SELF);
         core.PC = trap;
         core.waiting = false;
+    }
+
+    /**
+     * The core takes a 'hardfault' or an 'nmi', or runs into 'panic', wherever it is. Without a debugger it locks up at
+     * the breakpoint that comes of it; until then: how long it took, us, and what every bridge pin was before and is then.
+     */
+    crash(kind) {
+        const { chip } = this;
+        const { core } = chip;
+        const pins = () => [4, 5, 6, 7, 8, 9, 10, 11].map((pin) => chip.output(pin));
+        const before = pins();
+        const began = this.nowUs;
+        chip.onBreakpoint = () => { chip.lockedUp = true; };
+        core.waiting = false;
+        if (kind === 'panic') core.PC = this.probe.panic;
+        else core.exceptionEntry(EXCEPTIONS[kind]);
+        while (!chip.lockedUp && this.nowUs < began + CRASH_MOST_US) this.run(this.nowUs + 0.1);
+        return { us: this.nowUs - began, before, after: pins(), locked_up: chip.lockedUp };
     }
 }
 

@@ -91,6 +91,7 @@ export class Chip extends RP2040 {
         this.flash = EMPTY;
         this.flashView = EMPTY_VIEW;
         this.xipOn = false;
+        this.lockedUp = false; // a breakpoint without a debugger: the core does nothing until a reset
         this.core.reset();
     }
 
@@ -198,7 +199,7 @@ export class Chip extends RP2040 {
     run(until) {
         const { core, clock } = this;
         while (clock.nanos < until && this.state === 'running') {
-            if (core.waiting) {
+            if (core.waiting || this.lockedUp) {
                 const next = clock.nextAlarm;
                 clock.tick((next && next.nanos < until ? next.nanos : until) - clock.nanos);
             } else {
