@@ -96,7 +96,7 @@ def test_a_live_calibration_is_of_the_instrument_that_the_board_is_for(bench: Be
         assert live.rig.actuator.instrument == "SN-0042"
         check_rig(live)
     other = open_live(board=bench.where, rig=replace(rig, actuator=replace(rig.actuator, instrument="SN-0043")))
-    with other as live, pytest.raises(TautError, match="of instrument SN-0043, but .* are for SN-0042"):
+    with other as live, pytest.raises(TautError, match=r"of instrument SN-0043, but .* are for SN-0042"):
         check_rig(live)
 
 
