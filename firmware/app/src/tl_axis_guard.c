@@ -8,7 +8,7 @@
 #define SUPPLY_MS     20U                // a dip as long is more than a motor's start
 #define SWING_STEP    160U               // a change from limit to limit, forgotten in 40 ms, and in
 #define SWING_REST    4U                 // times as many where the path rests, where no change is called for;
-#define SWING_MOST    1600U              // an oscillation: ten changes at 100 Hz, 27 at 20 Hz, of a path at rest 21 at 6 Hz
+#define SWING_MOST    1600U              // an oscillation: 12 changes at 100 Hz, 27 at 20; at rest 21 at 6 Hz
 #define BOTH_WAYS     3U                 // tl_actuator_pushed()
 #define STILL_MS      10U                // a move has arrived once it was at its target for so long
 #define HOME_MS       100U               // pressing against an end
