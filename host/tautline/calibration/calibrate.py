@@ -286,6 +286,7 @@ class _Session:
         self.found.evidence["residual_alone"] = joint.scale
         if self.choice.predicts(self.components, apart, joint) or self.choice.nearer(onsets, curve, apart, joint):
             return apart
+        self.found.evidence["residual_alone"] = joint.scale
         return self._as_one(joint, self.components)
 
     @staticmethod

@@ -29,6 +29,7 @@ _WORSE = 1.25  # times what the best single curve leaves: a B that leaves more i
 _FEW_ONSETS, _NEARER = 6, 0.5  # onsets that may say so, and their mean squared z against one B over that to the other
 _ONE_WAY, _OTHER_WAY = 4.0, 0.3  # standard errors by which onsets are late, and of that what the other way's may be
 _HOLE, _STEEP = 0.03, 0.05  # of the range, without a frame one way; least slope of B that it may hide
+_LEANS = 0.3  # share of the elements that are at their ends, from which a place is passed one way
 EXPLAINED = 1.5  # residual over noise up to which a model explains its data
 
 
@@ -125,14 +126,10 @@ class Choice:
 
     def bridged(self, joint: Fitted, width: Array, inside: npt.NDArray[np.bool_]) -> Array:
         """(grid,) by how much B may be another where nothing was passed both ways: as it changes elsewhere."""
-        ways = [
-            np.unique(
-                np.concatenate(
-                    [s.p[m & (s.side == way)] for s, m in zip(joint.fit.simulated, joint.masks, strict=True)]
-                )
-            )
-            for way in (-1, 1)
-        ]
+        seen = [
+            (s.p[mask], s.lean[mask]) for s, mask in zip(joint.fit.simulated, joint.masks, strict=True)
+        ]  # the simulation is the last that the fit made: at its own curves
+        ways = [np.unique(np.concatenate([p[way * lean > _LEANS] for p, lean in seen])) for way in (-1, 1)]
         if not all(len(p) for p in ways):
             return np.zeros(len(self.grid))
         apart = np.max([np.min(np.abs(self.grid[:, None] - _nearest(p, self.grid)), axis=1) for p in ways], axis=0)
