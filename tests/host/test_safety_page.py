@@ -14,13 +14,7 @@ from tautline.device import wire
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "safety.md"
-SOURCES = (
-    "common/**/*.[ch]",
-    "firmware/app/**/*.[ch]",
-    "firmware/port/**/*.[ch]",
-    "firmware/port/**/*.pio",
-    "firmware/estimator/**/*.[ch]",
-)
+SOURCES = [f"{room}/**/*.[ch]" for room in ("common", "firmware")] + ["firmware/port/**/*.pio"]
 
 
 @dataclass(frozen=True)
