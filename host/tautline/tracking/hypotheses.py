@@ -1,0 +1,288 @@
+"""Which change explains what is seen, and whether the evidence is enough to follow it."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.tracking.fit import (
+    ALL,
+    BOTH,
+    GRADUAL,
+    ONLY_OFFSET,
+    ONLY_SCALE,
+    SHAPED,
+    Envelopes,
+    Fit,
+    Prior,
+    envelopes,
+    fitted,
+    guess,
+    simulated,
+    trimmed,
+)
+from tautline.tracking.law import OFFSET, SCALE, SHAPE, SKEW, SPREAD, Nominal, unchanged
+from tautline.tracking.window import Evidence
+
+Array = npt.NDArray[np.float64]
+
+_EXPLAINED = 1.5  # times the level known so far: a fit that explains its data
+_OF_BEFORE = 0.3, 0.5  # of what was left before: enough at once, enough where it also foretells
+_TURNS = 2  # reversals that must agree before anything but a narrower B is learnt
+_FORETOLD_TURNS = 3
+_GAIN = 6.0  # of cost, that a parameter must bring
+_GAIN_MORE = 12.0  # and a richer law as a whole
+_SHORT = 8  # frames on an envelope from which a recording's posture is told
+_ALONG = 0.3  # of B, that they must cover
+_NARROWER = 3.0  # standard deviations
+_OFF_TRACK = 3.0  # standard deviations off the marker's track (rms), or
+_OFF_SHARE = 0.3  # of the residual along it: then it is no motion of the play
+_WANDERS = 4.0  # standard deviations of the tip's motion while the motor rests
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """`theta`: the law to use, None: as before. `proposal` is looked at again with the frames to come."""
+
+    says: str
+    evidence: Evidence
+    theta: Array | None = None
+    offset_sigma: float = 0.0
+    scale_sigma: float = 0.0
+    passed: tuple[float, float] = (0.0, 0.0)
+    turns: int = 0
+    level: float = 0.0
+    settled: bool = False
+    proposed: Array | None = None
+
+    @property
+    def proposal(self) -> Verdict | None:
+        return self if self.proposed is not None else None
+
+
+@dataclass(frozen=True)
+class _Case:
+    """One stretch of evidence, looked at with the law in use."""
+
+    nominal: Nominal
+    evidence: Evidence
+    theta: Array
+    level: float
+    found: Envelopes
+    passed: tuple[float, float] | None
+    turns: int  # reversals after which the tip was seen to move
+    before: float  # rms of the residuals by the law in use
+
+    @classmethod
+    def of(cls, nominal: Nominal, evidence: Evidence, theta: Array, level: float) -> _Case:
+        found = envelopes(evidence)
+        strokes, frames = np.unique(evidence.stroke[found.at], return_counts=True)
+        turns = max(int(np.sum(frames >= 2)) - 1, 0) if len(strokes) else 0
+        before = trimmed(simulated(nominal, evidence, theta)[0])
+        return cls(nominal, evidence, theta, level, found, found.both(evidence), turns, before)
+
+    def explained(self, fit: Fit, of_before: float | None = None) -> bool:
+        most = _EXPLAINED * self.level
+        if of_before is not None:
+            most = max(most, of_before * self.before)
+        return fit.level <= most
+
+    def prior(self) -> Prior:
+        mean = unchanged()
+        mean[OFFSET] = self.theta[OFFSET]
+        return Prior.of(mean, self.nominal.model.rig.actuator.span)
+
+
+def judge(
+    nominal: Nominal,
+    stretches: Sequence[Evidence],
+    theta: Array,
+    adapting: bool,
+    fresh: bool,
+    level: float,
+    proposal: Verdict | None,
+) -> Generator[None, None, Verdict]:
+    """The first stretch that a law explains, else what stands in the way. A simulation between two yields. `fresh`: a
+    recording has just begun, its posture may be another."""
+    verdict = None
+    for evidence in stretches:
+        case = _Case.of(nominal, evidence, theta, level)
+        yield
+        verdict = yield from _judged(case, adapting, fresh, proposal)
+        if verdict.theta is not None:
+            return verdict
+    assert verdict is not None
+    return verdict
+
+
+def _judged(
+    case: _Case, adapting: bool, fresh: bool, proposal: Verdict | None
+) -> Generator[None, None, Verdict]:
+    disturbed = _disturbance(case)
+    if disturbed:
+        return Verdict(disturbed, case.evidence)
+    if case.passed is None:
+        if fresh and not adapting:
+            return (yield from _posture(case))
+        return Verdict("the tip was not yet seen to move both ways since the model stopped holding", case.evidence)
+    fit = yield from _best(case)
+    foretold = proposal is not None and _foretold(case, proposal)
+    enough = case.turns >= _TURNS and case.explained(fit)
+    enough |= case.turns >= _FORETOLD_TURNS and foretold and case.explained(fit, _OF_BEFORE[1])
+    enough |= adapting and case.explained(fit, _OF_BEFORE[1])
+    if enough:
+        return _learnt(case, fit)
+    if case.explained(fit, _OF_BEFORE[0]):
+        narrower = float(case.theta[SCALE] - fit.theta[SCALE])
+        if SCALE in fit.free and narrower > max(_NARROWER * fit.sigma(SCALE), 0.01):
+            only = case.theta.copy()
+            only[SCALE] = fit.theta[SCALE]
+            learnt = _learnt(case, fit)
+            return Verdict(
+                f"transmission.backlash: {100 * (1 - narrower / case.theta[SCALE]):.0f} % of the width as it was: "
+                "less is taken up at once",
+                case.evidence,
+                only,
+                learnt.offset_sigma + abs(float(fit.theta[OFFSET] - case.theta[OFFSET])),
+                learnt.scale_sigma,
+                case.passed,
+                case.turns,
+                fit.level,
+                proposed=fit.theta,
+            )
+        if fresh and not adapting:
+            return _learnt(case, fit)
+        return Verdict(f"{_name(case, fit.theta)}, if more reversals agree", case.evidence, proposed=fit.theta)
+    says = _unexplained(case)
+    return Verdict(says, case.evidence, proposed=fit.theta if case.explained(fit, _OF_BEFORE[1]) else None)
+
+
+def _best(case: _Case) -> Generator[None, None, Fit]:
+    """The simplest law that does not leave more than a richer one would."""
+    prior = case.prior()
+    start = guess(case.nominal, case.evidence, unchanged(), case.found, True)
+    both = yield from fitted(case.nominal, case.evidence, start, BOTH, prior)
+    if not case.explained(both):
+        kept = case.nominal.lawful(case.theta)
+        other = yield from fitted(case.nominal, case.evidence, kept, BOTH, prior)
+        both = min(both, other, key=lambda fit: fit.cost)
+    best = both
+    if both.level <= 1.15 * case.level:
+        simple = case.theta.copy()
+        simple[:] = unchanged()
+        simple[OFFSET] = both.theta[OFFSET]
+        offset = yield from fitted(case.nominal, case.evidence, simple, ONLY_OFFSET, prior)
+        if offset.cost < both.cost + _GAIN:
+            return offset
+        simple = both.theta.copy()
+        simple[OFFSET] = case.theta[OFFSET]
+        scale = yield from fitted(case.nominal, case.evidence, simple, ONLY_SCALE, prior)
+        return scale if scale.cost < both.cost + _GAIN else both
+    if case.turns < _TURNS:
+        return both
+    for free in (GRADUAL, SHAPED):
+        begin = both.theta
+        if SPREAD in free:
+            begin = case.nominal.gradual_start(begin)
+        richer = yield from fitted(case.nominal, case.evidence, begin, free, prior)
+        best = min(best, richer, key=lambda fit: fit.cost)
+    if best is not both and best.level > 1.15 * case.level and len(case.evidence.strokes) > 3:
+        begin = case.nominal.gradual_start(best.theta)
+        richer = yield from fitted(case.nominal, case.evidence, begin, ALL, prior)
+        best = min(best, richer, key=lambda fit: fit.cost)
+    gain = (both.cost - best.cost) / max(1.0, best.level) ** 2
+    return best if gain > _GAIN_MORE + 2.0 * (len(best.free) - len(both.free)) else both
+
+
+def _posture(case: _Case) -> Generator[None, None, Verdict]:
+    """The first stroke of a recording: the offset alone, from a tip that follows the motor."""
+    at = case.found.at
+    y = case.evidence.y[at]
+    nominal = case.nominal
+    if len(at) < _SHORT or np.ptp(y) < _ALONG * float(np.interp(y[0], nominal.model.q, nominal.model.width)):
+        return Verdict("the tip is not where the model says: another posture?", case.evidence)
+    start = guess(nominal, case.evidence, case.theta, case.found, False)
+    fit = yield from fitted(nominal, case.evidence, start, ONLY_OFFSET, case.prior())
+    if case.explained(fit, _OF_BEFORE[0]):
+        return _learnt(case, fit)
+    return Verdict("the tip is not where the model says: another posture?", case.evidence)
+
+
+def _foretold(case: _Case, proposal: Verdict) -> bool:
+    """Whether what was proposed before foretells the strokes that came since."""
+    evidence = case.evidence
+    new = evidence.t_s > proposal.evidence.t_s[-1]
+    if len(np.unique(evidence.stroke[new])) < 2 or proposal.proposed is None:
+        return False
+    off = trimmed(simulated(case.nominal, evidence, proposal.proposed)[0][new])
+    before = trimmed(simulated(case.nominal, evidence, case.theta)[0][new])
+    return off <= max(_EXPLAINED * case.level, _OF_BEFORE[1] * before)
+
+
+def _learnt(case: _Case, fit: Fit) -> Verdict:
+    assert case.evidence is fit.evidence
+    y = case.evidence.y[case.found.at]
+    passed = case.passed or (float(y.min()), float(y.max()))
+    return Verdict(
+        _name(case, fit.theta),
+        case.evidence,
+        fit.theta,
+        fit.sigma(OFFSET),
+        fit.sigma(SCALE),
+        passed,
+        case.turns,
+        fit.level,
+        case.explained(fit, _OF_BEFORE[1]),
+        proposed=fit.theta,
+    )
+
+
+def _name(case: _Case, theta: Array) -> str:
+    """The effects by which theta differs from the calibration."""
+    unit = case.nominal.model.rig.actuator.unit
+    said = []
+    if np.any(theta[SHAPE]):
+        said.append("transmission.backlash: B has another shape")
+    elif theta[SCALE] != 1.0:
+        said.append(f"transmission.backlash: {100 * theta[SCALE]:.0f} % of the calibrated width")
+    if theta[SPREAD] or theta[SKEW]:
+        said.append("transmission.smooth_onset: the tip starts gradually")
+    if theta[OFFSET] != 0.0:
+        said.append(f"transmission.offset: {theta[OFFSET]:+.4g} {unit}")
+    return "; ".join(said) or "the calibrated law"
+
+
+def _disturbance(case: _Case) -> str:
+    """What no play can do."""
+    evidence = case.evidence
+    off = trimmed(evidence.off)
+    if off > max(_OFF_TRACK * case.level, _OFF_SHARE * case.before):
+        return "registration.shift or breathing: the marker leaves the track that the joint can give it"
+    q = evidence.q[evidence.seen]
+    count = case.nominal.model.rig.actuator.encoder_resolution
+    rests = np.abs(np.diff(q)) <= 2.0 * count
+    if rests.sum() >= 5:
+        wander = np.diff(evidence.y)[rests] / np.hypot(evidence.sigma[1:], evidence.sigma[:-1])[rests]
+        if trimmed(wander) > _WANDERS * case.level:
+            return "the tip moves while the motor rests: breathing or a hand on the shaft"
+    return ""
+
+
+def _unexplained(case: _Case) -> str:
+    evidence = case.evidence
+    q, y = evidence.q[evidence.seen], evidence.y
+    late = slice(-min(len(y), 30), None)
+    moved = float(np.ptp(q[late]))
+    width = float(np.interp(y[-1], case.nominal.model.q, case.nominal.model.width))
+    if moved > 2.0 * width and float(np.ptp(y[late])) < 0.1 * moved:
+        return "configuration.contact or a hand: the tip does not follow the motor"
+    z = simulated(case.nominal, evidence, case.theta)[0]
+    far = np.abs(z) > _EXPLAINED * 3.0 * case.level
+    if far.any() and not far.all():
+        inner, outer = y[~far], y[far]
+        if outer.min() > np.quantile(inner, 0.8) or outer.max() < np.quantile(inner, 0.2):
+            return "configuration.contact: the tip is held back in one part of its way"
+    return "unknown: no change of offset or backlash explains where the tip is"
