@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import _native
-from tautline.tracking.law import OFFSET, PARAMETERS, PLACES, SCALE, SHAPE, SKEW, SPREAD, Nominal
+from tautline.tracking.law import OFFSET, PARAMETERS, PLACES, SCALE, SHAPE, SKEW, SPREAD, TIP, Law, Nominal
 from tautline.tracking.window import Evidence
 
 Array = npt.NDArray[np.float64]
@@ -20,7 +20,7 @@ _TURNS = 8
 _OUTLYING = 4.0  # standard deviations from which a frame counts as an outlier
 _DONE = 1e-3  # of a standard deviation: steps below it
 _FOLLOWS = 0.5  # of the motor's way: a tip that moves so far with it lies on an envelope
-_SURE = 5.0  # standard deviations that a motion between two frames must have
+_SURE = 2.5  # standard deviations that a motion between two frames must have
 _WITHOUT = 0.03  # of the frames: left out of a rms, as outliers
 
 
@@ -31,9 +31,9 @@ class Envelopes:
     at: npt.NDArray[np.intp]  # among those seen
     way: Array  # +1 rising q, -1 falling
 
-    def both(self, evidence: Evidence) -> tuple[float, float] | None:
+    def both(self, evidence: Evidence, law: Law) -> tuple[float, float] | None:
         """The centre coordinates that were passed both ways. None where there are none."""
-        y = evidence.y[self.at]
+        y = law.place(evidence.c_deg[self.at])
         up, down = y[self.way > 0], y[self.way < 0]
         if len(up) < 3 or len(down) < 3:
             return None
@@ -41,10 +41,11 @@ class Envelopes:
         return (float(low), float(high)) if high > low else None
 
 
-def envelopes(evidence: Evidence) -> Envelopes:
-    q, y = evidence.q[evidence.seen], evidence.y
+def envelopes(evidence: Evidence, law: Law) -> Envelopes:
+    q, y = evidence.q[evidence.seen], law.place(evidence.c_deg)
+    sigma = evidence.sigma / np.abs(law.slope(y))
     by_q, by_y = np.diff(q), np.diff(y)
-    sure = _SURE * np.hypot(evidence.sigma[1:], evidence.sigma[:-1])
+    sure = _SURE * np.hypot(sigma[1:], sigma[:-1])
     moves = (evidence.stroke[1:] == evidence.stroke[:-1]) & (np.abs(by_q) > sure)
     moves &= (by_y * np.sign(by_q) > _FOLLOWS * np.abs(by_q)) & (np.abs(by_y) < 3.0 * np.abs(by_q))
     moves[1:] &= moves[:-1]  # the first one may hold an onset
@@ -72,6 +73,11 @@ class Fit:
         strokes = self.evidence.stroke
         return np.array([trimmed(self.z[strokes == s]) for s in np.unique(strokes)])
 
+    def spread_of(self, slopes: Array) -> float:
+        """Standard deviation of what has these slopes (PARAMETERS,) by theta."""
+        picked = slopes[list(self.free)]
+        return float(np.sqrt(picked @ self.covariance @ picked))
+
     def sigma(self, parameter: int) -> float:
         return float(np.sqrt(self.covariance[i, i])) if (i := _index(self.free, parameter)) >= 0 else 0.0
 
@@ -95,9 +101,10 @@ class Prior:
     sigma: Array
 
     @classmethod
-    def of(cls, mean: Array, span: float) -> Prior:
+    def of(cls, mean: Array, span: float, span_deg: float) -> Prior:
         sigma = np.full(PARAMETERS, 0.5)
         sigma[OFFSET], sigma[SCALE] = span, 2.0
+        sigma[TIP] = span_deg, 0.1 * span_deg, 0.1 * span_deg
         return cls(mean, sigma)
 
     def information(self, free: Sequence[int]) -> Array:
@@ -110,10 +117,15 @@ class Prior:
 
 def simulated(nominal: Nominal, evidence: Evidence, theta: Array) -> tuple[Array, Array]:
     """Residuals (seen,) over sigma, and their slopes (seen, PARAMETERS)."""
-    play = nominal.play(theta)
-    p, _, by = play.native.run(_native.TrackState(evidence.start), evidence.q + theta[OFFSET], True)
-    scale = 1.0 / evidence.sigma
-    return (evidence.y - p[evidence.seen]) * scale, -by[evidence.seen] * scale[:, None]
+    law = nominal.law(theta)
+    y = law.place(evidence.c_deg)
+    by_y = law.slope(y)
+    p, _, by = law.native.run(_native.TrackState(float(y[0])), evidence.q + theta[OFFSET], True)
+    scale = 1.0 / nominal.sigma(y, evidence.sigma / by_y)
+    slopes = np.empty((len(y), PARAMETERS))
+    slopes[:, : TIP.start] = -by[evidence.seen]
+    slopes[:, TIP] = -(nominal.powers(y) / by_y).T
+    return (y - p[evidence.seen]) * scale, slopes * scale[:, None]
 
 
 def fitted(
@@ -174,17 +186,19 @@ def _covariance(evidence: Evidence, z: Array, slopes: Array, information: Array)
     limited = np.clip(z, -_OUTLYING, _OUTLYING)
     forces = np.array([slopes[evidence.stroke == s].T @ limited[evidence.stroke == s] for s in strokes])
     sandwich = inverse @ (forces.T @ forces) @ inverse * len(strokes) / (len(strokes) - slopes.shape[1])
-    return np.asarray(plain if np.trace(plain / inverse) > np.trace(sandwich / inverse) else np.maximum(plain, sandwich))
+    wider = np.diag(sandwich).sum() / np.diag(inverse).sum() > max(1.0, trimmed(z)) ** 2
+    return np.asarray(sandwich if wider else plain)
 
 
 def guess(nominal: Nominal, evidence: Evidence, theta: Array, found: Envelopes, both: bool) -> Array:
     """theta with the offset, and where both ways were seen the scale, that the envelopes ask for: on them
-    way (q - y) = scale B(y)/2 - way offset."""
+    way (q - y) = scale B(q)/2 - way offset."""
     theta = theta.copy()
     if len(found.at) == 0:
         return theta
-    q, y = evidence.q[evidence.seen][found.at], evidence.y[found.at]
-    half = 0.5 * np.interp(y, nominal.model.q, nominal.model.width)
+    law = nominal.law(theta)
+    q, y = evidence.q[evidence.seen][found.at], law.place(evidence.c_deg[found.at])
+    half = 0.5 * np.interp(y + float(np.median(q - y)), nominal.model.q, nominal.model.width)
     if not both:
         theta[OFFSET] = float(np.median(y - q + found.way * theta[SCALE] * half))
         return theta
@@ -199,9 +213,20 @@ def guess(nominal: Nominal, evidence: Evidence, theta: Array, found: Envelopes, 
     return nominal.lawful(theta)
 
 
-BOTH = (OFFSET, SCALE)
-ONLY_OFFSET = (OFFSET,)
+def at_tip(nominal: Nominal, theta: Array) -> Array:
+    """theta with its offset behind the play instead of before it."""
+    theta = theta.copy()
+    theta[TIP.start] += theta[OFFSET] * nominal.tip_slope
+    theta[OFFSET] = 0.0
+    return theta
+
+
+_TIP = TIP.start
+# Where the offset is, before the play or behind it.
+BOTH = ((OFFSET, SCALE), (SCALE, _TIP))
+ONLY_OFFSET = ((OFFSET,), (_TIP,))
 ONLY_SCALE = (SCALE,)
-GRADUAL = (OFFSET, SCALE, SPREAD, SKEW)
-SHAPED = (OFFSET, SCALE, *range(SHAPE.start, SHAPE.stop))
-ALL = (*SHAPED, SPREAD, SKEW)
+# What may come with an offset and a scale.
+GRADUAL = (SPREAD, SKEW)
+SHAPED = tuple(range(SHAPE.start, SHAPE.stop))
+REMAINING = (_TIP, _TIP + 1, _TIP + 2)

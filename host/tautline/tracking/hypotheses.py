@@ -9,22 +9,23 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.tracking.fit import (
-    ALL,
     BOTH,
     GRADUAL,
     ONLY_OFFSET,
     ONLY_SCALE,
+    REMAINING,
     SHAPED,
     Envelopes,
     Fit,
     Prior,
+    at_tip,
     envelopes,
     fitted,
     guess,
     simulated,
     trimmed,
 )
-from tautline.tracking.law import OFFSET, SCALE, SHAPE, SKEW, SPREAD, Nominal, unchanged
+from tautline.tracking.law import OFFSET, SCALE, SHAPE, SKEW, SPREAD, TIP, Nominal, unchanged
 from tautline.tracking.window import Evidence
 
 Array = npt.NDArray[np.float64]
@@ -34,6 +35,7 @@ _OF_BEFORE = 0.3, 0.5  # of what was left before: enough at once, enough where i
 _TURNS = 2  # reversals that must agree before anything but a narrower B is learnt
 _FORETOLD_TURNS = 3
 _GAIN = 6.0  # of cost, that a parameter must bring
+_GOOD = 1.15  # times the level known so far: nothing is left to explain
 _GAIN_MORE = 12.0  # and a richer law as a whole
 _SHORT = 8  # frames on an envelope from which a recording's posture is told
 _ALONG = 0.3  # of B, that they must cover
@@ -41,6 +43,9 @@ _NARROWER = 3.0  # standard deviations
 _OFF_TRACK = 3.0  # standard deviations off the marker's track (rms), or
 _OFF_SHARE = 0.3  # of the residual along it: then it is no motion of the play
 _WANDERS = 4.0  # standard deviations of the tip's motion while the motor rests
+
+
+_ONE_WAY = "the tip was not yet seen to move both ways since the model stopped holding"
 
 
 @dataclass(frozen=True)
@@ -57,6 +62,8 @@ class Verdict:
     level: float = 0.0
     settled: bool = False
     proposed: Array | None = None
+    disturbed: bool = False  # by something that is no play
+    early: bool = False  # too little was seen to judge
 
     @property
     def proposal(self) -> Verdict | None:
@@ -75,25 +82,34 @@ class _Case:
     passed: tuple[float, float] | None
     turns: int  # reversals after which the tip was seen to move
     before: float  # rms of the residuals by the law in use
+    calibrated: float  # and by the calibrated one
 
     @classmethod
     def of(cls, nominal: Nominal, evidence: Evidence, theta: Array, level: float) -> _Case:
-        found = envelopes(evidence)
+        law = nominal.law(theta)
+        found = envelopes(evidence, law)
         strokes, frames = np.unique(evidence.stroke[found.at], return_counts=True)
         turns = max(int(np.sum(frames >= 2)) - 1, 0) if len(strokes) else 0
         before = trimmed(simulated(nominal, evidence, theta)[0])
-        return cls(nominal, evidence, theta, level, found, found.both(evidence), turns, before)
+        first = unchanged()
+        calibrated = before if np.array_equal(theta, first) else trimmed(simulated(nominal, evidence, first)[0])
+        return cls(nominal, evidence, theta, level, found, found.both(evidence, law), turns, before, calibrated)
 
     def explained(self, fit: Fit, of_before: float | None = None) -> bool:
         most = _EXPLAINED * self.level
         if of_before is not None:
-            most = max(most, of_before * self.before)
+            most = max(most, of_before * max(self.before, self.calibrated))
         return fit.level <= most
 
     def prior(self) -> Prior:
         mean = unchanged()
         mean[OFFSET] = self.theta[OFFSET]
-        return Prior.of(mean, self.nominal.model.rig.actuator.span)
+        span = self.nominal.model.rig.actuator.span
+        return Prior.of(mean, span, span * abs(self.nominal.tip_slope))
+
+    def places(self, theta: Array, at: npt.NDArray[np.intp] | slice = slice(None)) -> Array:
+        """The centre coordinates of frames by a law."""
+        return self.nominal.law(theta).place(self.evidence.c_deg[at])
 
 
 def judge(
@@ -101,17 +117,17 @@ def judge(
     stretches: Sequence[Evidence],
     theta: Array,
     adapting: bool,
-    fresh: bool,
+    posture: float | None,
     level: float,
     proposal: Verdict | None,
 ) -> Generator[None, None, Verdict]:
-    """The first stretch that a law explains, else what stands in the way. A simulation between two yields. `fresh`: a
-    recording has just begun, its posture may be another."""
+    """The first stretch that a law explains, else what stands in the way. A simulation between two yields. `posture`:
+    a recording has just begun; an offset of more than that may be told from one way alone."""
     verdict = None
     for evidence in stretches:
         case = _Case.of(nominal, evidence, theta, level)
         yield
-        verdict = yield from _judged(case, adapting, fresh, proposal)
+        verdict = yield from _judged(case, adapting, posture, proposal)
         if verdict.theta is not None:
             return verdict
     assert verdict is not None
@@ -119,15 +135,15 @@ def judge(
 
 
 def _judged(
-    case: _Case, adapting: bool, fresh: bool, proposal: Verdict | None
+    case: _Case, adapting: bool, posture: float | None, proposal: Verdict | None
 ) -> Generator[None, None, Verdict]:
     disturbed = _disturbance(case)
     if disturbed:
-        return Verdict(disturbed, case.evidence)
+        return Verdict(disturbed, case.evidence, disturbed=True)
     if case.passed is None:
-        if fresh and not adapting:
-            return (yield from _posture(case))
-        return Verdict("the tip was not yet seen to move both ways since the model stopped holding", case.evidence)
+        if posture is not None:
+            return (yield from _posture(case, posture))
+        return Verdict(_ONE_WAY, case.evidence, early=True)
     fit = yield from _best(case)
     foretold = proposal is not None and _foretold(case, proposal)
     enough = case.turns >= _TURNS and case.explained(fit)
@@ -153,7 +169,7 @@ def _judged(
                 fit.level,
                 proposed=fit.theta,
             )
-        if fresh and not adapting:
+        if posture is not None:
             return _learnt(case, fit)
         return Verdict(f"{_name(case, fit.theta)}, if more reversals agree", case.evidence, proposed=fit.theta)
     says = _unexplained(case)
@@ -163,52 +179,66 @@ def _judged(
 def _best(case: _Case) -> Generator[None, None, Fit]:
     """The simplest law that does not leave more than a richer one would."""
     prior = case.prior()
-    start = guess(case.nominal, case.evidence, unchanged(), case.found, True)
-    both = yield from fitted(case.nominal, case.evidence, start, BOTH, prior)
+    nominal, evidence = case.nominal, case.evidence
+    start = guess(nominal, evidence, unchanged(), case.found, True)
+    before = yield from fitted(nominal, evidence, start, BOTH[0], prior)
+    behind = yield from fitted(nominal, evidence, at_tip(nominal, before.theta), BOTH[1], prior)
+    both, side = (before, 0) if before.cost <= behind.cost + _GAIN else (behind, 1)
     if not case.explained(both):
-        kept = case.nominal.lawful(case.theta)
-        other = yield from fitted(case.nominal, case.evidence, kept, BOTH, prior)
+        kept = nominal.lawful(case.theta)
+        other = yield from fitted(nominal, evidence, kept, BOTH[side], prior)
         both = min(both, other, key=lambda fit: fit.cost)
-    best = both
-    if both.level <= 1.15 * case.level:
-        simple = case.theta.copy()
-        simple[:] = unchanged()
-        simple[OFFSET] = both.theta[OFFSET]
-        offset = yield from fitted(case.nominal, case.evidence, simple, ONLY_OFFSET, prior)
+    if both.level <= _GOOD * case.level:
+        simple = both.theta.copy()
+        simple[SCALE] = 1.0
+        offset = yield from fitted(nominal, evidence, simple, ONLY_OFFSET[side], prior)
         if offset.cost < both.cost + _GAIN:
             return offset
-        simple = both.theta.copy()
-        simple[OFFSET] = case.theta[OFFSET]
-        scale = yield from fitted(case.nominal, case.evidence, simple, ONLY_SCALE, prior)
+        simple = unchanged()
+        simple[SCALE] = both.theta[SCALE]
+        scale = yield from fitted(nominal, evidence, simple, ONLY_SCALE, prior)
         return scale if scale.cost < both.cost + _GAIN else both
     if case.turns < _TURNS:
         return both
-    for free in (GRADUAL, SHAPED):
-        begin = both.theta
-        if SPREAD in free:
-            begin = case.nominal.gradual_start(begin)
-        richer = yield from fitted(case.nominal, case.evidence, begin, free, prior)
-        best = min(best, richer, key=lambda fit: fit.cost)
-    if best is not both and best.level > 1.15 * case.level and len(case.evidence.strokes) > 3:
-        begin = case.nominal.gradual_start(best.theta)
-        richer = yield from fitted(case.nominal, case.evidence, begin, ALL, prior)
-        best = min(best, richer, key=lambda fit: fit.cost)
-    gain = (both.cost - best.cost) / max(1.0, best.level) ** 2
-    return best if gain > _GAIN_MORE + 2.0 * (len(best.free) - len(both.free)) else both
+    found = [both]
+    for more in (GRADUAL, SHAPED, REMAINING):
+        found.append((yield from _richer(case, both, more, prior)))
+    best = min(found, key=lambda fit: fit.cost)
+    if best.level > _GOOD * case.level and len(evidence.strokes) > 3:
+        for more in (GRADUAL, SHAPED, REMAINING):
+            if not set(more) <= set(best.free):
+                richer = yield from _richer(case, best, more, prior)
+                best = richer if _gain(best, richer) > _GAIN_MORE else best
+    return best if _gain(both, best) > _GAIN_MORE else both
 
 
-def _posture(case: _Case) -> Generator[None, None, Verdict]:
+def _richer(case: _Case, fit: Fit, more: tuple[int, ...], prior: Prior) -> Generator[None, None, Fit]:
+    begin = fit.theta
+    if SPREAD in more:
+        begin = case.nominal.gradual_start(begin)
+    free = tuple(sorted({*fit.free, *more}))
+    return (yield from fitted(case.nominal, case.evidence, begin, free, prior))
+
+
+def _gain(fit: Fit, richer: Fit) -> float:
+    """Of cost, beyond what its further parameters would bring by chance."""
+    return (fit.cost - richer.cost) / max(1.0, richer.level) ** 2 - 2.0 * (len(richer.free) - len(fit.free))
+
+
+def _posture(case: _Case, least: float) -> Generator[None, None, Verdict]:
     """The first stroke of a recording: the offset alone, from a tip that follows the motor."""
     at = case.found.at
-    y = case.evidence.y[at]
     nominal = case.nominal
+    y = case.places(case.theta, at)
     if len(at) < _SHORT or np.ptp(y) < _ALONG * float(np.interp(y[0], nominal.model.q, nominal.model.width)):
-        return Verdict("the tip is not where the model says: another posture?", case.evidence)
+        return Verdict(_ONE_WAY, case.evidence, early=True)
     start = guess(nominal, case.evidence, case.theta, case.found, False)
-    fit = yield from fitted(nominal, case.evidence, start, ONLY_OFFSET, case.prior())
-    if case.explained(fit, _OF_BEFORE[0]):
+    fit = yield from fitted(nominal, case.evidence, start, ONLY_OFFSET[0], case.prior())
+    other = yield from fitted(nominal, case.evidence, at_tip(nominal, start), ONLY_OFFSET[1], case.prior())
+    fit = fit if fit.cost <= other.cost + _GAIN else other
+    if case.explained(fit, _OF_BEFORE[0]) and abs(nominal.offset(fit.theta) - nominal.offset(case.theta)) > least:
         return _learnt(case, fit)
-    return Verdict("the tip is not where the model says: another posture?", case.evidence)
+    return Verdict(_ONE_WAY, case.evidence, early=True)
 
 
 def _foretold(case: _Case, proposal: Verdict) -> bool:
@@ -224,20 +254,26 @@ def _foretold(case: _Case, proposal: Verdict) -> bool:
 
 def _learnt(case: _Case, fit: Fit) -> Verdict:
     assert case.evidence is fit.evidence
-    y = case.evidence.y[case.found.at]
-    passed = case.passed or (float(y.min()), float(y.max()))
+    y = case.places(fit.theta, case.found.at)
+    passed = case.found.both(case.evidence, case.nominal.law(fit.theta)) or (float(y.min()), float(y.max()))
     return Verdict(
         _name(case, fit.theta),
         case.evidence,
         fit.theta,
-        fit.sigma(OFFSET),
-        fit.sigma(SCALE),
+        max(fit.sigma(OFFSET), fit.sigma(TIP.start) / abs(case.nominal.tip_slope)),
+        _scale_sigma(case, fit, passed),
         passed,
         case.turns,
         fit.level,
         case.explained(fit, _OF_BEFORE[1]),
         proposed=fit.theta,
     )
+
+
+def _scale_sigma(case: _Case, fit: Fit, passed: tuple[float, float]) -> float:
+    """Of B over the calibrated one, in the mean of the places that were passed."""
+    places = np.linspace(*passed, 9)
+    return fit.spread_of(np.mean([case.nominal.ratio_slopes(fit.theta, p) for p in places.tolist()], axis=0))
 
 
 def _name(case: _Case, theta: Array) -> str:
@@ -250,8 +286,11 @@ def _name(case: _Case, theta: Array) -> str:
         said.append(f"transmission.backlash: {100 * theta[SCALE]:.0f} % of the calibrated width")
     if theta[SPREAD] or theta[SKEW]:
         said.append("transmission.smooth_onset: the tip starts gradually")
-    if theta[OFFSET] != 0.0:
-        said.append(f"transmission.offset: {theta[OFFSET]:+.4g} {unit}")
+    offset = case.nominal.offset(theta)
+    if offset != 0.0:
+        said.append(f"transmission.offset: {offset:+.4g} {unit}")
+    if np.any(theta[TIP][1:]):
+        said.append("configuration.remaining: the static law bends otherwise")
     return "; ".join(said) or "the calibrated law"
 
 
@@ -265,7 +304,7 @@ def _disturbance(case: _Case) -> str:
     count = case.nominal.model.rig.actuator.encoder_resolution
     rests = np.abs(np.diff(q)) <= 2.0 * count
     if rests.sum() >= 5:
-        wander = np.diff(evidence.y)[rests] / np.hypot(evidence.sigma[1:], evidence.sigma[:-1])[rests]
+        wander = np.diff(evidence.c_deg)[rests] / np.hypot(evidence.sigma[1:], evidence.sigma[:-1])[rests]
         if trimmed(wander) > _WANDERS * case.level:
             return "the tip moves while the motor rests: breathing or a hand on the shaft"
     return ""
@@ -273,7 +312,7 @@ def _disturbance(case: _Case) -> str:
 
 def _unexplained(case: _Case) -> str:
     evidence = case.evidence
-    q, y = evidence.q[evidence.seen], evidence.y
+    q, y = evidence.q[evidence.seen], case.places(case.theta)
     late = slice(-min(len(y), 30), None)
     moved = float(np.ptp(q[late]))
     width = float(np.interp(y[-1], case.nominal.model.q, case.nominal.model.width))

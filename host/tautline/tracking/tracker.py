@@ -19,21 +19,24 @@ from tautline.errors import TautError
 from tautline.model import Model
 from tautline.rig import MARKER, Sensor
 from tautline.tracking.hypotheses import Verdict, judge
-from tautline.tracking.law import OFFSET, SCALE, SHAPE, Nominal, unchanged
+from tautline.tracking.law import OFFSET, SCALE, SHAPE, TIP, Nominal, unchanged
 from tautline.tracking.path import Path, knots
 from tautline.tracking.sight import Seen, Sight
 from tautline.tracking.window import Window
 
 Array = npt.NDArray[np.float64]
 
-_APART = 1 / 40  # of B: frames that tell the same
+_APART, _APART_SIGMAS = 1 / 40, 4.0  # of B, of a frame's noise: frames that are nearer to each other tell the same
 _TURN_COUNTS, _TURN_SHARE = 8.0, 0.02  # of the encoder, of B: a motor that goes back by more has turned
 _PACE = 0.08  # of the running mean of squared residuals
 _CLIP = 16.0  # squares above it are taken as this: an outlier says no more
 _AMISS = 6.0  # running mean from which the model is stale
 _WELL = 2.2  # and below which it still held
-_STROKE_AMISS, _STROKE_FRAMES = 2.5, 8  # of a stroke, with so many frames; two of three make the model stale
-_STROKE_WELL = 2.0
+_STROKE_AMISS, _STROKE_FRAMES = 1.8, 8  # of a stroke, with so many frames; two of three make the model stale
+_STROKE_WELL = 1.6
+_QUIET_S = 15.0  # without a disturbance, before anything is learnt after one
+_FIRST_POSTURE = 0.6  # of B: an offset that one stroke alone may tell at the beginning, more than a width can be
+_ELSEWHERE, _STRANGE_FRAMES = 2.0, 5  # of B, that so many first frames are off: another posture
 _NEWS = 10  # frames between two judgements
 _SETTLED_TURNS = 5  # reversals since the change after which the law is settled
 _MOST_LEVEL = 5.0
@@ -87,16 +90,16 @@ class Tracker:
         sigma = np.minimum(model.width_sigma[inside] if inside.any() else model.width_sigma, _UNKNOWN * self._width)
         self._own = (0.5 * float(np.sqrt(np.mean(sigma**2))), float(np.sqrt(np.mean(sigma**2))) / self._width)
         count = model.rig.actuator.encoder_resolution
-        self._floor = np.hypot(0.5 * np.minimum(model.width_sigma, _UNKNOWN * self._width), count / np.sqrt(12.0))
         self._turn = max(_TURN_COUNTS * count, _TURN_SHARE * self._width)
-        self._window = Window(max(_APART * self._width, count))
+        self._window = Window(max(_APART * self._width, _APART_SIGMAS * self._noise(), count))
         self._path = Path()
         self.recording = -1
         self.state, self.reason = State.TRUSTED, ""
         self.changes: list[Change] = []
         self._arrival_s = 0.0
         self._theta, self._sigma = unchanged(), self._own
-        self._scale = 1.0
+        self._law = self.nominal.law(self._theta)
+        self._offset, self._scale = 0.0, 1.0
         self._level = 1.0  # of what the law in use leaves, in sigmas of the calibration's
         self._play = _native.TrackState(0.0)
         self._started = False
@@ -107,6 +110,7 @@ class Tracker:
         self._stroke_sum, self._stroke_count = 0.0, 0
         self._amiss: deque[bool] = deque(maxlen=3)
         self._well = 0  # the entry up to which the law in use held
+        self._recording_entry = 0  # the recording's first
         self._since = 0  # from which on the evidence is judged
         self._anchor: int | None = None  # since when the law in use was learnt
         self._news = 0
@@ -114,6 +118,8 @@ class Tracker:
         self._work: Generator[None, None, Verdict] | None = None
         self._proposal: Verdict | None = None
         self._stuck = 0
+        self._strange = 0  # frames at a recording's begin in which the tip was far off
+        self._quiet_s = -np.inf
 
     def begin(self) -> None:
         """A new recording: its clock, where the tip is and the posture may be others; what was learnt stays."""
@@ -124,9 +130,22 @@ class Tracker:
         self._next_stroke()  # nothing joins the motion before
         self._fresh_until = self._stroke + 1
         self._window.cut()
-        self._well = self._since = self._window.end
+        self._well = self._since = self._recording_entry = self._window.end
         self._anchor, self._work, self._proposal = None, None, None
         self._running = 1.0
+        self._strange = 0
+        self._quiet_s = -np.inf
+
+    def _noise(self) -> float:
+        """Of a frame, unit of q, in the middle of what was measured."""
+        middle = 0.5 * (self.model.measured[0] + self.model.measured[1])
+        c = float(self.model.remaining(middle))
+        slope = max(abs(self.nominal.tip_slope), 1e-9)
+        if self.sensor == MARKER:
+            u, v = self.sight.image(c, 0.0, 0.0)
+            seen = self.sight.from_image(u, v, 0.0, 0.0, c)
+            return seen.sigma / slope if seen is not None else 0.0
+        return self.sight.noise / slope
 
     def motor(self, t_s: Array, q: Array, others: Array | None = None) -> None:
         """Samples that came, in order of time. others (n, 3): translation (mm), rotation (deg), load (mNm)."""
@@ -142,9 +161,9 @@ class Tracker:
             self._start(float(path.q[0]))
         q = path.ahead(scene_s)
         ahead = knots(self._window.last_q, path.between(scene_s), q)
-        play = self.nominal.play(self._theta)
-        p = float(play.native.run(self._play.copy(), ahead + self._theta[OFFSET])[0][-1])
-        c = self.sight.angle(p)
+        law = self._law
+        p = float(law.native.run(self._play.copy(), ahead + self._theta[OFFSET])[0][-1])
+        c = float(law.angle(p))
         u = v = np.nan
         if self.model.rig.has_camera:
             translation, rotation, _ = path.others_at(scene_s)
@@ -155,7 +174,7 @@ class Tracker:
             offset_sigma = float(np.hypot(offset_sigma, self._off))
             scale_sigma = float(np.hypot(scale_sigma, 2.0 * self._off / self._width))
         return Row(
-            self.state, c, u, v, float(self._theta[OFFSET]), offset_sigma, self._scale, scale_sigma, self.reason
+            self.state, c, u, v, self._offset, offset_sigma, self._scale, scale_sigma, self.reason
         )
 
     def see(self, u_px: float, v_px: float, sigma_px: float | None = None) -> None:
@@ -187,7 +206,7 @@ class Tracker:
         path = self._path
         q = path.at(scene_s)
         way = knots(self._window.last_q, path.between(scene_s), q)
-        p = float(self.nominal.play(self._theta).native.run(self._play, way + self._theta[OFFSET])[0][-1])
+        p = float(self._law.native.run(self._play, way + self._theta[OFFSET])[0][-1])
         path.forget(scene_s)
         for knot in way.tolist():
             self._turned(knot)
@@ -201,11 +220,9 @@ class Tracker:
             seen: Seen | None = self.sight.from_angle(reading[0])
         else:
             translation, rotation, _ = self._path.others_at(scene_s)
-            seen = self.sight.from_image(reading[0], reading[1], translation, rotation, p, reading[2])
-        if seen is None or not np.isfinite(seen.y):
-            return None
-        floor = float(np.interp(seen.y, self.model.q, self._floor))
-        return Seen(seen.y, float(np.hypot(seen.sigma, floor)), seen.off)
+            near = float(self._law.angle(p))
+            seen = self.sight.from_image(reading[0], reading[1], translation, rotation, near, reading[2])
+        return None if seen is None or not np.isfinite(seen.c_deg) else seen
 
     def _turned(self, q: float) -> None:
         if self._way == 0:
@@ -239,17 +256,23 @@ class Tracker:
 
     def _weigh(self, scene_s: float, seen: Seen, p: float) -> None:
         """How well the law in use foresaw a frame."""
+        law = self._law
+        y = float(law.place(seen.c_deg))
+        sigma = float(self.nominal.sigma(y, seen.sigma / law.slope(y)))
         if self._play.driven == 0.0:  # nothing has carried the tip yet: it is where it is seen
-            self._play.restart(seen.y)
-            half = 0.5 * float(np.interp(seen.y, self.model.q, self.nominal.play(self._theta).width))
-            q = self._window.last_q + float(self._theta[OFFSET])
-            p = min(max(seen.y, q - half), q + half)
-        kept = self._window.frame(scene_s, seen.y, seen.sigma, seen.off, self._stroke)
+            self._play.restart(y)
+            p = self._within(y)
+            if abs(y - p) > _ELSEWHERE * self._width:
+                self._strange += 1
+                if self._strange == _STRANGE_FRAMES:
+                    self._jump(y - p)
+                    return
+        kept = self._window.frame(scene_s, seen.c_deg, seen.sigma, seen.off, self._stroke)
         if not kept:
             return
         self._news += 1
-        off = seen.y - p
-        square = min((off / (seen.sigma * self._level)) ** 2, _CLIP)
+        off = y - p
+        square = min((off / (sigma * self._level)) ** 2, _CLIP)
         self._running += _PACE * (square - self._running)
         self._off += _PACE * (abs(off) - self._off)
         self._stroke_sum += square
@@ -258,6 +281,27 @@ class Tracker:
             self._well = self._window.end
         if self.state is State.TRUSTED and self._running > _AMISS:
             self._doubt(self._well)
+
+    def _within(self, y: float) -> float:
+        """The nearest place at which a tip that nothing has carried yet can be."""
+        half = 0.5 * float(np.interp(y, self._law.grid, self._law.width))
+        q = self._window.last_q + float(self._theta[OFFSET])
+        return min(max(y, q - half), q + half)
+
+    def _jump(self, off: float) -> None:
+        """A recording that begins so far off that no play can be the cause: the offset of another posture, roughly."""
+        theta = self._theta.copy()
+        theta[TIP.start] += off * self.nominal.tip_slope
+        self._use(theta)
+        self._sigma = (float(np.hypot(self._width, 0.5 * abs(off) / _ELSEWHERE)), self._sigma[1])
+        self._play.restart(float(self._law.place(self._law.angle(self._within(0.0)))))
+        self._since = self._well = self._recording_entry
+        self._say(State.ADAPTING, f"transmission.offset: {self._offset:+.4g} or so, another posture")
+
+    def _use(self, theta: Array) -> None:
+        self._theta = theta
+        self._law = self.nominal.law(theta)
+        self._offset = self.nominal.offset(theta)
 
     def _doubt(self, since: int) -> None:
         self._since = since
@@ -287,9 +331,11 @@ class Tracker:
             evidence = [e for e in map(self._window.since, dict.fromkeys(starts)) if e is not None]
             if not evidence:
                 return
-            fresh = self._stroke <= self._fresh_until and self._anchor is None
+            fresh = self._stroke <= self._fresh_until
+            least = None if not fresh else (0.0 if self.recording else _FIRST_POSTURE * self._width)
+            adapting = self.state is State.ADAPTING
             self._work = judge(
-                self.nominal, evidence, self._theta, self.state is State.ADAPTING, fresh, self._level, self._proposal
+                self.nominal, evidence, self._theta, adapting, least, self._level, self._proposal
             )
         try:
             next(self._work)
@@ -299,10 +345,12 @@ class Tracker:
 
     def _decide(self, verdict: Verdict) -> None:
         self._proposal = verdict.proposal
-        if verdict.theta is None:
+        if verdict.disturbed:
+            self._quiet_s = self._arrival_s + _QUIET_S
+        if verdict.theta is None or self._arrival_s < self._quiet_s:
             if self.state is State.STALE:
                 self.reason = verdict.says
-            else:
+            elif not verdict.early:
                 self._stuck += 1
                 if self._stuck >= 3:  # what was learnt no longer explains what is seen
                     self._anchor = None
@@ -321,20 +369,19 @@ class Tracker:
     def _adopt(self, verdict: Verdict) -> None:
         """The law in use from now on, with the tip where it would be by it."""
         assert verdict.theta is not None
-        self._theta = verdict.theta
+        self._use(verdict.theta)
         self._sigma = (
             float(np.hypot(self._own[0], verdict.offset_sigma)),
             float(np.hypot(self._own[1], verdict.scale_sigma)),
         )
         changed = bool(np.any(self._theta[SHAPE]))
         self._scale = self.nominal.ratio(self._theta, *verdict.passed) if changed else float(self._theta[SCALE])
-        self._anchor = self._since = self._window.number_of(verdict.evidence.t_s[0], self._since)
-        play = self.nominal.play(self._theta)
+        self._anchor = self._since = self._window.number_of(verdict.evidence.t_s[0], self._recording_entry)
         now = self._window.since(self._anchor)
         assert now is not None
-        self._play = _native.TrackState(now.start)
+        self._play = _native.TrackState(float(self._law.place(now.c_deg[0])))
         path = np.concatenate([now.q, self._window.skipped])
-        play.native.run(self._play, path + self._theta[OFFSET])
+        self._law.native.run(self._play, path + self._theta[OFFSET])
         self._running = min(self._running, 1.0)
         self._amiss.clear()
         self._stroke_sum, self._stroke_count = 0.0, 0

@@ -16,7 +16,7 @@ LONGEST = 1500  # entries that one fit looks at
 STROKES = 24  # and strokes
 _LONG = 64  # positions of a path that are entered even without a frame
 _REST_S = 0.2  # between two frames that are kept while the motor rests
-_Q, _Y, _SIGMA, _T, _STROKE, _OFF = range(6)
+_Q, _C, _SIGMA, _T, _STROKE, _OFF = range(6)
 
 
 @dataclass(frozen=True)
@@ -25,15 +25,11 @@ class Evidence:
 
     q: Array
     seen: npt.NDArray[np.intp]
-    y: Array
-    sigma: Array
+    c_deg: Array
+    sigma: Array  # of c_deg, the sensor's
     t_s: Array
     stroke: npt.NDArray[np.intp]
     off: Array
-
-    @property
-    def start(self) -> float:
-        return float(self.y[0])
 
     @property
     def strokes(self) -> npt.NDArray[np.intp]:
@@ -67,8 +63,8 @@ class Window:
     def number_of(self, t_s: float, since: int) -> int:
         """Of the first frame at t_s or later, from an entry on."""
         first = min(max(since - self._first, 0), self._count)
-        late = np.flatnonzero(self._rows[: self._count, _T] >= t_s)
-        return self._first + (int(late[0]) if len(late) else first)
+        late = np.flatnonzero(self._rows[first : self._count, _T] >= t_s)
+        return self._first + first + (int(late[0]) if len(late) else 0)
 
     def cut(self) -> None:
         """What comes does not continue the path."""
@@ -83,14 +79,14 @@ class Window:
         if len(self._skipped) > _LONG:
             self._enter_path(stroke)
 
-    def frame(self, t_s: float, y: float, sigma: float, off: float, stroke: int) -> bool:
+    def frame(self, t_s: float, c_deg: float, sigma: float, off: float, stroke: int) -> bool:
         """What was seen where the path ends. Whether it was kept."""
         q = self.last_q
         if abs(q - self._kept_q) < self._apart and t_s - self._kept_t < _REST_S:
             return False
         if self._skipped:
             self._enter_path(stroke)
-        row = (q, y, sigma, t_s, stroke, off)
+        row = (q, c_deg, sigma, t_s, stroke, off)
         self._rows[self._count - 1] = row
         self._kept_q, self._kept_t = q, t_s
         return True
@@ -118,11 +114,11 @@ class Window:
         rows = self._rows[first : self._count]
         if len(rows) and rows[0, _STROKE] < rows[-1, _STROKE] - STROKES:
             rows = rows[int(np.searchsorted(rows[:, _STROKE], rows[-1, _STROKE] - STROKES)) :]
-        seen = np.flatnonzero(np.isfinite(rows[:, _Y]))
+        seen = np.flatnonzero(np.isfinite(rows[:, _C]))
         if len(seen) < 3:
             return None
         rows, seen = rows[seen[0] :].copy(), seen - seen[0]
         at = rows[seen]
         return Evidence(
-            rows[:, _Q], seen, at[:, _Y], at[:, _SIGMA], at[:, _T], at[:, _STROKE].astype(np.intp), at[:, _OFF]
+            rows[:, _Q], seen, at[:, _C], at[:, _SIGMA], at[:, _T], at[:, _STROKE].astype(np.intp), at[:, _OFF]
         )
