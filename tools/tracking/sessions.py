@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tools.honesty import motion, optics
 from tools.honesty.plant import crossing
 
+from tautline.model import Model
 from tautline.recording import Marker, Motor, Recording
 from tautline.rig import Rig
 
@@ -42,7 +43,9 @@ class Instrument:
         rng = np.random.default_rng([self.seed, 17])
         width = np.full(len(_GRID), rng.uniform(0.3, 0.6))
         for _ in range(2):
-            width += rng.uniform(-0.1, 0.25) * np.exp(-0.5 * ((_GRID - rng.uniform(LOW, HIGH)) / rng.uniform(0.9, 2)) ** 2)
+            width += rng.uniform(-0.1, 0.25) * np.exp(
+                -0.5 * ((_GRID - rng.uniform(LOW, HIGH)) / rng.uniform(0.9, 2)) ** 2
+            )
         width = np.maximum(width, 0.15)
         law = 12.0 * _GRID + rng.uniform(-5, 5) * np.sin(rng.uniform(0.3, 0.6) * _GRID + rng.uniform(0, 6))
         object.__setattr__(self, "width", width)
@@ -102,7 +105,8 @@ def draw_change(kind: str, rng: np.random.Generator) -> Change:
         return Change(kind, offset=float(rng.choice([-1, 1]) * rng.uniform(0.01, 0.6)))
     if kind == "shape":
         bumps = tuple(
-            (float(rng.uniform(-3.5, 3.5)), float(rng.uniform(1.0, 2.5)), float(rng.uniform(-0.4, 0.6))) for _ in range(2)
+            (float(rng.uniform(-3.5, 3.5)), float(rng.uniform(1.0, 2.5)), float(rng.uniform(-0.4, 0.6)))
+            for _ in range(2)
         )
         return Change(kind, bumps=bumps)
     if kind == "gradual":
@@ -176,6 +180,22 @@ def _outside(instrument: Instrument, q: Array, scale: Array) -> Array:
     return q - half * out
 
 
+def ideal_model(instrument: Instrument) -> Model:
+    """What a very good calibration would have found, without the wait for one."""
+    grid = np.linspace(LOW, HIGH, 1025)
+    return Model(
+        instrument.rig,
+        grid,
+        instrument.of_place(instrument.width, grid),
+        np.full(len(grid), 0.0006),
+        instrument.of_place(instrument.law, grid),
+        instrument.camera.delay,
+        (LOW + 0.3, HIGH - 0.3),
+        c_sigma=np.full(len(grid), 0.005),
+        extra={"evidence": {"residual": NOISE_PX}},
+    )
+
+
 def calibration(instrument: Instrument, seed: int, change: Change | None = None) -> Recording:
     """The motion that a calibration asks for."""
     rng = np.random.default_rng([seed, 3])
@@ -224,7 +244,9 @@ def session(
 
 
 def _seen(instrument: Instrument, p: Array) -> Array:
-    return optics.project(optics.tip_place(instrument.of_place(instrument.law, p), instrument.camera), instrument.camera)
+    return optics.project(
+        optics.tip_place(instrument.of_place(instrument.law, p), instrument.camera), instrument.camera
+    )
 
 
 def _touched(

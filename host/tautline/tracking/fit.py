@@ -17,6 +17,7 @@ Array = npt.NDArray[np.float64]
 Marks = npt.NDArray[np.bool_]
 
 _TURNS = 8
+_NEIGHBOURS = 0.25  # of B: how far its share at one place is from that at the next
 _OUTLYING = 4.0  # standard deviations from which a frame counts as an outlier
 _DONE = 1e-3  # of a standard deviation: steps below it
 _FOLLOWS = 0.5  # of the motor's way: a tip that moves so far with it lies on an envelope
@@ -109,7 +110,7 @@ class Prior:
 
     def information(self, free: Sequence[int]) -> Array:
         whole = np.diag(1.0 / self.sigma**2)
-        bend = np.diff(np.eye(PLACES), 2, axis=0) / 0.5
+        bend = np.diff(np.eye(PLACES), axis=0) / _NEIGHBOURS
         whole[SHAPE, SHAPE] += bend.T @ bend
         part: Array = whole[np.ix_(free, free)]
         return part

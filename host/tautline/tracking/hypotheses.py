@@ -32,13 +32,17 @@ Array = npt.NDArray[np.float64]
 
 _EXPLAINED = 1.5  # times the level known so far: a fit that explains its data
 _OF_BEFORE = 0.3, 0.5  # of what was left before: enough at once, enough where it also foretells
+_HOLDS = 1.3  # times the level known so far, over the last strokes: nothing is to be learnt
+_LATELY, _LATELY_OF = 3, 0.6  # strokes, on which a law must leave so much less than others do
+_AGAIN = 1.1, 1.3  # of what the fit leaves at most, of what the law in use leaves at least: the calibrated one holds
 _TURNS = 2  # reversals that must agree before anything but a narrower B is learnt
 _FORETOLD_TURNS = 3
+_RICHER_TURNS = 3  # before B may have another shape, an onset be gradual or the static law bend
 _GAIN = 6.0  # of cost, that a parameter must bring
 _GOOD = 1.15  # times the level known so far: nothing is left to explain
 _GAIN_MORE = 12.0  # and a richer law as a whole
-_SHORT = 8  # frames on an envelope from which a recording's posture is told
-_ALONG = 0.3  # of B, that they must cover
+_SHORT = 10  # frames on an envelope from which a recording's posture is told
+_ALONG = 2.0  # of B, that they must cover
 _NARROWER = 3.0  # standard deviations
 _OFF_TRACK = 3.0  # standard deviations off the marker's track (rms), or
 _OFF_SHARE = 0.3  # of the residual along it: then it is no motion of the play
@@ -81,8 +85,8 @@ class _Case:
     found: Envelopes
     passed: tuple[float, float] | None
     turns: int  # reversals after which the tip was seen to move
-    before: float  # rms of the residuals by the law in use
-    calibrated: float  # and by the calibrated one
+    z: Array  # residuals by the law in use
+    z_calibrated: Array
 
     @classmethod
     def of(cls, nominal: Nominal, evidence: Evidence, theta: Array, level: float) -> _Case:
@@ -90,16 +94,26 @@ class _Case:
         found = envelopes(evidence, law)
         strokes, frames = np.unique(evidence.stroke[found.at], return_counts=True)
         turns = max(int(np.sum(frames >= 2)) - 1, 0) if len(strokes) else 0
-        before = trimmed(simulated(nominal, evidence, theta)[0])
+        z = simulated(nominal, evidence, theta)[0]
         first = unchanged()
-        calibrated = before if np.array_equal(theta, first) else trimmed(simulated(nominal, evidence, first)[0])
-        return cls(nominal, evidence, theta, level, found, found.both(evidence, law), turns, before, calibrated)
+        calibrated = z if np.array_equal(theta, first) else simulated(nominal, evidence, first)[0]
+        return cls(nominal, evidence, theta, level, found, found.both(evidence, law), turns, z, calibrated)
+
+    @property
+    def before(self) -> float:
+        return trimmed(self.z)
+
+    def lately(self, z: Array) -> float:
+        """rms over the last strokes."""
+        return trimmed(z[self.evidence.stroke > self.evidence.stroke[-1] - _LATELY])
 
     def explained(self, fit: Fit, of_before: float | None = None) -> bool:
-        most = _EXPLAINED * self.level
-        if of_before is not None:
-            most = max(most, of_before * max(self.before, self.calibrated))
-        return fit.level <= most
+        """Whether it leaves no more than is known to be left, or so much less than the laws at hand, lately too."""
+        if fit.level <= _EXPLAINED * self.level:
+            return True
+        if of_before is None or fit.level > of_before * max(self.before, trimmed(self.z_calibrated)):
+            return False
+        return self.lately(fit.z) <= _LATELY_OF * min(self.lately(self.z), self.lately(self.z_calibrated))
 
     def prior(self) -> Prior:
         mean = unchanged()
@@ -144,7 +158,14 @@ def _judged(
         if posture is not None:
             return (yield from _posture(case, posture))
         return Verdict(_ONE_WAY, case.evidence, early=True)
+    if not adapting and case.lately(case.z) < _HOLDS * case.level:
+        return Verdict("the model holds for now", case.evidence, early=True)
     fit = yield from _best(case)
+    if case.turns and not np.array_equal(case.theta, unchanged()):
+        lately = case.lately(case.z_calibrated)
+        good = max(_EXPLAINED, _AGAIN[0] * case.lately(fit.z))
+        if lately <= good and case.lately(case.z) > _AGAIN[1] * lately:
+            return _again(case, lately)
     foretold = proposal is not None and _foretold(case, proposal)
     enough = case.turns >= _TURNS and case.explained(fit)
     enough |= case.turns >= _FORETOLD_TURNS and foretold and case.explained(fit, _OF_BEFORE[1])
@@ -198,7 +219,7 @@ def _best(case: _Case) -> Generator[None, None, Fit]:
         simple[SCALE] = both.theta[SCALE]
         scale = yield from fitted(nominal, evidence, simple, ONLY_SCALE, prior)
         return scale if scale.cost < both.cost + _GAIN else both
-    if case.turns < _TURNS:
+    if case.turns < _RICHER_TURNS:
         return both
     found = [both]
     for more in (GRADUAL, SHAPED, REMAINING):
@@ -250,6 +271,18 @@ def _foretold(case: _Case, proposal: Verdict) -> bool:
     off = trimmed(simulated(case.nominal, evidence, proposal.proposed)[0][new])
     before = trimmed(simulated(case.nominal, evidence, case.theta)[0][new])
     return off <= max(_EXPLAINED * case.level, _OF_BEFORE[1] * before)
+
+
+def _again(case: _Case, level: float) -> Verdict:
+    return Verdict(
+        "the calibrated law holds again",
+        case.evidence,
+        unchanged(),
+        passed=case.passed or (0.0, 0.0),
+        turns=case.turns,
+        level=level,
+        settled=True,
+    )
 
 
 def _learnt(case: _Case, fit: Fit) -> Verdict:

@@ -43,20 +43,20 @@ class Law:
     c_deg: Array
 
     def angle(self, p: npt.ArrayLike) -> Array:
-        return interpolate(p, self.grid, self.c_deg)
+        return np.asarray(interpolate(p, self.grid, self.c_deg))
 
     def place(self, c_deg: npt.ArrayLike) -> Array:
         """The centre coordinates at which f_remain is c_deg."""
         order = slice(None) if self.c_deg[-1] > self.c_deg[0] else slice(None, None, -1)
-        return interpolate(c_deg, self.c_deg[order], self.grid[order])
+        return np.asarray(interpolate(c_deg, self.c_deg[order], self.grid[order]))
 
     @cached_property
     def _slopes(self) -> Array:
-        return np.gradient(self.c_deg, self.grid)
+        return np.asarray(np.gradient(self.c_deg, self.grid))
 
     def slope(self, p: npt.ArrayLike) -> Array:
         """df_remain/dp, deg per unit."""
-        return np.interp(p, self.grid, self._slopes)
+        return np.asarray(np.interp(np.asarray(p, dtype=float), self.grid, self._slopes))
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Nominal:
 
     @cached_property
     def waves(self) -> Array:
-        """(PLACES, nodes): the natural cubic spline that is 1 at one place and 0 at the others, held beyond the ends."""
+        """(PLACES, nodes): the natural cubic spline that is 1 at one place and 0 at the others, held beyond."""
         places = self.places
         q = np.clip(self.model.q, places[0], places[-1])
         return np.ascontiguousarray(CubicSpline(places, np.eye(PLACES), bc_type="natural")(q).T)
@@ -111,16 +111,17 @@ class Nominal:
     @cached_property
     def _floors(self) -> Array:
         model, count = self.model, self.model.rig.actuator.encoder_resolution
-        return np.hypot(0.5 * model.width_sigma, count / np.sqrt(12.0))
+        return np.asarray(np.hypot(0.5 * model.width_sigma, count / np.sqrt(12.0)))
 
     def sigma(self, p: npt.ArrayLike, sensor: npt.ArrayLike) -> Array:
         """Standard deviation of a frame at centre coordinates p: the sensor's and, up to a multiple of that, the
         calibrated law's own. What a calibration hardly knew is learnt in use."""
-        return np.hypot(sensor, np.minimum(np.interp(p, self.model.q, self._floors), _MOST_OWN * np.abs(sensor)))
+        own = np.interp(np.asarray(p, dtype=float), self.model.q, self._floors)
+        return np.asarray(np.hypot(sensor, np.minimum(own, _MOST_OWN * np.abs(sensor))))
 
     def shares(self, theta: Array) -> Array:
         share, away, weight = self._lots
-        return np.maximum(share + theta[SPREAD] * away + theta[SKEW] * (away**2 - weight @ away**2), 0.0)
+        return np.asarray(np.maximum(share + theta[SPREAD] * away + theta[SKEW] * (away**2 - weight @ away**2), 0.0))
 
     def lawful(self, theta: Array) -> Array:
         """The nearest theta that a play can have."""
@@ -149,7 +150,7 @@ class Nominal:
         c_deg = model.c_deg
         if np.any(theta[TIP]):
             c_deg = monotone(model.c_deg + theta[TIP] @ self.powers(model.q))
-        share, away, weight = self._lots
+        _, away, weight = self._lots
         if model.elements.single and not theta[SPREAD] and not theta[SKEW]:
             spread = np.zeros((2, 1))
             one = np.ones(1)

@@ -48,7 +48,7 @@ class Path:
         return float(np.interp(t_s, self.t_s, self.q))
 
     def ahead(self, t_s: float) -> float:
-        """The position at t_s from the samples up to t_s alone: the last, moved on by its speed for a sample at most."""
+        """The position at t_s from the samples up to it alone: the last, moved on by its speed for a sample at most."""
         last = int(np.searchsorted(self.t_s, t_s, side="right"))
         if last == 0:
             return float(self.q[0])

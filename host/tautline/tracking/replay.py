@@ -39,9 +39,7 @@ class Tracked:
         return np.array([getattr(row, name) for row in self.rows])
 
 
-def replay(
-    model: Model, recordings: Sequence[Recording], progress: Progress = lambda fraction, text: None
-) -> Tracked:
+def replay(model: Model, recordings: Sequence[Recording], progress: Progress = lambda fraction, text: None) -> Tracked:
     """The tracker's rows for recordings in the order given; what it learnt carries over. Each row is predicted from the
     motor up to that row's scene time and the rows before it."""
     sensor = _sensor(recordings)
@@ -104,7 +102,7 @@ def residuals(tracked: Tracked, recordings: Sequence[Recording]) -> list[float |
 def _sensor(recordings: Sequence[Recording]) -> Sensor:
     for sensor, name in ((MARKER, "marker"), (ANGLE, "angle")):
         if all(getattr(recording, name) is not None for recording in recordings):
-            return sensor  # type: ignore[return-value]
+            return sensor
     raise TautError("track needs marker.csv (or a video) in all recordings, or angle.csv in all of them")
 
 

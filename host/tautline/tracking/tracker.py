@@ -35,7 +35,8 @@ _WELL = 2.2  # and below which it still held
 _STROKE_AMISS, _STROKE_FRAMES = 1.8, 8  # of a stroke, with so many frames; two of three make the model stale
 _STROKE_WELL = 1.6
 _QUIET_S = 15.0  # without a disturbance, before anything is learnt after one
-_FIRST_POSTURE = 0.6  # of B: an offset that one stroke alone may tell at the beginning, more than a width can be
+_STALE_STROKES = 5  # that a change is looked for in by themselves
+_POSTURE = 1.0  # of B: an offset that one stroke alone may tell at the beginning, more than a width can be
 _ELSEWHERE, _STRANGE_FRAMES = 2.0, 5  # of B, that so many first frames are off: another posture
 _NEWS = 10  # frames between two judgements
 _SETTLED_TURNS = 5  # reversals since the change after which the law is settled
@@ -173,9 +174,7 @@ class Tracker:
         if self.state is State.STALE:
             offset_sigma = float(np.hypot(offset_sigma, self._off))
             scale_sigma = float(np.hypot(scale_sigma, 2.0 * self._off / self._width))
-        return Row(
-            self.state, c, u, v, self._offset, offset_sigma, self._scale, scale_sigma, self.reason
-        )
+        return Row(self.state, c, u, v, self._offset, offset_sigma, self._scale, scale_sigma, self.reason)
 
     def see(self, u_px: float, v_px: float, sigma_px: float | None = None) -> None:
         """The marker in the frame that was predicted last."""
@@ -328,15 +327,15 @@ class Tracker:
                 return
             self._news = 0
             starts = [self._since] if self._anchor is None else [self._anchor, self._since]
+            if self.state is State.STALE:
+                starts.append(max(self._since, self._begin_of(self._stroke - _STALE_STROKES)))
             evidence = [e for e in map(self._window.since, dict.fromkeys(starts)) if e is not None]
             if not evidence:
                 return
             fresh = self._stroke <= self._fresh_until
-            least = None if not fresh else (0.0 if self.recording else _FIRST_POSTURE * self._width)
+            least = _POSTURE * self._width if fresh else None
             adapting = self.state is State.ADAPTING
-            self._work = judge(
-                self.nominal, evidence, self._theta, adapting, least, self._level, self._proposal
-            )
+            self._work = judge(self.nominal, evidence, self._theta, adapting, least, self._level, self._proposal)
         try:
             next(self._work)
         except StopIteration as end:
@@ -360,7 +359,8 @@ class Tracker:
             return
         self._stuck = 0
         self._adopt(verdict)
-        if verdict.turns >= _SETTLED_TURNS and verdict.settled:
+        again = verdict.settled and np.array_equal(self._theta, unchanged())
+        if again or (verdict.turns >= _SETTLED_TURNS and verdict.settled):
             self._level = min(max(1.0, verdict.level), _MOST_LEVEL)
             self._settle(verdict.says)
         else:
