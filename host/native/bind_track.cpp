@@ -28,7 +28,8 @@ struct TrackModel {
         : grid(copied(grid_)), width(copied(width_)), share(copied(share_)), weight(copied(weight_)),
           basis(basis_.data(), basis_.data() + basis_.size()), shape(shape_.data(), shape_.data() + shape_.size()),
           bases(basis_.shape(0)), shapes(shape_.shape(0)) {
-        if (grid.size() != width.size() || !play_table_valid(grid.data(), width.data(), grid.size())) {
+        const struct play_table table = {grid.data(), width.data(), grid.size()};
+        if (grid.size() != width.size() || !play_table_valid(&table)) {
             throw std::invalid_argument("track: not a backlash table (grid rising, width >= 0, |width'| < 2)");
         }
         if (share.empty() || share.size() > TRACK_ELEMENTS || share.size() != weight.size()) {

@@ -2,6 +2,8 @@
 
 #include <math.h>
 
+#include "play.h"
+
 enum { TURNS = 60 }; /* more than Newton's method ever takes on a table */
 
 void track_start(struct track_state *state, size_t n, double p) {
@@ -25,13 +27,7 @@ static struct place place_of(const struct track_model *m, size_t at, double p) {
     if (p >= m->grid[last]) {
         return (struct place){last, 0.0, 0.0};
     }
-    size_t i = at < last ? at : last - 1;
-    while (i > 0 && p < m->grid[i]) {
-        i--;
-    }
-    while (p >= m->grid[i + 1]) {
-        i++;
-    }
+    const size_t i = play_span(m->grid, m->nodes, at < last ? at : last - 1, p);
     return (struct place){i, p - m->grid[i], m->grid[i + 1] - m->grid[i]};
 }
 

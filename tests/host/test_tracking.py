@@ -14,6 +14,7 @@ from tools.tracking import sessions
 from tools.tracking.sessions import NOISE_PX, Change, Instrument, ideal_model, session
 
 from tautline import _native
+from tautline.elements import Play
 from tautline.recording import Angle, Recording, save
 from tautline.tracking import State, off_by, replay
 from tautline.tracking.replay import COLUMNS
@@ -49,7 +50,7 @@ def native(b, share=(1.0,), weight=(1.0,), basis=None, shape=None):
 @given(st.integers(0, 10_000), st.floats(-4, 4), st.integers(1, 400))
 def test_one_element_is_the_play_whole_and_in_pieces(seed, start, cut):
     q, b = path(seed), width(seed)
-    expected = _native.play_forward(q, GRID, b, start)
+    expected = Play(GRID, b).forward(q, start)
     for share, weight in (((1.0,), (1.0,)), ((1.0, 1.0), (0.3, 0.7))):
         model, state = native(b, share, weight), _native.TrackState(start)
         pieces = [model.run(state, q[:cut])[0], model.run(state, q[cut:])[0]]
