@@ -1,58 +1,131 @@
-"""taut diagnose CALIBRATION TEST [TEST ...]"""
+"""taut diagnose CALIBRATION TEST [TEST ...], or --live"""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from tautline import report
-from tautline.calibration.calibrate import calibrate
+from tautline.calibration.calibrate import Calibration, calibrate
 from tautline.calibration.clock import on_motor_clock
 from tautline.cli._common import (
     emit,
     folder_option,
     json_option,
+    log,
     progress_bar,
     read_recordings,
     rig_option,
     tracked,
     warn_unusable,
 )
+from tautline.cli._live import LiveOptions, live_options, opened
 from tautline.diagnose import motion, page, words
 from tautline.diagnose.diagnosis import Diagnosis, diagnose
 from tautline.folders import check_replaceable, replaced, write_file
 from tautline.plain import plain
-from tautline.recording import shifted
+from tautline.recording import Recording, load, shifted
+from tautline.rig import Rig
 
+if TYPE_CHECKING:
+    from tautline.live.asking import Asked
+
+Progress = Callable[[float, str], None]
 DOCUMENT = "diagnosis.json"
 
 
 @click.command("diagnose")
-@click.argument("calibration_path", metavar="CALIBRATION", type=click.Path(path_type=Path))
-@click.argument("test_paths", metavar="TEST...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("calibration_path", metavar="[CALIBRATION]", required=False, type=click.Path(path_type=Path))
+@click.argument("test_paths", metavar="[TEST...]", nargs=-1, type=click.Path(path_type=Path))
 @rig_option
 @folder_option("--out", "Folder for diagnosis.json, report.html, corrected/ and nominal/.")
+@click.option(
+    "--live",
+    "is_live",
+    is_flag=True,
+    help="Record the motion that tells most, diagnose, and go on until one answer has 95 % or nothing that could be "
+    "recorded would help: with --board and --camera, or --simulate. Without CALIBRATION the axis is calibrated first.",
+)
+@live_options
+@click.option(
+    "--most", type=click.IntRange(min=1), default=5, show_default=True, help="Live: recordings, after which it ends."
+)
+@click.option("--recordings", "kept", type=click.Path(path_type=Path), help="Live: kept here. Default: OUT-recordings.")
+@click.option("--seed", type=int, default=0, help="Of a simulation.")
 @json_option
 def command(
-    calibration_path: Path, test_paths: tuple[Path, ...], rig_path: Path | None, out: Path, as_json: bool
+    calibration_path: Path | None,
+    test_paths: tuple[Path, ...],
+    rig_path: Path | None,
+    out: Path,
+    is_live: bool,
+    live: LiveOptions,
+    most: int,
+    kept: Path | None,
+    seed: int,
+    as_json: bool,
 ) -> None:
-    """Where model and instrument part, which effect is the cause, and how far the gap shrinks."""
+    """Where model and instrument part, which effect is the cause, and how far the gap shrinks.
+
+    CALIBRATION may be a recording of a simulator and each TEST one of the robot: the diagnosis then says what the
+    simulator lacks.
+    """
     check_replaceable(out, DOCUMENT)
+    if is_live:
+        if live.camera is None and live.simulate is None:
+            raise click.UsageError("--live needs --camera SOURCE (and a board), or --simulate")
+        asked = _ask(calibration_path, test_paths, rig_path, kept or out.absolute().with_name(f"{out.name}-recordings"),
+                     live, most, seed)  # fmt: skip
+        save(asked.diagnosis, out)
+        more = {"recordings": asked.recordings, "why": asked.why, "sure": asked.sure}
+        said = f"{words.text(asked.diagnosis.document, str(out))}\n\nStopped: {asked.why}."
+        emit({**asked.diagnosis.document, "live": more}, as_json, said)
+        return
+    if calibration_path is None or not test_paths:
+        raise click.UsageError("name CALIBRATION and at least one TEST, or record them with --live")
     recordings, rig = read_recordings([calibration_path, *test_paths], rig_path)
     with progress_bar("diagnosing") as progress:
-        recordings = [tracked(recording, rig, progress) for recording in recordings]
-        found = calibrate(recordings[:1], rig, progress=lambda fraction, text: progress(0.3 * fraction, text))
-        warn_unusable(found.model, calibration_path)
-        recordings = [*shifted(recordings[:1], found.offsets), *on_motor_clock(recordings[1:], rig)]
+        found, recordings = _calibrated(recordings, rig, calibration_path, progress)
         diagnosis = diagnose(
             found.model, recordings[0], recordings[1:], lambda fraction, text: progress(0.3 + 0.65 * fraction, text)
         )
         progress(0.96, "writing the report")
         save(diagnosis, out)
     emit(diagnosis.document, as_json, words.text(diagnosis.document, str(out)))
+
+
+def _calibrated(
+    recordings: list[Recording], rig: Rig, path: Path, progress: Progress
+) -> tuple[Calibration, list[Recording]]:
+    """On the first of them; all on the motor's clock."""
+    recordings = [tracked(recording, rig, progress) for recording in recordings]
+    found = calibrate(recordings[:1], rig, progress=lambda fraction, text: progress(0.3 * fraction, text))
+    warn_unusable(found.model, path)
+    return found, [*shifted(recordings[:1], found.offsets), *on_motor_clock(recordings[1:], rig)]
+
+
+def _ask(
+    calibration_path: Path | None, test_paths: tuple[Path, ...], rig_path: Path | None, kept: Path, live: LiveOptions,
+    most: int, seed: int,
+) -> Asked:  # fmt: skip
+    from tautline.live.asking import diagnose_live
+    from tautline.live.until import calibrate_until
+
+    paths = [calibration_path, *test_paths] if calibration_path else []
+    given, rig = read_recordings(paths, rig_path) if paths else ([], None)
+    with opened(live, rig_path, seed) as setup, progress_bar("diagnosing") as progress:
+        if calibration_path is None:
+            calibration_path = kept.with_name(f"{kept.name}-calibration")
+            progress(0.0, "calibrating")
+            calibrate_until(setup, calibration_path, progress=progress)
+            given, rig = [load(calibration_path, setup.rig)], setup.rig
+        assert rig is not None
+        found, recordings = _calibrated(given, rig, calibration_path, progress)
+        return diagnose_live(setup, found, recordings[0], recordings[1:], kept, most, progress, log)
 
 
 def save(diagnosis: Diagnosis, out: Path) -> None:

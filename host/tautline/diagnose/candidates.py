@@ -129,10 +129,12 @@ class Search:
                     refit(other)
         return sorted(found, key=_loss)
 
-    def posture(self, below: Found) -> Found | None:
+    def posture(self, below: Found, only: Collection[str] | None = None) -> Found | None:
         """All that another posture, tension or homing changes at once on top of a hypothesis, in each recording another
-        where there are several. `below` may have some of it already."""
+        where there are several; or these ids of it only. `below` may have some of it already."""
         kinds = [kind for kind in self.kinds if kind.posture and not below.fit.hypothesis.find(kind.id)]
+        if only is not None:
+            kinds = [kind for kind in kinds if kind.id in only]
         scope = Scope.EACH if below.fit.hypothesis.tests > 1 else Scope.TESTS
         hypothesis = below.fit.hypothesis
         for kind in kinds:

@@ -43,6 +43,7 @@ AHEAD = 5.0  # of every rival, as a logarithm: an event beside another effect th
 FLOOR_KNOWN, STEADY = 0.2, 0.07  # of the noise power's logarithm: how well a case's is known, and how unlike blocks are
 DISTURBED = 0.03  # share of blocks in which something happens that no model has, such as the moment of a shift
 MOVED = 0.2  # share of what a recalibration closes from which on a part of it is named
+INEXACT = 4.0  # times the floor's power that a nominal model may leave of its own calibration
 HELPS = 0.7  # standard errors of the mean over blocks; one block alone that shows an effect is 1
 CONFINED = 0.5  # probability that what a wrong effect leaves is confined to its stage as well
 
@@ -75,6 +76,7 @@ class Evidence:
     frozen: Array  # (blocks,) mean squares that the calibrated model leaves as it is
     hypotheses: tuple[Weighed, ...]  # the first without any effect
     applicable: int  # effects of the library that these recordings could show
+    calibrated: float = 0.0  # mean square that the calibrated model leaves of its own calibration
 
 
 @dataclass(frozen=True)
@@ -127,8 +129,8 @@ def decide(evidence: Evidence) -> Verdict:
     first: dict[int, str] = {}
     for key, i in best.items():
         if key:
-            alone = [(weights.of[best[frozenset({n})]] if frozenset({n}) in best else -np.inf, n) for n in key]
-            first[i] = max(alone)[1] if len(key) > 1 else next(iter(key))
+            alone = [(weights.alone(best.get(frozenset({n})), key), n) for n in key]
+            first[i] = max(alone)[1]
             leading[first[i]] += float(p[i])
 
     named: list[str] = []
@@ -218,9 +220,10 @@ class _Likelihoods:
         self._floor2 = evidence.floor**2
         self._applicable = evidence.applicable
         self._before = np.maximum(evidence.hypotheses[0].power - self._floor2, 0.0)
+        self._nominal2 = float(np.clip(evidence.calibrated, self._floor2, INEXACT * self._floor2))
         self._tells = TELLS + NOISE_TELLS * np.square(self._floor2 / (self._floor2 + self._before))
         self._price = 0.5 * PRICE * np.log1p(float(np.sum(self._tells)))
-        hypotheses = evidence.hypotheses
+        hypotheses = self._hypotheses = evidence.hypotheses
         tables = [self._by_share(h) for h in hypotheses]
         own = [
             float(logsumexp(table + _right(h))) + self._gain(h, h.scatter) if h.ids else self._nothing(evidence.frozen)
@@ -253,6 +256,14 @@ class _Likelihoods:
             if not h.scatter.any()
         )
 
+    def alone(self, i: int | None, key: Collection[str]) -> float:
+        """How much a single effect, if it was tried, says of a set that it is in. Of a law nothing may be left, but
+        what it leaves beside others is not its own: there the one leads that leaves least."""
+        if i is None:
+            return -np.inf
+        by_power = LAWS & set(key) and not EVENTS & set(key)
+        return -float(np.mean(self._hypotheses[i].power)) if by_power else float(self.of[i])
+
     def _give_way(self, hypotheses: Sequence[Weighed]) -> None:
         """An effect that can do a simpler one's part too says nothing where the simpler one alone leaves no more than a
         right effect may: it is that one, and more of it only beside it."""
@@ -280,11 +291,14 @@ class _Likelihoods:
         return float((effects - 1) * np.log(FURTHER) - np.log(self._applicable))
 
     def _by_share(self, h: Weighed) -> Array:
-        """Of what is left of each block, at every one of _SHARES."""
-        predicted = (1.0 + ABOVE) * self._floor2 + _SHARES[:, None] * self._before
+        """Of what is left of each block, at every one of _SHARES. Other parts in the nominal model make it no more
+        exact than it was where it was calibrated; more parameters than observations are no freedom."""
+        floor2 = self._nominal2 if h.ids and set(h.ids) <= CONSTANT else self._floor2
+        predicted = (1.0 + ABOVE) * floor2 + _SHARES[:, None] * self._before
         n = self._tells
+        freedom = min(h.parameters, float(np.sum(n)))
         loss = n * np.log(predicted) + (SPREADS + n) * np.log1p(n * h.power / (SPREADS * predicted))
-        return np.asarray(-0.5 * np.sum(loss, axis=1) - self._price * h.parameters)
+        return np.asarray(-0.5 * np.sum(loss, axis=1) - self._price * freedom)
 
     def _gain(self, h: Weighed, scatter: Array) -> float:
         return -0.5 * (TELLS + NOISE_TELLS * h.white**2) * float(np.sum(scatter))
@@ -336,12 +350,15 @@ _BLOCK = stats.t(8.0)
 _WIDEST = 12.0  # of a disturbed block's logarithm
 
 
-def _right(h: Weighed) -> Array:
-    """Logarithms of _SHARES' probabilities if a hypothesis is right: any magnitude to what its effects may well leave,
-    and falling beyond; with scatter, whose power stays, any."""
-    most = 1.0 if h.scatter.any() else _most(h.ids)
+def _up_to(most: float) -> Array:
+    """Logarithms of _SHARES' probabilities where any magnitude up to `most` may well be left; falling beyond."""
     log: Array = -0.5 * np.square(np.maximum(np.log(_SHARES / most), 0.0) / SPREAD)
     return np.asarray(log - logsumexp(log))
+
+
+def _right(h: Weighed) -> Array:
+    """The same if a hypothesis is right; with scatter, whose power stays, any."""
+    return _up_to(1.0 if h.scatter.any() else _most(h.ids))
 
 
 def _wrong() -> Array:

@@ -56,8 +56,10 @@ def diagnose(
     frozen = fitter.residuals(fitter.start(), fitter.nothing)
     fitter.floor = gap.noise_floor(segments, frozen)
     base = fitter.nominal()
-    # A rest in which the tip goes on moving is no noise: the calibration has no more of it than its own fit leaves.
-    floor, left = gap.noise_floor(segments, base.residuals), gap.rms(frozen[:1])
+    # A rest in which the tip goes on moving is no noise: the calibration has no more of it than its own fit leaves. A
+    # simulator's has none at all, and the robot's sensor still has its own.
+    floor = gap.noise_floor(segments, base.residuals)
+    left = max(gap.rms(frozen[:1]), gap.counted(segments), gap.jitters(base.residuals[1:]))
     floor = fitter.floor = left if left < _NO_NOISE * floor else floor
     kinds = confounded.explained(applicable(fitter, left_out), segments)
     hidden = confounded.hidden(kinds, segments)
@@ -79,6 +81,8 @@ def diagnose(
     excess = max(before_rms**2 - floor**2, 1e-12)
     paths = [s.predict(model, {}, fitter.load_reference)[0] for s in segments[1:]]
     conditions = where.conditions(segments[1:], paths, before)
+    if verdict.name == "effect" and not _changes(chosen.fit, named):
+        conditions = [c for c in conditions if c.axis != "time"]
     boot = gap.bootstrap(before, after, [gap.blocks(s) for s in segments[1:]])
     shrink = 1.0 - after_rms / before_rms if before_rms > 0 else 0.0
     following = motion.best(fitter, _leading(gathered, verdict))
@@ -217,6 +221,12 @@ def _since(fit: Fit, name: str) -> Scope:
     """A part of the nominal that no effect stands for moved in all recordings."""
     found = fit.hypothesis.find(name)
     return found[1] if found else Scope.START
+
+
+def _changes(fit: Fit, named: Sequence[str]) -> bool:
+    """Whether some of what is named goes with the session's time; else it only seems to, because the motions do."""
+    kinds = [effects.BY_ID[name] for name in named]
+    return any(k.course or k.scan == "moment" or _since(fit, k.id) == Scope.EACH for k in kinds)
 
 
 def _reported(fit: Fit, name: str) -> dict[str, Any]:

@@ -29,7 +29,7 @@ def noise_floor(segments: Sequence[Segment], residuals: Sequence[Array]) -> floa
     """Per coordinate: the scatter of what was observed while the motor stood still, about a straight line through each
     rest; where it hardly ever rests, the residual's second differences, which a smooth misfit does not reach. Never
     below what the sensor's own step scatters: one that rests within a step shows no noise at all."""
-    least = float(max(_step(s.observed) for s in segments) / np.sqrt(12.0))
+    least = counted(segments)
     found: list[tuple[float, int]] = []  # of each rest: sum of squares, degrees of freedom
     for segment in segments:
         for stretch in still_stretches(segment):
@@ -45,8 +45,18 @@ def noise_floor(segments: Sequence[Segment], residuals: Sequence[Array]) -> floa
         most = _UNLIKE * float(np.median([squares / freedom for squares, freedom in found]))
         squares, freedom = np.sum([one for one in found if one[0] <= most * one[1]], axis=0)
         return max(float(np.sqrt(squares / freedom)), least)
-    bends = np.concatenate([np.diff(r, n=2, axis=0).ravel() for r in residuals if len(r) > 2])
-    return max(float(1.4826 * np.median(np.abs(bends)) / np.sqrt(6.0)), least)
+    return max(jitters(residuals), least)
+
+
+def counted(segments: Sequence[Segment]) -> float:
+    """What the sensors' own steps scatter, of the coarsest."""
+    return float(max(_step(s.observed) for s in segments) / np.sqrt(12.0))
+
+
+def jitters(residuals: Sequence[Array]) -> float:
+    """The scatter from one observation to the next, by second differences: of white noise its deviation."""
+    bends = [np.diff(r, n=2, axis=0).ravel() for r in residuals if len(r) > 2]
+    return float(1.4826 * np.median(np.abs(np.concatenate(bends))) / np.sqrt(6.0)) if bends else 0.0
 
 
 def _step(observed: Array) -> float:

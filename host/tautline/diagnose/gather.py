@@ -11,7 +11,7 @@ import numpy.typing as npt
 from tautline.diagnose import decide, scatter
 from tautline.diagnose.candidates import Found, Search
 from tautline.diagnose.decide import Evidence, Weighed
-from tautline.diagnose.fit import Fit, Fitter, Scope
+from tautline.diagnose.fit import WIDTH, Fit, Fitter, Scope
 from tautline.diagnose.scatter import Scatter
 from tautline.effects import EVENTS, Kind
 
@@ -39,7 +39,7 @@ def gather(fitter: Fitter, frozen: Sequence[Array], base: Fit, kinds: Sequence[K
         progress(min(1.0, steps[0] / (_REFITS + _BOTH_SCOPES + sum(_EXTENDED) * _FURTHER_REFITS)), text)
 
     search = Search(fitter, base, kinds, told)
-    weighing = _Weighing(search, search.power(frozen))
+    weighing = _Weighing(search, search.power(frozen), float(np.mean(np.square(frozen[0]))))
     weighing.add(search.base, events=True)
     weighing.add_single(search.on_top_of(search.base, _REFITS, _BOTH_SCOPES))
     for size, most in enumerate(_EXTENDED, start=1):
@@ -48,12 +48,14 @@ def gather(fitter: Fitter, frozen: Sequence[Array], base: Fit, kinds: Sequence[K
             if below is None:
                 break
             weighing.add_further(search.on_top_of(below, _FURTHER_REFITS, 0))
+            if size == 1:
+                weighing.add_changed(below)
     return Gathered(weighing.evidence(), [found.reported() for found in weighing.found])
 
 
 class _Weighing:
-    def __init__(self, search: Search, frozen: Array) -> None:
-        self.search, self._frozen = search, frozen
+    def __init__(self, search: Search, frozen: Array, calibrated: float) -> None:
+        self.search, self._frozen, self._calibrated = search, frozen, calibrated
         self.found: list[Found] = []
         self._weighed: list[Weighed] = []
         self._extended: set[tuple[str, ...]] = set()
@@ -79,6 +81,20 @@ class _Weighing:
         posture = self.search.posture(part)
         if posture is not None:
             self.add(posture)
+
+    def add_changed(self, below: Found) -> None:
+        """Beside an effect since the calibration another width, and where that leaves more than noise all that another
+        posture changes: where another machine was calibrated, such as a simulator, its nominal is not this one's."""
+        hypothesis = below.fit.hypothesis
+        if hypothesis.scopes[0] == Scope.START or hypothesis.kinds[0].nominal:
+            return
+        for only in ((WIDTH,), None):
+            found = self.search.posture(below, only)
+            if found is not None:
+                self.add(found)
+                below = found
+                if not self._open(found):
+                    return
 
     def add_in_the_mean(self, below: Found) -> None:
         """Events after the calibration, as they are in the mean, on top of what is weighed already."""
@@ -164,4 +180,5 @@ class _Weighing:
         return None
 
     def evidence(self) -> Evidence:
-        return Evidence(self.search.fitter.floor, self._frozen, tuple(self._weighed), len(self.search.kinds))
+        floor, weighed = self.search.fitter.floor, tuple(self._weighed)
+        return Evidence(floor, self._frozen, weighed, len(self.search.kinds), self._calibrated)

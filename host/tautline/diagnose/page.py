@@ -22,7 +22,7 @@ FILE = "report.html"
 _CANDIDATES = 5
 _GUESS = 0.2  # share of a gap that an effect must close for its stage to be a guess
 _PARAMETERS = 6  # of an effect; a spline's coefficients say nothing to a reader
-_AXES = 3  # pictures of where and when it is
+_AXES = 2  # pictures of where and when it is
 _MANY_POINTS = 2500
 _TITLES = {
     "q": "motor position",
@@ -98,7 +98,7 @@ def _chain(document: Mapping[str, Any]) -> list[dict[str, Any]]:
         closes = max((c["shrink"] for c in found), default=0.0)
         share = sum(e["shrink"] for e in document["effects"] if e["id"].startswith(stage + "."))
         says = f"{words.percent(share)} of the gap" if stage in named and share > 0.005 else ""
-        if not says and closes > 0.005 and document["verdict"] != "none":
+        if not says and closes > words.told(document):
             says = f"could close {words.percent(closes)}"
         certain = document["verdict"] == "effect"
         mark = "named" if certain and (stage == marked or stage in named) else ""
@@ -142,9 +142,12 @@ def _conditions(diagnosis: Diagnosis, unit: str) -> list[dict[str, Any]]:
         after = {c.axis: c for c in where.conditions(tests, paths, diagnosis.after)}
     else:
         after = {}
-    top = max((float(_rms(c).max()) for c in diagnosis.conditions), default=1.0)
+    shown = diagnosis.conditions[:_AXES]
+    drawn_too = [after[c.axis] for c in shown if c.axis in after]
+    tops = [max(float(_rms(c).max()), float(c.mean.max())) for c in shown] + [float(_rms(c).max()) for c in drawn_too]
+    top = max([*tops, diagnosis.document["noise_floor"]])
     pictures = []
-    for condition in diagnosis.conditions[:_AXES]:
+    for condition in shown:
         title = _TITLES.get(condition.axis, condition.axis)
         drawn = _condition(diagnosis, condition, after.get(condition.axis), unit, top)
         caption = f"{words.percent(condition.share)} of the gap's power goes with it; largest {condition.says}."
@@ -232,5 +235,6 @@ def residuals(diagnosis: Diagnosis) -> Figure:
     ax.set_xlabel("time in the session (s)")
     ax.set_ylabel(f"residual ({diagnosis.document['unit']})")
     ax.set_ylim(bottom=0)
+    ax.set_xlim(float(tests[0].motor.t_s[0]) + tests[0].offset_s, float(tests[-1].motor.t_s[-1]) + tests[-1].offset_s)
     ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, markerscale=4)
     return made

@@ -12,7 +12,7 @@ from tautline.effects import BY_ID, EVENTS
 _SMALL = 3.0  # times the noise: a gap below is called small
 _SHOWN = 0.005  # probability from which on a terminal shows a candidate
 _NO_PATH = "It has no path that repeats, so no model can predict it away."
-_NEAR = 0.5  # of a gap that an effect closes: it is told beside "unknown"
+_NEAR = 0.1  # of a gap that an effect or a refit closes: it is told beside "unknown"
 SINCE = {
     "start": " from the start",
     "calibration": " since the calibration",
@@ -42,16 +42,21 @@ def sentence(document: Mapping[str, Any]) -> str:
         )
     if document["verdict"] == "unknown":
         small = _is_small(document)
+        what = "Nothing large is left: a small gap" if small else "A gap"
+        seen = "" if small else _seen(document)
         near = max(document["candidates"], key=lambda c: c["shrink"], default=None)
-        if near and near["shrink"] > _NEAR:
+        again = 1.0 - document["gap_recalibrated"]["before"] / max(gap["before"], 1e-300)
+        if near and near["shrink"] > max(_NEAR, again):
             return (
-                f"A gap of {before}, {times}: of the known effects {near['id']} comes nearest and would close "
-                f"{percent(near['shrink'])}, but leaves what it could not{_seen(document)}."
+                f"{what} of {before}, {times}: of the known effects {near['id']} comes nearest and would close "
+                f"{percent(near['shrink'])}, but leaves what it could not{seen}."
             )
-        return (
-            f"{'Nothing large is left: a small' if small else 'A'} gap of {before}, {times}, "
-            f"that no known effect explains{'' if small else _seen(document)}."
-        )
+        if again > _NEAR:
+            return (
+                f"{what} of {before}, {times}: refitting B, f_remain and registration would close {percent(again)} of "
+                f"it, but leaves what they could not{seen}."
+            )
+        return f"{what} of {before}, {times}, that no known effect explains{seen}."
     effects = document["effects"]
     named = listed([f"{BY_ID[e['id']].says}{_since(e)} ({e['id']}, {percent(e['probability'])} sure)" for e in effects])
     if effects[0]["id"] in EVENTS and gap["shrink"] > _SHRINKS:
@@ -112,11 +117,11 @@ def flexible(document: Mapping[str, Any]) -> str:
     asked = "a flexible model of motor position, travel since the reversal, speed, time and the other axes"
     if share < 0.15:
         return text + (
-            f"{_capital(asked)} would close hardly any of {what}: it goes with nothing that was recorded, "
+            f"{_capital(asked)} would follow hardly any of {what}: it goes with nothing that was recorded, "
             "or does not repeat."
         )
     return text + (
-        f"{_capital(asked)} would close {percent(share)} of {what} above the noise "
+        f"{_capital(asked)} would follow {percent(share)} of {what} above the noise "
         f"({digits(found['before'])} to {digits(found['after'])} {document['unit']} rms): so much of it repeats."
     )
 
@@ -230,9 +235,11 @@ def text(document: Mapping[str, Any], folder: str) -> str:
 
 
 def rows(document: Mapping[str, Any], most: int) -> list[tuple[str, float, str]]:
-    """Candidate, its probability to be the leading one, and what it closes: the likeliest, unknown and none."""
+    """Candidate, its probability to be the leading one, and what it closes: the likeliest, unknown and none. Where
+    nothing is explained, what closes next to nothing says nothing."""
+    least = told(document)
     found = [
-        (c["id"], c["probability"], f"closes {percent(max(c['shrink'], 0.0))}" if c["shrink"] > 0.005 else "")
+        (c["id"], c["probability"], f"closes {percent(c['shrink'])}" if c["shrink"] > least else "")
         for c in document["candidates"][:most]
     ]
     for name, probability in (
@@ -242,6 +249,11 @@ def rows(document: Mapping[str, Any], most: int) -> list[tuple[str, float, str]]
         if probability >= _SHOWN:
             found.append((name, probability, ""))
     return sorted(found, key=lambda row: -row[1])
+
+
+def told(document: Mapping[str, Any]) -> float:
+    """Share of the gap from which on it is said that an effect closes it."""
+    return {"effect": 0.005, "unknown": _NEAR, "none": 1.0}[str(document["verdict"])]
 
 
 def _seen(document: Mapping[str, Any]) -> str:

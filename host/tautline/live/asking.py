@@ -1,0 +1,136 @@
+"""A live diagnosis: of what the recordings leave open the board is asked, by the motion that tells most, until one
+answer is sure or nothing that it could record would help."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tautline.calibration.calibrate import Calibration
+from tautline.calibration.clock import on_motor_clock
+from tautline.diagnose import motion
+from tautline.diagnose.diagnosis import Diagnosis, diagnose
+from tautline.diagnose.motion import NextMotion
+from tautline.diagnose.words import percent
+from tautline.errors import TautError
+from tautline.live.following import record
+from tautline.live.setup import Live
+from tautline.recording import Recording, load
+
+SURE = 0.95
+MOTION = "motion.csv"
+_TELLS = 1.0  # of the noise: candidates whose paths differ by less in rms look alike
+_NO_NEWS = 0.02  # of a probability: a motion that moves it by less has told nothing
+_FIRST = "trapezoids"  # nothing is known yet that one could ask for
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The likeliest of all: an effect's id, "none" or "unknown"."""
+
+    name: str
+    probability: float
+
+    @classmethod
+    def of(cls, document: Mapping[str, Any]) -> Answer:
+        choices = {c["id"]: float(c["probability"]) for c in document["candidates"]}
+        choices |= {"none": document["probability_none"], "unknown": document["probability_unknown"]}
+        name = max(choices, key=lambda name: choices[name])
+        return cls(name, float(choices[name]))
+
+    def __str__(self) -> str:
+        return f"{self.name} ({percent(self.probability)})"
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A live diagnosis that has ended."""
+
+    diagnosis: Diagnosis
+    recordings: tuple[Path, ...]  # that were made
+    answers: tuple[Answer, ...]  # after each
+    why: str  # it ended
+
+    @property
+    def sure(self) -> bool:
+        return self.answers[-1].probability >= SURE
+
+
+def why_stop(
+    answers: Sequence[Answer], asked: Sequence[str], following: NextMotion | None, noise: float, most: int
+) -> str:
+    """Why nothing more is recorded; empty where `following` is worth it. answers: after each recording, `asked` the
+    motions' names. noise: of what `following` separates, px or deg."""
+    last = answers[-1]
+    if last.probability >= SURE:
+        return f"one answer is sure: {last}"
+    if following is None:
+        return "fewer than two candidates have a path that a motion could tell apart"
+    if following.separation < _TELLS * noise:
+        return (
+            f"no motion of this axis tells the leading candidates apart: in {following.why} they differ by "
+            f"{following.separation:.2g}, and the noise is {noise:.2g}"
+        )
+    if len(answers) > 1 and following.why in asked and _no_news(answers):
+        return f"'{following.why}' would tell most, was recorded and changed nothing: {last} it stays"
+    if len(answers) >= most:
+        return f"{most} recordings were made, as many as --most allows"
+    return ""
+
+
+def _no_news(answers: Sequence[Answer]) -> bool:
+    before, last = answers[-2:]
+    return before.name == last.name and abs(last.probability - before.probability) < _NO_NEWS
+
+
+def diagnose_live(
+    live: Live,
+    found: Calibration,
+    calibration: Recording,
+    tests: Sequence[Recording],
+    folder: Path,
+    most: int = 5,
+    progress: Progress = lambda fraction, text: None,
+    told: Callable[[str], None] = lambda text: None,
+) -> Asked:
+    """`calibration` on the motor's clock, and what `found` gave; `tests` were recorded before. What is recorded here
+    is kept in `folder`. `told`: a line after every recording. Ctrl-C ends a recording early, and it is diagnosed."""
+    if folder.exists() and any(folder.iterdir()):
+        raise TautError(f"{folder}: is not empty: name another folder for the recordings with --recordings")
+    folder.mkdir(parents=True, exist_ok=True)
+    known = list(tests)
+    answers: list[Answer] = []
+    asked: list[str] = []
+    made: list[Path] = []
+    following: NextMotion | None = None
+    while True:
+        if known or made:
+            diagnosis = diagnose(found.model, calibration, known, progress)
+            following = diagnosis.next_motion
+            answers.append(Answer.of(diagnosis.document))
+            noise = float(diagnosis.document["noise_floor"])
+            why = why_stop(answers, asked, following, noise, most + bool(tests))
+            told(f"{_what(made, asked)}: {answers[-1]}" + (f"; next {following.why}" if following and not why else ""))
+            if why:
+                return Asked(diagnosis, tuple(made), tuple(answers), why)
+        path = folder / f"test-{len(made) + 1}"
+        what = _FIRST
+        if following is not None:
+            what = str(folder / f"{path.name}-{MOTION}")
+            motion.table(following.motion, live.rig.actuator.unit).to_csv(what, index=False, float_format="%.6f")
+        asked.append(following.why if following else _FIRST)
+        _recorded(live, path, what, progress)
+        made.append(path)
+        known += on_motor_clock([load(path, live.rig)], live.rig)
+
+
+def _recorded(live: Live, path: Path, what: str, progress: Progress) -> None:
+    record(live, path, what, progress=lambda fraction, text: progress(fraction, f"recording {path.name}"))
+
+
+def _what(made: Sequence[Path], asked: Sequence[str]) -> str:
+    return f"{made[-1].name}, {asked[-1]}" if made else "what was recorded before"
