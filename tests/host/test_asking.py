@@ -26,7 +26,7 @@ def test_one_sure_answer_is_enough(name):
 
 def test_no_motion_no_difference_no_news_and_no_time_end_it():
     assert "no motion" not in ended([0.6], following=None) and "fewer than two" in ended([0.6], following=None)
-    assert "tells the leading candidates apart" in ended([0.6], noise=0.6)
+    assert "tells the leading candidates apart" in ended([0.6], noise=1.8)
     assert "changed nothing" in ended([0.6, 0.61], ["trapezoids", "fast strokes"])
     assert ended([0.6, 0.61], ["trapezoids", "slow strokes"]) == ""
     assert "as many as" in ended([0.6, 0.7], ["trapezoids", "fast strokes"], most=2)

@@ -212,3 +212,27 @@ def test_an_offset_that_leaves_what_a_right_effect_may_is_no_other_static_law():
     assert decide(Evidence(0.1, np.full(8, 100.0), h, 5)).named == ("transmission.offset",)
     h = (h[0], replace(h[1], power=np.full(8, 20.0)), h[2])
     assert decide(Evidence(0.1, np.full(8, 100.0), h, 5)).named == ("configuration.remaining",)
+
+
+DELAY, WIDTH = "acquisition.delay", "transmission.backlash"
+
+
+def test_a_delay_leads_beside_a_width_that_closes_less():
+    """Alone neither leaves what it may, the delay's law least of all."""
+    verdict = decide(evidence({(DELAY,): 0.1, (WIDTH,): 0.3, (DELAY, WIDTH): 0.005}))
+    assert verdict.name == "effect" and verdict.named[0] == DELAY and set(verdict.named) == {DELAY, WIDTH}
+
+
+def test_another_width_may_leave_what_the_calibration_left():
+    left = evidence({(WIDTH,): 0.1, (LAG,): 0.4}, before=20.0)
+    assert decide(left).name == "unknown"
+    verdict = decide(replace(left, calibrated=3.0 * FLOOR**2))
+    assert verdict.name == "effect" and verdict.named == (WIDTH,)
+
+
+def test_more_parameters_than_observations_cost_no_more():
+    few = evidence({(WIDTH,): 0.01, (LAG,): 0.5})
+    many = replace(few, hypotheses=tuple(replace(h, parameters=100 * h.parameters) for h in few.hypotheses))
+    more = replace(few, hypotheses=tuple(replace(h, parameters=1000 * h.parameters) for h in few.hypotheses))
+    assert decide(many).leading[WIDTH] == pytest.approx(decide(more).leading[WIDTH])
+    assert decide(many).leading[WIDTH] <= decide(few).leading[WIDTH]

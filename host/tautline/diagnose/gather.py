@@ -11,7 +11,7 @@ import numpy.typing as npt
 from tautline.diagnose import decide, scatter
 from tautline.diagnose.candidates import Found, Search
 from tautline.diagnose.decide import Evidence, Weighed
-from tautline.diagnose.fit import WIDTH, Fit, Fitter, Scope
+from tautline.diagnose.fit import DELAY, WIDTH, Fit, Fitter, Scope
 from tautline.diagnose.scatter import Scatter
 from tautline.effects import EVENTS, Kind
 
@@ -50,6 +50,10 @@ def gather(fitter: Fitter, frozen: Sequence[Array], base: Fit, kinds: Sequence[K
             weighing.add_further(search.on_top_of(below, _FURTHER_REFITS, 0))
             if size == 1:
                 weighing.add_changed(below)
+    if not fitter.px:  # else the recalibrated nominal has a delay of its own
+        late = next((found for found in weighing.found if found.ids == (DELAY,)), None)
+        if late is not None and weighing.open():
+            weighing.add_changed(late)
     return Gathered(weighing.evidence(), [found.reported() for found in weighing.found])
 
 
@@ -86,7 +90,7 @@ class _Weighing:
         """Beside an effect since the calibration another width, and where that leaves more than noise all that another
         posture changes: where another machine was calibrated, such as a simulator, its nominal is not this one's."""
         hypothesis = below.fit.hypothesis
-        if hypothesis.scopes[0] == Scope.START or hypothesis.kinds[0].nominal:
+        if hypothesis.scopes[0] == Scope.START or hypothesis.kinds[0].posture:
             return
         for only in ((WIDTH,), None):
             found = self.search.posture(below, only)
@@ -158,6 +162,11 @@ class _Weighing:
                 self._add_with_scatter(one)
             else:
                 self.add(one, events=i == 0 and len(one.ids) < MOST_EFFECTS)
+
+    def open(self) -> bool:
+        """Whether the best single effect leaves more than noise."""
+        singles = [found for found in self.found if len(found.ids) == 1]
+        return bool(singles) and self._open(min(singles, key=lambda found: float(np.mean(found.power))))
 
     def _open(self, found: Found) -> bool:
         return decide.is_open(self.evidence(), found.power)

@@ -21,7 +21,7 @@ from tautline.recording import Recording, load
 
 SURE = 0.95
 MOTION = "motion.csv"
-_TELLS = 1.0  # of the noise: candidates whose paths differ by less in rms look alike
+_TELLS = 0.3  # of the noise: candidates whose paths differ by less in rms look alike, however many the frames
 _NO_NEWS = 0.02  # of a probability: a motion that moves it by less has told nothing
 _FIRST = "trapezoids"  # nothing is known yet that one could ask for
 
