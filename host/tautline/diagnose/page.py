@@ -21,7 +21,7 @@ FILE = "report.html"
 
 _CANDIDATES = 5
 _GUESS = 0.2  # share of a gap that an effect must close for its stage to be a guess
-_PARAMETERS = 6  # of an effect; a spline's coefficients say nothing to a reader
+_PARAMETERS = 6  # of an effect
 _AXES = 2  # pictures of where and when it is
 _MANY_POINTS = 2500
 _TITLES = {
@@ -69,6 +69,7 @@ def write(diagnosis: Diagnosis, folder: Path, known_as: str = "") -> Path:
                 "closes": closes,
             }
             for name, p, closes in words.rows(document, _CANDIDATES)
+            if p >= words.SHOWN
         ],
         "parameters": [row for effect in document["effects"] for row in _parameters(effect, unit)],
         "moved": words.moved(document),
@@ -108,25 +109,37 @@ def _chain(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     return stages
 
 
-def _parameters(effect: Mapping[str, Any], unit: str) -> list[dict[str, str]]:
+def _parameters(effect: Mapping[str, Any], unit: str) -> list[dict[str, Any]]:
     kind = BY_ID[effect["id"]]
     if kind.of_joint and "column" in effect["parameters"]:
         kind = kind.of_joint(effect["parameters"]["column"])
+    splines = {p.name for p in kind.parameters if p.name.rsplit("_", 1)[-1].isdigit()}  # say nothing to a reader
     known = {p.name: p for p in kind.parameters if p.name in effect["parameters"]}
-    known = dict(list(known.items())[:_PARAMETERS])
+    known = dict([item for item in known.items() if item[0] not in splines][:_PARAMETERS])
+    if not known and "column" not in effect["parameters"]:
+        return [_row(effect, "a curve", "", True)]
+    shown = {name: value for name, value in effect["parameters"].items() if name in known or name == "column"}
     return [
-        {
-            "effect": effect["id"],
-            "name": name.replace("_", " "),
-            "value": f"{words.digits(value)} {_unit(known[name], unit)}".strip() if name in known else value,
-            "since": words.SINCE[effect["since"]].strip(" ,"),
-            "share": words.percent(effect["shrink"]),
-            "with": ", ".join(effect["ambiguous_with"]),
-            "first": name == next(iter(effect["parameters"])),
-        }
-        for name, value in effect["parameters"].items()
-        if name in known or name == "column"
+        _row(
+            effect,
+            name.replace("_", " "),
+            f"{words.digits(value)} {_unit(known[name], unit)}".strip() if name in known else value,
+            name == next(iter(shown)),
+        )
+        for name, value in shown.items()
     ]
+
+
+def _row(effect: Mapping[str, Any], name: str, value: str, first: bool) -> dict[str, Any]:
+    return {
+        "effect": effect["id"],
+        "name": name,
+        "value": value,
+        "since": words.SINCE[effect["since"]].strip(" ,"),
+        "share": words.percent(effect["shrink"]),
+        "with": ", ".join(effect["ambiguous_with"]),
+        "first": first,
+    }
 
 
 def _unit(parameter: Parameter, unit: str) -> str:

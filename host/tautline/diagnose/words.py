@@ -10,8 +10,9 @@ from tautline.diagnose.confounded import DRIFT, LOAD
 from tautline.effects import BY_ID, EVENTS
 
 _SMALL = 3.0  # times the noise: a gap below is called small
-_SHOWN = 0.005  # probability from which on a terminal shows a candidate
+SHOWN = 0.005  # probability from which on a candidate is shown
 _NO_PATH = "It has no path that repeats, so no model can predict it away."
+_TOLD = 2  # effects that are told in words
 _NEAR = 0.1  # of a gap that an effect or a refit closes: it is told beside "unknown"
 SINCE = {
     "start": " from the start",
@@ -58,7 +59,11 @@ def sentence(document: Mapping[str, Any]) -> str:
             )
         return f"{what} of {before}, {times}, that no known effect explains{seen}."
     effects = document["effects"]
-    named = listed([f"{BY_ID[e['id']].says}{_since(e)} ({e['id']}, {percent(e['probability'])} sure)" for e in effects])
+    told = [f"{BY_ID[e['id']].says}{_since(e)} ({e['id']}, {percent(e['probability'])} sure)" for e in effects]
+    if len(effects) > _TOLD:
+        rest = [f"{e['id']} ({percent(e['probability'])})" for e in effects[1:]]
+        told = [told[0], f"beside it {listed(rest)}"]
+    named = listed(told)
     if effects[0]["id"] in EVENTS and gap["shrink"] > _SHRINKS:
         text = (
             f"{_capital(named)}: what of it repeats shrinks the gap by {percent(gap['shrink'])} in the model, from "
@@ -221,7 +226,7 @@ def text(document: Mapping[str, Any], folder: str) -> str:
         lines += ["", f"  {moved(document)}"]
     lines.append("")
     for name, probability, closes in rows(document, 4):
-        if probability < _SHOWN:
+        if probability < SHOWN:
             continue
         lines.append(f"  {name:<40} {percent(probability):>6}  {closes}".rstrip())
     said = flexible(document)
@@ -246,7 +251,7 @@ def rows(document: Mapping[str, Any], most: int) -> list[tuple[str, float, str]]
         ("none of these (unknown)", document["probability_unknown"]),
         ("no gap", document["probability_none"]),
     ):
-        if probability >= _SHOWN:
+        if probability >= SHOWN:
             found.append((name, probability, ""))
     return sorted(found, key=lambda row: -row[1])
 
