@@ -18,7 +18,12 @@ from tautline.calibration.components import Components, separate
 from tautline.calibration.doubts import doubts, floor_of
 from tautline.calibration.observations import Track, observe
 from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, find_onsets
-from tautline.calibration.place import allowing_for_place, as_many_as_independent, place_noise
+from tautline.calibration.place import (
+    allowing_for_place,
+    as_many_as_independent,
+    as_smooth_as_independent,
+    place_noise,
+)
 from tautline.calibration.playfit import NODES, Fitted
 from tautline.calibration.remaining import Remaining, fit_remaining, morphological, pose_of, posed
 from tautline.calibration.several import fit_elements
@@ -40,6 +45,7 @@ _AGREE = 3.0  # mean squared z of onsets against the joint fit up to which both 
 _LEAST_FRAMES = 10
 _STANDS_OUT = 10.0  # a motion of so many sigma is one
 _AT_ONCE = 0.75  # of the path's slope: a tip that starts slower starts gradually
+_SURER = 2.0  # times less certain: the joint fit's B beside the onsets'
 _LITTLE = 0.03  # of the width: differences below are no contradiction
 _GRADUAL = 0.4  # noise: what a gradual start must leave for several elements to be tried
 _WORSE = 1.25  # times what the best single curve leaves: a B that leaves more is not for predictions
@@ -49,6 +55,7 @@ _LIKELY_GAIN = (0.4, 2.5)  # of f_coarse's, between which f_remain's is no wrong
 _LIKELY_BEND = 0.5  # of f_coarse's span, by which f_remain may leave it
 _LARGE = 0.1  # of the image's motion (rms): a registration that is off by less still tells angles
 _EXPLAINED = 1.5  # residual over noise up to which a model explains its data
+_UNNAMED = 1.3  # the same of model and departures: beyond, what is left has no name
 
 
 @dataclass(frozen=True)
@@ -256,11 +263,10 @@ class _Session:
             # What the model does not know would bend the delay: the image stops tell it alone.
             joint.fit.fit_delay = False
             joint = joint.fit.solve(replace(joint.curves, delay_s=delay.delay_s))
+        if fit_delay and not joint.fit.fit_delay:
+            joint.fit.delay_sigma_s = self._joint_delay(delay, joint).sigma_s
         self.say(0.5, "what departs from a play")
-        noise = place_noise(joint)
-        if noise is not None:
-            self.evidence |= {f"place_{key}": value for key, value in asdict(noise).items()}
-        joint = self._separated(allowing_for_place(joint, noise), onsets, curve)
+        joint = self._separated(joint, onsets, curve)
         self.say(0.6, "passes alone")
         margin = 0.1 * float(np.median(joint.fit.width(joint.curves))) + 0.005 * self.domain.span
         passes = fit_passes(joint, margin)
@@ -268,8 +274,15 @@ class _Session:
 
     def _separated(self, joint: Fitted, onsets: Sequence[Onset], curve: WidthCurve | None) -> Fitted:
         """The joint fit with all that departs from its model beside it."""
+        noise = place_noise(joint)
+        if noise is not None:
+            self.evidence |= {f"place_{key}": value for key, value in asdict(noise).items()}
+        joint = allowing_for_place(joint, noise)
         self.evidence["residual_before_components"] = joint.scale
         self.components = separate(joint, self.rig)
+        if self.components.noise > _UNNAMED:
+            joint = as_smooth_as_independent(joint, noise)
+            self.components = separate(joint, self.rig)
         several = self._several(joint, self.components) if self.options.elements == "auto" else None
         if several is not None:
             joint, self.elements = several, several.fit.elements
@@ -357,9 +370,22 @@ class _Session:
         self.evidence["joint_residual_over_noise"] = joint.scale
         agreed = self._explained(joint) or float(np.mean(z**2)) < _AGREE
         if not jumping(widths) and (agreed or not self._contradicted(widths, curve, passes)):
-            return width, sigma, JOINT
+            return *self._weighed(curve, width, sigma), JOINT
         self.notes.append("the passes contradict the onsets: B(q) is the onsets' alone")
         return self._filled(widths, curve, joint, passes)
+
+    def _weighed(self, curve: WidthCurve, width: Array, sigma: Array) -> tuple[Array, Array]:
+        """B and its sigma. Onsets know no model: where its errors leave the joint fit clearly less certain of B than they
+        are, both count, by what each is uncertain by. Not where a tip starts gradually: they show its first motion only."""
+        gradual = self.components is not None and any(part.name.startswith("phase") for part in self.components.parts)
+        inside = (self.grid > curve.measured[0]) & (self.grid < curve.measured[1])
+        theirs = np.hypot(curve.sigma, curve.excess / np.sqrt(curve.places))  # a place errs alike every time
+        surer = not inside.any() or bool(np.median(sigma[inside]) < _SURER * np.median(theirs[inside]))
+        if surer or gradual or not self.elements.single:
+            return width, sigma
+        own, other = (np.maximum(each, 1e-12) ** -2 for each in (sigma, theirs))
+        both = (own * width + other * curve.width) / (own + other)
+        return allowed_width(self.grid, both), (own + other) ** -0.5
 
     def _held(self, joint: Fitted, curve: WidthCurve | None) -> Array:
         """The joint fit's B, held beyond the positions that passes both ways or onsets reached: what lies there could
