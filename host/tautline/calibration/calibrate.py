@@ -375,8 +375,8 @@ class _Session:
         return self._filled(widths, curve, joint, passes)
 
     def _weighed(self, curve: WidthCurve, width: Array, sigma: Array) -> tuple[Array, Array]:
-        """B and its sigma. Onsets know no model: where its errors leave the joint fit clearly less certain of B than they
-        are, both count, by what each is uncertain by. Not where a tip starts gradually: they show its first motion only."""
+        """B and its sigma. Onsets know no model: where its errors leave the joint fit clearly less certain of B than
+        they are, both count, by what each is uncertain by. Not where a tip starts gradually."""
         gradual = self.components is not None and any(part.name.startswith("phase") for part in self.components.parts)
         inside = (self.grid > curve.measured[0]) & (self.grid < curve.measured[1])
         theirs = np.hypot(curve.sigma, curve.excess / np.sqrt(curve.places))  # a place errs alike every time
