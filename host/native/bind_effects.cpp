@@ -83,33 +83,32 @@ template <typename T> const T *column(const std::optional<ArrayIn<T>> &values, s
     return values->data();
 }
 
-nb::object simulate(const nb::dict &parameters, Values grid, Values width, Values c_deg, Values t_s, Values q,
-                    Values at_s, std::optional<Values> translation, std::optional<Values> rotation,
-                    std::optional<Values> load, std::optional<Values> other, double session_s, double p0,
-                    const Plays *plays) {
+nb::object simulate(const nb::dict &parameters, const Plays &plays, Values c_deg, Values t_s, Values q, Values at_s,
+                    std::optional<Values> translation, std::optional<Values> rotation, std::optional<Values> load,
+                    std::optional<Values> other, double session_s, double p0) {
     const std::vector<double> values = all_values(parameters);
-    const size_t nodes = grid.shape(0), knots = t_s.shape(0), n = at_s.shape(0);
-    if (nodes < 2 || width.shape(0) != nodes || c_deg.shape(0) != nodes) {
-        throw std::invalid_argument("grid, width and c_deg must have one length, 2 or more");
+    const size_t knots = t_s.shape(0), n = at_s.shape(0);
+    if (plays.grid.size() < 2 || c_deg.shape(0) != plays.grid.size()) {
+        throw std::invalid_argument("c_deg must be as long as the plays' grid, 2 or more");
     }
     if (knots < 1 || q.shape(0) != knots) {
         throw std::invalid_argument("q must be as long as t_s, 1 or more");
     }
-    const elements several = plays ? plays->view() : elements{};
-    const effect_tables tables = {grid.data(), width.data(), c_deg.data(), nodes, plays ? &several : nullptr};
+    const elements view = plays.view();
+    const effect_tables tables = {&view, c_deg.data()};
     const effect_motion motion = {t_s.data(), q.data(), column(load, knots, "load"), column(other, knots, "other"),
                                   knots};
     const effect_times times = {at_s.data(), column(translation, n, "translation"), column(rotation, n, "rotation"), n,
                                 session_s};
     auto c = new_array<double>(n), p = new_array<double>(n), tip = new_array<double>(n), gain = new_array<double>(n),
-         way = new_array<double>(n);
+         way = new_array<double>(n), lean = new_array<double>(n);
     auto side = new_array<signed char>(n);
-    const effect_path path = {c.data(), p.data(), tip.data(), gain.data(), way.data(), side.data()};
+    const effect_path path = {c.data(), p.data(), tip.data(), gain.data(), way.data(), lean.data(), side.data()};
     {
         nb::gil_scoped_release unlocked;
         effects_simulate(values.data(), &tables, &motion, &times, p0, &path);
     }
-    return nb::make_tuple(c, p, tip, gain, way, side);
+    return nb::make_tuple(c, p, tip, gain, way, lean, side);
 }
 
 ArrayOut<unsigned char> thin(Values t_s, Values values, Values tolerance, double rest_s) {
@@ -169,13 +168,11 @@ void bind_effects(nb::module_ &m) {
 #undef X
     m.attr("effect_parameters") = path; // (name, value when absent, unit, meaning): what moves the tip
     m.attr("sight_parameters") = sight; // and what changes where it is seen
-    m.def("simulate_effects", simulate, "parameters"_a, "grid"_a, "width"_a, "c_deg"_a, "t_s"_a, "q"_a, "at_s"_a,
+    m.def("simulate_effects", simulate, "parameters"_a, "plays"_a, "c_deg"_a, "t_s"_a, "q"_a, "at_s"_a,
           "translation"_a = nb::none(), "rotation"_a = nb::none(), "load"_a = nb::none(), "other"_a = nb::none(),
-          "session_s"_a = 0.0, "p0"_a = NAN, "plays"_a = nb::none(),
-          "c (deg), p, tip, gain, way and side at rising times at_s; tables are linear on `grid`; t_s, q, load and "
-          "other are "
-          "knots, translation and rotation are at at_s. plays: several elements on the same grid and width. See "
-          "effects.h.");
+          "session_s"_a = 0.0, "p0"_a = NAN,
+          "c (deg), p, tip, gain, way, lean and side at rising times at_s; c_deg is on the plays' grid; t_s, q, load "
+          "and other are knots, translation and rotation are at at_s. See effects.h.");
     m.def("thin", thin, "t_s"_a, "values"_a, "tolerance"_a, "rest_s"_a,
           "1 where a sample must stay for straight lines to be within tolerance. See thin.h.");
     m.def("see", see, "parameters"_a, "rig"_a, "c_deg"_a, "translation"_a = nb::none(), "rotation"_a = nb::none(),

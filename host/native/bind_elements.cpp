@@ -29,9 +29,12 @@ bool rises(const std::vector<double> &values) {
 }
 
 void check(const Plays &self) {
-    if (self.grid.size() != self.width.size() ||
-        !play_table_valid(self.grid.data(), self.width.data(), self.grid.size())) {
-        refuse("elements: not a backlash table (grid rising, width >= 0, |width'| < 2, all finite)");
+    const struct play_table table = self.view().table;
+    if (self.grid.size() != self.width.size() || !play_table_valid(&table)) {
+        refuse("play: not a backlash table (grid rising, width >= 0, |width'| < 2, all finite)");
+    }
+    if (self.warp_q.empty() && self.warp_x.empty() && self.r.empty() && self.w.empty()) {
+        return;
     }
     if (self.warp_q.size() < 2 || self.warp_q.size() != self.warp_x.size() || !rises(self.warp_q) ||
         !rises(self.warp_x)) {
@@ -55,7 +58,14 @@ void check(const Plays &self) {
 
 void bind_elements(nb::module_ &m) {
     m.attr("ELEMENTS_MAX") = static_cast<int>(ELEMENTS_MAX);
-    nb::class_<Plays>(m, "Plays", "Several play elements on one backlash table. See elements.h.")
+    nb::class_<Plays>(m, "Plays", "Play elements on one backlash table. See elements.h.")
+        .def(
+            "__init__",
+            [](Plays *self, Values grid, Values width) {
+                new (self) Plays{copied(grid), copied(width), {}, {}, {}, {}, 0.0};
+                check(*self);
+            },
+            "grid"_a, "width"_a, "A single play.")
         .def(
             "__init__",
             [](Plays *self, Values grid, Values width, Values warp_q, Values warp_x, Values r, Values w,

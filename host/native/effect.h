@@ -76,7 +76,8 @@ struct effect {
     void (*drive)(const double *v, double *state, const struct effect_moment *now, struct effect_drive *drive);
     // A play's thresholds in lots, in units of B's, and how many of all are in each; returns the number of lots.
     size_t (*lots)(const double *v, double *spread, double *share);
-    double (*late)(const double *v, int side, double since); // play beside B that a side still has after so much travel
+    double (*late)(const double *v, int side,
+                   double since); // play (>= 0) beside B that a side still has after so much travel
     void (*start)(const double *v, double *state, double centre);
     void (*follow)(const double *v, double *state, struct effect_chain *chain, double u0, double u1, double dt);
     double (*hold)(const double *v, double *state, double tip); // where the tip stays that would be there

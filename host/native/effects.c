@@ -21,144 +21,38 @@ struct all {
     size_t count;
 };
 
-struct span_cursor {
-    size_t i; // the span looked at last: motion is continuous, so the next is near
-};
-
-static size_t seek(const struct effect_tables *tables, struct span_cursor *cursor, double x) {
-    const size_t last = tables->nodes - 2;
-    size_t i = cursor->i;
-    while (i > 0 && x < tables->grid[i]) {
-        i--;
-    }
-    while (i < last && x >= tables->grid[i + 1]) {
-        i++;
-    }
-    cursor->i = i;
-    return i;
-}
-
-static double interpolate(const struct effect_tables *tables, const double *values, struct span_cursor *cursor,
-                          double x) {
-    const double *grid = tables->grid;
-    if (x <= grid[0]) {
-        return values[0];
-    }
-    if (x >= grid[tables->nodes - 1]) {
-        return values[tables->nodes - 1];
-    }
-    const size_t i = seek(tables, cursor, x);
-    return values[i] + (values[i + 1] - values[i]) * (x - grid[i]) / (grid[i + 1] - grid[i]);
-}
-
 // f_remain goes on with its end slopes: a motor that leaves the table still moves the tip.
-static double configuration(const struct effect_tables *tables, struct span_cursor *cursor, double p) {
-    const size_t i = seek(tables, cursor, p);
-    const double *grid = tables->grid;
-    const double slope = (tables->c_deg[i + 1] - tables->c_deg[i]) / (grid[i + 1] - grid[i]);
-    return tables->c_deg[i] + slope * (p - grid[i]);
+static double configuration(const struct effect_tables *tables, size_t *at, double p) {
+    const struct play_table *table = &tables->elements->table;
+    const size_t i = *at = play_span(table->grid, table->n, *at, p);
+    const double slope = (tables->c_deg[i + 1] - tables->c_deg[i]) / (table->grid[i + 1] - table->grid[i]);
+    return tables->c_deg[i] + slope * (p - table->grid[i]);
 }
 
-// p with p + s w(p) = q, where w = (scale B(p) + extra) / 2; and B(p).
-static double envelope(const struct effect_tables *tables, struct span_cursor *cursor, double q, double s, double scale,
-                       double extra, double *width_at) {
-    const double *grid = tables->grid;
-    const double *width = tables->width;
-    const double half = 0.5 * s * scale;
-    const double x = q - 0.5 * s * extra;
-    const size_t last = tables->nodes - 1;
-    if (x <= grid[0] + half * width[0]) {
-        *width_at = width[0];
-        return x - half * width[0];
-    }
-    if (x >= grid[last] + half * width[last]) {
-        *width_at = width[last];
-        return x - half * width[last];
-    }
-    size_t i = cursor->i;
-    while (i > 0 && x < grid[i] + half * width[i]) {
-        i--;
-    }
-    while (i < last - 1 && x >= grid[i + 1] + half * width[i + 1]) {
-        i++;
-    }
-    cursor->i = i;
-    const double low = grid[i] + half * width[i];
-    const double high = grid[i + 1] + half * width[i + 1];
-    const double share = (x - low) / (high - low);
-    *width_at = width[i] + share * (width[i + 1] - width[i]);
-    return grid[i] + share * (grid[i + 1] - grid[i]);
-}
-
-struct play {
-    double p;     // of an element of several: in its warp
-    double width; // B(p); of an element of several: 2 r
-    double share; // of the motion
-    double since; // travel since the delayed side began to carry
-    struct span_cursor low_at, high_at;
-    struct warp_cursor in, out[2];
-    signed char side;
+// Of the chain. Of each lot of thresholds the elements; behind them, if there are several, the single one beside them.
+struct chain_play {
+    struct play play;
+    const struct play_table *table; // NULL: in the warp
+    double share;                   // of the motion
+    double spread;                  // of its width
+    double since;                   // travel since the delayed side began to carry
 };
 
-// How far beyond the play's end on side s the motor is, at which it begins to carry it.
-static double beyond_end(const struct warp *warp, struct play *play, const struct effect_drive *drive, double s,
-                         double scale) {
-    if (!warp) {
-        return s * (drive->q - play->p) - 0.5 * (scale * play->width + drive->extra);
-    }
-    const double end = warp_from(warp, &play->out[s > 0], play->p + 0.5 * s * scale * play->width);
-    return s * (drive->q - end) - 0.5 * drive->extra;
-}
-
-// Moves the play, in the warp if it is an element of several, to `drive`. Returns how much of q's last step carried it.
-// late: an effect that holds a side back, or NULL.
-static double play_move(const struct active *late, const struct effect_tables *tables, const struct warp *warp,
-                        struct play *play, const struct effect_drive *drive, double spread) {
-    const double scale = drive->scale * spread;
-    for (int s = -1; s <= 1; s += 2) {
-        if (s * drive->way < 0.0) {
-            continue;
-        }
-        double since = play->side == s ? play->since : 0.0;
-        double held = late ? late->effect->late(late->v, s, since) : 0.0;
-        const double carried = beyond_end(warp, play, drive, s, scale) - held;
-        if (carried <= 0.0) {
-            continue;
-        }
-        if (late) {
-            since += carried;
-            held = late->effect->late(late->v, s, since);
-        }
-        const double q = drive->q - s * held;
-        if (warp) {
-            play->p = warp_to(warp, &play->in, q - 0.5 * s * drive->extra) - 0.5 * s * scale * play->width;
-        } else {
-            play->p = envelope(tables, s > 0 ? &play->low_at : &play->high_at, q, s, scale, drive->extra, &play->width);
-        }
-        play->side = (signed char)s;
-        play->since = since;
-        return carried;
-    }
-    return 0.0;
-}
-
-// All plays: of each lot of thresholds one, or one for each element.
 struct plays {
-    struct play of[EFFECT_LOTS * ELEMENTS_MAX];
-    double spread[EFFECT_LOTS];
+    struct chain_play of[EFFECT_LOTS * ELEMENTS_MAX + 1];
     size_t each, count, middle; // the one that half of all have moved before
-    struct play single;         // beside several elements, for where B is narrow
-    struct warp_cursor low_at, high_at;
-    struct span_cursor at;
+    struct elements_course course;
+    struct warp_cursor end_at[2];
 };
 
 static void find_plays(const struct all *all, const struct elements *elements, struct plays *plays) {
-    double share[EFFECT_LOTS] = {1.0};
-    *plays = (struct plays){.spread = {1.0}, .each = elements ? elements->n : 1};
+    const int several = elements->warp.knots > 0;
+    double spread[EFFECT_LOTS] = {1.0}, share[EFFECT_LOTS] = {1.0};
+    *plays = (struct plays){.each = several ? elements->n : 1};
     size_t lots = 1;
     for (size_t i = 0; i < all->count; i++) {
         if (all->of[i].effect->lots) {
-            lots = all->of[i].effect->lots(all->of[i].v, plays->spread, share);
+            lots = all->of[i].effect->lots(all->of[i].v, spread, share);
         }
     }
     plays->count = lots * plays->each;
@@ -166,51 +60,110 @@ static void find_plays(const struct all *all, const struct elements *elements, s
     for (size_t i = 0; i < lots && above > 0.5; above -= share[i++]) {
         plays->middle = i * plays->each;
     }
-    for (size_t i = 0; i < plays->count; i++) {
-        plays->of[i].share = share[i / plays->each] * (elements ? elements->w[i % plays->each] : 1.0);
-    }
-    for (size_t i = 0; elements && i < elements->n; i++) {
+    for (size_t i = 0; several && i < elements->n; i++) {
         plays->middle += weight < 0.5 && i > 0;
         weight += elements->w[i];
     }
-}
-
-static void plays_start(const struct effect_tables *tables, struct plays *plays, double q, double p) {
-    const struct elements *elements = tables->elements;
-    struct warp_cursor in = {0}, centre = {0};
-    double z[ELEMENTS_MAX] = {0};
-    if (elements) {
-        elements_start(elements, warp_to(&elements->warp, &in, q), elements_centre(elements, &centre, p), z);
-    }
-    plays->single.p = p;
-    plays->single.width = interpolate(tables, tables->width, &plays->at, p);
     for (size_t i = 0; i < plays->count; i++) {
-        const size_t element = i % plays->each;
-        plays->of[i].p = elements ? z[element] : p;
-        plays->of[i].width = elements ? 2.0 * elements->r[element] : plays->single.width;
+        const size_t lot = i / plays->each;
+        plays->of[i].table = elements_table(elements);
+        plays->of[i].share = share[lot] * (several ? elements->w[i % plays->each] : 1.0);
+        plays->of[i].spread = spread[lot];
     }
+    plays->of[plays->count] = (struct chain_play){.table = &elements->table, .spread = 1.0};
 }
 
-// The centre coordinate after all plays have moved; *carried as play_move returns.
-static double plays_move(const struct active *late, const struct effect_tables *tables, struct plays *plays,
+static void plays_start(const struct elements *elements, struct plays *plays, double q, double p) {
+    struct play of[ELEMENTS_MAX];
+    elements_start(elements, q, p, of, &plays->course);
+    for (size_t i = 0; i < plays->count; i++) {
+        plays->of[i].play = of[i % plays->each];
+    }
+    plays->of[plays->count].play = play_start(&elements->table, p);
+}
+
+// Pushes a play by its end on side s, which the effect `late` holds back by what is left of it after so much travel. q:
+// the motor for that end; x: the same in the play's coordinate. As play_push, in the motor's coordinate.
+static double push_late(const struct active *late, const struct elements *elements, struct plays *plays,
+                        struct chain_play *own, double q, double x, int s, double scale) {
+    struct play *play = &own->play;
+    if (!(s * (x - play->at) - scale * play->half > 0.0)) {
+        return 0.0;
+    }
+    double since = play->side == s ? own->since : 0.0, from = play->at + s * scale * play->half;
+    if (!own->table) {
+        from = warp_from(&elements->warp, &plays->end_at[s > 0], from);
+    }
+    const double beyond = s * (q - from) - late->effect->late(late->v, s, since);
+    if (!(beyond > 0.0)) {
+        return 0.0;
+    }
+    since += beyond;
+    const double to = q - s * late->effect->late(late->v, s, since);
+    if (!(play_push(play, own->table, own->table ? to : elements_motor(elements, &plays->course, to, s), s, scale) >
+          0.0)) {
+        return 0.0;
+    }
+    own->since = since;
+    return beyond;
+}
+
+// Where all plays are driven to: the motor for the falling and the rising end, and the same in the warp.
+struct ends {
+    double q[2], x[2];
+};
+
+static struct ends find_ends(const struct elements *elements, struct plays *plays, const struct effect_drive *drive) {
+    struct ends ends;
+    for (int s = PLAY_FALLING; s <= PLAY_RISING; s += 2) {
+        const double q = s * drive->way < 0.0 ? s > 0 ? -HUGE_VAL : HUGE_VAL : drive->q - 0.5 * s * drive->extra;
+        ends.q[s > 0] = q;
+        ends.x[s > 0] = elements_motor(elements, &plays->course, q, s);
+    }
+    return ends;
+}
+
+// Returns how much of q's last step carried the play.
+static double play_move(const struct active *late, const struct elements *elements, struct plays *plays,
+                        struct chain_play *own, const struct ends *ends, double scale) {
+    for (int s = PLAY_FALLING; s <= PLAY_RISING; s += 2) {
+        const double q = ends->q[s > 0], x = own->table ? q : ends->x[s > 0];
+        const double beyond = late ? push_late(late, elements, plays, own, q, x, s, scale * own->spread)
+                                   : play_push(&own->play, own->table, x, s, scale * own->spread);
+        if (beyond > 0.0) {
+            return beyond;
+        }
+    }
+    return 0.0;
+}
+
+// The centre coordinate after all plays have moved; *carried as of a single one.
+static double plays_move(const struct active *late, const struct elements *elements, struct plays *plays,
                          const struct effect_drive *drive, double *carried) {
-    const struct elements *elements = tables->elements;
-    const struct warp *warp = elements ? &elements->warp : NULL;
+    const struct ends ends = find_ends(elements, plays, drive);
     double sum = 0.0;
     *carried = 0.0;
     for (size_t i = 0; i < plays->count; i++) {
-        struct play *play = &plays->of[i];
-        *carried = fmax(*carried, play_move(late, tables, warp, play, drive, plays->spread[i / plays->each]));
-        sum += play->share * play->p;
+        const double beyond = play_move(late, elements, plays, &plays->of[i], &ends, drive->scale);
+        *carried = beyond > *carried ? beyond : *carried;
+        sum += plays->of[i].share * plays->of[i].play.at;
     }
-    double centre = elements ? elements_position(elements, &plays->low_at, &plays->high_at, sum) : sum;
-    if (elements && elements->narrow > 0.0) {
-        play_move(late, tables, NULL, &plays->single, drive, 1.0);
-        if (interpolate(tables, tables->width, &plays->at, centre) < elements->narrow) {
-            centre = plays->single.p;
-        }
+    if (!elements->warp.knots) {
+        return sum;
     }
-    return centre;
+    struct chain_play *single = &plays->of[plays->count];
+    if (elements->narrow > 0.0) {
+        play_move(late, elements, plays, single, &ends, drive->scale);
+    }
+    return elements_centre(elements, &plays->course, sum, &single->play);
+}
+
+static double plays_lean(const struct plays *plays) {
+    double lean = 0.0;
+    for (size_t i = 0; i < plays->count; i++) {
+        lean += plays->of[i].share * plays->of[i].play.lean;
+    }
+    return lean;
 }
 
 double effect_first_order(double y, double u0, double u1, double dt, double time) {
@@ -310,10 +263,11 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
     struct effect_chain chain = {following, following + follows, 0.0};
     struct plays plays;
     find_plays(&all, tables->elements, &plays);
-    struct span_cursor c_at = {0};
-    const double usual_speed = 0.1 * (tables->grid[tables->nodes - 1] - tables->grid[0]);
-    const double c_middle = tables->c_deg[tables->nodes / 2];
-    const double c_slope = (tables->c_deg[tables->nodes - 1] - tables->c_deg[0]) / (10.0 * usual_speed);
+    const struct play_table *table = &tables->elements->table;
+    size_t c_at = 0;
+    const double usual_speed = 0.1 * (table->grid[table->n - 1] - table->grid[0]);
+    const double c_middle = tables->c_deg[table->n / 2];
+    const double c_slope = (tables->c_deg[table->n - 1] - tables->c_deg[0]) / (10.0 * usual_speed);
     double before_t = 0.0, before_q = 0.0, centre = 0.0, lies = 0.0, again_s = INFINITY;
     const size_t last = motion->knots - 1;
     size_t knot = 0, asked = 0;
@@ -355,9 +309,9 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
         const double from = centre;
         double carried;
         if (!started) {
-            plays_start(tables, &plays, drive.q, isnan(p0) ? drive.q : p0);
+            plays_start(tables->elements, &plays, drive.q, isnan(p0) ? drive.q : p0);
         }
-        centre = plays_move(late, tables, &plays, &drive, &carried);
+        centre = plays_move(late, tables->elements, &plays, &drive, &carried);
         for (size_t i = 0; !started && i < all.count; i++) {
             if (all.of[i].effect->start) {
                 all.of[i].effect->start(all.of[i].v, all.of[i].state, centre);
@@ -374,7 +328,7 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
         } else {
             chain.out = centre;
         }
-        const signed char side = plays.of[plays.middle].side;
+        const signed char side = plays.of[plays.middle].play.side;
         double tip = chain.out, lies_next = side;
         for (size_t i = 0; i < all.count; i++) {
             const struct active *a = &all.of[i];
@@ -404,6 +358,7 @@ void effects_simulate(const double *values, const struct effect_tables *tables, 
         path->p[asked] = centre;
         path->tip[asked] = tip;
         path->way[asked] = lies;
+        path->lean[asked] = plays_lean(&plays);
         path->side[asked] = side;
         asked++;
     }

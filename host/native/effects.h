@@ -17,14 +17,11 @@ size_t effects_parameter_count(void);
 const struct effect_parameter *effects_parameter(size_t i);
 const char *effects_owner(size_t i); // the id of the effect that parameter i belongs to
 
-// Tables are linear between nodes and held beyond the ends (f_remain goes on with its end slopes); grid rises strictly;
-// |dwidth| < 2 dgrid, width >= 0.
+// f_remain on the nodes of the elements' backlash table (2 or more), linear between them; it goes on with its end
+// slopes.
 struct effect_tables {
-    const double *grid;
-    const double *width;
+    const struct elements *elements;
     const double *c_deg;
-    size_t nodes;
-    const struct elements *elements; // on grid and width; NULL: a single play
 };
 
 // Straight lines between knots, q held before the first and after the last.
@@ -52,6 +49,7 @@ struct effect_path {
     double *tip;       // after lag, creep and stick: c = f_remain(tip) but for the configuration's effects
     double *gain;      // dc / df_remain
     double *way;       // which way the instrument lies in its channel, -1 to 1
+    double *lean;      // -2 dp/dB where B is constant, of all elements
     signed char *side; // the envelope that last carried the tip: +1 rising q, -1 falling, 0 not yet
 };
 

@@ -2,11 +2,13 @@
 
 #include <math.h>
 
-int play_table_valid(const double *grid, const double *width, size_t n) {
-    if (n == 0) {
+int play_table_valid(const struct play_table *table) {
+    const double *grid = table->grid;
+    const double *width = table->width;
+    if (table->n == 0) {
         return 0;
     }
-    for (size_t i = 0; i < n; i++) {
+    for (size_t i = 0; i < table->n; i++) {
         if (!isfinite(grid[i]) || !isfinite(width[i]) || width[i] < 0.0) {
             return 0;
         }
@@ -20,54 +22,74 @@ int play_table_valid(const double *grid, const double *width, size_t n) {
     return 1;
 }
 
-double play_envelope(double q, double side, const double *grid, const double *width, size_t n, size_t *at) {
-    const double half = 0.5 * side;
-    if (q <= grid[0] + half * width[0]) {
-        return q - half * width[0];
+/* The span of `rising` (n >= 2) that x belongs to, from `at` on; the outermost ones reach beyond the ends. */
+size_t play_span(const double *rising, size_t n, size_t at, double x) {
+    size_t low = at;
+    size_t high = at + 1;
+    for (size_t step = 1; low > 0 && x < rising[low]; step *= 2) {
+        high = low;
+        low = low > step ? low - step : 0;
     }
-    if (q >= grid[n - 1] + half * width[n - 1]) {
-        return q - half * width[n - 1];
+    for (size_t step = 1; high < n - 1 && x >= rising[high]; step *= 2) {
+        low = high;
+        high = high + step < n - 1 ? high + step : n - 1;
+    }
+    while (high - low > 1) {
+        const size_t middle = low + (high - low) / 2;
+        if (x < rising[middle]) {
+            high = middle;
+        } else {
+            low = middle;
+        }
+    }
+    return low;
+}
+
+double play_width(const struct play_table *table, double p, size_t *at) {
+    const double *grid = table->grid;
+    const double *width = table->width;
+    const size_t last = table->n - 1;
+    if (p <= grid[0]) {
+        return width[0];
+    }
+    if (p >= grid[last]) {
+        return width[last];
+    }
+    const size_t i = *at = play_span(grid, table->n, *at, p);
+    return width[i] + (p - grid[i]) * (width[i + 1] - width[i]) / (grid[i + 1] - grid[i]);
+}
+
+struct play play_start(const struct play_table *table, double p) {
+    size_t at = 0;
+    return (struct play){.at = p, .half = 0.5 * play_width(table, p, &at)};
+}
+
+double play_end(const struct play_table *table, double q, double side, double scale, size_t *at, double *half) {
+    const double *grid = table->grid;
+    const double *width = table->width;
+    const size_t last = table->n - 1;
+    const double by = 0.5 * side * scale;
+    if (q <= grid[0] + by * width[0]) {
+        *half = 0.5 * width[0];
+        return q - by * width[0];
+    }
+    if (q >= grid[last] + by * width[last]) {
+        *half = 0.5 * width[last];
+        return q - by * width[last];
     }
     size_t i = *at;
-    while (i > 0 && q < grid[i] + half * width[i]) {
+    while (i > 0 && q < grid[i] + by * width[i]) {
         i--;
     }
-    while (q >= grid[i + 1] + half * width[i + 1]) {
+    while (q >= grid[i + 1] + by * width[i + 1]) {
         i++;
     }
     *at = i;
-    const double left = grid[i] + half * width[i];
-    const double right = grid[i + 1] + half * width[i + 1];
-    return grid[i] + (q - left) * (grid[i + 1] - grid[i]) / (right - left);
-}
-
-void play_forward(const double *q, size_t count, const double *grid, const double *width, size_t n, double p0,
-                  double *p, int8_t *side, int32_t *anchor) {
-    size_t low_at = 0;
-    size_t high_at = 0;
-    int8_t held_by = PLAY_INSIDE;
-    int32_t moved_at = -1;
-    double state = (isnan(p0) && count > 0) ? q[0] : p0;
-    for (size_t k = 0; k < count; k++) {
-        const double low = play_envelope(q[k], 1.0, grid, width, n, &low_at);
-        const double high = play_envelope(q[k], -1.0, grid, width, n, &high_at);
-        if (state < low) {
-            state = low;
-            held_by = PLAY_RISING;
-            moved_at = (int32_t)k;
-        } else if (state > high) {
-            state = high;
-            held_by = PLAY_FALLING;
-            moved_at = (int32_t)k;
-        }
-        p[k] = state;
-        if (side) {
-            side[k] = held_by;
-        }
-        if (anchor) {
-            anchor[k] = moved_at;
-        }
-    }
+    const double left = grid[i] + by * width[i];
+    const double right = grid[i + 1] + by * width[i + 1];
+    const double share = (q - left) / (right - left);
+    *half = 0.5 * (width[i] + share * (width[i + 1] - width[i]));
+    return grid[i] + share * (grid[i + 1] - grid[i]);
 }
 
 size_t play_turns(const double *q, size_t count, double hysteresis, int32_t *turns) {

@@ -1,4 +1,4 @@
-/* The play operator in motor space, float64: the host's simulations and fits.
+/* The play element, float64: the one that the host's simulations, fits and effects are made of.
  *
  * A backlash table is `width[i]` at `grid[i]` (motor units, i = 0 .. n-1, n >= 1, grid strictly rising, width >= 0,
  * |width'| < 2), linear between its nodes and held beyond its ends. p is the centre coordinate, B(p) the table:
@@ -15,23 +15,63 @@
 extern "C" {
 #endif
 
-/* What holds p at a sample. */
+/* Which side of its width an element lies against. */
 enum { PLAY_INSIDE = 0, PLAY_RISING = 1, PLAY_FALLING = -1 };
 
+struct play_table {
+    const double *grid;
+    const double *width;
+    size_t n;
+};
+
+/* An element and where it stands. One that has a table moves in the motor's coordinate; one that has none moves in a
+ * warp's (elements.h), where its width is the same everywhere. */
+struct play {
+    double at;       /* p, or its place in the warp */
+    double half;     /* half its width there */
+    double lean;     /* side times the scale it was pushed with (without a table: times its width): dp/dB = -lean / 2
+                      * where B is constant, else divided by 1 + lean B'(p) / 2; 0 until it is pushed */
+    size_t spans[2]; /* of the table, where the falling and the rising end were last: motion is continuous */
+    int8_t side;     /* that last pushed it; PLAY_INSIDE until one does */
+};
+
+/* The span [i, i + 1] of `rising` (n >= 2, strictly) that x belongs to, from `at` on; the outermost ones reach beyond
+ * the ends. O(log of the spans passed). */
+size_t play_span(const double *rising, size_t n, size_t at, double x);
+
 /* Whether the table satisfies the conditions above. O(n). */
-int play_table_valid(const double *grid, const double *width, size_t n);
+int play_table_valid(const struct play_table *table);
 
-/* The p that solves p + side B(p)/2 = q, side 1 or -1. *at is a node to start from (0), left at the node found. O(nodes
- * passed). */
-double play_envelope(double q, double side, const double *grid, const double *width, size_t n, size_t *at);
+/* B(p). *at is a span to start from (0), left at the span found. O(log of the spans passed). */
+double play_width(const struct play_table *table, double p, size_t *at);
 
-/* p[k] for the motor positions q[k], k = 0 .. count-1. p0 is the state before q[0]; NaN: p0 = q[0].
- * side[k] (NULL: not wanted): the envelope that last moved p, PLAY_INSIDE as long as none did.
- * anchor[k] (NULL: not wanted): the sample that last moved p, -1 as long as none did. At it q[anchor] and p[k] are
- * joined by the envelope `side`, so dp/dtheta = -side (dB/dtheta)/2 / (1 + side B'(p)/2).
- * O(count + nodes passed). */
-void play_forward(const double *q, size_t count, const double *grid, const double *width, size_t n, double p0,
-                  double *p, int8_t *side, int32_t *anchor);
+/* An element with a table at p. */
+struct play play_start(const struct play_table *table, double p);
+
+/* The p that solves p + side scale B(p)/2 = q, side 1 or -1, 0 <= scale, scale |B'| < 2; *half = B(p)/2. *at as in
+ * play_width. O(spans passed). */
+double play_end(const struct play_table *table, double q, double side, double scale, size_t *at, double *half);
+
+/* Pushes an element by its end on `side` (1 or -1), widths scaled, if the motor at q (in the element's coordinate) is
+ * beyond it. table NULL: its width is the same everywhere. Returns by how far q is beyond the place at which it begins
+ * to push: 0 where it pushes nothing. An infinite q against `side` never pushes. A few ns. */
+static inline double play_push(struct play *play, const struct play_table *table, double q, double side, double scale) {
+    const double beyond = side * (q - play->at) - scale * play->half;
+    if (!(beyond > 0.0)) {
+        return 0.0;
+    }
+    double half = play->half;
+    const double at =
+        table ? play_end(table, q, side, scale, &play->spans[side > 0.0], &half) : q - side * scale * half;
+    if (!(side * (at - play->at) > 0.0)) {
+        return 0.0; /* beyond by rounding only: it is at rest */
+    }
+    play->at = at;
+    play->half = half;
+    play->lean = side * scale * (table ? 1.0 : 2.0 * half);
+    play->side = (int8_t)side;
+    return beyond;
+}
 
 /* Indices of the samples at which q turns, into turns[0 .. count-1]; returns how many. A turn is the first sample at an
  * extreme from which q then goes back by more than `hysteresis` (>= 0, q's unit): an encoder that dithers by less does

@@ -1,4 +1,4 @@
-// Several play elements as a Python object: its own copy of all that struct elements points at.
+// Play elements as a Python object: its own copy of all that struct elements points at. No warp: a single play.
 #ifndef TAUTLINE_NATIVE_PLAYS_H
 #define TAUTLINE_NATIVE_PLAYS_H
 
@@ -11,8 +11,12 @@ struct Plays {
     double narrow;
 
     struct elements view() const {
-        return {grid.data(), width.data(), grid.size(), {warp_q.data(), warp_x.data(), warp_q.size()},
-                r.data(),    w.data(),     r.size(),    narrow};
+        return {{grid.data(), width.data(), grid.size()},
+                {warp_q.data(), warp_x.data(), warp_q.size()},
+                r.data(),
+                w.data(),
+                r.size(),
+                narrow};
     }
 };
 

@@ -1,7 +1,8 @@
 """Play as a list of elements on one backlash table: a single play, or several whose onsets together are gradual.
 
 The equations are in host/native/elements.h: a warp x = G(q) makes every width one, and each element is a play of a
-share of that width. Full strokes lie on p +- B(p)/2 = q whatever the elements are. A single element is play.h's play.
+share of that width. Full strokes lie on p +- B(p)/2 = q whatever the elements are. A single element
+needs no warp: it is the play on the table itself.
 """
 
 from __future__ import annotations
@@ -76,25 +77,20 @@ class Play:
 
     def forward(self, q: npt.ArrayLike, p0: float = np.nan) -> Array:
         """The centre coordinate (n,) of motor positions q (n,), in their order. p0: where it was before; NaN: q[0]."""
-        q = np.asarray(q, dtype=float)
-        if self.native is None:
-            return _native.play_forward(q, self.grid, self.width, p0)  # type: ignore[no-any-return]
-        return self.native.forward(q, p0)[0]  # type: ignore[no-any-return]
+        return self.native.forward(np.asarray(q, dtype=float), p0)[0]  # type: ignore[no-any-return]
 
     def inverse(self, p: npt.ArrayLike, q0: float | None = None) -> Array:
         """Motor positions (n,) that lead the centre coordinate along p (n,), from the motor's q0 (unless told p[0], the
         centre) with the tip at p[0]. While p rests so does the motor."""
         p = np.asarray(p, dtype=float)
         start = float(p[0]) if q0 is None else q0
-        return self._native_or_single.inverse(p, start, float(p[0]))  # type: ignore[no-any-return]
+        return self.native.inverse(p, start, float(p[0]))  # type: ignore[no-any-return]
 
     @cached_property
     def native(self) -> Any:
-        """The elements as C has them; None for a single one, which needs no warp."""
-        return None if self.elements.single else self._native_or_single
-
-    @cached_property
-    def _native_or_single(self) -> Any:
+        """The elements as C has them: a single one needs no warp."""
+        if self.elements.single:
+            return _native.Plays(self.grid, self.width)
         narrow = self.narrow
         warp = warp_of(self.grid, self.width, narrow)
         r, w = 0.5 * np.array(self.elements.width), np.array(self.elements.weight)

@@ -63,7 +63,7 @@ class Plant:
         q = self.path(np.asarray(turns, dtype=float))
         t = np.arange(len(q)) * 1e-3
         reach = abs(q).max() + self.width
-        p = _native.play_forward(q, np.array([-reach, reach]), np.full(2, self.width), float(q[0]))
+        p = _native.Plays(np.array([-reach, reach]), np.full(2, self.width)).forward(q, float(q[0]))[0]
         arrival = np.arange(self.delay + 0.02 * rng.random(), t[-1] - 2e-3, 1 / self.rate_hz)
         arrival = arrival + rng.uniform(-self.jitter, self.jitter, len(arrival))
         arrival = arrival[(rng.random(len(arrival)) >= self.lost) & (arrival > self.delay)]

@@ -46,7 +46,7 @@ class Plant:
         self.read = self.q
 
     def play(self, width: np.ndarray) -> np.ndarray:
-        return np.asarray(_native.play_forward(np.ascontiguousarray(self.q), GRID, width, np.nan))
+        return np.asarray(_native.Plays(GRID, width).forward(np.ascontiguousarray(self.q), np.nan)[0])
 
     def recording(self) -> Recording:
         c = bend(np.interp(self.scene, self.t, self.p))

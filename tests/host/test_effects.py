@@ -40,7 +40,7 @@ STROKES = moved((0, 0), (6, 4), (12, -4), (18, 4), (20, 4), (26, -4), (28, -4))
 
 @given(st.integers(0, 2**32 - 1))
 def test_absent_effects_leave_the_play_as_it_is(seed):
-    """The two simulations in C are different programs: they agree for any table, motion and start."""
+    """The chain drives the same play as the forward simulation, for any table, motion and start."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(2, 30))
     grid = np.cumsum(rng.uniform(0.05, 1.0, n))
@@ -50,10 +50,11 @@ def test_absent_effects_leave_the_play_as_it_is(seed):
     q = rng.uniform(grid[0] - 2, grid[-1] + 2, 60)
     p0 = np.nan if rng.random() < 0.5 else float(rng.uniform(grid[0], grid[-1]))
     t = np.arange(60.0)
-    c_deg, p, tip, gain, way, side = _native.simulate_effects({}, grid, width, c, t, q, t, p0=p0)
-    expected, held, _ = _native.play_trace(q, grid, width, p0)
+    plays = _native.Plays(grid, width)
+    c_deg, p, tip, gain, way, lean, side = _native.simulate_effects({}, plays, c, t, q, t, p0=p0)
+    expected, held = plays.forward(q, p0)
     np.testing.assert_allclose(p, expected, atol=1e-10)
-    assert np.array_equal(side, held) and np.array_equal(way, held)
+    assert np.array_equal(side, held) and np.array_equal(way, held) and np.array_equal(lean, held)
     assert np.array_equal(tip, p) and np.all(gain == 1.0)
     inside = (p >= grid[0]) & (p <= grid[-1])
     np.testing.assert_allclose(c_deg[inside], np.interp(p[inside], grid, c), atol=1e-9)
@@ -402,7 +403,7 @@ def test_speed_drift_contact_and_rocking_have_their_shapes():
 def test_a_parameter_that_no_effect_has_is_refused():
     with pytest.raises(ValueError, match="no effect has a parameter 'nonsense'"):
         _native.simulate_effects(
-            {"nonsense": 1.0}, GRID, MODEL.width, MODEL.c_deg, np.arange(3.0), np.zeros(3), np.arange(3.0)
+            {"nonsense": 1.0}, MODEL.play.native, MODEL.c_deg, np.arange(3.0), np.zeros(3), np.arange(3.0)
         )
 
 
@@ -437,7 +438,7 @@ def test_another_joint_moves_c_through_its_own_play():
     motor = replace(STROKES, extra={"wrist_deg": wrist})
     values = {"c_per_joint": 0.2, "joint_play": 6.0, "column": "wrist_deg"}
     added = simulate(MODEL, motor, t, values).c_deg - simulate(MODEL, motor, t, {}).c_deg
-    carried = _native.play_trace(wrist, np.array([-99.0, 99.0]), np.array([6.0, 6.0]), wrist[0])[0]
+    carried = _native.Plays(np.array([-99.0, 99.0]), np.array([6.0, 6.0])).forward(wrist, wrist[0])[0]
     np.testing.assert_allclose(added, 0.2 * carried, atol=1e-9)
     rests = simulate(MODEL, STROKES, t, values).c_deg
     np.testing.assert_allclose(rests, simulate(MODEL, STROKES, t, {}).c_deg, atol=1e-9)

@@ -162,11 +162,10 @@ def test_one_element_in_the_warp_is_the_single_play(table, from_centre):
     assume(width.min() > play.narrow)
     warp = warp_of(grid, width, play.narrow)
     one = _native.Plays(grid, width, warp.q, warp.x, np.array([0.5]), np.array([1.0]), 0.0)
-    expected, held, _ = _native.play_trace(q, grid, width, p0)
+    expected, held = _native.Plays(grid, width).forward(q, p0)
     p, side = one.forward(q, p0)
     assert p == pytest.approx(expected, abs=1e-9)
     assert np.array_equal(side, held)
-    assert play.native is None
     assert np.array_equal(play.forward(q, p0), expected)
 
 
@@ -237,7 +236,7 @@ def test_where_nothing_is_lost_it_is_the_single_play():
     rng = np.random.default_rng(3)
     q = path(rng, -4.9, 4.9, 60, 20000)
     p = play.forward(q)
-    single = _native.play_forward(q, GRID, width, np.nan)
+    single = _native.Plays(GRID, width).forward(q, np.nan)[0]
     clearly = q < -0.1
     assert np.array_equal(p[clearly], single[clearly])
     assert np.abs(np.diff(p)).max() < np.abs(np.diff(q)).max() + play.narrow
@@ -340,9 +339,7 @@ def test_effects_act_on_elements_as_on_a_single_play(parameters):
     expected = effects.follow(own, motor, at, parameters).tip
     warp = warp_of(GRID, BUMP, 0.008)
     one = _native.Plays(GRID, BUMP, warp.q, warp.x, np.array([0.5]), np.array([1.0]), 0.0)
-    found = _native.simulate_effects(
-        parameters, GRID, BUMP, own.c_deg, motor.t_s, motor.q, at, load=motor.load_mNm, plays=one
-    )[2]
+    found = _native.simulate_effects(parameters, one, own.c_deg, motor.t_s, motor.q, at, load=motor.load_mNm)[2]
     plain = effects.follow(own, motor, at, {}).tip
     assert np.abs(expected - plain).max() > 5e-3  # it does something
     assert np.abs(found - expected).max() < 0.1 * np.abs(expected - plain).max()

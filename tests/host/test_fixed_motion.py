@@ -152,7 +152,7 @@ def calibrate(speeds, seed):
         q = axis.tick(200, 200)[0][::5].astype(float) / 256
         t_us = (ms + np.arange(40)) * 1000
         ms += 40
-        p = _native.play_forward(q, grid, width, p)[-1]
+        p = _native.Plays(grid, width).forward(q, p)[0][-1]
         late.append((t_us[-1] + 80_000, *(np.array([360, 200]) + 0.06 * p * np.array([0.9, 0.4]))))
         due = np.array([f for f in late if f[0] <= t_us[-1]]).reshape(-1, 3)
         late = [f for f in late if f[0] > t_us[-1]]

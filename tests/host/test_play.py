@@ -41,7 +41,8 @@ def test_forward_is_the_clamp_between_both_envelopes(table, from_centre):
     grid, width, rng = table
     q = rng.uniform(grid[0] - 2, grid[-1] + 2, 30)
     p0 = np.nan if from_centre else rng.uniform(grid[0], grid[-1])
-    p, side, anchor = _native.play_trace(q, grid, width, p0)
+    p, side, lean, share = _native.Plays(grid, width).trace(q, p0)
+    anchor = np.maximum.accumulate(np.where(share > 0, np.arange(len(q)), -1))
     state, held, at = (q[0] if from_centre else p0), 0, -1
     for k, position in enumerate(q):
         low, high = solve(position, 1, grid, width), solve(position, -1, grid, width)
@@ -53,7 +54,8 @@ def test_forward_is_the_clamp_between_both_envelopes(table, from_centre):
         assert (side[k], anchor[k]) == (held, at)
         if held:
             assert p[k] + held * np.interp(p[k], grid, width) / 2 == pytest.approx(q[anchor[k]], abs=1e-9)
-    assert np.array_equal(p, _native.play_forward(q, grid, width, p0))
+    assert np.array_equal(lean, side) and set(share) <= {0.0, 1.0}
+    assert np.array_equal(p, _native.Plays(grid, width).forward(q, p0)[0])
 
 
 @given(tables())
@@ -63,9 +65,8 @@ def test_only_turning_points_matter(table):
     q = rng.uniform(grid[0], grid[-1] + 1, 12)
     fine = np.interp(np.linspace(0, 11, 111), np.arange(12), q)
     fine[::10] = q
-    assert _native.play_forward(fine, grid, width, np.nan)[::10] == pytest.approx(
-        _native.play_forward(q, grid, width, np.nan), abs=1e-9
-    )
+    plays = _native.Plays(grid, width)
+    assert plays.forward(fine, np.nan)[0][::10] == pytest.approx(plays.forward(q, np.nan)[0], abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -74,7 +75,7 @@ def test_only_turning_points_matter(table):
 )
 def test_tables_without_a_unique_play_are_refused(grid, width):
     with pytest.raises(ValueError, match="play:"):
-        _native.play_forward(np.zeros(3), np.array(grid, float), np.array(width, float), np.nan)
+        _native.Plays(np.array(grid, float), np.array(width, float))
 
 
 def test_times_in_any_order_and_beyond_the_motor():

@@ -22,7 +22,7 @@ def test_the_pin_in_its_slot_is_the_play() -> None:
     t = np.arange(0.0, 40.0, 1e-3)
     q = 3.0 * np.sin(0.6 * t) + 1.2 * np.sin(2.0 * t)
     p, way = _native.reality_transmission({}, plant.grid, plant.width, t, q, np.ones_like(t))
-    assert np.abs(p - _native.play_forward(q, plant.grid, plant.width, np.nan)).max() < 1e-9
+    assert np.abs(p - _native.Plays(plant.grid, plant.width).forward(q, np.nan)[0]).max() < 1e-9
     assert set(np.unique(way)) == {-1.0, 0.0, 1.0}
 
 
@@ -35,7 +35,7 @@ def test_bristles_bend_by_travel_and_not_by_the_step() -> None:
     fine, _ = _native.reality_transmission(soft, plant.grid, plant.width, t, q, np.ones_like(t))
     rough, _ = _native.reality_transmission(soft, plant.grid, plant.width, t[coarse], q[coarse], np.ones(len(coarse)))
     assert np.abs(fine[coarse] - rough).max() < 5e-3
-    hard = _native.play_forward(q, plant.grid, plant.width, np.nan)
+    hard = _native.Plays(plant.grid, plant.width).forward(q, np.nan)[0]
     assert 0.02 < np.abs(fine - hard).max() < 0.5 * 0.625
 
 

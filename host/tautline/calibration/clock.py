@@ -324,9 +324,9 @@ class _Sight:
         order = np.argsort(times, kind="stable")
         q = np.concatenate([self.turn_q, track.motor_at(scene)])[order]
         grid = np.array([self.low - self.span, self.low + 2.0 * self.span])
-        flat = np.full(2, width)
+        plays = _native.Plays(grid, np.full(2, width))
         far = 10.0 * (self.span + float(np.abs(grid).max()))
-        p, other = (_native.play_trace(q, grid, flat, start)[0] for start in (-far, far))
+        p, other = (plays.forward(q, start)[0] for start in (-far, far))
         counted = order >= n
         counted &= np.abs(p - other) < 1e-9 * self.span
         frames = order[counted] - n

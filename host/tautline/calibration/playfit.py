@@ -86,19 +86,13 @@ class Frozen:
         scene = track.scene_s(delay_s)
         positions, at = self.course(scene)
         far = 10.0 * (abs(grid[-1] - grid[0]) + abs(positions).max(initial=1.0))
-        if elements.single:
-            p, side, anchor = _native.play_trace(positions, grid, width, -far)
-            other, other_side, _ = _native.play_trace(positions, grid, width, far)
-            lean, share = side[at].astype(float), (anchor[at] == at).astype(float)
-        else:
-            plays = Play(grid, width, elements).native
-            p, side, lean, share = plays.trace(positions, -far)
-            other, other_side = plays.forward(positions, far)
-            lean, share = lean[at], share[at]
+        plays = Play(grid, width, elements).native
+        p, side, lean, share = plays.trace(positions, -far)
+        other, other_side = plays.forward(positions, far)
         known = (np.abs(p - other) < 1e-9 * (grid[-1] - grid[0]))[at] & track.within_motor(scene)
         both = np.logical_or.accumulate(side == -1) & np.logical_or.accumulate(other_side == 1)
         speed = (track.motor_at(scene + self.half_s) - track.motor_at(scene - self.half_s)) / (2 * self.half_s)
-        return Simulated(p[at], known, known & both[at], side[at], lean, share, speed)
+        return Simulated(p[at], known, known & both[at], side[at], lean[at], share[at], speed)
 
 
 @dataclass

@@ -119,10 +119,11 @@ def _by_weight(fitted: Fitted) -> Array:
     by_y = 1.0 / np.maximum(np.gradient(middle, fit.grid), 1e-9)
     _, masks = fit.residuals(curves)
     far = 10.0 * float(np.abs(warp.x).max())
+    plays = [_native.Plays(np.array([-far, far]), np.full(2, share)) for share in SHARES]
     found = []
     for frozen, sim, mask in zip(fit.tracks, fit.simulated, masks, strict=True):
         positions, at = frozen.course(frozen.track.scene_s(curves.delay_s))
         x = np.interp(positions, warp.q, warp.x)
-        plays = [_native.play_forward(x, np.array([-far, far]), np.array([share, share]), -far) for share in SHARES]
-        found.append(np.column_stack(plays)[at][mask] * np.interp(sim.p[mask], fit.grid, by_y)[:, None])
+        alone = [play.forward(x, -far)[0] for play in plays]
+        found.append(np.column_stack(alone)[at][mask] * np.interp(sim.p[mask], fit.grid, by_y)[:, None])
     return np.concatenate(found)

@@ -2,7 +2,7 @@
 
 The nominal that is shared by all recordings: B and f_remain as corrections in cubic B-splines and a factor on what of
 them these cannot follow, the static registration and the delay. Its Jacobian is analytic along the play: on an
-envelope p + side B(p)/2 = q moves by dp = -side dB(p)/2 / (1 + side B'(p)/2), and inside the backlash p keeps what it
+envelope p + lean B(p)/2 = q moves by dp = -lean dB(p)/2 / (1 + lean B'(p)/2), and inside the backlash p keeps what it
 had when an envelope last carried it. The effects' Jacobian is a difference quotient of the simulation.
 """
 
@@ -252,9 +252,9 @@ class Fitter:
         model = effects.tabled(state.model, parameters)
         if model is not state.model:
             slope_b, slope_f = np.gradient(model.width, model.q), np.gradient(model.c_deg, model.q)
-        p, tip, gain, side = path.p[keep], path.tip[keep], path.gain[keep], path.side[keep].astype(float)
-        steep = np.maximum(1 + side * np.interp(p, model.q, slope_b) / 2, 0.1)
-        by_width = gain * np.interp(tip, model.q, slope_f) * -side / 2 / steep
+        p, tip, gain, lean = path.p[keep], path.tip[keep], path.gain[keep], path.lean[keep]
+        steep = np.maximum(1 + lean * np.interp(p, model.q, slope_b) / 2, 0.1)
+        by_width = gain * np.interp(tip, model.q, slope_f) * -lean / 2 / steep
         details = np.column_stack(
             [by_width * np.interp(p, model.q, self._details[0]), gain * np.interp(tip, model.q, self._details[1])]
         )

@@ -36,6 +36,7 @@ class Path:
     tip: Array  # the same after lag, creep and stick-slip: c = f_remain(tip) but for the configuration's effects
     gain: Array  # dc / df_remain
     way: Array  # which way the instrument lies in its channel, -1 to 1
+    lean: Array  # -2 dp/dB where B is constant, of all plays
     side: Array  # the envelope that last carried the tip: +1 rising q, -1 falling, 0 not yet
 
 
@@ -97,8 +98,7 @@ def follow(
     )
     moved = _native.simulate_effects(
         {name: value for name, value in parameters.items() if name in NATIVE},
-        model.q,
-        model.width,
+        model.play.native,
         model.c_deg,
         motor.t_s,
         motor.q,
@@ -109,7 +109,6 @@ def follow(
         motor.extra.get(parameters.get("column", "")),  # a joint that is missing is at rest
         clock_offset_s,
         np.nan if start_deg is None else float(model.remaining_inverse(start_deg)),
-        model.play.native,
     )
     found = (rising, translation, rotation, *moved)
     if order is None:

@@ -55,6 +55,7 @@ class Instrument:
         rise = np.diff(self.c_deg)
         if not (np.all(rise > 0) or np.all(rise < 0)):
             raise TautError("instrument: f_remain must rise or fall everywhere")
+        self._play = _native.Plays(self.grid, self.width)
         self.p = float("nan")
         self.jitter_s = 0.0  # of its camera's frames, rms
         self.drawn = True  # whether the endoscope's pictures, which know the rig alone, show where it is
@@ -81,7 +82,7 @@ class Instrument:
             raise ValueError("t_s and q differ in length")
         if not len(q):
             return q
-        p: Array = _native.play_forward(q, self.grid, self.width, self.p)
+        p: Array = self._play.forward(q, self.p)[0]
         self.p = float(p[-1])
         return p
 
