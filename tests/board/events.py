@@ -18,7 +18,7 @@ _ASK, _WRITE, _CONTROL = SimLink.ask, Board._write, Dfu._control
 _Q8 = 256.0
 _WATCH_US = 2000  # between looks, from the moment on at which something happened
 _WATCHED_S = 4.0  # of looking
-_SILENT_US = 3_000_000
+PATIENCE_S = 3.0  # that a silent host says nothing
 _TELLING = wire.code("FLAGS", "AT_REST") | wire.code("FLAGS", "TAKE_UP") | wire.code("FLAGS", "CHECKED")
 
 
@@ -66,17 +66,13 @@ class Events:
     def look(self) -> Look:
         state = _ASK(self.link, "state")
         axis = state["axes"][0]
-        self.looks.append(
-            Look(
-                state["board_us"] * 1e-6, state["q"][0] / _Q8, axis["q_ref_q8"] / _Q8, axis["mode"], axis["fault"],
-                axis["flags"],
-            )  # fmt: skip
-        )
+        q, q_ref = state["q"][0] / _Q8, axis["q_ref_q8"] / _Q8
+        self.looks.append(Look(state["board_us"] * 1e-6, q, q_ref, axis["mode"], axis["fault"], axis["flags"]))
         return self.looks[-1]
 
     def silence(self) -> None:
         """The host hangs for so long, then goes on."""
-        self._pass(_SILENT_US)
+        self._pass(round(PATIENCE_S * 1e6))
 
     def die(self) -> None:
         self.dead = True
