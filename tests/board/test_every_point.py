@@ -80,8 +80,7 @@ ILLS = {
     "killed": Ill(Events.die, LOST, "at once", BRAKING_S, True),
     "power": Ill(lambda events: events.link.ask("cut 1"), {}, "at once", 0.0, True, GONE),
 }
-OFF, HOLD, CHECK = (wire.code("MODES", name) for name in ("OFF", "HOLD", "CHECK"))
-RESTS = (OFF, HOLD, CHECK, wire.code("MODES", "FOLLOW_TIP"), wire.code("MODES", "STOPPING_OFF"))
+OFF, CHECK = (wire.code("MODES", name) for name in ("OFF", "CHECK"))
 
 
 # -- what is done -----------------------------------------------------------------------------------------------------
@@ -272,10 +271,9 @@ def rests_in_time(ill: Ill, looks: list[Look], status: wire.Message) -> None:
 
 
 def had_nothing_to_notice(ill: Ill, looks: list[Look]) -> None:
-    """No fault: nothing was to be seen of it for as long as it takes; without its host, an axis that only follows or
-    holds comes to rest and holds."""
+    """No fault: nothing was to be seen of it for as long as it takes; without its host, an axis whose motion is over or
+    that only follows is at rest all the same, and holds."""
     if ill.host:
-        assert looks[0].mode in RESTS
         gone = [look for look in looks if look.t_s < looks[0].t_s + PATIENCE_S]  # one that was silent is there again
         assert rest_at(gone) - looks[0].t_s <= ill.rest_s + SEEN_S
     else:

@@ -610,12 +610,11 @@ static void test_telemetry_is_even_and_every_drop_is_counted(void) {
     }
     TEST_ASSERT_EQUAL(800, samples);
     fake_run_ms(8000); // nobody reads
-    const tl_wire_ping_t ping = {.host_us = 3};
+    const tl_wire_table_read_t read = {.axis = 0};
     uint8_t frame[TL_WIRE_FRAME_MAX];
-    memset(heard_count, 0, sizeof(heard_count));
-    tl_app_receive(&app, frame, tl_wire_frame(frame, TL_WIRE_PING, 1, &ping));
+    tl_app_receive(&app, frame, tl_wire_frame(frame, TL_WIRE_TABLE_READ, 1, &read));
     fake_listen();
-    TEST_ASSERT_EQUAL(1, heard_count[TL_WIRE_PONG]); // who then asks is answered all the same
+    TEST_ASSERT_EQUAL(1, heard_count[TL_WIRE_TABLE_PART]); // who then asks is answered all the same
     const uint32_t whole = heard_count[TL_WIRE_BATCH];
     const tl_wire_get_counters_t ask = {.clear = 1};
     fake_ask(TL_WIRE_GET_COUNTERS, &ask);
