@@ -46,6 +46,7 @@ class Events:
     at: int = -1
     happen: Callable[[Events], None] = lambda events: None
     share: float = 0.5
+    in_grants: bool = False  # not before a message, but in the next grant: who grants the time knows it
     all_looks: bool = False  # from the start on, one after each event
     names: list[str] = field(default_factory=list)
     looks: list[Look] = field(default_factory=list)
@@ -97,7 +98,11 @@ class Events:
         if self.dead:
             raise HostDied
         self.names.append(name)
-        return len(self.names) - 1 == self.at
+        is_it = len(self.names) - 1 == self.at
+        if is_it and self.in_grants and name != "grant":
+            self.at += 1
+            return False
+        return is_it
 
     def _strike(self) -> None:
         self.look()

@@ -285,8 +285,12 @@ def try_point(request: pytest.FixtureRequest, task: Task, name: str, at: int, fo
     with bench_of(request, axes=1) as bench:
         begin(bench)
         share = np.random.default_rng(at).uniform(0.05, 0.95)
-        events = Events(bench.sim, at, lambda events: ill.happen(events), share)
+        in_grants = name == "silence" and task.moves
+        events = Events(bench.sim, at, lambda events: ill.happen(events), share, in_grants)
         said = run(bench, task, folder, events)
+        if events.happened < 0:
+            assert in_grants and said.status == 0  # no time was left to be silent in
+            return
         events.afterwards(1.5)
         looks = events.looks[events.happened :]
         lost = not bench.sim.ask("state")["powered"]
