@@ -216,7 +216,7 @@ _HOST = (
          HOST + "live/session.py", "if here and there and here != there:", "if False:"),
     _one("faults into simulated boards alone", COMMISSION + "faults_go_to_simulated_boards_alone",
          HOST + "cli/inject.py", "    if board is not None:", "    if False:"),
-    _one("a fault is named", EVERY_POINT + "[follow-driver-0]",
+    _one("a fault is named", EVERY_POINT,
          HOST + "device/board.py", "has stopped: {says}. Then", "has stopped. Then"),
     _one("room for a reply", "tests/c/test_axis.c::test_telemetry_is_even_and_every_drop_is_counted",
          "firmware/app/src/tl_outbox.c", "return put(outbox, FOR_REPLIES,", "return put(outbox, 0,"),
