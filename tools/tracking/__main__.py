@@ -8,36 +8,19 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 from rich.console import Console
 from rich.table import Table
 from tools.tracking import real, score
-from tools.tracking.sessions import (
-    CHANGES,
-    COST,
-    DISTURBED,
-    OUTSIDE,
-    Change,
-    Instrument,
-    calibration,
-    ideal_model,
-    session,
-)
+from tools.tracking.cases import one
+from tools.tracking.sessions import CHANGES, COST, DISTURBED, OUTSIDE
 
-from tautline.calibration.calibrate import calibrate
-from tautline.model import Model
 from tautline.plain import plain
-from tautline.predict import predict
-from tautline.tracking import replay
 
 KINDS = (*CHANGES, *OUTSIDE, *DISTURBED)
-INSTRUMENTS = 6  # whose calibrations are shared by the sessions of a worker
 RESULTS = "sessions.jsonl"
 
 
@@ -118,35 +101,6 @@ def _done(cases: Sequence[tuple[str, int, float, bool]], jobs: int) -> Iterator[
     with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
         for done in as_completed([pool.submit(one, case) for case in cases]):
             yield done.result()
-
-
-def one(case: tuple[str, int, float, bool]) -> dict[str, Any]:
-    """A session's scores."""
-    kind, seed, seconds, ideal = case
-    which = kind if kind in OUTSIDE else "play"
-    instrument = Instrument(10_000 + seed % INSTRUMENTS, which)
-    model = ideal_model(instrument) if ideal and which == "play" else calibrated(instrument)
-    made = session(instrument, kind, seed, seconds)
-    tries = 0
-    while made.change_s < np.inf and made.cost < COST and tries < 8:  # what costs less need not be seen
-        tries += 1
-        made = session(instrument, kind, seed + 100_000 * tries, seconds)
-    told = _recalibrated(instrument, made.change, made) if kind in OUTSIDE else None
-    tracked = replay(model, [made.recording])
-    return {"seed": seed, **score.score(made, model, tracked, told)}
-
-
-@cache
-def calibrated(instrument: Instrument) -> Model:
-    return calibrate([calibration(instrument, instrument.seed)], instrument.rig).model
-
-
-def _recalibrated(instrument: Instrument, change: Change, made: Any) -> np.ndarray:
-    """What a model says that was calibrated on the changed instrument."""
-    model = calibrate([calibration(instrument, instrument.seed + 1, change)], instrument.rig).model
-    told = predict(replace(model), made.recording.motor, made.recording.marker.t_s - model.delay_s)
-    assert told.image_px is not None
-    return told.image_px
 
 
 if __name__ == "__main__":

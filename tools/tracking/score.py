@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from tools.tracking.sessions import COUNT, DISTURBED, NOISE_PX, Session
+from tools.tracking.sessions import COUNT, DISTURBED, NOISE_PX, OUTSIDE, Session
 
 from tautline.model import Model
 from tautline.tracking import State, Tracked, off_by
@@ -36,8 +36,8 @@ def turns_of(q: Array, hysteresis: float = _TURN) -> list[int]:
     return found
 
 
-def score(session: Session, model: Model, tracked: Tracked, reference_px: Array | None = None) -> Scores:
-    """`reference_px`: what a model calibrated on the changed instrument says; None: the truth."""
+def score(session: Session, model: Model, tracked: Tracked) -> Scores:
+    """The reference is the noise; where the hysteresis is none of the tracker's, what was left before the change."""
     changed = session.change_s < math.inf
     law = np.array([(row.offset, row.scale) for row in tracked.rows])
     result: Scores = {
@@ -66,9 +66,11 @@ def score(session: Session, model: Model, tracked: Tracked, reference_px: Array 
         marker = session.recording.marker
         assert marker is not None
         seen = np.column_stack([marker.u_px, marker.v_px])
-        told = session.true_px if reference_px is None else reference_px
         result["rms"] = _rms(off[late])
-        result["reference"] = max(_rms((seen - told)[late].ravel()), NOISE_PX)
+        reference = (seen - session.true_px)[late].ravel()
+        if session.recording.name in OUTSIDE:
+            reference = off[(tracked.t_s > 8.0) & (tracked.t_s < session.change_s) & np.isfinite(off)]
+        result["reference"] = max(_rms(reference), NOISE_PX)
         result["untracked"] = _rms((seen - session.nominal_px)[late].ravel())
     last = tracked.rows[-1]
     result["offset_z"] = (last.offset - session.change.offset) / last.offset_sigma
