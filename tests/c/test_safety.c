@@ -97,8 +97,9 @@ static void test_a_driver_that_chops_its_current_at_a_blocked_motor_is_a_stall(v
 }
 
 static void test_the_default_current_limit_is_below_the_drivers_own(void) {
-    const tl_wire_settings_t own = settings();
-    TEST_ASSERT_TRUE(own.current_ma > FAKE_CHOP / 2 && own.current_ma < FAKE_CHOP);
+    TEST_ASSERT_TRUE(settings().current_ma > FAKE_CHOP / 2 && settings().current_ma < FAKE_CHOP);
+    tl_wire_settings_t of_another = tl_axis_default_settings(&(tl_port_t){.driver_ma = 425}, 0);
+    TEST_ASSERT_TRUE(of_another.current_ma > 425 / 2 && of_another.current_ma < 425);
     tl_wire_limits_t limits = app.axes[0].limits;
     limits.current_ma = FAKE_CHOP + 1; // could never trip
     TEST_ASSERT_EQUAL(TL_WIRE_REASON_RANGE, fake_ask(TL_WIRE_LIMITS, &limits));
@@ -131,6 +132,29 @@ static void test_gains_that_swing_the_drive_are_a_fault(void) {
     TEST_ASSERT_EQUAL(0, move(50));
     TEST_ASSERT_TRUE(until_fault(2000) < 1000);
     assert_fault(TL_WIRE_FAULT_OSCILLATION);
+}
+
+// By proportional gain alone a motor without a winding settles within one count, where it brakes. A real one's current
+// lags: by 0.2 ms (a bare motor of 6 V) to 2 ms; its inertia with the load's makes 20 ms, a heavy one's 300.
+static void test_proportional_gain_alone_swings_at_full_duty_until_it_is_a_fault(void) {
+    const double windings_s[] = {0.0002, 0.0005, 0.001, 0.002}, lags_s[] = {FAKE_LAG, 0.1, 0.3};
+    for (unsigned i = 0; i < 12U; i++) {
+        fake_new(1);
+        fake.winding_s = windings_s[i % 4U];
+        fake.lag_s = lags_s[i / 4U];
+        const tl_wire_servo_t wild = {.axis = 0, .proportional = 32767};
+        TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_SERVO, &wild));
+        hold();
+        TEST_ASSERT_EQUAL(0, move(50));
+        uint32_t full[2] = {0, 0}, steps = 0;
+        while (app.axes[0].fault == TL_WIRE_FAULT_NONE && steps < 3U * FAKE_HZ) {
+            fake_step();
+            steps++;
+            full[fake.duty[0] > 0] += abs(fake.duty[0]) >= 32767 ? 1U : 0U;
+        }
+        TEST_ASSERT_TRUE(full[0] > steps / 10U && full[1] > steps / 10U);
+        assert_fault(TL_WIRE_FAULT_OSCILLATION);
+    }
 }
 
 static void test_sound_gains_do_not_swing(void) {
@@ -422,16 +446,19 @@ static void test_a_move_ends_when_the_host_is_silent_or_gone(void) {
 }
 
 static void test_homing_and_checks_end_with_the_host_too(void) {
-    for (int how = 0; how < 2; how++) {
+    const tl_wire_home_t homing = {
+        .axis = 0, .direction = 1, .reach_q8 = COUNTS(100000), .end_q8 = COUNTS(3000), .silence_us = 200000};
+    for (int how = 0; how < 3; how++) { // gone while it checks and while it homes; silent while it homes
         fake_new(2);
-        app.axes[0].checked = how == 0;
+        app.axes[0].checked = how > 0;
         fake_enable(0, 1);
-        if (how == 0) {
-            TEST_ASSERT_EQUAL(0, home(1, 100000, 0));
+        TEST_ASSERT_TRUE(how == 0 || fake_ask(TL_WIRE_HOME, &homing) == 0);
+        fake_run_ms(100);
+        TEST_ASSERT_EQUAL(how > 0 ? TL_WIRE_MODE_HOME : TL_WIRE_MODE_CHECK, app.axes[0].mode);
+        if (how < 2) {
+            tl_app_bus(&app, false);
         }
-        fake_run_ms(100);
-        tl_app_bus(&app, false);
-        fake_run_ms(100);
+        fake_run_ms(how < 2 ? 100 : 250);
         tl_app_bus(&app, true);
         assert_fault(TL_WIRE_FAULT_HOST_LOST);
     }
@@ -452,6 +479,7 @@ static void test_a_motor_turned_by_hand_during_an_erase_is_no_fault(void) {
     fake.position[0] += 4000.0; // in a millisecond nothing turns so far
     fake_run_ms(5);
     assert_fault(TL_WIRE_FAULT_ENCODER);
+    TEST_ASSERT_EQUAL(4000, fake_status(0).fault_value);
 }
 
 // -- tables -----------------------------------------------------------------------------------------------------
@@ -511,6 +539,7 @@ int main(void) {
     RUN_TEST(test_the_default_current_limit_is_below_the_drivers_own);
     RUN_TEST(test_a_driver_fault_and_a_low_supply_are_faults_and_told);
     RUN_TEST(test_gains_that_swing_the_drive_are_a_fault);
+    RUN_TEST(test_proportional_gain_alone_swings_at_full_duty_until_it_is_a_fault);
     RUN_TEST(test_sound_gains_do_not_swing);
     RUN_TEST(test_a_move_arrives_where_the_motor_is_at_rest_at_its_target);
     RUN_TEST(test_nothing_that_goes_by_position_goes_without_a_reference);

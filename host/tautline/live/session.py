@@ -91,8 +91,10 @@ def move_to(live: Live, q: float, speed: float, seen: Callable[[Frame], object] 
     start = live.board.status(live.axis).q * live.resolution
     live.board.ask("move", axis=live.axis, q=q / live.resolution, speed_s=speed / live.resolution)
     longest = 2.0 + 1.5 * abs(q - start) / speed
-    began = live.now_us()
-    while live.now_us() - began < longest * 1e6:
+    deadline = live.now_us() + longest * 1e6
+    late = False
+    while not late:
+        late = live.now_us() >= deadline  # before the look at what became of it: this process may have been held up
         if seen is not None and live.eye is not None:
             seen(live.look())
         else:
@@ -291,6 +293,12 @@ def check_rig(live: Live) -> None:
     rig = live.rig
     if rig.camera is None or rig.kinematics is None or rig.hand_eye is None:
         raise TautError("a live calibration needs [camera], [kinematics] and [hand_eye] in rig.toml")
+    here, there = rig.actuator.instrument, live.board.ask("get_settings", axis=live.axis).instrument
+    if here and there and here != there:
+        raise TautError(
+            f"the rig is of instrument {here}, but the board's settings of axis {live.axis} are for {there}: name that "
+            f"one's rig with --rig, or run 'taut commission --instrument {here}'"
+        )
 
 
 def thorough(live: Live, options: MotionOptions) -> Round:
