@@ -209,6 +209,8 @@ class _Session:
 
     def _release(self) -> None:
         """Leaves out frames at which the tracker held a place that the tip had left."""
+        if not self.camera:  # an angle sensor has no tracker: what it repeats is its own, or a joint that sticks
+            return
         before = sum(len(track.t_s) for track in self.tracks)
         self.tracks = released(self.tracks, self._one_curve(self.nominal_s), self.domain, self.nominal_s)
         if held := before - sum(len(track.t_s) for track in self.tracks):
