@@ -94,7 +94,7 @@ def test_the_gradient_is_the_cost_s():
 
     def cost(step):
         return 0.5 * sum(
-            float(np.sum(r**2)) for r in fitter.residuals(fitter._moved(state, hypothesis, step), hypothesis)
+            float(np.sum(r**2)) for r in fitter.residuals(fitter.stepped(state, hypothesis, step), hypothesis)
         )
 
     size = np.sqrt(sum(float(np.sum(row.residual**2)) for row in rows))
