@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from tautline import effects
 from tautline.effects import Path
-from tautline.encoder import between_counts, straight_lines
+from tautline.encoder import straight_lines
 from tautline.errors import TautError
 from tautline.model import Model
 from tautline.recording import Motor, Recording
@@ -82,7 +82,7 @@ def prepare(model: Model, calibration: Recording, tests: Sequence[Recording]) ->
     segments = []
     offset = end = 0.0
     for i, recording in enumerate(recordings):
-        motor = between_counts(recording.motor, model.rig.actuator.encoder_resolution)
+        motor = straight_lines(recording.motor, model.rig.actuator.encoder_resolution)
         # Recordings share one clock where their times do not overlap; else each follows the one before.
         offset = 0.0 if i == 0 or motor.t_s[0] >= end else end - float(motor.t_s[0])
         end = float(motor.t_s[-1]) + offset
@@ -108,7 +108,7 @@ def prepare(model: Model, calibration: Recording, tests: Sequence[Recording]) ->
         segments.append(
             Segment(
                 recording.name,
-                straight_lines(recording.motor, model.rig.actuator.encoder_resolution),
+                motor,
                 times,
                 observed,
                 scored,
