@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -26,6 +27,7 @@ class Actuator:
     range: tuple[float, float]  # useful motor range, unit
     encoder_resolution: float  # unit per count
     speed_max: float | None = None  # unit/s, of the motor; None: not known
+    instrument: str | None = None  # the serial of what it moves, at most 8 ASCII characters; None: not said
 
     @property
     def span(self) -> float:
@@ -139,7 +141,10 @@ class Rig:
         resolution = read.number("actuator", "encoder_resolution", above=0.0)
         limited = "speed_max" in document["actuator"]
         speed_max = read.number("actuator", "speed_max", above=0.0) if limited else None
-        actuator = Actuator(unit, (low, high), resolution, speed_max)
+        instrument = read.text("actuator", "instrument") if "instrument" in document["actuator"] else None
+        if instrument is not None and not re.fullmatch(r"[!-~]{1,8}", instrument):
+            raise TautError(f"{where}: actuator.instrument is {instrument!r}, expected 1 to 8 letters, digits or signs")
+        actuator = Actuator(unit, (low, high), resolution, speed_max, instrument)
         coarse = Coarse(read.number("coarse", "gain"), read.number("coarse", "offset"))
         if coarse.gain == 0.0:
             raise TautError(f"{where}: coarse.gain is 0, expected deg per {unit} (negative where c falls with q)")
@@ -199,7 +204,7 @@ class Rig:
 
 
 _KNOWN = {
-    "actuator": {"unit", "range", "encoder_resolution", "speed_max"},
+    "actuator": {"unit", "range", "encoder_resolution", "speed_max", "instrument"},
     "coarse": {"gain", "offset"},
     "kinematics": {"bending_length_mm", "tip_length_mm"},
     "camera": {"width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px", "distortion", "frame_rate_hz", "delay_s"},

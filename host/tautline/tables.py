@@ -92,12 +92,12 @@ def encode(
     limits: Limits | None = None,
     kind: str = "bending",
     created_s: int | None = None,
-    instrument: str = "",
+    instrument: str | None = None,
 ) -> bytes:
     """The model's blob for `axis`, or a TautError that says why a board would refuse it.
 
-    instrument: the serial of the one that it was made for, at most 8 characters: a board whose settings name another
-    refuses the table.
+    instrument: the serial of the one that it was made for, at most 8 characters, the rig's where it is None: a board
+    whose settings name another refuses the table.
 
     B and f are sampled on a grid of 2^k Q8 counts from the lower end of the range, with at most 257 nodes; the last
     node may lie beyond the range, and with several plays the first does: there B is held and f goes on with its last
@@ -125,7 +125,7 @@ def encode(
         raw_width,
         _raw(c_deg * _DEG, "f_remain"),
         model_id(model),
-        instrument,
+        instrument if instrument is not None else rig.actuator.instrument or "",
         _plays(model, q_raw.astype(float), raw_width.astype(float)),
     )
     return _checked(blob, axis)

@@ -22,9 +22,12 @@ from tautline import tables
 from tautline.cli import taut
 from tautline.device import wire
 from tautline.errors import TautError
+from tautline.live.session import check_rig
+from tautline.live.setup import open_live
 from tautline.model import Effect, Model
 from tautline.predict import predict
 from tautline.recording import load
+from tautline.simulated.instrument import preset
 from tautline.simulated.simlink import DesktopBoard
 
 EXAMPLES = Path(__file__).parents[2] / "tools" / "examples"
@@ -60,6 +63,41 @@ def test_flash_reads_back_and_boards_shows_the_model(bench: Bench, folder: Path)
         assert row["busy"]
     state = run("monitor", board=bench.where)
     assert len(state["axes"]) >= 2 and state["counters"]["telemetry_dropped"] == 0
+
+
+def of_instrument(serial: str) -> Model:
+    made = model()
+    return replace(made, rig=replace(made.rig, actuator=replace(made.rig.actuator, instrument=serial)))
+
+
+def test_a_model_of_another_instrument_is_refused_unless_forced(bench: Bench, tmp_path: Path) -> None:
+    with bench.open() as board:
+        own = dict(board.ask("get_settings", axis=0).values) | {"instrument": "SN-0042", "key": wire.wire.KEY}
+        board.ask("settings", **own, timeout_s=5.0)
+    for name, serial in (("mine", "SN-0042"), ("others", "SN-0043")):
+        of_instrument(serial).save(tmp_path / name)
+    mine, others = str(tmp_path / "mine"), str(tmp_path / "others")
+    assert run("flash", mine, board=bench.where)["instrument"] == "SN-0042"
+    with pytest.raises(TautError, match=r"made for another instrument .* or --force"):
+        run("flash", others, board=bench.where)
+    (row,) = [row for row in run("boards", board=bench.where)["boards"] if row["board"] == bench.where]
+    assert row["axes"][0]["instrument"] == "SN-0042" and row["axes"][0]["created"].startswith("20")
+    assert run("flash", others, "--force", board=bench.where)["instrument"] == "SN-0043"
+    with pytest.raises(TautError, match="made for another instrument"):  # once
+        run("flash", others, board=bench.where)
+
+
+def test_a_live_calibration_is_of_the_instrument_that_the_board_is_for(bench: Bench) -> None:
+    with bench.open() as board:
+        own = dict(board.ask("get_settings", axis=0).values) | {"instrument": "SN-0042", "key": wire.wire.KEY}
+        board.ask("settings", **own, timeout_s=5.0)
+    rig = preset("reference").rig
+    with open_live(board=bench.where, rig=rig) as live:
+        assert live.rig.actuator.instrument == "SN-0042"
+        check_rig(live)
+    other = open_live(board=bench.where, rig=replace(rig, actuator=replace(rig.actuator, instrument="SN-0043")))
+    with other as live, pytest.raises(TautError, match=r"of instrument SN-0043, but .* are for SN-0042"):
+        check_rig(live)
 
 
 def test_boards_that_are_not_there(folder: Path) -> None:

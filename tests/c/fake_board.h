@@ -25,6 +25,9 @@ typedef struct {
     bool blocked;
     bool driver_fault[TL_WIRE_AXES_MAX];
     uint16_t supply_mv;
+    double lag_s;                     // of a motor's speed, by its inertia
+    double winding_s;                 // of its current; 0: at once
+    double current[TL_WIRE_AXES_MAX]; // that speeds a motor up, of what full duty brings
     double wiring[TL_WIRE_AXES_MAX]; // counts that the encoder shows for one of the motor's: -1 where wires are swapped
     uint8_t flash[FAKE_FLASH];
     uint32_t operations;
@@ -175,6 +178,7 @@ static inline void fake_new(uint8_t axes) {
     memset(&fake, 0, sizeof(fake));
     memset(fake.flash, 0xFF, sizeof(fake.flash));
     fake.supply_mv = 6000;
+    fake.lag_s = FAKE_LAG;
     for (uint8_t i = 0; i < TL_WIRE_AXES_MAX; i++) {
         fake.wiring[i] = 1.0;
     }
@@ -189,13 +193,21 @@ static inline void fake_ready(void) {
     }
 }
 
+static inline void fake_turn(uint8_t i, double dt) {
+    const double drive = fake.duty[i] / 32768.0 - fake.speed[i] / FAKE_SPEED;
+    fake.current[i] = fake.winding_s > 0.0 ? fake.current[i] + (drive - fake.current[i]) * dt / fake.winding_s : drive;
+    fake.speed[i] = fake.blocked ? 0.0 : fake.speed[i] + fake.current[i] * FAKE_SPEED * dt / fake.lag_s;
+    fake.position[i] += fake.speed[i] * dt;
+}
+
 static inline void fake_step(void) {
     const double dt = 1.0 / FAKE_HZ;
     fake.t_us += 1000000U / FAKE_HZ;
     for (uint8_t i = 0; i < fake_port.axes; i++) {
-        fake.speed[i] += (fake.duty[i] / 32768.0 * FAKE_SPEED - fake.speed[i]) * dt / FAKE_LAG;
-        fake.speed[i] = fake.blocked ? 0.0 : fake.speed[i];
-        fake.position[i] += fake.speed[i] * dt;
+        const unsigned parts = fake.winding_s > 0.0 ? 20U : 1U;
+        for (unsigned part = 0; part < parts; part++) {
+            fake_turn(i, dt / parts);
+        }
     }
     tl_app_control(&app);
     tl_app_task(&app);

@@ -71,6 +71,42 @@ static void assert_same(uint8_t type, const void *expected, const void *got) {
     TEST_ASSERT_EQUAL_MEMORY(frames[0], frames[1], size);
 }
 
+// The control step comes whenever it is not kept out: what it writes is of one go, even while it is, odd before and
+// after.
+static uint32_t goes;
+
+static void write_in_one_go(void) {
+    app.axes[0].guard.fault_us = (tl_us_t)goes << 32 | goes;
+    app.axes[0].guard.fault_value = (int32_t)goes;
+    app.axes[0].q = app.axes[0].path.q = (tl_count_q8_t)goes;
+}
+static uint32_t lock_after_a_step(void *context) {
+    (void)context;
+    goes += 1U + (goes & 1U ? 0U : 1U);
+    write_in_one_go();
+    return 0;
+}
+static void unlock_before_a_step(void *context, uint32_t state) {
+    (void)context;
+    (void)state;
+    goes += 1U;
+    write_in_one_go();
+}
+
+static void test_a_status_is_of_one_moment(void) {
+    fake_port.lock = lock_after_a_step;
+    fake_port.unlock = unlock_before_a_step;
+    goes = 1;
+    for (int i = 0; i < 3; i++) {
+        const tl_wire_status_t status = fake_status(0);
+        const uint32_t go = (uint32_t)status.fault_value;
+        TEST_ASSERT_EQUAL_MESSAGE(0, go & 1U, "read while the control step is kept out");
+        TEST_ASSERT_EQUAL_UINT64((tl_us_t)go << 32 | go, status.fault_us);
+        TEST_ASSERT_EQUAL(go, status.q_q8);
+        TEST_ASSERT_EQUAL(go, status.q_ref_q8);
+    }
+}
+
 static void test_settings_read_back_as_set(void) {
     tl_wire_servo_t servo = {.axis = 1,
                              .proportional = 1,
@@ -310,6 +346,7 @@ int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_hello_names_board_and_versions);
     RUN_TEST(test_unknown_short_and_misdirected_requests_are_refused_with_a_reason);
+    RUN_TEST(test_a_status_is_of_one_moment);
     RUN_TEST(test_settings_read_back_as_set);
     RUN_TEST(test_a_reboot_leaves_time_for_its_acknowledgement);
     RUN_TEST(test_replies_that_find_no_room_are_counted_and_input_goes_on);

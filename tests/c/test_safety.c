@@ -133,6 +133,29 @@ static void test_gains_that_swing_the_drive_are_a_fault(void) {
     assert_fault(TL_WIRE_FAULT_OSCILLATION);
 }
 
+// By proportional gain alone a motor without a winding settles within one count, where it brakes. A real one's current
+// lags: by 0.2 ms (a bare motor of 6 V) to 2 ms; its inertia with the load's makes 20 ms, a heavy one's 300.
+static void test_proportional_gain_alone_swings_at_full_duty_until_it_is_a_fault(void) {
+    const double windings_s[] = {0.0002, 0.0005, 0.001, 0.002}, lags_s[] = {FAKE_LAG, 0.1, 0.3};
+    for (unsigned i = 0; i < 12U; i++) {
+        fake_new(1);
+        fake.winding_s = windings_s[i % 4U];
+        fake.lag_s = lags_s[i / 4U];
+        const tl_wire_servo_t wild = {.axis = 0, .proportional = 32767};
+        TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_SERVO, &wild));
+        hold();
+        TEST_ASSERT_EQUAL(0, move(50));
+        uint32_t full[2] = {0, 0}, steps = 0;
+        while (app.axes[0].fault == TL_WIRE_FAULT_NONE && steps < 3U * FAKE_HZ) {
+            fake_step();
+            steps++;
+            full[fake.duty[0] > 0] += abs(fake.duty[0]) >= 32767 ? 1U : 0U;
+        }
+        TEST_ASSERT_TRUE(full[0] > steps / 10U && full[1] > steps / 10U);
+        assert_fault(TL_WIRE_FAULT_OSCILLATION);
+    }
+}
+
 static void test_sound_gains_do_not_swing(void) {
     hold();
     for (int i = 0; i < 40; i++) { // as hard as the limits allow, there and back
@@ -511,6 +534,7 @@ int main(void) {
     RUN_TEST(test_the_default_current_limit_is_below_the_drivers_own);
     RUN_TEST(test_a_driver_fault_and_a_low_supply_are_faults_and_told);
     RUN_TEST(test_gains_that_swing_the_drive_are_a_fault);
+    RUN_TEST(test_proportional_gain_alone_swings_at_full_duty_until_it_is_a_fault);
     RUN_TEST(test_sound_gains_do_not_swing);
     RUN_TEST(test_a_move_arrives_where_the_motor_is_at_rest_at_its_target);
     RUN_TEST(test_nothing_that_goes_by_position_goes_without_a_reference);

@@ -113,6 +113,38 @@ def test_a_flipped_bit_in_a_slot_leaves_the_other_table_or_a_fault(tmp_path: Pat
 
 
 @pytest.mark.usefixtures("emulated")
+@pytest.mark.parametrize(("kind", "after_us"), [("hardfault", 40_000), ("nmi", 40_313), ("panic", 40_777)])
+def test_a_crash_of_the_processor_coasts_every_bridge_first(kind: str, after_us: int) -> None:
+    """With an axis driving: before the breakpoint that a debugger sees; without one the watchdog restarts the board."""
+    with DesktopBoard() as process:
+        link = process.link()
+        with open_board(process.where) as board:
+            made_ready(board, link)
+            board.ask("enable", axis=0, on=1)
+            board.ask("move", axis=0, q=3000.0, speed_s=6000.0)
+            link.ask("advance 60000")
+            link.ask(f"advance {after_us}")
+        assert abs(link.ask("state")["axes"][0]["duty_q15"]) > 3000
+        crash = link.ask(f"crash {kind}")
+        assert crash["locked_up"] and crash["us"] < 5.0
+        driven = crash["before"][:2]
+        assert max(driven) == 1.0 and min(driven) < 0.95 and crash["before"][2:] == [1.0] * 6  # these brake
+        assert crash["after"] == [0.0] * 8
+        before = link.ask("state")["q"][0]
+        link.ask("advance 20000")
+        assert link.ask("state")["q"][0] > before + 20 * 256, "it coasts"
+        link.ask("advance 600000")
+        after = link.ask("state")
+        assert after["starts"] == 2
+        moved = [link.ask("advance 20000")["q"][0][-1] for _ in range(20)]
+        assert moved[-1] == moved[-5], "the motor is at rest"
+        with open_board(process.where) as board:
+            status = board.status(0)
+            assert status.fault == wire.code("FAULTS", "WATCHDOG") and status.mode == wire.code("MODES", "OFF")
+        link.close()
+
+
+@pytest.mark.usefixtures("emulated")
 @pytest.mark.parametrize("state", ["off", "hold", "move", "follow", "calibrate"])
 def test_the_watchdog_bites_in_every_state(state: str) -> None:
     """The main loop hangs: the board restarts, every motor off, and says why."""

@@ -1,14 +1,20 @@
-"""The real board's image: built twice it is the same, and its UF2 holds it."""
+"""The real board's image: two builds are the same, its UF2 holds it, one of fewer axes copes with erratum E5."""
 
 from __future__ import annotations
 
 import os
 import shutil
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from tools.uf2 import to_uf2
+
+from tautline.device import wire
+from tautline.device.board import open_board
+from tautline.errors import TautError
+from tautline.simulated.simlink import PROGRAM, DesktopBoard
 
 ROOT = Path(__file__).resolve().parents[2]
 BUILD = ROOT / "build" / "rp2040"
@@ -38,3 +44,53 @@ def test_two_builds_are_byte_identical(image: bytes, tmp_path: Path) -> None:
 
 def test_the_uf2_holds_the_image(image: bytes) -> None:
     assert (BUILD / "tautline.uf2").read_bytes() == to_uf2(image)
+
+
+@pytest.fixture
+def early_chip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], None]:
+    """Boards are emulated chips of revision B1 on a busy hub (erratum RP2040-E5), with the image of a build folder."""
+
+    def use(build: Path) -> None:
+        program = tmp_path / "board"
+        emulator = ROOT / "tools" / "emulator" / "board.js"
+        program.write_text(f'#!/bin/sh\nexec node "{emulator}" --build "{build}" --revision B1 "$@"\n')
+        program.chmod(0o755)
+        monkeypatch.setenv(PROGRAM, str(program))
+
+    return use
+
+
+@pytest.mark.usefixtures("image")
+@pytest.mark.parametrize("axes", [1, 3])
+def test_an_image_of_fewer_axes_comes_up_on_an_early_chip(axes: int, early_chip: Callable[[Path], None]) -> None:
+    build = ROOT / "build" / f"rp2040-{axes}"
+    for command in (
+        ["cmake", "-S", ROOT / "firmware/port/rp2040", "-B", build, "-G", "Ninja", f"-DTAUTLINE_AXES={axes}"],
+        ["cmake", "--build", build, "--parallel", str(os.cpu_count() or 1), "--target", "tautline"],
+    ):
+        subprocess.run(command, check=True, capture_output=True, text=True)
+    early_chip(build)
+    with DesktopBoard() as process, open_board(process.where) as board:
+        link = process.link()
+        assert board.axes == axes
+        last = axes - 1
+        board.switch_on(last, lambda seconds: link.ask(f"advance {round(seconds * 1e6)}"))
+        board.ask("jog", axis=last, way=40.0)
+        for _ in range(50):
+            link.ask("advance 20000")
+        status = board.status(last)
+        assert status.fault == 0 and status.mode == wire.code("MODES", "HOLD")
+        assert link.ask("state")["q"][last] / 256.0 == pytest.approx(40.0, abs=6.0)
+        with pytest.raises(TautError, match=f"no axis {axes}"):
+            board.check_axis(axes)
+        link.close()
+
+
+@pytest.mark.usefixtures("image")
+def test_the_image_of_four_axes_does_not_come_up_there(
+    early_chip: Callable[[Path], None], capfd: pytest.CaptureFixture[str]
+) -> None:
+    early_chip(BUILD)
+    with pytest.raises(TautError, match="did not start"), DesktopBoard():
+        pass
+    assert "does not come up on USB" in capfd.readouterr().err

@@ -78,3 +78,17 @@ def test_the_readme_s_example_compiles(tmp_path: Path) -> None:
     flags = ["-std=c11", "-Wall", "-Wextra", "-Wconversion", "-Wno-unused-variable", "-Werror", "-fsyntax-only"]
     built = subprocess.run(["cc", *flags, *folders, source], capture_output=True, text=True)
     assert built.returncode == 0, built.stderr
+
+
+def test_every_public_header_may_be_included_from_cpp() -> None:
+    headers = [path for room in ROOMS[:2] for path in (ROOT / room / "include").rglob("*.h")]
+    assert len(headers) > 10
+    for path in headers:
+        text = path.read_text()
+        assert "tl_fast" in path.name or ('extern "C" {' in text and text.count("#ifdef __cplusplus") == 2), path
+
+
+def test_every_list_of_codes_refuses_to_compile_with_one_twice() -> None:
+    text = (ROOT / "common/include/tautline/tl_wire.h").read_text()
+    lists = set(re.findall(r"^#define TL_WIRE_(\w+)\(C\)", text, re.MULTILINE))
+    assert len(lists) > 8 and lists == set(re.findall(r"^TL_WIRE_IS_\((\w+),", text, re.MULTILINE))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -116,3 +117,17 @@ def test_what_is_not_a_table_is_refused_with_the_reason() -> None:
             tables.decode(damaged)
     with pytest.raises(TautError, match="another axis"):
         tables.decode(blob, axis=0)
+
+
+def test_the_rig_s_instrument_is_in_the_blob(tmp_path: Path) -> None:
+    one = model()
+    assert tables.decode(tables.encode(one)).instrument == ""
+    named = replace(one, rig=replace(one.rig, actuator=replace(one.rig.actuator, instrument="SN-0042")))
+    named.save(tmp_path / "model")
+    assert tables.decode(tables.encode(Model.load(tmp_path / "model"))).instrument == "SN-0042"
+    assert tables.model_id(named) == tables.model_id(one)
+    for bad in ("", "SN-004299", "two of", "ä"):
+        document = one.rig.to_document()
+        document["actuator"]["instrument"] = bad
+        with pytest.raises(TautError, match=r"actuator\.instrument is"):
+            Rig.from_document(document, "rig.toml")

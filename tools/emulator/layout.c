@@ -9,4 +9,5 @@ __attribute__((section(".layout"))) const unsigned layout[] = {
     sizeof(tl_axis_t),
     offsetof(tl_axis_t, mode),
     offsetof(tl_axis_t, fault),
+    offsetof(tl_axis_t, guard.current_ma),
 };

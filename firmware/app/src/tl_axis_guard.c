@@ -6,8 +6,9 @@
 #define STALL_WAY     (8 * TL_COUNT_ONE) // within it for the stall time, a pushing motor stands still
 #define DRIVER_MS     5U                 // a fault line that is low for as long is no glitch
 #define SUPPLY_MS     20U                // a dip as long is more than a motor's start
-#define SWING_STEP    40U                // a change from limit to limit counts for so many milliseconds,
-#define SWING_MOST    400U               // and so much of it is an oscillation: ten changes at 100 Hz, 27 at 20 Hz
+#define SWING_STEP    160U               // a change from limit to limit, forgotten in 40 ms, and in
+#define SWING_REST    4U                 // times as many where the path rests, where no change is called for;
+#define SWING_MOST    1600U              // an oscillation: 12 changes at 100 Hz, 27 at 20; at rest 21 at 6 Hz
 #define BOTH_WAYS     3U                 // tl_actuator_pushed()
 #define STILL_MS      10U                // a move has arrived once it was at its target for so long
 #define HOME_MS       100U               // pressing against an end
@@ -83,7 +84,8 @@ static bool oscillates(tl_axis_t *axis) {
     tl_axis_guarded_t *guard = &axis->guard;
     const uint8_t pushed = guard->pushed;
     guard->pushed = 0;
-    guard->swing = guard->swing > 0 ? (uint16_t)(guard->swing - 1U) : 0U;
+    const uint16_t less = tl_path_rests(&axis->path) ? 1U : SWING_REST;
+    guard->swing = guard->swing > less ? (uint16_t)(guard->swing - less) : 0U;
     if (pushed == BOTH_WAYS || (pushed != 0 && pushed != guard->swing_way)) {
         guard->swing = (uint16_t)(guard->swing + (guard->swing_way != 0 ? SWING_STEP : 0U));
         guard->swing_way = pushed;

@@ -184,8 +184,8 @@ static void __not_in_flash_func(control_interrupt)(void) {
     board.sensed[what] = value;
 }
 
-// In RAM: from flash it would take as long as the cache makes it.
-static void __not_in_flash_func(start_in_time)(uint32_t bridges) {
+// In RAM, and not a part of its caller: from flash it would take as long as the cache makes it.
+static void __no_inline_not_in_flash_func(start_in_time)(uint32_t bridges) {
     const uint32_t now = timer_hw->timerawl;
     while (timer_hw->timerawl == now) {
     }

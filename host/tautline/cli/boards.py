@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from typing import Any
 
 import click
@@ -65,10 +66,14 @@ def _axis(board: Any, axis: int) -> dict[str, Any]:
         "fault": wire.text("FAULTS", status.fault) if status.fault else None,
         "table": wire.text("TABLES", status.table),
         "model_id": None,
+        "instrument": None,
+        "created": None,
     }
     blob = board.read_table(axis) if status.table_sequence else b""
     if blob:
-        row["model_id"] = tables.decode(blob).model_id.hex()
+        table = tables.decode(blob)
+        made = datetime.fromtimestamp(table.created_s, UTC).isoformat(timespec="minutes")
+        row |= {"model_id": table.model_id.hex(), "instrument": table.instrument or None, "created": made}
     return row
 
 
@@ -82,6 +87,9 @@ def _text(row: dict[str, Any]) -> str:
         f"{row['control_hz']} Hz"
     ]
     for axis in row["axes"]:
-        table = f"model {axis['model_id']}" if axis["model_id"] else "no table"
+        table = "no table"
+        if axis["model_id"]:
+            table = f"model {axis['model_id']} of {axis['created'][:10]}"
+            table += f" for instrument {axis['instrument']}" if axis["instrument"] else ""
         lines.append(f"  axis {axis['axis']}: {table}, {axis['fault'] or axis['mode']}")
     return "\n".join(lines)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from tautline.cli._common import emit, force_option, json_option, progress_bar, refuse_unusable
+from tautline.cli._common import emit, json_option, progress_bar, refuse_unusable
 from tautline.cli._live import axis_option, board_option
 
 
@@ -19,13 +19,15 @@ from tautline.cli._live import axis_option, board_option
     is_flag=True,
     help="Load B and f_remain of a corrected model though the tables cannot carry its effects.",
 )
-@force_option
+@click.option("--force", is_flag=True, help="Load an unusable model, or one for another instrument, all the same.")
 @json_option
 def command(model_path: Path, board: str | None, axis: int, without_effects: bool, force: bool, as_json: bool) -> None:
     """Load MODEL's tables into an axis of a board, read them back and compare them byte for byte.
 
     The table is checked by the board before it replaces the one in use; a failure leaves the old one. A corrected model
-    (taut diagnose) whose effects the tables cannot carry, such as lag, is refused unless --without-effects is given.
+    (taut diagnose) whose effects the tables cannot carry, such as lag, is refused unless --without-effects is given. So
+    is one whose rig.toml names another instrument than the board's settings do (taut commission --instrument), without
+    --force.
     """
     from tautline import tables
     from tautline.device.board import open_board
@@ -43,7 +45,7 @@ def command(model_path: Path, board: str | None, axis: int, without_effects: boo
         )
     blob = tables.encode(model, axis=axis)
     with open_board(board) as opened, progress_bar("flash") as progress:
-        opened.load_table(axis, blob, progress)
+        opened.load_table(axis, blob, progress, any_instrument=force)
         status = opened.status(axis)
         serial = opened.identity.serial
     table = tables.decode(blob)
@@ -54,6 +56,7 @@ def command(model_path: Path, board: str | None, axis: int, without_effects: boo
             "bytes": len(blob),
             "nodes": len(table.q),
             "model_id": table.model_id.hex(),
+            "instrument": table.instrument or None,
             "table_crc": status.table_crc,
             "verified": True,
             "without_effects": left,

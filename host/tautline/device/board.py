@@ -307,10 +307,18 @@ class Board:
             wait(_POLL_S)
         raise TautError(f"axis {axis} is {wire.text('MODES', status.mode)}, not switched on: stop it, then run again")
 
-    def load_table(self, axis: int, blob: bytes, progress: Callable[[float, str], None] | None = None) -> None:
+    def load_table(
+        self,
+        axis: int,
+        blob: bytes,
+        progress: Callable[[float, str], None] | None = None,
+        any_instrument: bool = False,
+    ) -> None:
         """Stores a table (motors off) and compares what the board then holds byte for byte: by DFU on USB, elsewhere
-        in messages."""
+        in messages. `any_instrument`: one for another instrument than the settings name, too."""
         self.check_axis(axis)
+        if any_instrument:
+            self.ask("any_table", axis=axis)
         dfu = self._link.tables(axis)
         if dfu is None:
             self.load_table_by_messages(axis, blob, progress)

@@ -291,6 +291,12 @@ def check_rig(live: Live) -> None:
     rig = live.rig
     if rig.camera is None or rig.kinematics is None or rig.hand_eye is None:
         raise TautError("a live calibration needs [camera], [kinematics] and [hand_eye] in rig.toml")
+    here, there = rig.actuator.instrument, live.board.ask("get_settings", axis=live.axis).instrument
+    if here and there and here != there:
+        raise TautError(
+            f"the rig is of instrument {here}, but the board's settings of axis {live.axis} are for {there}: name that "
+            f"one's rig with --rig, or run 'taut commission --instrument {here}'"
+        )
 
 
 def thorough(live: Live, options: MotionOptions) -> Round:

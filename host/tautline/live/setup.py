@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any, Protocol
 
@@ -324,6 +324,12 @@ def _pass(link: SimLink, seconds: float) -> None:
     link.ask(f"advance {round(seconds * 1e6)}")
 
 
+def _of_board(rig: Rig, board: Board, axis: int) -> Rig:
+    """The rig with the instrument that the board's settings name, where it names none itself."""
+    there: str = board.ask("get_settings", axis=axis).instrument
+    return replace(rig, actuator=replace(rig.actuator, instrument=rig.actuator.instrument or there or None))
+
+
 @contextmanager
 def open_live(
     *,
@@ -380,7 +386,7 @@ def open_live(
         opened.check_axis(axis)
         opened.align(16)
         stack.enter_context(opened.reading())
-        live = Live(opened, rig, axis)
+        live = Live(opened, _of_board(rig, opened, axis), axis)
         if at is not None:
             opened.ask("set_position", axis=axis, q=at / live.resolution)
         if camera is not None:

@@ -7,6 +7,9 @@ import { Probe } from './probe.js';
 import { SimulationClock } from './rp2040js.js';
 import { UsbHost } from './usbhost.js';
 
+const EXCEPTIONS = { nmi: 2, hardfault: 3 };
+const CRASH_MOST_US = 1000;
+
 export const TABLE_REGION = 10 * Flash.sectorSize; // at the end of flash: TL_PORT_FLASH_REGION
 const ENUMERATION_US = 500e3;                      // a board that is not on the bus by then never will be
 const BRANCH_TO_SELF = 0xe7fe;
@@ -16,9 +19,10 @@ const BRANCH_TO_SELF = 0xe7fe;
  * Everything is driven by run(); nothing happens between two calls.
  */
 export class Board {
-    /** image, bootrom: bytes; flashFile: keeps the tables between runs, null: nothing does. */
-    constructor({ image, bootrom, motor, probe, flashFile = null, id }) {
+    /** image, bootrom: bytes; flashFile: keeps the tables between runs, null: nothing does; revision: see Chip. */
+    constructor({ image, bootrom, motor, probe, flashFile = null, id, revision }) {
         this.probe = probe;
+        this.revision = revision;
         this.flash = new Flash(2 << 20, id);
         this.flash.bytes.set(image);
         this.bootrom = new Uint32Array(4096);
@@ -62,7 +66,7 @@ export class Board {
     start(kept = null) {
         this.bootUs = this.plant.timeUs;
         this.clock = new SimulationClock();
-        this.chip = new Chip({ clock: this.clock, flash: this.flash, bootrom: this.bootrom, kept });
+        this.chip = new Chip({ clock: this.clock, flash: this.flash, bootrom: this.bootrom, kept, revision: this.revision });
         this.powered = true;
         this.bootloader = false;
         this.hung = false;
@@ -130,15 +134,34 @@ export class Board {
         core.PC = trap;
         core.waiting = false;
     }
+
+    /**
+     * The core takes a 'hardfault' or an 'nmi', or runs into 'panic', wherever it is. Without a debugger it locks up at
+     * the breakpoint that comes of it; until then: how long it took, us, and what every bridge pin was before and is then.
+     */
+    crash(kind) {
+        const { chip } = this;
+        const { core } = chip;
+        const pins = () => [4, 5, 6, 7, 8, 9, 10, 11].map((pin) => chip.output(pin));
+        const before = pins();
+        const began = this.nowUs;
+        chip.onBreakpoint = () => { chip.lockedUp = true; };
+        core.waiting = false;
+        if (kind === 'panic') core.PC = this.probe.panic;
+        else core.exceptionEntry(EXCEPTIONS[kind]);
+        while (!chip.lockedUp && this.nowUs < began + CRASH_MOST_US) this.run(this.nowUs + 0.1);
+        return { us: this.nowUs - began, before, after: pins(), locked_up: chip.lockedUp };
+    }
 }
 
-/** A board with the image that './run firmware' built, or another. */
+/** A board with the image that './run firmware' built, or with the one in another build folder. */
 export function loadBoard(root, options = {}) {
-    const build = `${root}/build/rp2040`;
+    const usual = `${root}/build/rp2040`;
+    const build = options.build ?? usual;
     const file = (name) => {
         if (!fs.existsSync(name)) throw new Error(`${name} is missing: run './run firmware'`);
         return fs.readFileSync(name);
     };
-    return new Board({ ...options, probe: new Probe(`${build}/tautline.elf`, `${build}/emulator/layout.bin`), image: file(options.image ?? `${build}/tautline.bin`),
-        bootrom: file(`${build}/emulator/bootrom.bin`) });
+    return new Board({ ...options, probe: new Probe(`${build}/tautline.elf`, `${usual}/emulator/layout.bin`),
+        image: file(`${build}/tautline.bin`), bootrom: file(`${usual}/emulator/bootrom.bin`) });
 }

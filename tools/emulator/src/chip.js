@@ -47,10 +47,12 @@ class StrictLogger {
 
 /**
  * An RP2040 from power-on to the next reset, which is another Chip with the same flash. `kept` is what a watchdog reset keeps.
+ * `revision`: a B1 has erratum E5, and is on a busy hub (see UsbController).
  */
 export class Chip extends RP2040 {
-    constructor({ clock, flash, bootrom, kept = null }) {
+    constructor({ clock, flash, bootrom, kept = null, revision = 'B2' }) {
         super(clock);
+        this.hasE5 = revision === 'B1';
         this.logger = new StrictLogger();
         this.flashChip = flash;
         this.core = new Core(this);
@@ -62,7 +64,7 @@ export class Chip extends RP2040 {
         Object.assign(this.peripherals, {
             0x14000: new Registers(this, 'XIP_CTRL', { 0x8: 3 }), // cache: enabled, flushed
             0x18000: this.ssi,
-            0x40000: new Registers(this, 'SYSINFO', { 0x0: 0x20002927, 0x4: 2 }), // B2 silicon, an ASIC
+            0x40000: new Registers(this, 'SYSINFO', { 0x0: this.hasE5 ? 0x10002927 : 0x20002927, 0x4: 2 }), // an ASIC
             0x40018: new IoQspi(this),
             0x40050: this.pwm,
             0x40054: new Timer(this, 'TIMER'),
@@ -89,6 +91,7 @@ export class Chip extends RP2040 {
         this.flash = EMPTY;
         this.flashView = EMPTY_VIEW;
         this.xipOn = false;
+        this.lockedUp = false; // a breakpoint without a debugger: the core does nothing until a reset
         this.core.reset();
     }
 
@@ -196,7 +199,7 @@ export class Chip extends RP2040 {
     run(until) {
         const { core, clock } = this;
         while (clock.nanos < until && this.state === 'running') {
-            if (core.waiting) {
+            if (core.waiting || this.lockedUp) {
                 const next = clock.nextAlarm;
                 clock.tick((next && next.nanos < until ? next.nanos : until) - clock.nanos);
             } else {

@@ -10,7 +10,7 @@ import { UsbIpServer } from './usbip.js';
 
 const root = path.resolve(path.dirname(fileURLToPath(import.meta.url)), '../../..');
 const USAGE = 'usage: board --usbip PORT --sim PORT [--flash FILE] [--axes 4] [--rate 5000] [--serial 16 HEX DIGITS] ' +
-    '[--realtime] [--parent PID]';
+    '[--realtime] [--parent PID] [--build FOLDER] [--revision B1|B2]';
 
 function fail(message, status) {
     process.stderr.write(`emulated board: ${message}\n`);
@@ -22,7 +22,7 @@ function options() {
         const { values } = parseArgs({ options: {
             usbip: { type: 'string' }, sim: { type: 'string' }, flash: { type: 'string' }, axes: { type: 'string' },
             rate: { type: 'string' }, serial: { type: 'string' }, realtime: { type: 'boolean' }, parent: { type: 'string' },
-            image: { type: 'string' },
+            build: { type: 'string' }, revision: { type: 'string' },
         } });
         if (values.usbip === undefined || values.sim === undefined) fail(`--usbip and --sim are needed\n${USAGE}`, 2);
         return values;
@@ -42,7 +42,7 @@ async function main() {
     const values = options();
     let board;
     try {
-        board = loadBoard(root, { image: values.image, flashFile: values.flash ?? null, id: chipId(values.serial),
+        board = loadBoard(root, { build: values.build, revision: values.revision, flashFile: values.flash ?? null, id: chipId(values.serial),
             motor: motorConstants(path.join(root, 'firmware/port/simulated/motor.c')) });
     } catch (error) {
         fail(error.message, 1);

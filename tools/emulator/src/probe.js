@@ -28,12 +28,18 @@ export function symbol(file, name) {
 export class Probe {
     constructor(elf, layout) {
         this.board = symbol(elf, 'board');
+        this.panic = symbol(elf, 'panic') & ~1;
         const words = fs.readFileSync(layout);
-        [this.axes, this.axisSize, this.mode, this.fault] = [0, 4, 8, 12].map((at) => words.readUInt32LE(at));
+        [this.axes, this.axisSize, this.mode, this.fault, this.current] = [0, 4, 8, 12, 16].map((at) => words.readUInt32LE(at));
     }
 
     axis(chip, index) {
         const base = this.board + this.axes + index * this.axisSize;
         return { mode: chip.readUint8(base + this.mode), fault: chip.readUint8(base + this.fault) };
+    }
+
+    /** The current that the image last measured, mA. */
+    currentMa(chip, index) {
+        return chip.readUint32(this.board + this.axes + index * this.axisSize + this.current) | 0;
     }
 }

@@ -27,6 +27,16 @@ const SIE_BUS_RESET = 1 << 19;
 const SIE_SETUP_RECEIVED = 1 << 17;
 const INTR_SOF = 1 << 17;
 
+const MUXING = 0x74;
+const PHY_DIRECT = 0x7c;
+const PHY_DIRECT_OVERRIDE = 0x80;
+const TO_PHY = 1 << 0;
+const TO_DIGITAL_PAD = 1 << 2;
+const E5_J_NANOS = 800e3; // of J that a chip with erratum E5 wants to see on the bus after a reset
+const DP_PIN = 15;        // that the digital pad's D+ is
+const DP_FUNCTION = 8;
+const INOVER_HIGH = 3;
+
 export const ACK = 'ack';
 export const NAK = 'nak';
 export const STALLED = 'stall';
@@ -35,12 +45,18 @@ export const TIMEOUT = 'timeout'; // nobody answers: not attached, another addre
 /**
  * The device side of the controller, one token at a time as a host sends them. rp2040js moves whole buffers as soon as the
  * firmware offers them: no NAK, no STALL, no toggles, no SOF, and a double-buffered IN in the wrong order.
+ *
+ * A chip with erratum RP2040-E5 is on a busy hub here: other devices' packets leave it no J after a reset, and it hears
+ * nothing until the firmware has shown it one on the digital pads.
  */
 export class UsbController extends RPUSBController {
     constructor(rp2040, name) {
         super(rp2040, name);
         this.select = new Uint8Array(32); // which half a double-buffered endpoint uses next; index as in BUFF_STATUS
         this.toggleErrors = 0;
+        this.phy = new Map([[MUXING, 0], [PHY_DIRECT, 0], [PHY_DIRECT_OVERRIDE, 0]]);
+        this.deaf = false;
+        this.shownJ = 0; // since when, ns
     }
 
     get attached() {
@@ -55,6 +71,7 @@ export class UsbController extends RPUSBController {
     }
 
     readUint32(offset) {
+        if (this.phy.has(offset)) return this.phy.get(offset);
         const value = super.readUint32(offset);
         if (offset === SOF_RD && this.intRaw & INTR_SOF) {
             this.intRaw &= ~INTR_SOF;
@@ -65,13 +82,31 @@ export class UsbController extends RPUSBController {
 
     writeUint32(offset, value) {
         if (offset === SIE_STATUS) this.sieStatus &= ~(this.rawWriteValue & SIE_SUSPENDED);
+        if (this.phy.has(offset)) {
+            this.phy.set(offset, value);
+            if (offset === MUXING) this.#mux(value);
+            if (offset !== MUXING) return;
+        }
         super.writeUint32(offset, value);
         if (offset === EP_ABORT) {
             this.epAbortDone &= value; // done as soon as asked, gone with the request
         }
     }
 
+    #mux(value) {
+        const { ctrl } = this.rp2040.gpio[DP_PIN];
+        const showsJ = (ctrl & 0x1f) === DP_FUNCTION && ((ctrl >>> 16) & 3) === INOVER_HIGH;
+        const now = this.rp2040.clock.nanos;
+        if (value & TO_DIGITAL_PAD && !(value & TO_PHY) && showsJ) {
+            this.shownJ = now;
+        } else if (value & TO_PHY && this.shownJ > 0) {
+            this.deaf = this.deaf && now - this.shownJ < E5_J_NANOS;
+            this.shownJ = 0;
+        }
+    }
+
     busReset() {
+        this.deaf = this.rp2040.hasE5;
         this.addrEndp = 0;
         this.sieStatus |= SIE_BUS_RESET;
         this.sieStatusUpdated();
@@ -90,7 +125,7 @@ export class UsbController extends RPUSBController {
     }
 
     #answers(address) {
-        return this.attached && (this.addrEndp & 0x7f) === address;
+        return this.attached && !this.deaf && (this.addrEndp & 0x7f) === address;
     }
 
     setup(address, packet) {

@@ -2,7 +2,8 @@ import { ACK, NAK, STALLED, TIMEOUT } from './usb.js';
 
 const FRAME_NANOS = 1e6;
 const SLOT_NANOS = 50e3;  // one full-speed bulk transaction of 64 bytes, tokens and gaps included
-const RESET_NANOS = 1e6; // 10 ms and more on a real bus; nothing in the device depends on it
+const RESET_NANOS = 1e6; // 10 ms and more on a real bus; nothing in the device depends on it,
+const RECOVERY_NANOS = 10e6; // but for erratum E5's work-round, which takes some of the 10 ms that every host leaves it
 const SUSPEND_NANOS = 3e6;
 const ADDRESS_NANOS = 2e6; // that a device may take to answer to its new address
 const ADDRESS = 1;
@@ -126,7 +127,7 @@ export class UsbHost {
         if (this.attached && !this.enumerating) {
             this.enumerating = true;
             this.chip.usbCtrl.busReset();
-            this.resetAlarm.schedule(RESET_NANOS);
+            this.resetAlarm.schedule(this.chip.hasE5 ? RECOVERY_NANOS : RESET_NANOS);
         } else if (!this.attached && this.enumerating) { // the firmware let go of the bus
             const { chip } = this;
             this.detach();
