@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from tautline import effects
 from tautline.effects import Path
-from tautline.encoder import straight_lines
+from tautline.encoder import between_counts, straight_lines
 from tautline.errors import TautError
 from tautline.model import Model
 from tautline.recording import Motor, Recording
@@ -98,7 +98,7 @@ def prepare(model: Model, calibration: Recording, tests: Sequence[Recording]) ->
             stride = max(1, len(times) // 6000)
             times, observed = times[::stride], observed[::stride]
         scene = times - model.delay_of(MARKER if by_marker else ANGLE)
-        from_s = settled_from(model, motor)
+        from_s = settled_from(model, recording.motor)
         scored = (scene >= from_s) & (scene <= motor.t_s[-1])
         if not scored.any():
             raise TautError(
@@ -123,6 +123,7 @@ def prepare(model: Model, calibration: Recording, tests: Sequence[Recording]) ->
 def settled_from(model: Model, motor: Motor) -> float:
     """The scene time from which the start inside the backlash no longer matters: both envelopes were reached."""
     widest = 1.1 * float(model.width.max()) + 2 * model.rig.actuator.encoder_resolution
+    motor = between_counts(motor, model.rig.actuator.encoder_resolution)  # at every sample
     low, high = np.minimum.accumulate(motor.q), np.maximum.accumulate(motor.q)
     up = np.flatnonzero(motor.q - low > widest)
     down = np.flatnonzero(high - motor.q > widest)
