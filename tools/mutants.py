@@ -1,129 +1,181 @@
-"""Takes out one guard after the other and sees tests/c/test_random.c fail: what no test misses was never guarded.
+"""Takes out one guard of tools/guards.py after the other and sees its test fail: what no test misses was never guarded.
 
-    python tools/mutants.py --unity DIR [--cc gcc]
+    python tools/mutants.py --unity DIR [--cc gcc] [--only WORDS] [--all]
 
-A guard is named by the line that makes it; a line that is there no longer, or twice, is an error. Part of ctest.
+Without --all those of the portable C, a part of ctest. With it those of the real board's image and of the host, too, in
+a copy of the sources (a few minutes): run it by './run test guards', in the Python environment.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
+import shutil
 import subprocess
 import sys
 import tempfile
-from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+from tools.guards import GUARDS, RP2040, Guard  # noqa: E402
+
 SOURCES = (ROOT / "firmware" / "app" / "src", ROOT / "firmware" / "estimator" / "src", ROOT / "common" / "src")
 INCLUDES = tuple(folder.parent / "include" for folder in SOURCES)
-TEST = ROOT / "tests" / "c" / "test_random.c"
+TESTS = ROOT / "tests" / "c"
 FLAGS = ["-std=c11", "-O1", "-DTL_APP_QUEUE=65536U", "-DUNITY_SUPPORT_64", "-DUNITY_INCLUDE_DOUBLE"]
-ASK, GUARD, REST, APP = (
-    f"firmware/app/src/{name}.c" for name in ("tl_axis_ask", "tl_axis_guard", "tl_axis_rest", "tl_app")
-)
-HEADERS = "firmware/app/include/tautline/"
+LONGEST_S = 600
+# Modules of the copy win over the installed ones.
+FINDER = """
+import importlib.abc, importlib.util, pathlib, sys
+class Copy(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] != "tautline":
+            return None
+        at = pathlib.Path({host!r}, *name.split("."))
+        inside = at / "__init__.py"
+        if inside.is_file():
+            return importlib.util.spec_from_file_location(name, inside, submodule_search_locations=[str(at)])
+        at = at.with_suffix(".py")
+        return importlib.util.spec_from_file_location(name, at) if at.is_file() else None
+sys.meta_path.insert(0, Copy())
+"""
 
 
-@dataclass(frozen=True)
-class Mutant:
-    """`changes`: (file, line as it is, line without the guard)."""
-
-    guard: str
-    changes: tuple[tuple[str, str, str], ...]
-
-
-def _one(guard: str, file: str, before: str, after: str) -> Mutant:
-    return Mutant(guard, ((file, before, after),))
-
-
-MUTANTS = (
-    _one("duty within its limit", HEADERS + "tl_servo.h", "if (sum > limit || sum < -limit) {", "if (sum > 65536) {"),
-    _one("a fault switches off", REST, "    tl_axis_off(axis);\n    axis->guard.lapsed", "    axis->guard.lapsed"),
-    _one("off is off", REST, "    tl_actuator_release(&axis->motor);\n", ""),
-    _one("weak without a reference", ASK,
-         "axis->referenced ? axis->limits.duty_q15 : low_duty(axis)", "axis->limits.duty_q15"),
-    _one("weak homing", ASK, "request->duty_q15 > 0 ? request->duty_q15 : low_duty(axis)", "axis->limits.duty_q15"),
-    Mutant("a weak check", ((GUARD, "#define CHECK_PUSH    2621", "#define CHECK_PUSH    32768"),
-                            (GUARD, "most < axis->settings.low_duty_q15 ?", "true ?"))),
-    _one("a reference to follow or calibrate", ASK, "reason == 0 && !axis->referenced ?", "false ?"),
-    _one("a reference to move", ASK, "    if (!axis->referenced) {", "    if (false) {"),
-    _one("a check before driving", ASK, "        if (axis->checked) {", "        if (true) {"),
-    Mutant("a check that sees swapped wires",
-           ((GUARD, "way < -CHECK_MOVED, TL_WIRE_FAULT_REVERSED", "false, TL_WIRE_FAULT_REVERSED"),
-            (GUARD, "!trial->moved, TL_WIRE_FAULT_UNMOVED", "false, TL_WIRE_FAULT_UNMOVED"),
-            (GUARD, "!trial->right_scale, TL_WIRE_FAULT_SCALE", "false, TL_WIRE_FAULT_SCALE"))),
-    _one("an encoder that jumps", HEADERS + "tl_actuator.h", ">= 2U * TL_ACTUATOR_JUMP", ">= 0xFFFFFFFFU"),
-    _one("a jump takes the reference", REST, "(BIT(ENCODER) | BIT(EDGES)", "(BIT(EDGES)"),
-    _one("lost edges are asked for", APP, "        poll_encoders(app, now_us);\n", ""),
-    _one("lost edges take the reference", REST, "(BIT(ENCODER) | BIT(EDGES)", "(BIT(ENCODER)"),
-    _one("a pause is no jump", HEADERS + "tl_actuator.h", "(elapsed_us < 1000000U ? elapsed_us : 1000000U)", "0U"),
-    _one("stall", GUARD, "fails(axis, stalls, TL_WIRE_FAULT_STALL", "fails(axis, false, TL_WIRE_FAULT_STALL"),
-    _one("asking again does not hide a stall", ASK,
-         "    axis->guard.still_ms = 0; //", "    axis->guard.still_ms = 0;\n    axis->guard.pushed_ms = 0; //"),
-    _one("following error", GUARD, "!within(error, axis->limits.following_error_q8)", "false"),
-    _one("oscillation", GUARD, "return guard->swing >= SWING_MOST;", "return false;"),
-    _one("driver", GUARD, "guard->driver_ms >= DRIVER_MS", "false"),
-    _one("supply", GUARD, "guard->supply_ms >= SUPPLY_MS", "false"),
-    _one("current", GUARD, "most > 0 && guard->current_mean_q8 > most * 256", "false"),
-    _one("a host that is silent", GUARD, "--axis->guard.patience == 0U", "false"),
-    _one("limits within the settings", ASK, "!are_within(limits, &axis->settings)", "false"),
-    _one("the range", REST, "    axis->plan.low = low;", "    low = -TL_AXIS_RANGE_MAX;\n    axis->plan.low = low;"),
-    _one("the speed of a move", ASK, "axis->plan.move.speed = speed < most ? speed : most;",
-         "axis->plan.move.speed = 4 * most + 0 * speed;"),
-    _one("a path from where the motor is", ASK,
-         "    tl_axis_settle(axis);\n    tl_actuator_reset(&axis->motor, axis->q);\n    tl_axis_admit(axis);\n"
-         "    axis->guard.current_mean_q8", "    axis->guard.current_mean_q8"),
-    _one("arrived is there", GUARD, "within(axis->q - target, axis->settings.arrive_q8)", "true"),
-)  # fmt: skip
+def without(guard: Guard, root: Path = ROOT) -> dict[str, str]:
+    """The text of each file that changes, as it is without the guard."""
+    texts: dict[str, str] = {}
+    for file, before, after in guard.changes:
+        text = texts.get(file, (root / file).read_text("utf-8"))
+        if text.count(before) != 1:
+            raise SystemExit(f"mutants: '{before}' is {text.count(before)} times in {file}: mend tools/guards.py")
+        texts[file] = text.replace(before, after)
+    return texts
 
 
-class Build:
-    """The test with all that it needs, compiled once; a mutant compiles what it changes."""
+class Portable:
+    """The C tests with all that they need, compiled once; a mutant compiles what it changes."""
 
     def __init__(self, folder: Path, cc: str, unity: Path) -> None:
         self.folder, self.cc, self.unity = folder, cc, unity
         self.sources = [file for place in SOURCES for file in sorted(place.glob("*.c")) if file.name != "tl_usb.c"]
-        self.sources += [TEST, unity / "unity.c"]
-        self.objects = {source: self._compile([source], folder, [])[0] for source in self.sources}
+        self.sources.append(unity / "unity.c")
+        self.objects = dict(zip(self.sources, self._compile(self.sources, folder, []), strict=True))
+
+    def _includes(self, before: list[Path]) -> list[str]:
+        return [f"-I{path}" for path in (*before, *INCLUDES, ROOT / "firmware/estimator/src", TESTS, self.unity)]
 
     def _compile(self, sources: list[Path], into: Path, before: list[Path]) -> list[Path]:
-        includes = [
-            f"-I{path}" for path in (*before, *INCLUDES, ROOT / "firmware/estimator/src", TEST.parent, self.unity)
-        ]
         made = [into / f"{source.stem}.o" for source in sources]
         for source, out in zip(sources, made, strict=True):
-            subprocess.run([self.cc, *FLAGS, *includes, "-c", str(source), "-o", str(out)], check=True)
+            command = [self.cc, *FLAGS, *self._includes(before), "-c", str(source), "-o", str(out)]
+            subprocess.run(command, check=True)
         return made
 
-    def fails(self, mutant: Mutant | None) -> bool:
-        """Whether the test fails with this guard taken out."""
-        objects = dict(self.objects)
-        with tempfile.TemporaryDirectory(dir=self.folder) as name:
-            folder = Path(name)
-            texts: dict[str, str] = {}
-            for file, before, after in mutant.changes if mutant else ():
-                text = texts.get(file, (ROOT / file).read_text("utf-8"))
-                if text.count(before) != 1:
-                    raise SystemExit(
-                        f"mutants: '{before}' is {text.count(before)} times in {file}: mend {Path(__file__).name}"
-                    )
-                texts[file] = text.replace(before, after)
-            changed = []
-            for file, text in texts.items():
-                target = folder / ("tautline/" if file.endswith(".h") else "") / Path(file).name
+    def _of_test(self, source: Path) -> Path:
+        if source not in self.objects:
+            self.objects[source] = self._compile([source], self.folder, [])[0]
+        return self.objects[source]
+
+    def misses(self, test: str, texts: dict[str, str]) -> bool:
+        """Whether the test fails with these texts in place of their files."""
+        file, _, name = test.partition("::")
+        source = ROOT / file
+        with tempfile.TemporaryDirectory(dir=self.folder) as made:
+            folder = Path(made)
+            changed: dict[Path, Path] = {}
+            headers = [key for key in texts if key.endswith(".h")]
+            for key, text in texts.items():
+                target = folder / ("tautline/" if key in headers else "") / Path(key).name
                 target.parent.mkdir(exist_ok=True)
                 target.write_text(text, "utf-8")
-                if not file.endswith(".h"):
-                    changed.append((ROOT / file, target))
-            if any(file.endswith(".h") for file in texts):
-                again = [source for source in self.sources if source.parent == SOURCES[0] or source == TEST]
+                if key not in headers:
+                    changed[ROOT / key] = target
+            if name == "":  # must not compile
+                command = [
+                    self.cc,
+                    "-std=c11",
+                    "-fsyntax-only",
+                    "-DDUPLICATE=1",
+                    *self._includes([folder]),
+                    str(source),
+                ]
+                return subprocess.run(command, capture_output=True, check=False).returncode == 0
+            objects = {key: self.objects[key] for key in self.sources} | {source: self._of_test(source)}
+            if headers:
+                again = [key for key in objects if key not in changed and key.name != "unity.c"]
                 objects |= dict(zip(again, self._compile(again, folder, [folder]), strict=True))
-            for source, target in changed:
-                objects[source] = self._compile([target], folder, [])[0]
+            for key, target in changed.items():
+                objects[key] = self._compile([target], folder, [folder])[0]
             program = folder / "mutant"
             subprocess.run([self.cc, *map(str, objects.values()), "-lm", "-o", str(program)], check=True)
-            return subprocess.run([str(program)], stdout=subprocess.DEVNULL, timeout=300, check=False).returncode != 0
+            done = subprocess.run([str(program)], capture_output=True, text=True, timeout=LONGEST_S, check=False)
+            return done.returncode < 0 or f":{name}:FAIL" in done.stdout
+
+
+class Copy:
+    """A copy of the sources, in which the image and the desktop board are built and the other tests run."""
+
+    def __init__(self, folder: Path) -> None:
+        self.root = folder / "copy"
+        listed = subprocess.run(["git", "ls-files"], cwd=ROOT, check=True, capture_output=True, text=True).stdout
+        for name in listed.splitlines():
+            if (ROOT / name).is_file():
+                (self.root / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(ROOT / name, self.root / name)
+        (self.root / "tools/emulator/node_modules").symlink_to(ROOT / "tools/emulator/node_modules")
+        finder = folder / "finder"
+        finder.mkdir()
+        (finder / "sitecustomize.py").write_text(FINDER.format(host=str(self.root / "host")), "utf-8")
+        self.environment = os.environ | {"PYTHONPATH": str(finder), "PYTHONDONTWRITEBYTECODE": "1"}
+
+    def _run(self, *command: str, check: bool = True) -> subprocess.CompletedProcess[str]:
+        done = subprocess.run(
+            command, cwd=self.root, env=self.environment, capture_output=True, text=True, timeout=LONGEST_S, check=False
+        )
+        if check and done.returncode != 0:
+            raise SystemExit(f"mutants: {' '.join(command)}:\n{done.stdout}{done.stderr}")
+        return done
+
+    def _build(self, test: str, board: str) -> None:
+        if test.startswith(("tools/", "tests/firmware")) or board == "emulated":
+            self._run("cmake", "-S", RP2040, "-B", "build/rp2040", "-G", "Ninja")
+            self._run("cmake", "--build", "build/rp2040", "--target", "tautline", "bootrom", "layout")
+        elif test.startswith("tests/board"):
+            self._run("cmake", "--preset", "gcc")
+            self._run("cmake", "--build", "--preset", "gcc", "--target", "tautline-board")
+
+    def fails(self, test: str, board: str) -> bool:
+        file, _, name = test.partition("::")
+        self._build(test, board)
+        if file.endswith(".js"):
+            done = self._run("node", "--test", f"--test-name-pattern=^{name}", file, check=False)
+            if "# tests 0" in done.stdout:
+                raise SystemExit(f"mutants: no test begins '{name}' in {file}")
+            return done.returncode != 0
+        options = ["--board", board] if file.startswith("tests/board") else []
+        done = self._run(
+            sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *options, test, check=False
+        )
+        if done.returncode not in (0, 1):
+            raise SystemExit(f"mutants: {test} did not run:\n{done.stdout}{done.stderr}")
+        return done.returncode == 1
+
+    def misses(self, guard: Guard) -> bool:
+        """Whether its test fails without the guard."""
+        texts = without(guard, self.root)
+        before = {name: (self.root / name).read_text("utf-8") for name in texts}
+        try:
+            for name, text in texts.items():
+                (self.root / name).write_text(text, "utf-8")
+            return self.fails(guard.test, guard.board)
+        finally:
+            for name, text in before.items():
+                (self.root / name).write_text(text, "utf-8")
+
+
+def is_portable(guard: Guard) -> bool:
+    return guard.test.startswith("tests/c/")
 
 
 def main() -> int:
@@ -131,19 +183,24 @@ def main() -> int:
     parser.add_argument("--unity", type=Path, required=True, help="folder of unity.c")
     parser.add_argument("--cc", default="cc")
     parser.add_argument("--only", default="", help="guards whose name contains this")
+    parser.add_argument("--all", action="store_true", help="those of the image and of the host, too")
     options = parser.parse_args()
-    survivors = 0
+    chosen = [each for each in GUARDS if options.only in each.name and (options.all or is_portable(each))]
+    wrong = 0
     with tempfile.TemporaryDirectory() as name:
-        build = Build(Path(name), options.cc, options.unity)
-        if build.fails(None):
-            print("the test fails with every guard in place")
-            return 1
-        for mutant in MUTANTS:
-            if options.only in mutant.guard:
-                seen = build.fails(mutant)
-                survivors += not seen
-                print(f"{'seen' if seen else 'NOT SEEN':8s} without: {mutant.guard}", flush=True)
-    return 1 if survivors else 0
+        portable = Portable(Path(name), options.cc, options.unity)
+        copy = Copy(Path(name)) if not all(map(is_portable, chosen)) else None
+        for test, board in dict.fromkeys((each.test, each.board) for each in chosen):
+            if portable.misses(test, {}) if copy is None or test.startswith("tests/c/") else copy.fails(test, board):
+                wrong += 1
+                print(f"{test} fails with every guard in place", flush=True)
+        for guard in chosen:
+            missed = (
+                copy.misses(guard) if copy and not is_portable(guard) else portable.misses(guard.test, without(guard))
+            )
+            wrong += not missed
+            print(f"{'seen' if missed else 'NOT SEEN':8s} without: {guard.name}", flush=True)
+    return 1 if wrong else 0
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
 // Hours of a board's life in seconds: random requests, encoder values and faults on a fake clock, with what must hold
-// after every control step. tools/mutants.py takes out one guard after the other and sees this fail.
+// after every control step. tools/guards.py has what each guard of it is worth.
 #include "fake_board.h"
 
 #include "tautline/tl_axis_ask.h"

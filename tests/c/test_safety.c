@@ -97,8 +97,9 @@ static void test_a_driver_that_chops_its_current_at_a_blocked_motor_is_a_stall(v
 }
 
 static void test_the_default_current_limit_is_below_the_drivers_own(void) {
-    const tl_wire_settings_t own = settings();
-    TEST_ASSERT_TRUE(own.current_ma > FAKE_CHOP / 2 && own.current_ma < FAKE_CHOP);
+    TEST_ASSERT_TRUE(settings().current_ma > FAKE_CHOP / 2 && settings().current_ma < FAKE_CHOP);
+    tl_wire_settings_t of_another = tl_axis_default_settings(&(tl_port_t){.driver_ma = 425}, 0);
+    TEST_ASSERT_TRUE(of_another.current_ma > 425 / 2 && of_another.current_ma < 425);
     tl_wire_limits_t limits = app.axes[0].limits;
     limits.current_ma = FAKE_CHOP + 1; // could never trip
     TEST_ASSERT_EQUAL(TL_WIRE_REASON_RANGE, fake_ask(TL_WIRE_LIMITS, &limits));
@@ -445,16 +446,19 @@ static void test_a_move_ends_when_the_host_is_silent_or_gone(void) {
 }
 
 static void test_homing_and_checks_end_with_the_host_too(void) {
-    for (int how = 0; how < 2; how++) {
+    const tl_wire_home_t homing = {
+        .axis = 0, .direction = 1, .reach_q8 = COUNTS(100000), .end_q8 = COUNTS(3000), .silence_us = 200000};
+    for (int how = 0; how < 3; how++) { // gone while it checks and while it homes; silent while it homes
         fake_new(2);
-        app.axes[0].checked = how == 0;
+        app.axes[0].checked = how > 0;
         fake_enable(0, 1);
-        if (how == 0) {
-            TEST_ASSERT_EQUAL(0, home(1, 100000, 0));
+        TEST_ASSERT_TRUE(how == 0 || fake_ask(TL_WIRE_HOME, &homing) == 0);
+        fake_run_ms(100);
+        TEST_ASSERT_EQUAL(how > 0 ? TL_WIRE_MODE_HOME : TL_WIRE_MODE_CHECK, app.axes[0].mode);
+        if (how < 2) {
+            tl_app_bus(&app, false);
         }
-        fake_run_ms(100);
-        tl_app_bus(&app, false);
-        fake_run_ms(100);
+        fake_run_ms(how < 2 ? 100 : 250);
         tl_app_bus(&app, true);
         assert_fault(TL_WIRE_FAULT_HOST_LOST);
     }

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from tools.budget import sizes
 from tools.uf2 import to_uf2
 
 from tautline.device import wire
@@ -46,6 +47,12 @@ def test_the_uf2_holds_the_image(image: bytes) -> None:
     assert (BUILD / "tautline.uf2").read_bytes() == to_uf2(image)
 
 
+def ram(build: Path) -> int:
+    """Bytes of RAM but for the stack."""
+    found = sizes(build / "tautline.elf")
+    return found[".data"] + found[".bss"]
+
+
 @pytest.fixture
 def early_chip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], None]:
     """Boards are emulated chips of revision B1 on a busy hub (erratum RP2040-E5), with the image of a build folder."""
@@ -69,6 +76,7 @@ def test_an_image_of_fewer_axes_comes_up_on_an_early_chip(axes: int, early_chip:
         ["cmake", "--build", build, "--parallel", str(os.cpu_count() or 1), "--target", "tautline"],
     ):
         subprocess.run(command, check=True, capture_output=True, text=True)
+    assert ram(BUILD) - ram(build) > (4 - axes) * 6000  # bytes
     early_chip(build)
     with DesktopBoard() as process, open_board(process.where) as board:
         link = process.link()

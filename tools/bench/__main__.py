@@ -10,7 +10,7 @@ from typing import Any
 import click
 from rich.console import Console
 from rich.table import Table
-from tools.bench import calibration, control_step, diagnosis, trackers, videos
+from tools.bench import calibration, control_step, diagnosis, trackers, tracking, videos
 
 from tautline.cli._common import log, plain, progress_bar
 from tautline.errors import TautError
@@ -47,6 +47,7 @@ def main(context: click.Context, as_json: bool, frames: int) -> None:
         ("control_step", "control step", control_step.run),
         ("calibration", "calibration", calibration.run),
         ("diagnosis", "diagnosis", diagnosis.run),
+        ("tracking", "tracking in use", tracking.run),
     ]
     for key, title, part in parts:
         log(f"{title} ...")

@@ -18,6 +18,7 @@ COMMANDS = {
     "clear": "clear a board's faults, and say which they were and what mends them",
     "calibrate": "measure B(q) and f_remain from a recording, or live from a board and a camera",
     "predict": "what a model says the tip does under a recorded motor motion",
+    "track": "how a model would have been kept calibrated while the instrument was used",
     "compensate": "motor set-points that lead the tip along a trajectory, for any motor",
     "diagnose": "where model and instrument part, which effect is the cause, how far the gap shrinks",
     "flash": "load a model's tables into a board and read them back",

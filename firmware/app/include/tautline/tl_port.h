@@ -9,8 +9,9 @@
 ///   -Wl,--wrap=dcd_event_handler; TinyUSB also wants tusb_time_millis_api() where it knows no such board. On an RP2040
 ///   --wrap=dcd_edpt_clear_stall,--wrap=dcd_edpt_xfer, too (port/rp2040/usb_halt.h).
 /// - tl_serial.c (ports with a serial port): nothing; give tl_serial_init() a tl_serial_t.
-/// - TL_FAST_SECTION where code memory is slow (tl_fast.h), TL_APP_QUEUE where RAM is short (tl_outbox.h), and
-///   TL_AXIS_TICKS_MIN=control_hz / 1000 where the rate is fixed, so that the control path has no division (tl_axis.h).
+/// - TL_FAST_SECTION where code memory is slow (tl_fast.h), TL_APP_QUEUE and TL_APP_AXES where RAM is short
+///   (tl_outbox.h, tl_state.h), and TL_AXIS_TICKS_MIN=control_hz / 1000 where the rate is fixed, so that the control
+///   path has no division (tl_axis.h).
 #ifndef TAUTLINE_TL_PORT_H
 #define TAUTLINE_TL_PORT_H
 
@@ -28,7 +29,7 @@ typedef struct {
     void *context;
     const char *name;   ///< "desktop", "rp2040"; at most 15 characters, lives for ever
     const char *serial; ///< USB serial number, at most 31 characters of A-Z a-z 0-9 -, lives for ever
-    uint8_t axes;       ///< 1 to TL_WIRE_AXES_MAX
+    uint8_t axes;       ///< 1 to TL_APP_AXES
     uint8_t boot;       ///< tl_wire_boot_t: why it started
     uint32_t
         control_hz; ///< 1000, 2000, 4000, 5000, 8000 or 10000: a period is whole microseconds, a millisecond periods

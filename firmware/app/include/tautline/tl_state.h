@@ -7,9 +7,14 @@
 #include "tautline/tl_outbox.h"
 #include "tautline/tl_tables.h"
 
+#ifndef TL_APP_AXES
+#define TL_APP_AXES TL_WIRE_AXES_MAX ///< most that a port of this build has: 6.2 kB of RAM each
+#endif
+_Static_assert(TL_APP_AXES >= 1 && TL_APP_AXES <= TL_WIRE_AXES_MAX, "axes of the app");
+
 typedef struct {
     const tl_port_t *port;
-    tl_axis_t axes[TL_WIRE_AXES_MAX];
+    tl_axis_t axes[TL_APP_AXES];
     tl_tables_t tables;
     tl_calibration_t calibration;
     union {

@@ -1,0 +1,111 @@
+"""taut track MODEL RECORDING... --csv OUT.csv"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from tautline.cli._common import emit, json_option, log, progress_bar, read_recordings, tracked, warn, warn_unusable
+from tautline.model import RIG_FILE, Model
+
+if TYPE_CHECKING:
+    from tautline.tracking import Tracked
+
+_COLOURS = {"trusted": "green", "stale": "yellow", "adapting": "cyan"}
+_MOST_CHANGES = 12  # that are told one by one
+
+
+@click.command("track")
+@click.argument("model_path", metavar="MODEL", type=click.Path(path_type=Path))
+@click.argument("recording_paths", metavar="RECORDING...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "--csv", "csv_path", type=click.Path(path_type=Path), required=True, help="Written: a row for each frame."
+)
+@click.option(
+    "--picture",
+    "picture_path",
+    type=click.Path(path_type=Path),
+    help="Written too: state, offset and scale over time, by its ending as PNG, SVG or PDF.",
+)
+@json_option
+def command(
+    model_path: Path,
+    recording_paths: tuple[Path, ...],
+    csv_path: Path,
+    picture_path: Path | None,
+    as_json: bool,
+) -> None:
+    """How a model would have been kept calibrated while the instrument was used.
+
+    The recordings follow each other in the order given. Each row is predicted from the motor up to then and the frames
+    before, with the offset and the scale of B that were known by then; state is trusted, stale or adapting.
+    """
+    from tautline.tracking import replay, write_csv
+
+    model = Model.load(model_path)
+    warn_unusable(model, model_path)
+    if model.effects:
+        named = ", ".join(effect.id for effect in model.effects)
+        warn(f"{model_path}: what it holds beside its tables ({named}) is not simulated while tracking")
+    recordings, _ = read_recordings(recording_paths, model_path / RIG_FILE)
+    with progress_bar("tracking") as progress:
+        recordings = [tracked(recording, model.rig, progress) for recording in recordings]
+        result = replay(model, recordings, progress)
+    write_csv(csv_path, result)
+    if picture_path is not None:
+        from tautline import figures
+        from tautline.tracking.picture import draw
+
+        figures.save(draw(result, recordings, model.rig.actuator.unit), picture_path)
+    changes = [{"recording": c.recording, "t_s": c.t_s, "state": c.state, "says": c.says} for c in result.changes]
+    summary = _summary(result, recordings)
+    if not as_json:
+        _tell(result, summary)
+    emit(
+        {"csv": csv_path, "rows": len(result.rows), "changes": changes, "recordings": summary},
+        as_json,
+        f"{csv_path}: {len(result.rows)} rows" + (f"; {picture_path}" if picture_path else ""),
+    )
+
+
+def _summary(result: Tracked, recordings: list[Any]) -> list[dict[str, Any]]:
+    """For each recording: residual rms, the law at its end, how long each state lasted (frames)."""
+    from tautline.tracking import residuals
+
+    off = residuals(result, recordings)
+    table = []
+    for i, recording in enumerate(recordings):
+        mine = (result.recording == i).nonzero()[0]
+        states = [result.rows[k].state.value for k in mine]
+        last = result.rows[int(mine[-1])]
+        table.append(
+            {
+                "name": recording.name,
+                "rows": len(mine),
+                "rms": off[i],
+                "offset": last.offset,
+                "offset_sigma": last.offset_sigma,
+                "scale": last.scale,
+                "scale_sigma": last.scale_sigma,
+                "frames": {state: states.count(state) for state in _COLOURS},
+            }
+        )
+    return table
+
+
+def _tell(result: Tracked, summary: list[dict[str, Any]]) -> None:
+    unit = "px" if result.sensor == "marker" else "deg"
+    for change in result.changes[:_MOST_CHANGES]:
+        state = click.style(change.state.value, fg=_COLOURS[change.state.value], bold=True)
+        log(f"taut: {summary[change.recording]['name']}, {change.t_s:.2f} s: {state}, {change.says}")
+    if len(result.changes) > _MOST_CHANGES:
+        log(f"taut: and {len(result.changes) - _MOST_CHANGES} changes more (--json lists them)")
+    for row in summary:
+        rms = "nothing seen" if row["rms"] is None else f"off by {row['rms']:.3g} {unit} rms"
+        share = 100.0 * row["frames"]["trusted"] / max(row["rows"], 1)
+        log(
+            f"taut: {row['name']}: {rms}, trusted {share:.0f} % of {row['rows']} frames; at its end offset "
+            f"{row['offset']:+.4g} ± {row['offset_sigma']:.2g}, scale {row['scale']:.4g} ± {row['scale_sigma']:.2g}"
+        )

@@ -1,0 +1,233 @@
+"""What a stretch of evidence says of the law: a least-squares fit, one simulation at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline import _native
+from tautline.tracking.law import OFFSET, PARAMETERS, PLACES, SCALE, SHAPE, SKEW, SPREAD, TIP, Law, Nominal
+from tautline.tracking.window import Evidence
+
+Array = npt.NDArray[np.float64]
+Marks = npt.NDArray[np.bool_]
+
+_TURNS = 8
+_NEIGHBOURS = 0.25  # of B: how far its share at one place is from that at the next
+_OUTLYING = 4.0  # standard deviations from which a frame counts as an outlier
+_DONE = 1e-3  # of a standard deviation: steps below it
+_FOLLOWS = 0.5  # of the motor's way: a tip that moves so far with it lies on an envelope
+_SURE = 2.5  # standard deviations that a motion between two frames must have
+_WITHOUT = 0.03  # of the frames: left out of a rms, as outliers
+
+
+@dataclass(frozen=True)
+class Envelopes:
+    """Frames at which the tip was seen to move with the motor."""
+
+    at: npt.NDArray[np.intp]  # among those seen
+    way: Array  # +1 rising q, -1 falling
+
+    def both(self, evidence: Evidence, law: Law) -> tuple[float, float] | None:
+        """The centre coordinates that were passed both ways. None where there are none."""
+        y = law.place(evidence.c_deg[self.at])
+        up, down = y[self.way > 0], y[self.way < 0]
+        if len(up) < 3 or len(down) < 3:
+            return None
+        low, high = max(up.min(), down.min()), min(up.max(), down.max())
+        return (float(low), float(high)) if high > low else None
+
+
+def envelopes(evidence: Evidence, law: Law) -> Envelopes:
+    q, y = evidence.q[evidence.seen], law.place(evidence.c_deg)
+    sigma = evidence.sigma / np.abs(law.slope(y))
+    by_q, by_y = np.diff(q), np.diff(y)
+    sure = _SURE * np.hypot(sigma[1:], sigma[:-1])
+    moves = (evidence.stroke[1:] == evidence.stroke[:-1]) & (np.abs(by_q) > sure)
+    moves &= (by_y * np.sign(by_q) > _FOLLOWS * np.abs(by_q)) & (np.abs(by_y) < 3.0 * np.abs(by_q))
+    moves[1:] &= moves[:-1]  # the first one may hold an onset
+    if len(moves):
+        moves[0] = False
+    at = np.flatnonzero(moves) + 1
+    return Envelopes(at, np.sign(by_q[at - 1]))
+
+
+@dataclass(frozen=True)
+class Fit:
+    evidence: Evidence
+    theta: Array
+    free: tuple[int, ...]
+    z: Array  # residuals over sigma of the frames seen
+    cost: float  # robust, priors included
+    covariance: Array  # (free, free)
+
+    @cached_property
+    def level(self) -> float:
+        """rms of z without outliers."""
+        return trimmed(self.z)
+
+    def by_stroke(self) -> Array:
+        strokes = self.evidence.stroke
+        return np.array([trimmed(self.z[strokes == s]) for s in np.unique(strokes)])
+
+    def spread_of(self, slopes: Array) -> float:
+        """Standard deviation of what has these slopes (PARAMETERS,) by theta."""
+        picked = slopes[list(self.free)]
+        return float(np.sqrt(picked @ self.covariance @ picked))
+
+    def sigma(self, parameter: int) -> float:
+        return float(np.sqrt(self.covariance[i, i])) if (i := _index(self.free, parameter)) >= 0 else 0.0
+
+
+def _index(free: Sequence[int], parameter: int) -> int:
+    return free.index(parameter) if parameter in free else -1
+
+
+def trimmed(z: Array) -> float:
+    if len(z) == 0:
+        return 0.0
+    squares = np.sort(np.minimum(z * z, 1e12))
+    return float(np.sqrt(np.mean(squares[: max(1, int(np.ceil((1.0 - _WITHOUT) * len(z))))])))
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Independent normal deviations from `mean`; the shape is smooth besides."""
+
+    mean: Array
+    sigma: Array
+
+    @classmethod
+    def of(cls, mean: Array, span: float, span_deg: float) -> Prior:
+        sigma = np.full(PARAMETERS, 0.5)
+        sigma[OFFSET], sigma[SCALE] = span, 2.0
+        sigma[TIP] = span_deg, 0.1 * span_deg, 0.1 * span_deg
+        return cls(mean, sigma)
+
+    def information(self, free: Sequence[int]) -> Array:
+        whole = np.diag(1.0 / self.sigma**2)
+        bend = np.diff(np.eye(PLACES), axis=0) / _NEIGHBOURS
+        whole[SHAPE, SHAPE] += bend.T @ bend
+        part: Array = whole[np.ix_(free, free)]
+        return part
+
+
+def simulated(nominal: Nominal, evidence: Evidence, theta: Array) -> tuple[Array, Array]:
+    """Residuals (seen,) over sigma, and their slopes (seen, PARAMETERS)."""
+    law = nominal.law(theta)
+    y = law.place(evidence.c_deg)
+    by_y = law.slope(y)
+    p, _, by = law.native.run(_native.TrackState(float(y[0])), evidence.q + theta[OFFSET], True)
+    scale = 1.0 / nominal.sigma(y, evidence.sigma / by_y)
+    slopes = np.empty((len(y), PARAMETERS))
+    slopes[:, : TIP.start] = -by[evidence.seen]
+    slopes[:, TIP] = -(nominal.powers(y) / by_y).T
+    return (y - p[evidence.seen]) * scale, slopes * scale[:, None]
+
+
+def fitted(
+    nominal: Nominal, evidence: Evidence, start: Array, free: tuple[int, ...], prior: Prior
+) -> Generator[None, None, Fit]:
+    """Levenberg and Marquardt's method on Huber's cost; a simulation between two yields."""
+    picked = list(free)
+    information = prior.information(picked)
+    theta = nominal.lawful(start)
+    z, by = simulated(nominal, evidence, theta)
+    cost = _cost(z, theta, prior, picked, information)
+    damping = 1e-3
+    for _ in range(_TURNS):
+        if not free:
+            break
+        weight = _OUTLYING / np.maximum(np.abs(z), _OUTLYING)
+        slopes = by[:, picked]
+        away = (theta - prior.mean)[picked]
+        normal = slopes.T @ (slopes * weight[:, None]) + information
+        force = -(slopes.T @ (z * weight)) - information @ away
+        damped = normal + damping * np.diag(np.diag(normal))
+        step = np.linalg.solve(damped, force)
+        trial = theta.copy()
+        trial[picked] += step
+        trial = nominal.lawful(trial)
+        yield
+        trial_z, trial_by = simulated(nominal, evidence, trial)
+        trial_cost = _cost(trial_z, trial, prior, picked, information)
+        if trial_cost < cost:
+            gained = cost - trial_cost
+            theta, z, by, cost = trial, trial_z, trial_by, trial_cost
+            damping *= 0.1
+            if gained < _DONE:
+                break
+        else:
+            damping *= 10.0
+            if damping > 1e4:
+                break
+    return Fit(evidence, theta, free, z, cost, _covariance(evidence, z, by[:, picked], information))
+
+
+def _cost(z: Array, theta: Array, prior: Prior, free: list[int], information: Array) -> float:
+    size = np.abs(z)
+    robust = np.where(size < _OUTLYING, 0.5 * z * z, _OUTLYING * (size - 0.5 * _OUTLYING))
+    away = (theta - prior.mean)[free]
+    return float(np.sum(robust) + 0.5 * away @ information @ away)
+
+
+def _covariance(evidence: Evidence, z: Array, slopes: Array, information: Array) -> Array:
+    """The larger of the fit's own, at the level of what it leaves, and the sandwich by stroke."""
+    if slopes.shape[1] == 0:
+        return np.zeros((0, 0))
+    inverse = np.linalg.inv(slopes.T @ slopes + information)
+    plain = inverse * max(1.0, trimmed(z)) ** 2
+    strokes = evidence.strokes
+    if len(strokes) <= slopes.shape[1]:
+        return np.asarray(2.0 * plain)
+    limited = np.clip(z, -_OUTLYING, _OUTLYING)
+    forces = np.array([slopes[evidence.stroke == s].T @ limited[evidence.stroke == s] for s in strokes])
+    sandwich = inverse @ (forces.T @ forces) @ inverse * len(strokes) / (len(strokes) - slopes.shape[1])
+    wider = np.diag(sandwich).sum() / np.diag(inverse).sum() > max(1.0, trimmed(z)) ** 2
+    return np.asarray(sandwich if wider else plain)
+
+
+def guess(nominal: Nominal, evidence: Evidence, theta: Array, found: Envelopes, both: bool) -> Array:
+    """theta with the offset, and where both ways were seen the scale, that the envelopes ask for: on them
+    way (q - y) = scale B(q)/2 - way offset."""
+    theta = theta.copy()
+    if len(found.at) == 0:
+        return theta
+    law = nominal.law(theta)
+    q, y = evidence.q[evidence.seen][found.at], law.place(evidence.c_deg[found.at])
+    half = 0.5 * np.interp(y + float(np.median(q - y)), nominal.model.q, nominal.model.width)
+    if not both:
+        theta[OFFSET] = float(np.median(y - q + found.way * theta[SCALE] * half))
+        return theta
+    slopes = np.column_stack([half, -found.way])
+    right = found.way * (q - y)
+    weight = np.ones(len(y))
+    for _ in range(4):
+        solution = np.linalg.lstsq(slopes * weight[:, None], right * weight, rcond=None)[0]
+        off = np.abs(right - slopes @ solution)
+        weight = 1.0 / np.sqrt(np.maximum(off, 1e-3 * np.ptp(y) + 1e-9))
+    theta[SCALE], theta[OFFSET] = float(solution[0]), float(solution[1])
+    return nominal.lawful(theta)
+
+
+def at_tip(nominal: Nominal, theta: Array) -> Array:
+    """theta with its offset behind the play instead of before it."""
+    theta = theta.copy()
+    theta[TIP.start] += theta[OFFSET] * nominal.tip_slope
+    theta[OFFSET] = 0.0
+    return theta
+
+
+_TIP = TIP.start
+# Where the offset is, before the play or behind it.
+BOTH = ((OFFSET, SCALE), (SCALE, _TIP))
+ONLY_OFFSET = ((OFFSET,), (_TIP,))
+ONLY_SCALE = (SCALE,)
+# What may come with an offset and a scale.
+GRADUAL = (SPREAD, SKEW)
+SHAPED = tuple(range(SHAPE.start, SHAPE.stop))
+REMAINING = (_TIP, _TIP + 1, _TIP + 2)

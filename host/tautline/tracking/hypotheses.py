@@ -1,0 +1,360 @@
+"""Which change explains what is seen, and whether the evidence is enough to follow it."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.tracking.fit import (
+    BOTH,
+    GRADUAL,
+    ONLY_OFFSET,
+    ONLY_SCALE,
+    REMAINING,
+    SHAPED,
+    Envelopes,
+    Fit,
+    Prior,
+    at_tip,
+    envelopes,
+    fitted,
+    guess,
+    simulated,
+    trimmed,
+)
+from tautline.tracking.law import OFFSET, SCALE, SHAPE, SKEW, SPREAD, TIP, Nominal, unchanged
+from tautline.tracking.window import Evidence
+
+Array = npt.NDArray[np.float64]
+
+_EXPLAINED = 1.5  # times the level known so far: a fit that explains its data
+_OF_BEFORE = 0.3, 0.5  # of what was left before: enough at once, enough where it also foretells
+_HOLDS = 1.3  # times the level known so far, over the last strokes: nothing is to be learnt
+_LATELY, _LATELY_OF = 3, 0.6  # strokes, on which a law must leave so much less than others do
+_AGAIN = 1.1, 1.3  # of what the fit leaves at most, of what the law in use leaves at least: the calibrated one holds
+_TURNS = 2  # reversals that must agree before anything but a narrower B is learnt
+_FORETOLD_TURNS = 3
+_RICHER_TURNS = 3  # before B may have another shape, an onset be gradual or the static law bend
+_GAIN = 6.0  # of cost, that a parameter must bring
+_GOOD = 1.15  # times the level known so far: nothing is left to explain
+_GAIN_MORE = 12.0  # and a richer law as a whole
+_SHORT = 10  # frames on an envelope from which a recording's posture is told
+_ALONG = 2.0  # of B, that they must cover
+_NARROWER = 3.0  # standard deviations
+_OFF_TRACK = 3.0  # standard deviations off the marker's track (rms), or
+_OFF_SHARE = 0.3  # of the residual along it: then it is no motion of the play
+_WANDERS = 4.0  # standard deviations of the tip's motion while the motor rests
+
+
+_ONE_WAY = "the tip was not yet seen to move both ways since the model stopped holding"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """`theta`: the law to use, None: as before. `proposal` is looked at again with the frames to come."""
+
+    says: str
+    evidence: Evidence
+    theta: Array | None = None
+    offset_sigma: float = 0.0
+    scale_sigma: float = 0.0
+    passed: tuple[float, float] = (0.0, 0.0)
+    turns: int = 0
+    level: float = 0.0
+    settled: bool = False
+    proposed: Array | None = None
+    disturbed: bool = False  # by something that is no play
+    early: bool = False  # too little was seen to judge
+
+    @property
+    def proposal(self) -> Verdict | None:
+        return self if self.proposed is not None else None
+
+
+@dataclass(frozen=True)
+class _Case:
+    """One stretch of evidence, looked at with the law in use."""
+
+    nominal: Nominal
+    evidence: Evidence
+    theta: Array
+    level: float
+    found: Envelopes
+    passed: tuple[float, float] | None
+    turns: int  # reversals after which the tip was seen to move
+    z: Array  # residuals by the law in use
+    z_calibrated: Array
+
+    @classmethod
+    def of(cls, nominal: Nominal, evidence: Evidence, theta: Array, level: float) -> _Case:
+        law = nominal.law(theta)
+        found = envelopes(evidence, law)
+        strokes, frames = np.unique(evidence.stroke[found.at], return_counts=True)
+        turns = max(int(np.sum(frames >= 2)) - 1, 0) if len(strokes) else 0
+        z = simulated(nominal, evidence, theta)[0]
+        first = unchanged()
+        calibrated = z if np.array_equal(theta, first) else simulated(nominal, evidence, first)[0]
+        return cls(nominal, evidence, theta, level, found, found.both(evidence, law), turns, z, calibrated)
+
+    @property
+    def before(self) -> float:
+        return trimmed(self.z)
+
+    def lately(self, z: Array) -> float:
+        """rms over the last strokes."""
+        return trimmed(z[self.evidence.stroke > self.evidence.stroke[-1] - _LATELY])
+
+    def explained(self, fit: Fit, of_before: float | None = None) -> bool:
+        """Whether it leaves no more than is known to be left, or so much less than the laws at hand, lately too."""
+        if fit.level <= _EXPLAINED * self.level:
+            return True
+        if of_before is None or fit.level > of_before * max(self.before, trimmed(self.z_calibrated)):
+            return False
+        return self.lately(fit.z) <= _LATELY_OF * min(self.lately(self.z), self.lately(self.z_calibrated))
+
+    def prior(self) -> Prior:
+        mean = unchanged()
+        mean[OFFSET] = self.theta[OFFSET]
+        span = self.nominal.model.rig.actuator.span
+        return Prior.of(mean, span, span * abs(self.nominal.tip_slope))
+
+    def places(self, theta: Array, at: npt.NDArray[np.intp] | slice = slice(None)) -> Array:
+        """The centre coordinates of frames by a law."""
+        return self.nominal.law(theta).place(self.evidence.c_deg[at])
+
+
+def judge(
+    nominal: Nominal,
+    stretches: Sequence[Evidence],
+    theta: Array,
+    adapting: bool,
+    posture: float | None,
+    level: float,
+    proposal: Verdict | None,
+) -> Generator[None, None, Verdict]:
+    """The first stretch that a law explains, else what stands in the way. A simulation between two yields. `posture`:
+    a recording has just begun; an offset of more than that may be told from one way alone."""
+    verdict = None
+    for evidence in stretches:
+        case = _Case.of(nominal, evidence, theta, level)
+        yield
+        verdict = yield from _judged(case, adapting, posture, proposal)
+        if verdict.theta is not None:
+            return verdict
+    assert verdict is not None
+    return verdict
+
+
+def _judged(
+    case: _Case, adapting: bool, posture: float | None, proposal: Verdict | None
+) -> Generator[None, None, Verdict]:
+    disturbed = _disturbance(case)
+    if disturbed:
+        return Verdict(disturbed, case.evidence, disturbed=True)
+    if case.passed is None:
+        if posture is not None:
+            return (yield from _posture(case, posture))
+        return Verdict(_ONE_WAY, case.evidence, early=True)
+    if not adapting and case.lately(case.z) < _HOLDS * case.level:
+        return Verdict("the model holds for now", case.evidence, early=True)
+    fit = yield from _best(case)
+    if case.turns and not np.array_equal(case.theta, unchanged()):
+        lately = case.lately(case.z_calibrated)
+        good = max(_EXPLAINED, _AGAIN[0] * case.lately(fit.z))
+        if lately <= good and case.lately(case.z) > _AGAIN[1] * lately:
+            return _again(case, lately)
+    foretold = proposal is not None and _foretold(case, proposal)
+    enough = case.turns >= _TURNS and case.explained(fit)
+    enough |= case.turns >= _FORETOLD_TURNS and foretold and case.explained(fit, _OF_BEFORE[1])
+    enough |= adapting and case.explained(fit, _OF_BEFORE[1])
+    if enough:
+        return _learnt(case, fit)
+    if case.explained(fit, _OF_BEFORE[0]):
+        narrower = float(case.theta[SCALE] - fit.theta[SCALE])
+        if SCALE in fit.free and narrower > max(_NARROWER * fit.sigma(SCALE), 0.01):
+            only = case.theta.copy()
+            only[SCALE] = fit.theta[SCALE]
+            learnt = _learnt(case, fit)
+            return Verdict(
+                f"transmission.backlash: {100 * (1 - narrower / case.theta[SCALE]):.0f} % of the width as it was: "
+                "less is taken up at once",
+                case.evidence,
+                only,
+                learnt.offset_sigma + abs(float(fit.theta[OFFSET] - case.theta[OFFSET])),
+                learnt.scale_sigma,
+                case.passed,
+                case.turns,
+                fit.level,
+                proposed=fit.theta,
+            )
+        if posture is not None:
+            return _learnt(case, fit)
+        return Verdict(f"{_name(case, fit.theta)}, if more reversals agree", case.evidence, proposed=fit.theta)
+    says = _unexplained(case)
+    return Verdict(says, case.evidence, proposed=fit.theta if case.explained(fit, _OF_BEFORE[1]) else None)
+
+
+def _best(case: _Case) -> Generator[None, None, Fit]:
+    """The simplest law that does not leave more than a richer one would."""
+    prior = case.prior()
+    nominal, evidence = case.nominal, case.evidence
+    start = guess(nominal, evidence, unchanged(), case.found, True)
+    before = yield from fitted(nominal, evidence, start, BOTH[0], prior)
+    behind = yield from fitted(nominal, evidence, at_tip(nominal, before.theta), BOTH[1], prior)
+    both, side = (before, 0) if before.cost <= behind.cost + _GAIN else (behind, 1)
+    if not case.explained(both):
+        kept = nominal.lawful(case.theta)
+        other = yield from fitted(nominal, evidence, kept, BOTH[side], prior)
+        both = min(both, other, key=lambda fit: fit.cost)
+    if both.level <= _GOOD * case.level:
+        simple = both.theta.copy()
+        simple[SCALE] = 1.0
+        offset = yield from fitted(nominal, evidence, simple, ONLY_OFFSET[side], prior)
+        if offset.cost < both.cost + _GAIN:
+            return offset
+        simple = unchanged()
+        simple[SCALE] = both.theta[SCALE]
+        scale = yield from fitted(nominal, evidence, simple, ONLY_SCALE, prior)
+        return scale if scale.cost < both.cost + _GAIN else both
+    if case.turns < _RICHER_TURNS:
+        return both
+    found = [both]
+    for more in (GRADUAL, SHAPED, REMAINING):
+        found.append((yield from _richer(case, both, more, prior)))
+    best = min(found, key=lambda fit: fit.cost)
+    if best.level > _GOOD * case.level and len(evidence.strokes) > 3:
+        for more in (GRADUAL, SHAPED, REMAINING):
+            if not set(more) <= set(best.free):
+                richer = yield from _richer(case, best, more, prior)
+                best = richer if _gain(best, richer) > _GAIN_MORE else best
+    return best if _gain(both, best) > _GAIN_MORE else both
+
+
+def _richer(case: _Case, fit: Fit, more: tuple[int, ...], prior: Prior) -> Generator[None, None, Fit]:
+    begin = fit.theta
+    if SPREAD in more:
+        begin = case.nominal.gradual_start(begin)
+    free = tuple(sorted({*fit.free, *more}))
+    return (yield from fitted(case.nominal, case.evidence, begin, free, prior))
+
+
+def _gain(fit: Fit, richer: Fit) -> float:
+    """Of cost, beyond what its further parameters would bring by chance."""
+    return (fit.cost - richer.cost) / max(1.0, richer.level) ** 2 - 2.0 * (len(richer.free) - len(fit.free))
+
+
+def _posture(case: _Case, least: float) -> Generator[None, None, Verdict]:
+    """The first stroke of a recording: the offset alone, from a tip that follows the motor."""
+    at = case.found.at
+    nominal = case.nominal
+    y = case.places(case.theta, at)
+    if len(at) < _SHORT or np.ptp(y) < _ALONG * float(np.interp(y[0], nominal.model.q, nominal.model.width)):
+        return Verdict(_ONE_WAY, case.evidence, early=True)
+    start = guess(nominal, case.evidence, case.theta, case.found, False)
+    fit = yield from fitted(nominal, case.evidence, start, ONLY_OFFSET[0], case.prior())
+    other = yield from fitted(nominal, case.evidence, at_tip(nominal, start), ONLY_OFFSET[1], case.prior())
+    fit = fit if fit.cost <= other.cost + _GAIN else other
+    if case.explained(fit, _OF_BEFORE[0]) and abs(nominal.offset(fit.theta) - nominal.offset(case.theta)) > least:
+        return _learnt(case, fit)
+    return Verdict(_ONE_WAY, case.evidence, early=True)
+
+
+def _foretold(case: _Case, proposal: Verdict) -> bool:
+    """Whether what was proposed before foretells the strokes that came since."""
+    evidence = case.evidence
+    new = evidence.t_s > proposal.evidence.t_s[-1]
+    if len(np.unique(evidence.stroke[new])) < 2 or proposal.proposed is None:
+        return False
+    off = trimmed(simulated(case.nominal, evidence, proposal.proposed)[0][new])
+    before = trimmed(simulated(case.nominal, evidence, case.theta)[0][new])
+    return off <= max(_EXPLAINED * case.level, _OF_BEFORE[1] * before)
+
+
+def _again(case: _Case, level: float) -> Verdict:
+    return Verdict(
+        "the calibrated law holds again",
+        case.evidence,
+        unchanged(),
+        passed=case.passed or (0.0, 0.0),
+        turns=case.turns,
+        level=level,
+        settled=True,
+    )
+
+
+def _learnt(case: _Case, fit: Fit) -> Verdict:
+    assert case.evidence is fit.evidence
+    y = case.places(fit.theta, case.found.at)
+    passed = case.found.both(case.evidence, case.nominal.law(fit.theta)) or (float(y.min()), float(y.max()))
+    return Verdict(
+        _name(case, fit.theta),
+        case.evidence,
+        fit.theta,
+        max(fit.sigma(OFFSET), fit.sigma(TIP.start) / abs(case.nominal.tip_slope)),
+        _scale_sigma(case, fit, passed),
+        passed,
+        case.turns,
+        fit.level,
+        case.explained(fit, _OF_BEFORE[1]),
+        proposed=fit.theta,
+    )
+
+
+def _scale_sigma(case: _Case, fit: Fit, passed: tuple[float, float]) -> float:
+    """Of B over the calibrated one, in the mean of the places that were passed."""
+    places = np.linspace(*passed, 9)
+    return fit.spread_of(np.mean([case.nominal.ratio_slopes(fit.theta, p) for p in places.tolist()], axis=0))
+
+
+def _name(case: _Case, theta: Array) -> str:
+    """The effects by which theta differs from the calibration."""
+    unit = case.nominal.model.rig.actuator.unit
+    said = []
+    if np.any(theta[SHAPE]):
+        said.append("transmission.backlash: B has another shape")
+    elif theta[SCALE] != 1.0:
+        said.append(f"transmission.backlash: {100 * theta[SCALE]:.0f} % of the calibrated width")
+    if theta[SPREAD] or theta[SKEW]:
+        said.append("transmission.smooth_onset: the tip starts gradually")
+    offset = case.nominal.offset(theta)
+    if offset != 0.0:
+        said.append(f"transmission.offset: {offset:+.4g} {unit}")
+    if np.any(theta[TIP][1:]):
+        said.append("configuration.remaining: the static law bends otherwise")
+    return "; ".join(said) or "the calibrated law"
+
+
+def _disturbance(case: _Case) -> str:
+    """What no play can do."""
+    evidence = case.evidence
+    off = trimmed(evidence.off)
+    if off > max(_OFF_TRACK * case.level, _OFF_SHARE * case.before):
+        return "registration.shift or breathing: the marker leaves the track that the joint can give it"
+    q = evidence.q[evidence.seen]
+    count = case.nominal.model.rig.actuator.encoder_resolution
+    rests = np.abs(np.diff(q)) <= 2.0 * count
+    if rests.sum() >= 5:
+        wander = np.diff(evidence.c_deg)[rests] / np.hypot(evidence.sigma[1:], evidence.sigma[:-1])[rests]
+        if trimmed(wander) > _WANDERS * case.level:
+            return "the tip moves while the motor rests: breathing or a hand on the shaft"
+    return ""
+
+
+def _unexplained(case: _Case) -> str:
+    evidence = case.evidence
+    q, y = evidence.q[evidence.seen], case.places(case.theta)
+    late = slice(-min(len(y), 30), None)
+    moved = float(np.ptp(q[late]))
+    width = float(np.interp(y[-1], case.nominal.model.q, case.nominal.model.width))
+    if moved > 2.0 * width and float(np.ptp(y[late])) < 0.1 * moved:
+        return "configuration.contact or a hand: the tip does not follow the motor"
+    z = simulated(case.nominal, evidence, case.theta)[0]
+    far = np.abs(z) > _EXPLAINED * 3.0 * case.level
+    if far.any() and not far.all():
+        inner, outer = y[~far], y[far]
+        if outer.min() > np.quantile(inner, 0.8) or outer.max() < np.quantile(inner, 0.2):
+            return "configuration.contact: the tip is held back in one part of its way"
+    return "unknown: no change of offset or backlash explains where the tip is"

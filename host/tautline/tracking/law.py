@@ -1,0 +1,183 @@
+"""What may have changed since the calibration, and the play that it makes of the model's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import CubicSpline
+
+from tautline import _native
+from tautline.model import Model, allowed_width, interpolate, monotone
+
+Array = npt.NDArray[np.float64]
+
+PLACES = 9  # of the measured range, at which B may have changed by itself
+OFFSET, SCALE, SHAPE, SPREAD, SKEW = 0, 1, slice(2, 2 + PLACES), 2 + PLACES, 3 + PLACES
+TIP = slice(4 + PLACES, 7 + PLACES)  # deg: constant, slope and bend of the static law's change
+PARAMETERS = 7 + PLACES
+_LOTS = 5  # elements that a single play is split into where its onset has become gradual
+_LEAST_SCALE, _MOST_SCALE = 0.02, 5.0
+_MOST_OWN = 1.5
+_LEAST_SHAPE, _MOST_SHAPE = -0.9, 4.0
+
+
+def unchanged() -> Array:
+    """The calibrated law: theta (PARAMETERS,) of offset (unit of q, added to it), scale of B, its shape (further shares
+    of B at PLACES), spread of the elements' shares about their mean and its skew, and what is added to f_remain."""
+    theta = np.zeros(PARAMETERS)
+    theta[SCALE] = 1.0
+    return theta
+
+
+@dataclass(frozen=True)
+class Law:
+    """The model by one theta: `native` runs the play, B is `width` and f_remain `c_deg` on `grid`."""
+
+    grid: Array
+    native: Any
+    width: Array
+    c_deg: Array
+
+    def angle(self, p: npt.ArrayLike) -> Array:
+        return np.asarray(interpolate(p, self.grid, self.c_deg))
+
+    def place(self, c_deg: npt.ArrayLike) -> Array:
+        """The centre coordinates at which f_remain is c_deg."""
+        order = slice(None) if self.c_deg[-1] > self.c_deg[0] else slice(None, None, -1)
+        return np.asarray(interpolate(c_deg, self.c_deg[order], self.grid[order]))
+
+    @cached_property
+    def _slopes(self) -> Array:
+        return np.asarray(np.gradient(self.c_deg, self.grid))
+
+    def slope(self, p: npt.ArrayLike) -> Array:
+        """df_remain/dp, deg per unit."""
+        return np.asarray(np.interp(np.asarray(p, dtype=float), self.grid, self._slopes))
+
+
+@dataclass(frozen=True)
+class Nominal:
+    """The calibrated play, of which others are made."""
+
+    model: Model
+    _kept: dict[bytes, Law] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def waves(self) -> Array:
+        """(PLACES, nodes): the natural cubic spline that is 1 at one place and 0 at the others, held beyond."""
+        places = self.places
+        q = np.clip(self.model.q, places[0], places[-1])
+        return np.ascontiguousarray(CubicSpline(places, np.eye(PLACES), bc_type="natural")(q).T)
+
+    @cached_property
+    def places(self) -> Array:
+        low, high = self.model.measured
+        if not high > low:
+            low, high = float(self.model.q[0]), float(self.model.q[-1])
+        return np.linspace(low, high, PLACES)
+
+    def powers(self, p: npt.ArrayLike) -> Array:
+        """(3, n): what a constant, a slope and a bend of f_remain's change are at p; 1 at the ends of the measured
+        range, and held to twice that."""
+        low, high = self.places[0], self.places[-1]
+        along = np.clip((np.asarray(p) - 0.5 * (low + high)) / (0.5 * (high - low)), -2.0, 2.0)
+        return np.stack([np.ones_like(along), along, along**2])
+
+    @cached_property
+    def tip_slope(self) -> float:
+        """Of f_remain in the mean, deg per unit."""
+        low, high = self.places[0], self.places[-1]
+        ends = self.model.remaining(np.array([low, high]))
+        return float((ends[1] - ends[0]) / (high - low))
+
+    def offset(self, theta: Array) -> float:
+        """Of the transmission as a whole, unit of q."""
+        return float(theta[OFFSET] + theta[TIP][0] / self.tip_slope)
+
+    @cached_property
+    def _lots(self) -> tuple[Array, Array, Array]:
+        """Shares, their deviations from the mean and weights of elements whose spread can change."""
+        elements = self.model.elements
+        if elements.single:
+            away = (2.0 * np.arange(_LOTS) - _LOTS + 1) / _LOTS
+            return np.ones(_LOTS), away, np.full(_LOTS, 1.0 / _LOTS)
+        share = np.array(elements.width)
+        return share, share - 1.0, np.array(elements.weight)
+
+    @cached_property
+    def _floors(self) -> Array:
+        model, count = self.model, self.model.rig.actuator.encoder_resolution
+        return np.asarray(np.hypot(0.5 * model.width_sigma, count / np.sqrt(12.0)))
+
+    def sigma(self, p: npt.ArrayLike, sensor: npt.ArrayLike) -> Array:
+        """Standard deviation of a frame at centre coordinates p: the sensor's and, up to a multiple of that, the
+        calibrated law's own. What a calibration hardly knew is learnt in use."""
+        own = np.interp(np.asarray(p, dtype=float), self.model.q, self._floors)
+        return np.asarray(np.hypot(sensor, np.minimum(own, _MOST_OWN * np.abs(sensor))))
+
+    def shares(self, theta: Array) -> Array:
+        share, away, weight = self._lots
+        return np.asarray(np.maximum(share + theta[SPREAD] * away + theta[SKEW] * (away**2 - weight @ away**2), 0.0))
+
+    def lawful(self, theta: Array) -> Array:
+        """The nearest theta that a play can have."""
+        theta = theta.copy()
+        theta[SCALE] = min(max(theta[SCALE], _LEAST_SCALE), _MOST_SCALE)
+        theta[SHAPE] = np.clip(theta[SHAPE], _LEAST_SHAPE, _MOST_SHAPE)
+        least = 0.0 if self.model.elements.single else -0.95
+        theta[SPREAD] = min(max(theta[SPREAD], least), 1.0)
+        theta[SKEW] = min(max(theta[SKEW], -0.6), 0.6)
+        return theta
+
+    def law(self, theta: Array) -> Law:
+        """theta must be lawful. Cheap where it was asked for lately."""
+        key = theta.tobytes()
+        if key not in self._kept:
+            if len(self._kept) > 8:
+                self._kept.clear()
+            self._kept[key] = self._made(theta)
+        return self._kept[key]
+
+    def _made(self, theta: Array) -> Law:
+        model = self.model
+        around = 1.0 + theta[SHAPE] @ self.waves
+        width = allowed_width(model.q, theta[SCALE] * model.width * around)
+        basis = np.vstack([model.width * around, theta[SCALE] * model.width * self.waves])
+        c_deg = model.c_deg
+        if np.any(theta[TIP]):
+            c_deg = monotone(model.c_deg + theta[TIP] @ self.powers(model.q))
+        _, away, weight = self._lots
+        if model.elements.single and not theta[SPREAD] and not theta[SKEW]:
+            spread = np.zeros((2, 1))
+            one = np.ones(1)
+            return Law(model.q, _native.TrackModel(model.q, width, one, one, basis, spread), width, c_deg)
+        spread = np.vstack([away, away**2 - weight @ away**2])
+        shares = self.shares(theta)
+        shares = shares / (weight @ shares)  # B stays the distance between full strokes
+        return Law(model.q, _native.TrackModel(model.q, width, shares, weight, basis, spread), width, c_deg)
+
+    def gradual_start(self, theta: Array) -> Array:
+        """theta with a little spread: derivatives by it exist only where there are several elements."""
+        theta = theta.copy()
+        if self.model.elements.single and theta[SPREAD] < 0.1:
+            theta[SPREAD] = 0.2
+        return theta
+
+    def ratio(self, theta: Array, low: float, high: float) -> float:
+        """The least of B over the calibrated one, between the centre coordinates low and high."""
+        inside = (self.model.q >= low) & (self.model.q <= high) & (self.model.width > 0.0)
+        if not inside.any():
+            return float(theta[SCALE])
+        return float(np.min(self.law(theta).width[inside] / self.model.width[inside]))
+
+    def ratio_slopes(self, theta: Array, p: float) -> Array:
+        """(PARAMETERS,) how B over the calibrated one changes with theta at p."""
+        at = np.array([np.interp(p, self.model.q, wave) for wave in self.waves])
+        slopes = np.zeros(PARAMETERS)
+        slopes[SCALE] = 1.0 + theta[SHAPE] @ at
+        slopes[SHAPE] = theta[SCALE] * at
+        return slopes

@@ -1,0 +1,78 @@
+"""The motor as it is known at a moment: causal, and only as long as it is needed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+_SPEED_S, _SPEED_SAMPLES = 0.02, 8  # from which a speed is taken
+
+
+def _none() -> Array:
+    return np.empty(0)
+
+
+@dataclass
+class Path:
+    """Samples after `done_s` and a few before. Others (translation, rotation, load) ride along as columns."""
+
+    t_s: Array = field(default_factory=_none)
+    q: Array = field(default_factory=_none)
+    others: Array = field(default_factory=lambda: np.empty((0, 3)))
+    done_s: float = -np.inf
+
+    def add(self, t_s: Array, q: Array, others: Array) -> None:
+        """Samples in order of time. others (n, 3): translation, rotation, load (NaN: not recorded)."""
+        self.t_s = np.concatenate([self.t_s, t_s])
+        self.q = np.concatenate([self.q, q])
+        self.others = np.concatenate([self.others, others])
+
+    def forget(self, done_s: float) -> None:
+        """What happened up to done_s was used."""
+        self.done_s = done_s
+        first = int(np.searchsorted(self.t_s, done_s, side="right")) - _SPEED_SAMPLES
+        if first > 256:
+            self.t_s, self.q, self.others = self.t_s[first:], self.q[first:], self.others[first:]
+
+    def between(self, until_s: float) -> Array:
+        """Positions of the samples after done_s, up to until_s."""
+        first, last = np.searchsorted(self.t_s, [self.done_s, until_s], side="right")
+        return self.q[first:last]
+
+    def at(self, t_s: float) -> float:
+        """The position at a time that samples surround; held before the first and after the last."""
+        return float(np.interp(t_s, self.t_s, self.q))
+
+    def ahead(self, t_s: float) -> float:
+        """The position at t_s from the samples up to it alone: the last, moved on by its speed for a sample at most."""
+        last = int(np.searchsorted(self.t_s, t_s, side="right"))
+        if last == 0:
+            return float(self.q[0])
+        first = int(np.searchsorted(self.t_s[:last], self.t_s[last - 1] - _SPEED_S))
+        first = max(min(first, last - 2), last - _SPEED_SAMPLES, 0)
+        t, q = self.t_s[first:last], self.q[first:last]
+        if len(t) < 2 or t_s == t[-1]:
+            return float(q[-1])
+        middle = t - t.mean()
+        speed = float(middle @ q) / float(middle @ middle)
+        return float(q[-1]) + speed * min(t_s - float(t[-1]), float(t[-1] - t[-2]))
+
+    def others_at(self, t_s: float) -> tuple[float, float, float]:
+        """The last known before t_s."""
+        last = max(int(np.searchsorted(self.t_s, t_s, side="right")) - 1, 0)
+        translation, rotation, load = self.others[last].tolist()
+        return translation, rotation, load
+
+
+def knots(before: float, q: Array, end: float) -> Array:
+    """What of a piece of path from `before` through q to `end` moves a play: turns beyond both ends, then the end."""
+    if len(q) == 0:
+        return np.array([end])
+    low, high = int(q.argmin()), int(q.argmax())
+    beyond = [low] if q[low] < min(before, end) else []
+    beyond += [high] if q[high] > max(before, end) else []
+    return np.array([*(float(q[i]) for i in sorted(beyond)), end])

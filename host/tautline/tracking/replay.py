@@ -1,0 +1,141 @@
+"""Recordings as the tracker would have met them, row by row."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.errors import TautError
+from tautline.folders import write_file
+from tautline.model import Model
+from tautline.recording import Angle, Marker, Motor, Recording
+from tautline.rig import ANGLE, MARKER, Sensor
+from tautline.tracking.tracker import Change, Row, State, Tracker
+
+Array = npt.NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+COLUMNS = "recording,t_s,state,c_deg,u_px,v_px,offset,offset_sigma,scale,scale_sigma,reason"
+_REPORTED = 500  # rows between two reports of progress
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """A row for each of the recordings' frames (or angles), invalid ones too; `t_s` are their arrival times."""
+
+    recording: npt.NDArray[np.intp]
+    t_s: Array
+    rows: list[Row]
+    changes: list[Change]
+    sensor: Sensor
+
+    def column(self, name: str) -> Array:
+        return np.array([getattr(row, name) for row in self.rows])
+
+
+def replay(model: Model, recordings: Sequence[Recording], progress: Progress = lambda fraction, text: None) -> Tracked:
+    """The tracker's rows for recordings in the order given; what it learnt carries over. Each row is predicted from the
+    motor up to that row's scene time and the rows before it."""
+    sensor = _sensor(recordings)
+    tracker = Tracker(model, sensor)
+    delay_s = model.delay_of(sensor)
+    number, times, rows = [], [], []
+    whole = sum(len(_frames(recording, sensor).t_s) for recording in recordings)
+    for i, recording in enumerate(recordings):
+        frames, motor = _frames(recording, sensor), recording.motor
+        tracker.begin()
+        others = _others(motor)
+        scene = frames.t_s - delay_s
+        taken = 0
+        readings = _readings(frames)
+        for k, (at, arrival) in enumerate(zip(scene.tolist(), frames.t_s.tolist(), strict=True)):
+            upto = max(int(np.searchsorted(motor.t_s, at, side="right")), 1)
+            if upto > taken:
+                tracker.motor(motor.t_s[taken:upto], motor.q[taken:upto], others[taken:upto])
+                taken = upto
+            rows.append(tracker.predict(at, arrival))
+            reading = readings(k)
+            if reading is not None:
+                tracker.see(*reading) if sensor == MARKER else tracker.read(*reading)
+            if len(rows) % _REPORTED == 0:
+                progress(len(rows) / whole, f"{recording.name}: {rows[-1].state}")
+        number.append(np.full(len(scene), i, dtype=np.intp))
+        times.append(frames.t_s)
+    return Tracked(np.concatenate(number), np.concatenate(times), rows, tracker.changes, sensor)
+
+
+def off_by(tracked: Tracked, recordings: Sequence[Recording]) -> Array:
+    """How far each row's prediction is from what was seen, px or deg, NaN where nothing was. As a length over sqrt(2)
+    in the image: its rms is that of a coordinate."""
+    parts = []
+    for i, recording in enumerate(recordings):
+        frames = _frames(recording, tracked.sensor)
+        rows = [tracked.rows[k] for k in np.flatnonzero(tracked.recording == i)]
+        if isinstance(frames, Angle):
+            off = np.abs(frames.c_deg - np.array([row.c_deg for row in rows]))
+            parts.append(np.where(frames.seen, off, np.nan))
+        else:
+            away = np.hypot(
+                frames.u_px - np.array([row.u_px for row in rows]), frames.v_px - np.array([row.v_px for row in rows])
+            )
+            parts.append(np.where(frames.valid, away / np.sqrt(2.0), np.nan))
+    return np.concatenate(parts)
+
+
+def residuals(tracked: Tracked, recordings: Sequence[Recording]) -> list[float | None]:
+    """The rms of `off_by` for each recording; None where nothing was seen."""
+    off = off_by(tracked, recordings)
+    found: list[float | None] = []
+    for i in range(len(recordings)):
+        mine = off[tracked.recording == i]
+        mine = mine[np.isfinite(mine)]
+        found.append(float(np.sqrt(np.mean(mine**2))) if len(mine) else None)
+    return found
+
+
+def _sensor(recordings: Sequence[Recording]) -> Sensor:
+    for sensor, name in ((MARKER, "marker"), (ANGLE, "angle")):
+        if all(getattr(recording, name) is not None for recording in recordings):
+            return sensor
+    raise TautError("track needs marker.csv (or a video) in all recordings, or angle.csv in all of them")
+
+
+def _frames(recording: Recording, sensor: Sensor) -> Marker | Angle:
+    frames = recording.marker if sensor == MARKER else recording.angle
+    assert frames is not None
+    return frames
+
+
+def _others(motor: Motor) -> Array:
+    columns = (motor.translation_mm, motor.rotation_deg)
+    zero = np.zeros(len(motor.t_s))
+    load = np.full(len(motor.t_s), np.nan) if motor.load_mNm is None else motor.load_mNm
+    return np.column_stack([*(zero if column is None else column for column in columns), load])
+
+
+def _readings(frames: Marker | Angle) -> Callable[[int], tuple[float, ...] | None]:
+    if isinstance(frames, Angle):
+        seen, c = frames.seen, frames.c_deg
+        return lambda k: (float(c[k]),) if seen[k] else None
+    u, v, valid, sigma = frames.u_px, frames.v_px, frames.valid, frames.sigma_px
+    if sigma is None:
+        return lambda k: (float(u[k]), float(v[k])) if valid[k] else None
+    return lambda k: (float(u[k]), float(v[k]), float(sigma[k])) if valid[k] else None
+
+
+def write_csv(path: Path, tracked: Tracked) -> None:
+    """COLUMNS, a row for each frame; u_px and v_px are empty without a camera."""
+    out = io.StringIO()
+    out.write(COLUMNS + "\n")
+    writer = csv.writer(out, lineterminator="\n")
+    for recording, t_s, row in zip(tracked.recording.tolist(), tracked.t_s.tolist(), tracked.rows, strict=True):
+        image = [f"{value:.4f}" if np.isfinite(value) else "" for value in (row.u_px, row.v_px)]
+        law = [f"{value:.7g}" for value in (row.offset, row.offset_sigma, row.scale, row.scale_sigma)]
+        writer.writerow([recording, repr(t_s), State(row.state).value, f"{row.c_deg:.6f}", *image, *law, row.reason])
+    write_file(path, out.getvalue())

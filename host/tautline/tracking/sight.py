@@ -1,0 +1,80 @@
+"""What a sensor's row says of the tip: its bending angle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from tautline import _native
+from tautline.effects.simulation import sight_rig
+from tautline.model import Model
+from tautline.rig import MARKER, Sensor
+
+_TURNS = 12
+_CLOSE, _STRIDE, _FARTHEST = 1e-8, 20.0, 180.0  # deg
+_LEAST_SLOPE = 1e-12
+_NOTHING = {"px": 0.05, "deg": 0.02}  # noise of a model that was not calibrated
+
+
+@dataclass(frozen=True)
+class Seen:
+    """The bending angle and its standard deviation, deg; `off`: how far the image is from where the marker can be at
+    all, in standard deviations."""
+
+    c_deg: float
+    sigma: float
+    off: float
+
+
+@dataclass(frozen=True)
+class Sight:
+    """From the bending angle to the image and back."""
+
+    model: Model
+    sensor: Sensor
+
+    @cached_property
+    def noise(self) -> float:
+        """Of one row, px or deg: what the calibration left, its sensor's noise."""
+        evidence = self.model.extra.get("evidence", {})
+        known = [evidence.get(name) for name in ("residual", "error")]
+        found = [float(value) for value in known if value is not None and np.isfinite(value) and value > 0.0]
+        if found and self.sensor == self.model.sensor:
+            return max(found)
+        return _NOTHING["px" if self.sensor == MARKER else "deg"]
+
+    @cached_property
+    def _rig(self) -> np.ndarray:
+        return sight_rig(self.model.rig)
+
+    def image(self, c_deg: float, translation: float, rotation: float) -> tuple[float, float]:
+        px = _native.see({}, self._rig, np.array([c_deg]), np.array([translation]), np.array([rotation]))
+        return float(px[0, 0]), float(px[0, 1])
+
+    def from_angle(self, c_deg: float) -> Seen:
+        return Seen(c_deg, self.noise, 0.0)
+
+    def from_image(
+        self, u: float, v: float, translation: float, rotation: float, near: float, sigma: float = 0.0
+    ) -> Seen | None:
+        """Looked for from the angle `near` on. None where no tip is seen there."""
+        sigma = max(sigma, self.noise)
+        c, off_u, off_v, by_u, by_v, squares = near, 0.0, 0.0, 0.0, 0.0, 0.0
+        moved, turned = np.array([translation]), np.array([rotation])
+        for _ in range(_TURNS):
+            px, by_c, _ = _native.see({}, self._rig, np.array([c]), moved, turned, slopes=True)
+            by_u, by_v = float(by_c[0, 0]), float(by_c[0, 1])
+            off_u, off_v = u - float(px[0, 0]), v - float(px[0, 1])
+            squares = by_u * by_u + by_v * by_v
+            if not squares > _LEAST_SLOPE:  # also where it is not in front of the camera
+                return None
+            step = (by_u * off_u + by_v * off_v) / squares
+            c += min(max(step, -_STRIDE), _STRIDE)
+            if abs(step) <= _CLOSE:
+                break
+        if abs(c - near) > _FARTHEST:
+            return None
+        length = float(np.sqrt(squares))
+        return Seen(c, sigma / length, abs(off_u * by_v - off_v * by_u) / length / sigma)

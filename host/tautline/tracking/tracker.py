@@ -1,0 +1,387 @@
+"""Stays calibrated while the instrument is used: a causal, recursive estimate of what changed since the calibration.
+
+A row is predicted from the motor up to its scene time and the images before it; then its own image may be told. What
+the law is, is decided by hypotheses that are fitted to the frames since it stopped holding, a step of work a frame.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Generator
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline import _native
+from tautline.errors import TautError
+from tautline.model import Model
+from tautline.rig import MARKER, Sensor
+from tautline.tracking.hypotheses import Verdict, judge
+from tautline.tracking.law import OFFSET, SCALE, SHAPE, TIP, Nominal, unchanged
+from tautline.tracking.path import Path, knots
+from tautline.tracking.sight import Seen, Sight
+from tautline.tracking.window import Window
+
+Array = npt.NDArray[np.float64]
+
+_APART, _APART_SIGMAS = 1 / 40, 4.0  # of B, of a frame's noise: frames that are nearer to each other tell the same
+_TURN_COUNTS, _TURN_SHARE = 8.0, 0.02  # of the encoder, of B: a motor that goes back by more has turned
+_PACE = 0.08  # of the running mean of squared residuals
+_CLIP = 16.0  # squares above it are taken as this: an outlier says no more
+_AMISS = 6.0  # running mean from which the model is stale
+_WELL = 2.2  # and below which it still held
+_STROKE_AMISS, _STROKE_FRAMES = 1.8, 8  # of a stroke, with so many frames; two of three make the model stale
+_STROKE_WELL = 1.6
+_QUIET_S = 15.0  # without a disturbance, before anything is learnt after one
+_STALE_STROKES = 5  # that a change is looked for in by themselves
+_POSTURE = 1.0  # of B: an offset that one stroke alone may tell at the beginning, more than a width can be
+_ELSEWHERE, _STRANGE_FRAMES = 2.0, 5  # of B, that so many first frames are off: another posture
+_NEWS = 10  # frames between two judgements
+_SETTLED_TURNS = 5  # reversals since the change after which the law is settled
+_MOST_LEVEL = 5.0
+_UNKNOWN = 1.0  # of B: what a width's sigma is at most taken for
+
+
+class State(StrEnum):
+    TRUSTED = "trusted"
+    STALE = "stale"  # evidence against the model, not yet enough to mend it
+    ADAPTING = "adapting"
+
+
+@dataclass(frozen=True)
+class Row:
+    """What was predicted for a frame before it was seen, and by which law."""
+
+    state: State
+    c_deg: float
+    u_px: float  # NaN without a camera
+    v_px: float
+    offset: float  # of the transmission, unit of q: added to q
+    offset_sigma: float
+    scale: float  # of B; where its shape changed, the least share of B that was found
+    scale_sigma: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class Change:
+    """The state that began with a frame at t_s (arrival), and why."""
+
+    recording: int
+    t_s: float
+    state: State
+    says: str
+
+
+class Tracker:
+    """One instrument in use. `begin` at each recording, then for each frame in order of time: `motor` with the samples
+    that came, `predict`, and `see` or `read` where the frame shows the tip. At most 1 ms a frame."""
+
+    def __init__(self, model: Model, sensor: Sensor) -> None:
+        if sensor == MARKER and not model.rig.has_camera:
+            raise TautError("the model's rig has no camera: track an angle sensor's recordings, or calibrate with one")
+        self.model, self.sensor = model, sensor
+        self.nominal, self.sight = Nominal(model), Sight(model, sensor)
+        low, high = model.measured
+        inside = (model.q >= low) & (model.q <= high)
+        width = model.width[inside] if inside.any() else model.width
+        self._width = max(float(np.mean(width)), 4.0 * model.rig.actuator.encoder_resolution)
+        sigma = np.minimum(model.width_sigma[inside] if inside.any() else model.width_sigma, _UNKNOWN * self._width)
+        self._own = (0.5 * float(np.sqrt(np.mean(sigma**2))), float(np.sqrt(np.mean(sigma**2))) / self._width)
+        count = model.rig.actuator.encoder_resolution
+        self._turn = max(_TURN_COUNTS * count, _TURN_SHARE * self._width)
+        self._window = Window(max(_APART * self._width, _APART_SIGMAS * self._noise(), count))
+        self._path = Path()
+        self.recording = -1
+        self.state, self.reason = State.TRUSTED, ""
+        self.changes: list[Change] = []
+        self._arrival_s = 0.0
+        self._theta, self._sigma = unchanged(), self._own
+        self._law = self.nominal.law(self._theta)
+        self._offset, self._scale = 0.0, 1.0
+        self._level = 1.0  # of what the law in use leaves, in sigmas of the calibration's
+        self._play = _native.TrackState(0.0)
+        self._started = False
+        self._pending: tuple[float, tuple[float, ...] | None] | None = None
+        self._way, self._far, self._stroke = 0, np.nan, 0
+        self._begins: deque[tuple[int, int]] = deque(maxlen=64)  # stroke, its first entry
+        self._running, self._off = 1.0, 0.0
+        self._stroke_sum, self._stroke_count = 0.0, 0
+        self._amiss: deque[bool] = deque(maxlen=3)
+        self._well = 0  # the entry up to which the law in use held
+        self._recording_entry = 0  # the recording's first
+        self._since = 0  # from which on the evidence is judged
+        self._anchor: int | None = None  # since when the law in use was learnt
+        self._news = 0
+        self._fresh_until = -1  # stroke up to which a recording may turn out to be another posture
+        self._work: Generator[None, None, Verdict] | None = None
+        self._proposal: Verdict | None = None
+        self._stuck = 0
+        self._strange = 0  # frames at a recording's begin in which the tip was far off
+        self._quiet_s = -np.inf
+
+    def begin(self) -> None:
+        """A new recording: its clock, where the tip is and the posture may be others; what was learnt stays."""
+        self.recording += 1
+        self._path, self._started, self._pending = Path(), False, None
+        self._way, self._far = 0, np.nan
+        self._next_stroke()
+        self._next_stroke()  # nothing joins the motion before
+        self._fresh_until = self._stroke + 1
+        self._window.cut()
+        self._well = self._since = self._recording_entry = self._window.end
+        self._anchor, self._work, self._proposal = None, None, None
+        self._running = 1.0
+        self._strange = 0
+        self._quiet_s = -np.inf
+
+    def _noise(self) -> float:
+        """Of a frame, unit of q, in the middle of what was measured."""
+        middle = 0.5 * (self.model.measured[0] + self.model.measured[1])
+        c = float(self.model.remaining(middle))
+        slope = max(abs(self.nominal.tip_slope), 1e-9)
+        if self.sensor == MARKER:
+            u, v = self.sight.image(c, 0.0, 0.0)
+            seen = self.sight.from_image(u, v, 0.0, 0.0, c)
+            return seen.sigma / slope if seen is not None else 0.0
+        return self.sight.noise / slope
+
+    def motor(self, t_s: Array, q: Array, others: Array | None = None) -> None:
+        """Samples that came, in order of time. others (n, 3): translation (mm), rotation (deg), load (mNm)."""
+        self._path.add(t_s, q, np.zeros((len(t_s), 3)) if others is None else others)
+
+    def predict(self, scene_s: float, arrival_s: float | None = None) -> Row:
+        """The tip at a scene time on the motor's clock, later than all before."""
+        self._arrival_s = scene_s if arrival_s is None else arrival_s
+        self._take_in()
+        self._think()
+        path = self._path
+        if not self._started:
+            self._start(float(path.q[0]))
+        q = path.ahead(scene_s)
+        ahead = knots(self._window.last_q, path.between(scene_s), q)
+        law = self._law
+        p = float(law.native.run(self._play.copy(), ahead + self._theta[OFFSET])[0][-1])
+        c = float(law.angle(p))
+        u = v = np.nan
+        if self.model.rig.has_camera:
+            translation, rotation, _ = path.others_at(scene_s)
+            u, v = self.sight.image(c, translation, rotation)
+        self._pending = (scene_s, None)
+        offset_sigma, scale_sigma = self._sigma
+        if self.state is State.STALE:
+            offset_sigma = float(np.hypot(offset_sigma, self._off))
+            scale_sigma = float(np.hypot(scale_sigma, 2.0 * self._off / self._width))
+        return Row(self.state, c, u, v, self._offset, offset_sigma, self._scale, scale_sigma, self.reason)
+
+    def see(self, u_px: float, v_px: float, sigma_px: float | None = None) -> None:
+        """The marker in the frame that was predicted last."""
+        assert self._pending is not None
+        self._pending = (self._pending[0], (u_px, v_px, sigma_px or 0.0))
+
+    def read(self, c_deg: float) -> None:
+        """The angle sensor's reading that was predicted last."""
+        assert self._pending is not None
+        self._pending = (self._pending[0], (c_deg,))
+
+    @property
+    def compensation(self) -> float:
+        """The share of the calibrated B that may be taken up: the lower bound that the evidence allows."""
+        return min(self._scale, max(0.0, self._scale - (0.0 if self._scale == 1.0 else 2.0 * self._sigma[1])))
+
+    def _start(self, q: float) -> None:
+        self._play = _native.TrackState(q + float(self._theta[OFFSET]))
+        self._window.last_q = q
+        self._started = True
+
+    def _take_in(self) -> None:
+        """The frame before, now that the motor's way to it is known."""
+        if self._pending is None:
+            return
+        scene_s, reading = self._pending
+        self._pending = None
+        path = self._path
+        q = path.at(scene_s)
+        way = knots(self._window.last_q, path.between(scene_s), q)
+        p = float(self._law.native.run(self._play, way + self._theta[OFFSET])[0][-1])
+        path.forget(scene_s)
+        for knot in way.tolist():
+            self._turned(knot)
+        seen = None if reading is None else self._seen(scene_s, reading, p)
+        self._window.move(way, self._stroke)
+        if seen is not None:
+            self._weigh(scene_s, seen, p)
+
+    def _seen(self, scene_s: float, reading: tuple[float, ...], p: float) -> Seen | None:
+        if len(reading) == 1:
+            seen: Seen | None = self.sight.from_angle(reading[0])
+        else:
+            translation, rotation, _ = self._path.others_at(scene_s)
+            near = float(self._law.angle(p))
+            seen = self.sight.from_image(reading[0], reading[1], translation, rotation, near, reading[2])
+        return None if seen is None or not np.isfinite(seen.c_deg) else seen
+
+    def _turned(self, q: float) -> None:
+        if self._way == 0:
+            if np.isnan(self._far):
+                self._far = q
+            elif abs(q - self._far) > self._turn:
+                self._way, self._far = (1 if q > self._far else -1), q
+        elif self._way * (q - self._far) > 0.0:
+            self._far = q
+        elif self._way * (self._far - q) > self._turn:
+            self._way, self._far = -self._way, q
+            self._end_stroke()
+            self._next_stroke()
+
+    def _next_stroke(self) -> None:
+        self._stroke += 1
+        self._begins.append((self._stroke, self._window.end))
+
+    def _end_stroke(self) -> None:
+        if self._stroke_count >= _STROKE_FRAMES:
+            mean = self._stroke_sum / self._stroke_count
+            self._amiss.append(mean > _STROKE_AMISS)
+            if self.state is State.TRUSTED and sum(self._amiss) >= 2:
+                self._doubt(self._begin_of(self._stroke - 2))
+            elif self.state is State.STALE and mean < _STROKE_WELL and not any(self._amiss):
+                self._settle("the model holds again as it was")
+        self._stroke_sum, self._stroke_count = 0.0, 0
+
+    def _begin_of(self, stroke: int) -> int:
+        return next((entry for number, entry in self._begins if number >= stroke), self._window.end)
+
+    def _weigh(self, scene_s: float, seen: Seen, p: float) -> None:
+        """How well the law in use foresaw a frame."""
+        law = self._law
+        y = float(law.place(seen.c_deg))
+        sigma = float(self.nominal.sigma(y, seen.sigma / law.slope(y)))
+        if self._play.driven == 0.0:  # nothing has carried the tip yet: it is where it is seen
+            self._play.restart(y)
+            p = self._within(y)
+            if abs(y - p) > _ELSEWHERE * self._width:
+                self._strange += 1
+                if self._strange == _STRANGE_FRAMES:
+                    self._jump(y - p)
+                    return
+        kept = self._window.frame(scene_s, seen.c_deg, seen.sigma, seen.off, self._stroke)
+        if not kept:
+            return
+        self._news += 1
+        off = y - p
+        square = min((off / (sigma * self._level)) ** 2, _CLIP)
+        self._running += _PACE * (square - self._running)
+        self._off += _PACE * (abs(off) - self._off)
+        self._stroke_sum += square
+        self._stroke_count += 1
+        if self._running < _WELL:
+            self._well = self._window.end
+        if self.state is State.TRUSTED and self._running > _AMISS:
+            self._doubt(self._well)
+
+    def _within(self, y: float) -> float:
+        """The nearest place at which a tip that nothing has carried yet can be."""
+        half = 0.5 * float(np.interp(y, self._law.grid, self._law.width))
+        q = self._window.last_q + float(self._theta[OFFSET])
+        return min(max(y, q - half), q + half)
+
+    def _jump(self, off: float) -> None:
+        """A recording that begins so far off that no play can be the cause: the offset of another posture, roughly."""
+        theta = self._theta.copy()
+        theta[TIP.start] += off * self.nominal.tip_slope
+        self._use(theta)
+        self._sigma = (float(np.hypot(self._width, 0.5 * abs(off) / _ELSEWHERE)), self._sigma[1])
+        self._play.restart(float(self._law.place(self._law.angle(self._within(0.0)))))
+        self._since = self._well = self._recording_entry
+        self._say(State.ADAPTING, f"transmission.offset: {self._offset:+.4g} or so, another posture")
+
+    def _use(self, theta: Array) -> None:
+        self._theta = theta
+        self._law = self.nominal.law(theta)
+        self._offset = self.nominal.offset(theta)
+
+    def _doubt(self, since: int) -> None:
+        self._since = since
+        self._news = _NEWS
+        self._stuck = 0
+        self._proposal = None
+        self._say(State.STALE, "the tip is not where the model says: more reversals will tell why")
+
+    def _settle(self, why: str) -> None:
+        self._work, self._proposal = None, None
+        self._amiss.clear()
+        self._running = 1.0
+        self._say(State.TRUSTED, why)
+
+    def _say(self, state: State, why: str) -> None:
+        if state is not self.state:
+            self.changes.append(Change(self.recording, self._arrival_s, state, why))
+        self.state, self.reason = state, why
+
+    def _think(self) -> None:
+        """One step of work."""
+        if self._work is None:
+            if self.state is State.TRUSTED or self._news < _NEWS:
+                return
+            self._news = 0
+            starts = [self._since] if self._anchor is None else [self._anchor, self._since]
+            if self.state is State.STALE:
+                starts.append(max(self._since, self._begin_of(self._stroke - _STALE_STROKES)))
+            evidence = [e for e in map(self._window.since, dict.fromkeys(starts)) if e is not None]
+            if not evidence:
+                return
+            fresh = self._stroke <= self._fresh_until
+            least = _POSTURE * self._width if fresh else None
+            adapting = self.state is State.ADAPTING
+            self._work = judge(self.nominal, evidence, self._theta, adapting, least, self._level, self._proposal)
+        try:
+            next(self._work)
+        except StopIteration as end:
+            self._work = None
+            self._decide(end.value)
+
+    def _decide(self, verdict: Verdict) -> None:
+        self._proposal = verdict.proposal
+        if verdict.disturbed:
+            self._quiet_s = self._arrival_s + _QUIET_S
+        if verdict.theta is None or self._arrival_s < self._quiet_s:
+            if self.state is State.STALE:
+                self.reason = verdict.says
+            elif not verdict.early:
+                self._stuck += 1
+                if self._stuck >= 3:  # what was learnt no longer explains what is seen
+                    self._anchor = None
+                    self._since = self._begin_of(self._stroke - 1)
+                    self._stuck = 0
+                    self._say(State.STALE, verdict.says)
+            return
+        self._stuck = 0
+        self._adopt(verdict)
+        again = verdict.settled and np.array_equal(self._theta, unchanged())
+        if again or (verdict.turns >= _SETTLED_TURNS and verdict.settled):
+            self._level = min(max(1.0, verdict.level), _MOST_LEVEL)
+            self._settle(verdict.says)
+        else:
+            self._say(State.ADAPTING, verdict.says)
+
+    def _adopt(self, verdict: Verdict) -> None:
+        """The law in use from now on, with the tip where it would be by it."""
+        assert verdict.theta is not None
+        self._use(verdict.theta)
+        self._sigma = (
+            float(np.hypot(self._own[0], verdict.offset_sigma)),
+            float(np.hypot(self._own[1], verdict.scale_sigma)),
+        )
+        changed = bool(np.any(self._theta[SHAPE]))
+        self._scale = self.nominal.ratio(self._theta, *verdict.passed) if changed else float(self._theta[SCALE])
+        self._anchor = self._since = self._window.number_of(verdict.evidence.t_s[0], self._recording_entry)
+        now = self._window.since(self._anchor)
+        assert now is not None
+        self._play = _native.TrackState(float(self._law.place(now.c_deg[0])))
+        path = np.concatenate([now.q, self._window.skipped])
+        self._law.native.run(self._play, path + self._theta[OFFSET])
+        self._running = min(self._running, 1.0)
+        self._amiss.clear()
+        self._stroke_sum, self._stroke_count = 0.0, 0

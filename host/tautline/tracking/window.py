@@ -1,0 +1,124 @@
+"""The latest frames, as evidence: bounded, thinned where nothing moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.tracking.path import knots
+
+Array = npt.NDArray[np.float64]
+
+CAPACITY = 6000
+LONGEST = 1500  # entries that one fit looks at
+STROKES = 24  # and strokes
+_LONG = 64  # positions of a path that are entered even without a frame
+_REST_S = 0.2  # between two frames that are kept while the motor rests
+_Q, _C, _SIGMA, _T, _STROKE, _OFF = range(6)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Knots of the motor's path in order; `seen` are those at which a frame saw the tip. All (n,) or (seen,)."""
+
+    q: Array
+    seen: npt.NDArray[np.intp]
+    c_deg: Array
+    sigma: Array  # of c_deg, the sensor's
+    t_s: Array
+    stroke: npt.NDArray[np.intp]
+    off: Array
+
+    @property
+    def strokes(self) -> npt.NDArray[np.intp]:
+        return np.unique(self.stroke)
+
+
+class Window:
+    """A ring of entries. Their numbers count from the start of use and never change."""
+
+    def __init__(self, apart: float) -> None:
+        """`apart`: how far the motor moves between two frames that are kept, unit of q."""
+        self._apart = apart
+        self._rows = np.empty((CAPACITY, 6))
+        self._first = 0  # number of row 0
+        self._count = 0
+        self._kept_q, self._kept_t = np.inf, -np.inf
+        self._entered_q = np.nan
+        self._skipped: list[float] = []
+        self.last_q = np.nan  # where the motor's path ends
+
+    @property
+    def end(self) -> int:
+        """The number of the next entry."""
+        return self._first + self._count
+
+    @property
+    def skipped(self) -> Array:
+        """The path since the last entry."""
+        return np.array(self._skipped)
+
+    def number_of(self, t_s: float, since: int) -> int:
+        """Of the first frame at t_s or later, from an entry on."""
+        first = min(max(since - self._first, 0), self._count)
+        late = np.flatnonzero(self._rows[first : self._count, _T] >= t_s)
+        return self._first + first + (int(late[0]) if len(late) else 0)
+
+    def cut(self) -> None:
+        """What comes does not continue the path."""
+        self._skipped.clear()
+        self._kept_q, self._kept_t = np.inf, -np.inf
+        self._entered_q = self.last_q = np.nan
+
+    def move(self, path: Array, stroke: int) -> None:
+        """The motor's path went on."""
+        self._skipped += path.tolist()
+        self.last_q = self._skipped[-1]
+        if len(self._skipped) > _LONG:
+            self._enter_path(stroke)
+
+    def frame(self, t_s: float, c_deg: float, sigma: float, off: float, stroke: int) -> bool:
+        """What was seen where the path ends. Whether it was kept."""
+        q = self.last_q
+        if abs(q - self._kept_q) < self._apart and t_s - self._kept_t < _REST_S:
+            return False
+        if self._skipped:
+            self._enter_path(stroke)
+        row = (q, c_deg, sigma, t_s, stroke, off)
+        self._rows[self._count - 1] = row
+        self._kept_q, self._kept_t = q, t_s
+        return True
+
+    def _enter_path(self, stroke: int) -> None:
+        path = np.array(self._skipped)
+        before = self._entered_q if np.isfinite(self._entered_q) else float(path[0])
+        for q in knots(before, path[:-1], float(path[-1])).tolist():
+            self._enter((q, np.nan, np.nan, np.nan, stroke, np.nan))
+        self._entered_q = float(path[-1])
+        self._skipped.clear()
+
+    def _enter(self, row: tuple[float, ...]) -> None:
+        if self._count == CAPACITY:
+            half = CAPACITY // 2
+            self._rows[:half] = self._rows[half:]
+            self._first += half
+            self._count -= half
+        self._rows[self._count] = row
+        self._count += 1
+
+    def since(self, number: int) -> Evidence | None:
+        """From an entry on, or as much of it as is still kept and can be looked at. None where too little was seen."""
+        first = max(number - self._first, 0, self._count - LONGEST)
+        rows = self._rows[first : self._count]
+        if len(rows) and rows[0, _STROKE] < rows[-1, _STROKE] - STROKES:
+            rows = rows[int(np.searchsorted(rows[:, _STROKE], rows[-1, _STROKE] - STROKES)) :]
+        seen = np.flatnonzero(np.isfinite(rows[:, _C]))
+        if len(seen) < 3:
+            return None
+        rows, seen = rows[seen[0] :].copy(), seen - seen[0]
+        at = rows[seen]
+        return Evidence(
+            rows[:, _Q], seen, at[:, _C], at[:, _SIGMA], at[:, _T], at[:, _STROKE].astype(np.intp), at[:, _OFF]
+        )

@@ -1,0 +1,292 @@
+"""Tracking in use: causal, quick to doubt, slow to learn, and nothing learnt where nothing changed."""
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cli_runner import Taut
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tools.bench.tracking import frame_times
+from tools.tracking import sessions
+from tools.tracking.sessions import NOISE_PX, Change, Instrument, ideal_model, session
+
+from tautline import _native
+from tautline.elements import Play
+from tautline.recording import Angle, Recording, save
+from tautline.tracking import State, off_by, replay
+from tautline.tracking.replay import COLUMNS
+
+GRID = np.linspace(-5.0, 5.0, 201)
+
+
+@pytest.fixture
+def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
+    return Taut(monkeypatch, capsys)
+
+
+def path(seed: int, turns: int = 12, steps: int = 40) -> np.ndarray:
+    corners = np.random.default_rng(seed).uniform(-4.5, 4.5, turns)
+    return np.interp(np.linspace(0, turns - 1, turns * steps), np.arange(turns), corners)
+
+
+def width(seed: int) -> np.ndarray:
+    rng = np.random.default_rng([seed, 1])
+    return 0.5 + 0.2 * np.sin(rng.uniform(0.5, 3.0) * GRID + rng.uniform(0, 6))
+
+
+def native(b, share=(1.0,), weight=(1.0,), basis=None, shape=None):
+    basis = np.empty((0, len(GRID))) if basis is None else basis
+    shape = np.empty((0, len(share))) if shape is None else shape
+    return _native.TrackModel(GRID, b, np.array(share), np.array(weight), basis, shape)
+
+
+# The play
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10_000), st.floats(-4, 4), st.integers(1, 400))
+def test_one_element_is_the_play_whole_and_in_pieces(seed, start, cut):
+    q, b = path(seed), width(seed)
+    expected = Play(GRID, b).forward(q, start)
+    for share, weight in (((1.0,), (1.0,)), ((1.0, 1.0), (0.3, 0.7))):
+        model, state = native(b, share, weight), _native.TrackState(start)
+        pieces = [model.run(state, q[:cut])[0], model.run(state, q[cut:])[0]]
+        np.testing.assert_allclose(np.concatenate(pieces), expected, atol=1e-11)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000))
+def test_several_elements_lie_on_the_envelopes_at_full_strokes(seed):
+    b = width(seed)
+    q = np.concatenate([np.linspace(-5, 5, 2000), np.linspace(5, -5, 2000)])
+    p, moving = native(b, (0.4, 1.0, 1.6), (0.3, 0.4, 0.3)).run(_native.TrackState(-5.0), q)
+    side = np.where(np.arange(4000) < 2000, 1.0, -1.0)
+    full = np.abs(moving) > 1 - 1e-9
+    assert full.mean() > 0.7
+    np.testing.assert_allclose((p + 0.5 * side * np.interp(p, GRID, b))[full], q[full], atol=1e-10)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000))
+def test_the_plays_derivatives_are_those_of_differences(seed):
+    q, b = path(seed), width(seed)
+    bump = np.exp(-0.5 * ((GRID - 1.0) / 0.8) ** 2)
+    share, weight, away = np.array([0.5, 1.0, 1.5]), np.array([0.25, 0.5, 0.25]), np.array([-1.0, 0.0, 1.0])
+
+    def run(theta):
+        changed = native(b + theta[1] * bump, share + theta[2] * away, weight)
+        return changed.run(_native.TrackState(0.0), q + theta[0])[0]
+
+    model = native(b, share, weight, bump[None, :], away[None, :])
+    _, _, slopes = model.run(_native.TrackState(0.0), q, True)
+    for i in range(3):
+        step = np.zeros(3)
+        step[i] = 1e-6
+        differences = (run(step) - run(-step)) / 2e-6
+        same = np.abs(differences - slopes[:, i]) < 1e-4 * (1 + np.abs(slopes[:, i]))
+        assert same.mean() > 0.97  # not where a turn or a node of the table is passed within the step
+
+
+# The replay is causal
+
+
+@pytest.fixture(scope="module")
+def changing():
+    return session(Instrument(1), "shape", 1, 60.0, start_s=15.0)
+
+
+def cut(recording: Recording, until_s: float, motor_s: float) -> Recording:
+    motor, marker = recording.motor, recording.marker
+    early, rows = motor.t_s <= motor_s, marker.t_s <= until_s
+    return replace(
+        recording,
+        motor=replace(motor, t_s=motor.t_s[early], q=motor.q[early]),
+        marker=replace(
+            marker,
+            t_s=marker.t_s[rows],
+            u_px=marker.u_px[rows],
+            v_px=marker.v_px[rows],
+            valid=marker.valid[rows],
+        ),
+    )
+
+
+@pytest.fixture(scope="module")
+def whole(changing):
+    return replay(ideal_model(changing.instrument), [changing.recording])
+
+
+@settings(max_examples=6, deadline=None)
+@given(share=st.floats(0.02, 1.0), to_the_scene=st.booleans())
+def test_a_recording_cut_short_gives_the_same_rows(changing, whole, share, to_the_scene):
+    until_s = share * float(changing.recording.marker.t_s[-1])
+    model = ideal_model(changing.instrument)
+    motor_s = until_s - model.delay_s if to_the_scene else until_s
+    short = cut(changing.recording, until_s, motor_s)
+    rows = replay(model, [short]).rows
+    assert rows == whole.rows[: len(rows)] and len(rows) == len(short.marker.t_s)
+
+
+def test_a_row_does_not_depend_on_its_own_image(changing, whole):
+    marker = changing.recording.marker
+    u_px = marker.u_px.copy()
+    k = 900
+    u_px[k] += 40.0
+    other = replay(
+        ideal_model(changing.instrument), [replace(changing.recording, marker=replace(marker, u_px=u_px))]
+    ).rows
+    assert other[: k + 1] == whole.rows[: k + 1]
+
+
+def test_a_frame_takes_less_than_a_millisecond():
+    times = frame_times("shape", 45.0)
+    assert times.mean() < 1e-3
+
+
+# What changes is learnt
+
+
+def reversals_since(made, threshold: float = 0.15) -> np.ndarray:
+    motor = made.recording.motor
+    at = motor.t_s[_native.turns(motor.q, threshold)]
+    return at[at > made.change_s]
+
+
+def first(tracked, state, since_s):
+    return next((c.t_s for c in tracked.changes if c.state is state and c.t_s > since_s), np.inf)
+
+
+@pytest.mark.parametrize(
+    ("change", "seed", "most"),
+    [
+        (Change("scale", scale=0.5), 3, 1.3),
+        (Change("scale", scale=1.03), 4, 1.3),
+        (Change("scale", scale=2.0), 5, 1.3),
+        (Change("offset", offset=0.6), 6, 1.3),
+        (Change("offset", offset=-0.02), 7, 1.3),
+        (Change("shape", bumps=((0.5, 1.5, 0.5), (-2.5, 1.5, -0.3))), 1, 2.0),
+        (Change("gradual", spread=0.5), 8, 2.0),
+    ],
+    ids=lambda value: value.kind if isinstance(value, Change) else None,
+)
+def test_a_change_is_seen_within_three_reversals_and_followed(change, seed, most):
+    made = session(Instrument(seed), change.kind, seed, change=change)
+    assert made.cost > 3.0
+    tracked = replay(ideal_model(made.instrument), [made.recording])
+    turns = reversals_since(made)
+    assert made.change_s < first(tracked, State.STALE, made.change_s) <= turns[3]
+    late = tracked.t_s > turns[9]
+    rms = np.sqrt(np.nanmean(off_by(tracked, [made.recording])[late] ** 2))
+    assert rms < most * NOISE_PX
+    last = tracked.rows[-1]
+    assert abs(last.offset - change.offset) < 4 * last.offset_sigma
+    if change.kind in ("scale", "offset"):
+        assert abs(last.scale - change.scale) < 4 * last.scale_sigma
+    early = [row for row, t in zip(tracked.rows, tracked.t_s, strict=True) if t < made.change_s]
+    assert {(row.offset, row.scale) for row in early} == {(0.0, 1.0)}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_narrower_width_is_followed_at_once_and_alone(seed):
+    made = session(Instrument(seed), "scale", seed, change=Change("scale", scale=0.6))
+    tracked = replay(ideal_model(made.instrument), [made.recording])
+    turns = reversals_since(made)
+    second = next(row for row, t in zip(tracked.rows, tracked.t_s, strict=True) if t > turns[2])
+    assert second.scale < 0.6 * 1.02
+    first_learnt = next(row for row in tracked.rows if row.scale != 1.0)
+    assert first_learnt.offset == 0.0 and first_learnt.state is State.ADAPTING
+    assert "transmission.backlash" in first_learnt.reason
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_wider_width_waits_for_two_reversals(seed):
+    made = session(Instrument(seed), "scale", seed, change=Change("scale", scale=1.4))
+    tracked = replay(ideal_model(made.instrument), [made.recording])
+    turns = reversals_since(made)
+    before = [row for row, t in zip(tracked.rows, tracked.t_s, strict=True) if t < turns[1]]
+    assert {row.scale for row in before} == {1.0}
+    assert tracked.rows[-1].scale == pytest.approx(1.4, abs=0.01)
+
+
+def test_a_posture_that_begins_another_recording_is_followed():
+    instrument = Instrument(2)
+    first_use = session(instrument, "nothing", 1, 20.0).recording
+    moved = session(instrument, "offset", 2, 40.0, change=Change("offset", offset=1.4), start_s=-10.0).recording
+    recordings = [replace(first_use, name="one"), replace(moved, name="two")]
+    tracked = replay(ideal_model(instrument), recordings)
+    off = off_by(tracked, recordings)
+    assert np.sqrt(np.nanmean(off[tracked.recording == 0] ** 2)) < 1.2 * NOISE_PX
+    q = np.interp(tracked.t_s - instrument.camera.delay, moved.motor.t_s, moved.motor.q)
+    late = (tracked.recording == 1) & (tracked.t_s > 10.0) & (q + 1.4 < sessions.HIGH)  # within the model's table
+    assert np.sqrt(np.nanmean(off[late] ** 2)) < 1.3 * NOISE_PX
+    assert tracked.rows[-1].offset == pytest.approx(1.4, abs=0.01)
+
+
+def test_an_angle_sensor_will_do():
+    instrument = Instrument(3)
+    made = session(instrument, "scale", 3, 60.0, change=Change("scale", scale=0.7), start_s=15.0)
+    motor, marker = made.recording.motor, made.recording.marker
+    scene = marker.t_s - instrument.camera.delay
+    p = sessions.respond(instrument, motor.t_s, motor.q, made.change, made.change_s)
+    c = instrument.of_place(instrument.law, np.interp(scene, motor.t_s, p))
+    noise = 0.01
+    angle = Angle(scene, c + np.random.default_rng(0).normal(0, noise, len(c)))
+    ideal = ideal_model(instrument)
+    model = replace(ideal, sensor="angle", delay_s=0.0, extra={"evidence": {"residual": noise}})
+    recording = Recording("angles", motor, angle=angle)
+    tracked = replay(model, [recording])
+    late = tracked.t_s > reversals_since(made)[9]
+    assert np.sqrt(np.mean(off_by(tracked, [recording])[late] ** 2)) < 1.3 * noise
+    assert tracked.rows[-1].scale == pytest.approx(0.7, abs=0.01)
+
+
+# What does not change is not
+
+
+@pytest.mark.parametrize("kind", sessions.DISTURBED)
+@pytest.mark.parametrize("seed", range(20, 23))
+def test_nothing_is_learnt_when_nothing_changes(kind, seed):
+    made = session(Instrument(seed), kind, seed)
+    tracked = replay(ideal_model(made.instrument), [made.recording])
+    assert {(row.offset, row.scale) for row in tracked.rows} == {(0.0, 1.0)}
+    if kind in ("nothing", "missing"):
+        assert {row.state for row in tracked.rows} == {State.TRUSTED}
+
+
+# The command
+
+
+def test_the_command_writes_what_is_asked_for(taut, tmp_path, changing, whole):
+    ideal_model(changing.instrument).save(tmp_path / "model")
+    save(changing.recording, tmp_path / "use")
+    done = taut(
+        "track", tmp_path / "model", tmp_path / "use", tmp_path / "use", "--csv", tmp_path / "out.csv",
+        "--picture", tmp_path / "out.svg", "--json",
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    lines = (tmp_path / "out.csv").read_text().splitlines()
+    assert lines[0] == COLUMNS == "recording,t_s,state,c_deg,u_px,v_px,offset,offset_sigma,scale,scale_sigma,reason"
+    rows = list(csv.DictReader(lines))
+    marker = changing.recording.marker
+    assert len(rows) == 2 * len(marker.t_s)
+    assert {row["recording"] for row in rows} == {"0", "1"}
+    assert {row["state"] for row in rows} <= {"trusted", "stale", "adapting"}
+    np.testing.assert_array_equal([float(row["t_s"]) for row in rows[: len(marker.t_s)]], marker.t_s)
+    u = [float(row["u_px"]) for row in rows[: len(marker.t_s)]]
+    np.testing.assert_allclose(u, whole.column("u_px"), atol=1e-3)
+    said = json.loads(done.out)
+    assert said["changes"] and set(said["changes"][0]) == {"recording", "t_s", "state", "says"}
+    assert (tmp_path / "out.svg").read_text().count("<svg") == 1
+    told = taut("track", tmp_path / "model", tmp_path / "use", "--csv", tmp_path / "again.csv")
+    assert "stale" in told.err and "off by" in told.err
+
+
+def test_the_command_says_what_is_missing(taut, tmp_path, changing):
+    ideal_model(changing.instrument).save(tmp_path / "model")
+    save(replace(changing.recording, marker=None, angle=Angle(np.array([1.0, 2.0]), np.zeros(2))), tmp_path / "angles")
+    save(changing.recording, tmp_path / "use")
+    line = taut.refuses("track", tmp_path / "model", tmp_path / "use", tmp_path / "angles", "--csv", tmp_path / "o.csv")
+    assert "marker.csv" in line

@@ -1,0 +1,230 @@
+"""The guards that docs/safety.md counts on, each with what the source is without it and the test that then fails.
+
+tools/mutants.py takes out one after the other. A guard is named by the text that makes it; a text that is there no
+longer, or twice, is an error.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+RANDOM = "tests/c/test_random.c::test_whatever_happens_an_axis_keeps_its_word"
+SAFETY, AXIS, LINK, STORE = (f"tests/c/test_{name}.c::test_" for name in ("safety", "axis", "link", "store"))
+IMAGE = "tools/emulator/test/image.test.js::"
+COMMISSION, COMMANDS = (f"tests/board/test_{name}.py::test_" for name in ("commission", "commands"))
+PAGE, C_FILES = (f"tests/host/test_{name}.py::test_" for name in ("safety_page", "firmware_sources"))
+EMULATED, BUILT = (f"tests/firmware/test_{name}.py::test_" for name in ("emulated_board", "image"))
+
+ASK, GUARD, REST, APP, COMMAND, TABLES, SETTINGS = (
+    f"firmware/app/src/tl_{name}.c"
+    for name in ("axis_ask", "axis_guard", "axis_rest", "app", "command", "tables", "settings")
+)
+HEADERS = "firmware/app/include/tautline/"
+RP2040 = "firmware/port/rp2040/"
+FLASH_STORE = "firmware/app/src/tl_store.c"
+HOST = "host/tautline/"
+
+
+@dataclass(frozen=True)
+class Guard:
+    """`changes`: (file, text as it is, text without the guard). `board`: what a test of tests/board then runs on."""
+
+    name: str
+    test: str
+    changes: tuple[tuple[str, str, str], ...]
+    board: str = "desktop"
+
+
+def _one(name: str, test: str, file: str, before: str, after: str = "", board: str = "desktop") -> Guard:
+    return Guard(name, test, ((file, before, after),), board)
+
+
+# -- the control step and what is asked of it: hours of a board's life fail without each of these ---------------------
+
+_LIVED = (
+    _one("duty within its limit", RANDOM,
+         HEADERS + "tl_servo.h", "if (sum > limit || sum < -limit) {", "if (sum > 65536) {"),
+    _one("a fault switches off", RANDOM,
+         REST, "    tl_axis_off(axis);\n    axis->guard.lapsed", "    axis->guard.lapsed"),
+    _one("off is off", RANDOM, REST, "    tl_actuator_release(&axis->motor);\n"),
+    _one("weak without a reference", RANDOM,
+         ASK, "axis->referenced ? axis->limits.duty_q15 : low_duty(axis)", "axis->limits.duty_q15"),
+    _one("weak homing", RANDOM,
+         ASK, "request->duty_q15 > 0 ? request->duty_q15 : low_duty(axis)", "axis->limits.duty_q15"),
+    Guard("a weak check", RANDOM,
+          ((GUARD, "#define CHECK_PUSH    2621", "#define CHECK_PUSH    32768"),
+           (GUARD, "most < axis->settings.low_duty_q15 ?", "true ?"))),
+    _one("a reference to follow or calibrate", RANDOM, ASK, "reason == 0 && !axis->referenced ?", "false ?"),
+    _one("a reference to move", RANDOM, ASK, "    if (!axis->referenced) {", "    if (false) {"),
+    _one("a check before driving", RANDOM, ASK, "        if (axis->checked) {", "        if (true) {"),
+    Guard("a check that sees swapped wires", RANDOM,
+          ((GUARD, "way < -CHECK_MOVED, TL_WIRE_FAULT_REVERSED", "false, TL_WIRE_FAULT_REVERSED"),
+           (GUARD, "!trial->moved, TL_WIRE_FAULT_UNMOVED", "false, TL_WIRE_FAULT_UNMOVED"),
+           (GUARD, "!trial->right_scale, TL_WIRE_FAULT_SCALE", "false, TL_WIRE_FAULT_SCALE"))),
+    _one("an encoder that jumps", RANDOM,
+         HEADERS + "tl_actuator.h", ">= 2U * TL_ACTUATOR_JUMP", ">= 0xFFFFFFFFU"),
+    _one("a jump takes the reference", RANDOM, REST, "(BIT(ENCODER) | BIT(EDGES)", "(BIT(EDGES)"),
+    _one("lost edges are asked for", RANDOM, APP, "        poll_encoders(app, now_us);\n"),
+    _one("lost edges take the reference", RANDOM, REST, "(BIT(ENCODER) | BIT(EDGES)", "(BIT(ENCODER)"),
+    _one("a pause is no jump", RANDOM,
+         HEADERS + "tl_actuator.h", "(elapsed_us < 1000000U ? elapsed_us : 1000000U)", "0U"),
+    _one("stall", RANDOM, GUARD, "fails(axis, stalls, TL_WIRE_FAULT_STALL", "fails(axis, false, TL_WIRE_FAULT_STALL"),
+    _one("asking again does not hide a stall", RANDOM, ASK,
+         "    axis->guard.still_ms = 0; //", "    axis->guard.still_ms = 0;\n    axis->guard.pushed_ms = 0; //"),
+    _one("following error", RANDOM, GUARD, "!within(error, axis->limits.following_error_q8)", "false"),
+    _one("oscillation", RANDOM, GUARD, "return guard->swing >= SWING_MOST;", "return false;"),
+    _one("driver", RANDOM, GUARD, "guard->driver_ms >= DRIVER_MS", "false"),
+    _one("supply", RANDOM, GUARD, "guard->supply_ms >= SUPPLY_MS", "false"),
+    _one("current", RANDOM, GUARD, "most > 0 && guard->current_mean_q8 > most * 256", "false"),
+    _one("a host that is silent", RANDOM, GUARD, "--axis->guard.patience == 0U", "false"),
+    _one("limits within the settings", RANDOM, ASK, "!are_within(limits, &axis->settings)", "false"),
+    _one("the range", RANDOM,
+         REST, "    axis->plan.low = low;", "    low = -TL_AXIS_RANGE_MAX;\n    axis->plan.low = low;"),
+    _one("the speed of a move", RANDOM,
+         ASK, "axis->plan.move.speed = speed < most ? speed : most;", "axis->plan.move.speed = 4 * most + 0 * speed;"),
+    _one("a path from where the motor is", RANDOM, ASK,
+         "    tl_axis_settle(axis);\n    tl_actuator_reset(&axis->motor, axis->q);\n    tl_axis_admit(axis);\n"
+         "    axis->guard.current_mean_q8", "    axis->guard.current_mean_q8"),
+    _one("arrived is there", RANDOM, GUARD, "within(axis->q - target, axis->settings.arrive_q8)", "true"),
+)  # fmt: skip
+
+# -- the same, and what lies around it: one test each -----------------------------------------------------------------
+
+_APP = (
+    _one("a driver that chops pushes", SAFETY + "a_driver_that_chops_its_current_at_a_blocked_motor_is_a_stall",
+         GUARD, "(chops_ma > 0 && size_ma >= chops_ma)", "(chops_ma > 0 && size_ma < 0)"),
+    _one("the port's current limit", SAFETY + "the_default_current_limit_is_below_the_drivers_own",
+         ASK, ".current_ma = port->driver_ma - port->driver_ma / 16,", ".current_ma = 1000,"),
+    _one("the supply is told", SAFETY + "a_driver_fault_and_a_low_supply_are_faults_and_told",
+         COMMAND, ".supply_mv = axis->guard.supply_mv,", ".supply_mv = 0,"),
+    _one("slow oscillation", SAFETY + "proportional_gain_alone_swings_at_full_duty_until_it_is_a_fault",
+         GUARD, "tl_path_rests(&axis->path) ? 1U : SWING_REST", "SWING_REST"),
+    _one("a dead encoder is seen", SAFETY + "swapped_wires_a_dead_encoder_and_a_wrong_scale_are_told_apart",
+         GUARD, "!trial->moved, TL_WIRE_FAULT_UNMOVED", "false, TL_WIRE_FAULT_UNMOVED"),
+    _one("a wrong scale is seen", SAFETY + "swapped_wires_a_dead_encoder_and_a_wrong_scale_are_told_apart",
+         GUARD, "!trial->right_scale, TL_WIRE_FAULT_SCALE", "false, TL_WIRE_FAULT_SCALE"),
+    _one("homing gives up", SAFETY + "homing_gives_up_where_no_end_comes",
+         GUARD, "fails(axis, gone > trial->reach,", "fails(axis, false,"),
+    _one("an end is the reference", SAFETY + "homing_finds_the_end_at_low_drive_and_is_referenced",
+         GUARD, "    axis->q = trial->end;\n"),
+    _one("a weak jog", SAFETY + "a_jog_needs_no_reference_and_is_weak", ASK,
+         "    begin(axis, low_duty(axis));", "    begin(axis, axis->limits.duty_q15);"),
+    _one("settings are stored", SAFETY + "settings_outlive_the_power_and_no_host_widens_them",
+         SETTINGS, "if (!tl_store_write(port, TL_STORE_SETTINGS, scratch, TL_WIRE_AXES_MAX * FRAME_SIZE)) {",
+         "if (false && scratch[0] == FRAME_SIZE) {"),
+    _one("homing lapses", SAFETY + "homing_and_checks_end_with_the_host_too", GUARD,
+         "axis->mode == TL_WIRE_MODE_MOVE || axis->mode == TL_WIRE_MODE_HOME ||\n",
+         "axis->mode == TL_WIRE_MODE_MOVE ||\n"),
+    _one("a sender that is silent", AXIS + "a_silent_sender_brings_the_axis_to_rest_and_holds",
+         GUARD, "return tl_axis_is_following(axis) || axis->mode == TL_WIRE_MODE_MOVE ||",
+         "return axis->mode == TL_WIRE_MODE_MOVE ||"),
+    _one("a camera that is silent", AXIS + "a_calibration_without_frames_ends_in_the_safe_state",
+         "firmware/estimator/src/tl_motion.c", "m->timeout_ticks > 0 && ++m->quiet_ticks > m->timeout_ticks", "false"),
+    _one("a bus that is gone", AXIS + "losing_the_bus_while_following_comes_to_rest_at_once",
+         APP, "        tl_axis_silence(axis);\n"),
+    _one("safe_stop", AXIS + "safe_stop_works_from_every_state",
+         COMMAND, "        tl_axis_fail(axis, TL_WIRE_FAULT_STOPPED, 0, now_us);\n", "        (void)now_us;\n"),
+    _one("late control steps", AXIS + "late_control_steps_fault_a_driven_axis_only",
+         APP, "since_us > LATE_FAULT &&", "false &&"),
+    _one("the watchdog watches the control step", AXIS + "the_watchdog_is_fed_only_while_control_steps_go_on",
+         APP, "if (app->steps != app->steps_fed) {", "{"),
+    _one("a restart by the watchdog is told", AXIS + "a_watchdog_restart_is_told_and_latched",
+         APP, "port->boot == TL_WIRE_BOOT_WATCHDOG", "false"),
+    Guard("a stored table is whole", STORE + "a_flipped_bit_falls_back_to_the_older_table",
+          ((FLASH_STORE, "found.whole = crc_of(port, found.blob, found.size) == found.crc;", "found.whole = true;"),
+           ("common/src/tl_table.c", "get(blob + size - 4, 4) != tl_crc32(0, blob, size - 4)", "size < 4"))),
+    _one("the older slot is written", STORE + "a_power_cut_at_any_operation_leaves_the_old_or_the_new_table",
+         FLASH_STORE, "const uint8_t target = a.whole && (!b.whole || newer(&a, &b)) ? 1U : 0U;",
+         "const uint8_t target = a.whole && (!b.whole || newer(&a, &b)) ? 0U : 1U;"),
+    _one("damaged tables are told", STORE + "both_damaged_is_a_fault_that_can_be_cleared",
+         APP, "app->tables.in_use[i].state == TL_WIRE_TABLE_BAD", "false"),
+    _one("settings go to the older slot",
+         SAFETY + "a_power_cut_while_settings_are_written_leaves_the_old_or_the_new",
+         FLASH_STORE, "const uint8_t target = a.whole && (!b.whole || newer(&a, &b)) ? 1U : 0U;",
+         "const uint8_t target = a.whole && (!b.whole || newer(&a, &b)) ? 0U : 1U;"),
+    _one("stored settings are whole", SAFETY + "damaged_settings_are_a_fault",
+         FLASH_STORE, "found.whole = crc_of(port, found.blob, found.size) == found.crc;", "found.whole = true;"),
+    _one("damaged settings are told", SAFETY + "damaged_settings_are_a_fault",
+         APP, "app->settings == TL_WIRE_STORE_BAD", "false"),
+    _one("a refused table changes nothing", SAFETY + "a_refused_table_leaves_the_one_in_use",
+         TABLES, "        return TL_UPLOAD_REFUSED;",
+         "        use(tables, axis, false);\n        return TL_UPLOAD_REFUSED;"),
+    _one("a table is loaded beside the one in use", "tests/c/test_drive.c::test_the_readme_s_example",
+         "firmware/estimator/include/tautline/tl_drive.h", "(uint8_t)(1U - drive->used)", "drive->used"),
+    _one("the instrument of a table", SAFETY + "a_table_for_another_instrument_is_refused_unless_any_will_do",
+         TABLES, "reason == TL_TABLE_OK && !table->any &&", "reason == TL_TABLE_OK && false &&"),
+    _one("a half frame ends", LINK + "a_half_frame_costs_nothing_that_comes_later",
+         APP, "        poll_half_frame(app, now_us);\n", "        (void)poll_half_frame;\n"),
+    _one("a restart waits for rest", LINK + "a_restart_waits_until_the_axes_rest",
+         APP, "tl_tables_all_off(app->port, app->axes) || since_us >= REST_MOST_US", "true"),
+    _one("a status under the lock", "tests/c/test_app.c::test_a_status_is_of_one_moment", COMMAND,
+         "const uint32_t state = app->port->lock(app->port->context); // all", "const uint32_t state = 0; // all"),
+    _one("codes differ", "tests/c/duplicate_code.c::",
+         "common/include/tautline/tl_wire.h", "#define TL_WIRE_CASE_(code, NAME, text) case (code):",
+         "#define TL_WIRE_CASE_(code, NAME, text)"),
+)  # fmt: skip
+
+# -- the real board's image, emulated ---------------------------------------------------------------------------------
+
+_PORT = (
+    _one("a crash coasts", EMULATED + "a_crash_of_the_processor_coasts_every_bridge_first",
+         RP2040 + "main.c", "    bridge_coast_all();\n"),
+    _one("an alarm that has passed is set again", IMAGE + "an alarm that passes while it is set", RP2040 + "main.c",
+         "while ((int32_t)(due - timer_hw->timerawl) <= 0 && (timer_hw->armed & 1u << CONTROL_ALARM) != 0) {",
+         "while (false) {"),
+    _one("the PWM starts from RAM", IMAGE + "what has to be in time", RP2040 + "main.c",
+         "static void __no_inline_not_in_flash_func(start_in_time)", "static void start_in_time"),
+    _one("the PWM's phase", IMAGE + "currents are first sampled just before the end of a PWM period",
+         RP2040 + "bridge.c", "(uint16_t)((2 * PERIOD - SENSE_BEFORE_END - ticks % PERIOD) % PERIOD)",
+         "(uint16_t)(ticks % PERIOD)"),
+    _one("the most of four samples", IMAGE + "the most of four samples counts", RP2040 + "bridge.c",
+         "most = sample > most ? sample : most;", "most = sample;"),
+    _one("a glitch is looked at again", IMAGE + "a glitch beside an edge is no lost edge",
+         RP2040 + "quadrature.pio", ".define LOOKS 15", ".define LOOKS 0"),
+    _one("pull-ups settle", IMAGE + "lines that rise slowly after the pull-ups went on are no edges",
+         RP2040 + "quadrature.c", "    busy_wait_us_32(PULL_UP_US);\n", "    (void)PULL_UP_US;\n"),
+    _one("a completed transfer is left", IMAGE + "an endpoint whose halt is cleared beside a packet that completes",
+         RP2040 + "usb_halt.c", "if (!(usb_hw->buf_status & bit)) {", "if (true) {"),
+    _one("what a halt ended goes on", IMAGE + "an endpoint whose halt is cleared beside a packet that completes",
+         RP2040 + "usb_halt.c", "            if (dead) {", "            if (false && dead) {"),
+    _one("the supply is measured", "tests/board/test_safety.py::test_driver_and_supply", RP2040 + "bridge.c",
+         "const unsigned address = turn < 5 ? turn :", "const unsigned address = turn < 5 ? turn % 4 :",
+         board="emulated"),
+    _one("erratum E5's work-round", BUILT + "an_image_of_fewer_axes_comes_up_on_an_early_chip",
+         RP2040 + "CMakeLists.txt", "if(TAUTLINE_AXES LESS 4)", "if(TAUTLINE_AXES LESS 0)"),
+)  # fmt: skip
+
+# -- the host, and the desktop board ----------------------------------------------------------------------------------
+
+_HOST = (
+    _one("this machine alone", COMMISSION + "a_simulated_board_listens_on_this_machine_alone",
+         "firmware/port/desktop/net.c", "htonl(INADDR_LOOPBACK)", "htonl(INADDR_ANY)"),
+    _one("the user at the machine", PAGE + "the_udev_rule_lets_the_user_at_the_machine_in",
+         "tools/70-tautline.rules", ', TAG+="uaccess"', ', MODE="0666"'),
+    _one("headers for C++", C_FILES + "every_public_header_may_be_included_from_cpp",
+         "firmware/estimator/include/tautline/tl_play.h", 'extern "C" {', ""),
+    _one("every list of codes", C_FILES + "every_list_of_codes_refuses_to_compile_with_one_twice",
+         "common/include/tautline/tl_wire.h", "TL_WIRE_IS_(EVENTS, event_code)\n"),
+    _one("tables name their instrument", COMMANDS + "a_model_of_another_instrument_is_refused_unless_forced",
+         HOST + "tables.py", 'instrument if instrument is not None else rig.actuator.instrument or ""',
+         'instrument or ""'),
+    _one("another instrument by --force alone", COMMANDS + "a_model_of_another_instrument_is_refused_unless_forced",
+         HOST + "cli/flash.py", "any_instrument=force", "any_instrument=True"),
+    _one("the rig of the board's instrument",
+         COMMANDS + "a_live_calibration_is_of_the_instrument_that_the_board_is_for",
+         HOST + "live/session.py", "if here and there and here != there:", "if False:"),
+    _one("faults into simulated boards alone", COMMISSION + "faults_go_to_simulated_boards_alone",
+         HOST + "cli/inject.py", "    if board is not None:", "    if False:"),
+    _one("a fault is named", COMMISSION + "a_fault_on_the_way_is_named_with_its_remedy_and_leaves_the_motor_at_rest",
+         HOST + "device/board.py", "has stopped: {wire.fault(status)}. Then", "has stopped. Then"),
+    _one("clear clears", COMMISSION + "clear_names_the_fault_and_its_remedy",
+         HOST + "cli/clear.py", '        board.ask("clear_fault", axis=axis)', "        pass"),
+    _one("stored when agreed to", COMMISSION + "commission_does_nothing_that_was_not_agreed_to",
+         HOST + "live/commission.py", "    if not agree(question):", "    if not agree(question) and False:"),
+    _one("tried gains are taken back", COMMISSION + "a_fault_while_commissioning_stores_nothing",
+         HOST + "live/commission.py", '            board.ask("servo", **_servo(before))\n'),
+    _one("homing ends with its program", COMMISSION + "ctrl_c_during_homing_leaves_the_motor_at_rest_and_no_position",
+         HOST + "live/homing.py", "            live.release()\n", "            pass\n"),
+)  # fmt: skip
+
+GUARDS = (*_LIVED, *_APP, *_PORT, *_HOST)
