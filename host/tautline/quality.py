@@ -26,6 +26,7 @@ class Reason:
     says: str
     remedy: str
     fatal: bool = False  # nothing that was measured can be used
+    mild: bool = False  # worth knowing; sigma and predictions hold all the same
 
     def __str__(self) -> str:
         return f"{self.says}: {self.remedy}"
@@ -33,7 +34,7 @@ class Reason:
 
 @dataclass(frozen=True)
 class Quality:
-    """Reasons come likeliest first; there are none only where the verdict is good."""
+    """Reasons come likeliest first, mild ones last; a good verdict has no others."""
 
     reasons: tuple[Reason, ...] = ()
 
@@ -41,7 +42,7 @@ class Quality:
     def verdict(self) -> Verdict:
         if any(reason.fatal for reason in self.reasons):
             return Verdict.UNUSABLE
-        return Verdict.DOUBTFUL if self.reasons else Verdict.GOOD
+        return Verdict.GOOD if all(reason.mild for reason in self.reasons) else Verdict.DOUBTFUL
 
     @property
     def usable(self) -> bool:
@@ -49,8 +50,8 @@ class Quality:
 
     @classmethod
     def of(cls, reasons: Sequence[Reason]) -> Self:
-        """What makes the calibration unusable before the rest, otherwise in the order given."""
-        return cls(tuple(sorted(dict.fromkeys(reasons), key=lambda reason: not reason.fatal)))
+        """What makes the calibration unusable before the rest, what is mild after it, otherwise in the order given."""
+        return cls(tuple(sorted(dict.fromkeys(reasons), key=lambda reason: reason.mild - reason.fatal)))
 
     def to_json(self) -> dict[str, Any]:
         return {"verdict": self.verdict.value, "reasons": [asdict(reason) for reason in self.reasons]}
@@ -60,7 +61,13 @@ class Quality:
         """Raises KeyError or TypeError where it is not what `to_json` gave."""
         return cls(
             tuple(
-                Reason(str(r["code"]), str(r["says"]), str(r["remedy"]), bool(r.get("fatal", False)))
+                Reason(
+                    str(r["code"]),
+                    str(r["says"]),
+                    str(r["remedy"]),
+                    bool(r.get("fatal", False)),
+                    bool(r.get("mild", False)),
+                )
                 for r in document["reasons"]
             )
         )

@@ -105,6 +105,7 @@ def _calibrated(made: Made, folder: Path) -> dict[str, Any]:
     row |= {
         "verdict": quality["verdict"],
         "reasons": [reason["code"] for reason in quality["reasons"]],
+        "evidence": {key: value for key, value in said.get("evidence", {}).items() if value is not None},
         "delay_error_ms": 1000.0 * ((said.get("delay_s") or 0.0) - truth["delay_s"]),
         "offset_s": said.get("offset_s"),
         "clock_error_ms": _clock_error(said, truth),

@@ -45,6 +45,8 @@ _ORDER = 5
 _FRAMES = 400, 1500  # to search with, to measure with
 _WIDTHS = (0.0, 0.01, 0.022, 0.04, 0.065, 0.1, 0.16, 0.26, 0.4)  # shares of the motor's span
 _LONGER = 0.01  # difference of durations that a stretched clock is tried for
+_CLEAR, _SAME_S = 5.0, 0.004  # standard deviations, and s, by which the delays of two recordings differ
+_PARTS, _JUMP_S = 4, 0.03  # of a recording, whose delays differ by so much where its clock jumps
 _SURE_S = 0.02  # a delay that is known as well refines an offset
 _STRETCHED = 0.2  # of the misfit that a stretched clock must leave at most
 _NOMINAL_S = 0.1, 0.05  # standard deviation of an angle sensor's nominal delay, of one that the rig states
@@ -128,13 +130,38 @@ def align(tracks: Sequence[Track], rig: Rig) -> Clock:
             track, offset_s = _taken_off(track, found, nominal_s, rig)
         if refused is not None:
             reasons.append(refused)
-        elif offset_s:
-            where = "behind" if offset_s > 0 else "ahead of"
-            says = f"{track.name}: the sensor's clock is {abs(offset_s):.3f} s {where} the motor's"
-            reasons.append(Reason("clock.offset", says, "it was taken off: put both on one clock"))
         aligned.append(track)
         offsets.append(offset_s)
+    if not reasons:
+        aligned, offsets = _at_one_delay(aligned, offsets, rig)
+        reasons = [_off(track, offset_s) for track, offset_s in zip(aligned, offsets, strict=True) if offset_s]
     return Clock(aligned, tuple(offsets), tuple(reasons), tuple(notes))
+
+
+def _off(track: Track, offset_s: float) -> Reason:
+    where = "behind" if offset_s > 0 else "ahead of"
+    says = f"{track.name}: the sensor's clock is {abs(offset_s):.3f} s {where} the motor's"
+    return Reason("clock.offset", says, "it was taken off: put both on one clock", mild=True)
+
+
+def _at_one_delay(tracks: list[Track], offsets: list[float], rig: Rig) -> tuple[list[Track], list[float]]:
+    """A camera has one delay: recordings whose images stop at others have clocks of their own. Those whose clock was
+    right already say which it is."""
+    if len(tracks) < 2 or any(track.sensor != MARKER for track in tracks):
+        return tracks, offsets
+    delays = [delay_of_stops([track], rig) for track in tracks]
+    right = [delay for delay, offset_s in zip(delays, offsets, strict=True) if not offset_s]
+    if not right:
+        return tracks, offsets
+    best = min(right, key=lambda delay: delay.sigma_s)
+    shifts = [
+        delay.delay_s - best.delay_s
+        if abs(delay.delay_s - best.delay_s) > max(_CLEAR * np.hypot(delay.sigma_s, best.sigma_s), _SAME_S)
+        else 0.0
+        for delay in delays
+    ]
+    moved = [replace(t, t_s=t.t_s - shift) if shift else t for t, shift in zip(tracks, shifts, strict=True)]
+    return moved, [offset_s + shift for offset_s, shift in zip(offsets, shifts, strict=True)]
 
 
 def _taken_off(track: Track, found: Offset, nominal_s: float, rig: Rig) -> tuple[Track, float]:
@@ -144,6 +171,27 @@ def _taken_off(track: Track, found: Offset, nominal_s: float, rig: Rig) -> tuple
     if delay.sigma_s < _SURE_S:
         offset_s += delay.delay_s - nominal_s
     return replace(track, t_s=track.t_s - offset_s), offset_s
+
+
+def jumps(tracks: Sequence[Track], rig: Rig) -> list[Reason]:
+    """Recordings whose images stop at another delay in one part than in another."""
+    reasons = []
+    for track in tracks:
+        parts = [_part(track, at) for at in np.array_split(np.arange(len(track.t_s)), _PARTS)]
+        delays = [delay_of_stops([part], rig) for part in parts if len(part.t_s) >= 8 * _ORDER]
+        delays = [delay for delay in delays if delay.stops and np.isfinite(delay.sigma_s)]
+        if len(delays) < 2:
+            continue
+        first, last = min(delays, key=lambda each: each.delay_s), max(delays, key=lambda each: each.delay_s)
+        apart = last.delay_s - first.delay_s
+        if apart > max(_CLEAR * float(np.hypot(first.sigma_s, last.sigma_s)), _JUMP_S):
+            says = f"{track.name}: the image's delay differs by {apart * 1e3:.0f} ms between parts of the recording"
+            reasons.append(Reason("clock.offset", says, "look for lost frames or a clock that was set meanwhile"))
+    return reasons
+
+
+def _part(track: Track, at: npt.NDArray[np.intp]) -> Track:
+    return replace(track, t_s=track.t_s[at], y=track.y[at], sigma=track.sigma[at])
 
 
 def find_offset(track: Track, rig: Rig) -> Offset | None:

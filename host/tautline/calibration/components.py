@@ -63,6 +63,7 @@ class Components:
     effective: float  # frames for each independent one
     parts: tuple[Component, ...]  # strongest first
     clock: Array  # (2,) seconds by which the sensor's clock departs, linear and quadratic over the session
+    rough: bool  # an encoder's count shows in the image
 
     def applied(self, fitted: Fitted) -> Fitted:
         """The joint fit as it is with the components taken into account."""
@@ -88,6 +89,7 @@ class _Separation:
     active: list[str] = field(default_factory=list)
     penalties: dict[str, float] = field(default_factory=dict)
     refused: set[str] = field(default_factory=set)  # that would have to be negative
+    rough: bool = False  # an encoder's count shows in the image
     moving_noise: float = 1.0  # of frames at which the tip moves, over that of the others
 
     def run(self) -> Components:
@@ -111,6 +113,7 @@ class _Separation:
         steep = np.linalg.norm(fit.follow.slope(self.fitted.curves.follow, fit.grid).reshape(len(fit.grid), -1), axis=1)
         sigma = float(np.median(np.concatenate([frozen.track.sigma for frozen in fit.tracks])))
         if count * float(np.median(steep)) > _SHOWS * sigma:
+            self.rough = True
             self.active.append("turn")
             self.penalties["turn"] = (self.fitted.scale / count) ** 2
 
@@ -340,7 +343,7 @@ class _Solved:
         moving = np.sqrt(np.mean(power[moves]) / max(float(rests), 1e-30)) if moves.any() else 1.0
         return Components(
             curves, moved, self.fit.width(curves), sigma, delay, self.noise, float(moving), number,
-            tuple(parts), self.clock + self.clock_step,
+            tuple(parts), self.clock + self.clock_step, self.owner.rough,
         )  # fmt: skip
 
     def _at_the_end(self, backlash: Array) -> Array:

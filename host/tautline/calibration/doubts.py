@@ -12,10 +12,15 @@ from tautline.calibration.components import Component, Components
 from tautline.calibration.observations import Track
 from tautline.encoder import between_samples
 from tautline.quality import Reason
+from tautline.rig import ANGLE
 
 Array = npt.NDArray[np.float64]
 
 _EXPLAINED = 1.3  # residual over noise up to which a model explains its data (formats: good)
+_LEFT = 2.0  # residual over noise, without its departures, from which a model does not predict
+_MOST = 1.5  # the same, up to which it does where some frames show something else
+_STRONG = 1.2  # of the noise: a departure that is a doubt whatever else is
+_MOSTLY = 0.5  # of the strongest: one that has its part in what is left
 _SHIFTED = 0.03  # of B: what leaving a component out would change, from which it is told
 _UM = 5e-3  # and at least this share of B's sigma beside it
 _WHITE = 1.5  # frames for each independent one up to which scatter is of single frames
@@ -26,6 +31,8 @@ _RIPPLE = 0.02, 5.0  # of B, and of its sigma: less is none
 _ALONE = 0.6  # of what B's shape leaves, that is one ripple
 _SHAPE = 6  # degree of a polynomial that B's own shape is
 _SMOOTHED = 0.4  # of the readings' noise: what smoothing leaves at a turn
+_LEVELS = 0.5  # different values for each frame, below which a sensor rounds
+_MUCH = 0.05  # of B: what is told, and in sigma, is no doubt below
 _COARSE = 0.015  # of B: a motor's path between its samples is known no better
 
 _DRIVE = "calibrate again once it is mended, or let taut diagnose add it to the model"
@@ -50,6 +57,11 @@ _MEANS: dict[str, tuple[str, str, str]] = {
         "encoder",
         "where the tip rests after a turn is not where the motor's counts say that it turned",
         "look for stick-slip, a coarse or noisy encoder",
+    ),
+    "turn.itself": (
+        "repeatability",
+        "where the tip rests after a turn differs from turn to turn",
+        "look for stick-slip",
     ),
     "offset.recording": (
         "transmission.offset",
@@ -113,31 +125,41 @@ _MEANS: dict[str, tuple[str, str, str]] = {
 }
 
 
-def doubts(found: Components, counted: npt.NDArray[np.bool_], unit: str) -> list[Reason]:
-    """Likeliest first. counted: the grid's places at which B was measured; unit: of q."""
+def doubts(found: Components, counted: npt.NDArray[np.bool_], unit: str, alone: float, rough: bool) -> list[Reason]:
+    """Likeliest first; mild where B holds, and the model predicts what was seen without its departures about as well as
+    noise lets it. counted: the grid's places at which B was measured; unit: of q; alone: residual over noise of B,
+    path and delay alone; rough: the motor's counts or noise show in the image."""
     usual = max(float(np.median(found.width[counted])) if counted.any() else 0.0, 1e-12)
     sigma = float(np.sqrt(np.mean(found.sigma[counted] ** 2))) if counted.any() else np.inf
+    strongest = max((part.rms for part in found.parts), default=0.0)
     reasons = []
     for part in found.parts:
         shift = float(np.sqrt(np.mean(part.shift[counted] ** 2))) if counted.any() else 0.0
-        mild = part.name == "turn" and shift < _SHIFTED * usual  # a count is a count
-        if (not mild and np.hypot(1.0, part.rms) > _EXPLAINED) or shift > max(_SHIFTED * usual, 3.0 * sigma):
-            reasons.append((part.chi2, _reason(part, shift, unit)))
+        counts = part.name == "turn" and shift < _SHIFTED * usual  # a count is a count
+        moves = shift > max(_SHIFTED * usual, 3.0 * sigma)
+        predicts = alone < _LEFT or part.rms < _MOSTLY * strongest
+        if moves or not predicts or (not counts and np.hypot(1.0, part.rms) > _EXPLAINED):
+            mild = not moves and predicts and (counts or part.rms < _STRONG)
+            kind = "turn.itself" if part.name == "turn" and not rough else part.name
+            reasons.append((part.chi2, _reason(kind, part, shift, unit, mild)))
     told = [reason for _, reason in sorted(reasons, key=lambda each: -each[0])]
     if found.noise > _EXPLAINED:
-        told.append(_scatter(found))
+        told.append(_scatter(found, alone))
     first: dict[str, Reason] = {}
-    for reason in told:
+    for reason in sorted(told, key=lambda each: each.mild):
         first.setdefault(reason.code, reason)
     return list(first.values())
 
 
-def _reason(part: Component, shift: float, unit: str) -> Reason:
-    code, says, remedy = _MEANS[part.name.rstrip("0123456789.")]
-    return Reason(code, f"{says} ({part.rms:.1f} times the noise, {shift:.2g} {unit} of B)", remedy)
+def _reason(kind: str, part: Component, shift: float, unit: str, mild: bool) -> Reason:
+    code, says, remedy = _MEANS[kind.rstrip("0123456789.")]
+    return Reason(code, f"{says} ({part.rms:.1f} times the noise, {shift:.2g} {unit} of B)", remedy, mild=mild)
 
 
-def _scatter(found: Components) -> Reason:
+def _scatter(found: Components, alone: float) -> Reason:
+    if alone < _MOST:  # of most frames
+        says = f"some frames are far off ({found.noise:.1f} times the noise with them, {alone:.1f} without)"
+        return Reason("outliers", says, "look for a second blob of the marker's colour", mild=True)
     times = f"{found.noise:.1f} times the noise of a tip at rest is left"
     if found.effective < _WHITE and found.moving > _SPEEDS:
         return Reason(
@@ -146,7 +168,9 @@ def _scatter(found: Components) -> Reason:
             "take the frames' hardware times",
         )
     if found.effective < _WHITE:
-        return Reason("noise", f"{times}, from frame to frame", "check light, focus and the marker's colour")
+        return Reason(
+            "noise", f"{times}, from frame to frame", "check light, focus and the marker's colour", mild=alone < _LEFT
+        )
     return Reason("residual", f"{times}, which no known departure explains", "taut diagnose says where it is")
 
 
@@ -171,6 +195,7 @@ def floor_of(tracks: Sequence[Track], grid: Array, width: Array, sigma: Array, u
                 "rate",
                 f"the motor's samples are {period * 1e3:.0f} ms apart, its turns are known to {between:.2g} {unit}",
                 "log the motor at 100 Hz or more",
+                mild=between < _MUCH * usual,
             )
         )
     scatter = _SMOOTHED * max(track.motor_noise for track in tracks)
@@ -180,6 +205,17 @@ def floor_of(tracks: Sequence[Track], grid: Array, width: Array, sigma: Array, u
                 "encoder",
                 f"the motor's readings scatter, its turns are known to {scatter:.2g} {unit}",
                 "shield the encoder's lines, or take one with finer counts",
+                mild=scatter < _MUCH * usual,
+            )
+        )
+    rounded = max(_rounded(track) for track in tracks)
+    if rounded > _COARSE * usual:
+        reasons.append(
+            Reason(
+                "angle" if tracks[0].sensor == ANGLE else "tracker",
+                f"the tip's place is told in steps: a turn is known to {rounded:.2g} {unit}",
+                "read the sensor with more digits, or take a finer one",
+                mild=rounded < _MUCH * usual,
             )
         )
     rippled, wave = _ripple(grid, width)
@@ -193,7 +229,17 @@ def floor_of(tracks: Sequence[Track], grid: Array, width: Array, sigma: Array, u
                 "centre the encoder's magnet or disc and calibrate again",
             )
         )
-    return Floor(float(np.sqrt(between**2 + scatter**2 + rippled**2)), tuple(reasons))
+    return Floor(float(np.sqrt(between**2 + scatter**2 + rounded**2 + rippled**2)), tuple(reasons))
+
+
+def _rounded(track: Track) -> float:
+    """What the steps of a sensor that rounds are in the motor's positions, as a standard deviation; 0 of one that does
+    not."""
+    levels = np.unique(track.y[:, 0])
+    if len(levels) > _LEVELS * len(track.y) or len(levels) < 2:
+        return 0.0
+    steep = float(np.ptp(track.y[:, 0])) / max(float(np.ptp(track.motor.q)), 1e-12)
+    return float(np.median(np.diff(levels)) / np.sqrt(12.0) / max(steep, 1e-12))
 
 
 def _ripple(grid: Array, width: Array) -> tuple[float, float]:

@@ -23,6 +23,7 @@ from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
 
+_STRAY = 6.0  # medians of what is left
 _LEAST_SLOPE = 2e-3  # of f_coarse's: f_remain has an inverse everywhere
 _PICTURE = (720, 1440)  # rows (c) and columns (q) of the characteristic as an image
 
@@ -33,7 +34,7 @@ class Remaining:
 
     c_deg: Array
     sigma_deg: Array
-    residual: float  # rms per coordinate of the fit, px or deg
+    residual: float  # rms per coordinate of the fit, px or deg; strays count as six medians
     scale: float  # the same over the stated noise
     notes: tuple[str, ...]
 
@@ -137,11 +138,11 @@ class _FixedWidth(PlayFit):
 
 
 def _rms(fitted: Fitted, tracks: Sequence[Track]) -> float:
-    squares, number = 0.0, 0
-    for track, r, m in zip(tracks, fitted.rows, fitted.masks, strict=True):
-        squares += float(np.sum((r[m] * track.sigma[m, None]) ** 2))
-        number += r[m].size
-    return float(np.sqrt(squares / max(number, 1)))
+    rows = zip(tracks, fitted.rows, fitted.masks, strict=True)
+    off = np.concatenate([np.sqrt(np.mean((r[m] * track.sigma[m, None]) ** 2, axis=1)) for track, r, m in rows])
+    if not len(off):
+        return 0.0
+    return float(np.sqrt(np.mean(np.minimum(off, _STRAY * float(np.median(off))) ** 2)))
 
 
 def monotone(curve: Array, grid: Array, falling: bool, least_slope: float) -> Array:

@@ -31,28 +31,35 @@ _STRICT = 10.0  # how much more than the data the two sums weigh
 _ENOUGH = 2e-3  # of the squares: a step that gains less is the last
 
 
-def fit_elements(fitted: Fitted, rig: Rig) -> Fitted:
-    """The joint fit with as many elements as help, from where it stands."""
-    weights = np.zeros(len(SHARES))
-    weights[np.searchsorted(SHARES, 1.0) - 1], weights[np.searchsorted(SHARES, 1.0)] = 2 / 3, 1 / 3
-    weights = _lawful(weights)
-    state = replace(fitted, fit=replace(fitted.fit, elements=_elements(weights), smoothing=fitted.fit.smoothing))
-    squares = _squares(state)
+def fit_elements(fitted: Fitted, rig: Rig, fit_delay: bool) -> Fitted:
+    """The joint fit with as many elements as help, from where it stands; its scale is what they leave (`left`)."""
+    at = int(np.searchsorted(SHARES, 1.0))
+    narrow, wide = np.zeros(len(SHARES)), np.full(len(SHARES), 1.0 / len(SHARES))
+    narrow[at - 1 : at + 1] = 2 / 3, 1 / 3
+    found = [_descended(fitted, _lawful(start), rig, fit_delay) for start in (narrow, wide)]
+    return min(found, key=lambda one: one.scale)
+
+
+def _descended(fitted: Fitted, weights: Array, rig: Rig, fit_delay: bool) -> Fitted:
+    """By Gauss-Newton steps from these weights."""
+    fit = replace(fitted.fit, elements=_elements(weights), fit_delay=fit_delay, smoothing=fitted.fit.smoothing)
+    state = replace(fitted, fit=fit)
+    least = left(state)
     for _ in range(_STEPS):
         moved, target = _step(state, weights, rig)
         for share in (1.0, 0.5, 0.2):
             then = _lawful(weights + share * (target - weights))
             fit = replace(state.fit, elements=_elements(then), smoothing=state.fit.smoothing)
             trial = replace(state, fit=fit, curves=between(state.curves, moved, share))
-            least = _squares(trial)
-            if least < squares:
+            now = left(trial)
+            if now < least:
                 break
         else:
             break
-        gained, state, weights, squares = 1.0 - least / squares, trial, then, least
+        gained, state, weights, least = 1.0 - (now / least) ** 2, trial, then, now
         if gained < _ENOUGH:
             break
-    return replace(state, scale=float(np.sqrt(squares)))
+    return replace(state, scale=least)
 
 
 def _elements(weights: Array) -> Elements:
@@ -77,10 +84,11 @@ def _lawful(weights: Array) -> Array:
     return np.asarray(found)
 
 
-def _squares(fitted: Fitted) -> float:
+def left(fitted: Fitted) -> float:
+    """Residual over noise (rms) of all counted frames; strays count as four scales."""
     rows, masks = fitted.fit.residuals(fitted.curves)
     power = np.concatenate([np.mean(r[m] ** 2, axis=1) for r, m in zip(rows, masks, strict=True)])
-    return float(np.mean(np.minimum(power, (4.0 * fitted.scale) ** 2)))
+    return float(np.sqrt(np.mean(np.minimum(power, (4.0 * fitted.scale) ** 2))))
 
 
 def _step(fitted: Fitted, weights: Array, rig: Rig) -> tuple[Curves, Array]:

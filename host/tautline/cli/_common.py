@@ -62,7 +62,7 @@ _COLOURS = {Verdict.GOOD: "green", Verdict.DOUBTFUL: "yellow", Verdict.UNUSABLE:
 def show_quality(quality: Quality) -> None:
     """The verdict in colour on stderr, a line for each reason."""
     word = click.style(quality.verdict.value, fg=_COLOURS[quality.verdict], bold=True)
-    log(f"taut: calibration {word}" + ("" if quality.reasons else ": the stated sigmas cover"))
+    log(f"taut: calibration {word}" + (": the stated sigmas cover" if quality.verdict is Verdict.GOOD else ""))
     for reason in quality.reasons:
         log(f"taut:   {click.style(reason.code, bold=True)} {reason}")
 

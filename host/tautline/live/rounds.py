@@ -141,7 +141,7 @@ class Standing:
     def of(cls, found: Calibration, low: float, high: float, until: float) -> Standing:
         model = found.model
         bounds = max((onset.low for onset in found.onsets if onset.used and onset.kind == BOUND), default=0.0)
-        doubt = str(model.quality.reasons[0]) if model.quality.reasons else ""
+        doubt = next((str(reason) for reason in model.quality.reasons if not reason.mild), "")
         inside = (model.q >= model.measured[0]) & (model.q <= model.measured[1])
         if not inside.any() or model.measured[0] >= model.measured[1]:
             return cls(np.inf, 0.5 * (low + high), (), (low, high), (low, high), 0.0, bounds, np.inf, doubt)

@@ -1,0 +1,311 @@
+"""Which B counts: the onsets', the joint fit's of all frames, or the passes' distance; and where none tells it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.calibration.backlash import WidthCurve, fit_paper
+from tautline.calibration.components import Components
+from tautline.calibration.findings import Findings
+from tautline.calibration.observations import Track
+from tautline.calibration.onset import BRACKET, HINGE, Onset
+from tautline.calibration.playfit import NODES, Curves, Fitted
+from tautline.calibration.several import left
+from tautline.calibration.smooth import Domain, overlap
+from tautline.model import allowed_width
+
+Array = npt.NDArray[np.float64]
+
+ONSETS, JOINT, PASSES, NOTHING = "onsets", "onsets and passes", "passes", "nothing"
+_AGREE = 3.0  # mean squared z of onsets against the joint fit up to which both are one evidence
+_STANDS_OUT = 10.0  # a motion of so many sigma is one
+_AT_ONCE = 0.75  # of the path's slope: a tip that starts slower starts gradually
+_LITTLE = 0.03  # of the width: differences below are no contradiction
+_WORSE = 1.25  # times what the best single curve leaves: a B that leaves more is not for predictions
+_FEW_ONSETS, _NEARER = 6, 0.5  # onsets that may say so, and their mean squared z against one B over that to the other
+_ONE_WAY, _OTHER_WAY = 4.0, 0.3  # standard errors by which onsets are late, and of that what the other way's may be
+_HOLE, _STEEP = 0.03, 0.05  # of the range, without a frame one way; least slope of B that it may hide
+_LEANS = 0.3  # share of the elements that are at their ends, from which a place is passed one way
+EXPLAINED = 1.5  # residual over noise up to which a model explains its data
+
+
+def jumping(onsets: Sequence[Onset]) -> bool:
+    """Whether the image jumps at most onsets: no joint fit knows that."""
+    widths = measuring(onsets)
+    return 2 * sum(o.kind == BRACKET for o in widths) > len(widths)
+
+
+def measuring(onsets: Sequence[Onset]) -> list[Onset]:
+    """Those that are a width, not a bound."""
+    return [o for o in onsets if o.used and o.kind in (HINGE, BRACKET)]
+
+
+def explained(joint: Fitted) -> bool:
+    return joint.scale < EXPLAINED
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Between the opinions of B(q) on `grid`; what it sees on the way goes to `found`."""
+
+    tracks: Sequence[Track]
+    domain: Domain
+    grid: Array
+    unit: str  # of q
+    found: Findings
+
+    def choose(
+        self,
+        onsets: Sequence[Onset],
+        curve: WidthCurve | None,
+        joint: Fitted | None,
+        passes: Fitted | None,
+        like_paper: bool,
+    ) -> tuple[Array, Array, str]:
+        """The onsets' B where there are onsets. The joint fit of all frames refines it where it agrees with them; the
+        passes fill it in where no reversal was made. (B, its sigma, where it is from)"""
+        if like_paper:
+            paper = fit_paper(onsets, self.grid)
+            if paper is not None:
+                self.found.notes += [*paper.notes, "B(q) is the paper's spline of 14 knots through the onsets"]
+                return paper.width, paper.sigma, ONSETS
+        if joint is not None and curve is None and not self._passes_tell(joint):
+            joint = None
+        if joint is None and curve is None:
+            self.found.doubt(
+                "coverage",
+                "no reversal showed an onset and no two passes cover the same positions, B(q) is taken as 0",
+                "move back and forth by more than the backlash",
+                fatal=True,
+            )
+            return np.zeros(NODES), np.full(NODES, self.domain.span / 4), NOTHING
+        if joint is None:
+            assert curve is not None
+            self.found.notes += curve.notes
+            return curve.width, curve.sigma, ONSETS
+        width = self._held(joint, curve)
+        sigma = joint.width_sigma(self.grid)
+        if curve is None:
+            self.found.notes.append("no reversal gave a width: B(q) is the distance between the passes")
+            return width, sigma, PASSES
+        widths = measuring(onsets)
+        z = self._against(widths, curve, width, sigma)
+        self.found.evidence["onsets_against_joint_z2"] = float(np.mean(z**2))
+        self.found.evidence["joint_residual_over_noise"] = joint.scale
+        if not joint.fit.elements.single:  # of several an onset shows the first
+            return width, sigma, JOINT
+        agreed = explained(joint) or float(np.mean(z**2)) < _AGREE
+        jumps = jumping(widths) and not self._foretells(widths, joint, curve)
+        if not jumps and (agreed or not self._contradicted(widths, curve, passes)):
+            return width, sigma, JOINT
+        self.found.notes.append("the passes contradict the onsets: B(q) is the onsets' alone")
+        return self._filled(widths, curve, joint, passes)
+
+    def nearer(self, onsets: Sequence[Onset], curve: WidthCurve | None, apart: Fitted, joint: Fitted) -> bool:
+        """Whether the onsets, which know no model, say the B beside the departures."""
+        widths = measuring(onsets)
+        if curve is None or len(widths) < _FEW_ONSETS or not joint.fit.elements.single:
+            return False
+        sigma = joint.width_sigma(self.grid)
+        off = [self._against(widths, curve, fit.fit.width(fit.curves), sigma) for fit in (apart, joint)]
+        near, far = (float(np.mean(z**2)) for z in off)
+        return far > _AGREE and near < _NEARER * far
+
+    def predicts(self, found: Components, apart: Fitted, joint: Fitted) -> bool:
+        """Whether B as it is without the departures predicts what was seen about as well as the one that fits it best:
+        a departure that takes B far from that stands for something else."""
+        if not found.parts:
+            return True
+        rest = self._left_with(apart, found.usual)
+        self.found.evidence["residual_alone"] = rest
+        return rest < _WORSE * max(joint.scale, 1.0)
+
+    def bridged(self, joint: Fitted, width: Array, inside: npt.NDArray[np.bool_]) -> Array:
+        """(grid,) by how much B may be another where nothing was passed both ways: as it changes elsewhere."""
+        seen = [
+            (s.p[mask], s.lean[mask]) for s, mask in zip(joint.fit.simulated, joint.masks, strict=True)
+        ]  # the simulation is the last that the fit made: at its own curves
+        ways = [np.unique(np.concatenate([p[way * lean > _LEANS] for p, lean in seen])) for way in (-1, 1)]
+        if not all(len(p) for p in ways):
+            return np.zeros(len(self.grid))
+        apart = np.max([np.min(np.abs(self.grid[:, None] - _nearest(p, self.grid)), axis=1) for p in ways], axis=0)
+        gap = np.maximum(apart - _HOLE * self.domain.span, 0.0)
+        holes = inside & (gap > 0)
+        if not holes.any():
+            return np.zeros(len(self.grid))
+        steep = (
+            float(np.sqrt(np.mean(np.gradient(width, self.grid)[inside & ~holes] ** 2)))
+            if (inside & ~holes).any()
+            else 0.5
+        )
+        at = self.grid[holes]
+        self.found.doubt(
+            "coverage",
+            f"from {at[0]:.3g} to {at[-1]:.3g} {self.unit} the tip passes one way at most in places",
+            "move through all of the range both ways",
+            mild=steep * float(gap[holes].max()) < _LITTLE * float(np.median(width[inside])),
+        )
+        return np.where(inside, max(1.5 * steep, _STEEP) * gap, 0.0)
+
+    def measured(self, curve: WidthCurve | None, joint: Fitted | None, source: str) -> tuple[float, float]:
+        if curve is not None:
+            return curve.measured
+        if joint is not None and source == PASSES:
+            p = np.concatenate([s.p[m] for s, m in zip(joint.fit.simulated, joint.masks, strict=True)])
+            return float(p.min()), float(p.max())
+        middle = 0.5 * (self.grid[0] + self.grid[-1])
+        return middle, middle
+
+    def second_opinion(
+        self, onsets: Sequence[Onset], curve: WidthCurve | None, passes: Fitted | None
+    ) -> tuple[Array | None, Array | None]:
+        """B from the passes alone beside the onsets': its disagreement is evidence."""
+        if passes is None:
+            return None, None
+        low, high = overlap(passes)
+        if not low < high:
+            return None, None
+        told = (self.grid >= low) & (self.grid <= high)
+        width = np.where(told, passes.fit.width(passes.curves), np.nan)
+        sigma = np.where(told, passes.width_sigma(self.grid), np.nan)
+        widths = [o for o in onsets if o.used and o.kind in (HINGE, BRACKET) and low <= o.q_mean <= high]
+        if curve is not None and len(widths) >= 2:
+            p = np.array([o.q_mean for o in widths])
+            difference = np.array([o.width for o in widths]) - np.interp(p, self.grid, width)
+            z = self._against(widths, curve, passes.fit.width(passes.curves), passes.width_sigma(self.grid))
+            mean = float(np.mean(difference))
+            self.found.evidence["onsets_minus_passes"] = mean
+            self.found.evidence["onsets_minus_passes_rms"] = float(np.sqrt(np.mean(difference**2)))
+            self.found.evidence["onsets_minus_passes_z2"] = float(np.mean(z**2))
+            share = abs(mean) / max(float(np.median([o.width for o in widths])), 1e-9)
+            if float(np.mean(z**2)) > 2 * _AGREE and share > 0.03 and passes.fit.elements.single and jumping(widths):
+                self.found.doubt(
+                    "registration.direction_dependent",
+                    f"the passes lie {abs(mean):.3g} {self.unit} {'less' if mean > 0 else 'more'} apart than the "
+                    "onsets say",
+                    "it depends on direction, starts smoothly or unevenly: taut diagnose tells which",
+                )
+        return width, sigma
+
+    def moves(self) -> bool:
+        """Whether the tip was seen to move by more than noise."""
+        return any((np.ptp(track.y, axis=0) > _STANDS_OUT * np.median(track.sigma)).any() for track in self.tracks)
+
+    def _foretells(self, widths: Sequence[Onset], joint: Fitted, curve: WidthCurve) -> bool:
+        """Whether onsets come late one way only, against a joint fit that predicts what was seen where they do not: the
+        tip is on its envelope all the same. Where both ways jump alike, the image does."""
+        at, up = np.array([o.q_mean for o in widths]), np.array([o.direction > 0 for o in widths])
+        if min(up.sum(), (~up).sum()) < _FEW_ONSETS // 2:
+            return False
+        late = np.array([o.width for o in widths]) - np.interp(at, self.grid, joint.fit.width(joint.curves))
+        near, far = sorted((late[up], late[~up]), key=lambda way: abs(way.mean()))
+        clear = max(_ONE_WAY * far.std() / np.sqrt(len(far)), _LITTLE * float(np.median(curve.width)))
+        if far.mean() < clear or abs(near.mean()) > _OTHER_WAY * far.mean():
+            return False
+        design = joint.fit.backlash.design(self.grid)
+        backlash = np.linalg.lstsq(design.toarray(), curve.width, rcond=None)[0]
+        rest = self._left_with(joint, replace(joint.curves, backlash=backlash))
+        self.found.evidence["residual_with_onsets"] = rest
+        return rest > _WORSE * max(joint.scale, 1.0)
+
+    @staticmethod
+    def _left_with(fitted: Fitted, curves: Curves) -> float:
+        """Residual over noise with this B and delay, once the path fits them; measured as the fit's own scale is."""
+        smoothing = dict(fitted.fit.smoothing)
+        alone = replace(fitted.fit, fit_backlash=False, fit_delay=False, smoothing=smoothing)
+        solved = alone.solve(curves, iterations=5, adapt=False)
+        return solved.scale if alone.elements.single else left(replace(solved, scale=fitted.scale))
+
+    def _held(self, joint: Fitted, curve: WidthCurve | None) -> Array:
+        """The joint fit's B, held beyond the positions that passes both ways or onsets reached: what lies there could
+        be f_remain as well."""
+        low, high = overlap(joint)
+        if curve is not None:
+            low, high = (min(low, curve.measured[0]), max(high, curve.measured[1])) if low < high else curve.measured
+        width = joint.fit.width(joint.curves)
+        if low >= high:
+            return width
+        return allowed_width(self.grid, np.interp(np.clip(self.grid, low, high), self.grid, width))
+
+    def _passes_tell(self, joint: Fitted) -> bool:
+        """Whether the tip was seen to move over the same positions both ways."""
+        low, high = overlap(joint)
+        return low < high and self.moves()
+
+    def _contradicted(self, widths: Sequence[Onset], curve: WidthCurve, passes: Fitted | None) -> bool:
+        """Whether onsets and passes, where both say something, differ by more than noise and by more than a little."""
+        if passes is None or self._gradual(widths, passes):
+            return False
+        low, high = overlap(passes)
+        inside = [o for o in widths if low <= o.q_mean <= high]
+        if len(inside) < 3:
+            return False
+        width, sigma = passes.fit.width(passes.curves), passes.width_sigma(self.grid)
+        z = self._against(inside, curve, width, sigma)
+        difference = [o.width - float(np.interp(o.q_mean, self.grid, width)) for o in inside]
+        share = abs(float(np.median(difference))) / max(float(np.median([o.width for o in inside])), 1e-9)
+        return float(np.mean(z**2)) > _AGREE and share > _LITTLE
+
+    def _gradual(self, widths: Sequence[Onset], passes: Fitted) -> bool:
+        """Whether the tip starts more slowly than it goes on along the passes: then an onset is where a gradual start
+        begins, and no play's width."""
+        p = np.array([o.q_mean for o in widths])
+        path = passes.fit.follow.slope(passes.curves.follow, p)
+        turn = 0.5 * np.array([o.direction for o in widths]) * passes.fit.backlash.slope(passes.curves.backlash, p)
+        usual = np.linalg.norm(path.reshape(len(p), -1), axis=1) / (1.0 + turn)
+        ratio = float(np.median(np.array([o.slope for o in widths]) / np.maximum(usual, 1e-12)))
+        self.found.evidence["start_over_path_slope"] = ratio
+        if ratio > _AT_ONCE:
+            return False
+        self.found.doubt(
+            "transmission.smooth_onset",
+            f"the tip starts gradually, at {ratio:.2f} of its later speed",
+            "B(q) is what fits all frames, not where the first motion shows",
+        )
+        return True
+
+    def _against(self, widths: Sequence[Onset], curve: WidthCurve, width: Array, sigma: Array) -> Array:
+        """Each onset's distance from another curve of B, over what both are uncertain by."""
+        p = np.array([o.q_mean for o in widths])
+        w = np.array([o.width for o in widths])
+        own = np.array([o.sigma for o in widths])
+        there = np.interp(p, self.grid, width)
+        slope = np.interp(p, self.grid, np.gradient(width, self.grid))
+        own = own * np.abs(1.0 - 0.5 * np.array([o.direction for o in widths]) * slope)
+        spread = np.sqrt(own**2 + np.interp(p, self.grid, sigma) ** 2 + curve.excess**2)
+        return np.asarray((w - there) / spread)
+
+    def _filled(
+        self, widths: Sequence[Onset], curve: WidthCurve, joint: Fitted, passes: Fitted | None
+    ) -> tuple[Array, Array, str]:
+        """The onsets' curve near onsets; farther off, the passes' shape shifted to meet it."""
+        p = np.sort([o.q_mean for o in widths])
+        reach = max(
+            1.5 * float(np.median(np.diff(p))) if len(p) > 2 else 0.0, float(np.median([o.width for o in widths]))
+        )
+        distance = np.min(np.abs(self.grid[:, None] - p[None, :]), axis=1)
+        far = np.clip(distance / reach - 1.0, 0.0, 1.0)
+        if not (far > 0).any() or passes is None:
+            return curve.width, curve.sigma, ONSETS
+        other = passes.fit.width(passes.curves)
+        share = far * far * (3 - 2 * far)
+        inside = (self.grid >= p[0]) & (self.grid <= p[-1])
+        share = np.where(inside, share, 0.0)
+        width = allowed_width(self.grid, (1 - share) * curve.width + share * other)
+        sigma = np.hypot((1 - share) * curve.sigma, share * passes.width_sigma(self.grid))
+        if share.max() > 0.5:
+            where = self.grid[share > 0.5]
+            self.found.notes.append(
+                f"no onset from {where[0]:.3g} to {where[-1]:.3g} {self.unit}: there B(q) is the distance of the passes"
+            )
+        return width, sigma, ONSETS
+
+
+def _nearest(p: Array, at: Array) -> Array:
+    """(at, 2) the sorted p on either side of each place."""
+    k = np.searchsorted(p, at)
+    return np.column_stack([p[np.clip(k - 1, 0, len(p) - 1)], p[np.clip(k, 0, len(p) - 1)]])

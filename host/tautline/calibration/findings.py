@@ -1,0 +1,17 @@
+"""What a calibration notices on its way: reasons for its verdict, notes and figures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from tautline.quality import Reason
+
+
+@dataclass
+class Findings:
+    reasons: list[Reason] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    evidence: dict[str, float] = field(default_factory=dict)
+
+    def doubt(self, code: str, says: str, remedy: str, *, fatal: bool = False, mild: bool = False) -> None:
+        self.reasons.append(Reason(code, says, remedy, fatal, mild))

@@ -1,0 +1,50 @@
+"""A tracker that says the last place again while its marker is covered: frames that show where the tip was."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.calibration.observations import Mask, Track
+from tautline.calibration.smooth import Domain, fit_jointly, freeze
+
+_RUN = 4  # frames at one place from which it may be held
+_MOVES = 0.02  # of the motor's span, by which it moves meanwhile
+_OFF = 6.0  # scales of what is left, by which the tip is elsewhere then
+
+
+def released(tracks: Sequence[Track], seen: Sequence[Track], domain: Domain, delay_s: float) -> list[Track]:
+    """`tracks` without the frames of such runs. seen: the same on one curve, what a play is fitted to. Costs a fit
+    where a place is repeated while the motor moves, nothing otherwise."""
+    runs = [_runs(track) for track in tracks]
+    if not any(runs):
+        return list(tracks)
+    joint = fit_jointly(freeze(seen, delay_s), domain, delay_s, fit_delay=False)
+    if joint is None:
+        return list(tracks)
+    kept = []
+    for track, places, rows in zip(tracks, runs, joint.rows, strict=True):
+        off = np.sqrt(np.mean(rows**2, axis=1)) > _OFF * max(joint.scale, 1.0)
+        held: Mask = np.zeros(len(track.t_s), dtype=bool)
+        for run in places:
+            held[run] = off[run].any()
+        fresh = ~held
+        kept.append(
+            replace(
+                track, t_s=track.t_s[fresh], y=track.y[fresh], sigma=track.sigma[fresh],
+                held=track.held + int(held.sum()),
+            )
+        )  # fmt: skip
+    return kept
+
+
+def _runs(track: Track) -> list[npt.NDArray[np.intp]]:
+    """Frames after the first of each run of one place, while the motor moves."""
+    same = np.concatenate([[False], (track.y[1:] == track.y[:-1]).all(axis=1)])
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(int)))
+    q, least = track.motor_at(track.t_s), _MOVES * float(np.ptp(track.motor.q))
+    pairs = zip(edges[::2], edges[1::2], strict=True)
+    return [np.arange(a, b) for a, b in pairs if b - a + 1 >= _RUN and np.ptp(q[a - 1 : b]) > least]
