@@ -74,7 +74,7 @@ def test_ctrl_c_during_homing_leaves_the_motor_at_rest_and_no_position(bench: Be
         assert rested(live, pressed[0]) < 0.1
 
 
-@pytest.mark.parametrize("count", [40, 150, 400])
+@pytest.mark.parametrize("count", [40, 150, 400, 1250])
 def test_a_fault_while_commissioning_stores_nothing(bench: Bench, count: int) -> None:
     with live_on(bench, preset("reference")) as live:
         assert live.plant is not None
