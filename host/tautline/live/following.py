@@ -154,7 +154,13 @@ def _check(live: Live) -> None:
     """A refused set-point ends the run: with the fault that caused it, where there is one."""
     if live.board.refused:
         live.board.check_fault(live.axis)
-        raise live.board.refused[0]
+        refused = live.board.refused[0]
+        if refused.reason == "NOT_FOLLOWING":
+            raise TautError(
+                f"axis {live.axis} came to rest: no set-points came for {_SILENCE_S:g} s. Close what keeps this "
+                "machine busy, and run the command again"
+            )
+        raise refused
 
 
 def follow_run(
