@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.calibration.playfit import Fitted, Frozen
+from tautline.independence import frames_each
 
 Array = npt.NDArray[np.float64]
 
@@ -19,6 +20,7 @@ _WINDOW = 5.0  # correlation times over which an autocorrelation is summed (Soka
 _LONGEST = 0.5  # of a stroke: alike for longer is no error of the tracker's but the path's or the width's own
 _TOGETHER = 2.0  # noises at rest within which two frames show one place
 _MOSTLY = 0.7  # of what neighbouring frames share, that other passes repeat
+_ALIKE = 1.5  # frames for each independent one, from which they err alike
 _ITERATIONS = 10
 _FEWEST = 40  # frames from which anything is said
 
@@ -45,7 +47,9 @@ def place_noise(fitted: Fitted) -> PlaceNoise | None:
     at = np.concatenate([part.at for part in parts])
     total2 = float(np.mean(error**2))
     rest2 = min(_at_rest(error, stroke, moving), total2)
-    effect = _effect(np.concatenate([part.score for part in parts]), stroke)
+    score = np.concatenate([part.score for part in parts])
+    longest = max(int(_LONGEST * np.median(np.unique(stroke, return_counts=True)[1])), 1)
+    effect = frames_each(score, longest, window=_WINDOW, group=stroke)
     step = np.abs(np.diff(at))[(stroke[1:] == stroke[:-1]) & moving[1:]]
     usual = float(np.median(step)) if len(step) else 0.0
     return PlaceNoise(
@@ -70,6 +74,15 @@ def allowing_for_place(fitted: Fitted, noise: PlaceNoise | None) -> Fitted:
         return fitted
     tracks = [_noisier(fitted, k, noise.common) for k in range(len(fitted.masks))]
     fit = replace(fitted.fit, tracks=tracks, smoothing=dict(fitted.fit.smoothing))
+    return fit.solve(fitted.curves, iterations=_ITERATIONS)
+
+
+def as_smooth_as_independent(fitted: Fitted, noise: PlaceNoise | None) -> Fitted:
+    """A fit again, whose curves bend only for what frames that err alike tell together: else what a real joint does
+    from stroke to stroke is taken for the shape of B."""
+    if noise is None or noise.effect < _ALIKE:
+        return fitted
+    fit = replace(fitted.fit, alike=noise.effect, smoothing=dict(fitted.fit.smoothing))
     return fit.solve(fitted.curves, iterations=_ITERATIONS)
 
 
@@ -121,19 +134,6 @@ def _at_rest(error: Array, stroke: npt.NDArray[np.int_], moving: npt.NDArray[np.
     still = pair & ~moving[1:] & ~moving[:-1]
     used = still if still.sum() >= _FEWEST else pair
     return 0.5 * float(np.mean(np.diff(error)[used] ** 2)) if used.any() else 0.0
-
-
-def _effect(score: Array, stroke: npt.NDArray[np.int_]) -> float:
-    """1 + 2 sum of the autocorrelation within strokes, over a window that fits its own length."""
-    power = float(np.mean(score**2))
-    longest = max(int(_LONGEST * np.median(np.unique(stroke, return_counts=True)[1])), 1)
-    effect = 1.0
-    for lag in range(1, longest + 1):
-        pair = stroke[lag:] == stroke[:-lag]
-        effect += 2.0 * float(np.sum((score[lag:] * score[:-lag])[pair])) / (len(score) * max(power, 1e-300))
-        if lag >= _WINDOW * 0.5 * effect:
-            break
-    return max(effect, 1.0)
 
 
 def _common(error: Array, at: Array, stroke: npt.NDArray[np.int_], at_rest: float) -> float:

@@ -50,7 +50,7 @@ def gather(fitter: Fitter, frozen: Sequence[Array], base: Fit, kinds: Sequence[K
             weighing.add_further(search.on_top_of(below, _FURTHER_REFITS, 0))
             if size == 1:
                 weighing.add_changed(below)
-    if not fitter.px:  # else the recalibrated nominal has a delay of its own
+    if not fitter.px:  # nothing else than its fit tells a delay from a width at one speed
         late = next((found for found in weighing.found if found.ids == (DELAY,)), None)
         if late is not None and weighing.open():
             weighing.add_changed(late)

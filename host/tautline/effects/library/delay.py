@@ -14,6 +14,7 @@ EFFECTS = (
         "acquisition.delay",
         (Parameter("delay", "s", 0.01),),
         says="the sensor's delay is wrong",
+        needs="sensor",
         holds=_later,
         law=True,
         nominal=True,
