@@ -222,11 +222,11 @@ def test_the_report_says_it_all_and_shows_the_axes_that_tell_most(tmp_path):
     for stage in STAGES:
         assert f">{stage}<small>" in text
     assert 'class="named">transmission' in text
-    for condition in found.conditions[:3]:
+    for condition in found.conditions[:2]:
         assert page._TITLES[condition.axis] in text
     for step in words.steps(found.document, str(tmp_path)):
         assert step.command in text
-    assert text.count("<img") == 1 + 3 < 1 + len(found.conditions)
+    assert text.count("<img") == 1 + 2 < 1 + len(found.conditions)
     said = words.text(found.document, "out")
     assert said.startswith(words.sentence(found.document)) and said.endswith("out/report.html")
     assert "taut flash out/corrected --without-effects" in said

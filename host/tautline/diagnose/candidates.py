@@ -23,6 +23,7 @@ Progress = Callable[[str], None]
 _MARGIN_S = 1.0  # before and after a shift that a recording has to show
 _CHANGES = 0.15  # share of a change with time that a recording has to show
 _LITTLE = 0.1
+_OF_A_CURVE = 3  # coefficients that count
 _NOISE = 4.0  # floors: what is more is no noise, and a lost marker counts no more than that
 
 
@@ -42,13 +43,15 @@ class Found:
 
     @property
     def parameters(self) -> int:
-        """Those that were fitted, and those of the scatter."""
+        """Those that were fitted, and those of the scatter. A curve is smooth: it counts as what its level, slope and
+        bend take; one that each recording has of its own is paid for by its own blocks."""
         hypothesis, values = self.fit.hypothesis, self.fit.state.values
-        # A spline that each recording has of its own is paid for by its own blocks.
         single = {p for kind in hypothesis.kinds if kind.each for p in kind.amplitudes}
         keys = {slot.key for slot in hypothesis.slots if slot.number <= 1 or slot.parameter in single}
         keys |= {p.name for kind in hypothesis.kinds for p in kind.parameters if p.searched} - SCATTERS
-        return len(keys & values.keys()) + len(self.scatters)
+        curves = [{k for k in keys & values.keys() if k.split("@")[0] in _curve(kind)} for kind in hypothesis.kinds]
+        spared = sum(max(0, len(curve) - _OF_A_CURVE) for curve in curves)
+        return len(keys & values.keys()) - spared + len(self.scatters)
 
     @property
     def has_path(self) -> bool:
@@ -188,6 +191,11 @@ class Search:
         _, predicted = segment.predict(state.model, state.at(segment, fit.hypothesis), self.fitter.load_reference)
         left = (segment.observed - predicted)[segment.scored]
         return np.asarray(np.sum(np.minimum(np.abs(left), limit) ** 2, axis=1))
+
+
+def _curve(kind: Kind) -> set[str]:
+    """The coefficients of a spline of the nominal model."""
+    return {p.name for p in kind.amplitudes if kind.nominal and p.name.rsplit("_", 1)[-1].isdigit()}
 
 
 def _loss(found: Found) -> float:
