@@ -29,7 +29,7 @@ _LITTLE = 0.03  # of the width: differences below are no contradiction
 _WORSE = 1.25  # times what the best single curve leaves: a B that leaves more is not for predictions
 _FEW_ONSETS, _NEARER = 6, 0.5  # onsets that may say so, and their mean squared z against one B over that to the other
 _ONE_WAY, _OTHER_WAY = 4.0, 0.3  # standard errors by which onsets are late, and of that what the other way's may be
-_HOLE, _STEEP = 0.03, 0.05  # of the range, without a frame one way; least slope of B that it may hide
+_HOLE, _BENDS = 0.03, 2.0  # of the range, without a frame one way; its own size by which B may change over the range
 _LEANS = 0.3  # share of the elements that are at their ends, from which a place is passed one way
 EXPLAINED = 1.5  # residual over noise up to which a model explains its data
 
@@ -164,7 +164,9 @@ class Choice:
             "move through all of the range both ways",
             mild=steep * float(gap[holes].max()) < _LITTLE * float(np.median(width[inside])),
         )
-        return np.where(inside, max(1.5 * steep, _STEEP) * gap, 0.0)
+        return np.where(
+            inside, max(2.0 * steep, _BENDS * float(np.median(width[inside])) / self.domain.span) * gap, 0.0
+        )
 
     def measured(self, curve: WidthCurve | None, joint: Fitted | None, source: str) -> tuple[float, float]:
         if curve is not None:

@@ -283,6 +283,8 @@ def delay_of_stops(tracks: Sequence[Track], rig: Rig) -> Delay:
     if abs(delay.delay_s - nominal_s) < _EDGE_S and np.isfinite(delay.sigma_s):
         return delay
     start_s = _near_delay(tracks, rig, nominal_s)
+    if start_s == nominal_s and np.isfinite(delay.sigma_s):
+        start_s = delay.delay_s  # the edge that it ran into
     other = find_delay(tracks, rig, start_s)
     inside = abs(other.delay_s - start_s) < _EDGE_S and np.isfinite(other.sigma_s)
     return other if inside else delay
