@@ -11,6 +11,7 @@ from dataclasses import dataclass
 RANDOM = "tests/c/test_random.c::test_whatever_happens_an_axis_keeps_its_word"
 SAFETY, AXIS, LINK, STORE = (f"tests/c/test_{name}.c::test_" for name in ("safety", "axis", "link", "store"))
 IMAGE = "tools/emulator/test/image.test.js::"
+EVERY_POINT = "tests/board/test_every_point.py::test_whatever_goes_wrong_at_any_point"
 COMMISSION, COMMANDS = (f"tests/board/test_{name}.py::test_" for name in ("commission", "commands"))
 PAGE, C_FILES = (f"tests/host/test_{name}.py::test_" for name in ("safety_page", "firmware_sources"))
 EMULATED, BUILT = (f"tests/firmware/test_{name}.py::test_" for name in ("emulated_board", "image"))
@@ -215,8 +216,10 @@ _HOST = (
          HOST + "live/session.py", "if here and there and here != there:", "if False:"),
     _one("faults into simulated boards alone", COMMISSION + "faults_go_to_simulated_boards_alone",
          HOST + "cli/inject.py", "    if board is not None:", "    if False:"),
-    _one("a fault is named", COMMISSION + "a_fault_on_the_way_is_named_with_its_remedy_and_leaves_the_motor_at_rest",
-         HOST + "device/board.py", "has stopped: {wire.fault(status)}. Then", "has stopped. Then"),
+    _one("a fault is named", EVERY_POINT,
+         HOST + "device/board.py", "has stopped: {says}. Then", "has stopped. Then"),
+    _one("room for a reply", "tests/c/test_axis.c::test_telemetry_is_even_and_every_drop_is_counted",
+         "firmware/app/src/tl_outbox.c", "return put(outbox, FOR_REPLIES,", "return put(outbox, 0,"),
     _one("clear clears", COMMISSION + "clear_names_the_fault_and_its_remedy",
          HOST + "cli/clear.py", '        board.ask("clear_fault", axis=axis)', "        pass"),
     _one("stored when agreed to", COMMISSION + "commission_does_nothing_that_was_not_agreed_to",

@@ -4,6 +4,7 @@ started."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
@@ -18,10 +19,13 @@ Array = npt.NDArray[np.float64]
 _TOLERANCE_COUNTS, _TOLERANCE_MM, _TOLERANCE_DEG, _TOLERANCE_LOAD = 0.5, 5e-4, 5e-3, 1e-3
 _STEPS = 0.5  # counts more for an encoder's own steps
 _COARSE = 5e-4  # of the motor's travel: finer counts are seen nowhere
+_COARSE_LINES = 2e-4  # of the travel, instead of a coarse count: how far lines may be from its path
 _COARSER = 30.0  # times the rig's step, at most: what is more is a motor that steps
 _LEAPS = 12.0  # times the usual step between readings: a motor that jumps
 _SKIPS = 3.5  # of five neighbouring readings, that changed
+_OWN_STEPS = 0.6  # counts of noise: no more than an encoder's own steps
 _SCATTERS = 1.0  # counts of noise from which readings are smoothed
+_EXACT = 1e-12  # of the largest value: next to nothing
 _REST_S = 0.05  # a motor that stands still for longer rests
 _CHANGES = 24, 4  # of the count, most and least, that tell how a motor slows down
 _FITS = 0.3  # counts rms: an encoder's step scatters by 0.29
@@ -33,11 +37,17 @@ def between_counts(motor: Motor, resolution: float) -> Motor:
     changes and is at a count's centre in between; a rest stays at the centre. Positions that are no multiples of the
     resolution are left as they are. Readings that scatter by more than a count, or that pass coarse counts about as
     fast as they come, are smoothed: a play follows their extremes."""
+    return _between(motor, resolution)[0]
+
+
+def _between(motor: Motor, resolution: float) -> tuple[Motor, _Steps | None]:
+    """`between_counts`, and the steps by which the readings tell stops and turns."""
     steps = _steps_of(motor, resolution)
-    if reading_noise(motor) > _SCATTERS * (resolution if steps is None else steps.count) or _skips(motor, steps):
-        return replace(motor, q=_smoothed(motor.q))
+    noise = reading_noise(motor) / (resolution if steps is None else steps.count)
+    if noise > _SCATTERS or _skips(motor, steps):
+        return replace(motor, q=_smoothed(motor.q)), steps if noise < _OWN_STEPS else None
     if steps is None:
-        return motor
+        return motor, None
     t, counts = motor.t_s, steps.counts
     changes = np.flatnonzero(np.diff(counts))
     times = 0.5 * (t[changes] + t[changes + 1])
@@ -59,7 +69,7 @@ def between_counts(motor: Motor, resolution: float) -> Motor:
     knots_t = np.concatenate([ends[0], knots_t, ends[1]])
     knots_q = np.concatenate([[counts[0]] * 2, knots_q, [counts[-1]] * 2])
     order = np.argsort(knots_t, kind="stable")
-    return replace(motor, q=steps.zero + steps.count * np.interp(t, knots_t[order], knots_q[order]))
+    return replace(motor, q=steps.zero + steps.count * np.interp(t, knots_t[order], knots_q[order])), steps
 
 
 def reading_noise(motor: Motor) -> float:
@@ -144,11 +154,24 @@ def _smoothed(q: Array) -> Array:
 
 def straight_lines(motor: Motor, resolution: float) -> Motor:
     """The motor, as it was recorded, as straight lines between few knots, within what cannot be seen of the samples;
-    it rests and turns exactly when its changes of count say so. q_cmd and columns that are no joint's are left out."""
-    smooth = between_counts(motor, resolution)
-    steps = _steps_of(motor, resolution) if smooth is not motor else None
-    count = resolution if steps is None else steps.count
-    tolerance = (_TOLERANCE_COUNTS + (_STEPS if smooth is not motor else 0.0)) * count
+    it rests and turns exactly when its changes of count say so. Readings without steps or noise are what they say.
+    q_cmd and columns that are no joint's are left out. Every prediction is made with this motion."""
+    known = _lines.setdefault(motor, {})
+    if resolution not in known:
+        known[resolution] = _straight_lines(motor, resolution)
+    return known[resolution]
+
+
+_lines: WeakKeyDictionary[Motor, dict[float, Motor]] = WeakKeyDictionary()
+
+
+def _straight_lines(motor: Motor, resolution: float) -> Motor:
+    smooth, steps = _between(motor, resolution)
+    if smooth is motor:
+        return _without_idle(motor)
+    count, travel = resolution if steps is None else steps.count, float(np.ptp(motor.q))
+    tolerance = (_TOLERANCE_COUNTS + (0.0 if steps is None else _STEPS)) * count
+    tolerance = _COARSE_LINES * travel if count > _COARSE * travel else tolerance
     t_s, q, fixed = _knots(smooth, tolerance, [] if steps is None else _stops(motor, steps))
     others = [motor.translation_mm, motor.rotation_deg, motor.load_mNm]
     swing = 0.0 if motor.load_mNm is None else _TOLERANCE_LOAD * float(np.ptp(motor.load_mNm))
@@ -168,6 +191,17 @@ def straight_lines(motor: Motor, resolution: float) -> Motor:
     level = _levelled(motor.t_s, smooth.q, t_s, q, fixed)
     joints = {name: np.interp(t_s, motor.t_s, values) for name, values in motor.joints.items()}
     return Motor(t_s, level, None, taken(others[0]), taken(others[1]), taken(others[2]), joints)
+
+
+def _without_idle(motor: Motor) -> Motor:
+    """Without the samples that straight lines between the others pass."""
+    columns = [motor.q, motor.translation_mm, motor.rotation_deg, motor.load_mNm, *motor.joints.values()]
+    channels = [(values, _EXACT * float(np.abs(values).max()) + 1e-300) for values in columns if values is not None]
+    keep = _thinned(motor.t_s, channels)
+    q, translation, rotation, load, *joints = (None if values is None else values[keep] for values in columns)
+    named = {name: values for name, values in zip(motor.joints, joints, strict=True) if values is not None}
+    assert q is not None
+    return Motor(motor.t_s[keep], q, None, translation, rotation, load, named)
 
 
 @dataclass(frozen=True)
@@ -191,15 +225,13 @@ def _stops(motor: Motor, encoder: _Steps) -> list[_Stop]:
     boundary = counts[changes] + 0.5 * step
     period = float(np.median(np.diff(t)))
     found = []
-    for i in range(len(changes) + 1):
-        # The count that holds from change i - 1 to change i.
+    # The count that holds from change i - 1 to change i.
+    edges = np.concatenate([t[:1], at, t[-1:]])
+    turned = np.concatenate([[False], step[1:] * step[:-1] < 0, [False]])
+    for i in np.flatnonzero(turned | (np.diff(edges) > _REST_S)):
         first, last = i == 0, i == len(changes)
         centre = counts[0] if first else counts[changes[i - 1] + 1]
-        since = t[0] if first else at[i - 1]
-        until = t[-1] if last else at[i]
-        turns = not (first or last) and step[i - 1] * step[i] < 0
-        if not turns and until - since <= _REST_S:
-            continue
+        since, until, turns = edges[i], edges[i + 1], turned[i]
         slows = None if first else _vertex(at[:i][::-1], boundary[:i][::-1], step[:i][::-1], centre, period)
         starts = None if last else _vertex(at[i:], boundary[i:], -step[i:], centre, period)
         level = [vertex[1] for vertex in (slows, starts) if vertex is not None]

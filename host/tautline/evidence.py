@@ -17,8 +17,9 @@ from tautline.calibration.observations import observe
 from tautline.columns import read_columns
 from tautline.errors import TautError
 from tautline.folders import write_file
-from tautline.geometry import pose, project
+from tautline.geometry import pose
 from tautline.model import Model
+from tautline.predict import predict
 from tautline.recording import Motor, Recording, timeline
 
 Array = np.ndarray
@@ -117,12 +118,12 @@ def _collect_one(model: Model, recording: Recording, index: int, offset_s: float
         replace(model, c_deg=coarse_deg),
         model,
     )
-    angles = [stage.simulate(motor, t_s) for stage in models]
+    told = [predict(stage, motor, t_s) for stage in models]
     if track.unit == "px":
-        predicted = [project(rig, angle, *others) for angle in angles]
+        predicted = [stage.image_px for stage in told]
         c_deg = pose(rig, seen, *others)[0]
     else:
-        predicted = [angle[:, None] for angle in angles]
+        predicted = [stage.c_deg[:, None] for stage in told]
         c_deg = seen[:, 0]
     return Evidence(
         recording=np.full(len(t_s), index),

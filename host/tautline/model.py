@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.elements import SINGLE, Elements, Play
-from tautline.encoder import between_counts
+from tautline.encoder import straight_lines
 from tautline.errors import TautError
 from tautline.quality import Quality
 from tautline.recording import Motor
@@ -80,7 +80,7 @@ class Model:
         starts on the centre line, c = f_remain(q[0]), or at start_deg. q is held before and after the motor's samples.
         Effects are not in it: see tautline.effects."""
         p0 = np.nan if start_deg is None else float(self.remaining_inverse(start_deg))
-        motor = between_counts(motor, self.rig.actuator.encoder_resolution)
+        motor = straight_lines(motor, self.rig.actuator.encoder_resolution)
         return self.remaining(play_at(motor.t_s, motor.q, np.asarray(t_s, dtype=float), self.play, p0))
 
     def save(self, folder: str | Path) -> None:

@@ -13,7 +13,6 @@ from tautline.columns import read_times
 from tautline.encoder import straight_lines
 from tautline.errors import TautError
 from tautline.folders import write_file
-from tautline.geometry import project
 from tautline.model import Model
 from tautline.recording import Motor
 from tautline.rig import ANGLE, MARKER
@@ -46,19 +45,10 @@ def predict(model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float
     """At scene times (n,) on the motor's clock, in any order. The tip starts on the centre line, c = f_remain(q[0]), or
     at start_deg; q is held before the first and after the last motor sample."""
     scene = np.asarray(scene_s, dtype=float)
-    if model.effects:
-        reference = float(model.extra.get("load_reference_mNm", 0.0))
-        smooth = straight_lines(motor, model.rig.actuator.encoder_resolution)  # as it was fitted
-        path = effects.simulate(model, smooth, scene, effects.of_model(model), start_deg, reference)
-        return Prediction(path.c_deg, path.image_px if model.rig.has_camera else None)
-    c = model.simulate(motor, scene, start_deg)
-    if not model.rig.has_camera:
-        return Prediction(c, None)
-    others = (
-        0.0 if values is None else np.interp(scene, motor.t_s, values)
-        for values in (motor.translation_mm, motor.rotation_deg)
-    )
-    return Prediction(c, project(model.rig, c, *others))
+    reference = float(model.extra.get("load_reference_mNm", 0.0))
+    lines = straight_lines(motor, model.rig.actuator.encoder_resolution)
+    path = effects.simulate(model, lines, scene, effects.of_model(model), start_deg, reference)
+    return Prediction(path.c_deg, path.image_px if model.rig.has_camera else None)
 
 
 def times_of(

@@ -26,9 +26,10 @@ MOST_JOINTS = 8  # that are looked at
 VIDEO_NAMES = ("video.mkv", "video.mp4")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Motor:
-    """Encoder samples, negligible delay. All arrays have one length; t_s rises strictly."""
+    """Encoder samples, negligible delay. All arrays have one length; t_s rises strictly. Each is equal to itself alone,
+    so that what follows from it can be kept (encoder.py)."""
 
     t_s: Array
     q: Array  # bending motor, the rig's unit

@@ -132,17 +132,16 @@ def bench_of(request: pytest.FixtureRequest, axes: int = 2, flash: Path | None =
     if where in SIMULATED:
         with DesktopBoard(axes=axes, flash=flash, serial="TEST-1") as desktop:
             link = desktop.link()
-            yield Bench(desktop.where, link, desktop)
-            link.close()
+            with contextlib.closing(link):
+                yield Bench(desktop.where, link, desktop)
         return
     if not find(where):
         pytest.skip(f"no board {where}")
     port = request.config.getoption("--sim")
     link_there = SimLink(port) if port else None
     make_fresh(where, link_there)
-    yield Bench(where, link_there)
-    if link_there is not None:
-        link_there.close()
+    with contextlib.closing(link_there) if link_there is not None else contextlib.nullcontext():
+        yield Bench(where, link_there)
 
 
 def make_fresh(where: str, link: SimLink | None) -> None:

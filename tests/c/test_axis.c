@@ -98,9 +98,14 @@ static void test_too_much_current_faults_after_its_mean(void) {
 static void test_lost_edges_fault_moving_or_off(void) {
     fake_enable(0, 1);
     TEST_ASSERT_EQUAL(0, move(0, 2000));
-    fake_run_ms(20);
+    fake_run_ms(60); // at speed
+    const double from = fake.position[0];
+    fake_run_ms(10);
+    const double speed = (fake.position[0] - from) * 100.0; // counts/s
     fake.slipped[0] = true;
     fake_run_ms(2);
+    TEST_ASSERT_TRUE(speed > 1000.0);
+    TEST_ASSERT_DOUBLE_WITHIN(0.1 * speed, speed, fake_status(0).fault_value);
     assert_safe(0, TL_WIRE_FAULT_EDGES);
     TEST_ASSERT_EQUAL(TL_WIRE_FAULT_NONE, fake_status(1).fault);
     fake.slipped[1] = true;
@@ -109,8 +114,9 @@ static void test_lost_edges_fault_moving_or_off(void) {
 }
 
 static void test_an_encoder_that_jumps_faults_even_when_off(void) {
-    fake.position[0] += 5000.0;
+    fake.position[0] -= 5000.0;
     fake_run_ms(1);
+    TEST_ASSERT_INT_WITHIN(1, -5000, fake_status(0).fault_value); // whole counts: rounded down
     assert_safe(0, TL_WIRE_FAULT_ENCODER);
 }
 
@@ -604,7 +610,11 @@ static void test_telemetry_is_even_and_every_drop_is_counted(void) {
     }
     TEST_ASSERT_EQUAL(800, samples);
     fake_run_ms(8000); // nobody reads
+    const tl_wire_table_read_t read = {.axis = 0};
+    uint8_t frame[TL_WIRE_FRAME_MAX];
+    tl_app_receive(&app, frame, tl_wire_frame(frame, TL_WIRE_TABLE_READ, 1, &read));
     fake_listen();
+    TEST_ASSERT_EQUAL(1, heard_count[TL_WIRE_TABLE_PART]); // who then asks is answered all the same
     const uint32_t whole = heard_count[TL_WIRE_BATCH];
     const tl_wire_get_counters_t ask = {.clear = 1};
     fake_ask(TL_WIRE_GET_COUNTERS, &ask);

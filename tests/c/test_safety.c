@@ -479,6 +479,7 @@ static void test_a_motor_turned_by_hand_during_an_erase_is_no_fault(void) {
     fake.position[0] += 4000.0; // in a millisecond nothing turns so far
     fake_run_ms(5);
     assert_fault(TL_WIRE_FAULT_ENCODER);
+    TEST_ASSERT_EQUAL(4000, fake_status(0).fault_value);
 }
 
 // -- tables -----------------------------------------------------------------------------------------------------

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import signal
+import time
 from pathlib import Path
 
 import pytest
 
+from tautline.device import wire
 from tautline.device.board import open_board
 from tautline.simulated.simlink import LINE, PROGRAM, DesktopBoard
 
@@ -72,3 +75,20 @@ def test_its_control_step_interrupts_its_task_at_the_stated_rate() -> None:
             assert abs(board.sync() - before - 100_000) <= 1_000_000 // rate
             assert board.counters().overruns == 0
             link.close()
+
+
+@pytest.mark.usefixtures("m4")
+def test_what_the_line_has_no_room_for_is_sent_as_soon_as_it_has() -> None:
+    """The board does not sleep over it, though nobody asks for anything more."""
+    with DesktopBoard(serial="SLOW") as process, open_board(process.where) as board:
+        for _ in range(3):
+            asked = [board._next() for _ in range(30)]
+            board._write(b"".join(wire.encode("get_status", number, axis=0) for number in asked))
+            time.sleep(0.002)
+            process.process.send_signal(signal.SIGSTOP)  # nobody empties the line
+            time.sleep(0.1)
+            process.process.send_signal(signal.SIGCONT)
+            deadline = time.monotonic() + 5.0
+            while asked[-1] not in board._answers and time.monotonic() < deadline:
+                board.poll(0.2)
+            assert board._answers.keys() >= set(asked)

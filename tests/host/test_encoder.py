@@ -30,8 +30,8 @@ def rests(motor: Motor) -> list[tuple[float, float]]:
 )
 def test_rests_begin_and_end_when_the_motor_does(speed, acceleration, dwell, ends):
     points = np.array([0.0, *(round(e, 4) for e in ends)])
-    if np.abs(np.diff(points)).min() < 0.3:
-        points = np.array([0.0, 1.0, -0.5, 1.5])
+    if np.abs(np.diff(points)).min() < 0.3 or np.ptp(points) < 2.5:  # else a count is coarse
+        points = np.array([0.0, 1.0, -1.5, 1.5])
     motion = trajectory.through(points, speed, acceleration, dwell)
     moving = np.abs(np.diff(motion.q)) > 1e-10
     edges = np.flatnonzero(np.diff(moving.astype(int)))
@@ -86,10 +86,30 @@ def test_a_motor_that_never_moves_or_chatters_stays(count):
     assert np.abs(chatters.q - 0.5 * COUNT).max() <= COUNT
 
 
-def test_positions_that_are_no_counts_stay_within_a_count():
+def test_positions_that_are_no_counts_are_what_they_say():
     t = 0.004 * np.arange(2000)
     q = 3.0 * np.sin(0.7 * t) + 0.000123
     lines = straight_lines(Motor(t, q), COUNT)
     assert between_counts(Motor(t, q), COUNT).q is q
-    assert np.abs(np.interp(t, lines.t_s, lines.q) - q).max() < 2 * COUNT
-    assert len(lines.t_s) < 0.2 * len(t)
+    np.testing.assert_allclose(np.interp(t, lines.t_s, lines.q), q, atol=1e-9)
+    strokes = np.interp(t, [0, 2, 3, 5, 8], [0.000123, 2.1, 2.1, -1.7, -1.7])
+    lines = straight_lines(Motor(t, strokes), COUNT)
+    np.testing.assert_allclose(np.interp(t, lines.t_s, lines.q), strokes, atol=1e-9)
+    assert len(lines.t_s) < 12
+
+
+@pytest.mark.parametrize("count", [0.001, 0.005, 0.02, 0.1])
+@pytest.mark.parametrize("noise", [0.0, 0.004])
+def test_lines_are_as_near_to_the_truth_as_what_is_between_counts(count, noise):
+    """Of smooth motions and of strokes, through fine counts, coarse ones and noise."""
+    strokes = trajectory.through([0.0, 3.0, -2.0, 3.5, -4.0], 1.2, 12.0, 0.3)
+    t = np.arange(0.0, 20.0, 0.002)
+    for t_s, q in ((strokes.t_s[::4], strokes.q[::4]), (t, 3.0 * np.sin(0.7 * t) * np.cos(0.13 * t))):
+        motor = Motor(t_s, np.round((q + np.random.default_rng(1).normal(0.0, noise, len(q))) / count) * count)
+        lines = straight_lines(motor, count)
+        errors = [
+            float(np.sqrt(np.mean((np.interp(t_s, found.t_s, found.q) - q) ** 2)))
+            for found in (between_counts(motor, count), lines)
+        ]
+        assert errors[1] < 1.2 * errors[0] + 2e-4
+        assert len(lines.t_s) < 0.4 * len(t_s)

@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 
 from tautline import effects
+from tautline.diagnose.candidates import applicable
 from tautline.diagnose.fit import Fitter, Hypothesis
 from tautline.diagnose.screen import screen
 from tautline.diagnose.segment import prepare
 from tautline.effects import BY_ID
-from tautline.encoder import between_counts
+from tautline.encoder import between_counts, straight_lines
 from tautline.model import Model
-from tautline.recording import Marker, Motor, Recording
+from tautline.recording import Angle, Marker, Motor, Recording
+from tautline.rig import ANGLE
 from tautline.simulated import simulate, trajectory
 from tautline.simulated.instrument import preset, reference_rig
 
@@ -94,7 +96,7 @@ def test_the_gradient_is_the_cost_s():
 
     def cost(step):
         return 0.5 * sum(
-            float(np.sum(r**2)) for r in fitter.residuals(fitter._moved(state, hypothesis, step), hypothesis)
+            float(np.sum(r**2)) for r in fitter.residuals(fitter.stepped(state, hypothesis, step), hypothesis)
         )
 
     size = np.sqrt(sum(float(np.sum(row.residual**2)) for row in rows))
@@ -140,3 +142,40 @@ def test_the_right_effect_is_fitted_down_to_the_noise(parameters, throughout):
     assert rms(found.residuals) < 1.1 * NOISE, (rms(base.residuals), found.state.values)
     if "shift_time" in parameters:
         assert found.state.values["shift_time"] == pytest.approx(parameters["shift_time"], abs=0.05)
+
+
+def angles(late_s: tuple[float, float]) -> Fitter:
+    """Of recordings by an angle sensor whose values come so much later than the model says."""
+    rng = np.random.default_rng(6)
+    model = replace(MODEL, sensor=ANGLE)
+    made = []
+    for recording, late in zip(recordings({}), late_s, strict=True):
+        t = recording.marker.t_s
+        lines = straight_lines(recording.motor, RIG.actuator.encoder_resolution)
+        c_deg = effects.follow(model, lines, t - model.delay_s - late, {}).c_deg
+        angle = Angle(t, c_deg + rng.normal(0.0, 0.02, len(t)))
+        made.append(replace(recording, marker=None, angle=angle))
+    fitter = Fitter(model, prepare(model, made[0], made[1:]))
+    fitter.floor = 0.02
+    return fitter
+
+
+def test_an_angle_sensor_s_delay_is_found():
+    everywhere = angles((0.02, 0.02))
+    assert everywhere.nominal().state.model.delay_s == pytest.approx(MODEL.delay_s + 0.02, abs=5e-4)
+    later = angles((0.0, 0.02))
+    assert "acquisition.delay" in {kind.id for kind in applicable(later)}
+    base = later.nominal()
+    hypothesis = Hypothesis().plus(BY_ID["acquisition.delay"], True)
+    found = later.fit(hypothesis, {"delay": 0.0}, base.state)
+    assert rms(found.residuals) < 1.05 * 0.02 < rms(base.residuals)
+    assert found.state.values["delay"] == pytest.approx(0.02, abs=5e-4)
+
+
+def test_a_sensor_that_the_model_was_not_calibrated_with_has_no_delay_to_find():
+    fitter = fitter_of(recordings({}))
+    other = Fitter(replace(MODEL, sensor=ANGLE), fitter.segments)
+    assert fitter.delayed and not other.delayed
+    assert "acquisition.delay" not in {kind.id for kind in applicable(other)}
+    rows = other.rows(other.start(), other.nothing)
+    assert all(np.all(row.columns[:, :, -1] == 0.0) for row in rows)

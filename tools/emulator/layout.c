@@ -10,4 +10,5 @@ __attribute__((section(".layout"))) const unsigned layout[] = {
     offsetof(tl_axis_t, mode),
     offsetof(tl_axis_t, fault),
     offsetof(tl_axis_t, guard.current_ma),
+    offsetof(tl_app_t, counters.bytes_bad),
 };

@@ -38,7 +38,7 @@ START_S = 20.0
 ANSWER_S = 120.0
 SLICE_US = 4000  # of the wall clock, between looks at the sockets
 LAG_US = 20_000
-NUDGE_S = 0.1
+IDLE_S = 0.5  # between looks whether the parent is there
 HELP = (
     "not a request: advance US, state, realtime on|off, cut N, place AXIS Q8, inject AXIS ILL, unplug, plug, "
     "reset, hang, quit"
@@ -153,10 +153,6 @@ class Machine:
         self.line.sendall(data)
         self.line.setblocking(False)
         self.sent = (self.sent + len(data)) & 0xFFFFFFFF
-
-    def nudge(self) -> None:
-        """An empty request: it wakes a QEMU that has missed that a byte can be taken, and changes nothing."""
-        self.world.sendall(b"\n")
 
     def close(self) -> None:
         self.process.kill()
@@ -348,9 +344,7 @@ def serve(world: World, line: socket.socket, sim: socket.socket, parent: int) ->
                 watched = world.client
                 if watched is not None:
                     sockets.register(watched, selectors.EVENT_READ)
-            ready = [key.fileobj for key, _ in sockets.select(0.001 if world.realtime else NUDGE_S)]
-            if not ready and not world.realtime:
-                world.machine.nudge()
+            ready = [key.fileobj for key, _ in sockets.select(0.001 if world.realtime else IDLE_S)]
             world.machine.receive()
             world.listen()
             if line in ready:

@@ -24,7 +24,7 @@ NOISE_PX = 0.05
 LOW, HIGH = -5.0, 5.0
 CHANGES = ("scale", "offset", "shape", "gradual")
 OUTSIDE = ("dahl", "bouc_wen", "uneven")  # hysteresis that the tracker's laws do not hold; their width is scaled
-DISTURBED = ("nothing", "missing", "breathing", "contact", "held")
+DISTURBED = ("nothing", "missing", "breathing", "contact", "held", "all")
 COST = 3.0  # times the noise: what a change costs at least
 _GRID = np.linspace(LOW - 2.0, HIGH + 2.0, 4001)
 
@@ -35,9 +35,9 @@ class Instrument:
 
     seed: int
     kind: str = "play"  # or one of OUTSIDE
-    width: Array = field(init=False, repr=False)  # at _GRID
-    law: Array = field(init=False, repr=False)
-    camera: optics.Camera = field(init=False, repr=False)
+    width: Array = field(init=False, repr=False, compare=False)  # at _GRID
+    law: Array = field(init=False, repr=False, compare=False)
+    camera: optics.Camera = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         rng = np.random.default_rng([self.seed, 17])
@@ -122,6 +122,7 @@ class Session:
     instrument: Instrument
     change: Change
     change_s: float  # inf where nothing changes
+    p: Array  # (motor samples,) the centre coordinate
     true_px: Array  # (frames, 2) without noise and disturbance
     nominal_px: Array  # what an unchanged instrument would have shown
     disturbed: NDArray[np.bool_]  # frames that something else than motor and play moved
@@ -226,18 +227,20 @@ def session(
     same = respond(instrument, t, q, Change(), np.inf)
     c, touched = _touched(instrument, rng, kind, t, q, p)
     image = optics.project(optics.tip_place(c, instrument.camera), instrument.camera)
-    if kind == "breathing":
+    if kind in ("breathing", "all"):
         size, rate = rng.uniform(0.3, 4.0, 2) * rng.choice([-1, 1], 2), rng.uniform(0.2, 0.35)
         breath = np.sin(2 * np.pi * rate * t) ** 3 + 0.3 * np.sin(4 * np.pi * rate * t + 1.0)
-        image = image + breath[:, None] * size
+        held_breath = 1.0 if kind == "breathing" else (np.sin(2 * np.pi * t / 171.0 + rng.uniform(0, 6)) > 0.0)
+        image = image + (breath * held_breath)[:, None] * size
         touched[:] = True
-    recording, at = _recorded(instrument, rng, t, q, image, kind, 0.5 if kind == "missing" else 0.02)
+    recording, at = _recorded(instrument, rng, t, q, image, kind, 0.5 if kind in ("missing", "all") else 0.02)
     true, nominal = (_seen(instrument, path) for path in (p, same))
     return Session(
         recording,
         instrument,
         drawn,
         change_s,
+        p,
         *(np.column_stack([np.interp(at, t, px[:, i]) for i in range(2)]) for px in (true, nominal)),
         np.interp(at, t, touched.astype(float)) > 0.0,
     )
@@ -255,7 +258,7 @@ def _touched(
     """The bending angle with tissue or a hand in the way, and when they were."""
     c = instrument.of_place(instrument.law, p)
     touched = np.zeros(len(t), dtype=bool)
-    if kind == "contact":
+    if kind in ("contact", "all"):
         wall = float(rng.uniform(15.0, 40.0)) * rng.choice([-1, 1])
         give = float(rng.uniform(0.0, 0.5))  # of soft tissue
         for begin in np.arange(rng.uniform(3, 10), t[-1], 14.0):
@@ -263,7 +266,7 @@ def _touched(
             beyond = near & ((c > wall) if wall > 0 else (c < wall))
             c[beyond] = wall + give * (c[beyond] - wall)
             touched |= beyond
-    elif kind == "held":
+    if kind in ("held", "all"):
         for begin in np.arange(rng.uniform(3, 10), t[-1], 16.0):
             held = np.flatnonzero((t >= begin) & (t < begin + rng.uniform(0.5, 6.0)))
             if len(held):

@@ -127,7 +127,7 @@ static void poll_encoders(tl_app_t *app, tl_us_t now_us) {
     for (uint8_t i = 0; i < app->port->axes; i++) {
         if (app->port->edges_lost(app->port->context, i)) {
             const uint32_t state = app->port->lock(app->port->context);
-            tl_axis_fail(&app->axes[i], TL_WIRE_FAULT_EDGES, 0, now_us);
+            tl_axis_fail(&app->axes[i], TL_WIRE_FAULT_EDGES, tl_actuator_speed(&app->axes[i].motor), now_us);
             app->port->unlock(app->port->context, state);
         }
     }

@@ -6,7 +6,8 @@
 
 TL_FAST void tl_axis_step(tl_axis_t *axis) {
     if (!tl_actuator_measure(&axis->motor, &axis->q)) { // tl_axis_watch() clamps it
-        tl_axis_fail(axis, TL_WIRE_FAULT_ENCODER, 0, axis->port->time_us(axis->port->context)); // the position stays
+        tl_axis_fail(axis, TL_WIRE_FAULT_ENCODER, axis->motor.jump,
+                     axis->port->time_us(axis->port->context)); // the position stays
     } else if (!axis->closed) {
         axis->path.q = axis->q;
         tl_actuator_push(&axis->motor, axis->q, axis->trial.duty);
@@ -31,6 +32,6 @@ TL_FAST void tl_axis_step(tl_axis_t *axis) {
 
 TL_FAST void tl_axis_catch_up(tl_axis_t *axis, uint32_t elapsed_us, tl_us_t now_us) {
     if (!tl_actuator_measure_late(&axis->motor, elapsed_us, &axis->q)) {
-        tl_axis_fail(axis, TL_WIRE_FAULT_ENCODER, 0, now_us);
+        tl_axis_fail(axis, TL_WIRE_FAULT_ENCODER, axis->motor.jump, now_us);
     }
 }

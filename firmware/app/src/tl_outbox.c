@@ -5,10 +5,12 @@ void tl_outbox_open(tl_outbox_t *outbox, bool open) {
     outbox->tail = outbox->head;
 }
 
-bool tl_outbox_send(tl_outbox_t *outbox, uint8_t type, uint16_t sequence, const void *message) {
+#define FOR_REPLIES TL_WIRE_FRAME_MAX // is left by what nobody asked for
+
+static bool put(tl_outbox_t *outbox, size_t left, uint8_t type, uint16_t sequence, const void *message) {
     const size_t size = TL_WIRE_HEADER_SIZE + tl_wire_size(type) + TL_WIRE_CRC_SIZE;
     const bool may = outbox->open || type == TL_WIRE_ERROR;
-    if (!may || size > TL_APP_QUEUE - (outbox->head - outbox->tail)) {
+    if (!may || size + left > TL_APP_QUEUE - (outbox->head - outbox->tail)) {
         return false;
     }
     uint8_t frame[TL_WIRE_FRAME_MAX];
@@ -20,8 +22,12 @@ bool tl_outbox_send(tl_outbox_t *outbox, uint8_t type, uint16_t sequence, const 
     return true;
 }
 
+bool tl_outbox_send(tl_outbox_t *outbox, uint8_t type, uint16_t sequence, const void *message) {
+    return put(outbox, 0, type, sequence, message);
+}
+
 bool tl_outbox_tell(tl_outbox_t *outbox, uint8_t type, const void *message) {
-    return tl_outbox_send(outbox, type, outbox->unasked++, message);
+    return put(outbox, FOR_REPLIES, type, outbox->unasked++, message);
 }
 
 size_t tl_outbox_take(tl_outbox_t *outbox, uint8_t *out, size_t room) {

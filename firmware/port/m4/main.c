@@ -22,6 +22,7 @@ static struct {
 void fault_handler(void);
 void control_interrupt(void);
 void line_interrupt(void);
+void line_sent_interrupt(void);
 void world_interrupt(void);
 
 static uint32_t now(void) {
@@ -118,6 +119,10 @@ static size_t line_write(void *context, const uint8_t *bytes, size_t size) {
 
 void line_interrupt(void) {
     world.line_in += uart_interrupt(&board.uart);
+}
+
+void line_sent_interrupt(void) {
+    uart_has_sent(&board.uart);
 }
 
 void world_interrupt(void) {
@@ -224,8 +229,8 @@ int main(void) {
     uart_init(&world_uart, UART1, WORLD_BAUD);
     start();
     NVIC_PRIORITY[IRQ_TIMER0] = 0x00U; // the control step comes first
-    NVIC_PRIORITY[IRQ_UART0_RX] = NVIC_PRIORITY[IRQ_UART1_RX] = 0x40U;
-    NVIC_ENABLE = 1U << IRQ_TIMER0 | 1U << IRQ_UART0_RX | 1U << IRQ_UART1_RX;
+    NVIC_PRIORITY[IRQ_UART0_RX] = NVIC_PRIORITY[IRQ_UART0_TX] = NVIC_PRIORITY[IRQ_UART1_RX] = 0x40U;
+    NVIC_ENABLE = 1U << IRQ_TIMER0 | 1U << IRQ_UART0_RX | 1U << IRQ_UART0_TX | 1U << IRQ_UART1_RX;
     if (world.running && world.granted > 0U) { // the board has restarted in the middle of it
         board_clock(true);
     }
@@ -243,7 +248,7 @@ int main(void) {
         }
         patience = !idle ? PATIENCE : patience > 0U ? patience - 1U : 0U;
         const uint32_t state = interrupts_off();
-        if (patience == 0U && !uart_has(&board.uart) && !uart_has(&world_uart)) {
+        if (patience == 0U && uart_rests(&board.uart) && uart_rests(&world_uart)) {
             wait_for_interrupt();
         }
         interrupts_restore(state);

@@ -13,8 +13,10 @@ typedef struct {
 #define UART_RX_FULL             2U
 #define UART_TX_ENABLE           1U ///< of control
 #define UART_RX_ENABLE           2U
+#define UART_TX_INTERRUPT_ENABLE 4U
 #define UART_RX_INTERRUPT_ENABLE 8U
-#define UART_RX_INTERRUPT        2U ///< of interrupt; written: cleared
+#define UART_TX_INTERRUPT        1U ///< of interrupt; written: cleared
+#define UART_RX_INTERRUPT        2U
 
 typedef struct {
     volatile uint32_t control, value, reload, interrupt; ///< counts down, from reload after 0
@@ -26,7 +28,7 @@ typedef struct {
 #define UART0  ((mps2_uart_t *)0x40004000U)
 #define UART1  ((mps2_uart_t *)0x40005000U)
 
-enum { IRQ_UART0_RX = 0, IRQ_UART1_RX = 2, IRQ_TIMER0 = 8, IRQS = 32 };
+enum { IRQ_UART0_RX = 0, IRQ_UART0_TX = 1, IRQ_UART1_RX = 2, IRQ_TIMER0 = 8, IRQS = 32 };
 
 #define PSRAM         ((uint8_t *)0x21000000U) ///< 16 MB
 #define NVIC_ENABLE   (*(volatile uint32_t *)0xE000E100U)

@@ -9,6 +9,7 @@ void reset_handler(void);
 void fault_handler(void);
 void control_interrupt(void);
 void line_interrupt(void);
+void line_sent_interrupt(void);
 void world_interrupt(void);
 
 void reset_handler(void) {
@@ -34,5 +35,8 @@ __attribute__((section(".vectors"), used)) static const struct {
     .handlers = {reset_handler, fault_handler, fault_handler, fault_handler, fault_handler, fault_handler,
                  fault_handler, fault_handler, fault_handler, fault_handler, fault_handler, fault_handler,
                  fault_handler, fault_handler, fault_handler},
-    .interrupts = {[IRQ_UART0_RX] = line_interrupt, [IRQ_UART1_RX] = world_interrupt, [IRQ_TIMER0] = control_interrupt},
+    .interrupts = {[IRQ_UART0_RX] = line_interrupt,
+                   [IRQ_UART0_TX] = line_sent_interrupt,
+                   [IRQ_UART1_RX] = world_interrupt,
+                   [IRQ_TIMER0] = control_interrupt},
 };

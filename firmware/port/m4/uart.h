@@ -13,6 +13,7 @@ typedef struct {
     mps2_uart_t *port;
     volatile uint32_t head; ///< bytes that have come, written by the interrupt alone
     uint32_t tail;          ///< bytes that were taken
+    bool waits;             ///< there was no room for all that was written last
     uint8_t bytes[UART_BUFFER];
 } uart_t;
 
@@ -21,11 +22,19 @@ void uart_init(uart_t *uart, mps2_uart_t *port, uint32_t baud);
 uint32_t uart_interrupt(uart_t *uart);
 /// At most `room` bytes that have come; returns how many.
 size_t uart_read(uart_t *uart, uint8_t *out, size_t room);
-/// As many of the bytes as there is room for; returns how many.
+/// As many of the bytes as there is room for; returns how many. Where that is not all, an interrupt of the transmitter
+/// tells when there is room again.
 size_t uart_write(uart_t *uart, const uint8_t *bytes, size_t size);
+/// For the interrupt of its transmitter.
+void uart_has_sent(uart_t *uart);
 
 static inline bool uart_has(const uart_t *uart) {
     return uart->head != uart->tail;
+}
+
+/// With interrupts off: nothing is there to be read, and what waits to be written waits for an interrupt.
+static inline bool uart_rests(const uart_t *uart) {
+    return !uart_has(uart) && (!uart->waits || (uart->port->state & UART_TX_FULL) != 0);
 }
 
 #endif

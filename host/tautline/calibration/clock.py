@@ -20,6 +20,7 @@ from tautline.calibration.onset import Delay, find_delay
 from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit
 from tautline.calibration.steps import resolved
 from tautline.geometry import project
+from tautline.independence import first_order
 from tautline.quality import Reason
 from tautline.recording import Recording, shifted
 from tautline.rig import ANGLE, MARKER, Rig
@@ -522,6 +523,5 @@ def _independent(fitted: Fitted) -> float:
     for rows, mask in zip(fitted.rows, fitted.masks, strict=True):
         r = rows[mask]
         if len(r) > 2:
-            alike = float(np.clip(np.sum(r[1:] * r[:-1]) / max(float(np.sum(r * r)), 1e-30), 0.0, 0.999))
-            count += len(r) * (1.0 - alike) / (1.0 + alike)
+            count += len(r) / first_order(r)
     return max(count, 1.0)

@@ -17,6 +17,7 @@ from scipy.linalg import cho_factor, cho_solve, eigh
 
 from tautline.calibration.departures import Columns, Part, Scene, Sparse, departures, on_clock, scene_of
 from tautline.calibration.playfit import Curves, Fitted, PlayFit
+from tautline.independence import frames_each
 from tautline.rig import Rig
 
 Array = npt.NDArray[np.float64]
@@ -363,12 +364,6 @@ class _Solved:
 
 
 def effective(left: Array) -> float:
-    """Frames for each independent one: 1 + 2 sum of the residuals' autocorrelation, while it is positive."""
+    """Frames for each independent one, outliers bounded, while the autocorrelation is more than chance."""
     clipped = np.clip(left / max(float(np.sqrt(np.mean(left**2))), 1e-30), -4.0, 4.0)
-    power, total = float(np.mean(clipped**2)), 1.0
-    for lag in range(1, min(_LAGS, len(clipped) // 4)):
-        rho = float(np.mean(clipped[lag:] * clipped[:-lag])) / power
-        if rho < 2.0 / np.sqrt(clipped.size):
-            break
-        total += 2.0 * rho
-    return total
+    return frames_each(clipped, min(_LAGS, len(clipped) // 4), least=2.0 / float(np.sqrt(clipped.size)))

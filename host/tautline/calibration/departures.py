@@ -241,8 +241,7 @@ def _piece(
     scene_s = track.scene_s(curves.delay_s)
     gone, way = _since_turn(track.motor, scene_s[keep], rig)
     p, side, moving = sim.p[keep], sim.side[keep].astype(float), sim.moving[keep]
-    lean, share = sim.lean[keep], sim.share[keep]
-    denominator = np.maximum(1.0 + 0.5 * lean * fit.backlash.slope(curves.backlash, p), 0.05)
+    by_width, by_delay = sim.slopes(keep, fit.backlash.slope(curves.backlash, p))
     inverse = 1.0 / track.sigma[keep]
     stroke = np.cumsum(np.diff(sim.side.astype(int), prepend=sim.side[:1]) != 0)
     width = np.interp(p, fit.grid, fit.width(curves))
@@ -259,8 +258,8 @@ def _piece(
         "side": side,
         "slope": fit.follow.slope(curves.follow, p).reshape(len(p), curves.follow.shape[1]) * inverse[:, None],
         "width": width,
-        "by_width": -0.5 * lean / denominator,
-        "by_delay": -sim.speed[keep] * share / denominator,
+        "by_width": by_width,
+        "by_delay": by_delay,
         "speed": sim.speed[keep] * moving,
         "moving": moving,
         "phase": gone / np.maximum(width, 0.2 * usual),

@@ -32,7 +32,8 @@ class Track:
 
     name: str
     unit: str  # of y: "px" or "deg"
-    motor: Motor
+    motor: Motor  # between its counts
+    reading: Motor  # as it was recorded
     t_s: Array  # (n,) when a frame or a sensor's value arrived; rising
     y: Array  # (n, 2) px or (n, 1) deg
     sigma: Array  # (n,) noise of y, per coordinate
@@ -95,17 +96,17 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
     for recording in recordings:
         resolution = rig.actuator.encoder_resolution
         noise = reading_noise(recording.motor)
-        recording = replace(recording, motor=between_counts(recording.motor, resolution))
+        motor = between_counts(recording.motor, resolution)
         marker, angle = recording.marker, recording.angle
         if marker is not None and rig.has_camera:
             seen = marker.valid & np.isfinite(marker.u_px) & np.isfinite(marker.v_px)
             y = np.column_stack([marker.u_px, marker.v_px])[seen].astype(float)
             given = None if marker.sigma_px is None else marker.sigma_px[seen]
-            tracks.append(_track(recording, "px", marker.t_s[seen], y, given))
+            tracks.append(_track(recording, motor, "px", marker.t_s[seen], y, given))
         elif angle is not None:
             seen = angle.seen
             y = angle.c_deg[seen, None].astype(float)
-            tracks.append(_track(recording, "deg", angle.t_s[seen], y, None))
+            tracks.append(_track(recording, motor, "deg", angle.t_s[seen], y, None))
         elif marker is not None:
             raise TautError(f"{recording.name}: marker positions need a rig with [camera]: add it to rig.toml")
         else:
@@ -118,7 +119,7 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
     return tracks
 
 
-def _track(recording: Recording, unit: str, t: Array, y: Array, given: Array | None) -> Track:
+def _track(recording: Recording, motor: Motor, unit: str, t: Array, y: Array, given: Array | None) -> Track:
     fresh = not_held(y)
     held = int(np.sum(~fresh))
     t, y, given = t[fresh], y[fresh], None if given is None else given[fresh]
@@ -133,7 +134,8 @@ def _track(recording: Recording, unit: str, t: Array, y: Array, given: Array | N
     noise = max(noise, 1e-9)
     stray = strays(y, noise)
     t, y = t[~stray], y[~stray]
-    return Track(recording.name, unit, recording.motor, t, y, np.full(len(t), noise), stray=int(stray.sum()), held=held)
+    sigma = np.full(len(t), noise)
+    return Track(recording.name, unit, motor, recording.motor, t, y, sigma, stray=int(stray.sum()), held=held)
 
 
 def not_held(y: Array) -> Mask:

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.calibration.playfit import Fitted, Frozen
+from tautline.independence import frames_each
 
 Array = npt.NDArray[np.float64]
 
@@ -45,7 +46,9 @@ def place_noise(fitted: Fitted) -> PlaceNoise | None:
     at = np.concatenate([part.at for part in parts])
     total2 = float(np.mean(error**2))
     rest2 = min(_at_rest(error, stroke, moving), total2)
-    effect = _effect(np.concatenate([part.score for part in parts]), stroke)
+    score = np.concatenate([part.score for part in parts])
+    longest = max(int(_LONGEST * np.median(np.unique(stroke, return_counts=True)[1])), 1)
+    effect = frames_each(score, longest, window=_WINDOW, group=stroke)
     step = np.abs(np.diff(at))[(stroke[1:] == stroke[:-1]) & moving[1:]]
     usual = float(np.median(step)) if len(step) else 0.0
     return PlaceNoise(
@@ -121,19 +124,6 @@ def _at_rest(error: Array, stroke: npt.NDArray[np.int_], moving: npt.NDArray[np.
     still = pair & ~moving[1:] & ~moving[:-1]
     used = still if still.sum() >= _FEWEST else pair
     return 0.5 * float(np.mean(np.diff(error)[used] ** 2)) if used.any() else 0.0
-
-
-def _effect(score: Array, stroke: npt.NDArray[np.int_]) -> float:
-    """1 + 2 sum of the autocorrelation within strokes, over a window that fits its own length."""
-    power = float(np.mean(score**2))
-    longest = max(int(_LONGEST * np.median(np.unique(stroke, return_counts=True)[1])), 1)
-    effect = 1.0
-    for lag in range(1, longest + 1):
-        pair = stroke[lag:] == stroke[:-lag]
-        effect += 2.0 * float(np.sum((score[lag:] * score[:-lag])[pair])) / (len(score) * max(power, 1e-300))
-        if lag >= _WINDOW * 0.5 * effect:
-            break
-    return max(effect, 1.0)
 
 
 def _common(error: Array, at: Array, stroke: npt.NDArray[np.int_], at_rest: float) -> float:

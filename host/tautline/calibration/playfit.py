@@ -12,12 +12,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_solve
 
-from tautline import _native
 from tautline.calibration.observations import Mask, Track, corners
 from tautline.elements import SINGLE, Elements, Play
+from tautline.least_squares import descend, factor
 from tautline.model import STEEPEST, allowed_width
+from tautline.nominal import Nominal, Normal, Rows, by_width, steepness
 from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
@@ -55,6 +56,11 @@ class Simulated:
     def moving(self) -> Mask:
         moves: Mask = self.share > 0
         return moves
+
+    def slopes(self, keep: Mask, slope: Array) -> tuple[Array, Array]:
+        """dp/dB and dp/d(delay) at the frames that are kept, dB/dp there being `slope`."""
+        lean = self.lean[keep]
+        return by_width(lean, slope), -self.speed[keep] * self.share[keep] / steepness(lean, slope)
 
 
 @dataclass(frozen=True)
@@ -149,7 +155,7 @@ class PlayFit:
         # For each channel: where its unknowns and those that all share (backlash, delay) are, and their own sums.
         shared = np.arange(channels * mf, total)
         places = [np.concatenate([shared[:mb], np.arange(k * mf, (k + 1) * mf), shared[mb:]]) for k in range(channels)]
-        sums = [(np.zeros((len(at), len(at))), np.zeros(len(at))) for at in places]
+        nominal, sums = Nominal(self.backlash, self.follow), [Normal.zeros(len(at)) for at in places]
         for frozen, sim, r, w in zip(self.tracks, self.simulated, rows, weights, strict=True):
             keep = w > 0
             if not keep.any():
@@ -159,22 +165,18 @@ class PlayFit:
             slope = self.follow.slope(curves.follow, p)
             by_s = self._seen_at(track, self.follow.value(curves.follow, p), keep, curves.delay_s)
             by_s = by_s * inverse[:, None]
-            lean = sim.lean[keep]
-            denominator = np.maximum(1.0 + 0.5 * lean * self.backlash.slope(curves.backlash, p), 0.05)
-            by_width = -0.5 * lean / denominator * self.fit_backlash  # dp/dB
-            by_delay = -sim.speed[keep] * sim.share[keep] / denominator * self.fit_delay
+            by_b, by_delay = sim.slopes(keep, self.backlash.slope(curves.backlash, p))
+            by_b, by_delay = by_b * self.fit_backlash, by_delay * self.fit_delay
             for channel, own in enumerate(sums):
                 of = slice(None) if self.view is not None else slice(channel, channel + 1)
-                h = np.ascontiguousarray(by_s[:, of])
-                steep = slope[:, channel]
+                h, steep = np.ascontiguousarray(by_s[:, of]), slope[:, channel]
+                columns = (h * (steep * by_delay)[:, None])[:, :, None]
+                residual = np.ascontiguousarray(r[keep, of])
                 weight = np.ascontiguousarray(np.broadcast_to(w[keep, None], h.shape))
-                _native.normal_add(
-                    *(p, p, steep * by_width, np.ones(len(p)), h, (h * (steep * by_delay)[:, None])[:, :, None]),
-                    *(np.ascontiguousarray(r[keep, of]), weight, self.backlash.native, self.follow.native, *own),
-                )
-        for at, (part, force) in zip(places, sums, strict=True):
-            matrix[np.ix_(at, at)] += part
-            gradient[at] += force
+                nominal.add(Rows(p, p, steep * by_b, np.ones(len(p)), h, columns, residual), own, weight=weight)
+        for at, part in zip(places, sums, strict=True):
+            matrix[np.ix_(at, at)] += part.matrix
+            gradient[at] += part.gradient
         return matrix, gradient
 
     def slope_in_view(self, track: Track, curves: Curves, p: Array) -> Array:
@@ -195,45 +197,9 @@ class PlayFit:
     # ---- the fit
 
     def solve(self, start: Curves, iterations: int = 30, robust: bool = True, adapt: bool = True) -> Fitted:
-        """Levenberg-Marquardt; smoothing by restricted maximum likelihood (Fellner-Schall steps)."""
-        curves = start
-        rows, masks = self.residuals(curves)
-        scale, weights = _weights(rows, masks, robust)
-        if adapt:
-            self._begin(curves, scale)
-        cost = self._cost(curves, rows, weights, scale)
-        damping, settled = 1e-4, 0
-        for iteration in range(iterations):
-            matrix, gradient = self.normal(curves, rows, weights)
-            penalty, pull = self.penalty(curves, scale)
-            if adapt and iteration >= 1:
-                self._adapt(curves, _factor(matrix + penalty), scale)
-                penalty, pull = self.penalty(curves, scale)
-                cost = self._cost(curves, rows, weights, scale)
-            taken = False
-            for _ in range(8):
-                system = matrix + penalty + damping * np.diag(np.diag(matrix + penalty))
-                step = cho_solve(_factor(system), gradient - pull, check_finite=False)
-                trial = self.moved(curves, step)
-                trial_rows, trial_masks = self.residuals(trial)
-                kept = _again(weights, masks)
-                trial_weights = [np.where(m, w, 0.0) for m, w in zip(trial_masks, kept, strict=True)]
-                trial_cost = self._cost(trial, trial_rows, trial_weights, scale)
-                if trial_cost < cost:
-                    taken = True
-                    break
-                damping = min(damping * 10, 1e6)
-            if not taken:
-                self.residuals(curves)
-                break
-            damping = max(damping / 5, 1e-9)
-            gained = cost - trial_cost
-            curves, rows, masks = trial, trial_rows, trial_masks
-            scale, weights = _weights(rows, masks, robust)
-            cost = self._cost(curves, rows, weights, scale)
-            settled = settled + 1 if gained < max(_GAIN * scale * scale, 3e-4 * cost * (scale > 1.2)) else 0
-            if settled >= 2:
-                break
+        """Least squares; smoothing by restricted maximum likelihood (Fellner-Schall steps)."""
+        found = descend(_Descent(self, robust, adapt), _Point.of(self, start), iterations)
+        curves = found.curves
         rows, masks = self.residuals(curves)
         scale, weights = _weights(rows, masks, robust)
         matrix, _ = self.normal(curves, rows, weights)
@@ -293,7 +259,7 @@ class PlayFit:
             matrix[-1, -1] += 1.0
         return matrix, pull
 
-    def _begin(self, curves: Curves, scale: float) -> None:
+    def begin(self, curves: Curves, scale: float) -> None:
         """Smoothing as the start's own roughness suggests."""
         rough = sum(float(c @ self.follow.bending @ c) for c in curves.follow.T)
         rank = (self.follow.size - 2) * curves.follow.shape[1]
@@ -302,11 +268,12 @@ class PlayFit:
         rank = self.backlash.size - 2
         self.smoothing["backlash"] = float(np.clip(scale * scale * rank / max(rough, 1e-12), 1e-8, 1e8))
 
-    def _adapt(self, curves: Curves, factor: tuple[Array, bool], scale: float) -> None:
+    def adapt(self, curves: Curves, system: Array, scale: float) -> None:
+        """A step of the smoothing towards the restricted likelihood's maximum."""
         channels = curves.follow.shape[1]
         mf, mb = self.follow.size, self.backlash.size
         cut = channels * mf
-        inverse = cho_solve(factor, np.eye(cut + mb + 1), check_finite=False)
+        inverse = cho_solve(factor(system), np.eye(cut + mb + 1), check_finite=False)
         parts: list[tuple[str, list[slice], Array, list[Array]]] = [
             (
                 "follow",
@@ -325,7 +292,7 @@ class PlayFit:
             ratio = scale * scale * max(rank - spent, 1e-3) / max(now * rough, 1e-12)
             self.smoothing[name] = float(np.clip(now * np.clip(ratio, 0.05, 20.0), 1e-10, 1e8))
 
-    def _cost(self, curves: Curves, rows: list[Array], weights: list[Array], scale: float) -> float:
+    def cost(self, curves: Curves, rows: list[Array], weights: list[Array], scale: float) -> float:
         used = sum(float(np.sum(w > 0)) for w in weights)
         if used == 0:
             return np.inf
@@ -344,6 +311,55 @@ class PlayFit:
             over = np.maximum(self.least_slope * self.follow.step - self.rising * np.diff(curves.follow[:, 0]), 0.0)
             smooth += _STIFF * scale * scale / (self.slope_unit * self.follow.step) ** 2 * float(over @ over)
         return data + smooth
+
+
+@dataclass(frozen=True)
+class _Point:
+    curves: Curves
+    rows: list[Array]
+    masks: list[Mask]
+    simulated: list[Simulated]
+
+    @classmethod
+    def of(cls, fit: PlayFit, curves: Curves) -> _Point:
+        rows, masks = fit.residuals(curves)
+        return cls(curves, rows, masks, fit.simulated)
+
+
+class _Descent:
+    """A PlayFit as a least-squares problem: weights by Huber, smoothing that adapts from the second step on."""
+
+    def __init__(self, fit: PlayFit, robust: bool, adapt: bool) -> None:
+        self.fit, self.robust, self.adapt = fit, robust, adapt
+        self.scale, self.weights = 1.0, list[Array]()
+        self.steps = self.settled = 0
+
+    def linearised(self, point: _Point) -> tuple[Array, Array, float]:
+        fit, curves = self.fit, point.curves
+        fit.simulated = point.simulated
+        self.scale, self.weights = _weights(point.rows, point.masks, self.robust)
+        if self.adapt and self.steps == 0:
+            fit.begin(curves, self.scale)
+        matrix, gradient = fit.normal(curves, point.rows, self.weights)
+        penalty, pull = fit.penalty(curves, self.scale)
+        if self.adapt and self.steps > 0:
+            fit.adapt(curves, matrix + penalty, self.scale)
+            penalty, pull = fit.penalty(curves, self.scale)
+        self.steps += 1
+        return matrix + penalty, gradient - pull, fit.cost(curves, point.rows, self.weights, self.scale)
+
+    def moved(self, point: _Point, step: Array) -> _Point:
+        return _Point.of(self.fit, self.fit.moved(point.curves, step))
+
+    def cost(self, point: _Point) -> float:
+        kept = _again(self.weights, point.masks)
+        weights = [np.where(m, w, 0.0) for m, w in zip(point.masks, kept, strict=True)]
+        return self.fit.cost(point.curves, point.rows, weights, self.scale)
+
+    def enough(self, gained: float, cost: float) -> bool:
+        least = max(_GAIN * self.scale * self.scale, 3e-4 * cost * (self.scale > 1.2))
+        self.settled = self.settled + 1 if gained < least else 0
+        return self.settled >= 2
 
 
 @dataclass(frozen=True)
@@ -376,12 +392,6 @@ class Fitted:
         if self.spread is not None:
             return self.delay_spread
         return float(np.sqrt(self.covariance[-1, -1])) if self.fit.fit_delay else 0.0
-
-
-def _factor(system: Array) -> tuple[Array, bool]:
-    ridge = 1e-9 * np.diag(np.diag(system)) + 1e-12 * np.eye(len(system))
-    factor: tuple[Array, bool] = cho_factor(system + ridge, check_finite=False)
-    return factor
 
 
 def _again(weights: list[Array], masks: list[Mask]) -> list[Array]:

@@ -58,7 +58,7 @@ def worth(model: Model, tracks: Sequence[Track], rig: Rig) -> Worth | None:
             continue
         scene = track.scene_s(model.delay_s)
         coarse = rig.coarse.gain * track.motor_at(scene) + rig.coarse.offset
-        told = predict(model, track.motor, scene)
+        told = predict(model, track.reading, scene)
         if track.unit == "px":
             assert told.image_px is not None  # the rig has a camera
             by_model, by_coarse = told.image_px, project(rig, coarse, *track.others_at(scene))

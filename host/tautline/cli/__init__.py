@@ -26,6 +26,7 @@ COMMANDS = {
     "stream": "send tip set-points at 200 Hz or more, for teleoperation",
     "record": "record motor, marker and video from a board and a camera",
     "monitor": "watch a board's axes live",
+    "watch": "keep a model calibrated while the instrument is used, live",
     "marker": "pick the marker's colour, once",
     "simulate": "make a recording with a simulated instrument and endoscope",
     "compare": "how B and f_remain changed between models",

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from tautline.cli._common import emit, json_option, progress_bar, refuse_unusable
+from tautline.cli._common import emit, json_option, progress_bar, refuse_unusable, warn
 from tautline.cli._live import axis_option, board_option
 
 
@@ -30,6 +30,7 @@ def command(model_path: Path, board: str | None, axis: int, without_effects: boo
     --force.
     """
     from tautline import tables
+    from tautline.device import wire
     from tautline.device.board import open_board
     from tautline.effects import BY_ID
     from tautline.errors import TautError
@@ -48,6 +49,8 @@ def command(model_path: Path, board: str | None, axis: int, without_effects: boo
         opened.load_table(axis, blob, progress, any_instrument=force)
         status = opened.status(axis)
         serial = opened.identity.serial
+    if status.fault:
+        warn(f"axis {axis} has stopped: {wire.fault(status)}. Then run 'taut clear'")
     table = tables.decode(blob)
     emit(
         {

@@ -32,10 +32,11 @@ Listener = Callable[[wire.Message], None]
 
 
 class BoardRefused(TautError):
-    """The board answered with a reason. `reason` is its name in tl_wire.h's TL_WIRE_REASONS."""
+    """The board answered with a reason. `reason` is its name in tl_wire.h's TL_WIRE_REASONS; `fault` what is wrong with
+    the axis, where that is the reason."""
 
-    def __init__(self, request: str, code: int) -> None:
-        super().__init__(f"the board refused '{request}': {wire.text('REASONS', code)}")
+    def __init__(self, request: str, code: int, fault: str = "") -> None:
+        super().__init__(fault or f"the board refused '{request}': {wire.text('REASONS', code)}")
         self.reason = next((name for name, (value, _) in wire.wire.REASONS.items() if value == code), str(code))
 
 
@@ -208,7 +209,10 @@ class Board:
         if answer.name == "error":
             if answer.reason == wire.code("REASONS", "SESSION"):
                 raise BoardGone(f"{self.where}: the board has restarted: run the command again")
-            raise BoardRefused(name, answer.reason)
+            fault = ""
+            if answer.reason == wire.code("REASONS", "FAULT") and "axis" in values:
+                fault = self._fault(values["axis"])
+            raise BoardRefused(name, answer.reason, fault)
         return answer
 
     def poll(self, timeout_s: float) -> int:
@@ -283,9 +287,13 @@ class Board:
 
     def check_fault(self, axis: int) -> None:
         """TautError where the axis has a fault."""
-        status = self.status(axis)
-        if status.fault:
-            raise TautError(f"axis {axis} has stopped: {wire.fault(status)}. Then run 'taut clear', and this again")
+        if fault := self._fault(axis):
+            raise TautError(fault)
+
+    def _fault(self, axis: int) -> str:
+        """The axis' fault and what mends it, "" where it has none."""
+        says = wire.fault(self.status(axis))
+        return f"axis {axis} has stopped: {says}. Then run 'taut clear', and this again" if says else ""
 
     def check_reference(self, axis: int) -> None:
         """TautError where the axis does not know its position."""

@@ -16,7 +16,7 @@ from tautline import _native
 
 wire = _native.wire
 _SCALE = re.compile(r"_q(\d+)(?=_|$)")
-_MEASURED = re.compile(r"\((by |at duty )?(?:1(/))?([^)]+)\)")  # "(mA)", "(by counts)", "(at duty 1/32768)"
+_MEASURED = re.compile(r"\((by |at (?:duty )?)?(?:1(/))?([^)]+)\)")  # "(mA)", "(by counts)", "(at duty 1/32768)"
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import _native
-from tautline.diagnose.fit import STATIC_COLUMNS, Fit, Fitter, Rows
+from tautline.diagnose.fit import STATIC_COLUMNS, Fit, Fitter, Seen
 from tautline.diagnose.segment import Segment
 from tautline.effects import Kind
 
@@ -63,7 +63,7 @@ def residuals(fitter: Fitter, fit: Fit, further: Sequence[Kind] = ()) -> list[Ar
     return [(left - moved @ step)[:, None] for left, moved in parts]
 
 
-def _across(row: Rows, way: Array) -> tuple[Array, Array]:
+def _across(row: Seen, way: Array) -> tuple[Array, Array]:
     """Of residual (n,) and of columns (n, m): what is normal to `way` (n, 2)."""
     unit = way / np.maximum(np.linalg.norm(way, axis=1), 1e-12)[:, None]
     normal = np.column_stack([-unit[:, 1], unit[:, 0]])
@@ -76,7 +76,7 @@ def _velocity(segment: Segment) -> Array:
     return velocity[segment.scored]
 
 
-def _lens(fitter: Fitter, rows: Sequence[Rows]) -> list[Array]:
+def _lens(fitter: Fitter, rows: Sequence[Seen]) -> list[Array]:
     """Polynomials of where the image should be (where it is has the noise in it), for either coordinate."""
     seen = [s.observed[s.scored] - row.residual for s, row in zip(fitter.segments, rows, strict=True)]
     low, high = (f([f(x, axis=0) for x in seen], axis=0) for f in (np.min, np.max))
@@ -89,7 +89,7 @@ def _lens(fitter: Fitter, rows: Sequence[Rows]) -> list[Array]:
     return found
 
 
-def _plane(fitter: Fitter, rows: Sequence[Rows]) -> list[Array]:
+def _plane(fitter: Fitter, rows: Sequence[Seen]) -> list[Array]:
     """The bending plane's two directions in the image, times polynomials of the angle."""
     angles = [row.path.c_deg[s.scored] for s, row in zip(fitter.segments, rows, strict=True)]
     low, high = min(float(c.min()) for c in angles), max(float(c.max()) for c in angles)
@@ -104,7 +104,7 @@ def _plane(fitter: Fitter, rows: Sequence[Rows]) -> list[Array]:
     return found
 
 
-def _channel(fitter: Fitter, rows: Sequence[Rows]) -> list[Array]:
+def _channel(fitter: Fitter, rows: Sequence[Seen]) -> list[Array]:
     """Rigid motions of the instrument that depend on the direction and die away after it changes."""
     found = []
     for segment, row in zip(fitter.segments, rows, strict=True):

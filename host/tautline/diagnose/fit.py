@@ -1,9 +1,8 @@
 """Fits one hypothesis (no effect, one or several) to all recordings at once, the nominal model free where it may move.
 
 The nominal that is shared by all recordings: B and f_remain as corrections in cubic B-splines and a factor on what of
-them these cannot follow, the static registration and the delay. Its Jacobian is analytic along the play: on an
-envelope p + lean B(p)/2 = q moves by dp = -lean dB(p)/2 / (1 + lean B'(p)/2), and inside the backlash p keeps what it
-had when an envelope last carried it. The effects' Jacobian is a difference quotient of the simulation.
+them these cannot follow, the static registration and the delay. Its Jacobian is analytic along the play (nominal.py);
+the effects' Jacobian is a difference quotient of the simulation.
 """
 
 from __future__ import annotations
@@ -18,17 +17,19 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
 
-from tautline import _native, effects
+from tautline import effects
 from tautline.diagnose.segment import Segment
 from tautline.effects import Kind, Parameter, Path
+from tautline.least_squares import descend
 from tautline.model import Model, allowed_width
+from tautline.nominal import Nominal, Normal, Rows, by_width
 from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
 
 _WIDTH_PIECES, _REMAINING_PIECES = 20, 22
 _ROUGH = 0.001  # second difference of a correction's neighbouring coefficients, share of its range
-STATIC_COLUMNS = slice(2, 8)  # of Rows.columns, with a camera
+STATIC_COLUMNS = slice(2, 8)  # of Seen.columns, with a camera
 _STATIC = tuple(p.name for p in effects.BY_ID["registration.static"].amplitudes)
 WIDTH, REMAINING, STATIC, DELAY = PARTS = (
     "transmission.backlash",
@@ -132,26 +133,11 @@ class State:
 
 
 @dataclass(frozen=True)
-class Rows:
-    """One recording's scored observations, linearised in the nominal: d prediction = by_c dc + columns dx, where
-    dc = by_width dB(p) + by_follow df(tip) and x are the factors on details, static registration and delay."""
+class Seen(Rows):
+    """One recording's scored observations. Unknowns beside B and f_remain: factors on their details and, with a camera,
+    static registration and delay."""
 
     path: Path  # at all observations
-    p: Array  # (n,) of the scored ones, as the next three
-    tip: Array
-    by_width: Array
-    by_follow: Array
-    by_c: Array  # (n, k)
-    columns: Array  # (n, k, 9), or (n, 1, 2) without a camera
-    residual: Array  # (n, k)
-
-
-@dataclass(frozen=True)
-class Normal:
-    """Normal equations: unknowns are B's and f_remain's coefficients, static registration, delay, and what is added."""
-
-    matrix: Array  # (m, m)
-    gradient: Array  # (m,)
 
 
 @dataclass(frozen=True)
@@ -175,25 +161,24 @@ class Fitter:
     def __init__(self, model: Model, segments: Sequence[Segment], load_reference: float = 0.0) -> None:
         self.model, self.segments, self.load_reference = model, list(segments), load_reference
         self.px = segments[0].unit == "px"
+        self.delayed = segments[0].sensor == model.sensor  # the model has a delay of its own for what is observed
         low = min(float(s.motor.q.min()) for s in segments)
         high = max(float(s.motor.q.max()) for s in segments)
-        self._width_basis = Basis(low, high, _WIDTH_PIECES)
-        self._remaining_basis = Basis(low, high, _REMAINING_PIECES)
+        self.nominal_curves = curves = Nominal(Basis(low, high, _WIDTH_PIECES), Basis(low, high, _REMAINING_PIECES))
         span = model.rig.actuator.span
         gain = abs(model.rig.coarse.gain)
         # Priors keep what the motion does not excite where calibration left it.
-        prior = [np.full(self._width_basis.size, 0.03 * span), np.full(self._remaining_basis.size, 0.1 * gain * span)]
-        prior.append(np.ones(2))
+        prior = [np.full(curves.width.size, 0.03 * span), np.full(curves.follow.size, 0.1 * gain * span), np.ones(2)]
         # What the splines cannot follow: an effect that was there during calibration left its ripple in it.
         self._details = tuple(
             _beyond(basis, model.q, values)
-            for basis, values in ((self._width_basis, model.width), (self._remaining_basis, model.c_deg))
+            for basis, values in ((curves.width, model.width), (curves.follow, model.c_deg))
         )
         if self.px:
-            prior += [np.full(3, 3.0), np.full(3, 2.0), np.full(1, 0.02)]
-        self._prior = np.concatenate(prior)
+            prior += [np.full(3, 3.0), np.full(3, 2.0)]
+        self._prior = np.concatenate([*prior, np.full(1, 0.02)])
         self._bending = block_diag(
-            _bending(self._width_basis.size, _ROUGH * span), _bending(self._remaining_basis.size, _ROUGH * gain * span)
+            curves.width.bending / (_ROUGH * span) ** 2, curves.follow.bending / (_ROUGH * gain * span) ** 2
         )
         self.floor = 1.0
         # What begins outside of the angles that were reached would be another gain and offset.
@@ -215,13 +200,13 @@ class Fitter:
 
     def _columns_of(self, parts: Collection[str]) -> npt.NDArray[np.int64]:
         """The nominal's unknowns that belong to these of PARTS."""
-        b, f = self._width_basis.size, self._remaining_basis.size
-        details = b + f
+        b, details = self.nominal_curves.width.size, self.nominal_curves.size
+        delay = len(self._prior) - 1
         of = {
             WIDTH: [*range(b), details],
-            REMAINING: [*range(b, b + f), details + 1],
-            STATIC: list(range(details + 2, details + 8)) if self.px else [],
-            DELAY: [details + 8] if self.px else [],
+            REMAINING: [*range(b, details), details + 1],
+            STATIC: list(range(details + 2, delay)),
+            DELAY: [delay],
         }
         return np.array([i for part in parts for i in of[part]], dtype=np.int64)
 
@@ -240,35 +225,37 @@ class Fitter:
             found.append((segment.observed - predicted)[segment.scored])
         return found
 
-    def rows(self, state: State, hypothesis: Hypothesis) -> list[Rows]:
+    def rows(self, state: State, hypothesis: Hypothesis) -> list[Seen]:
         """Of each recording."""
         slope_b = np.gradient(state.model.width, state.model.q)
         slope_f = np.gradient(state.model.c_deg, state.model.q)
         return [self._rows(segment, state, hypothesis, slope_b, slope_f) for segment in self.segments]
 
-    def _rows(self, segment: Segment, state: State, hypothesis: Hypothesis, slope_b: Array, slope_f: Array) -> Rows:
+    def _rows(self, segment: Segment, state: State, hypothesis: Hypothesis, slope_b: Array, slope_f: Array) -> Seen:
         parameters, keep = state.at(segment, hypothesis), segment.scored
         path = segment.follow(state.model, parameters, self.load_reference)
         model = effects.tabled(state.model, parameters)
         if model is not state.model:
             slope_b, slope_f = np.gradient(model.width, model.q), np.gradient(model.c_deg, model.q)
-        p, tip, gain, lean = path.p[keep], path.tip[keep], path.gain[keep], path.lean[keep]
-        steep = np.maximum(1 + lean * np.interp(p, model.q, slope_b) / 2, 0.1)
-        by_width = gain * np.interp(tip, model.q, slope_f) * -lean / 2 / steep
+        p, tip, gain = path.p[keep], path.tip[keep], path.gain[keep]
+        by_b = gain * np.interp(tip, model.q, slope_f) * by_width(path.lean[keep], np.interp(p, model.q, slope_b))
         details = np.column_stack(
-            [by_width * np.interp(p, model.q, self._details[0]), gain * np.interp(tip, model.q, self._details[1])]
+            [by_b * np.interp(p, model.q, self._details[0]), gain * np.interp(tip, model.q, self._details[1])]
         )
-        if not self.px:
-            residual = segment.observed[keep] - path.c_deg[keep, None]
-            return Rows(path, p, tip, by_width, gain, np.ones((len(p), 1)), details[:, None, :], residual)
-        seen, by_c, by_static = effects.image_with_slopes(model, path, parameters, segment.offset_s)
-        sooner = {**parameters, "delay": parameters.get("delay", 0.0) - _AHEAD_S}
-        later = segment.follow(state.model, sooner, self.load_reference)
-        by_delay = ((path.c_deg - later.c_deg) / _AHEAD_S)[:, None] * by_c
+        if self.px:
+            seen, by_c, by_static = effects.image_with_slopes(model, path, parameters, segment.offset_s)
+        else:
+            seen = path.c_deg[:, None]
+            by_c, by_static = np.ones_like(seen), np.empty((*seen.shape, 0))
+        by_delay = np.zeros_like(by_c)
+        if self.delayed:
+            sooner = {**parameters, "delay": parameters.get("delay", 0.0) - _AHEAD_S}
+            later = segment.follow(state.model, sooner, self.load_reference)
+            by_delay = ((path.c_deg - later.c_deg) / _AHEAD_S)[:, None] * by_c
         columns = np.concatenate(
             [by_c[keep][:, :, None] * details[:, None, :], by_static[keep], by_delay[keep][:, :, None]], axis=2
         )
-        return Rows(path, p, tip, by_width, gain, by_c[keep], columns, (segment.observed - seen)[keep])
+        return Seen(p, tip, by_b, gain, by_c[keep], columns, (segment.observed - seen)[keep], path)
 
     def normal(
         self, rows: Rows, extra: Array | None = None, weight: Array | None = None, known: Normal | None = None
@@ -276,19 +263,14 @@ class Fitter:
         """Of one recording. extra (n, k, m): further columns, their unknowns behind the others. known: the same without
         `extra`, which then need not be summed again."""
         columns, first = rows.columns, rows.columns.shape[2]
-        before = self._width_basis.size + self._remaining_basis.size + first
+        before = self.nominal_curves.size + first
         if extra is not None:
             columns = np.concatenate([columns, extra], axis=2)
-        size = before - first + columns.shape[2]
-        matrix, gradient = np.zeros((size, size)), np.zeros(size)
+        found = Normal.zeros(before - first + columns.shape[2])
         if known is not None:
-            matrix[:before, :before], gradient[:before] = known.matrix, known.gradient
-        _native.normal_add(
-            *(rows.p, rows.tip, rows.by_width, rows.by_follow, rows.by_c, np.ascontiguousarray(columns)),
-            *(rows.residual, weight, self._width_basis.native, self._remaining_basis.native, matrix, gradient),
-            first=0 if known is None else first,
-        )
-        return Normal(matrix, gradient)
+            found.matrix[:before, :before], found.gradient[:before] = known.matrix, known.gradient
+        self.nominal_curves.add(rows, found, columns, weight, first=0 if known is None else first)
+        return found
 
     def left(self, rows: Sequence[Rows]) -> list[Array]:
         """What a step of the nominal, as far as it likes, leaves of each recording's residual: least squares of the
@@ -302,10 +284,7 @@ class Fitter:
 
     def moved(self, row: Rows, step: Array) -> Array:
         """(n, k): by how much a step of the unknowns, those of row.columns last, moves the prediction."""
-        b, f = self._width_basis.size, self._remaining_basis.size
-        width = self._width_basis.value(step[:b], row.p)
-        c = row.by_width * width + row.by_follow * self._remaining_basis.value(step[b : b + f], row.tip)
-        return np.asarray(row.by_c * c[:, None] + row.columns @ step[b + f :])
+        return self.nominal_curves.moved(row, step)
 
     def spread(self, hypothesis: Hypothesis) -> Array:
         """Standard deviations of the prior: of the nominal's corrections, then of the effects' parameters."""
@@ -319,7 +298,7 @@ class Fitter:
         stiff[:n, :n] += self._bending
         return stiff
 
-    def effect_columns(self, state: State, hypothesis: Hypothesis, rows: Sequence[Rows]) -> list[Array]:
+    def effect_columns(self, state: State, hypothesis: Hypothesis, rows: Sequence[Seen]) -> list[Array]:
         """Of each recording (n, k, m) by difference quotients, one column for each of the hypothesis' slots."""
         found = []
         for segment, row in zip(self.segments, rows, strict=True):
@@ -335,7 +314,7 @@ class Fitter:
         return found
 
     def moved_by(
-        self, segment: Segment, state: State, hypothesis: Hypothesis, parameter: Parameter, row: Rows, residual: Array
+        self, segment: Segment, state: State, hypothesis: Hypothesis, parameter: Parameter, row: Seen, residual: Array
     ) -> Array:
         """(scored, k): by how much the prediction is another than where `residual` is left, `state` differing from
         where `row` is by `parameter` alone. An observation that it would take behind the camera is not moved."""
@@ -382,70 +361,77 @@ class Fitter:
         enough: float = _SMALL_GAIN,
         held: npt.NDArray[np.int64] | None = None,
     ) -> Fit:
-        """Levenberg-Marquardt, at most so many steps, and no more where one gains less than `enough` of the cost. held:
-        unknowns of the nominal that stay."""
-        rows = self.rows(state, hypothesis)
-        prior = self.floor**2 * self.stiffness(hypothesis)
-        damping = 1e-4
-        for _ in range(most):
-            limits = [outlier_limit(row.residual) for row in rows]
-            cost = _cost([row.residual for row in rows], limits)
-            matrix, gradient = prior.copy(), np.zeros(len(prior))
-            for row, columns, limit in zip(rows, self.effect_columns(state, hypothesis, rows), limits, strict=True):
-                weight = np.minimum(1.0, limit / np.maximum(np.abs(row.residual), 1e-12))
-                part = self.normal(row, columns, weight)
-                matrix += part.matrix
-                gradient += part.gradient
-            self._pin(state, hypothesis, matrix, gradient)
-            if held is not None and len(held):
-                matrix[held, :] = matrix[:, held] = gradient[held] = 0.0
-                matrix[held, held] = 1.0
-            gain = 0.0
-            for _ in range(8):
-                step = np.asarray(np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), gradient), dtype=float)
-                trial = self._moved(state, hypothesis, step)
-                trial_rows = self.rows(trial, hypothesis)
-                trial_cost = _cost([row.residual for row in trial_rows], limits)
-                if trial_cost < cost:
-                    gain = (cost - trial_cost) / cost
-                    state, rows, damping = trial, trial_rows, damping / 10
-                    break
-                damping = max(damping, 1e-6) * 10
-            if gain < enough:
-                break
-        return Fit(hypothesis, state, [row.residual for row in rows])
+        """At most so many steps, and no more where one gains less than `enough` of the cost. held: unknowns of the
+        nominal that stay."""
+        held = np.zeros(0, dtype=np.int64) if held is None else held
+        found = descend(_Descent(self, hypothesis, enough, held), _Point(state, self.rows(state, hypothesis)), most)
+        return Fit(hypothesis, found.state, [row.residual for row in found.rows])
 
-    def _pin(self, state: State, hypothesis: Hypothesis, matrix: Array, gradient: Array) -> None:
-        """Keeps a parameter at the end of its range where the step would lead beyond it."""
-        slots = hypothesis.slots
-        for i, slot in enumerate(slots, len(gradient) - len(slots)):
-            value = state.values[slot.key]
-            onward = value + float(np.sign(gradient[i])) * 1e-6 * self.scale(slot.parameter)
-            if inside(slot.parameter, onward) == value:
-                matrix[i, :] = matrix[:, i] = gradient[i] = 0.0
-                matrix[i, i] = 1.0
-
-    def _moved(self, state: State, hypothesis: Hypothesis, step: Array) -> State:
-        model = state.model
-        b, f = self._width_basis.size, self._remaining_basis.size
-        width = model.width + self._width_basis.value(step[:b], model.q) + step[b + f] * self._details[0]
+    def stepped(self, state: State, hypothesis: Hypothesis, step: Array) -> State:
+        """The state a step of all unknowns further."""
+        model, curves = state.model, self.nominal_curves
+        b, both = curves.width.size, curves.size
+        width = model.width + curves.width.value(step[:b], model.q) + step[both] * self._details[0]
         width = allowed_width(model.q, width)
-        c_deg = model.c_deg + self._remaining_basis.value(step[b : b + f], model.q) + step[b + f + 1] * self._details[1]
-        static, delay, at = state.static, model.delay_s, b + f + 2
-        if self.px:
-            static = {name: state.static[name] + float(step[at + i]) for i, name in enumerate(_STATIC)}
-            delay, at = delay + float(step[at + 6]), at + 7
+        c_deg = model.c_deg + curves.follow.value(step[b:both], model.q) + step[both + 1] * self._details[1]
+        static = {name: value + float(step[both + 2 + i]) for i, (name, value) in enumerate(state.static.items())}
+        at = len(self._prior)
         values = dict(state.values)
-        for i, slot in enumerate(hypothesis.slots):
-            value = inside(slot.parameter, values[slot.key] + float(step[at + i]))
+        for i, slot in enumerate(hypothesis.slots, at):
+            value = inside(slot.parameter, values[slot.key] + float(step[i]))
             values[slot.key] = float(np.clip(value, *self._reached)) if slot.parameter.reached else value
-        return State(replace(model, width=width, c_deg=c_deg, delay_s=delay), static, values)
+        model = replace(model, width=width, c_deg=c_deg, delay_s=model.delay_s + float(step[at - 1]))
+        return State(model, static, values)
 
 
-def _bending(size: int, scale: float) -> Array:
-    """Inverse covariance of coefficients whose second differences scatter by `scale`."""
-    bends = np.diff(np.eye(size), n=2, axis=0) / scale
-    return np.asarray(bends.T @ bends)
+@dataclass(frozen=True)
+class _Point:
+    state: State
+    rows: list[Seen]
+
+
+class _Descent:
+    """A hypothesis as a least-squares problem: Huber's cost, its limit taken anew of each recording before every step;
+    an effect's parameter stays at the end of its range where a step would lead beyond it."""
+
+    def __init__(self, fitter: Fitter, hypothesis: Hypothesis, enough: float, held: npt.NDArray[np.int64]) -> None:
+        self.fitter, self.hypothesis, self.least, self.held = fitter, hypothesis, enough, held
+        self.prior = fitter.floor**2 * fitter.stiffness(hypothesis)
+        self.limits: list[float] = []
+
+    def linearised(self, point: _Point) -> tuple[Array, Array, float]:
+        fitter, hypothesis = self.fitter, self.hypothesis
+        self.limits = [outlier_limit(row.residual) for row in point.rows]
+        matrix, gradient = self.prior.copy(), np.zeros(len(self.prior))
+        columns = fitter.effect_columns(point.state, hypothesis, point.rows)
+        for row, extra, limit in zip(point.rows, columns, self.limits, strict=True):
+            weight = np.minimum(1.0, limit / np.maximum(np.abs(row.residual), 1e-12))
+            part = fitter.normal(row, extra, weight)
+            matrix += part.matrix
+            gradient += part.gradient
+        held = np.concatenate([self.held, self._at_their_ends(point.state, gradient)])
+        matrix[held, :] = matrix[:, held] = gradient[held] = 0.0
+        matrix[held, held] = 1.0
+        return matrix, gradient, self.cost(point)
+
+    def _at_their_ends(self, state: State, gradient: Array) -> npt.NDArray[np.int64]:
+        found = []
+        for i, slot in enumerate(self.hypothesis.slots, len(gradient) - len(self.hypothesis.slots)):
+            value = state.values[slot.key]
+            onward = value + float(np.sign(gradient[i])) * 1e-6 * self.fitter.scale(slot.parameter)
+            if inside(slot.parameter, onward) == value:
+                found.append(i)
+        return np.array(found, dtype=np.int64)
+
+    def moved(self, point: _Point, step: Array) -> _Point:
+        state = self.fitter.stepped(point.state, self.hypothesis, step)
+        return _Point(state, self.fitter.rows(state, self.hypothesis))
+
+    def cost(self, point: _Point) -> float:
+        return _cost([row.residual for row in point.rows], self.limits)
+
+    def enough(self, gained: float, cost: float) -> bool:
+        return gained < self.least * cost
 
 
 def _beyond(basis: Basis, grid: Array, values: Array) -> Array:

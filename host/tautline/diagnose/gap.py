@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.diagnose.segment import Segment
+from tautline.independence import frames_each
 from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
@@ -16,6 +17,7 @@ _STILL_S = 0.6  # a motor at rest for so long has left its own transients behind
 _UNLIKE = 4.0  # times the median rest's power: no noise any more
 BLOCK_S = 8.0  # of a manoeuvre: longer than a residual remembers
 _CUT_INTO = (12, 9)  # blocks, tried in turn where the motor's turns make none
+_REMEMBERED, _ALIKE = 199, 0.02  # lags at most, and a correlation from which there is none
 _EACH_WAY = 0.2  # share of the motion that either way must have
 
 
@@ -107,25 +109,12 @@ def _goes_both_ways(way: Array) -> bool:
 
 
 def memory(residuals: Sequence[Array]) -> float:
-    """How many neighbouring residuals tell as much as one independent one: 1 + 2 sum of autocorrelations, to the first
-    that is not positive."""
-    longest = 200
-    cov = np.zeros(longest)
-    count = 0
-    for r in residuals:
-        x = r - r.mean(axis=0)
-        if len(x) <= longest + 1:
-            continue
-        size = 1 << (2 * len(x) - 1).bit_length()
-        for column in x.T:
-            power = np.abs(np.fft.rfft(column, size)) ** 2
-            cov += np.fft.irfft(power)[:longest]
-        count += 1
-    if count == 0 or cov[0] <= 0.0:
+    """How many neighbouring residuals tell as much as one independent one, in recordings that are long enough."""
+    long = [r - r.mean(axis=0) for r in residuals if len(r) > _REMEMBERED + 1]
+    if not long:
         return 1.0
-    rho = cov / cov[0]
-    stop = int(np.argmax(rho <= 0.02)) if (rho <= 0.02).any() else longest
-    return float(1.0 + 2.0 * rho[1:stop].sum())
+    recording = np.repeat(np.arange(len(long)), [len(r) for r in long])
+    return frames_each(np.concatenate(long), _REMEMBERED, least=_ALIKE, group=recording)
 
 
 def bootstrap(

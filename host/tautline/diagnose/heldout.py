@@ -14,7 +14,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnose.fit import Fit, Fitter, Normal, Rows
+from tautline.diagnose.fit import Fit, Fitter
+from tautline.nominal import Normal, Rows
 
 Array = npt.NDArray[np.float64]
 _STAYS = 0.1  # of a block that is left out

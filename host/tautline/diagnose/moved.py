@@ -48,7 +48,7 @@ def from_the_start(fitter: Fitter, frozen: Sequence[Array], base: Fit) -> list[M
         after = left(base) if set(free) == set(PARTS) else left(coarse.nominal(free))
         return float(np.clip((before**2 - after**2) / excess, 0.0, 1.0))
 
-    others = (WIDTH, REMAINING, DELAY) if fitter.px else (WIDTH, REMAINING)
+    others = (WIDTH, REMAINING, DELAY) if fitter.delayed else (WIDTH, REMAINING)
     if fitter.px and not closes(before, left(coarse.nominal(others)), floor):
         known = {frozenset[str](): 0.0}
 

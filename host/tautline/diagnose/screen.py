@@ -15,8 +15,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve
 
-from tautline.diagnose.fit import STATIC_COLUMNS, Fit, Fitter, Normal, Rows, Scope, inside, key
+from tautline.diagnose.fit import STATIC_COLUMNS, Fit, Fitter, Scope, Seen, inside, key
 from tautline.effects import Kind, Parameter
+from tautline.nominal import Normal
 
 Array = npt.NDArray[np.float64]
 
@@ -225,7 +226,7 @@ class _Scan:
         return best
 
 
-def _cut(row: Rows, part: slice) -> Rows:
+def _cut(row: Seen, part: slice) -> Seen:
     return replace(
         row,
         **{

@@ -82,7 +82,7 @@ def prepare(model: Model, calibration: Recording, tests: Sequence[Recording]) ->
     segments = []
     offset = end = 0.0
     for i, recording in enumerate(recordings):
-        motor = between_counts(recording.motor, model.rig.actuator.encoder_resolution)
+        motor = straight_lines(recording.motor, model.rig.actuator.encoder_resolution)
         # Recordings share one clock where their times do not overlap; else each follows the one before.
         offset = 0.0 if i == 0 or motor.t_s[0] >= end else end - float(motor.t_s[0])
         end = float(motor.t_s[-1]) + offset
@@ -98,7 +98,7 @@ def prepare(model: Model, calibration: Recording, tests: Sequence[Recording]) ->
             stride = max(1, len(times) // 6000)
             times, observed = times[::stride], observed[::stride]
         scene = times - model.delay_of(MARKER if by_marker else ANGLE)
-        from_s = settled_from(model, motor)
+        from_s = settled_from(model, recording.motor)
         scored = (scene >= from_s) & (scene <= motor.t_s[-1])
         if not scored.any():
             raise TautError(
@@ -108,7 +108,7 @@ def prepare(model: Model, calibration: Recording, tests: Sequence[Recording]) ->
         segments.append(
             Segment(
                 recording.name,
-                straight_lines(recording.motor, model.rig.actuator.encoder_resolution),
+                motor,
                 times,
                 observed,
                 scored,
@@ -123,6 +123,7 @@ def prepare(model: Model, calibration: Recording, tests: Sequence[Recording]) ->
 def settled_from(model: Model, motor: Motor) -> float:
     """The scene time from which the start inside the backlash no longer matters: both envelopes were reached."""
     widest = 1.1 * float(model.width.max()) + 2 * model.rig.actuator.encoder_resolution
+    motor = between_counts(motor, model.rig.actuator.encoder_resolution)  # at every sample
     low, high = np.minimum.accumulate(motor.q), np.maximum.accumulate(motor.q)
     up = np.flatnonzero(motor.q - low > widest)
     down = np.flatnonzero(high - motor.q > widest)

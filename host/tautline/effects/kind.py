@@ -51,8 +51,9 @@ class Kind:
     amplitudes: tuple[Parameter, ...]
     shapes: tuple[Parameter, ...] = ()
     says: str = ""
-    # freedom: the instrument's second or third degree of freedom moves; joint: a further joint's column does.
-    needs: Literal["", "camera", "load", "freedom", "joint"] = ""
+    # sensor: the model has a delay for what is observed; freedom: the instrument's second or third degree of freedom
+    # moves; joint: a further joint's column does.
+    needs: Literal["", "camera", "sensor", "load", "freedom", "joint"] = ""
     column: str = ""  # of motor.csv, that it follows
     of_joint: Callable[[str], Kind] | None = None  # the same for a further joint's column
     holds: Holds | None = None  # a corrected model holds it in its own tables, rig or delay; None: it is simulated

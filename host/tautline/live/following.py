@@ -132,17 +132,18 @@ def follow(
             points = zip(np.rint(plan[sent:due] * scale), np.rint(start_us + grid[sent:due] * 1e6), strict=True)
             board.tell_all("set_point", [{"axis": axis, "value": int(v), "at_us": int(t)} for v, t in points])
             sent = max(due, sent)
-            _step(live, seen)
+            step(live, seen)
             _check(live)
             if progress:
                 progress(sent / len(grid), "following")
         while live.now_us() < start_us + grid[-1] * 1e6:
-            _step(live, seen)
+            step(live, seen)
     _check(live)
     return start_us * 1e-6 + lead + _SETTLE_S, start_us * 1e-6 + grid, plan
 
 
-def _step(live: Live, seen: Callable[[Frame], None] | None) -> None:
+def step(live: Live, seen: Callable[[Frame], None] | None) -> None:
+    """Until the next frame, which goes to `seen`, or for a while where there is no camera."""
     if live.eye is not None and seen is not None:
         seen(live.look())
     else:
@@ -153,7 +154,13 @@ def _check(live: Live) -> None:
     """A refused set-point ends the run: with the fault that caused it, where there is one."""
     if live.board.refused:
         live.board.check_fault(live.axis)
-        raise live.board.refused[0]
+        refused = live.board.refused[0]
+        if refused.reason == "NOT_FOLLOWING":
+            raise TautError(
+                f"axis {live.axis} came to rest: no set-points came for {_SILENCE_S:g} s. Close what keeps this "
+                "machine busy, and run the command again"
+            )
+        raise refused
 
 
 def follow_run(
@@ -266,14 +273,14 @@ def record(
 
     live.board.listen("batch", batch)
     live.board.counters(clear=True)
-    plan = None if motion == "none" else _motor_trajectory(live, motion, speed, duration_s, seed)
+    plan = None if motion == "none" else motor_trajectory(live, motion, speed, duration_s, seed)
     began = live.now_us()
     with Recorder(live, folder, video) as recorder, live.interruptible():
         try:
             if plan is not None:
                 follow(live, *plan, tip=False, seen=seen, progress=progress)
             while plan is None and (passed := (live.now_us() - began) * 1e-6) < duration_s:
-                _step(live, seen)
+                step(live, seen)
                 if progress:
                     progress(passed / duration_s, "recording")
         except KeyboardInterrupt:
@@ -297,7 +304,8 @@ def other_axes(motion: str) -> list[str]:
     return [name for name in ("translation_mm", "rotation_deg") if name in header]
 
 
-def _motor_trajectory(live: Live, what: str, speed: float | None, seconds: float, seed: int) -> tuple[Array, Array]:
+def motor_trajectory(live: Live, what: str, speed: float | None, seconds: float, seed: int) -> tuple[Array, Array]:
+    """t_s and q of a file or a shape (trapezoids, smooth)."""
     actuator = live.rig.actuator
     if what not in ("trapezoids", "smooth"):
         if not Path(what).is_file():

@@ -91,8 +91,10 @@ def move_to(live: Live, q: float, speed: float, seen: Callable[[Frame], object] 
     start = live.board.status(live.axis).q * live.resolution
     live.board.ask("move", axis=live.axis, q=q / live.resolution, speed_s=speed / live.resolution)
     longest = 2.0 + 1.5 * abs(q - start) / speed
-    began = live.now_us()
-    while live.now_us() - began < longest * 1e6:
+    deadline = live.now_us() + longest * 1e6
+    late = False
+    while not late:
+        late = live.now_us() >= deadline  # before the look at what became of it: this process may have been held up
         if seen is not None and live.eye is not None:
             seen(live.look())
         else:

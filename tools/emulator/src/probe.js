@@ -30,12 +30,17 @@ export class Probe {
         this.board = symbol(elf, 'board');
         this.panic = symbol(elf, 'panic') & ~1;
         const words = fs.readFileSync(layout);
-        [this.axes, this.axisSize, this.mode, this.fault, this.current] = [0, 4, 8, 12, 16].map((at) => words.readUInt32LE(at));
+        [this.axes, this.axisSize, this.mode, this.fault, this.current, this.bad] = [0, 4, 8, 12, 16, 20].map((at) => words.readUInt32LE(at));
     }
 
     axis(chip, index) {
         const base = this.board + this.axes + index * this.axisSize;
         return { mode: chip.readUint8(base + this.mode), fault: chip.readUint8(base + this.fault) };
+    }
+
+    /** Bytes that came and were no frame. */
+    bytesBad(chip) {
+        return chip.readUint32(this.board + this.bad);
     }
 
     /** The current that the image last measured, mA. */

@@ -155,6 +155,7 @@ export class UsbController extends RPUSBController {
             }
             buffer = control & 0xffc0;
         }
+        if (this.epAbort & (1 << index)) return NAK; // the buffer is being taken back
         const value = view.getUint32(BUFFER_CONTROL + index * 4, true);
         if (value & STALL && (endpoint > 0 || this.epStallArm & (out ? 2 : 1))) {
             return STALLED;

@@ -8,6 +8,7 @@ import { loadBoard } from '../src/board.js';
 import { Fault } from '../src/chip.js';
 import { motorConstants } from '../src/plant.js';
 import { symbol } from '../src/probe.js';
+import { ACK } from '../src/usb.js';
 import { setupPacket } from '../src/usbhost.js';
 
 const root = path.resolve(path.dirname(fileURLToPath(import.meta.url)), '../../..');
@@ -45,6 +46,7 @@ test('it enumerates: descriptors, a configuration, its serial number, a request 
 
 test('an endpoint whose halt is cleared beside a packet that completes goes on', () => {
     const clear = symbol(elf, '__wrap_dcd_edpt_clear_stall') & ~1;
+    const answers = new Set();
     for (let after = 0; after < 120; after += 10) { // instructions into the clearing
         const board = booted();
         const { usb, chip } = board;
@@ -63,7 +65,7 @@ test('an endpoint whose halt is cleared beside a packet that completes goes on',
         core.executeInstruction = () => {
             if (left < 0 && (core.PC & ~1) === clear) left = after;
             else if (left > 0) left -= 1;
-            if (left === 0 && answer === null) answer = chip.usbCtrl.out(usb.address, 1, 0, new Uint8Array(0));
+            if (left === 0 && answer === null) answer = chip.usbCtrl.out(usb.address, 1, 0, new Uint8Array(5));
             return execute();
         };
         assert.ok(done(submit(0, setupPacket(2, 1, 0, 1, 0), 0)), 'CLEAR_FEATURE(ENDPOINT_HALT)');
@@ -71,8 +73,13 @@ test('an endpoint whose halt is cleared beside a packet that completes goes on',
         for (let packet = 0; packet < 4; packet++) {
             assert.ok(done(submit(1, null, 64)), `packet ${packet}, ${after} instructions in, answered ${answer}`);
         }
+        board.run(board.nowUs + 2000);
+        const took = (answer === ACK ? 5 : 0) + 4 * 64;
+        assert.equal(board.probe.bytesBad(chip), took, `${after} instructions in, answered ${answer}`);
+        answers.add(answer);
         assert.equal(usb.toggleErrors + chip.usbCtrl.toggleErrors, 0);
     }
+    assert.ok(answers.has(ACK), 'a packet came in time');
 });
 
 test('two runs are the same to the cycle', () => {

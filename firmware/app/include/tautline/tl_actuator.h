@@ -7,7 +7,7 @@
 /// step a tenth.
 ///
 /// All are for the control step, but for tl_actuator_init() and tl_actuator_reset(). Positions are counts Q8. The
-/// fields `duty` and `limit` belong to the seam, too.
+/// fields `duty`, `limit` and `jump` belong to the seam, too.
 #ifndef TAUTLINE_TL_ACTUATOR_H
 #define TAUTLINE_TL_ACTUATOR_H
 
@@ -24,6 +24,7 @@ typedef struct {
     const tl_port_t *port;
     uint32_t index;      ///< of the port's motors; a word, as those are cheap at this distance
     int32_t encoder;     ///< as read last, counts
+    int32_t jump;        ///< what tl_actuator_measure() refused last, counts
     tl_duty_q15_t duty;  ///< as driven
     tl_duty_q15_t limit; ///< most drive in closed loop
     tl_servo_t servo;
@@ -43,12 +44,13 @@ static inline void tl_actuator_init(tl_actuator_t *actuator, const tl_port_t *po
     tl_actuator_drive(actuator, 0);
 }
 
-/// Adds what the motor has moved since the last call to *q. False: more than a motor can, *q is left alone.
+/// Adds what the motor has moved since the last call to *q. False: more than a motor can, in `jump`; *q is left alone.
 static inline bool tl_actuator_measure(tl_actuator_t *actuator, tl_count_q8_t *q) {
     const int32_t encoder = actuator->port->encoder(actuator->port->context, (uint8_t)actuator->index);
     const int32_t moved = (int32_t)((uint32_t)encoder - (uint32_t)actuator->encoder);
     actuator->encoder = encoder;
     if ((uint32_t)moved + TL_ACTUATOR_JUMP >= 2U * TL_ACTUATOR_JUMP) {
+        actuator->jump = moved;
         return false;
     }
     *q += moved * TL_COUNT_ONE;
@@ -62,10 +64,16 @@ static inline bool tl_actuator_measure_late(tl_actuator_t *actuator, uint32_t el
     const uint32_t most = TL_ACTUATOR_JUMP + (elapsed_us < 1000000U ? elapsed_us : 1000000U);
     actuator->encoder = encoder;
     if ((uint32_t)moved + most >= 2U * most) {
+        actuator->jump = moved;
         return false;
     }
     *q += moved * TL_COUNT_ONE;
     return true;
+}
+
+/// As measured, counts/s. Task.
+static inline int32_t tl_actuator_speed(const tl_actuator_t *actuator) {
+    return (int32_t)(((int64_t)actuator->servo.velocity * (int32_t)actuator->port->control_hz) >> 24);
 }
 
 /// The path has begun another millisecond.

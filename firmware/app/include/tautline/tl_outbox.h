@@ -26,6 +26,7 @@ void tl_outbox_open(tl_outbox_t *outbox, bool open);
 bool tl_outbox_send(tl_outbox_t *outbox, uint8_t type, uint16_t sequence, const void *message);
 
 /// The same for what no request asked for: it has a sequence of its own, in which one that finds no room leaves a gap.
+/// Room for one reply is left: a host that was busy for long is answered at once.
 bool tl_outbox_tell(tl_outbox_t *outbox, uint8_t type, const void *message);
 
 /// At most `room` bytes; returns how many.

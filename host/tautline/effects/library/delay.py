@@ -13,8 +13,8 @@ EFFECTS = (
     Kind(
         "acquisition.delay",
         (Parameter("delay", "s", 0.01),),
-        says="the delay of the images is wrong",
-        needs="camera",
+        says="the sensor's delay is wrong",
+        needs="sensor",
         holds=_later,
         law=True,
         nominal=True,

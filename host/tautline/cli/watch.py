@@ -1,0 +1,115 @@
+"""taut watch MODEL"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from tautline.cli._common import emit, json_option, log, rig_option, warn_unusable
+from tautline.cli._live import LiveOptions, live_options, opened
+from tautline.model import Model
+
+if TYPE_CHECKING:
+    from tautline.tracking import Row
+
+_COLOURS = {"trusted": "green", "stale": "yellow", "adapting": "cyan"}
+_FRAME_S = 0.2  # between two pictures, wall clock
+
+
+@click.command("watch")
+@click.argument("model_path", metavar="MODEL", type=click.Path(path_type=Path))
+@live_options
+@rig_option
+@click.option(
+    "--motion",
+    metavar="FILE|SHAPE",
+    default="none",
+    show_default=True,
+    help="What the motor does: none (whatever drives it), a CSV with t_s and q_mm or q_deg, trapezoids, smooth.",
+)
+@click.option("--speed", type=click.FloatRange(min=0.0, min_open=True), help="Of a shape, the rig's unit per second.")
+@click.option("--duration", type=click.FloatRange(min=0.1), help="s. Default: until Ctrl-C, or the motion's end.")
+@click.option("--seed", type=int, default=0, help="Of the shape 'smooth', and of the simulation.")
+@json_option
+def command(
+    model_path: Path,
+    live: LiveOptions,
+    rig_path: Path | None,
+    motion: str,
+    speed: float | None,
+    duration: float | None,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Keep a model calibrated while the instrument is used, and say when it no longer holds and why.
+
+    Motor and camera are watched, nothing is moved unless --motion says so. Offset and scale of B are those that
+    'taut track' would find in a recording of it; the board's tables stay as they are.
+    """
+    from tautline.live.tracking import watch
+
+    model = Model.load(model_path)
+    warn_unusable(model, model_path)
+    if live.simulate is not None and motion == "none" and duration is None:
+        raise click.UsageError("a simulated instrument that nothing moves: name --motion or --duration")
+    with opened(live, rig_path, seed, model=model) as setup, _shown(model.rig.actuator.unit, as_json) as told:
+        result = watch(setup, model, motion, speed=speed, duration_s=duration, seed=seed, told=told)
+    emit(result, as_json, _text(result, model.rig.actuator.unit))
+
+
+@contextmanager
+def _shown(unit: str, as_json: bool) -> Iterator[Callable[[Row, float], None]]:
+    """The latest row where stderr is a terminal, else a line for each change of state."""
+    last: list[Any] = [None, float("-inf")]
+
+    def changed(row: Row, t_s: float) -> None:
+        if row.state is not last[0]:
+            if last[0] is not None:
+                state = click.style(row.state.value, fg=_COLOURS[row.state.value], bold=True)
+                log(f"taut: {t_s:.2f} s: {state}, {row.reason}")
+            last[0] = row.state
+
+    if as_json or not sys.stderr.isatty():
+        yield changed
+        return
+    from rich.console import Console
+    from rich.live import Live as Screen
+
+    with Screen(console=Console(stderr=True), auto_refresh=False, transient=True) as screen:
+
+        def drawn(row: Row, t_s: float) -> None:
+            changed(row, t_s)
+            now = time.monotonic()
+            if now - last[1] >= _FRAME_S:
+                last[1] = now
+                screen.update(_line(row, t_s, unit), refresh=True)
+
+        yield drawn
+
+
+def _line(row: Row, t_s: float, unit: str) -> Any:
+    from rich.text import Text
+
+    line = Text(f"{t_s:8.1f} s  ")
+    line.append(f"{row.state.value:9s}", style=f"bold {_COLOURS[row.state.value]}")
+    line.append(f" offset {row.offset:+.4f} ± {row.offset_sigma:.4f} {unit}")
+    line.append(f", scale {row.scale:.3f} ± {row.scale_sigma:.3f}")
+    line.append(f"  {row.reason}", style="dim")
+    return line
+
+
+def _text(result: dict[str, Any], unit: str) -> str:
+    if result["state"] is None:
+        return "no frame was tracked: does the board send telemetry, does the camera see the marker?"
+    rms = "" if result["rms_px"] is None else f", off by {result['rms_px']:.3g} px rms"
+    return (
+        f"watched {result['seconds']:.1f} s, {result['frames']} frames, marker lost in {result['lost_frames']}{rms}: "
+        f"{result['state']}, offset {result['offset']:+.4g} ± {result['offset_sigma']:.2g} {unit}, "
+        f"scale {result['scale']:.4g} ± {result['scale_sigma']:.2g}"
+    )

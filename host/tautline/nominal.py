@@ -1,0 +1,84 @@
+"""The nominal chain's unknowns, linearised: B(p) and the curve that follows p as cubic B-splines, and a few numbers
+that every observation depends on (delay, registration, effects). Calibration and diagnosis sum their normal equations
+here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline import _native
+from tautline.splines import Basis
+
+Array = npt.NDArray[np.float64]
+
+_STEEP = 0.05  # least dq/dp: allowed widths have a slope of at most 1.9
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Observations linearised: d prediction = by_c dc + columns dx, where dc = by_width dB(p) + by_follow df(tip)."""
+
+    p: Array  # (n,) as the next three
+    tip: Array
+    by_width: Array
+    by_follow: Array
+    by_c: Array  # (n, k)
+    columns: Array  # (n, k, m) of the other unknowns x
+    residual: Array  # (n, k)
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Normal equations. Unknowns: B's and f's coefficients, then those of the columns. They can be added to."""
+
+    matrix: Array  # (m, m)
+    gradient: Array  # (m,)
+
+    @classmethod
+    def zeros(cls, size: int) -> Normal:
+        return cls(np.zeros((size, size)), np.zeros(size))
+
+
+@dataclass(frozen=True)
+class Nominal:
+    """The bases of B and of the curve."""
+
+    width: Basis
+    follow: Basis
+
+    @property
+    def size(self) -> int:
+        return self.width.size + self.follow.size
+
+    def add(
+        self, rows: Rows, into: Normal, columns: Array | None = None, weight: Array | None = None, first: int = 0
+    ) -> None:
+        """columns: instead of the rows' own; those before `first`, and the curves, have been summed already. weight
+        (n, k): ones where none is given."""
+        _native.normal_add(
+            *(rows.p, rows.tip, rows.by_width, rows.by_follow, rows.by_c),
+            *(np.ascontiguousarray(rows.columns if columns is None else columns), rows.residual, weight),
+            *(self.width.native, self.follow.native, into.matrix, into.gradient),
+            first=first,
+        )
+
+    def moved(self, rows: Rows, step: Array) -> Array:
+        """(n, k): by how much a step of the unknowns moves the prediction."""
+        b, both = self.width.size, self.size
+        c = rows.by_width * self.width.value(step[:b], rows.p)
+        c = c + rows.by_follow * self.follow.value(step[b:both], rows.tip)
+        return np.asarray(rows.by_c * c[:, None] + rows.columns @ step[both:])
+
+
+def by_width(lean: Array, slope: Array) -> Array:
+    """dp/dB of a play that leans by `lean` where dB/dp = `slope`: on an envelope p + lean B(p)/2 = q."""
+    return np.asarray(-0.5 * lean / steepness(lean, slope))
+
+
+def steepness(lean: Array, slope: Array) -> Array:
+    """dq/dp on the envelope."""
+    return np.maximum(1.0 + 0.5 * lean * slope, _STEEP)

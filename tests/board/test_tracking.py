@@ -1,0 +1,40 @@
+"""taut watch: the tracker on a board and its camera, while the motor moves."""
+
+from dataclasses import replace
+
+import pytest
+
+from tautline.live.setup import open_live
+from tautline.live.tracking import watch
+from tautline.model import Model
+from tautline.simulated.instrument import preset, reference_rig
+
+
+def model_of_the_reference() -> Model:
+    """What a calibration of the simulated instrument finds, without the wait."""
+    rig = reference_rig()
+    instrument = preset("reference", rig)
+    width = instrument.backlash(instrument.grid)
+    own = rig.actuator.range
+    evidence = {"evidence": {"residual": 0.05}}
+    return Model(
+        rig, instrument.grid, width, 0.001 + 0 * width, instrument.c_deg, rig.delay_s, own, extra=evidence
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.7])
+def test_watch_tells_whether_the_model_still_holds(tmp_path, scale):
+    model = model_of_the_reference()
+    replace(model, width=scale * model.width).save(tmp_path / "instrument")
+    with open_live(simulate=str(tmp_path / "instrument"), pictures=False) as live:
+        result = watch(live, model, "smooth", speed=4.0, duration_s=25.0)
+    assert result["frames"] > 500
+    if scale == 1.0:
+        assert result["state"] == "trusted" and not result["changes"]
+        assert (result["offset"], result["scale"]) == (0.0, 1.0)
+        assert result["rms_px"] < 0.08
+    else:
+        assert "stale" in [change["state"] for change in result["changes"]]
+        assert result["scale"] == pytest.approx(0.7, abs=0.02)
+        assert result["offset"] == pytest.approx(0.0, abs=0.005)
+        assert "transmission.backlash" in result["reason"]

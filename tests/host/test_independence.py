@@ -1,0 +1,49 @@
+"""How many neighbouring residuals tell as much as one: against the closed form of known processes."""
+
+import numpy as np
+import pytest
+
+from tautline.independence import first_order, frames_each
+
+
+def process(alike: float, n: int, seed: int = 1) -> np.ndarray:
+    """x[k] = alike x[k-1] + white."""
+    x, found = np.random.default_rng(seed).normal(size=n), np.empty(n)
+    before = 0.0
+    for k in range(n):
+        found[k] = before = alike * before + x[k]
+    return found
+
+
+@pytest.mark.parametrize("alike", [0.0, 0.5, 0.8, 0.95])
+@pytest.mark.parametrize("stop", [{"least": 0.01}, {"window": 5.0}], ids=lambda s: next(iter(s)))
+def test_a_first_order_process_counts_as_its_closed_form_says(alike, stop):
+    x = process(alike, 200_000)
+    expected = (1 + alike) / (1 - alike)
+    assert frames_each(x, 2000, **stop) == pytest.approx(expected, rel=0.06)
+    assert first_order(x) == pytest.approx(expected, rel=0.04)
+
+
+def test_it_is_the_variance_of_a_mean():
+    """What it is for: a mean's variance is that of so many times fewer independent values."""
+    means = [process(0.7, 1000, seed).mean() for seed in range(400)]
+    x = process(0.7, 100_000)
+    assert np.var(means) == pytest.approx(np.var(x) * frames_each(x, 500, window=5.0) / 1000, rel=0.2)
+
+
+def test_channels_are_averaged_and_groups_kept_apart():
+    x, white = process(0.8, 100_000), np.random.default_rng(2).normal(size=100_000)
+    assert frames_each(np.column_stack([x, x]), 500, window=5.0) == pytest.approx(frames_each(x, 500, window=5.0))
+    # Alike within pairs only: 1 + 2 * (1/2), and not at all where each is a group of its own.
+    pairs = np.repeat(white, 2)
+    of = np.arange(len(pairs))
+    assert frames_each(pairs, 20, least=0.02) == pytest.approx(2.0, rel=0.03)
+    assert frames_each(pairs, 20, least=0.02, group=of) == 1.0
+    assert frames_each(pairs, 20, least=0.02, group=of // 2) == pytest.approx(2.0, rel=0.03)
+    assert frames_each(pairs, 20, least=0.02, group=(of + 1) // 2) == 1.0
+
+
+def test_nothing_left_is_independent():
+    assert frames_each(np.zeros(100), 20) == 1.0
+    assert frames_each(np.ones(1), 20) == 1.0
+    assert first_order(np.zeros(100)) == 1.0
