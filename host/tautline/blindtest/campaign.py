@@ -14,7 +14,7 @@ import numpy as np
 
 from tautline.blindtest import sealed, work
 from tautline.blindtest.cases import SCORED_FROM
-from tautline.blindtest.draws import KNOWN, UNKNOWN
+from tautline.blindtest.draws import KNOWN
 from tautline.blindtest.generators import GENERATORS, SECOND
 from tautline.blindtest.pool import Pool
 from tautline.errors import TautError
@@ -67,8 +67,8 @@ def order_of(folder: Path) -> Order:
     plan = sealed.Campaign(folder).plan()
     if plan is None:
         raise TautError(f"{folder}: no campaign whose cases are all made is there: run it without --score first")
-    given = plan["order"].items()
-    return Order(**{name: tuple(value) if isinstance(value, list) else value for name, value in given})
+    given: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in plan["order"].items()}
+    return Order(**given)
 
 
 def run(order: Order, folder: Path, pool: Pool, progress: Progress, stopped: bool = False) -> list[dict[str, Any]]:

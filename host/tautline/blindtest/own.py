@@ -17,8 +17,9 @@ from tautline.model import Effect, Model
 from tautline.recording import Marker, Recording
 from tautline.rig import Rig
 from tautline.simulated.instrument import Corrected, preset
-from tautline.simulated.simulate import FrameTiming, run
+from tautline.simulated.simulate import run
 from tautline.simulated.trajectory import Trajectory
+from tautline.vision.timing import FrameTiming
 
 Array = npt.NDArray[np.float64]
 

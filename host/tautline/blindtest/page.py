@@ -107,8 +107,8 @@ def _generators(cases: Cases) -> dict[str, Cases]:
 
 
 def by_generator(document: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Of each generator: how often the right name leads, what is unknown is called so, and what is sound is; empty where
-    there is but one."""
+    """How often the right name leads, what is unknown is called so, and what is sound; empty where there is but one
+    generator."""
     found = document["generators"]
     rows = [
         {"what": name, "goal": "", "cells": [_cell(found[name], what, OURS) for what in ("top1", "unknown", "none")]}

@@ -107,9 +107,10 @@ def command(
         "leave_one_out": leave_one_out,
     }
     taken, missing_ones = chosen(generators, left_out_generators)
-    if missing_ones:
-        warn(f"without the generators {', '.join(missing_ones)}, whose package is not there: pip install 'tautline[campaign]'")
-    order = replace(order, only=only, generators=taken, **{name: value for name, value in given.items() if value is not None})
+    for name in missing_ones:
+        warn(f"without the generator '{name}', whose package is not there: pip install 'tautline[campaign]'")
+    numbers = {name: value for name, value in given.items() if value is not None}
+    order = replace(order, only=only, generators=taken, **numbers)
     if stopped:
         order = order_of(out)
     wanted = baselines or (("none",) if order.only else _QUICK_BASELINES if quick else None)

@@ -99,7 +99,9 @@ def _visible(
         drawn = [(KNOWN.get(name) or UNKNOWN[name])(rng, session.topology) for name in chosen]
         for name, values in zip(chosen, drawn, strict=True):
             if name == "registration.shift":
-                values["slip_time"] = session.starts_s[1] + float(rng.uniform(0.25, 0.75)) * session.motions[1].duration_s
+                values["slip_time"] = (
+                    session.starts_s[1] + float(rng.uniform(0.25, 0.75)) * session.motions[1].duration_s
+                )
         left = tuple(_moved([session.record(values, i, noisy=False) for i in (1, 2)], without) for values in drawn)
         if not best[1] or min(left) > min(best[1]):
             best = {k: v for values in drawn for k, v in values.items()}, left

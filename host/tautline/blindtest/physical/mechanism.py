@@ -78,7 +78,7 @@ def drive(topology: Topology, values: Values, q: Array, other: Array, load: Arra
     model = _compiled(topology, tuple(sorted(values.given.items())))
     lead = int(_LEAD_S / STEP_S)
     ramp = 0.5 * (1.0 - np.cos(np.pi * np.minimum(np.arange(lead) / (0.75 * lead), 1.0)))
-    told = np.stack([q, other, load, anchor], axis=1)
+    told = np.stack([q, other, load, anchor, np.zeros_like(q)][: model.nu], axis=1)  # the last follows speed alone
     told = np.concatenate([ramp[:, None] * told[0], told])
     data = mujoco.MjData(model)
     size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
@@ -198,7 +198,8 @@ def document(topology: Topology, values: Values) -> str:
     <position joint="a" kp="4e3" kv="40"/>
     {gripping if grip else ""}
   </actuator>
-  <sensor><jointpos joint="q"/><jointpos joint="s"/><framepos objtype="site" objname="tip"/><jointpos joint="o"/></sensor>
+  <sensor><jointpos joint="q"/><jointpos joint="s"/>
+    <framepos objtype="site" objname="tip"/><jointpos joint="o"/></sensor>
 </mujoco>"""
 
 
@@ -225,11 +226,9 @@ def _wall(topology: Topology, values: Values) -> str:
 
 
 def _tip(topology: Topology, values: Values) -> str:
+    reach = topology.reach_mm + (0.0 if topology is SECTION else 0.5 * topology.bending_mm)
     solid = f'contype="1" conaffinity="1" solref="{values("wall_soft")} 1"' if values("wall_soft") else ""
-    return (
-        f'<site name="tip" pos="0 0 {topology.reach_mm}"/>'
-        f'<geom type="sphere" size="0.5" mass="1e-6" pos="0 0 {topology.reach_mm}" {solid}/>'
-    )
+    return f'<site name="tip" pos="0 0 {reach}"/><geom type="sphere" size="0.5" mass="1e-6" pos="0 0 {reach}" {solid}/>'
 
 
 def _plays(topology: Topology, values: Values) -> str:
@@ -253,7 +252,7 @@ def _plays(topology: Topology, values: Values) -> str:
     )
     if topology is not SECTION:
         return play
-    for side, joint in ((1, "s"), (-1, "s2")):
+    for joint in ("s", "s2"):
         sites = "".join(f'<site site="d{joint}{i}"/>' for i in range(_LINKS + 1))
         play += f'<spatial name="taut{joint}" stiffness="40" damping="0.05"><site site="at{joint}"/>{sites}</spatial>'
     return play
@@ -291,7 +290,8 @@ def _antagonists(topology: Topology, values: Values) -> str:
 def _lever(topology: Topology, values: Values) -> str:
     """s is a slide; a rack turns it into the angle of a wrist."""
     return f"""<body>@light<joint name="s" type="slide" axis="0 0 1" @moved/></body>
-      <body pos="0 0 {0.5 * topology.bending_mm}">@light<joint name="c" type="hinge" axis="0 1 0" armature="0.001" damping="0.001"/>{_tip(topology, values)}
+      <body pos="0 0 {0.5 * topology.bending_mm}">@light<joint name="c" type="hinge" axis="0 1 0" armature="0.001" damping="0.001"/>
+      {_tip(topology, values)}
       </body>"""
 
 
@@ -303,7 +303,8 @@ def _section(topology: Topology, values: Values) -> str:
         chain += f'<body pos="0 0 {link if i else 0.5 * link}">@light<joint name="h{i}" type="hinge" axis="0 1 0" '
         chain += 'armature="0.01" stiffness="40" damping="4"/>'
         chain += "".join(
-            f'<site name="d{joint}{i + 1}" pos="{side * 1.5} 0 {0.5 * link}"/>' for side, joint in ((1, "s"), (-1, "s2"))
+            f'<site name="d{joint}{i + 1}" pos="{side * 1.5} 0 {0.5 * link}"/>'
+            for side, joint in ((1, "s"), (-1, "s2"))
         )
     end = f'<body pos="0 0 {0.5 * link}">{_tip(topology, values)}</body>'
     slides = "".join(
