@@ -290,7 +290,8 @@ def _antagonists(topology: Topology, values: Values) -> str:
 def _lever(topology: Topology, values: Values) -> str:
     """s is a slide; a rack turns it into the angle of a wrist."""
     return f"""<body>@light<joint name="s" type="slide" axis="0 0 1" @moved/></body>
-      <body pos="0 0 {0.5 * topology.bending_mm}">@light<joint name="c" type="hinge" axis="0 1 0" armature="0.001" damping="0.001"/>
+      <body pos="0 0 {0.5 * topology.bending_mm}">@light<joint name="c" type="hinge" axis="0 1 0"
+        armature="0.001" damping="0.001"/>
       {_tip(topology, values)}
       </body>"""
 
