@@ -236,6 +236,7 @@ def run(bench: Bench, task: Task, folder: Path, events: Events) -> Said:
 def mend(bench: Bench) -> None:
     """What a user does about the cause. A board without power starts again, and knows no position then."""
     bench.sim.ask("inject 0 well")
+    bench.sim.ask("cut 0")  # where nothing was written any more
     bench.sim.ask("plug")
     if not bench.sim.ask("state")["powered"]:
         bench.sim.ask("reset")

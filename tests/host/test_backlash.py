@@ -1,5 +1,7 @@
 """B(q) from widths: smooth where the truth is, sharp where it is, lawful, and honest where nothing was measured."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -160,3 +162,13 @@ def test_a_bracket_pulls_from_however_far_away(beyond: float, half: float, side:
     assert cost == pytest.approx(0.5 * beyond**2, rel=0.02)
     assert first == pytest.approx(side * beyond, rel=0.02)
     assert second == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_few_widths_are_their_mean_and_are_not_pulled_to_nothing(count):
+    onsets = widths(lambda p: 0.5 + 0 * p, np.linspace(-4, 4, count), 0.0, np.random.default_rng(0))
+    curve = fit_widths([replace(o, sigma=0.01) for o in onsets], GRID)
+    inside = np.linspace(*curve.measured, 9)
+    np.testing.assert_allclose(curve.at(inside), 0.5, atol=0.002)
+    assert np.median(curve.sigma_at(inside)) > 0.9 * 0.01 / np.sqrt(count)
+    assert curve.places == count

@@ -214,15 +214,15 @@ def test_a_wider_width_waits_for_two_reversals(seed):
 def test_a_posture_that_begins_another_recording_is_followed():
     instrument = Instrument(2)
     first_use = session(instrument, "nothing", 1, 20.0).recording
-    moved = session(instrument, "offset", 2, 40.0, change=Change("offset", offset=1.4), start_s=-10.0).recording
+    moved = session(instrument, "offset", 2, 40.0, change=Change("offset", offset=0.9), start_s=-10.0).recording
     recordings = [replace(first_use, name="one"), replace(moved, name="two")]
     tracked = replay(ideal_model(instrument), recordings)
     off = off_by(tracked, recordings)
     assert np.sqrt(np.nanmean(off[tracked.recording == 0] ** 2)) < 1.2 * NOISE_PX
     q = np.interp(tracked.t_s - instrument.camera.delay, moved.motor.t_s, moved.motor.q)
-    late = (tracked.recording == 1) & (tracked.t_s > 10.0) & (q + 1.4 < sessions.HIGH)  # within the model's table
+    late = (tracked.recording == 1) & (tracked.t_s > 10.0) & (q + 0.9 < sessions.HIGH)  # within the model's table
     assert np.sqrt(np.nanmean(off[late] ** 2)) < 1.3 * NOISE_PX
-    assert tracked.rows[-1].offset == pytest.approx(1.4, abs=0.01)
+    assert tracked.rows[-1].offset == pytest.approx(0.9, abs=0.01)
 
 
 def test_an_angle_sensor_will_do():

@@ -96,8 +96,8 @@ def _known_places(session: Session, tracked: Tracked, turns: Array) -> NDArray[n
 
 
 def _over_compensated(session: Session, model: Model, tracked: Tracked, turns: Array) -> int:
-    """The last of the user's reversals (0: before the first) by which more was taken up than is there, at places that
-    were passed both ways since the change; -1: never. Single rows do not count."""
+    """For how many of the user's reversals more was taken up than is there, at a place that was passed both ways since
+    the change; -1: never. Single rows do not count."""
     motor, p = session.recording.motor, session.p
     cells = np.arange(-6.0, 6.0, _CELL)
     true = session.instrument.of_place(session.change.width(session.instrument), cells)
@@ -116,7 +116,7 @@ def _over_compensated(session: Session, model: Model, tracked: Tracked, turns: A
         over = (since < t) & (row.scale * nominal > most)
         run = run + 1 if over.any() else 0
         if run >= 2:
-            last = int(np.searchsorted(turns, t))
+            last = max(last, int(np.searchsorted(turns, t) - np.searchsorted(turns, since[over].min())))
     return last
 
 

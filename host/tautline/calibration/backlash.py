@@ -34,6 +34,7 @@ class WidthCurve:
     measured: tuple[float, float]
     excess: float  # scatter of the widths about the curve beyond their stated sigma, unit of q
     notes: tuple[str, ...] = field(default=())
+    places: int = 1  # at which widths were measured, apart by a span of the spline
 
     def at(self, p: Array) -> Array:
         return np.asarray(np.interp(p, self.q, self.width))
@@ -90,7 +91,7 @@ def fit_widths(onsets: Sequence[Onset], grid: Array, smoothing: float | None = N
         fit.notes.append("B(q) is limited by B >= 0 or |B'| <= 1.8")
     beyond = np.abs(grid - held)
     sigma = np.hypot(fit.sigma(held), 0.5 * beyond)
-    return WidthCurve(grid, lawful, sigma, (low, high), fit.excess, tuple(dict.fromkeys(fit.notes)))
+    return WidthCurve(grid, lawful, sigma, (low, high), fit.excess, tuple(dict.fromkeys(fit.notes)), len(fit.places()))
 
 
 class _Fit:
@@ -149,7 +150,7 @@ class _Fit:
 
     def _cross_validated(self, weight: Array, unit: float) -> float:
         """Leave one place out, in closed form. Reversals at one place are one: what lies between places is the test."""
-        places = self._places()
+        places = self.places()
         if len(places) < 5:
             return float(_SMOOTHINGS[-1])
         gram = self.design.T @ (weight[:, None] * self.design)
@@ -168,7 +169,7 @@ class _Fit:
                 best, chosen = score, float(smoothing)
         return chosen
 
-    def _places(self) -> list[npt.NDArray[np.intp]]:
+    def places(self) -> list[npt.NDArray[np.intp]]:
         """Indices of the widths in each span of the spline."""
         span = np.floor((self.p - self.basis.low) / self.basis.step)
         order = np.argsort(span, kind="stable")
@@ -176,7 +177,7 @@ class _Fit:
 
     @staticmethod
     def _inverse(system: Array) -> Array:
-        ridge = 1e-11 * float(np.trace(system)) / len(system)
+        ridge = 1e-14 * float(np.trace(system)) / len(system)  # more would pull a curve of few widths to 0
         return np.asarray(cho_solve(cho_factor(system + ridge * np.eye(len(system))), np.eye(len(system))))
 
     def _solve(self, weight: Array) -> None:

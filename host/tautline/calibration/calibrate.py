@@ -21,7 +21,12 @@ from tautline.calibration.findings import Findings
 from tautline.calibration.holding import released
 from tautline.calibration.observations import Track, observe
 from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, find_onsets
-from tautline.calibration.place import allowing_for_place, as_many_as_independent, place_noise
+from tautline.calibration.place import (
+    allowing_for_place,
+    as_many_as_independent,
+    as_smooth_as_independent,
+    place_noise,
+)
 from tautline.calibration.playfit import NODES, Fitted
 from tautline.calibration.remaining import Remaining, fit_remaining, morphological, pose_of, posed
 from tautline.calibration.several import fit_elements, left
@@ -39,6 +44,7 @@ Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 _LEAST_FRAMES = 10
+_UNNAMED = 1.3  # residual over noise of model and departures: beyond, what is left has no name
 _GRADUAL = 0.4  # noise: what a gradual start must leave for several elements to be tried
 _HELD = 0.5  # of the square of what one element leaves beyond noise: several may leave so much
 _HELD_SHARE = 0.1  # of all frames: where more are left out the rest may be wrong too
@@ -186,7 +192,9 @@ class _Session:
             if surer or abs(before.delay_s - delay.delay_s) > 1e-4:
                 onsets = find_onsets(self.tracks, self.rig, delay.delay_s, delay.sigma_s)
                 curve = fit_widths(onsets, self.grid)
-        width, sigma, source = self.choice.choose(onsets, curve, joint, passes, self.options.knots == "paper")
+        gradual = self.components is not None and any(part.name.startswith("phase") for part in self.components.parts)
+        like_paper = self.options.knots == "paper"
+        width, sigma, source = self.choice.choose(onsets, curve, joint, passes, like_paper=like_paper, gradual=gradual)
         if source == JOINT:
             # The joint fit is so much sharper that the onsets' scatter about it is their own.
             spread = float(np.sqrt(np.clip(self.found.evidence["onsets_against_joint_z2"], 1.0, 9.0)))
@@ -201,6 +209,8 @@ class _Session:
 
     def _release(self) -> None:
         """Leaves out frames at which the tracker held a place that the tip had left."""
+        if not self.camera:  # an angle sensor has no tracker: what it repeats is its own, or a joint that sticks
+            return
         before = sum(len(track.t_s) for track in self.tracks)
         self.tracks = released(self.tracks, self._one_curve(self.nominal_s), self.domain, self.nominal_s)
         if held := before - sum(len(track.t_s) for track in self.tracks):
@@ -260,11 +270,10 @@ class _Session:
             # What the model does not know would bend the delay: the image stops tell it alone.
             joint.fit.fit_delay = False
             joint = joint.fit.solve(replace(joint.curves, delay_s=delay.delay_s))
+        if fit_delay and not joint.fit.fit_delay:
+            joint.fit.delay_sigma_s = min(self._joint_delay(delay, joint).sigma_s, 1.0)
         self.say(0.5, "what departs from a play")
-        noise = place_noise(joint)
-        if noise is not None:
-            self.found.evidence |= {f"place_{key}": value for key, value in asdict(noise).items()}
-        joint = self._separated(allowing_for_place(joint, noise), onsets, curve)
+        joint = self._separated(joint, onsets, curve)
         self.say(0.6, "passes alone")
         margin = 0.1 * float(np.median(joint.fit.width(joint.curves))) + 0.005 * self.domain.span
         passes = fit_passes(joint, margin)
@@ -272,8 +281,15 @@ class _Session:
 
     def _separated(self, joint: Fitted, onsets: Sequence[Onset], curve: WidthCurve | None) -> Fitted:
         """The joint fit with all that departs from its model beside it."""
+        noise = place_noise(joint)
+        if noise is not None:
+            self.found.evidence |= {f"place_{key}": value for key, value in asdict(noise).items()}
+        joint = allowing_for_place(joint, noise)
         self.found.evidence["residual_before_components"] = joint.scale
         self.components = separate(joint, self.rig)
+        if self.components.noise > _UNNAMED:
+            joint = as_smooth_as_independent(joint, noise)
+            self.components = separate(joint, self.rig)
         gradual = self.options.elements == "auto" and not jumping(onsets)
         several = self._several(joint, self.components) if gradual else None
         if several is not None:

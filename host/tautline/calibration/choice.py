@@ -24,11 +24,12 @@ ONSETS, JOINT, PASSES, NOTHING = "onsets", "onsets and passes", "passes", "nothi
 _AGREE = 3.0  # mean squared z of onsets against the joint fit up to which both are one evidence
 _STANDS_OUT = 10.0  # a motion of so many sigma is one
 _AT_ONCE = 0.75  # of the path's slope: a tip that starts slower starts gradually
+_SURER = 2.0  # times less certain: the joint fit's B beside the onsets'
 _LITTLE = 0.03  # of the width: differences below are no contradiction
 _WORSE = 1.25  # times what the best single curve leaves: a B that leaves more is not for predictions
 _FEW_ONSETS, _NEARER = 6, 0.5  # onsets that may say so, and their mean squared z against one B over that to the other
 _ONE_WAY, _OTHER_WAY = 4.0, 0.3  # standard errors by which onsets are late, and of that what the other way's may be
-_HOLE, _STEEP = 0.03, 0.05  # of the range, without a frame one way; least slope of B that it may hide
+_HOLE, _BENDS = 0.03, 2.0  # of the range, without a frame one way; its own size by which B may change over the range
 _LEANS = 0.3  # share of the elements that are at their ends, from which a place is passed one way
 EXPLAINED = 1.5  # residual over noise up to which a model explains its data
 
@@ -64,10 +65,13 @@ class Choice:
         curve: WidthCurve | None,
         joint: Fitted | None,
         passes: Fitted | None,
+        *,
         like_paper: bool,
+        gradual: bool,
     ) -> tuple[Array, Array, str]:
         """The onsets' B where there are onsets. The joint fit of all frames refines it where it agrees with them; the
-        passes fill it in where no reversal was made. (B, its sigma, where it is from)"""
+        passes fill it in where no reversal was made. Where the tip starts gradually onsets
+        show its first motion only. (B, its sigma, where it is from)"""
         if like_paper:
             paper = fit_paper(onsets, self.grid)
             if paper is not None:
@@ -101,9 +105,20 @@ class Choice:
         agreed = explained(joint) or float(np.mean(z**2)) < _AGREE
         jumps = jumping(widths) and not self._foretells(widths, joint, curve)
         if not jumps and (agreed or not self._contradicted(widths, curve, passes)):
-            return width, sigma, JOINT
+            return *((width, sigma) if gradual else self._weighed(curve, width, sigma)), JOINT
         self.found.notes.append("the passes contradict the onsets: B(q) is the onsets' alone")
         return self._filled(widths, curve, joint, passes)
+
+    def _weighed(self, curve: WidthCurve, width: Array, sigma: Array) -> tuple[Array, Array]:
+        """B and its sigma. Onsets know no model: where its errors leave the joint fit clearly less certain of B than
+        they are, both count, by what each is uncertain by."""
+        inside = (self.grid > curve.measured[0]) & (self.grid < curve.measured[1])
+        theirs = np.hypot(curve.sigma, curve.excess / np.sqrt(curve.places))  # a place errs alike every time
+        if not inside.any() or np.median(sigma[inside]) < _SURER * np.median(theirs[inside]):
+            return width, sigma
+        own, other = (np.maximum(each, 1e-12) ** -2 for each in (sigma, theirs))
+        both = (own * width + other * curve.width) / (own + other)
+        return allowed_width(self.grid, both), (own + other) ** -0.5
 
     def nearer(self, onsets: Sequence[Onset], curve: WidthCurve | None, apart: Fitted, joint: Fitted) -> bool:
         """Whether the onsets, which know no model, say the B beside the departures."""
@@ -149,7 +164,9 @@ class Choice:
             "move through all of the range both ways",
             mild=steep * float(gap[holes].max()) < _LITTLE * float(np.median(width[inside])),
         )
-        return np.where(inside, max(1.5 * steep, _STEEP) * gap, 0.0)
+        return np.where(
+            inside, max(2.0 * steep, _BENDS * float(np.median(width[inside])) / self.domain.span) * gap, 0.0
+        )
 
     def measured(self, curve: WidthCurve | None, joint: Fitted | None, source: str) -> tuple[float, float]:
         if curve is not None:

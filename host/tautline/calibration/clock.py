@@ -49,7 +49,8 @@ _CLEAR, _SAME_S = 5.0, 0.004  # standard deviations, and s, by which the delays 
 _PARTS, _JUMP_S = 4, 0.03  # of a recording, whose delays differ by so much where its clock jumps
 _SURE_S = 0.02  # a delay that is known as well refines an offset
 _STRETCHED = 0.2  # of the misfit that a stretched clock must leave at most
-_NOMINAL_S = 0.1, 0.05  # standard deviation of an angle sensor's nominal delay, of one that the rig states
+_STATED_S = 0.05  # standard deviation of an angle sensor's delay that the rig states
+_UNSTATED_S = 0.05, 0.07  # mean and standard deviation of what bus, filter or servo take where it states none
 _SPANS = (8, 16), (1, 6)  # of B and of the path; the second where a B that may bend tells no delay
 _TOLD_S = 0.025  # standard deviation up to which a delay is told
 _COARSE_S = 0.02
@@ -282,6 +283,8 @@ def delay_of_stops(tracks: Sequence[Track], rig: Rig) -> Delay:
     if abs(delay.delay_s - nominal_s) < _EDGE_S and np.isfinite(delay.sigma_s):
         return delay
     start_s = _near_delay(tracks, rig, nominal_s)
+    if start_s == nominal_s and np.isfinite(delay.sigma_s):
+        start_s = delay.delay_s  # the edge that it ran into
     other = find_delay(tracks, rig, start_s)
     inside = abs(other.delay_s - start_s) < _EDGE_S and np.isfinite(other.sigma_s)
     return other if inside else delay
@@ -430,15 +433,16 @@ def delay_of_all(tracks: Sequence[Track], rig: Rig) -> Delay:
     lags = nominal_s + np.linspace(-DELAY_REACH_S, DELAY_REACH_S, 21)
     start = float(lags[int(np.argmin(np.sum([sight.misfits(lags) for sight in sights], axis=0)))])
     try:
-        return _posterior(sights, nominal_s, start, _NOMINAL_S[rig.angle is not None])
+        likely_s, within_s = _UNSTATED_S if rig.angle is None else (nominal_s, _STATED_S)
+        return _posterior(sights, likely_s, start, within_s)
     except np.linalg.LinAlgError:  # the tip is seen at too few places
         return Delay(nominal_s, np.inf, 0)
 
 
-def _posterior(sights: Sequence[_Sight], nominal_s: float, start: float, believed: float) -> Delay:
+def _posterior(sights: Sequence[_Sight], likely_s: float, start: float, within_s: float) -> Delay:
     for spans in _SPANS:
-        profile = _Profile(sights, spans, nominal_s, believed, start)
-        best = min((nominal_s, 0.5 * (start + nominal_s), start), key=profile.surprise)
+        profile = _Profile(sights, spans, likely_s, within_s, start)
+        best = min((likely_s, 0.5 * (start + likely_s), start), key=profile.surprise)
         while (better := min((best, best - _COARSE_S, best + _COARSE_S), key=profile.surprise)) != best:
             best = better
         for pitch_s in (2.0 * _COARSE_S, _COARSE_S, 0.4 * _COARSE_S, 0.12 * _COARSE_S):
@@ -471,13 +475,13 @@ def settled(free: Fitted, delay: Delay, tracks: Sequence[Track], nominal_s: floa
 
 
 class _Profile:
-    """How far a delay is contradicted by all frames and by the nominal one, as a chi-square."""
+    """How far a delay is contradicted by all frames and by what was thought before, as a chi-square."""
 
     def __init__(
-        self, sights: Sequence[_Sight], spans: tuple[int, int], nominal_s: float, believed_s: float, start_s: float
+        self, sights: Sequence[_Sight], spans: tuple[int, int], likely_s: float, within_s: float, start_s: float
     ) -> None:
-        """spans: of B and of the path. believed_s: standard deviation of the nominal delay."""
-        self._sights, self._nominal_s, self._believed_s = sights, nominal_s, believed_s
+        """spans: of B and of the path. likely_s, within_s: mean and standard deviation thought before."""
+        self._sights, self._likely_s, self._within_s = sights, likely_s, within_s
         low = min(sight.low for sight in sights)
         high = max(sight.low + sight.span for sight in sights)
         self._fit = PlayFit(
@@ -496,7 +500,7 @@ class _Profile:
         key = round(delay_s, 7)
         if key not in self._found:
             left = 2.0 * self._independent * float(np.log(self._solved(delay_s).scale))
-            self._found[key] = left + ((delay_s - self._nominal_s) / self._believed_s) ** 2
+            self._found[key] = left + ((delay_s - self._likely_s) / self._within_s) ** 2
         return self._found[key]
 
     def posterior(self, centre_s: float, pitch_s: float) -> tuple[float, float]:

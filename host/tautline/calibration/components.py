@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve, eigh
 
-from tautline.calibration.departures import Columns, Part, Scene, Sparse, departures, on_clock, scene_of
+from tautline.calibration.departures import Columns, Part, Scene, Sparse, contrasts, departures, on_clock, scene_of
 from tautline.calibration.playfit import Curves, Fitted, PlayFit
 from tautline.independence import frames_each
 from tautline.rig import Rig
@@ -335,7 +335,7 @@ class _Solved:
         moved = self.moved
         curves = replace(moved, backlash=self._at_the_end(moved.backlash))
         changed = float(np.mean((curves.backlash - moved.backlash) ** 2))
-        sigma = np.sqrt(sigma**2 + _CORRECTS**2 * changed)
+        sigma = np.sqrt(sigma**2 + _CORRECTS**2 * changed + (self._between_recordings() * self.fit.width(curves)) ** 2)
         delay = self.noise * float(np.sqrt(number * self.inverse[self.head - 1, self.head - 1]))
         power = np.mean(left**2, axis=1)
         moves = self.scene.moving
@@ -350,9 +350,16 @@ class _Solved:
         """B as it is when the session ends, of slow strokes: the others are wider by what a departure says."""
         values = {name: self.values[at] for name, at in self._blocks() if name.startswith("width.")}
         grown = 1.0 + 0.5 * float(values["width.time"][0]) if "width.time" in values else 1.0
-        grown += float(values["width.recording"][-1]) if "width.recording" in values else 0.0
+        if "width.recording" in values:
+            each = values["width.recording"]
+            grown += float(contrasts(len(each) + 1)[-1] @ each)
         faster = float(values["width.speed"][0]) if "width.speed" in values else 0.0
         return np.maximum(backlash * grown - faster, 0.0)
+
+    def _between_recordings(self) -> float:
+        """Standard deviation of B, as a share of it, from one recording to the next: no B is known better."""
+        values = [self.values[at] for name, at in self._blocks() if name == "width.recording"]
+        return float(np.sqrt(np.mean(values[0] ** 2))) if values else 0.0
 
     def _component(self, name: str, at: npt.NDArray[np.intp]) -> Component:
         values = self.values[at]

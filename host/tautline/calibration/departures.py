@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 from scipy.interpolate import BSpline
+from scipy.linalg import helmert
 from scipy.signal import lfilter
 
 from tautline import _native
@@ -174,10 +175,10 @@ def departures(scene: Scene, looked_for: Columns) -> list[Part]:
         parts.append(Part("load", scene.along(effects), np.eye(3)))
     recordings = int(scene.recording.max(initial=0)) + 1
     if recordings > 1 and _same_places(scene, recordings):
-        which = np.eye(recordings)[scene.recording]
+        which, free = contrasts(recordings)[scene.recording], np.eye(recordings - 1)
         parts += [
-            Part("offset.recording", scene.along(which), np.eye(recordings)),
-            Part("width.recording", scene.along(which * (scene.by_width * scene.width)[:, None]), np.eye(recordings)),
+            Part("offset.recording", scene.along(which), free),
+            Part("width.recording", scene.along(which * (scene.by_width * scene.width)[:, None]), free),
         ]
     if channels > 1:
         parts += [
@@ -193,6 +194,11 @@ def departures(scene: Scene, looked_for: Columns) -> list[Part]:
             waves = np.column_stack([np.cos(turn), np.sin(turn)])
             parts.append(Part("image.breath", scene.each(waves), np.eye(2 * channels), price=_SCAN))
     return parts
+
+
+def contrasts(recordings: int) -> Array:
+    """(recordings, recordings - 1): what each differs by from the mean of all, which is path's and B's own."""
+    return np.asarray(helmert(recordings).T)
 
 
 def _same_places(scene: Scene, recordings: int) -> bool:

@@ -20,6 +20,7 @@ _WINDOW = 5.0  # correlation times over which an autocorrelation is summed (Soka
 _LONGEST = 0.5  # of a stroke: alike for longer is no error of the tracker's but the path's or the width's own
 _TOGETHER = 2.0  # noises at rest within which two frames show one place
 _MOSTLY = 0.7  # of what neighbouring frames share, that other passes repeat
+_ALIKE = 1.5  # frames for each independent one, from which they err alike
 _ITERATIONS = 10
 _FEWEST = 40  # frames from which anything is said
 
@@ -73,6 +74,15 @@ def allowing_for_place(fitted: Fitted, noise: PlaceNoise | None) -> Fitted:
         return fitted
     tracks = [_noisier(fitted, k, noise.common) for k in range(len(fitted.masks))]
     fit = replace(fitted.fit, tracks=tracks, smoothing=dict(fitted.fit.smoothing))
+    return fit.solve(fitted.curves, iterations=_ITERATIONS)
+
+
+def as_smooth_as_independent(fitted: Fitted, noise: PlaceNoise | None) -> Fitted:
+    """A fit again, whose curves bend only for what frames that err alike tell together: else what a real joint does
+    from stroke to stroke is taken for the shape of B."""
+    if noise is None or noise.effect < _ALIKE:
+        return fitted
+    fit = replace(fitted.fit, alike=noise.effect, smoothing=dict(fitted.fit.smoothing))
     return fit.solve(fitted.curves, iterations=_ITERATIONS)
 
 

@@ -116,6 +116,8 @@ class PlayFit:
     least_slope: float = 0.0
     slope_unit: float = 1.0  # a usual slope of s
     elements: Elements = SINGLE
+    delay_sigma_s: float = 1.0  # how well the delay is known where it is not fitted
+    alike: float = 1.0  # frames for each independent one: that many say as much of a curve's shape as one
     smoothing: dict[str, float] = field(default_factory=lambda: {"backlash": 1e-2, "follow": 1e-6})
     grid: Array = field(init=False)
     simulated: list[Simulated] = field(init=False, default_factory=list)
@@ -256,7 +258,7 @@ class PlayFit:
             matrix[block, block] += weight * stiff
             pull[block] += weight * bend
         if not self.fit_delay:
-            matrix[-1, -1] += 1.0
+            matrix[-1, -1] += (scale / self.delay_sigma_s) ** 2
         return matrix, pull
 
     def begin(self, curves: Curves, scale: float) -> None:
@@ -289,7 +291,7 @@ class PlayFit:
             rank = (form.shape[0] - 2) * len(blocks)
             spent = now * sum(float(np.sum(inverse[b, b] * form)) for b in blocks)
             rough = sum(float(v @ form @ v) for v in values)
-            ratio = scale * scale * max(rank - spent, 1e-3) / max(now * rough, 1e-12)
+            ratio = self.alike * scale * scale * max(rank - spent, 1e-3) / max(now * rough, 1e-12)
             self.smoothing[name] = float(np.clip(now * np.clip(ratio, 0.05, 20.0), 1e-10, 1e8))
 
     def cost(self, curves: Curves, rows: list[Array], weights: list[Array], scale: float) -> float:

@@ -117,7 +117,7 @@ class _Case:
 
     def prior(self) -> Prior:
         mean = unchanged()
-        mean[OFFSET] = self.theta[OFFSET]
+        mean[OFFSET], mean[SHAPE] = self.theta[OFFSET], self.theta[SHAPE]  # places not seen again stay as they are
         span = self.nominal.model.rig.actuator.span
         return Prior.of(mean, span, span * abs(self.nominal.tip_slope))
 
@@ -167,20 +167,21 @@ def _judged(
         if lately <= good and case.lately(case.z) > _AGAIN[1] * lately:
             return _again(case, lately)
     foretold = proposal is not None and _foretold(case, proposal)
-    enough = case.turns >= _TURNS and case.explained(fit)
+    least = _RICHER_TURNS if len(fit.free) > len(BOTH[0]) else _TURNS
+    enough = case.turns >= least and case.explained(fit)
     enough |= case.turns >= _FORETOLD_TURNS and foretold and case.explained(fit, _OF_BEFORE[1])
     enough |= adapting and case.explained(fit, _OF_BEFORE[1])
     if enough:
         return _learnt(case, fit)
     if case.explained(fit, _OF_BEFORE[0]):
-        narrower = float(case.theta[SCALE] - fit.theta[SCALE])
-        if SCALE in fit.free and narrower > max(_NARROWER * fit.sigma(SCALE), 0.01):
+        learnt = _learnt(case, fit)
+        share = case.nominal.ratio(fit.theta, *learnt.passed) / case.nominal.ratio(case.theta, *learnt.passed)
+        sure = SHAPE.start not in fit.free or case.explained(fit)
+        if SCALE in fit.free and sure and 1.0 - share > max(_NARROWER * learnt.scale_sigma, 0.01):
             only = case.theta.copy()
-            only[SCALE] = fit.theta[SCALE]
-            learnt = _learnt(case, fit)
+            only[SCALE] *= share
             return Verdict(
-                f"transmission.backlash: {100 * (1 - narrower / case.theta[SCALE]):.0f} % of the width as it was: "
-                "less is taken up at once",
+                f"transmission.backlash: {100 * share:.0f} % of the width as it was: less is taken up at once",
                 case.evidence,
                 only,
                 learnt.offset_sigma + abs(float(fit.theta[OFFSET] - case.theta[OFFSET])),
@@ -210,6 +211,10 @@ def _best(case: _Case) -> Generator[None, None, Fit]:
         other = yield from fitted(nominal, evidence, kept, BOTH[side], prior)
         both = min(both, other, key=lambda fit: fit.cost)
     if both.level <= _GOOD * case.level:
+        if case.turns >= _RICHER_TURNS:  # an onset is short: it hardly shows in the rms
+            gradual = yield from _richer(case, both, GRADUAL, prior)
+            if _gain(both, gradual) > _GAIN_MORE:
+                return gradual
         simple = both.theta.copy()
         simple[SCALE] = 1.0
         offset = yield from fitted(nominal, evidence, simple, ONLY_OFFSET[side], prior)
@@ -219,8 +224,11 @@ def _best(case: _Case) -> Generator[None, None, Fit]:
         simple[SCALE] = both.theta[SCALE]
         scale = yield from fitted(nominal, evidence, simple, ONLY_SCALE, prior)
         return scale if scale.cost < both.cost + _GAIN else both
-    if case.turns < _RICHER_TURNS:
+    if case.turns < _TURNS:
         return both
+    if case.turns < _RICHER_TURNS:  # enough for a narrower place, which is not waited for
+        shaped = yield from _richer(case, both, SHAPED, prior)
+        return shaped if _gain(both, shaped) > _GAIN_MORE else both
     found = [both]
     for more in (GRADUAL, SHAPED, REMAINING):
         found.append((yield from _richer(case, both, more, prior)))

@@ -34,6 +34,7 @@ _AMISS = 6.0  # running mean from which the model is stale
 _WELL = 2.2  # and below which it still held
 _STROKE_AMISS, _STROKE_FRAMES = 1.8, 8  # of a stroke, with so many frames; two of three make the model stale
 _STROKE_WELL = 1.6
+_AFTER_TURN, _AFTER_AMISS, _AFTER_CLIP, _AFTER_FRAMES = 2.0, 4.0, 36.0, 5  # within so many B of a turn: the same there
 _QUIET_S = 15.0  # without a disturbance, before anything is learnt after one
 _STALE_STROKES = 5  # that a change is looked for in by themselves
 _POSTURE = 1.0  # of B: an offset that one stroke alone may tell at the beginning, more than a width can be
@@ -109,6 +110,7 @@ class Tracker:
         self._begins: deque[tuple[int, int]] = deque(maxlen=64)  # stroke, its first entry
         self._running, self._off = 1.0, 0.0
         self._stroke_sum, self._stroke_count = 0.0, 0
+        self._after_sum, self._after_count, self._turned_at = 0.0, 0, np.inf  # shortly after the last turn
         self._amiss: deque[bool] = deque(maxlen=3)
         self._well = 0  # the entry up to which the law in use held
         self._recording_entry = 0  # the recording's first
@@ -232,6 +234,7 @@ class Tracker:
         elif self._way * (q - self._far) > 0.0:
             self._far = q
         elif self._way * (self._far - q) > self._turn:
+            self._turned_at = self._far
             self._way, self._far = -self._way, q
             self._end_stroke()
             self._next_stroke()
@@ -243,12 +246,14 @@ class Tracker:
     def _end_stroke(self) -> None:
         if self._stroke_count >= _STROKE_FRAMES:
             mean = self._stroke_sum / self._stroke_count
-            self._amiss.append(mean > _STROKE_AMISS)
+            after = self._after_sum / max(self._after_count, _AFTER_FRAMES)
+            self._amiss.append(mean > _STROKE_AMISS or after > _AFTER_AMISS)
             if self.state is State.TRUSTED and sum(self._amiss) >= 2:
                 self._doubt(self._begin_of(self._stroke - 2))
             elif self.state is State.STALE and mean < _STROKE_WELL and not any(self._amiss):
                 self._settle("the model holds again as it was")
         self._stroke_sum, self._stroke_count = 0.0, 0
+        self._after_sum, self._after_count = 0.0, 0
 
     def _begin_of(self, stroke: int) -> int:
         return next((entry for number, entry in self._begins if number >= stroke), self._window.end)
@@ -276,6 +281,9 @@ class Tracker:
         self._off += _PACE * (abs(off) - self._off)
         self._stroke_sum += square
         self._stroke_count += 1
+        if abs(self._window.last_q - self._turned_at) < _AFTER_TURN * self._width:
+            self._after_sum += min((off / (sigma * self._level)) ** 2, _AFTER_CLIP)
+            self._after_count += 1
         if self._running < _WELL:
             self._well = self._window.end
         if self.state is State.TRUSTED and self._running > _AMISS:
@@ -374,8 +382,10 @@ class Tracker:
             float(np.hypot(self._own[0], verdict.offset_sigma)),
             float(np.hypot(self._own[1], verdict.scale_sigma)),
         )
-        changed = bool(np.any(self._theta[SHAPE]))
-        self._scale = self.nominal.ratio(self._theta, *verdict.passed) if changed else float(self._theta[SCALE])
+        if np.any(self._theta[SHAPE]):
+            self._scale = self.nominal.ratio(self._theta, *self.model.measured)
+        else:
+            self._scale = float(self._theta[SCALE])
         self._anchor = self._since = self._window.number_of(verdict.evidence.t_s[0], self._recording_entry)
         now = self._window.since(self._anchor)
         assert now is not None

@@ -1,0 +1,187 @@
+"""What a calibration notices of its recordings, takes into account, and says beside a good or a doubtful verdict."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from tautline.calibration.calibrate import JOINT, Calibration, calibrate
+from tautline.calibration.components import Component, Components
+from tautline.calibration.doubts import doubts
+from tautline.calibration.holding import released
+from tautline.calibration.observations import observe
+from tautline.calibration.playfit import Curves
+from tautline.calibration.smooth import Domain
+from tautline.geometry import project
+from tautline.quality import Quality, Reason, Verdict
+from tautline.recording import Recording
+from tautline.simulated.instrument import Instrument, preset, reference_rig
+from tautline.simulated.simulate import Simulation, run
+from tautline.simulated.trajectory import Trajectory, back_and_forth, through
+from tautline.vision.timing import FrameTiming
+
+Array = npt.NDArray[np.float64]
+RIG = reference_rig()
+
+
+def motion() -> Trajectory:
+    half = RIG.actuator.span / 10
+    return back_and_forth(RIG.actuator, [0.5 * half], 2.4 * half, 14, 5.0 * half)
+
+
+def record(path: Trajectory, seed: int, delay_s: float = 0.0873) -> Simulation:
+    plant = preset("reference", RIG, seed)
+    return run(RIG, plant, path, seed=seed, timing=FrameTiming.of(RIG, delay_s=delay_s, seed=seed), noise_px=0.05)
+
+
+def off(found: Calibration, plant: Instrument) -> Array:
+    """B's error where it was measured, over its sigma, and in um."""
+    model = found.model
+    inside = (model.q > model.measured[0]) & (model.q < model.measured[1])
+    error = (model.width - plant.backlash(model.q))[inside]
+    return np.array([np.sqrt(np.mean((error / model.width_sigma[inside]) ** 2)), 1e3 * np.sqrt(np.mean(error**2))])
+
+
+def seen_as(recording: Recording, change: Callable[[Array, Array], Array]) -> Recording:
+    """With the marker's places (n, 2) at times (n,) changed."""
+    marker = recording.marker
+    assert marker is not None
+    places = change(marker.t_s, np.column_stack([marker.u_px, marker.v_px]))
+    return replace(recording, marker=replace(marker, u_px=places[:, 0], v_px=places[:, 1]))
+
+
+def codes(found: Calibration, mild: bool) -> set[str]:
+    return {reason.code for reason in found.model.quality.reasons if reason.mild == mild}
+
+
+# ---- verdict
+
+
+@pytest.mark.parametrize(
+    ("kinds", "verdict"),
+    [("", "good"), ("m", "good"), ("mm", "good"), ("md", "doubtful"), ("dm", "doubtful"), ("mdf", "unusable")],
+)
+def test_a_verdict_is_that_of_the_worst_reason(kinds: str, verdict: str) -> None:
+    reasons = [Reason(f"r{i}", "says", "do", fatal=k == "f", mild=k == "m") for i, k in enumerate(kinds)]
+    quality = Quality.of(reasons)
+    assert quality.verdict == Verdict(verdict)
+    order = [(reason.fatal, not reason.mild) for reason in quality.reasons]
+    assert order == sorted(order, reverse=True)
+    assert Quality.from_json(quality.to_json()) == quality
+
+
+def components(rms: float, shift_um: float, noise: float = 1.0, effective: float = 1.0) -> Components:
+    """One departure, of a B of 500 um known to 1 um."""
+    flat, one = np.full(50, 0.5), np.ones(50)
+    part = Component("offset.time", rms, 1e3 * rms**2, 1e-3 * shift_um * one, np.ones(3))
+    curves = Curves(np.zeros(3), np.zeros((3, 2)), 0.1)
+    return Components(
+        curves, curves, flat, 1e-3 * one, 1e-4, noise, 1.0, effective, (part,), np.zeros(2), rough=False
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("rms", "shift_um", "alone", "told"),
+    [
+        (0.5, 0.5, 1.1, None),  # next to nothing
+        (1.0, 0.5, 1.25, "mild"),  # it is there, B holds, the model predicts without it
+        (1.0, 0.5, 2.5, "doubt"),  # the model does not predict
+        (0.5, 30.0, 1.1, "doubt"),  # B would be another by 6 %
+        (1.5, 0.5, 1.25, "doubt"),  # it is strong
+    ],
+)
+def test_a_departure_is_a_doubt_where_b_or_predictions_hang_on_it(rms, shift_um, alone, told) -> None:
+    reasons = doubts(components(rms, shift_um), np.ones(50, bool), "mm", alone, rough=False)
+    assert [reason.code for reason in reasons] == ([] if told is None else ["transmission.drift"])
+    assert all(reason.mild == (told == "mild") for reason in reasons)
+
+
+def test_frames_that_are_elsewhere_are_outliers_and_scatter_of_all_is_noise() -> None:
+    few = doubts(components(0.1, 0.1, noise=5.0), np.ones(50, bool), "mm", 1.1, rough=False)
+    every = doubts(components(0.1, 0.1, noise=1.8), np.ones(50, bool), "mm", 1.8, rough=False)
+    alike = doubts(components(0.1, 0.1, noise=1.8, effective=6.0), np.ones(50, bool), "mm", 1.8, rough=False)
+    assert [(r.code, r.mild) for r in few] == [("outliers", True)]
+    assert [(r.code, r.mild) for r in every] == [("noise", True)]
+    assert [(r.code, r.mild) for r in alike] == [("residual", False)]
+
+
+# ---- what is noticed
+
+
+def test_places_that_a_tracker_holds_while_the_tip_moves_are_left_out() -> None:
+    made = record(motion(), 911)
+    rng = np.random.default_rng(5)
+
+    def held(t: Array, y: Array) -> Array:
+        y = y.copy()
+        for start in rng.choice(np.arange(50, len(t) - 60), 12, replace=False):
+            y[start : start + 15] = y[start]
+        return y
+
+    covered = seen_as(made.recording, held)
+    plain, mended = calibrate([made.recording], RIG), calibrate([covered], RIG)
+    assert "acquisition.held_samples" in codes(mended, mild=True)
+    assert mended.model.quality.verdict is Verdict.GOOD
+    plant = preset("reference", RIG, 911)
+    z, um = off(mended, plant)
+    assert um < 3.0 and z < 2.0
+    assert not codes(plain, mild=True) and not codes(plain, mild=False)
+
+
+def test_a_tip_that_rests_is_held_by_nobody() -> None:
+    """Without noise a tip at rest repeats its place: a play does so while the motor crosses its backlash."""
+    made = run(RIG, preset("reference", RIG, 912), motion(), seed=912, noise_px=0.0)
+    tracks = observe([made.recording], RIG)
+    domain = Domain(*RIG.actuator.range)
+    kept = released(tracks, tracks, domain, RIG.nominal_delay_s(tracks[0].sensor))
+    assert sum(len(track.t_s) for track in kept) == sum(len(track.t_s) for track in tracks)
+
+
+def test_recordings_whose_cameras_kept_other_clocks_within_a_delay_are_put_on_one() -> None:
+    pair = [record(motion(), seed, delay) for seed, delay in ((921, 0.0873), (922, 0.2173))]
+    first, second = (made.recording for made in pair)
+    found = calibrate([first, replace(second, name="later")], RIG)
+    assert "clock.offset" in codes(found, mild=True) and found.model.quality.verdict is Verdict.GOOD
+    assert found.offsets == pytest.approx({"later": 0.13}, abs=2e-3)
+    z, um = off(found, preset("reference", RIG, 921))
+    assert um < 2.0 and z < 2.0
+
+
+def test_a_hole_in_what_was_passed_both_ways_is_in_sigma_and_said() -> None:
+    """Strokes at both ends and one crossing: between them B is whatever it likes, as with the reference's bump."""
+    low, high = RIG.actuator.range
+    ends = [low, low + 2.4, low, low + 2.4, low, high, high - 2.4, high, high - 2.4, high]
+    made = record(through(np.array(ends), 0.6, 4.0), 931)
+    found = calibrate([made.recording], RIG)
+    assert "coverage" in codes(found, mild=False)
+    model = found.model
+    hole = np.abs(model.q - 0.5 * (low + high)) < 1.0
+    covered = (model.q > low + 0.8) & (model.q < low + 1.6)
+    assert model.width_sigma[hole].min() > 10.0 * np.median(model.width_sigma[covered])
+    assert off(found, preset("reference", RIG, 931))[0] < 2.0
+
+
+def test_a_start_that_is_late_one_way_only_is_no_width() -> None:
+    """After turns one way the tip starts 60 um late and is on its envelope at once: the envelopes are as far apart as
+    before, and the other way's onsets tell it."""
+    made = record(motion(), 941)
+    late, rising, start, p = 0.06, False, made.p[0], made.p.copy()
+    for k in range(1, len(p)):
+        if made.p[k] < made.p[k - 1]:
+            rising = False
+        elif made.p[k] > made.p[k - 1] and not rising:
+            rising, start = True, made.p[k - 1]
+        if rising and made.p[k] - start < late:
+            p[k] = start
+    assert (p != made.p).any()
+    order = np.argsort(made.p)
+    image = [
+        project(RIG, np.interp(made.scene_s, made.t_s, np.interp(at, made.p[order], made.c_deg[order])))
+        for at in (p, made.p)
+    ]
+    shift, plant = image[0] - image[1], made.instrument
+    found = calibrate([seen_as(made.recording, lambda t, y: y + shift)], RIG)
+    assert found.source == JOINT
+    assert off(found, plant)[1] < 10.0
