@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from test_tables import model
+from test_board_tables import model
 
 from conftest import Bench, WallClock
 from tautline import tables

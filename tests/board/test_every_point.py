@@ -22,7 +22,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from events import PATIENCE_S, Events, HostDied, Look
-from test_tables import model
+from test_board_tables import model
 
 from conftest import SIMULATED, Bench, bench_of
 from tautline import tables

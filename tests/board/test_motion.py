@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_tables import blob
+from test_board_tables import blob
 
 from conftest import Bench
 from tautline.device import wire

@@ -12,7 +12,7 @@ import tty
 from collections.abc import Iterator
 
 import pytest
-from test_tables import blob
+from test_board_tables import blob
 
 from tautline.device import wire
 from tautline.device.board import Board, BoardGone, BoardRefused, open_board

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from test_tables import blob
+from test_board_tables import blob
 
 from conftest import Bench, WallClock
 from tautline.device import wire

@@ -17,6 +17,7 @@ from tests.host.test_diagnose import true_model
 from tautline.blindtest import baselines, campaign, compare, page, scores, sealed, work
 from tautline.blindtest.campaign import Order
 from tautline.blindtest.cases import Label, make
+from tautline.blindtest.generators import SECOND
 from tautline.blindtest.pool import pool
 from tautline.blindtest.scores import Answer, Share
 from tautline.calibration.calibrate import calibrate
@@ -95,10 +96,10 @@ def test_an_order_lists_its_cases_and_names_their_seeds():
     order = Order(seed=50, single=2, unknown=3, none=1, pairs=1)
     cases = order.cases()
     assert len(cases) == 24 * 2 + 3 + 1 + 1
-    assert (51, "single", (LAG,)) in cases and (50, "none", ()) in cases
+    assert (51, "single", (LAG,), SECOND) in cases and (50, "none", (), SECOND) in cases
     assert Order(seed=9, single=1, only=(LAG, "zoom")).cases() == [
-        (9, "single", (LAG,)),
-        (9, "unknown", ("zoom",)),
+        (9, "single", (LAG,), SECOND),
+        (9, "unknown", ("zoom",), SECOND),
     ]
 
 

@@ -14,13 +14,16 @@ import numpy as np
 
 from tautline.blindtest import sealed, work
 from tautline.blindtest.cases import SCORED_FROM
-from tautline.blindtest.draws import KNOWN, UNKNOWN
+from tautline.blindtest.draws import KNOWN
+from tautline.blindtest.generators import GENERATORS, SECOND
 from tautline.blindtest.pool import Pool
 from tautline.errors import TautError
 
 Progress = Callable[[float, str], None]
 
 FORMAT = "blindtest/1"
+Wanted = tuple[int, str, tuple[str, ...], str]  # seed, kind, effects, generator
+
 GROUPS = ("none", "unknown", "pairs")  # what `only` may name beside effects
 
 
@@ -35,13 +38,18 @@ class Order:
     pairs: int = 60
     leave_one_out: int = 10  # of each known effect's single cases: how many are also diagnosed without it
     only: tuple[str, ...] = ()  # effects or GROUPS
+    generators: tuple[str, ...] = (SECOND,)  # each makes as many
 
-    def cases(self) -> list[tuple[int, str, tuple[str, ...]]]:
-        """(seed, kind, effects) of each. The seed of an effect's i-th case is the campaign's + i."""
-        wanted = set(self.only) or {*KNOWN, *UNKNOWN, *GROUPS}
-        unknown = [name for name in UNKNOWN if name in wanted or "unknown" in wanted]
+    def cases(self) -> list[Wanted]:
+        """Of every generator. The seed of an effect's i-th case is the campaign's + i."""
+        return [case for name in self.generators for case in self._cases_of(name)]
+
+    def _cases_of(self, generator: str) -> list[Wanted]:
+        made = GENERATORS[generator]
+        wanted = set(self.only) or {*made.known, *made.unknown, *GROUPS}
+        unknown = [name for name in made.unknown if name in wanted or "unknown" in wanted]
         result: list[tuple[int, str, tuple[str, ...]]] = []
-        for name in KNOWN:
+        for name in made.known:
             if name in wanted:
                 result += [(self.seed + i, "single", (name,)) for i in range(self.single)]
         if unknown:
@@ -51,7 +59,7 @@ class Order:
             result += [(self.seed + i, "none", ()) for i in range(self.none)]
         if "pairs" in wanted:
             result += [(self.seed + i, "pair", ()) for i in range(self.pairs)]
-        return result
+        return [(*case, generator) for case in result]
 
 
 def order_of(folder: Path) -> Order:
@@ -59,7 +67,8 @@ def order_of(folder: Path) -> Order:
     plan = sealed.Campaign(folder).plan()
     if plan is None:
         raise TautError(f"{folder}: no campaign whose cases are all made is there: run it without --score first")
-    return Order(**{**plan["order"], "only": tuple(plan["order"]["only"])})
+    given: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in plan["order"].items()}
+    return Order(**given)
 
 
 def run(order: Order, folder: Path, pool: Pool, progress: Progress, stopped: bool = False) -> list[dict[str, Any]]:
@@ -95,13 +104,11 @@ def run(order: Order, folder: Path, pool: Pool, progress: Progress, stopped: boo
     return [records[name] for name in names]
 
 
-def interleaved(
-    cases: Sequence[tuple[int, str, tuple[str, ...]]], rng: np.random.Generator
-) -> list[tuple[int, str, tuple[str, ...]]]:
-    """Shuffled, but so that every beginning has its share of each effect and kind: the i-th of n of one sort comes
-    somewhere between i / n and (i + 1) / n."""
+def interleaved(cases: Sequence[Wanted], rng: np.random.Generator) -> list[Wanted]:
+    """Shuffled, but so that every beginning has its share of each effect, kind and generator: the i-th of n of one
+    sort comes somewhere between i / n and (i + 1) / n."""
     count = Counter(case[1:] for case in cases)
-    before: Counter[tuple[str, tuple[str, ...]]] = Counter()
+    before: Counter[tuple[Any, ...]] = Counter()
     at = []
     for case in cases:
         sort = case[1:]
@@ -127,7 +134,7 @@ def _make(order: Order, campaign: sealed.Campaign, pool: Pool, progress: Callabl
     campaign.root.mkdir(parents=True, exist_ok=True)
     mark.write_bytes(text)
     todo = [name for name in names if not campaign.made(name)]
-    tasks = ((name, (*names[name], secrets.token_hex(16))) for name in todo)
+    tasks = ((name, (*names[name][:3], secrets.token_hex(16), names[name][3])) for name in todo)
     for done, (name, (visible, hidden)) in enumerate(pool(work.make_case, tasks), len(names) - len(todo) + 1):
         campaign.write_case(name, visible, hidden)
         progress(done / len(names))

@@ -56,8 +56,9 @@ class Label:
     seed: int
     throughout: bool  # else only after the calibration
     values: Mapping[str, float]
-    noise_px: float
+    noise_px: float  # deg where the recordings hold angles, and so is `left`
     left: tuple[float, ...]  # of each effect: its gap on the tests after a recalibration, px rms per coordinate
+    generator: str = "second"  # of generators.GENERATORS
 
     @property
     def identifiable(self) -> bool:
@@ -69,7 +70,7 @@ class Label:
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> Label:
-        known = {name: document[name] for name in cls.__dataclass_fields__}
+        known = {name: document[name] for name in cls.__dataclass_fields__ if name in document}
         return cls(**{**known, "effects": tuple(known["effects"]), "left": tuple(known["left"])})
 
 
@@ -105,13 +106,13 @@ def make(seed: int, kind: str, effects: tuple[str, ...] = ()) -> Case:
     """The case of a seed. `effects` fixes what is switched on; else it is drawn. What is too weak to be seen is drawn
     again, up to _DRAWS times."""
     rng = np.random.default_rng([seed, 0xCA5E, zlib.crc32(" ".join((kind, *effects)).encode())])
-    rig = _rig(rng)
+    rig = rig_of(rng)
     instrument = preset("random" if rng.random() < 0.7 else "reference", rig, int(rng.integers(1 << 30)))
     noise = float(np.exp(rng.uniform(np.log(0.02), np.log(0.1))))
     plant = Plant(rig, instrument.grid, instrument.width, instrument.c_deg, noise)
     chosen = effects or _drawn(rng, kind)
     loaded = "transmission.load_dependence" in chosen or rng.random() < 0.15
-    motions = _motions(rng, rig)
+    motions = motions_of(rng, rig)
     starts = list(np.concatenate([[0.0], np.cumsum([m.duration_s + 5.0 for m in motions])[:-1]]))
     seeds = [int(s) for s in rng.integers(1 << 30, size=4)]
     loads = [_load(rng, motion, i) if loaded else None for i, motion in enumerate(motions)]
@@ -197,7 +198,7 @@ def _drawn(rng: np.random.Generator, kind: str) -> tuple[str, ...]:
     return tuple(str(name) for name in rng.choice(list(KNOWN), count, replace=False))
 
 
-def _rig(rng: np.random.Generator) -> Rig:
+def rig_of(rng: np.random.Generator) -> Rig:
     document: dict[str, Any] = reference_rig().to_document()
     document["camera"]["delay_s"] = float(rng.uniform(0.04, 0.1))
     document["camera"]["frame_rate_hz"] = float(rng.choice([25.0, 30.0, 50.0]))
@@ -206,7 +207,7 @@ def _rig(rng: np.random.Generator) -> Rig:
     return Rig.from_document(document, "case")
 
 
-def _motions(rng: np.random.Generator, rig: Rig) -> list[Trajectory]:
+def motions_of(rng: np.random.Generator, rig: Rig) -> list[Trajectory]:
     """A calibration (two speeds, rests), two tests at several speeds with rests and the other axes moving, one more."""
     span = rig.actuator.span
     speed = float(rng.uniform(0.07, 0.11)) * span

@@ -16,6 +16,7 @@ from tautline.blindtest import scores
 from tautline.blindtest.campaign import FORMAT
 from tautline.blindtest.cases import SCORED_FROM, Label
 from tautline.blindtest.draws import UNKNOWN
+from tautline.blindtest.generators import SECOND
 from tautline.blindtest.scores import Answer, Bin, Share, answer_of
 from tautline.effects import EVENTS
 from tautline.folders import write_file
@@ -71,6 +72,7 @@ def result(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "cases": len([1 for label, _ in ours if label.kind != "left out"]),
         "identifiable": Share(sum(label.identifiable for label in labels), len(labels)).to_json(),
         "methods": {name: found.to_json() for name, found in scored.items()},
+        "generators": {name: scores.score(cases).to_json() for name, cases in _generators(ours).items()},
         "compared": _compared(records, methods),
         "confusion": {"truth": rows, "said": columns, "counts": counts.tolist()},
         "reliability": [
@@ -96,6 +98,23 @@ def methods_of(records: Sequence[Mapping[str, Any]]) -> dict[str, Cases]:
             if name in record.get("answers", {})
         ]
     return methods
+
+
+def _generators(cases: Cases) -> dict[str, Cases]:
+    """The cases of each generator."""
+    found = dict.fromkeys(label.generator for label, _ in cases)
+    return {name: [case for case in cases if case[0].generator == name] for name in found}
+
+
+def by_generator(document: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """How often the right name leads, what is unknown is called so, and what is sound; empty where there is but one
+    generator."""
+    found = document["generators"]
+    rows = [
+        {"what": name, "goal": "", "cells": [_cell(found[name], what, OURS) for what in ("top1", "unknown", "none")]}
+        for name in found
+    ]
+    return rows if len(rows) > 1 else []
 
 
 def _compared(records: Sequence[Mapping[str, Any]], methods: Mapping[str, Cases]) -> dict[str, Any] | None:
@@ -135,6 +154,7 @@ def write(records: Sequence[Mapping[str, Any]], folder: Path) -> dict[str, Any]:
         "rows": table(document),
         "naming": naming(document),
         "effects": effects(document),
+        "generators": by_generator(document),
         "confusion": report.picture(
             confusion(document["confusion"]),
             "Confusion",
@@ -222,6 +242,8 @@ def text(document: Mapping[str, Any]) -> str:
     lines += _aligned(["", "goal", *document["methods"]], table(document))
     if per_effect := effects(document):
         lines += _aligned(["right name leads", "goal", *naming(document)], per_effect)
+    if generators := by_generator(document):
+        lines += _aligned(["by generator", "", "right name leads", "unknown called so", "none called so"], generators)
     if said := compared(document):
         lines.append(said)
     found = document["identifiable"]
@@ -251,6 +273,7 @@ def _line(record: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "name": record["name"],
         "seed": label.seed,
+        "generator": label.generator,
         "kind": label.kind,
         "effects": list(label.effects),
         "throughout": label.throughout,
@@ -281,7 +304,8 @@ def _sentence_of(line: Mapping[str, Any]) -> str:
         gaps = f"; gap {line['gap'][0]:.3g} -> {line['gap'][1]:.3g}, noise {line['floor']:.2g}"
     if line["realised"] is not None:
         gaps += f"; unseen {line['realised']['before']:.3g} -> {line['realised']['after']:.3g}"
-    return f"{mark} seed {line['seed']} {what}{since}: {said}{probability}{gaps}; {line['core_s']:.1f} s"
+    made = "" if line["generator"] == SECOND else f" {line['generator']}:"
+    return f"{mark} seed {line['seed']}{made} {what}{since}: {said}{probability}{gaps}; {line['core_s']:.1f} s"
 
 
 def _cell(found: Mapping[str, Any], name: str, method: str) -> str:

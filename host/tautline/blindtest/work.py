@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from tautline.blindtest import baselines, scores, sealed
 from tautline.blindtest.cases import Label, make
+from tautline.blindtest.generators import GENERATORS, SECOND
 from tautline.blindtest.scores import FAILED, Answer
 from tautline.calibration.calibrate import calibrate
 from tautline.diagnose.diagnosis import diagnose
@@ -35,9 +36,11 @@ COST = "cost.json"
 _VISIBLE = ("calibration", "test-1", "test-2")
 
 
-def make_case(seed: int, kind: str, effects: tuple[str, ...], salt: str) -> tuple[Files, Files]:
+def make_case(
+    seed: int, kind: str, effects: tuple[str, ...], salt: str, generator: str = SECOND
+) -> tuple[Files, Files]:
     """What may be seen of a case, and what is sealed."""
-    case = make(seed, kind, effects)
+    case = GENERATORS[generator].make(seed, kind, effects)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         recordings = zip((*_VISIBLE, sealed.FURTHER), (case.calibration, *case.tests, case.further), strict=True)
@@ -151,15 +154,20 @@ def _told(error: Exception) -> str:
 
 
 def gap_on(model: Model, recording: Recording, nominal: Model) -> float:
-    """Scored from when `nominal` was driven through a full backlash both ways."""
-    marker = recording.marker
-    assert marker is not None
-    seen = np.column_stack([marker.u_px, marker.v_px])
-    arrival_s = marker.t_s
-    scored = marker.valid & (arrival_s - nominal.delay_s >= settled_from(nominal, recording.motor))
-    said = predict(model, recording.motor, arrival_s - model.delay_s).image_px
-    assert said is not None
-    return float(np.sqrt(np.nanmean((seen - said)[scored] ** 2)))
+    """px rms per coordinate, deg without a marker; from when `nominal` was driven through a full backlash both ways."""
+    marker, angle = recording.marker, recording.angle
+    sensor = marker or angle
+    assert sensor is not None
+    arrival_s = sensor.t_s
+    said = predict(model, recording.motor, arrival_s - model.delay_s)
+    if marker is not None:
+        assert said.image_px is not None
+        apart, valid = np.column_stack([marker.u_px, marker.v_px]) - said.image_px, marker.valid
+    else:
+        assert angle is not None
+        apart, valid = angle.c_deg - said.c_deg, angle.seen
+    scored = valid & (arrival_s - nominal.delay_s >= settled_from(nominal, recording.motor))
+    return float(np.sqrt(np.nanmean(apart[scored] ** 2)))
 
 
 def recordings_of(folder: Path) -> tuple[Rig, list[Recording]]:

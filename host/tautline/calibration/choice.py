@@ -105,7 +105,10 @@ class Choice:
         agreed = explained(joint) or float(np.mean(z**2)) < _AGREE
         jumps = jumping(widths) and not self._foretells(widths, joint, curve)
         if not jumps and (agreed or not self._contradicted(widths, curve, passes)):
-            return *((width, sigma) if gradual else self._weighed(curve, width, sigma)), JOINT
+            both, spread = (width, sigma) if gradual else self._weighed(curve, width, sigma)
+            if both is not width and self._left_at(joint, both) < _WORSE * max(joint.scale, 1.0):
+                width, sigma = both, spread
+            return width, sigma, JOINT
         self.found.notes.append("the passes contradict the onsets: B(q) is the onsets' alone")
         return self._filled(widths, curve, joint, passes)
 
@@ -223,11 +226,15 @@ class Choice:
         clear = max(_ONE_WAY * far.std() / np.sqrt(len(far)), _LITTLE * float(np.median(curve.width)))
         if far.mean() < clear or abs(near.mean()) > _OTHER_WAY * far.mean():
             return False
-        design = joint.fit.backlash.design(self.grid)
-        backlash = np.linalg.lstsq(design.toarray(), curve.width, rcond=None)[0]
-        rest = self._left_with(joint, replace(joint.curves, backlash=backlash))
+        rest = self._left_at(joint, curve.width)
         self.found.evidence["residual_with_onsets"] = rest
         return rest > _WORSE * max(joint.scale, 1.0)
+
+    def _left_at(self, joint: Fitted, width: Array) -> float:
+        """`_left_with` another B, (grid,)."""
+        design = joint.fit.backlash.design(self.grid)
+        backlash = np.linalg.lstsq(design.toarray(), width, rcond=None)[0]
+        return self._left_with(joint, replace(joint.curves, backlash=backlash))
 
     @staticmethod
     def _left_with(fitted: Fitted, curves: Curves) -> float:

@@ -11,6 +11,7 @@ from tautline.blindtest import compare, page
 from tautline.blindtest.baselines import METHODS
 from tautline.blindtest.campaign import GROUPS, Order, Progress, left_out, order_of, run
 from tautline.blindtest.draws import KNOWN, UNKNOWN
+from tautline.blindtest.generators import CHOICES, chosen
 from tautline.blindtest.pool import pool
 from tautline.cli._common import emit, folder_option, json_option, progress_bar, warn
 
@@ -37,6 +38,20 @@ _QUICK_BASELINES = ("majority", "joint", "bic")
     metavar="EFFECT",
     type=click.Choice([*GROUPS, *KNOWN, *UNKNOWN]),
     help=f"Cases of this alone: an effect, or {', '.join(GROUPS)}. May be given several times.",
+)
+@click.option(
+    "--generator",
+    "generators",
+    multiple=True,
+    type=click.Choice(CHOICES),
+    help="What makes the cases; as many of each. May be given several times. Default: second.",
+)
+@click.option(
+    "--leave-out",
+    "left_out_generators",
+    multiple=True,
+    type=click.Choice(CHOICES),
+    help="Take the generators but this; alone: all others. May be given several times.",
 )
 @click.option(
     "--baselines",
@@ -71,6 +86,8 @@ def command(
     pairs: int | None,
     leave_one_out: int | None,
     only: tuple[str, ...],
+    generators: tuple[str, ...],
+    left_out_generators: tuple[str, ...],
     baselines: tuple[str, ...],
     every: int,
     stopped: bool,
@@ -89,7 +106,11 @@ def command(
         "pairs": pairs,
         "leave_one_out": leave_one_out,
     }
-    order = replace(order, only=only, **{name: value for name, value in given.items() if value is not None})
+    taken, missing_ones = chosen(generators, left_out_generators)
+    for name in missing_ones:
+        warn(f"without the generator '{name}', whose package is not there: pip install 'tautline[campaign]'")
+    numbers = {name: value for name, value in given.items() if value is not None}
+    order = replace(order, only=only, generators=taken, **numbers)
     if stopped:
         order = order_of(out)
     wanted = baselines or (("none",) if order.only else _QUICK_BASELINES if quick else None)

@@ -1,0 +1,115 @@
+"""What makes blind cases: named generators, and mechanisms whose truth is measured on themselves."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from tautline.blindtest import generators, work
+from tautline.blindtest.campaign import Order
+from tautline.blindtest.cases import Case
+from tautline.blindtest.generators import GENERATORS, SECOND
+from tautline.calibration.calibrate import calibrate
+from tautline.errors import TautError
+from tautline.recording import Recording
+
+LAG = "transmission.lag"
+MECHANISMS = [name for name in GENERATORS if name.startswith("mujoco.")]
+
+
+def mechanism():
+    pytest.importorskip("mujoco", reason="the package mujoco is not installed")
+    from tautline.blindtest.physical import mechanism
+
+    return mechanism
+
+
+def seen(recording: Recording) -> np.ndarray:
+    if recording.marker is not None:
+        return np.stack([recording.marker.u_px, recording.marker.v_px])
+    assert recording.angle is not None
+    return recording.angle.c_deg
+
+
+def test_the_generators_are_named_and_one_can_be_left_out(monkeypatch):
+    monkeypatch.setattr(generators, "find_spec", lambda name: None)
+    assert generators.chosen((), ()) == ((SECOND,), ())
+    assert generators.chosen((), ("second",)) == (("library",), tuple(MECHANISMS))
+    with pytest.raises(TautError, match=r"pip install 'tautline\[campaign\]'"):
+        generators.chosen(("mujoco",), ())
+    monkeypatch.setattr(generators, "find_spec", lambda name: sys)
+    assert generators.chosen(("mujoco",), ("mujoco.arm",))[0] == tuple(n for n in MECHANISMS if n != "mujoco.arm")
+    assert generators.chosen((), ("mujoco",))[0] == (SECOND, "library")
+    with pytest.raises(TautError, match="leave fewer out"):
+        generators.chosen((), ("all",))
+    assert len(MECHANISMS) >= 5
+
+
+def test_an_order_asks_each_generator_for_what_it_makes():
+    order = Order(seed=3, single=1, none=1, unknown=0, pairs=0, only=("registration.static", "none"))
+    cases = Order(**{**vars(order), "generators": ("mujoco.section", "mujoco.arm")}).cases()
+    assert cases == [
+        (3, "single", ("registration.static",), "mujoco.section"),
+        (3, "none", (), "mujoco.section"),
+        (3, "none", (), "mujoco.arm"),  # an angle sensor has no camera to be registered
+    ]
+
+
+@pytest.mark.parametrize("name", MECHANISMS)
+def test_the_play_is_as_wide_as_it_was_built(name):
+    built = mechanism()
+    topology = next(t for t in built.TOPOLOGIES if t.name == name)
+    found = [built.backlash(topology, built.Values({"widened": by} if by != 1.0 else {})) for by in (1.0, 1.6)]
+    # What viscosity adds to it: the damper against all that holds s, and at most the Kelvin element's own time.
+    speed = 0.9 * topology.half * np.pi / 20.0
+    late = 3.5 / (307.0 + built.RETURN) + 0.004
+    assert 0.0 < found[0] - topology.width < 2.0 * late * speed
+    assert found[1] - found[0] == pytest.approx(0.6 * topology.width, rel=0.03)
+
+
+@pytest.fixture(scope="module")
+def lagging() -> Case:
+    mechanism()
+    return GENERATORS["mujoco.coupled"].make(5, "single", (LAG,))
+
+
+def test_a_seed_makes_the_same_case_again(lagging):
+    again = GENERATORS["mujoco.coupled"].make(5, "single", (LAG,))
+    assert lagging.label == again.label and again.label.generator == "mujoco.coupled"
+    for a, b in zip([lagging.calibration, *lagging.tests], [again.calibration, *again.tests], strict=True):
+        np.testing.assert_array_equal(seen(a), seen(b))
+        np.testing.assert_array_equal(a.motor.q, b.motor.q)
+
+
+def test_identifiable_is_what_the_mechanism_itself_does_beyond_noise(lagging, monkeypatch):
+    from tautline.blindtest.physical import draws, make
+
+    assert lagging.label.identifiable
+    monkeypatch.setattr(make, "_DRAWS", 1)
+    monkeypatch.setitem(draws.KNOWN, LAG, lambda rng, topology: {"damper": 1e-4})
+    weak = GENERATORS["mujoco.coupled"].make(5, "single", (LAG,))
+    assert not weak.label.identifiable and 0.0 < weak.label.left[0] < weak.label.noise_px
+    # The calibration came before the effect, whatever the effect is.
+    assert weak.label.noise_px == lagging.label.noise_px
+    np.testing.assert_array_equal(seen(weak.calibration), seen(lagging.calibration))
+    assert not np.array_equal(seen(weak.tests[0]), seen(lagging.tests[0]))
+
+
+def test_a_case_of_angles_goes_through_sealing_and_scoring():
+    mechanism()
+    visible, opened = work.make_case(9, "none", (), "salt", "mujoco.coupled")
+    assert "calibration/angle.csv" in visible and "test-1/motor.csv" in visible and "label.json" in opened
+    with work.unpacked(visible) as folder:
+        rig, recordings = work.recordings_of(folder)
+        found = calibrate(recordings[:1], rig).model
+        noise = json.loads(opened["label.json"])["label"]["noise_px"]
+        assert found.quality.verdict == "good"
+        assert noise < 1.05 * work.gap_on(found, recordings[1], found) < 1.3 * noise
+
+
+def test_the_library_makes_cases_of_its_own_effects_under_a_noise_that_remembers():
+    case = GENERATORS["library"].make(4, "single", (LAG,))
+    assert case.label.generator == "library" and case.label.identifiable
+    with pytest.raises(TautError, match="leave --unknown out"):
+        GENERATORS["library"].make(4, "unknown", ())
