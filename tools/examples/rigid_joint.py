@@ -2,7 +2,7 @@
 
 ROBOT is a recording of a joint (motor.csv; its rig.toml or --rig). OUT is a recording of the same motion by a rigid
 joint: its angle is the commanded one, at once, rounded to --step as a sensor does. With the package `mujoco` it is a
-hinge of MuJoCo that a stiff drive holds, else the coarse law of the rig; both are the same to a hundredth of a degree.
+hinge of MuJoCo that a stiff drive holds, else the coarse law of the rig.
 Then `taut diagnose OUT ROBOT --rig rig.toml --out DIR` says what the simulator lacks.
 """
 
