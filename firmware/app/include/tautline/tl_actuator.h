@@ -24,10 +24,10 @@ typedef struct {
     const tl_port_t *port;
     uint32_t index;      ///< of the port's motors; a word, as those are cheap at this distance
     int32_t encoder;     ///< as read last, counts
-    int32_t jump;        ///< what tl_actuator_measure() refused last, counts
     tl_duty_q15_t duty;  ///< as driven
     tl_duty_q15_t limit; ///< most drive in closed loop
     tl_servo_t servo;
+    int32_t jump; ///< what tl_actuator_measure() refused last, counts; behind what every step needs
 } tl_actuator_t;
 
 static inline void tl_actuator_drive(tl_actuator_t *actuator, tl_duty_q15_t duty) {
