@@ -135,7 +135,7 @@ def test_a_tip_that_rests_is_held_by_nobody() -> None:
     made = run(RIG, preset("reference", RIG, 912), motion(), seed=912, noise_px=0.0)
     tracks = observe([made.recording], RIG)
     domain = Domain(*RIG.actuator.range)
-    kept = released(tracks, tracks, domain, RIG.nominal_delay_s(tracks[0].sensor))
+    kept = released(tracks, lambda: tracks, domain, RIG.nominal_delay_s(tracks[0].sensor))
     assert sum(len(track.t_s) for track in kept) == sum(len(track.t_s) for track in tracks)
 
 

@@ -14,9 +14,9 @@ from tautline.calibration import clock
 from tautline.calibration.acquisition import doubts as acquisition_doubts
 from tautline.calibration.acquisition import in_another_unit
 from tautline.calibration.backlash import WidthCurve, fit_widths
-from tautline.calibration.choice import EXPLAINED, JOINT, ONSETS, Choice, explained, jumping, measuring
+from tautline.calibration.choice import JOINT, ONSETS, Choice, jumping, measuring
 from tautline.calibration.components import Components, separate
-from tautline.calibration.doubts import doubts, floor_of
+from tautline.calibration.doubts import PREDICTS, doubts, floor_of
 from tautline.calibration.findings import Findings
 from tautline.calibration.holding import released
 from tautline.calibration.observations import Track, observe
@@ -27,7 +27,7 @@ from tautline.calibration.place import (
     as_smooth_as_independent,
     place_noise,
 )
-from tautline.calibration.playfit import NODES, Fitted
+from tautline.calibration.playfit import EXPLAINED, NODES, Fitted
 from tautline.calibration.remaining import Remaining, fit_remaining, morphological, pose_of, posed
 from tautline.calibration.several import fit_elements, left
 from tautline.calibration.smooth import Domain, fit_jointly, fit_passes, freeze
@@ -44,7 +44,6 @@ Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 _LEAST_FRAMES = 10
-_UNNAMED = 1.3  # residual over noise of model and departures: beyond, what is left has no name
 _GRADUAL = 0.4  # noise: what a gradual start must leave for several elements to be tried
 _HELD = 0.5  # of the square of what one element leaves beyond noise: several may leave so much
 _HELD_SHARE = 0.1  # of all frames: where more are left out the rest may be wrong too
@@ -212,7 +211,7 @@ class _Session:
         if not self.camera:  # an angle sensor has no tracker: what it repeats is its own, or a joint that sticks
             return
         before = sum(len(track.t_s) for track in self.tracks)
-        self.tracks = released(self.tracks, self._one_curve(self.nominal_s), self.domain, self.nominal_s)
+        self.tracks = released(self.tracks, lambda: self._one_curve(self.nominal_s), self.domain, self.nominal_s)
         if held := before - sum(len(track.t_s) for track in self.tracks):
             self.found.doubt(
                 "acquisition.held_samples",
@@ -266,7 +265,7 @@ class _Session:
             return None, None
         if fit_delay and not self.camera:
             joint = clock.settled(joint, delay, self.tracks, self.nominal_s)
-        elif fit_delay and (jumping(onsets) or not explained(joint)):
+        elif fit_delay and (jumping(onsets) or not joint.explained):
             # What the model does not know would bend the delay: the image stops tell it alone.
             joint.fit.fit_delay = False
             joint = joint.fit.solve(replace(joint.curves, delay_s=delay.delay_s))
@@ -287,7 +286,7 @@ class _Session:
         joint = allowing_for_place(joint, noise)
         self.found.evidence["residual_before_components"] = joint.scale
         self.components = separate(joint, self.rig)
-        if self.components.noise > _UNNAMED:
+        if self.components.noise > PREDICTS:
             joint = as_smooth_as_independent(joint, noise)
             self.components = separate(joint, self.rig)
         gradual = self.options.elements == "auto" and not jumping(onsets)
@@ -299,8 +298,9 @@ class _Session:
         for part in self.components.parts:
             self.found.evidence[f"component_{part.name}"] = part.rms
         apart = self.components.applied(joint)
-        self.found.evidence["residual_alone"] = joint.scale
-        if self.choice.predicts(self.components, apart, joint) or self.choice.nearer(onsets, curve, apart, joint):
+        alone = self.choice.alone(self.components, apart, joint)
+        if self.choice.predicts(alone, joint) or self.choice.nearer(onsets, curve, apart, joint):
+            self.found.evidence["residual_alone"] = alone
             return apart
         self.found.evidence["residual_alone"] = joint.scale
         return self._as_one(joint, self.components)

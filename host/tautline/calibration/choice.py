@@ -31,7 +31,6 @@ _FEW_ONSETS, _NEARER = 6, 0.5  # onsets that may say so, and their mean squared 
 _ONE_WAY, _OTHER_WAY = 4.0, 0.3  # standard errors by which onsets are late, and of that what the other way's may be
 _HOLE, _BENDS = 0.03, 2.0  # of the range, without a frame one way; its own size by which B may change over the range
 _LEANS = 0.3  # share of the elements that are at their ends, from which a place is passed one way
-EXPLAINED = 1.5  # residual over noise up to which a model explains its data
 
 
 def jumping(onsets: Sequence[Onset]) -> bool:
@@ -43,10 +42,6 @@ def jumping(onsets: Sequence[Onset]) -> bool:
 def measuring(onsets: Sequence[Onset]) -> list[Onset]:
     """Those that are a width, not a bound."""
     return [o for o in onsets if o.used and o.kind in (HINGE, BRACKET)]
-
-
-def explained(joint: Fitted) -> bool:
-    return joint.scale < EXPLAINED
 
 
 @dataclass(frozen=True)
@@ -102,11 +97,11 @@ class Choice:
         self.found.evidence["joint_residual_over_noise"] = joint.scale
         if not joint.fit.elements.single:  # of several an onset shows the first
             return width, sigma, JOINT
-        agreed = explained(joint) or float(np.mean(z**2)) < _AGREE
+        agreed = joint.explained or float(np.mean(z**2)) < _AGREE
         jumps = jumping(widths) and not self._foretells(widths, joint, curve)
         if not jumps and (agreed or not self._contradicted(widths, curve, passes)):
             both, spread = (width, sigma) if gradual else self._weighed(curve, width, sigma)
-            if both is not width and self._left_at(joint, both) < _WORSE * max(joint.scale, 1.0):
+            if both is not width and self.predicts(self._left_at(joint, both), joint):
                 width, sigma = both, spread
             return width, sigma, JOINT
         self.found.notes.append("the passes contradict the onsets: B(q) is the onsets' alone")
@@ -133,13 +128,14 @@ class Choice:
         near, far = (float(np.mean(z**2)) for z in off)
         return far > _AGREE and near < _NEARER * far
 
-    def predicts(self, found: Components, apart: Fitted, joint: Fitted) -> bool:
-        """Whether B as it is without the departures predicts what was seen about as well as the one that fits it best:
-        a departure that takes B far from that stands for something else."""
-        if not found.parts:
-            return True
-        rest = self._left_with(apart, found.usual)
-        self.found.evidence["residual_alone"] = rest
+    def alone(self, found: Components, apart: Fitted, joint: Fitted) -> float:
+        """Residual over noise of B, path and delay as they are without the departures."""
+        return self._left_with(apart, found.usual) if found.parts else joint.scale
+
+    @staticmethod
+    def predicts(rest: float, joint: Fitted) -> bool:
+        """Whether a B that leaves so much predicts what was seen about as well as the one that fits it best: departures
+        that take B far from that stand for something else."""
         return rest < _WORSE * max(joint.scale, 1.0)
 
     def bridged(self, joint: Fitted, width: Array, inside: npt.NDArray[np.bool_]) -> Array:
@@ -228,7 +224,7 @@ class Choice:
             return False
         rest = self._left_at(joint, curve.width)
         self.found.evidence["residual_with_onsets"] = rest
-        return rest > _WORSE * max(joint.scale, 1.0)
+        return not self.predicts(rest, joint)
 
     def _left_at(self, joint: Fitted, width: Array) -> float:
         """`_left_with` another B, (grid,)."""

@@ -57,7 +57,6 @@ _COARSE_S = 0.02
 _PER_STROKE = 4.0  # independent errors of a model within a stroke, at most
 _STROKES = 10  # what a model does not hold is much the same in further ones
 _WHITE = 1.05  # residual over noise up to which nothing else is in it
-_EXPLAINED = 1.5
 _CLEARLY = 1.03  # times the residual
 _LIKELY = 3.0  # standard deviations
 _SAMPLES, _LITTLE_S = 1.5, 0.01  # a delay of less may be an error of the model
@@ -178,7 +177,7 @@ def jumps(tracks: Sequence[Track], rig: Rig) -> list[Reason]:
     """Recordings whose images stop at another delay in one part than in another."""
     reasons = []
     for track in tracks:
-        parts = [_part(track, at) for at in np.array_split(np.arange(len(track.t_s)), _PARTS)]
+        parts = [track.only(at) for at in np.array_split(np.arange(len(track.t_s)), _PARTS)]
         delays = [delay_of_stops([part], rig) for part in parts if len(part.t_s) >= 8 * _ORDER]
         delays = [delay for delay in delays if delay.stops and np.isfinite(delay.sigma_s)]
         if len(delays) < 2:
@@ -189,10 +188,6 @@ def jumps(tracks: Sequence[Track], rig: Rig) -> list[Reason]:
             says = f"{track.name}: the image's delay differs by {apart * 1e3:.0f} ms between parts of the recording"
             reasons.append(Reason("clock.offset", says, "look for lost frames or a clock that was set meanwhile"))
     return reasons
-
-
-def _part(track: Track, at: npt.NDArray[np.intp]) -> Track:
-    return replace(track, t_s=track.t_s[at], y=track.y[at], sigma=track.sigma[at])
 
 
 def find_offset(track: Track, rig: Rig) -> Offset | None:
@@ -337,7 +332,7 @@ class _Sight:
         if reference is not None and np.mean(track.at_reference(track.t_s, reference)) < 0.9:
             return None
         stride = -(-len(track.t_s) // most)
-        few = replace(track, t_s=track.t_s[::stride], y=track.y[::stride], sigma=track.sigma[::stride])
+        few = track.only(slice(None, None, stride))
         turns = _native.turns(np.ascontiguousarray(motor.q), _DITHER * span)
         keep = np.unique(np.concatenate([[0], turns, [len(motor.q) - 1]])).astype(np.intp)
         low = float(motor.q.min())
@@ -466,7 +461,7 @@ def settled(free: Fitted, delay: Delay, tracks: Sequence[Track], nominal_s: floa
     if free.scale <= _WHITE:
         return free
     at_nominal = abs(own_s - nominal_s) <= min(_SAMPLES * period_s(tracks), _LITTLE_S)
-    if not at_nominal and free.scale < _EXPLAINED:
+    if not at_nominal and free.explained:
         return free
     fixed = replace(free.fit, fit_delay=False, smoothing=dict(free.fit.smoothing))
     fitted = fixed.solve(replace(free.curves, delay_s=nominal_s if at_nominal else delay.delay_s))

@@ -16,13 +16,12 @@ from tautline.rig import ANGLE
 
 Array = npt.NDArray[np.float64]
 
-_EXPLAINED = 1.3  # residual over noise up to which a model explains its data (formats: good)
+PREDICTS = 1.3  # residual over noise up to which a verdict is good (formats)
 _LEFT = 2.0  # residual over noise, without its departures, from which a model does not predict
 _MOST = 1.5  # the same, up to which it does where some frames show something else
 _STRONG = 1.2  # of the noise: a departure that is a doubt whatever else is
 _MOSTLY = 0.5  # of the strongest: one that has its part in what is left
 _SHIFTED = 0.03  # of B: what leaving a component out would change, from which it is told
-_UM = 5e-3  # and at least this share of B's sigma beside it
 _WHITE = 1.5  # frames for each independent one up to which scatter is of single frames
 _SPEEDS = 1.5  # scatter of moving frames over that of resting ones, from which times are unsteady
 
@@ -138,12 +137,12 @@ def doubts(found: Components, counted: npt.NDArray[np.bool_], unit: str, alone: 
         counts = part.name == "turn" and shift < _SHIFTED * usual  # a count is a count
         moves = shift > max(_SHIFTED * usual, 3.0 * sigma)
         predicts = alone < _LEFT or part.rms < _MOSTLY * strongest
-        if moves or not predicts or (not counts and np.hypot(1.0, part.rms) > _EXPLAINED):
+        if moves or not predicts or (not counts and np.hypot(1.0, part.rms) > PREDICTS):
             mild = not moves and predicts and (counts or part.rms < _STRONG)
             kind = "turn.itself" if part.name == "turn" and not rough else part.name
             reasons.append((part.chi2, _reason(kind, part, shift, unit, mild)))
     told = [reason for _, reason in sorted(reasons, key=lambda each: -each[0])]
-    if found.noise > _EXPLAINED:
+    if found.noise > PREDICTS:
         told.append(_scatter(found, alone))
     first: dict[str, Reason] = {}
     for reason in sorted(told, key=lambda each: each.mild):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,13 +16,15 @@ _MOVES = 0.02  # of the motor's span, by which it moves meanwhile
 _OFF = 6.0  # scales of what is left, by which the tip is elsewhere then
 
 
-def released(tracks: Sequence[Track], seen: Sequence[Track], domain: Domain, delay_s: float) -> list[Track]:
-    """`tracks` without the frames of such runs. seen: the same on one curve, what a play is fitted to. Costs a fit
+def released(
+    tracks: Sequence[Track], on_one_curve: Callable[[], Sequence[Track]], domain: Domain, delay_s: float
+) -> list[Track]:
+    """`tracks` without the frames of such runs. on_one_curve: the same, what a play is fitted to. Costs a fit
     where a place is repeated while the motor moves, nothing otherwise."""
     runs = [_runs(track) for track in tracks]
     if not any(runs):
         return list(tracks)
-    joint = fit_jointly(freeze(seen, delay_s), domain, delay_s, fit_delay=False)
+    joint = fit_jointly(freeze(on_one_curve(), delay_s), domain, delay_s, fit_delay=False)
     if joint is None:
         return list(tracks)
     kept = []
@@ -31,13 +33,7 @@ def released(tracks: Sequence[Track], seen: Sequence[Track], domain: Domain, del
         held: Mask = np.zeros(len(track.t_s), dtype=bool)
         for run in places:
             held[run] = off[run].any()
-        fresh = ~held
-        kept.append(
-            replace(
-                track, t_s=track.t_s[fresh], y=track.y[fresh], sigma=track.sigma[fresh],
-                held=track.held + int(held.sum()),
-            )
-        )  # fmt: skip
+        kept.append(replace(track.only(~held), held=track.held + int(held.sum())))
     return kept
 
 

@@ -41,6 +41,10 @@ class Track:
     stray: int = 0  # frames left out because they show the marker elsewhere for a moment
     held: int = 0  # left out because the sensor repeated the value before
 
+    def only(self, frames: Mask | npt.NDArray[np.intp] | slice) -> Track:
+        """With these of its frames."""
+        return replace(self, t_s=self.t_s[frames], y=self.y[frames], sigma=self.sigma[frames])
+
     def scene_s(self, delay_s: float) -> Array:
         return self.t_s - delay_s
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -58,7 +57,7 @@ def resolved(tracks: Sequence[Track], rig: Rig) -> tuple[list[Track], list[Reaso
                     "which the tip follows were left out"
                 )
                 seen = ~settling
-                track = replace(track, t_s=track.t_s[seen], y=track.y[seen], sigma=track.sigma[seen])
+                track = track.only(seen)
         left.append(track)
     return left, reasons, notes
 

@@ -23,7 +23,7 @@ board_option = click.option(
     "--board",
     metavar="BOARD",
     envvar="TAUTLINE_BOARD",
-    help="Serial number of a board on USB, usbip:HOST:PORT serial:DEVICE. Default: the only one, or $TAUTLINE_BOARD.",
+    help="Serial number of a board on USB, usbip:HOST:PORT or serial:DEVICE. Default: the only one or $TAUTLINE_BOARD.",
 )
 axis_option = click.option("--axis", type=click.IntRange(0, 3), default=0, show_default=True, help="Axis of the board.")
 camera_option = click.option(
@@ -44,6 +44,28 @@ simulate_option = click.option(
     help=f"Instead of a board: a desktop board in virtual time, with a simulated instrument ({', '.join(PRESETS)}) or "
     "that of a model's folder, the effects of a diagnosis included.",
 )
+
+end_option = click.option(
+    "--end", type=float, help="Position there, the rig's unit. Default: that end of the rig's range."
+)
+way_option = click.option(
+    "--to", "way", type=click.Choice(["low", "high"]), default="low", show_default=True, help="Which end to find."
+)
+speed_option = click.option(
+    "--speed", type=click.FloatRange(min=0.0, min_open=True), help="Of a shape, the rig's unit per second."
+)
+seed_option = click.option("--seed", type=int, default=0, help="Of the shape 'smooth', and of the simulation.")
+
+
+def motion_option(none: str) -> Callable[..., Any]:
+    """--motion; none: what its absence means."""
+    return click.option(
+        "--motion",
+        metavar="FILE|SHAPE",
+        default="none",
+        show_default=True,
+        help=f"What the motor does: none ({none}), a CSV with t_s and q_mm or q_deg, trapezoids, smooth.",
+    )
 
 
 at_option = click.option(

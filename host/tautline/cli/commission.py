@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from tautline.cli._common import emit, json_option, log, rig_option
-from tautline.cli._live import LiveOptions, axis_option, board_option, opened, simulate_option
+from tautline.cli._live import LiveOptions, axis_option, board_option, end_option, opened, simulate_option, way_option
 from tautline.errors import TautError
 
 
@@ -16,8 +16,8 @@ from tautline.errors import TautError
 @axis_option
 @simulate_option
 @rig_option
-@click.option("--to", "way", type=click.Choice(["low", "high"]), default="low", show_default=True, help="End to find.")
-@click.option("--end", type=float, help="Position there, the rig's unit. Default: that end of the rig's range.")
+@way_option
+@end_option
 @click.option("--current", type=click.IntRange(1), help="Limit of the motor's current, mA. Default: as it is.")
 @click.option("--instrument", default="", help="Serial of the instrument, 8 letters at most: other tables are refused.")
 @click.option(

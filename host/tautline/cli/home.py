@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from tautline.cli._common import emit, json_option, rig_option
-from tautline.cli._live import LiveOptions, axis_option, board_option, opened, simulate_option
+from tautline.cli._live import LiveOptions, axis_option, board_option, end_option, opened, simulate_option, way_option
 
 
 @click.command("home")
@@ -15,8 +15,8 @@ from tautline.cli._live import LiveOptions, axis_option, board_option, opened, s
 @axis_option
 @simulate_option
 @rig_option
-@click.option("--to", "way", type=click.Choice(["low", "high"]), default="low", show_default=True, help="Which end.")
-@click.option("--end", type=float, help="Position there, the rig's unit. Default: that end of the rig's range.")
+@way_option
+@end_option
 @click.option("--retreat", type=click.FloatRange(min=0.0), help="The way back from it. Default: 2 % of the range.")
 @click.option(
     "--reach",

@@ -7,26 +7,20 @@ from pathlib import Path
 import click
 
 from tautline.cli._common import emit, folder_option, json_option, progress_bar, rig_option, warn
-from tautline.cli._live import LiveOptions, live_options, opened
+from tautline.cli._live import LiveOptions, live_options, motion_option, opened, seed_option, speed_option
 
 
 @click.command("record")
 @folder_option("--out", "Folder for the recording.")
 @live_options
 @rig_option
-@click.option(
-    "--motion",
-    metavar="FILE|SHAPE",
-    default="none",
-    show_default=True,
-    help="What the motor does: none (off: move it yourself), a CSV with t_s and q_mm or q_deg, trapezoids, smooth.",
-)
-@click.option("--speed", type=click.FloatRange(min=0.0, min_open=True), help="Of a shape, the rig's unit per second.")
+@motion_option("off: move it yourself")
+@speed_option
 @click.option(
     "--duration", type=click.FloatRange(min=0.1), default=60.0, show_default=True, help="s, where nothing moves."
 )
 @click.option("--video/--no-video", default=False, help="Keep the frames too.")
-@click.option("--seed", type=int, default=0, help="Of the shape 'smooth', and of the simulation.")
+@seed_option
 @json_option
 def command(
     out: Path,

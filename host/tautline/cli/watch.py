@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tautline.cli._common import emit, json_option, log, rig_option, warn_unusable
-from tautline.cli._live import LiveOptions, live_options, opened
+from tautline.cli._live import LiveOptions, live_options, motion_option, opened, seed_option, speed_option
 from tautline.model import Model
 
 if TYPE_CHECKING:
@@ -26,16 +26,10 @@ _FRAME_S = 0.2  # between two pictures, wall clock
 @click.argument("model_path", metavar="MODEL", type=click.Path(path_type=Path))
 @live_options
 @rig_option
-@click.option(
-    "--motion",
-    metavar="FILE|SHAPE",
-    default="none",
-    show_default=True,
-    help="What the motor does: none (whatever drives it), a CSV with t_s and q_mm or q_deg, trapezoids, smooth.",
-)
-@click.option("--speed", type=click.FloatRange(min=0.0, min_open=True), help="Of a shape, the rig's unit per second.")
+@motion_option("whatever drives it")
+@speed_option
 @click.option("--duration", type=click.FloatRange(min=0.1), help="s. Default: until Ctrl-C, or the motion's end.")
-@click.option("--seed", type=int, default=0, help="Of the shape 'smooth', and of the simulation.")
+@seed_option
 @json_option
 def command(
     model_path: Path,

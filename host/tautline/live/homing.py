@@ -31,14 +31,10 @@ class Homing:
 
 @contextmanager
 def weakly(live: Live) -> Iterator[None]:
-    """The motor is on inside, referenced or not; whatever happens, the axis is at rest and the motor off after."""
+    """The motor is on inside, referenced or not, and off after."""
     live.board.check_fault(live.axis)
-    with live.interruptible():
-        try:
-            live.board.switch_on(live.axis, live.wait)
-            yield
-        finally:
-            live.release()
+    with live.powered():
+        yield
 
 
 def home(live: Live, homing: Homing | None = None) -> float:

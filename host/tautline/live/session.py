@@ -62,15 +62,11 @@ class Motion:
 
 @contextmanager
 def driving(live: Live) -> Iterator[None]:
-    """The motor is on inside; whatever happens, the axis is at rest and the motor off after."""
+    """The motor of a referenced axis is on inside, and off after."""
     live.board.check_fault(live.axis)
     live.board.check_reference(live.axis)
-    with live.interruptible():
-        try:
-            live.board.switch_on(live.axis, live.wait)
-            yield
-        finally:
-            live.release()
+    with live.powered():
+        yield
 
 
 def set_range(live: Live, low: float, high: float) -> None:

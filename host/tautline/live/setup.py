@@ -152,6 +152,16 @@ class Live:
             signal.signal(signal.SIGINT, before)
             self.stopping = False
 
+    @contextmanager
+    def powered(self) -> Iterator[None]:
+        """The motor is on inside; whatever happens, the axis is at rest and the motor off after."""
+        with self.interruptible():
+            try:
+                self.board.switch_on(self.axis, self.wait)
+                yield
+            finally:
+                self.release()
+
     def _check_stop(self) -> None:
         if self.stopping:
             self.stopping = False

@@ -70,10 +70,6 @@ class Fit:
         """rms of z without outliers."""
         return trimmed(self.z)
 
-    def by_stroke(self) -> Array:
-        strokes = self.evidence.stroke
-        return np.array([trimmed(self.z[strokes == s]) for s in np.unique(strokes)])
-
     def spread_of(self, slopes: Array) -> float:
         """Standard deviation of what has these slopes (PARAMETERS,) by theta."""
         picked = slopes[list(self.free)]
