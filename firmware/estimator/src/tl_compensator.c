@@ -24,9 +24,12 @@ static void set_limits(tl_compensator_t *k, const tl_table_t *table) {
 // Where c wants p, and where p wants q ---------------------------------------------------------------
 
 // p* for c, within [q_min, q_max]. The end's flags have the look-up's values.
-static TL_FAST tl_count_q8_t target(const tl_compensator_t *k, tl_deg_q16_t c, uint32_t *flags) {
+static TL_FAST tl_count_q8_t target(tl_compensator_t *k, tl_deg_q16_t c, uint32_t *flags) {
     if (k->mode != TL_MODE_FULL) {
         return tl_lookup_coarse_inverse(k->lookup, c, flags);
+    }
+    if (k->undoes) {
+        c = tl_undo_angle(&k->undo, k->lookup, c);
     }
     const tl_count_q8_t p = tl_lookup_angle_inverse(k->lookup, c, flags);
     if (p < k->low) {
@@ -46,10 +49,12 @@ static TL_FAST int32_t half_width(const tl_compensator_t *k) {
     if (k->mode == TL_MODE_OFF) {
         return 0;
     }
-    return half_of(k, (uint32_t)tl_lookup_width(k->lookup, k->p, &ends));
+    const int32_t half = half_of(k, (uint32_t)tl_lookup_width(k->lookup, k->p, &ends));
+    return k->undoes ? half_undone(k, half) : half;
 }
 
 static tl_count_q8_t fed_anew(tl_compensator_t *k) {
+    widen(k, k->undoes ? tl_undo_wider(&k->undo, k->lookup, k->p) : 0);
     if (k->several) {
         tl_several_hold(k);
     } else {
@@ -101,17 +106,25 @@ TL_FAST void tl_compensator_feed(tl_compensator_t *k, tl_deg_q16_t c) {
     bool slow = false;
     k->c = c;
     k->feed_flags = 0;
-    const tl_count_q8_t goal = target(k, c, &k->feed_flags);
+    tl_count_q8_t goal = target(k, c, &k->feed_flags);
+    if (k->undoes) {
+        goal = tl_clamp(tl_undo_late(&k->undo, k->lookup, goal), k->low, k->high);
+    }
     k->goal = goal;
     k->aim = k->lookup->has_flat && k->mode == TL_MODE_FULL && goal != k->p ? approach(k, goal, &slow) : goal;
     k->slow = slow;
 }
 
 TL_FAST void tl_compensator_turn(tl_compensator_t *k) {
+    const tl_count_q8_t from = k->p;
     if (k->goal != k->p) {
         advance(k);
     }
     k->feed_flags |= k->p != k->goal ? TL_COMPENSATOR_LIMITED : 0;
+    if (k->undoes) {
+        widen(k, tl_undo_widen(&k->undo, k->lookup, k->p, k->p - from));
+        k->moved = k->several && k->side != 0; // the width alone may have changed
+    }
     if (k->several) {
         tl_several_turn(k);
         return;
@@ -120,14 +133,13 @@ TL_FAST void tl_compensator_turn(tl_compensator_t *k) {
     if (turned(k)) {
         const tl_count_q8_t low = k->low, high = k->high, p = k->p;
         const tl_count_q8_t before = tl_clamp(pushed(k, half), low, high);
-        const bool up = p > k->anchor;
-        k->side = up ? 1 : -1;
-        k->anchor = p;
-        absorb(k, tl_clamp(up ? p + half : p - half, low, high), before);
+        turn_to(k, p > k->anchor ? 1 : -1);
+        k->half = k->undoes ? half_width(k) : half;
+        absorb(k, tl_clamp(pushed(k, k->half), low, high), before);
     }
 }
 
-TL_FAST tl_count_q8_t tl_compensator_take_up(tl_compensator_t *k) {
+TL_FAST void tl_compensator_take_up(tl_compensator_t *k) {
     if (k->moved) {
         tl_several_lead(k);
     }
@@ -153,13 +165,23 @@ TL_FAST tl_count_q8_t tl_compensator_take_up(tl_compensator_t *k) {
     k->q = q;
     flags |= k->side == 0 ? TL_COMPENSATOR_NO_SIDE : 0;
     k->flags = flags | (tl_takeup_done(&k->takeup) ? 0 : TL_COMPENSATOR_TAKE_UP);
-    return q;
+}
+
+TL_FAST tl_count_q8_t tl_compensator_reach(tl_compensator_t *k) {
+    if (!k->undoes) {
+        return k->reading = k->q;
+    }
+    tl_undo_tick(&k->undo);
+    const tl_count_q8_t reading = tl_undo_reading(&k->undo, k->lookup, k->q), last = k->reading;
+    const tl_count_q8_t low = last < k->low ? last : k->low, high = last > k->high ? last : k->high;
+    return k->reading = tl_clamp(reading, low, high);
 }
 
 tl_count_q8_t tl_compensator_step(tl_compensator_t *k, tl_deg_q16_t c) {
     tl_compensator_feed(k, c);
     tl_compensator_turn(k);
-    return tl_compensator_take_up(k);
+    tl_compensator_take_up(k);
+    return tl_compensator_reach(k);
 }
 
 // Settings -------------------------------------------------------------------------------------------
@@ -173,23 +195,40 @@ static void use(tl_compensator_t *k, const tl_lookup_t *lookup) {
     k->moved = false;
 }
 
-static TL_FAST void stand(tl_compensator_t *k, tl_count_q8_t p) {
+static void stand(tl_compensator_t *k, tl_count_q8_t p) {
     k->p = k->aim = k->goal = p;
     k->slow = false;
+    tl_undo_rest(&k->undo, p);
     if (k->several) {
         tl_several_stand(k);
     }
 }
 
-void tl_compensator_start(tl_compensator_t *k, const tl_lookup_t *lookup, uint32_t rate_hz, tl_mode_t mode,
-                          tl_count_q8_t q, tl_deg_q16_t c) {
+// Where the motor is or is to be, as its encoder reads it and as it pushes.
+static tl_count_q8_t reading_of(const tl_compensator_t *k, tl_count_q8_t q) {
+    return k->undoes ? tl_undo_reading(&k->undo, k->lookup, q) : q;
+}
+
+static tl_count_q8_t pushing_of(const tl_compensator_t *k, tl_count_q8_t reading) {
+    return k->undoes ? tl_undo_pushing(&k->undo, k->lookup, reading, TL_UNDO_ROUNDS) : reading;
+}
+
+static void set_undoes(tl_compensator_t *k) {
+    k->undoes = k->undo.active && k->mode == TL_MODE_FULL;
+}
+
+void tl_compensator_start_moved(tl_compensator_t *k, const tl_lookup_t *lookup, uint32_t rate_hz, tl_mode_t mode,
+                                tl_count_q8_t q, tl_deg_q16_t c, const tl_moved_t *moved) {
     uint32_t flags = 0;
-    *k = (tl_compensator_t){.mode = mode, .strength_q15 = lookup->table.strength_q15};
+    *k = (tl_compensator_t){.mode = mode, .strength_q15 = lookup->table.strength_q15, .undo = {.moved = *moved}};
     use(k, lookup);
     tl_takeup_start(&k->takeup);
     k->rate_hz = rate_hz < RATE_MIN_HZ ? RATE_MIN_HZ : (rate_hz > RATE_MAX_HZ ? RATE_MAX_HZ : rate_hz);
+    tl_undo_start(&k->undo, lookup, k->rate_hz);
+    set_undoes(k);
     k->c = c;
-    k->q = tl_clamp(q, -TL_TABLE_VALUE_MAX, TL_TABLE_VALUE_MAX);
+    k->reading = tl_clamp(q, -TL_TABLE_VALUE_MAX, TL_TABLE_VALUE_MAX);
+    k->q = pushing_of(k, k->reading);
     const tl_count_q8_t p = target(k, c, &flags);
     k->start_offset = k->offset = tl_sub_sat(k->q, p);
     if (k->several) {
@@ -201,24 +240,32 @@ void tl_compensator_start(tl_compensator_t *k, const tl_lookup_t *lookup, uint32
     absorb(k, fed_anew(k), k->q);
 }
 
+void tl_compensator_start(tl_compensator_t *k, const tl_lookup_t *lookup, uint32_t rate_hz, tl_mode_t mode,
+                          tl_count_q8_t q, tl_deg_q16_t c) {
+    const tl_moved_t unmoved = {.joint = {0}};
+    tl_compensator_start_moved(k, lookup, rate_hz, mode, q, c, &unmoved);
+}
+
 void tl_compensator_know(tl_compensator_t *k, const tl_play_t *play) {
     if (k->several && play->lookup == k->lookup) {
-        tl_elements_undo(k->lookup, play->lag, k->undo);
+        tl_elements_undo(k->lookup, play->lag, k->lags);
     }
 }
 
-// p* again for the last command under new settings, with the direction's memory moved along.
-static void settle(tl_compensator_t *k, tl_count_q8_t before) {
+// p* again for the last command under new settings, with the direction's memory moved along. `reading`: where the feed
+// would have the encoder now.
+static void settle(tl_compensator_t *k, tl_count_q8_t reading) {
     uint32_t flags = 0;
     const tl_count_q8_t p = target(k, k->c, &flags);
     k->anchor = tl_add_sat(k->anchor, p - k->p);
     stand(k, p);
-    absorb(k, fed_anew(k), before);
+    absorb(k, fed_anew(k), pushing_of(k, reading));
 }
 
 void tl_compensator_set_mode(tl_compensator_t *k, tl_mode_t mode) {
-    const tl_count_q8_t before = fed_anew(k);
+    const tl_count_q8_t before = reading_of(k, fed_anew(k));
     k->mode = mode;
+    set_undoes(k);
     settle(k, before);
 }
 
@@ -229,14 +276,27 @@ void tl_compensator_set_strength(tl_compensator_t *k, int32_t strength_q15) {
 }
 
 void tl_compensator_set_table(tl_compensator_t *k, const tl_lookup_t *lookup) {
-    const tl_count_q8_t before = fed_anew(k);
+    const tl_count_q8_t before = reading_of(k, fed_anew(k));
     const int32_t place = tl_several_place(k);
     use(k, lookup);
+    tl_undo_start(&k->undo, lookup, k->rate_hz);
+    set_undoes(k);
     set_limits(k, &lookup->table);
     if (k->several) {
         tl_several_begin_at(k, place);
     }
     settle(k, before);
+}
+
+bool tl_compensator_adapt(tl_compensator_t *k, tl_count_q8_t offset, int32_t scale_q15, uint32_t ticks) {
+    const bool allowed = tl_undo_adapt(&k->undo, k->lookup, offset, scale_q15, ticks);
+    set_undoes(k);
+    return allowed;
+}
+
+void tl_compensator_load(tl_compensator_t *k, int32_t load, uint32_t ticks) {
+    tl_undo_load(&k->undo, k->lookup, load, ticks);
+    set_undoes(k);
 }
 
 tl_count_q8_t tl_compensator_rest(const tl_compensator_t *k) {

@@ -26,12 +26,15 @@ static inline void tl_axis_job(tl_axis_t *axis, uint32_t job) {
         break;
     case 3U:
         if (tip) {
-            axis->plan.target = tl_compensator_take_up(&axis->tip.compensator);
+            tl_compensator_take_up(&axis->tip.compensator);
         } else if (axis->mode == TL_WIRE_MODE_CALIBRATE) {
             axis->plan.target = tl_motion_tick(axis->plan.motion).q;
         }
         break;
     default:
+        if (tip) {
+            axis->plan.target = tl_compensator_reach(&axis->tip.compensator);
+        }
         tl_axis_plan(axis);
         break;
     }

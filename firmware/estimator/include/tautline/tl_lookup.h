@@ -58,6 +58,7 @@ typedef struct {
     int32_t half;         ///< half a period of Y
     tl_scale_t coarse;    ///< |dc/dq| of the coarse kinematics
     tl_scale_t coarse_inverse;
+    uint32_t phase, phase_rest; ///< a Q8 count's share of the encoder's turn, Q32, and 16 bits more
     tl_table_t table;                       ///< `angle` goes on after the last node with what no angle reaches
     uint16_t ratio[TL_LOOKUP_SPANS];        ///< 1 / rise of f in each span (tl_lookup.c)
     uint16_t centre_ratio[TL_LOOKUP_SPANS]; ///< the same of Y; `table.centre` goes on as `table.angle` does
