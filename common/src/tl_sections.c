@@ -3,7 +3,7 @@
 #include <string.h>
 
 enum { SECTION_HEAD = 4, PLAYS_HEAD = 64, PLAYS_AT = 8 };
-enum { PERIOD_LOG2_MIN = 8, PERIOD_LOG2_MAX = 26, PLAYS_MIN = 2 };
+enum { STEP_LOG2_MAX = 22, PERIOD_LOG2_MIN = 8, PERIOD_LOG2_MAX = 26, PLAYS_MIN = 2 };
 
 #define WEIGHT_FIRST_MIN 3277U              // 0.05, Q16
 #define WEIGHT_ALL       65536U             // Q16
@@ -171,12 +171,13 @@ static bool is_encoder(const tl_table_t *t) {
 
 static bool is_sides(const tl_table_t *t) {
     const tl_table_sides_t *s = &t->sides;
-    if ((s->side != 1 && s->side != -1) || tl_outside(s->step_log2, 0, (int32_t)TL_TABLE_STEP_LOG2_MAX)) {
+    if ((s->side != 1 && s->side != -1) || tl_outside(s->step_log2, 0, STEP_LOG2_MAX)) {
         return false;
     }
-    for (unsigned i = 0; i <= TL_TABLE_STEPS; i++) {
+    for (unsigned i = 0; i <= TL_TABLE_LAST; i++) {
         const int32_t falls = i > 0 ? s->late[i - 1U] - s->late[i] : 0;
-        if (tl_outside(s->late[i], 0, PLACE_MAX) || tl_outside(falls, 0, (int32_t)1 << s->step_log2)) {
+        const int32_t travel_log2 = s->step_log2 + (i < 5U ? 0 : ((int32_t)i - 3) / 2); // of the last piece
+        if (tl_outside(s->late[i], 0, PLACE_MAX) || tl_outside(falls, 0, (int32_t)1 << travel_log2)) {
             return false;
         }
     }
@@ -185,12 +186,12 @@ static bool is_sides(const tl_table_t *t) {
 
 static bool is_speed(const tl_table_t *t) {
     const tl_table_speed_t *s = &t->speed;
-    for (unsigned i = 0; i <= TL_TABLE_STEPS; i++) {
+    for (unsigned i = 0; i <= TL_TABLE_LAST; i++) {
         if (tl_outside(s->extra[i], 0, PLACE_MAX)) {
             return false;
         }
     }
-    return !tl_outside(s->step_log2, 0, 26) && !tl_outside(s->time_us, 0, 10000000) && !tl_outside(s->held, 0, 1);
+    return !tl_outside(s->step_log2, 0, STEP_LOG2_MAX) && !tl_outside(s->time_us, 0, 10000000) && !tl_outside(s->held, 0, 1);
 }
 
 static bool is_late(const tl_table_t *t) {
@@ -199,7 +200,7 @@ static bool is_late(const tl_table_t *t) {
         if (time_us == 0 ? gain != 0 : tl_outside(time_us, 1000, 1000000000)) {
             return false;
         }
-        if (tl_outside(gain, -((int32_t)1 << 22), (int32_t)1 << 22)) {
+        if (tl_outside(gain, -((int32_t)1 << 26), (int32_t)1 << 26)) {
             return false;
         }
     }

@@ -247,6 +247,7 @@ void bind_tables(nb::module_ &m) {
     m.attr("TABLE_FORMAT") = TL_TABLE_FORMAT;
     m.attr("TABLE_PLAYS_MAX") = TL_TABLE_PLAYS_MAX;
     m.attr("TABLE_CENTRE_MAX") = TL_TABLE_CENTRE_MAX;
+    m.attr("TABLE_LAST") = TL_TABLE_LAST;
     m.attr("TABLE_STEPS") = TL_TABLE_STEPS;
     m.attr("TABLE_LATE_MAX") = TL_TABLE_LATE_MAX;
     m.attr("TABLE_JOINTS") = TL_TABLE_JOINTS;

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import time
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from tautline.elements import SINGLE, Elements, warp_of
 from tautline.errors import TautError
 from tautline.model import Array, Model
 from tautline.rig import MARKER, Rig
+from tautline.undone import Joint, Section, undone
 
 KINDS: dict[str, int] = _native.AXIS_KINDS
 _KIND_NAMES = {value: name for name, value in KINDS.items()}
@@ -74,15 +76,20 @@ class Table:
     width: Array  # (n,) B
     c_deg: Array  # (n,) f
     elements: Elements = SINGLE
+    sections: Mapping[str, Section] = field(default_factory=dict)  # what else is undone, raw (common/tl_table.h)
 
 
-def model_id(model: Model) -> bytes:
-    """8 bytes that are the same for the same B, elements, f, delay and actuator, and hardly ever else."""
+def model_id(model: Model, joints: Mapping[str, Joint] | None = None) -> bytes:
+    """8 bytes that are the same for the same B, elements, f, delay, actuator and effects that the tables undo, and
+    hardly ever else."""
+    model, sections = undone(model, joints)
     actuator = model.rig.actuator
     digest = hashlib.sha256(repr((actuator.unit, actuator.range, actuator.encoder_resolution, model.delay_s)).encode())
     shares = () if model.elements.single else (model.elements.width, model.elements.weight)
     for values in (model.q, model.width, model.c_deg, *shares):
         digest.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
+    if sections:
+        digest.update(repr(sorted(sections.items())).encode())
     return digest.digest()[:8]
 
 
@@ -93,8 +100,10 @@ def encode(
     kind: str = "bending",
     created_s: int | None = None,
     instrument: str | None = None,
+    joints: Mapping[str, Joint] | None = None,
 ) -> bytes:
-    """The model's blob for `axis`, or a TautError that says why a board would refuse it.
+    """The model's blob for `axis`, with the sections that undo its effects, or a TautError that says why a board would
+    refuse it.
 
     instrument: the serial of the one that it was made for, at most 8 characters, the rig's where it is None: a board
     whose settings name another refuses the table.
@@ -103,6 +112,8 @@ def encode(
     node may lie beyond the range, and with several plays the first does: there B is held and f goes on with its last
     slope.
     """
+    identity = model_id(model, joints)
+    model, sections = undone(model, joints)
     rig = model.rig
     q_min, q_max = (_counts(q, rig, "actuator.range") for q in rig.actuator.range)
     span = q_max - q_min
@@ -124,9 +135,10 @@ def encode(
         fields,
         raw_width,
         _raw(c_deg * _DEG, "f_remain"),
-        model_id(model),
+        identity,
         instrument if instrument is not None else rig.actuator.instrument or "",
         _plays(model, q_raw.astype(float), raw_width.astype(float)),
+        sections,
     )
     return _checked(blob, axis)
 
@@ -227,6 +239,7 @@ def decode(blob: bytes, axis: int | None = None) -> Table:
         width=fields["width"] * unit,
         c_deg=fields["angle"] / _DEG,
         elements=_elements(fields["plays"]),
+        sections=fields["sections"],
     )
 
 

@@ -63,9 +63,10 @@
 /// Section 2, `encoder`: a once-per-turn error of the measured position. The shaft is at x where the encoder reads q,
 /// x = q + e(x), e = sine sin a + cosine cos a + sine2 sin 2a + cosine2 cos 2a, a = 2 pi x / period.
 /// Section 3, `sides`: unequal sides. Once p has turned towards `side` the motor has to be `late` further ahead, Q8
-/// counts at travels of p since then of 0, 1, .. 16 times 2^step_log2 Q8 counts: falling, by no more than the travel.
-/// Section 4, `speed`: the width grows with it. `extra`, Q8 counts, is added to B at speeds of p of 0, 1, .. 16 times
-/// 2^step_log2 Q8 counts/s, held beyond; the speed comes through a first-order filter of time_us. held: at rest the
+/// counts at travels of p since then of 0, 1, 2, 3, 4, 6, 8, 12, .. 192, 256 times 2^step_log2 Q8 counts, held beyond:
+/// falling, by no more than the travel.
+/// Section 4, `speed`: the width grows with it. `extra`, Q8 counts, is added to B at speeds of p of as many times
+/// 2^step_log2 Q8 counts/s; the speed comes through a first-order filter of time_us. held: at rest the
 /// width stays.
 /// Section 5, `late`: lag and creep. p = y + sum gain_i (y - y_i), where y is where the tip is to be and y_i follows it
 /// in first order within time_us. A lead by t: gain t / time, t not too much above time.
@@ -114,7 +115,8 @@ extern "C" {
 typedef enum { TL_AXIS_BENDING = 0, TL_AXIS_TRANSLATION = 1, TL_AXIS_ROTATION = 2 } tl_axis_kind_t;
 typedef enum { TL_UNIT_MM = 0, TL_UNIT_DEG = 1 } tl_unit_t;
 
-#define TL_TABLE_STEPS    16U ///< of a small table in a section
+#define TL_TABLE_LAST     16U  ///< node of a small table in a section: its nodes are at
+#define TL_TABLE_STEPS    256U ///< 0, 1, 2, 3, 4, 6, 8, 12, .. 192, 256 of its steps
 #define TL_TABLE_LATE_MAX 4U
 #define TL_TABLE_JOINTS   3U
 
@@ -129,9 +131,9 @@ typedef enum { TL_UNIT_MM = 0, TL_UNIT_DEG = 1 } tl_unit_t;
     X(8, adapt, TL_TABLE_ADAPT)
 
 #define TL_TABLE_ENCODER(FIELD, ARRAY) FIELD(period_q12) FIELD(sine) FIELD(cosine) FIELD(sine2) FIELD(cosine2)
-#define TL_TABLE_SIDES(FIELD, ARRAY)   FIELD(side) FIELD(step_log2) ARRAY(late, TL_TABLE_STEPS + 1U)
+#define TL_TABLE_SIDES(FIELD, ARRAY)   FIELD(side) FIELD(step_log2) ARRAY(late, TL_TABLE_LAST + 1U)
 #define TL_TABLE_SPEED(FIELD, ARRAY)                                                                                   \
-    FIELD(step_log2) FIELD(time_us) FIELD(held) ARRAY(extra, TL_TABLE_STEPS + 1U)
+    FIELD(step_log2) FIELD(time_us) FIELD(held) ARRAY(extra, TL_TABLE_LAST + 1U)
 #define TL_TABLE_LATE(FIELD, ARRAY)  ARRAY(gain_q16, TL_TABLE_LATE_MAX) ARRAY(time_us, TL_TABLE_LATE_MAX)
 #define TL_TABLE_LOAD(FIELD, ARRAY)  FIELD(reference) FIELD(width) FIELD(gain) FIELD(offset) FIELD(middle)
 #define TL_TABLE_JOINT(FIELD, ARRAY) ARRAY(axis, TL_TABLE_JOINTS) ARRAY(play, TL_TABLE_JOINTS) ARRAY(slope, TL_TABLE_JOINTS)

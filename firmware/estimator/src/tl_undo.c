@@ -1,6 +1,7 @@
 #include "tautline/tl_undo.h"
 
 #include "tautline/tl_fast.h"
+#include "tl_ratio.h"
 
 #define HAS(lookup, section) (((lookup)->table.has & (uint32_t)TL_TABLE_HAS_##section) != 0)
 
@@ -123,13 +124,19 @@ TL_FAST tl_count_q8_t tl_undo_late(tl_undo_t *undo, const tl_lookup_t *lookup, t
 
 // -- the width ---------------------------------------------------------------------------------------------------
 
-// A small table at x >= 0, held beyond its end.
+// A small table at x >= 0: its nodes are at 0, 1, 2, 3, 4, 6, 8, 12, .. 192, 256 steps.
 static TL_FAST int32_t at(const int32_t *values, uint32_t x, int32_t step_log2) {
-    const uint32_t log2 = (uint32_t)step_log2, step = x >> log2, into = x - (step << log2);
-    if (step >= TL_TABLE_STEPS) {
-        return values[TL_TABLE_STEPS];
+    uint32_t log2 = (uint32_t)step_log2, node = x >> log2;
+    if (node >= TL_TABLE_STEPS) {
+        return values[TL_TABLE_LAST];
     }
-    return tl_lerp(values[step], values[step + 1U], log2 > 16U ? into >> (log2 - 16U) : into << (16U - log2));
+    if (node >= 4U) {
+        const uint32_t octave = tl_bits(node) - 1U;
+        node = 2U * octave + (node >> (octave - 1U) & 1U);
+        log2 += octave - 1U;
+    }
+    const uint32_t into = x & ((1U << log2) - 1U);
+    return tl_lerp(values[node], values[node + 1U], log2 > 16U ? into >> (log2 - 16U) : into << (16U - log2));
 }
 
 TL_FAST void tl_undo_turned(tl_undo_t *undo, tl_count_q8_t p, int32_t side) {
