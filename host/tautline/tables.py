@@ -41,6 +41,7 @@ class Limits:
     slope_min: float = 0.0  # deg/unit; spans of f that are flatter are refused, or crossed at flat_speed
     flat_speed: float = 0.0  # unit/s; 0 refuses
     strength: float = 1.0  # share of B that is compensated, 0..1
+    adapt: tuple[float, float, float] | None = None  # in use: offset at most, unit; scale of B at least, at most
 
     @classmethod
     def of(cls, rig: Rig) -> Limits:
@@ -115,6 +116,9 @@ def encode(
     identity = model_id(model, joints)
     model, sections = undone(model, joints)
     rig = model.rig
+    limits = limits or Limits.of(rig)
+    if limits.adapt is not None:
+        sections = {**sections, "adapt": _adapt(limits.adapt, rig)}
     q_min, q_max = (_counts(q, rig, "actuator.range") for q in rig.actuator.range)
     span = q_max - q_min
     if span < 1:
@@ -128,7 +132,7 @@ def encode(
     q = q_raw * (rig.actuator.encoder_resolution / _COUNT)
     width = np.interp(q, model.q, model.width)
     c_deg = _extended(q, np.asarray(model.q, float), np.asarray(model.c_deg, float))
-    fields = _fields(rig, axis, limits or Limits.of(rig), kind, model.delay_of(MARKER), created_s)
+    fields = _fields(rig, axis, limits, kind, model.delay_of(MARKER), created_s)
     fields |= {"q0": int(q_raw[0]), "step_log2": step_log2}
     raw_width = _raw(width / rig.actuator.encoder_resolution * _COUNT, "a backlash width")
     blob: bytes = _native.table_encode(
@@ -141,6 +145,15 @@ def encode(
         sections,
     )
     return _checked(blob, axis)
+
+
+def _adapt(adapt: tuple[float, float, float], rig: Rig) -> Section:
+    offset, least, most = adapt
+    return {
+        "offset": _counts(offset, rig, "limits.adapt"),
+        "width_least_q15": _whole(least * _native.RATIO_ONE, "limits.adapt", 0, _native.RATIO_ONE),
+        "width_most_q15": _whole(most * _native.RATIO_ONE, "limits.adapt", _native.RATIO_ONE, 2 * _native.RATIO_ONE),
+    }
 
 
 def _plays(model: Model, q: Array, width: Array) -> dict[str, Any] | None:
@@ -230,6 +243,7 @@ def decode(blob: bytes, axis: int | None = None) -> Table:
             slope_min=fields["slope_min_q28"] / _SLOPE / resolution,
             flat_speed=fields["flat_speed_q8"] * unit,
             strength=fields["strength_q15"] / _native.RATIO_ONE,
+            adapt=_adapted(fields["sections"].get("adapt"), unit),
         ),
         delay_s=fields["delay_us"] * 1e-6,
         created_s=fields["created_s"],
@@ -241,6 +255,13 @@ def decode(blob: bytes, axis: int | None = None) -> Table:
         elements=_elements(fields["plays"]),
         sections=fields["sections"],
     )
+
+
+def _adapted(section: Mapping[str, int] | None, unit: float) -> tuple[float, float, float] | None:
+    if section is None:
+        return None
+    least, most = (section[f"width_{name}_q15"] / _native.RATIO_ONE for name in ("least", "most"))
+    return section["offset"] * unit, least, most
 
 
 def _elements(plays: dict[str, Any] | None) -> Elements:

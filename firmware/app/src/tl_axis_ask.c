@@ -196,6 +196,7 @@ void tl_axis_hear(tl_axis_t *axis) {
 
 void tl_axis_use_table(tl_axis_t *axis, bool has_table) {
     axis->has_table = has_table;
+    axis->tip.compensator.undo = (tl_undo_t){.active = false};
     if (has_table) {
         axis->tip.strength_q15 = axis->tip.lookup.table.strength_q15;
         axis->tip.takeup_accel = axis->tip.lookup.table.takeup_accel;
@@ -408,8 +409,9 @@ uint8_t tl_axis_follow(tl_axis_t *axis, const tl_wire_follow_t *request, tl_us_t
     if (tip) {
         value = tl_play_angle(&axis->tip.play);
         axis->tip.c_ref = plan->c_next = plan->c_last[0] = plan->c_last[1] = value;
-        tl_compensator_start(&axis->tip.compensator, &axis->tip.lookup, TL_AXIS_PLAN_HZ,
-                             (tl_mode_t)request->compensation, q, value);
+        const tl_moved_t moved = axis->tip.compensator.undo.moved;
+        tl_compensator_start_moved(&axis->tip.compensator, &axis->tip.lookup, TL_AXIS_PLAN_HZ,
+                                   (tl_mode_t)request->compensation, q, value, &moved);
         tl_compensator_know(&axis->tip.compensator, &axis->tip.play);
         tl_compensator_set_strength(&axis->tip.compensator, axis->tip.strength_q15);
     }

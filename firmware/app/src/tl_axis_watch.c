@@ -23,6 +23,8 @@ TL_FAST uint16_t tl_axis_flags(const tl_axis_t *axis) {
     return (uint16_t)flags;
 }
 
+#define PUSHING_ROUNDS 3U // of tl_undo_pushing(): an eighth of what the steepest encoder's error leaves
+
 static void note(tl_axis_t *axis) {
     uint32_t flags = 0;
     const uint8_t pushed = tl_actuator_pushed(&axis->motor);
@@ -66,7 +68,10 @@ TL_FAST void tl_axis_watch(tl_axis_t *axis, tl_us_t now_us) {
         tl_history_push(axis->history, now_us, axis->q);
     }
     if (axis->has_table) {
-        tl_play_step(&axis->tip.play, axis->q);
+        const tl_lookup_t *lookup = &axis->tip.lookup;
+        const tl_undo_t *undo = &axis->tip.compensator.undo;
+        const bool off = lookup->table.has != 0 || undo->active; // the encoder reads otherwise than the motor pushes
+        tl_play_step(&axis->tip.play, off ? tl_undo_pushing(undo, lookup, axis->q, PUSHING_ROUNDS) : axis->q);
     }
     tl_axis_planned_t *plan = &axis->plan;
     plan->stream.now_us = now_us + plan->lead_us;

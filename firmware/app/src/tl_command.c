@@ -239,7 +239,7 @@ static uint8_t write(tl_app_t *app, uint8_t type, const tl_wire_message_t *of) {
         return TL_WIRE_REASON_KEY;
     }
     tl_tables_abort(&app->tables);
-    const uint8_t reason = tl_settings_store(app->port, app->axes, &of->settings, app->work.tables.upload);
+    const uint8_t reason = tl_settings_store(app->port, app->axes, &of->settings, app->work.upload);
     app->settings = reason == 0 ? TL_WIRE_STORE_NEWEST : app->settings;
     return reason;
 }

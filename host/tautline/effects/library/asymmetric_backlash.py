@@ -9,5 +9,6 @@ EFFECTS = (
             Parameter("asymmetry_form", "", 1.0, (1.0, 2.0), low=0.5, high=4.0),
         ),
         says="after turning one way the tip starts late and catches up",
+        undone=True,
     ),
 )

@@ -9,5 +9,6 @@ EFFECTS = (
             Parameter("creep_slow", "", 0.3, (0.0, 0.5), low=0.0, high=1.0),
         ),
         says="the tip goes on moving after the motor stops",
+        undone=True,
     ),
 )

@@ -6,5 +6,6 @@ EFFECTS = (
         (Parameter("lag", "s", 0.02, low=0.0),),
         (Parameter("lag_second", "", 0.2, (0.0, 0.5), low=0.0, high=0.5),),
         says="the tip lags, viscous, first order",
+        undone=True,
     ),
 )

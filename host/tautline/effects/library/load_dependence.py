@@ -9,6 +9,7 @@ EFFECTS = (
             Parameter("offset_per_load", "unit/mNm", 2e-4),
         ),
         says="width, gain or offset follow the load",
+        undone=True,
         needs="load",
     ),
 )

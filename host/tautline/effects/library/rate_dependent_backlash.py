@@ -10,5 +10,6 @@ EFFECTS = (
             Parameter("width_held", "", 1.0, (0.0, 1.0), searched=True),
         ),
         says="the width grows with speed",
+        undone=True,
     ),
 )
