@@ -44,6 +44,7 @@ LOOPS = {
     "tl_elements_ahead": (6,),  # as many elements as a table has, but the first
     "tl_elements_behind": (7,),
     "tl_undo_angle": (3,),  # joints
+    "tl_axis_watch": (3,),  # the same
     "tl_undo_late": (4,),  # followers
     "tl_undo_pushing": (3,),  # as many rounds as the watch asks for
     "tl_history_push": (2,),  # pushed once a millisecond and jitter

@@ -152,6 +152,32 @@ uint8_t tl_axis_set_strength(tl_axis_t *axis, int32_t strength_q15) {
     return 0;
 }
 
+// A table that nobody follows is moved at once: nothing comes of it yet.
+static uint32_t ticks_of(const tl_axis_t *axis, uint16_t within_ms) {
+    return axis->mode == TL_WIRE_MODE_FOLLOW_TIP ? (uint32_t)within_ms * (TL_AXIS_PLAN_HZ / 1000U) : 0U;
+}
+
+uint8_t tl_axis_adapt(tl_axis_t *axis, const tl_wire_adapt_t *request) {
+    if (!axis->has_table) {
+        return TL_WIRE_REASON_NO_TABLE;
+    }
+    const uint32_t ticks = ticks_of(axis, request->within_ms);
+    tl_compensator_t *compensator = &axis->tip.compensator;
+    compensator->lookup = &axis->tip.lookup;
+    return tl_compensator_adapt(compensator, request->offset_q8, request->scale_q15, ticks)
+               ? 0
+               : TL_WIRE_REASON_BEYOND_TABLE;
+}
+
+uint8_t tl_axis_load(tl_axis_t *axis, const tl_wire_load_t *request) {
+    if (!axis->has_table) {
+        return TL_WIRE_REASON_NO_TABLE;
+    }
+    axis->tip.compensator.lookup = &axis->tip.lookup;
+    tl_compensator_load(&axis->tip.compensator, request->load_q8, ticks_of(axis, request->within_ms));
+    return 0;
+}
+
 // -- where it is ------------------------------------------------------------------------------------------------
 
 uint8_t tl_axis_set_position(tl_axis_t *axis, tl_count_q8_t q) {

@@ -60,6 +60,18 @@ static void sample(tl_axis_t *axis, tl_us_t now_us) {
     telemetry->head = telemetry->head + 1U;
 }
 
+// Where the axes are that move this one's angle. The app's axes lie in a row.
+static void join(tl_axis_t *axis) {
+    const tl_table_joints_t *joints = &axis->tip.lookup.table.joints;
+    const tl_axis_t *first = axis - axis->index;
+    for (uint32_t i = 0; i < TL_TABLE_JOINTS; i++) {
+        const uint32_t other = (uint32_t)joints->axis[i] - 1U; // none: beyond all
+        if (other < axis->port->axes) {
+            axis->tip.compensator.undo.moved.joint[i] = first[other].q;
+        }
+    }
+}
+
 // The play operator's result does not depend on how often it is stepped, but for a reversal's tip: 0.03 counts at
 // 200 000 counts/s2. So is the error of the history, which joins its points by straight lines.
 TL_FAST void tl_axis_watch(tl_axis_t *axis, tl_us_t now_us) {
@@ -70,6 +82,9 @@ TL_FAST void tl_axis_watch(tl_axis_t *axis, tl_us_t now_us) {
     if (axis->has_table) {
         const tl_lookup_t *lookup = &axis->tip.lookup;
         const tl_undo_t *undo = &axis->tip.compensator.undo;
+        if (lookup->table.has != 0) {
+            join(axis);
+        }
         const bool off = lookup->table.has != 0 || undo->active; // the encoder reads otherwise than the motor pushes
         tl_play_step(&axis->tip.play, off ? tl_undo_pushing(undo, lookup, axis->q, PUSHING_ROUNDS) : axis->q);
     }

@@ -29,10 +29,10 @@ static TL_FAST int32_t times(int32_t a, int32_t b, uint32_t right) {
 
 // -- ramps -------------------------------------------------------------------------------------------------------
 
-// One tick more than ticks are needed where the step is rounded down: none is.
 static void aim(tl_ramp_t *ramp, int32_t goal, int32_t step_max, uint32_t ticks) {
     const uint32_t way = size_of(goal - ramp->now);
     const uint32_t step = ticks > 1U ? way / ticks + 1U : way;
+    ramp->now = ticks == 0 ? goal : ramp->now;
     ramp->goal = goal;
     ramp->step = step < (uint32_t)step_max ? (int32_t)step : step_max;
 }
@@ -56,6 +56,13 @@ TL_FAST void tl_undo_tick(tl_undo_t *undo) {
     approach(&undo->moved.offset);
     approach(&undo->moved.scale);
     approach(&undo->moved.gain);
+}
+
+TL_FAST void tl_undo_forget(tl_undo_t *undo) {
+    tl_moved_t *moved = &undo->moved;
+    moved->adapt_offset = moved->adapt_scale = 0;
+    moved->offset.now = moved->offset.goal = moved->load_offset;
+    moved->scale.now = moved->scale.goal = moved->load_scale;
 }
 
 bool tl_undo_adapt(tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t offset, int32_t scale_q15,

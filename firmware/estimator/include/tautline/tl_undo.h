@@ -3,7 +3,7 @@
 ///     c* -> joints, load -> f^-1 -> late -> p* -> B(p*) by load, speed, side -> offset, encoder -> q*
 ///
 /// and how the table may be moved while it is in use: an offset and a scale of B go to where they are told along a
-/// straight line of time, at most a count a tick, so that nothing jumps. A load is told and followed in the same way.
+/// straight line of time, at most half a count a tick, so that nothing jumps. A load is told and followed in the same way.
 ///
 /// The compensator calls what is below, once a tick each, where its table has any of these sections or was moved.
 /// O(1); no division and no 64-bit product but in tl_undo_start(), tl_undo_adapt() and tl_undo_load(), which are the
@@ -55,9 +55,12 @@ void tl_undo_start(tl_undo_t *undo, const tl_lookup_t *lookup, uint32_t rate_hz)
 void tl_undo_rest(tl_undo_t *undo, tl_count_q8_t p);
 
 /// The table is to be moved by `offset` (Q8 counts), and its width scaled, within `ticks`; it takes longer where that
-/// were more than a count a tick. False: section 8 does not allow that much (without one nothing), and all stays as it
+/// were more than half a count a tick. 0: at once, for a compensator that does not run. False: section 8 does not allow that much (without one nothing), and all stays as it
 /// was.
 bool tl_undo_adapt(tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t offset, int32_t scale_q15, uint32_t ticks);
+
+/// Back to the table as it was calibrated, at once: the compensator does not run. The load stays.
+void tl_undo_forget(tl_undo_t *undo);
 
 /// The load is `load`, mNm Q8, within `ticks` or longer. Without section 6 nothing happens.
 void tl_undo_load(tl_undo_t *undo, const tl_lookup_t *lookup, int32_t load, uint32_t ticks);
