@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tautline.diagnose.decide import Beyond, Evidence, Verdict, Weighed, decide, that_help
+from tautline.diagnosis.decide import Beyond, Evidence, Verdict, Weighed, decide, that_help
 
 FLOOR = 0.05
 BLOCKS = 30

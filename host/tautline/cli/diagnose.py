@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tautline import report
+from tautline import reports
 from tautline.calibration.calibrate import Calibration, calibrate
 from tautline.calibration.clock import on_motor_clock
 from tautline.cli._common import (
@@ -24,8 +24,8 @@ from tautline.cli._common import (
     warn_unusable,
 )
 from tautline.cli._live import LiveOptions, live_options, opened
-from tautline.diagnose import motion, page, words
-from tautline.diagnose.diagnosis import Diagnosis, diagnose
+from tautline.diagnosis import motion, page, words
+from tautline.diagnosis.diagnose import Diagnosis, diagnose
 from tautline.folders import check_replaceable, replaced, write_file
 from tautline.plain import plain
 from tautline.recording import Recording, load, shifted
@@ -133,7 +133,7 @@ def save(diagnosis: Diagnosis, out: Path) -> None:
     with replaced(out, DOCUMENT) as folder:
         for name, model in (("nominal", diagnosis.nominal), ("corrected", diagnosis.corrected)):
             model.save(folder / name)
-            report.write(model, folder / name, None, name)
+            reports.write(model, folder / name, None, name)
         if diagnosis.next_motion is not None:
             table = motion.table(diagnosis.next_motion.motion, diagnosis.nominal.rig.actuator.unit)
             table.to_csv(folder / "next_motion.csv", index=False, float_format="%.6f")

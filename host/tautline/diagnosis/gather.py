@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnose import decide, scatter
-from tautline.diagnose.candidates import Found, Search
-from tautline.diagnose.decide import Evidence, Weighed
-from tautline.diagnose.fit import DELAY, WIDTH, Fit, Fitter, Scope
-from tautline.diagnose.scatter import Scatter
+from tautline.diagnosis import decide, scatter
+from tautline.diagnosis.candidates import Found, Search
+from tautline.diagnosis.decide import Evidence, Weighed
+from tautline.diagnosis.fit import DELAY, WIDTH, Fit, Fitter, Scope
+from tautline.diagnosis.scatter import Scatter
 from tautline.effects import EVENTS, Kind
 
 Array = npt.NDArray[np.float64]
