@@ -20,7 +20,6 @@ from tautline.cli._common import (
     read_recordings,
     rig_option,
     show_quality,
-    tracked,
     warn,
 )
 from tautline.cli._live import LiveOptions, live_options, opened
@@ -29,6 +28,7 @@ from tautline.folders import check_replaceable
 from tautline.live.rounds import in_words
 from tautline.model import MODEL_FILE
 from tautline.recording import load, shifted
+from tautline.vision.marker import with_marker
 
 
 @click.command("calibrate")
@@ -124,7 +124,7 @@ def _from_recordings(
 ) -> tuple[Calibration, list[str]]:
     recordings, rig = read_recordings(paths, rig_path)
     with progress_bar("calibrating") as progress:
-        recordings = [tracked(recording, rig, progress) for recording in recordings]
+        recordings = [with_marker(recording, rig, progress) for recording in recordings]
         found = calibrate(recordings, rig, options, progress)
         return found, reports.save_model(found.model, shifted(recordings, found.offsets), out)
 
