@@ -10,7 +10,8 @@ Pure: no fit, no file, no simulation.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -69,6 +70,12 @@ class Weighed:
     white: float = 0.0  # 1: the scatter forgets from frame to frame, 0: it goes on
     beyond: Beyond | None = None  # None: the effects' stages could leave anything
 
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any]) -> Weighed:
+        beyond = document["beyond"] and Beyond(**{name: np.array(v) for name, v in document["beyond"].items()})
+        arrays = {name: np.array(document[name]) for name in ("power", "scatter", "rival")}
+        return cls(**{**document, **arrays, "ids": tuple(document["ids"]), "beyond": beyond})
+
 
 @dataclass(frozen=True)
 class Evidence:
@@ -77,6 +84,15 @@ class Evidence:
     hypotheses: tuple[Weighed, ...]  # the first without any effect
     applicable: int  # effects of the library that these recordings could show
     calibrated: float = 0.0  # mean square that the calibrated model leaves of its own calibration
+
+    def to_json(self) -> dict[str, Any]:
+        """All that `decide` is told: plain, once tautline.plain.plain was applied."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any]) -> Evidence:
+        hypotheses = tuple(Weighed.from_json(h) for h in document["hypotheses"])
+        return cls(**{**document, "frozen": np.array(document["frozen"]), "hypotheses": hypotheses})
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,7 @@ class Diagnosis:
     before: list[Array]  # residuals of each test, (scored, k)
     after: list[Array]
     conditions: list[where.Condition]
+    evidence: decide.Evidence
 
 
 def diagnose(
@@ -150,7 +151,7 @@ def diagnose(
     progress(1.0, "done")
     corrected = _corrected(chosen.fit, segments[-1]) if named else model
     corrected = replace(corrected, extra={**model.extra, "load_reference_mNm": fitter.load_reference})
-    return Diagnosis(document, model, corrected, following, segments, list(before), list(after), conditions)
+    return Diagnosis(document, model, corrected, following, segments, list(before), list(after), conditions, gathered.evidence)
 
 
 def _best_of_each(gathered: Gathered) -> dict[str, Found]:
