@@ -151,7 +151,9 @@ def diagnose(
     progress(1.0, "done")
     corrected = _corrected(chosen.fit, segments[-1]) if named else model
     corrected = replace(corrected, extra={**model.extra, "load_reference_mNm": fitter.load_reference})
-    return Diagnosis(document, model, corrected, following, segments, list(before), list(after), conditions, gathered.evidence)
+    return Diagnosis(
+        document, model, corrected, following, segments, list(before), list(after), conditions, gathered.evidence
+    )
 
 
 def _best_of_each(gathered: Gathered) -> dict[str, Found]:
