@@ -57,7 +57,7 @@ def make_case(
 
 
 def diagnose_case(files: Files, left_out: Collection[str] = ()) -> Files:
-    """What `taut diagnose` says of a case's files: diagnosis.json, nominal/, corrected/; its evidence, and what it cost."""
+    """What `taut diagnose` says of a case's files: diagnosis.json, nominal/, corrected/, its evidence and cost."""
     with threadpool_limits(1), unpacked(files) as folder:
         began = time.process_time()
         try:
