@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from tautline import effects
 from tautline.diagnose import confined, gap, heldout
-from tautline.diagnose.decide import Beyond
 from tautline.diagnose.fit import Fit, Fitter, Scope, outlier_limit
+from tautline.diagnose.hypotheses import Beyond
 from tautline.diagnose.screen import Screened, screen
 from tautline.effects import SCATTERS, Kind
 

@@ -16,6 +16,7 @@ from tautline.diagnose import confounded, decide, flexible, gap, motion, moved, 
 from tautline.diagnose.candidates import Found, applicable
 from tautline.diagnose.fit import Fit, Fitter, Scope, key
 from tautline.diagnose.gather import Gathered, gather
+from tautline.diagnose.hypotheses import Evidence
 from tautline.diagnose.segment import Segment, load_reference, prepare
 from tautline.effects.library.registration import with_registration
 from tautline.model import Effect, Model, monotone
@@ -39,7 +40,7 @@ class Diagnosis:
     before: list[Array]  # residuals of each test, (scored, k)
     after: list[Array]
     conditions: list[where.Condition]
-    evidence: decide.Evidence
+    evidence: Evidence
 
 
 def diagnose(
