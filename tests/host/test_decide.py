@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tautline.diagnose.decide import Verdict, decide, that_help
-from tautline.diagnose.hypotheses import Beyond, Evidence, Weighed
+from tautline.diagnosis.decide import Verdict, decide, that_help
+from tautline.diagnosis.hypotheses import Beyond, Evidence, Weighed
 from tautline.plain import plain
 
 FLOOR = 0.05

@@ -20,12 +20,12 @@ from tautline.blindtest.cases import Label, make
 from tautline.blindtest.generators import GENERATORS, SECOND
 from tautline.blindtest.scores import FAILED, Answer
 from tautline.calibration.calibrate import calibrate
-from tautline.diagnose.diagnosis import diagnose
-from tautline.diagnose.segment import settled_from
+from tautline.diagnosis.diagnose import diagnose
+from tautline.diagnosis.segment import settled_from
 from tautline.errors import TautError
 from tautline.model import Model
 from tautline.plain import plain
-from tautline.predict import predict
+from tautline.prediction import predict
 from tautline.recording import Recording, load, save
 from tautline.rig import Rig
 

@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import logsumexp
 
-from tautline.diagnose.hyperparameters import Learnt, learnt
-from tautline.diagnose.hypotheses import Evidence
-from tautline.diagnose.likelihoods import Likelihoods
+from tautline.diagnosis.hyperparameters import Learnt, learnt
+from tautline.diagnosis.hypotheses import Evidence
+from tautline.diagnosis.likelihoods import Likelihoods
 from tautline.effects import EVENTS
 
 Array = npt.NDArray[np.float64]

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnose import decide, scatter
-from tautline.diagnose.candidates import Found, Search
-from tautline.diagnose.fit import DELAY, WIDTH, Fit, Fitter, Scope
-from tautline.diagnose.hyperparameters import learnt
-from tautline.diagnose.hypotheses import Evidence, Weighed
-from tautline.diagnose.scatter import Scatter
+from tautline.diagnosis import decide, scatter
+from tautline.diagnosis.candidates import Found, Search
+from tautline.diagnosis.fit import DELAY, WIDTH, Fit, Fitter, Scope
+from tautline.diagnosis.hyperparameters import learnt
+from tautline.diagnosis.hypotheses import Evidence, Weighed
+from tautline.diagnosis.scatter import Scatter
 from tautline.effects import EVENTS, Kind
 
 Array = npt.NDArray[np.float64]

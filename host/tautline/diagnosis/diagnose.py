@@ -12,12 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import effects
-from tautline.diagnose import confounded, decide, flexible, gap, motion, moved, where
-from tautline.diagnose.candidates import Found, applicable
-from tautline.diagnose.fit import Fit, Fitter, Scope, key
-from tautline.diagnose.gather import Gathered, gather
-from tautline.diagnose.hypotheses import Evidence
-from tautline.diagnose.segment import Segment, load_reference, prepare
+from tautline.diagnosis import confounded, decide, flexible, gap, motion, moved, where
+from tautline.diagnosis.candidates import Found, applicable
+from tautline.diagnosis.fit import Fit, Fitter, Scope, key
+from tautline.diagnosis.gather import Gathered, gather
+from tautline.diagnosis.hypotheses import Evidence
+from tautline.diagnosis.segment import Segment, load_reference, prepare
 from tautline.effects.library.registration import with_registration
 from tautline.model import Effect, Model, monotone
 from tautline.recording import Recording

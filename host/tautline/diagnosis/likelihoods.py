@@ -14,8 +14,8 @@ import numpy.typing as npt
 from scipy import stats
 from scipy.special import log_expit, log_ndtr, logsumexp
 
-from tautline.diagnose.hyperparameters import Hyperparameters
-from tautline.diagnose.hypotheses import Evidence, Weighed
+from tautline.diagnosis.hyperparameters import Hyperparameters
+from tautline.diagnosis.hypotheses import Evidence, Weighed
 from tautline.effects import BY_ID, EVENTS, LIBRARY
 
 Array = npt.NDArray[np.float64]
