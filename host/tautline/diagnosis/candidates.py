@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from tautline import effects
 from tautline.diagnosis import confined, gap, heldout
-from tautline.diagnosis.decide import Beyond
 from tautline.diagnosis.fit import Fit, Fitter, Scope, outlier_limit
+from tautline.diagnosis.hypotheses import Beyond
 from tautline.diagnosis.screen import Screened, screen
 from tautline.effects import SCATTERS, Kind
 
