@@ -46,7 +46,7 @@ LOOPS = {
     "tl_undo_angle": (3,),  # joints
     "tl_axis_watch": (3,),  # the same
     "tl_undo_late": (4,),  # followers
-    "tl_undo_pushing": (3,),  # as many rounds as the watch asks for
+    "tl_undo_pushing": (2,),  # as many rounds as the watch asks for
     "tl_history_push": (2,),  # pushed once a millisecond and jitter
     "quadrature_count": (4,),  # the state machine leaves its count within 11 cycles of its own, a round here takes 5
     "bridge_sense_finish": (5,),  # four samples are in the FIFO, and one may come meanwhile
@@ -55,7 +55,8 @@ LOOPS = {
 }
 # What a table never comes to that undoes no more than the play and the curve; and one that has a single play.
 UNDONE = ("angle", "late", "widen", "wider", "turned", "scaled", "reading", "pushing", "tick")
-PLAYS_ALONE = {f"tl_undo_{name}": NEVER for name in UNDONE}
+PLAYS_ALONE = {f"tl_undo_{name}": NEVER for name in UNDONE} | {"tl_undoing_goal": NEVER, "tl_undoing_turn": NEVER}
+PLAYS_ALONE |= {"tl_compensator_hear": NEVER, "tl_compensator_reach": NEVER, "turn_one": NEVER}
 ONE_PLAY = {"tl_several_turn": NEVER, "tl_several_lead": NEVER, "tl_elements_behind": NEVER} | PLAYS_ALONE
 CALIBRATION = "tl_motion_tick"  # for one axis at a time, and not while it follows the tip
 # One of these in a tick, in this order, each once a millisecond (tl_axis_step: `switch (job)`). The axes are apart by a

@@ -200,7 +200,7 @@ static bool is_late(const tl_table_t *t) {
         if (time_us == 0 ? gain != 0 : tl_outside(time_us, 1000, 1000000000)) {
             return false;
         }
-        if (tl_outside(gain, -((int32_t)1 << 26), (int32_t)1 << 26)) {
+        if (tl_outside(gain, -((int32_t)1 << 26) + 1, ((int32_t)1 << 26) - 1)) {
             return false;
         }
     }

@@ -91,7 +91,7 @@ void bind_play_fixed(nb::module_ &m) {
                 return tl_undo_pushing(&self.undo, self.lookup, reading, TL_UNDO_ROUNDS);
             },
             nb::arg("reading"), "from where the motor pushes whose encoder reads that")
-        .def_prop_ro("q", [](const tl_compensator_t &self) { return self.reading; })
+        .def_prop_ro("q", [](const tl_compensator_t &self) { return self.undoes ? self.reading : self.q; })
         .def_prop_ro("p", [](const tl_compensator_t &self) { return self.p; })
         .def_prop_ro("side", [](const tl_compensator_t &self) { return static_cast<int>(self.side); })
         .def_prop_ro("rest", [](const tl_compensator_t &self) { return tl_compensator_rest(&self); });

@@ -1,6 +1,7 @@
 #include "tl_elements.h"
 #include "tl_feed.h"
 #include "tl_several.h"
+#include "tl_undoing.h"
 
 #include "tautline/tl_fast.h"
 
@@ -24,12 +25,9 @@ static void set_limits(tl_compensator_t *k, const tl_table_t *table) {
 // Where c wants p, and where p wants q ---------------------------------------------------------------
 
 // p* for c, within [q_min, q_max]. The end's flags have the look-up's values.
-static TL_FAST tl_count_q8_t target(tl_compensator_t *k, tl_deg_q16_t c, uint32_t *flags) {
+static TL_FAST tl_count_q8_t target(const tl_compensator_t *k, tl_deg_q16_t c, uint32_t *flags) {
     if (k->mode != TL_MODE_FULL) {
         return tl_lookup_coarse_inverse(k->lookup, c, flags);
-    }
-    if (k->undoes) {
-        c = tl_undo_angle(&k->undo, k->lookup, c);
     }
     const tl_count_q8_t p = tl_lookup_angle_inverse(k->lookup, c, flags);
     if (p < k->low) {
@@ -49,16 +47,16 @@ static TL_FAST int32_t half_width(const tl_compensator_t *k) {
     if (k->mode == TL_MODE_OFF) {
         return 0;
     }
-    const int32_t half = half_of(k, (uint32_t)tl_lookup_width(k->lookup, k->p, &ends));
-    return k->undoes ? half_undone(k, half) : half;
+    return half_of(k, (uint32_t)tl_lookup_width(k->lookup, k->p, &ends));
 }
 
 static tl_count_q8_t fed_anew(tl_compensator_t *k) {
-    widen(k, k->undoes ? tl_undo_wider(&k->undo, k->lookup, k->p) : 0);
+    k->wider = k->undoes ? half_of(k, (uint32_t)tl_undo_wider(&k->undo, k->lookup, k->p)) : 0;
     if (k->several) {
         tl_several_hold(k);
     } else {
         k->half = half_width(k);
+        k->half = k->undoes ? tl_undo_scaled(&k->undo, k->half) + k->wider : k->half;
     }
     return fed(k, k->half);
 }
@@ -106,9 +104,11 @@ TL_FAST void tl_compensator_feed(tl_compensator_t *k, tl_deg_q16_t c) {
     bool slow = false;
     k->c = c;
     k->feed_flags = 0;
-    tl_count_q8_t goal = target(k, c, &k->feed_flags);
+    tl_count_q8_t goal;
     if (k->undoes) {
-        goal = tl_clamp(tl_undo_late(&k->undo, k->lookup, goal), k->low, k->high);
+        goal = tl_undoing_goal(k, target(k, k->angle, &k->feed_flags));
+    } else {
+        goal = target(k, c, &k->feed_flags);
     }
     k->goal = goal;
     k->aim = k->lookup->has_flat && k->mode == TL_MODE_FULL && goal != k->p ? approach(k, goal, &slow) : goal;
@@ -116,14 +116,13 @@ TL_FAST void tl_compensator_feed(tl_compensator_t *k, tl_deg_q16_t c) {
 }
 
 TL_FAST void tl_compensator_turn(tl_compensator_t *k) {
-    const tl_count_q8_t from = k->p;
     if (k->goal != k->p) {
         advance(k);
     }
     k->feed_flags |= k->p != k->goal ? TL_COMPENSATOR_LIMITED : 0;
     if (k->undoes) {
-        widen(k, tl_undo_widen(&k->undo, k->lookup, k->p, k->p - from));
-        k->moved = k->several && k->side != 0; // the width alone may have changed
+        tl_undoing_turn(k);
+        return;
     }
     if (k->several) {
         tl_several_turn(k);
@@ -133,13 +132,14 @@ TL_FAST void tl_compensator_turn(tl_compensator_t *k) {
     if (turned(k)) {
         const tl_count_q8_t low = k->low, high = k->high, p = k->p;
         const tl_count_q8_t before = tl_clamp(pushed(k, half), low, high);
-        turn_to(k, p > k->anchor ? 1 : -1);
-        k->half = k->undoes ? half_width(k) : half;
-        absorb(k, tl_clamp(pushed(k, k->half), low, high), before);
+        const bool up = p > k->anchor;
+        k->side = up ? 1 : -1;
+        k->anchor = p;
+        absorb(k, tl_clamp(up ? p + half : p - half, low, high), before);
     }
 }
 
-TL_FAST void tl_compensator_take_up(tl_compensator_t *k) {
+TL_FAST tl_count_q8_t tl_compensator_take_up(tl_compensator_t *k) {
     if (k->moved) {
         tl_several_lead(k);
     }
@@ -165,23 +165,17 @@ TL_FAST void tl_compensator_take_up(tl_compensator_t *k) {
     k->q = q;
     flags |= k->side == 0 ? TL_COMPENSATOR_NO_SIDE : 0;
     k->flags = flags | (tl_takeup_done(&k->takeup) ? 0 : TL_COMPENSATOR_TAKE_UP);
-}
-
-TL_FAST tl_count_q8_t tl_compensator_reach(tl_compensator_t *k) {
-    if (!k->undoes) {
-        return k->reading = k->q;
-    }
-    tl_undo_tick(&k->undo);
-    const tl_count_q8_t reading = tl_undo_reading(&k->undo, k->lookup, k->q), last = k->reading;
-    const tl_count_q8_t low = last < k->low ? last : k->low, high = last > k->high ? last : k->high;
-    return k->reading = tl_clamp(reading, low, high);
+    return q;
 }
 
 tl_count_q8_t tl_compensator_step(tl_compensator_t *k, tl_deg_q16_t c) {
+    if (k->undoes) {
+        tl_compensator_hear(k, c);
+    }
     tl_compensator_feed(k, c);
     tl_compensator_turn(k);
-    tl_compensator_take_up(k);
-    return tl_compensator_reach(k);
+    const tl_count_q8_t q = tl_compensator_take_up(k);
+    return k->undoes ? tl_compensator_reach(k) : q;
 }
 
 // Settings -------------------------------------------------------------------------------------------
@@ -214,12 +208,23 @@ static tl_count_q8_t pushing_of(const tl_compensator_t *k, tl_count_q8_t reading
 }
 
 static void set_undoes(tl_compensator_t *k) {
-    k->undoes = k->undo.active && k->mode == TL_MODE_FULL;
+    const bool undoes = k->undo.active && k->mode == TL_MODE_FULL;
+    if (undoes && !k->undoes) { // nothing is late, and the motor reads what it did
+        k->reading = k->q;
+        k->angle = k->c;
+        tl_undo_rest(&k->undo, k->goal);
+    }
+    k->undoes = undoes;
+}
+
+// p* for c, all that is undone before it included.
+static tl_count_q8_t wanted(tl_compensator_t *k, tl_deg_q16_t c) {
+    uint32_t flags = 0;
+    return target(k, k->undoes ? tl_undo_angle(&k->undo, k->lookup, c) : c, &flags);
 }
 
 void tl_compensator_start_moved(tl_compensator_t *k, const tl_lookup_t *lookup, uint32_t rate_hz, tl_mode_t mode,
                                 tl_count_q8_t q, tl_deg_q16_t c, const tl_moved_t *moved) {
-    uint32_t flags = 0;
     *k = (tl_compensator_t){.mode = mode, .strength_q15 = lookup->table.strength_q15, .undo = {.moved = *moved}};
     use(k, lookup);
     tl_takeup_start(&k->takeup);
@@ -229,7 +234,7 @@ void tl_compensator_start_moved(tl_compensator_t *k, const tl_lookup_t *lookup, 
     k->c = c;
     k->reading = tl_clamp(q, -TL_TABLE_VALUE_MAX, TL_TABLE_VALUE_MAX);
     k->q = pushing_of(k, k->reading);
-    const tl_count_q8_t p = target(k, c, &flags);
+    const tl_count_q8_t p = wanted(k, c);
     k->start_offset = k->offset = tl_sub_sat(k->q, p);
     if (k->several) {
         tl_several_begin(k, p, k->q);
@@ -255,8 +260,7 @@ void tl_compensator_know(tl_compensator_t *k, const tl_play_t *play) {
 // p* again for the last command under new settings, with the direction's memory moved along. `reading`: where the feed
 // would have the encoder now.
 static void settle(tl_compensator_t *k, tl_count_q8_t reading) {
-    uint32_t flags = 0;
-    const tl_count_q8_t p = target(k, k->c, &flags);
+    const tl_count_q8_t p = wanted(k, k->c);
     k->anchor = tl_add_sat(k->anchor, p - k->p);
     stand(k, p);
     absorb(k, fed_anew(k), pushing_of(k, reading));

@@ -12,16 +12,6 @@ static TL_FAST inline int32_t half_of(const tl_compensator_t *k, uint32_t width)
     return (int32_t)((width >> 16) * strength + ((width & 0xFFFFU) * strength >> 16));
 }
 
-// The width's half as the strength and the further sections make it.
-static TL_FAST inline int32_t half_undone(const tl_compensator_t *k, int32_t half) {
-    return tl_undo_scaled(&k->undo, half) + k->wider;
-}
-
-// What they add to it.
-static TL_FAST inline void widen(tl_compensator_t *k, int32_t wider) {
-    k->wider = half_of(k, (uint32_t)wider);
-}
-
 // q* without what is still to be taken up, before the range is minded. p -+ B/2 cannot overflow (TL_TABLE_VALUE_MAX).
 static TL_FAST inline tl_count_q8_t pushed(const tl_compensator_t *k, int32_t half) {
     return k->p + (k->side > 0 ? half : (k->side < 0 ? -half : tl_clamp(k->start_offset, -half, half)));
@@ -44,16 +34,6 @@ static TL_FAST inline bool turned(tl_compensator_t *k) {
         return false;
     }
     return ahead > k->band || ahead < -k->band;
-}
-
-// The side changes: p, which was at the anchor at most, has come back to where it is.
-static TL_FAST inline void turn_to(tl_compensator_t *k, int32_t side) {
-    if (k->undoes) {
-        tl_undo_turned(&k->undo, k->anchor, side);
-        widen(k, tl_undo_wider(&k->undo, k->lookup, k->p));
-    }
-    k->side = side;
-    k->anchor = k->p;
 }
 
 #endif

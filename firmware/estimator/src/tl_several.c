@@ -46,7 +46,8 @@ TL_FAST void tl_several_turn(tl_compensator_t *k) {
     if (turns) {
         const int32_t side = k->p > k->anchor ? 1 : -1;
         k->half = k->side == 0 ? (side > 0 ? k->start_offset : -k->start_offset) : -k->half; // the same offset
-        turn_to(k, side);
+        k->side = side;
+        k->anchor = k->p;
     } else if (k->side == 0 || k->p != k->anchor) {
         return;
     }

@@ -11,6 +11,7 @@
 #define SCALE_MOST    ((1 << 23) - 1)   // twice of it
 #define GAIN_MOST     (1 << 22)         // half of it
 #define MOST          (((int32_t)1 << 30) - 1)
+#define LEAD_MOST     (1U << 20) // Q8 counts: the speed leads by 4096 counts at most, times the gain
 #define CARRIED_MAX   ((int32_t)1 << 28)
 
 static TL_FAST inline uint32_t size_of(int32_t value) {
@@ -110,23 +111,20 @@ TL_FAST tl_deg_q16_t tl_undo_angle(tl_undo_t *undo, const tl_lookup_t *lookup, t
 
 // The rest is taken in the middle of the tick: a ramp is then followed exactly as late as the time says.
 TL_FAST tl_count_q8_t tl_undo_late(tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t p) {
-    if (!HAS(lookup, late)) {
-        return p;
-    }
-    int32_t sum = p;
-    for (uint32_t i = 0; i < TL_TABLE_LATE_MAX; i++) {
-        tl_follower_t *behind = &undo->late[i];
-        if (behind->share_q32 == 0) {
-            break;
-        }
+    tl_follower_t *behind = undo->late;
+    const int32_t *gain = lookup->table.late.gain_q16;
+    int32_t sum = 0;
+    for (uint32_t i = 0; i < TL_TABLE_LATE_MAX && behind->share_q32 != 0; i++, behind++, gain++) {
         const int32_t rest = p - (int32_t)((behind->at_q40 + ((int64_t)1 << 31)) >> 32);
-        const uint32_t size = size_of(rest), step = tl_mul_high(size, behind->share_q32);
-        const int64_t way = (int64_t)((uint64_t)step << 32 | size * behind->share_q32);
+        const uint32_t size = size_of(rest), share = behind->share_q32, step = tl_mul_high(size, share);
+        const int64_t way = (int64_t)((uint64_t)step << 32 | size * share);
         behind->at_q40 += rest < 0 ? -way : way;
-        const int32_t middle = (int32_t)(size - step / 2U);
-        sum = tl_add_sat(sum, times(rest < 0 ? -middle : middle, lookup->table.late.gain_q16[i], 16));
+        const uint32_t middle = size - step / 2U, lead = middle < LEAD_MOST ? middle : LEAD_MOST;
+        const uint32_t times_gain = size_of(*gain);
+        const int32_t add = (int32_t)(tl_mul_high(lead, times_gain) << 16 | lead * times_gain >> 16); // below 2^30
+        sum = tl_clamp(sum + ((rest ^ *gain) < 0 ? -add : add), -MOST, MOST);
     }
-    return sum;
+    return tl_add_sat(p, sum);
 }
 
 // -- the width ---------------------------------------------------------------------------------------------------
@@ -164,7 +162,9 @@ TL_FAST int32_t tl_undo_wider(const tl_undo_t *undo, const tl_lookup_t *lookup, 
     return wider;
 }
 
-TL_FAST int32_t tl_undo_widen(tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t p, int32_t by) {
+TL_FAST int32_t tl_undo_widen(tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t p) {
+    const int32_t by = p - undo->p; // both within the range
+    undo->p = p;
     if (HAS(lookup, speed) && (by != 0 || lookup->table.speed.held == 0)) {
         const int32_t off = tl_clamp(by, -undo->step_max, undo->step_max) * undo->rate_hz - undo->speed_q8;
         const uint32_t share = undo->speed_share_q16;
@@ -247,6 +247,7 @@ void tl_undo_start(tl_undo_t *undo, const tl_lookup_t *lookup, uint32_t rate_hz)
 }
 
 void tl_undo_rest(tl_undo_t *undo, tl_count_q8_t p) {
+    undo->p = p;
     for (uint32_t i = 0; i < TL_TABLE_LATE_MAX; i++) {
         undo->late[i].at_q40 = (int64_t)p * ((int64_t)1 << 32);
     }

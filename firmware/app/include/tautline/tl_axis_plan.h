@@ -13,6 +13,9 @@ static inline void tl_axis_job(tl_axis_t *axis, uint32_t job) {
     switch (job) {
     case 0U:
         tl_axis_listen(axis);
+        if (tip && axis->tip.compensator.undoes) {
+            tl_compensator_hear(&axis->tip.compensator, axis->plan.c_next);
+        }
         break;
     case 1U:
         if (tip) {
@@ -26,13 +29,13 @@ static inline void tl_axis_job(tl_axis_t *axis, uint32_t job) {
         break;
     case 3U:
         if (tip) {
-            tl_compensator_take_up(&axis->tip.compensator);
+            axis->plan.target = tl_compensator_take_up(&axis->tip.compensator);
         } else if (axis->mode == TL_WIRE_MODE_CALIBRATE) {
             axis->plan.target = tl_motion_tick(axis->plan.motion).q;
         }
         break;
     default:
-        if (tip) {
+        if (tip && axis->tip.compensator.undoes) {
             axis->plan.target = tl_compensator_reach(&axis->tip.compensator);
         }
         tl_axis_plan(axis);

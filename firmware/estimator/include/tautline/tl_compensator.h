@@ -25,9 +25,8 @@
 /// the same context. To stop, hold c*; to follow the motor while the axis is free, start again.
 /// Faults: none is fatal. Every input is valid; what could not be done is in `flags`.
 ///
-/// A step: at most about 930 cycles on a Cortex-M0+ (-O2, no wait states), in four parts of 320, 290, 320 and 10; with
-/// seven plays the second is 560 and the third 800, with all sections the first 800, the second 250 more, and the last
-/// 180. No division, no 64-bit product, 64-bit sums only. Memory: 420 bytes, plus the table that it points to.
+/// A step: at most about 930 cycles on a Cortex-M0+ (-O2, no wait states), in three parts of 320, 290 and 320; with
+/// seven plays the second is 560 and the third 800; all sections add up to 900, 400 of them before and behind. No division, no 64-bit product, 64-bit sums only. Memory: 420 bytes, plus the table that it points to.
 #ifndef TAUTLINE_TL_COMPENSATOR_H
 #define TAUTLINE_TL_COMPENSATOR_H
 
@@ -77,6 +76,7 @@ typedef struct {
     const tl_lookup_t *lookup;     ///< must outlive the compensator or the next set_table
     tl_count_q8_t low, high, band; ///< the table's q_min, q_max and band
     bool several;                  ///< the table has several plays
+    bool undoes;                   ///< it has further sections or was moved, and the mode is for them
     bool moved;                    ///< and p has moved them in this tick
     bool turns;                    ///< and turned
     uint32_t flags;                ///< of the last whole tick
@@ -105,9 +105,9 @@ typedef struct {
     int32_t lags[TL_TABLE_PLAYS_MAX]; ///< lags behind y of the plays that undo them
     int32_t step_max;                 ///< Q8 counts a tick at the take-up's speed
     // Of further sections:
-    bool undoes;           ///< there are any, and the mode is for them
+    tl_deg_q16_t angle;    ///< that f has to give for the last command
     int32_t wider;         ///< what they add to half the width on this side
-    tl_count_q8_t reading; ///< q* as the encoder is to read it: the last output
+    tl_count_q8_t reading; ///< q* as the encoder is to read it, where there is anything to undo
     tl_undo_t undo;
 } tl_compensator_t;
 
@@ -128,11 +128,15 @@ void tl_compensator_know(tl_compensator_t *compensator, const tl_play_t *play);
 /// One tick: the motor position to go to for the command c*. O(1), bounded, no division.
 tl_count_q8_t tl_compensator_step(tl_compensator_t *compensator, tl_deg_q16_t c);
 
-/// Its four parts, for a controller that spreads them over time: in this order, the other functions anywhere between.
+/// Its parts, for a controller that spreads them over time: in this order, the other functions anywhere between.
 void tl_compensator_feed(tl_compensator_t *compensator, tl_deg_q16_t c); ///< p*
 void tl_compensator_turn(tl_compensator_t *compensator);                 ///< B(p*) and the side
-void tl_compensator_take_up(tl_compensator_t *compensator);              ///< e and q*
-tl_count_q8_t tl_compensator_reach(tl_compensator_t *compensator);       ///< q* as the encoder is to read it
+tl_count_q8_t tl_compensator_take_up(tl_compensator_t *compensator);     ///< e and q*
+
+/// Where compensator->undoes two more, before the first and after the last: what f has to give for the command, and q*
+/// as the encoder is to read it.
+void tl_compensator_hear(tl_compensator_t *compensator, tl_deg_q16_t c);
+tl_count_q8_t tl_compensator_reach(tl_compensator_t *compensator);
 
 /// Changes that never move the output by themselves; what they change is taken up from the next step on.
 void tl_compensator_set_mode(tl_compensator_t *compensator, tl_mode_t mode);

@@ -45,6 +45,7 @@ typedef struct {
     int32_t speed_q8; ///< of p, filtered, counts/s
     uint32_t speed_share_q16;
     int32_t rate_hz, step_max; ///< Q8 counts a tick that are a speed still
+    tl_count_q8_t p;         ///< of the last tick
     int32_t side;            ///< that the motor pushes on since it last turned
     tl_count_q8_t turned_at; ///< where p turned
     tl_count_q8_t carried[TL_TABLE_JOINTS]; ///< where other axes have carried the tip
@@ -77,9 +78,9 @@ tl_count_q8_t tl_undo_late(tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_
 /// p has turned at `p` and now goes to `side`.
 void tl_undo_turned(tl_undo_t *undo, tl_count_q8_t p, int32_t side);
 
-/// What is to be added to the width on the side that pushes, p having moved by `by` to `p`. tl_undo_wider() is for that
-/// p again.
-int32_t tl_undo_widen(tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t p, int32_t by);
+/// What is to be added to the width on the side that pushes, p having moved to `p` in a tick. tl_undo_wider() is for
+/// that p again.
+int32_t tl_undo_widen(tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t p);
 int32_t tl_undo_wider(const tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t p);
 
 /// A width as it now is.
