@@ -54,8 +54,8 @@ LOOPS = {
     "port_time_us": (2,),  # the high word changes once in 71 minutes
 }
 # What a table never comes to that undoes no more than the play and the curve; and one that has a single play.
-UNDONE = ("angle", "late", "widen", "wider", "turned", "scaled", "reading", "pushing", "tick")
-PLAYS_ALONE = {f"tl_undo_{name}": NEVER for name in UNDONE} | {"tl_undoing_goal": NEVER, "tl_undoing_turn": NEVER}
+UNDONE = ("angle", "late", "wider", "turned", "scaled", "reading", "pushing", "tick")
+PLAYS_ALONE = {f"tl_undo_{name}": NEVER for name in UNDONE} | {"tl_undoing_feed": NEVER, "tl_undoing_turn": NEVER}
 PLAYS_ALONE |= {"tl_compensator_hear": NEVER, "tl_compensator_reach": NEVER, "turn_one": NEVER}
 ONE_PLAY = {"tl_several_turn": NEVER, "tl_several_lead": NEVER, "tl_elements_behind": NEVER} | PLAYS_ALONE
 CALIBRATION = "tl_motion_tick"  # for one axis at a time, and not while it follows the tip

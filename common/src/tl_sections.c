@@ -215,7 +215,7 @@ static bool is_load(const tl_table_t *t) {
 }
 
 static bool is_joints(const tl_table_t *t) {
-    const int32_t most = (int32_t)1 << 28; // 1 deg a count
+    const int32_t most = ((int32_t)1 << 26) - 1; // 0.25 deg a count
     for (unsigned i = 0; i < TL_TABLE_JOINTS; i++) {
         const int32_t axis = t->joints.axis[i];
         if (tl_outside(axis, 0, (int32_t)TL_TABLE_AXES) || axis == t->axis + 1 ||

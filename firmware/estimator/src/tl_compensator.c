@@ -24,23 +24,6 @@ static void set_limits(tl_compensator_t *k, const tl_table_t *table) {
 
 // Where c wants p, and where p wants q ---------------------------------------------------------------
 
-// p* for c, within [q_min, q_max]. The end's flags have the look-up's values.
-static TL_FAST tl_count_q8_t target(const tl_compensator_t *k, tl_deg_q16_t c, uint32_t *flags) {
-    if (k->mode != TL_MODE_FULL) {
-        return tl_lookup_coarse_inverse(k->lookup, c, flags);
-    }
-    const tl_count_q8_t p = tl_lookup_angle_inverse(k->lookup, c, flags);
-    if (p < k->low) {
-        *flags |= TL_COMPENSATOR_BELOW;
-        return k->low;
-    }
-    if (p > k->high) {
-        *flags |= TL_COMPENSATOR_ABOVE;
-        return k->high;
-    }
-    return p;
-}
-
 // k B(p) / 2
 static TL_FAST int32_t half_width(const tl_compensator_t *k) {
     uint32_t ends = 0;
@@ -63,25 +46,6 @@ static tl_count_q8_t fed_anew(tl_compensator_t *k) {
 
 // One tick -------------------------------------------------------------------------------------------
 
-// On the way to the goal, where spans may be flat: never further than one span in a tick, so that none is jumped over,
-// and to the edge of a flat one first.
-static TL_FAST tl_count_q8_t approach(const tl_compensator_t *k, tl_count_q8_t goal, bool *slow) {
-    const tl_lookup_t *lookup = k->lookup;
-    const int32_t step = (int32_t)1 << lookup->step_log2;
-    const tl_count_q8_t p = k->p, next = p + tl_clamp(goal - p, -step, step);
-    if (tl_lookup_is_flat(lookup, p)) {
-        *slow = true;
-    } else if (tl_lookup_is_flat(lookup, next)) {
-        const uint32_t into = ((uint32_t)next - (uint32_t)lookup->q0) & ((uint32_t)step - 1U);
-        const tl_count_q8_t edge = next - (int32_t)into + (next > p ? 0 : step);
-        if (edge != p) {
-            return edge;
-        }
-        *slow = true;
-    }
-    return next;
-}
-
 // Moves p towards its goal, no faster than speed_max, nor than the flat speed within flat spans.
 static TL_FAST void advance(tl_compensator_t *k) {
     const tl_per_tick_t *limit = &k->feed_max;
@@ -101,18 +65,16 @@ static TL_FAST void advance(tl_compensator_t *k) {
 }
 
 TL_FAST void tl_compensator_feed(tl_compensator_t *k, tl_deg_q16_t c) {
-    bool slow = false;
     k->c = c;
     k->feed_flags = 0;
-    tl_count_q8_t goal;
-    if (k->undoes) {
-        goal = tl_undoing_goal(k, target(k, k->angle, &k->feed_flags));
+    if (k->by_curve) {
+        seek(k, on_curve(k, c, &k->feed_flags));
+    } else if (k->undoes) {
+        tl_undoing_feed(k);
     } else {
-        goal = target(k, c, &k->feed_flags);
+        k->goal = k->aim = tl_lookup_coarse_inverse(k->lookup, c, &k->feed_flags);
+        k->slow = false;
     }
-    k->goal = goal;
-    k->aim = k->lookup->has_flat && k->mode == TL_MODE_FULL && goal != k->p ? approach(k, goal, &slow) : goal;
-    k->slow = slow;
 }
 
 TL_FAST void tl_compensator_turn(tl_compensator_t *k) {
@@ -215,12 +177,16 @@ static void set_undoes(tl_compensator_t *k) {
         tl_undo_rest(&k->undo, k->goal);
     }
     k->undoes = undoes;
+    k->by_curve = k->mode == TL_MODE_FULL && !undoes;
 }
 
 // p* for c, all that is undone before it included.
 static tl_count_q8_t wanted(tl_compensator_t *k, tl_deg_q16_t c) {
     uint32_t flags = 0;
-    return target(k, k->undoes ? tl_undo_angle(&k->undo, k->lookup, c) : c, &flags);
+    if (k->undoes) {
+        c = tl_undo_angle(&k->undo, k->lookup, c);
+    }
+    return k->mode == TL_MODE_FULL ? on_curve(k, c, &flags) : tl_lookup_coarse_inverse(k->lookup, c, &flags);
 }
 
 void tl_compensator_start_moved(tl_compensator_t *k, const tl_lookup_t *lookup, uint32_t rate_hz, tl_mode_t mode,

@@ -11,8 +11,8 @@
 #define SCALE_MOST    ((1 << 23) - 1)   // twice of it
 #define GAIN_MOST     (1 << 22)         // half of it
 #define MOST          (((int32_t)1 << 30) - 1)
-#define LEAD_MOST     (1U << 20) // Q8 counts: the speed leads by 4096 counts at most, times the gain
-#define CARRIED_MAX   ((int32_t)1 << 28)
+#define SHORT_MOST    (((int32_t)1 << 20) - 1) // that a factor may take
+#define COARSE_US     50000
 
 static TL_FAST inline uint32_t size_of(int32_t value) {
     return value < 0 ? 0U - (uint32_t)value : (uint32_t)value;
@@ -53,12 +53,6 @@ static TL_FAST void approach(tl_ramp_t *ramp) {
     ramp->now += tl_clamp(ramp->goal - ramp->now, -step, step);
 }
 
-TL_FAST void tl_undo_tick(tl_undo_t *undo) {
-    approach(&undo->moved.offset);
-    approach(&undo->moved.scale);
-    approach(&undo->moved.gain);
-}
-
 TL_FAST void tl_undo_forget(tl_undo_t *undo) {
     tl_moved_t *moved = &undo->moved;
     moved->adapt_offset = moved->adapt_scale = 0;
@@ -95,36 +89,30 @@ void tl_undo_load(tl_undo_t *undo, const tl_lookup_t *lookup, int32_t load, uint
 // -- before p* ---------------------------------------------------------------------------------------------------
 
 TL_FAST tl_deg_q16_t tl_undo_angle(tl_undo_t *undo, const tl_lookup_t *lookup, tl_deg_q16_t c) {
-    const tl_table_t *table = &lookup->table;
-    if (HAS(lookup, joints)) {
-        const tl_table_joints_t *joints = &table->joints;
-        for (uint32_t i = 0; i < TL_TABLE_JOINTS && joints->axis[i] != 0; i++) {
-            const int32_t at = undo->moved.joint[i], half = joints->play[i] / 2;
-            const int32_t carried = tl_clamp(undo->carried[i], at - half, at + half);
-            undo->carried[i] = carried;
-            c = tl_sub_sat(c, times(carried, joints->slope[i], 20));
-        }
+    const tl_table_joints_t *joints = &lookup->table.joints;
+    for (uint32_t i = 0; i < TL_TABLE_JOINTS && joints->axis[i] != 0; i++) {
+        const int32_t at = undo->moved.joint[i], half = joints->play[i] / 2;
+        const int32_t carried = tl_clamp(undo->carried[i], at - half, at + half);
+        const tl_factor_t slope = undo->slope_q28[i];
+        undo->carried[i] = carried;
+        c = tl_sub_sat(c, tl_clamp(carried >> 4, -SHORT_MOST, SHORT_MOST) * slope.value >> (16U - slope.log2));
     }
     const int32_t gain = undo->moved.gain.now;
-    return gain == 0 ? c : tl_add_sat(c, times(tl_sub_sat(c, table->load.middle), gain, 23));
+    return gain == 0 ? c : tl_add_sat(c, times(tl_sub_sat(c, lookup->table.load.middle), gain, 23));
 }
 
 // The rest is taken in the middle of the tick: a ramp is then followed exactly as late as the time says.
-TL_FAST tl_count_q8_t tl_undo_late(tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t p) {
-    tl_follower_t *behind = undo->late;
-    const int32_t *gain = lookup->table.late.gain_q16;
-    int32_t sum = 0;
-    for (uint32_t i = 0; i < TL_TABLE_LATE_MAX && behind->share_q32 != 0; i++, behind++, gain++) {
-        const int32_t rest = p - (int32_t)((behind->at_q40 + ((int64_t)1 << 31)) >> 32);
-        const uint32_t size = size_of(rest), share = behind->share_q32, step = tl_mul_high(size, share);
-        const int64_t way = (int64_t)((uint64_t)step << 32 | size * share);
-        behind->at_q40 += rest < 0 ? -way : way;
-        const uint32_t middle = size - step / 2U, lead = middle < LEAD_MOST ? middle : LEAD_MOST;
-        const uint32_t times_gain = size_of(*gain);
-        const int32_t add = (int32_t)(tl_mul_high(lead, times_gain) << 16 | lead * times_gain >> 16); // below 2^30
-        sum = tl_clamp(sum + ((rest ^ *gain) < 0 ? -add : add), -MOST, MOST);
+TL_FAST tl_count_q8_t tl_undo_late(tl_undo_t *undo, tl_count_q8_t p) {
+    uint32_t sum = (uint32_t)p;
+    for (tl_follower_t *f = undo->late; f < undo->late + TL_TABLE_LATE_MAX && f->share != 0; f++) {
+        const int32_t most = f->most, rest = tl_clamp((p - f->at) >> f->coarse, -most, most), way = rest * f->share;
+        const uint32_t less = (uint32_t)way << f->up, more = f->more + less;
+        const int32_t step = way >> f->down; // as coarse as the rest
+        f->more = more;
+        f->at += (way >> (32U - f->up)) + (more < less ? 1 : 0);
+        sum += (uint32_t)((rest - step / 2) * f->gain >> f->lead_down);
     }
-    return tl_add_sat(p, sum);
+    return tl_clamp((int32_t)sum, -MOST, MOST);
 }
 
 // -- the width ---------------------------------------------------------------------------------------------------
@@ -150,27 +138,28 @@ TL_FAST void tl_undo_turned(tl_undo_t *undo, tl_count_q8_t p, int32_t side) {
 }
 
 TL_FAST int32_t tl_undo_wider(const tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t p) {
-    const tl_table_t *table = &lookup->table;
-    int32_t wider = 0;
-    if (HAS(lookup, speed)) {
-        wider = at(table->speed.extra, size_of(undo->speed_q8), table->speed.step_log2);
+    const tl_table_sides_t *sides = &lookup->table.sides;
+    if (undo->side != sides->side || undo->side == 0) {
+        return undo->extra;
     }
-    if (HAS(lookup, sides) && undo->side == table->sides.side) {
-        const int32_t travel = undo->side > 0 ? p - undo->turned_at : undo->turned_at - p;
-        wider += 2 * at(table->sides.late, travel > 0 ? (uint32_t)travel : 0, table->sides.step_log2);
-    }
-    return wider;
+    const int32_t travel = undo->side > 0 ? p - undo->turned_at : undo->turned_at - p;
+    return undo->extra + 2 * at(sides->late, travel > 0 ? (uint32_t)travel : 0, sides->step_log2);
 }
 
-TL_FAST int32_t tl_undo_widen(tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t p) {
+// The motor's speed is p's but for the take-up, which is over before anything of it is seen.
+TL_FAST void tl_undo_tick(tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t p) {
+    const tl_table_speed_t *speed = &lookup->table.speed;
     const int32_t by = p - undo->p; // both within the range
     undo->p = p;
-    if (HAS(lookup, speed) && (by != 0 || lookup->table.speed.held == 0)) {
+    approach(&undo->moved.offset);
+    approach(&undo->moved.scale);
+    approach(&undo->moved.gain);
+    if (HAS(lookup, speed) && (by != 0 || speed->held == 0)) {
         const int32_t off = tl_clamp(by, -undo->step_max, undo->step_max) * undo->rate_hz - undo->speed_q8;
         const uint32_t share = undo->speed_share_q16;
         undo->speed_q8 += (off >> 16) * (int32_t)share + (int32_t)(((uint32_t)off & 0xFFFFU) * share >> 16);
+        undo->extra = at(speed->extra, size_of(undo->speed_q8), speed->step_log2);
     }
-    return tl_undo_wider(undo, lookup, p);
 }
 
 TL_FAST int32_t tl_undo_scaled(const tl_undo_t *undo, int32_t width) {
@@ -221,11 +210,32 @@ TL_FAST tl_count_q8_t tl_undo_pushing(const tl_undo_t *undo, const tl_lookup_t *
 
 // -- beginning ---------------------------------------------------------------------------------------------------
 
+static tl_factor_t factor_of(int32_t value, uint32_t log2_least) {
+    const uint32_t bits = tl_bits(size_of(value));
+    const uint32_t log2 = bits > 11U + log2_least ? bits - 11U : log2_least;
+    const int32_t rounded = (int32_t)(((int64_t)value + ((int64_t)1 << log2 >> 1)) >> log2);
+    return (tl_factor_t){(int16_t)tl_clamp(rounded, -2047, 2047), (uint8_t)log2};
+}
+
+// A rest of `most` leads by 2^28 at most. After COARSE_US nothing is so steep that a sixteenth of a count matters.
+static tl_follower_t follower_of(int32_t share_q32, int32_t gain_q16, int32_t time_us) {
+    const tl_factor_t share = factor_of(share_q32, 1U), gain = factor_of(gain_q16, 0);
+    const uint32_t coarse = time_us >= COARSE_US && gain.log2 <= 11U ? 4U : 0, lead_down = 16U - gain.log2 - coarse;
+    const int64_t most = ((int64_t)1 << 28 << lead_down) / (gain.value != 0 ? (int64_t)size_of(gain.value) : 1);
+    return (tl_follower_t){.most = most < SHORT_MOST ? (int32_t)most : SHORT_MOST,
+                           .share = share.value,
+                           .gain = gain.value,
+                           .coarse = (uint8_t)coarse,
+                           .up = (uint8_t)(share.log2 + coarse),
+                           .down = (uint8_t)(32U - share.log2),
+                           .lead_down = (uint8_t)lead_down};
+}
+
 // 1 / (time in ticks + 1/2) is 1 - exp(-1 / ticks) to its third order, Q32 less one.
 static uint32_t share_of_tick(int32_t time_us, uint32_t rate_hz) {
     const uint64_t halves = 2U * (uint64_t)(uint32_t)time_us * rate_hz;
     const uint64_t share = ((uint64_t)2000000 << 32) / (halves + 1000000U);
-    return share > UINT32_MAX ? UINT32_MAX : (uint32_t)share;
+    return share > INT32_MAX ? INT32_MAX : (uint32_t)share; // half of the rest at most
 }
 
 void tl_undo_start(tl_undo_t *undo, const tl_lookup_t *lookup, uint32_t rate_hz) {
@@ -236,11 +246,13 @@ void tl_undo_start(tl_undo_t *undo, const tl_lookup_t *lookup, uint32_t rate_hz)
     moved.gain.now = moved.gain.goal;
     *undo = (tl_undo_t){.moved = moved, .rate_hz = (int32_t)rate_hz, .step_max = MOST / (int32_t)rate_hz};
     for (uint32_t i = 0; i < TL_TABLE_LATE_MAX && table->late.time_us[i] != 0; i++) {
-        undo->late[i].share_q32 = share_of_tick(table->late.time_us[i], rate_hz);
+        const int32_t time_us = table->late.time_us[i];
+        undo->late[i] = follower_of((int32_t)share_of_tick(time_us, rate_hz), table->late.gain_q16[i], time_us);
     }
-    undo->speed_share_q16 = (share_of_tick(table->speed.time_us, rate_hz) >> 16) + 1U;
+    undo->speed_share_q16 = table->speed.time_us == 0 ? 65536U : share_of_tick(table->speed.time_us, rate_hz) >> 16;
     for (uint32_t i = 0; i < TL_TABLE_JOINTS; i++) {
-        undo->carried[i] = tl_clamp(moved.joint[i], -CARRIED_MAX, CARRIED_MAX);
+        undo->carried[i] = moved.joint[i];
+        undo->slope_q28[i] = factor_of(table->joints.slope[i], 0);
     }
     undo->active = (table->has & ~(uint32_t)TL_TABLE_HAS_adapt) != 0 ||
                    (moved.offset.now | moved.scale.now | moved.gain.now) != 0;
@@ -249,6 +261,7 @@ void tl_undo_start(tl_undo_t *undo, const tl_lookup_t *lookup, uint32_t rate_hz)
 void tl_undo_rest(tl_undo_t *undo, tl_count_q8_t p) {
     undo->p = p;
     for (uint32_t i = 0; i < TL_TABLE_LATE_MAX; i++) {
-        undo->late[i].at_q40 = (int64_t)p * ((int64_t)1 << 32);
+        undo->late[i].at = p;
+        undo->late[i].more = (uint32_t)1 << 31; // half of a Q8 count: rests are rounded
     }
 }

@@ -9,13 +9,14 @@ TL_FAST void tl_compensator_hear(tl_compensator_t *k, tl_deg_q16_t c) {
     k->angle = tl_undo_angle(&k->undo, k->lookup, c);
 }
 
-TL_FAST tl_count_q8_t tl_undoing_goal(tl_compensator_t *k, tl_count_q8_t goal) {
-    return tl_clamp(tl_undo_late(&k->undo, k->lookup, goal), k->low, k->high);
+TL_FAST void tl_undoing_feed(tl_compensator_t *k) {
+    const tl_count_q8_t goal = on_curve(k, k->angle, &k->feed_flags);
+    seek(k, tl_clamp(tl_undo_late(&k->undo, goal), k->low, k->high));
 }
 
 // What the sections add to half the width now, on this side.
 static TL_FAST inline void widen(tl_compensator_t *k) {
-    k->wider = half_of(k, (uint32_t)tl_undo_widen(&k->undo, k->lookup, k->p));
+    k->wider = half_of(k, (uint32_t)tl_undo_wider(&k->undo, k->lookup, k->p));
 }
 
 static TL_FAST void turn_one(tl_compensator_t *k) {
@@ -51,7 +52,7 @@ TL_FAST void tl_undoing_turn(tl_compensator_t *k) {
 }
 
 TL_FAST tl_count_q8_t tl_compensator_reach(tl_compensator_t *k) {
-    tl_undo_tick(&k->undo);
+    tl_undo_tick(&k->undo, k->lookup, k->p);
     const tl_count_q8_t reading = tl_undo_reading(&k->undo, k->lookup, k->q), last = k->reading;
     const tl_count_q8_t low = last < k->low ? last : k->low, high = last > k->high ? last : k->high;
     return k->reading = tl_clamp(reading, low, high);

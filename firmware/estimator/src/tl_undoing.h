@@ -5,8 +5,9 @@
 
 #include "tautline/tl_compensator.h"
 
-/// In tl_compensator_feed(): where p has to go for the tip to go to `goal`.
-tl_count_q8_t tl_undoing_goal(tl_compensator_t *compensator, tl_count_q8_t goal);
+/// In tl_compensator_feed(): where p has to go, for the tip to get to where f would have it by what tl_compensator_hear()
+/// found.
+void tl_undoing_feed(tl_compensator_t *compensator);
 
 /// In tl_compensator_turn(), in place of what one play or several do there.
 void tl_undoing_turn(tl_compensator_t *compensator);

@@ -76,6 +76,7 @@ typedef struct {
     const tl_lookup_t *lookup;     ///< must outlive the compensator or the next set_table
     tl_count_q8_t low, high, band; ///< the table's q_min, q_max and band
     bool several;                  ///< the table has several plays
+    bool by_curve;                 ///< in TL_MODE_FULL, with nothing but the play and the curve to undo
     bool undoes;                   ///< it has further sections or was moved, and the mode is for them
     bool moved;                    ///< and p has moved them in this tick
     bool turns;                    ///< and turned

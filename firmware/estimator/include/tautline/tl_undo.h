@@ -32,10 +32,20 @@ typedef struct {
     tl_count_q8_t joint[TL_TABLE_JOINTS]; ///< where the other axes of section 7 are
 } tl_moved_t;
 
-/// What a first-order filter has of its input: Q8 with 32 bits more, and the share of the rest that it takes a tick.
+/// A factor of 11 bits and a sign: value * 2^log2.
 typedef struct {
-    int64_t at_q40;
-    uint32_t share_q32;
+    int16_t value;
+    uint8_t log2;
+} tl_factor_t;
+
+/// What follows p in first order, and leads it: Q8 with 32 bits more. Rests are taken `coarse` bits shorter where the
+/// time is long, and no longer than `most`.
+typedef struct {
+    int32_t at;
+    uint32_t more;
+    int32_t most;
+    int16_t share, gain; ///< of the rest, by 2^-down and 2^-lead_down
+    uint8_t coarse, up, down, lead_down;
 } tl_follower_t;
 
 typedef struct {
@@ -43,12 +53,14 @@ typedef struct {
     tl_moved_t moved;
     tl_follower_t late[TL_TABLE_LATE_MAX];
     int32_t speed_q8; ///< of p, filtered, counts/s
+    int32_t extra;    ///< width at that speed
     uint32_t speed_share_q16;
     int32_t rate_hz, step_max; ///< Q8 counts a tick that are a speed still
     tl_count_q8_t p;         ///< of the last tick
     int32_t side;            ///< that the motor pushes on since it last turned
     tl_count_q8_t turned_at; ///< where p turned
-    tl_count_q8_t carried[TL_TABLE_JOINTS]; ///< where other axes have carried the tip
+    tl_count_q8_t carried[TL_TABLE_JOINTS]; ///< where other axes have carried the tip,
+    tl_factor_t slope_q28[TL_TABLE_JOINTS]; ///< by so much for each count
 } tl_undo_t;
 
 /// Begins, with `moved` as it is at the end of its way. tl_undo_rest(): the tip rests at p.
@@ -66,21 +78,19 @@ void tl_undo_forget(tl_undo_t *undo);
 /// The load is `load`, mNm Q8, within `ticks` or longer. Without section 6 nothing happens.
 void tl_undo_load(tl_undo_t *undo, const tl_lookup_t *lookup, int32_t load, uint32_t ticks);
 
-/// The ramps' tick.
-void tl_undo_tick(tl_undo_t *undo);
+/// The tick of the ramps, and of the speed: p has moved to `p` since the last.
+void tl_undo_tick(tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t p);
 
 /// The angle that f has to give for c.
 tl_deg_q16_t tl_undo_angle(tl_undo_t *undo, const tl_lookup_t *lookup, tl_deg_q16_t c);
 
 /// Where p has to be for the tip to be where p would have it, were nothing late.
-tl_count_q8_t tl_undo_late(tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t p);
+tl_count_q8_t tl_undo_late(tl_undo_t *undo, tl_count_q8_t p);
 
 /// p has turned at `p` and now goes to `side`.
 void tl_undo_turned(tl_undo_t *undo, tl_count_q8_t p, int32_t side);
 
-/// What is to be added to the width on the side that pushes, p having moved to `p` in a tick. tl_undo_wider() is for
-/// that p again.
-int32_t tl_undo_widen(tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t p);
+/// What is to be added to the width at p on the side that pushes.
 int32_t tl_undo_wider(const tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t p);
 
 /// A width as it now is.
