@@ -92,7 +92,7 @@ def test_lag_of_one_stage_and_two(lag: float, second: float) -> None:
     v = dict(lag=lag, lag_second=second if len(stages) == 2 else 0.0)
     if len(stages) == 1:
         v["lag"] = stages[0]
-    assert_undone("transmission.lag", v, Plant(0.4, lag=stages), 1.5 + 50.0 * lag, speed=0.6)
+    assert_undone("transmission.lag", v, Plant(0.4, lag=stages), 1.0 + 40.0 * lag, speed=0.6)
 
 
 @few

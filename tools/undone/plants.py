@@ -16,7 +16,7 @@ Array = npt.NDArray[np.float64]
 ENCODER = "actuator.encoder_periodic"
 # Effect -> how the second instrument does it, at three strengths. Lengths in mm of its 10 mm of range.
 STRENGTHS: Mapping[str, tuple[Mapping[str, float], ...]] = {
-    ENCODER: tuple({"encoder_period": 0.8, "encoder_error": e, "encoder_phase": 0.7} for e in (0.015, 0.03, 0.06)),
+    ENCODER: tuple({"encoder_period": 0.8, "encoder_error": e, "encoder_phase": 0.7} for e in (0.0075, 0.015, 0.03)),
     "transmission.smooth_onset": tuple({"softness": s} for s in (0.3, 0.6, 0.9)),
     "transmission.asymmetric_backlash": tuple({"latch": v, "latch_travel": 0.6} for v in (0.08, -0.15, 0.3)),
     "transmission.rate_dependent_backlash": tuple({"viscosity": v, "speed_scale": 6.0} for v in (0.03, 0.06, 0.12)),

@@ -36,15 +36,15 @@ static TL_FAST inline bool turned(tl_compensator_t *k) {
     return ahead > k->band || ahead < -k->band;
 }
 
-// p* for c by f, within [q_min, q_max]. The end's flags have the look-up's values.
+// p* for c by f, within [q_min, q_max]. The end's flags have the look-up's values: what it said is said again.
 static TL_FAST inline tl_count_q8_t on_curve(const tl_compensator_t *k, tl_deg_q16_t c, uint32_t *flags) {
     const tl_count_q8_t p = tl_lookup_angle_inverse(k->lookup, c, flags);
     if (p < k->low) {
-        *flags |= TL_COMPENSATOR_BELOW;
+        *flags = TL_COMPENSATOR_BELOW;
         return k->low;
     }
     if (p > k->high) {
-        *flags |= TL_COMPENSATOR_ABOVE;
+        *flags = TL_COMPENSATOR_ABOVE;
         return k->high;
     }
     return p;

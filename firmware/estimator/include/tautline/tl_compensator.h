@@ -79,7 +79,6 @@ typedef struct {
     bool by_curve;                 ///< in TL_MODE_FULL, with nothing but the play and the curve to undo
     bool undoes;                   ///< it has further sections or was moved, and the mode is for them
     bool moved;                    ///< and p has moved them in this tick
-    bool turns;                    ///< and turned
     uint32_t flags;                ///< of the last whole tick
     uint32_t feed_flags;           ///< of its first part
     uint32_t mode;                 ///< tl_mode_t
@@ -100,6 +99,7 @@ typedef struct {
     tl_takeup_t takeup; ///< e
     uint32_t rate_hz;
     // Of several plays:
+    bool turns;                       ///< p has turned in this tick
     int32_t offset;                   ///< q* - p* - e, before the strength
     int32_t centre;                   ///< Y(p*)
     int32_t apart;                    ///< x - y
