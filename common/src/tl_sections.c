@@ -9,7 +9,7 @@ enum { STEP_LOG2_MAX = 22, PERIOD_LOG2_MIN = 8, PERIOD_LOG2_MAX = 26, PLAYS_MIN 
 #define WEIGHT_ALL       65536U             // Q16
 #define SHARE_ERROR_MAX  ((int64_t)1 << 28) // of the sum of shares, Q44: 2^-16
 #define HALF_LOG2        26                 // of an element's half width, in Y's unit
-#define PLACE_MAX ((int32_t)1 << 24) // a distance, Q8 counts: 65536 counts
+#define PLACE_MAX        ((int32_t)1 << 24) // a distance, Q8 counts: 65536 counts
 
 // Sections of words: where they are in a table.
 static const struct words {
@@ -191,7 +191,8 @@ static bool is_speed(const tl_table_t *t) {
             return false;
         }
     }
-    return !tl_outside(s->step_log2, 0, STEP_LOG2_MAX) && !tl_outside(s->time_us, 0, 10000000) && !tl_outside(s->held, 0, 1);
+    return !tl_outside(s->step_log2, 0, STEP_LOG2_MAX) && !tl_outside(s->time_us, 0, 10000000) &&
+           !tl_outside(s->held, 0, 1);
 }
 
 static bool is_late(const tl_table_t *t) {

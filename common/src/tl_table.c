@@ -125,7 +125,8 @@ static tl_table_reason_t check_header(const tl_table_t *t, uint8_t axis) {
     if (t->step_log2 > TL_TABLE_STEP_LOG2_MAX) {
         return TL_TABLE_BAD_STEP;
     }
-    if (tl_beyond(t->q0) || tl_beyond(t->q_min) || tl_beyond(t->q_max) || tl_beyond(t->coarse_c_min) || tl_beyond(t->coarse_c_max)) {
+    if (tl_beyond(t->q0) || tl_beyond(t->q_min) || tl_beyond(t->q_max) || tl_beyond(t->coarse_c_min) ||
+        tl_beyond(t->coarse_c_max)) {
         return TL_TABLE_BAD_SATURATES;
     }
     if (t->q_min >= t->q_max) {

@@ -72,9 +72,8 @@ void bind_play_fixed(nb::module_ &m) {
             "set_table",
             [](tl_compensator_t &self, const FixedTable &table) { tl_compensator_set_table(&self, &table.lookup); },
             nb::arg("table"), nb::keep_alive<1, 2>())
-        .def(
-            "adapt", &tl_compensator_adapt, nb::arg("offset"), nb::arg("scale_q15"), nb::arg("ticks"),
-            "moves the table by an offset and its width by a scale; whether its limits allow that")
+        .def("adapt", &tl_compensator_adapt, nb::arg("offset"), nb::arg("scale_q15"), nb::arg("ticks"),
+             "moves the table by an offset and its width by a scale; whether its limits allow that")
         .def("load", &tl_compensator_load, nb::arg("load"), nb::arg("ticks"), "the load, mNm Q8")
         .def(
             "joint",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -195,7 +196,7 @@ def _fewer(width: Array, weight: Array) -> Elements:
         w, first, second = sums[:, j] - sums[:, i]
         return float(second - first * first / w)
 
-    best = {(0, 0): (0.0, (0,))}
+    best: dict[tuple[int, int], tuple[float, tuple[int, ...]]] = {(0, 0): (0.0, (0,))}
     for lots in range(1, _PLAYS + 1):
         for end in range(1, n + 1):
             found = [
@@ -208,7 +209,7 @@ def _fewer(width: Array, weight: Array) -> Elements:
             if found:
                 best[lots, end] = min(found)
     _, ends = min(best[lots, n] for lots in range(1, _PLAYS + 1) if (lots, n) in best)
-    parts = [(sums[:, j] - sums[:, i])[:2] for i, j in zip(ends, ends[1:], strict=False)]
+    parts = [(sums[:, j] - sums[:, i])[:2] for i, j in itertools.pairwise(ends)]
     means = np.array([first / w for w, first in parts])
     shares = np.array([w for w, _ in parts])
     keep = np.concatenate([[True], np.diff(means) > 1e-9])

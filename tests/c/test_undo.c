@@ -96,8 +96,8 @@ static void test_a_table_is_blended_in_without_a_jump(void) {
     begin();
     const int32_t c = 10 * TL_DEG_ONE;
     arrive(c);
-    const double before = goal(), width = (double)tl_lookup_width(&app.axes[0].tip.lookup, app.axes[0].tip.compensator.p,
-                                                                   &(uint32_t){0}) /
+    const double before = goal(), width = (double)tl_lookup_width(&app.axes[0].tip.lookup,
+                                                                  app.axes[0].tip.compensator.p, &(uint32_t){0}) /
                                           TL_COUNT_ONE;
     TEST_ASSERT_EQUAL(0, adapt(OFFSET, TL_RATIO_ONE, 500));
     TEST_ASSERT_TRUE(largest_step(c, 250) <= 1.0);

@@ -54,19 +54,17 @@ def assert_undone(effect: str, parameters: dict[str, Any], plant: Plant, counts:
 
 
 @few
-@given(
-    st.floats(-12.0, 12.0), st.floats(4.0, 12.0), st.floats(-4.0, 4.0), st.floats(-4.0, 4.0), st.floats(0.25, 1.5)
-)
+@given(st.floats(-12.0, 12.0), st.floats(4.0, 12.0), st.floats(-4.0, 4.0), st.floats(-4.0, 4.0), st.floats(0.25, 1.5))
 def test_an_encoder_that_errs_once_a_turn(a: float, b: float, a2: float, b2: float, turn: float) -> None:
     a, b, a2, b2 = (v * COUNT for v in (a, b, a2, b2))
-    v = dict(encoder_sin=a, encoder_cos=b, encoder_sin2=a2, encoder_cos2=b2, encoder_period=turn)
+    v = {"encoder_sin": a, "encoder_cos": b, "encoder_sin2": a2, "encoder_cos2": b2, "encoder_period": turn}
     assert_undone("actuator.encoder_periodic", v, Plant(0.4, encoder=(a, b, a2, b2, turn)), 0.6)
 
 
 @few
 @given(st.sampled_from([-1, 1]), st.floats(0.08, 0.2), st.floats(0.15, 0.5))
 def test_a_side_that_starts_later_and_catches_up(side: int, late: float, travel: float) -> None:
-    v = dict(asymmetry=side * late, asymmetry_travel=travel, asymmetry_form=1.0)
+    v = {"asymmetry": side * late, "asymmetry_travel": travel, "asymmetry_form": 1.0}
     plant = Plant(0.4, side=side, late=late, travel=travel)
     assert_undone("transmission.asymmetric_backlash", v, plant, 2.0)
 
@@ -75,7 +73,7 @@ def test_a_side_that_starts_later_and_catches_up(side: int, late: float, travel:
 @given(st.floats(0.02, 0.05), st.floats(0.03, 0.1))
 def test_a_width_that_grows_with_the_speed(per_speed: float, time: float) -> None:
     """The plant's width knows the motor's speed, the section's that of p: apart while the backlash is crossed."""
-    v = dict(width_per_speed=per_speed, speed_exponent=1.0, speed_time=time, width_held=1.0)
+    v = {"width_per_speed": per_speed, "speed_exponent": 1.0, "speed_time": time, "width_held": 1.0}
     t = np.arange(0.0, 9.0, 0.002)
     c = 20.0 * (np.abs((0.11 * t) % 1.0 * 4.0 - 2.0) - 1.0)
     own = model(0.4, "transmission.rate_dependent_backlash", **v)
@@ -89,7 +87,7 @@ def test_a_width_that_grows_with_the_speed(per_speed: float, time: float) -> Non
 @given(st.floats(0.02, 0.15), st.floats(0.0, 0.5))
 def test_lag_of_one_stage_and_two(lag: float, second: float) -> None:
     stages = tuple(s for s in (lag * (1.0 - second), lag * second) if s > 1e-3)
-    v = dict(lag=lag, lag_second=second if len(stages) == 2 else 0.0)
+    v = {"lag": lag, "lag_second": second if len(stages) == 2 else 0.0}
     if len(stages) == 1:
         v["lag"] = stages[0]
     assert_undone("transmission.lag", v, Plant(0.4, lag=stages), 1.0 + 40.0 * lag, speed=0.6)
@@ -98,7 +96,7 @@ def test_lag_of_one_stage_and_two(lag: float, second: float) -> None:
 @few
 @given(st.floats(0.05, 0.3), st.floats(0.5, 3.0), st.floats(0.0, 0.5))
 def test_creep_of_two_times(share: float, time: float, slow: float) -> None:
-    v = dict(creep_share=share, creep_time=time, creep_slow=slow)
+    v = {"creep_share": share, "creep_time": time, "creep_slow": slow}
     elements = ((share * (1.0 - slow), time), (share * slow, 5.0 * time))
     assert_undone("transmission.creep", v, Plant(0.4, creep=elements), 1.5)
 
@@ -152,7 +150,7 @@ def test_another_axis_moves_the_angle() -> None:
 @given(st.floats(0.1, 0.9), st.floats(0.0, 1.0))
 def test_a_gradual_onset_becomes_elements(spread: float, tail: float) -> None:
     """Their half widths, weighed, are those of the spread thresholds to the fourth part of a seventh of their reach."""
-    v = dict(onset_spread=spread, onset_tail=tail)
+    v = {"onset_spread": spread, "onset_tail": tail}
     elements = onset_elements(model(0.4).elements, v)
     lots, share = _native.onset_lots(v)
     x = np.linspace(0.0, lots.max() * 1.1, 200)
@@ -182,7 +180,9 @@ def test_a_table_is_moved_without_a_jump_and_arrives(offset: float, scale: float
     steps = np.flatnonzero(np.abs(np.diff(blended)) > 0.0)
     assert steps.max(initial=0) <= max(ticks, 2 * abs(offset) / COUNT, 2048 * abs(scale - 1.0)) + 1
     after = board.run(deg(want[3000:]))[0]
-    tip = Plant(0.4, offset=offset, scale=scale).run(np.concatenate([first, rest, blended[1:] * 256.0, after]) * COUNT / 256)
+    tip = Plant(0.4, offset=offset, scale=scale).run(
+        np.concatenate([first, rest, blended[1:] * 256.0, after]) * COUNT / 256
+    )
     off = (tip[-len(after) :] - want[3000:])[3000:] / COUNTS
     assert np.sqrt(np.mean(off**2)) < 0.6
 
@@ -203,7 +203,7 @@ def test_nobody_moves_a_table_further_than_it_says() -> None:
 
 def test_sections_travel() -> None:
     own = model(0.4, "transmission.lag", lag=0.05, lag_second=0.3)
-    encoder = Effect("actuator.encoder_periodic", dict(encoder_sin=0.01, encoder_period=0.4))
+    encoder = Effect("actuator.encoder_periodic", {"encoder_sin": 0.01, "encoder_period": 0.4})
     own = replace(own, effects=(*own.effects, encoder))
     read = tables.decode(tables.encode(own, limits=LIMITS))
     assert read.limits.adapt == pytest.approx(LIMITS.adapt, abs=1e-4)
@@ -226,20 +226,20 @@ def test_a_model_without_effects_is_the_table_that_it_was() -> None:
 @pytest.mark.parametrize(
     ("section", "reason"),
     [
-        ({"encoder": dict(period_q12=4096 * 100, sine=256 * 8, cosine=0, sine2=0, cosine2=0)}, "ENCODER"),
-        ({"encoder": dict(period_q12=0, sine=0, cosine=0, sine2=0, cosine2=0)}, "ENCODER"),
-        ({"sides": dict(side=0, step_log2=4, late=[0] * 17)}, "SIDES"),
-        ({"sides": dict(side=1, step_log2=4, late=[17, *[0] * 16])}, "SIDES"),
-        ({"sides": dict(side=1, step_log2=4, late=[0, 1, *[0] * 15])}, "SIDES"),
-        ({"speed": dict(step_log2=4, time_us=0, held=0, extra=[-1, *[0] * 16])}, "SPEED"),
-        ({"speed": dict(step_log2=23, time_us=0, held=0, extra=[0] * 17)}, "SPEED"),
-        ({"late": dict(gain_q16=[1, 0, 0, 0], time_us=[0, 0, 0, 0])}, "LATE"),
-        ({"late": dict(gain_q16=[1, 0, 0, 0], time_us=[999, 0, 0, 0])}, "LATE"),
-        ({"load": dict(reference=0, width=1 << 25, gain=0, offset=0, middle=0)}, "LOAD"),
-        ({"joints": dict(axis=[1, 0, 0], play=[0, 0, 0], slope=[0, 0, 0])}, "JOINTS"),
-        ({"joints": dict(axis=[5, 0, 0], play=[0, 0, 0], slope=[0, 0, 0])}, "JOINTS"),
-        ({"adapt": dict(offset=-1, width_least_q15=0, width_most_q15=32768)}, "ADAPT"),
-        ({"adapt": dict(offset=0, width_least_q15=0, width_most_q15=32767)}, "ADAPT"),
+        ({"encoder": {"period_q12": 4096 * 100, "sine": 256 * 8, "cosine": 0, "sine2": 0, "cosine2": 0}}, "ENCODER"),
+        ({"encoder": {"period_q12": 0, "sine": 0, "cosine": 0, "sine2": 0, "cosine2": 0}}, "ENCODER"),
+        ({"sides": {"side": 0, "step_log2": 4, "late": [0] * 17}}, "SIDES"),
+        ({"sides": {"side": 1, "step_log2": 4, "late": [17, *[0] * 16]}}, "SIDES"),
+        ({"sides": {"side": 1, "step_log2": 4, "late": [0, 1, *[0] * 15]}}, "SIDES"),
+        ({"speed": {"step_log2": 4, "time_us": 0, "held": 0, "extra": [-1, *[0] * 16]}}, "SPEED"),
+        ({"speed": {"step_log2": 23, "time_us": 0, "held": 0, "extra": [0] * 17}}, "SPEED"),
+        ({"late": {"gain_q16": [1, 0, 0, 0], "time_us": [0, 0, 0, 0]}}, "LATE"),
+        ({"late": {"gain_q16": [1, 0, 0, 0], "time_us": [999, 0, 0, 0]}}, "LATE"),
+        ({"load": {"reference": 0, "width": 1 << 25, "gain": 0, "offset": 0, "middle": 0}}, "LOAD"),
+        ({"joints": {"axis": [1, 0, 0], "play": [0, 0, 0], "slope": [0, 0, 0]}}, "JOINTS"),
+        ({"joints": {"axis": [5, 0, 0], "play": [0, 0, 0], "slope": [0, 0, 0]}}, "JOINTS"),
+        ({"adapt": {"offset": -1, "width_least_q15": 0, "width_most_q15": 32768}}, "ADAPT"),
+        ({"adapt": {"offset": 0, "width_least_q15": 0, "width_most_q15": 32767}}, "ADAPT"),
     ],
 )
 def test_sections_that_say_nonsense_are_refused(section: dict[str, Any], reason: str) -> None:
@@ -252,13 +252,13 @@ def test_sections_that_say_nonsense_are_refused(section: dict[str, Any], reason:
 def test_what_is_undone_is_said_of_the_effects() -> None:
     """An effect that becomes a section says so; what the board cannot take away does not."""
     strong = {
-        "actuator.encoder_periodic": dict(encoder_sin=0.01, encoder_period=0.4),
-        "transmission.asymmetric_backlash": dict(asymmetry=0.1, asymmetry_travel=0.3),
-        "transmission.rate_dependent_backlash": dict(width_per_speed=0.05),
-        "transmission.lag": dict(lag=0.05),
-        "transmission.creep": dict(creep_share=0.1, creep_time=1.0),
-        "transmission.load_dependence": dict(offset_per_load=0.01),
-        "transmission.smooth_onset": dict(onset_spread=0.3),
+        "actuator.encoder_periodic": {"encoder_sin": 0.01, "encoder_period": 0.4},
+        "transmission.asymmetric_backlash": {"asymmetry": 0.1, "asymmetry_travel": 0.3},
+        "transmission.rate_dependent_backlash": {"width_per_speed": 0.05},
+        "transmission.lag": {"lag": 0.05},
+        "transmission.creep": {"creep_share": 0.1, "creep_time": 1.0},
+        "transmission.load_dependence": {"offset_per_load": 0.01},
+        "transmission.smooth_onset": {"onset_spread": 0.3},
     }
     for name, parameters in strong.items():
         own, sections = undone(model(0.4, name, **parameters))

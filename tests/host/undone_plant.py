@@ -1,4 +1,4 @@
-"""A small instrument with one effect at a time, in float64 and one sample after the other: none of the package's code."""
+"""A small instrument with one effect at a time, in float64, a sample after the other: none of the package's code."""
 
 from __future__ import annotations
 

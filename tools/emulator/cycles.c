@@ -11,7 +11,21 @@
 #include "tautline/tl_axis_watch.h"
 #include "tautline/tl_onset.h"
 
-enum { STEP_TIP, STEP_OTHER, WATCH, GUARD, MOTION, ONSET, STEP_PLAYS, WATCH_PLAYS, STEP_UNDOES, WATCH_UNDOES, LOOKUP, LOOKUP_YARDSTICK, EMPTY };
+enum {
+    STEP_TIP,
+    STEP_OTHER,
+    WATCH,
+    GUARD,
+    MOTION,
+    ONSET,
+    STEP_PLAYS,
+    WATCH_PLAYS,
+    STEP_UNDOES,
+    WATCH_UNDOES,
+    LOOKUP,
+    LOOKUP_YARDSTICK,
+    EMPTY
+};
 enum { TABLES = 90, PLAY_TABLES = 45, TICKS = 300, RATE_HZ = 5000, MOTIONS = 600, REVERSALS = 500 };
 
 #define BEGIN(kind)                                                                                                    \

@@ -57,7 +57,9 @@ def learnt(model: Model, name: str, values: Mapping[str, float]) -> Effect:
     own = [p for p in kind.parameters if not (p.name in ("c_per_rotation", "offset_at_tip") or p.searched)]
     unit = np.array([p.scale * (span if p.unit.startswith("unit") else 1.0) for p in own])
     low, high = (np.array([getattr(p, end) for p in own]) / 1.0 for end in ("low", "high"))
-    fixed = {p.name: p.shape[-1] for p in kind.shapes if p.searched} | ({"offset_at_tip": 0.0} if "offset" in name else {})
+    fixed = {p.name: p.shape[-1] for p in kind.shapes if p.searched} | (
+        {"offset_at_tip": 0.0} if "offset" in name else {}
+    )
 
     def off(x: Array) -> Array:
         v = dict(zip((p.name for p in own), (x * unit).tolist(), strict=True)) | fixed
@@ -66,7 +68,10 @@ def learnt(model: Model, name: str, values: Mapping[str, float]) -> Effect:
     best = None
     starts = [[s * (span if p.unit.startswith("unit") else 1.0) for s in p.shape] or [0.0] for p in own]
     if name == ENCODER:  # a turn is looked for by `taut diagnose`; here it is nearly known
-        starts = [[1.01 * values["encoder_period"]] if p.name == "encoder_period" else s for p, s in zip(own, starts)]
+        starts = [
+            [1.01 * values["encoder_period"]] if p.name == "encoder_period" else s
+            for p, s in zip(own, starts, strict=False)
+        ]
     for first in itertools.islice(itertools.product(*starts), 4):
         for way in (1.0, -1.0) if own[0].one_way else (1.0,):
             begin = np.array(first)
@@ -107,7 +112,7 @@ def tip_off(model: Model, values: Mapping[str, float], t: Array, c_deg: Array) -
 @click.option("--effect", "only", multiple=True, help="Part of an effect's name; all without.")
 @click.option("--seconds", default=40.0, show_default=True, help="Of the trajectory that is scored.")
 def main(only: tuple[str, ...], seconds: float) -> None:
-    """The tip's error, deg rms: old tables, new ones, and with the effect away, which is what its true inverse leaves."""
+    """The tip's error, deg rms: old tables, new ones, and without the effect, as its true inverse would leave it."""
     plant = instrument()
     model = model_of(plant.grid, plant.width, plant.c_deg, plant.rig)
     planned = trajectory.random_smooth(Actuator("deg", (-38.0, 38.0), 1e-3), 15.0, seconds, 3)

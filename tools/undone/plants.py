@@ -1,4 +1,4 @@
-"""The second instrument (tautline.blindtest.reality) under a motor that a controller drives: readings in, angles out."""
+"""The second instrument (tautline.blindtest.reality) under a motor that is driven: readings in, angles out."""
 
 from __future__ import annotations
 
@@ -46,7 +46,9 @@ def shaft(truth: Truth, reading: Array) -> Array:
     return q
 
 
-def moved(plant: Plant, values: Mapping[str, float], t: Array, reading: Array, load: Array, translation: Array) -> Array:
+def moved(
+    plant: Plant, values: Mapping[str, float], t: Array, reading: Array, load: Array, translation: Array
+) -> Array:
     """The tip's angle, deg."""
     truth = Truth(values)
     motion = Trajectory(t, shaft(truth, reading), translation_mm=translation)

@@ -57,8 +57,8 @@
 ///                period, G(p + B/2) - G(p - B/2) = 1; strictly rising, within +-2^29; B is taken as `narrow` where it
 ///                is less
 ///
-/// Further sections, in which the compensator finds what else it is to undo (tl_undo.h). Each is a row of 32-bit words in
-/// the order of its list below; at most one of each, in the order of their numbers.
+/// Further sections, in which the compensator finds what else it is to undo (tl_undo.h). Each is a row of 32-bit words
+/// in the order of its list below; at most one of each, in the order of their numbers.
 ///
 /// Section 2, `encoder`: a once-per-turn error of the measured position. The shaft is at x where the encoder reads q,
 /// x = q + e(x), e = sine sin a + cosine cos a + sine2 sin 2a + cosine2 cos 2a, a = 2 pi x / period.
@@ -107,8 +107,8 @@ extern "C" {
     (TL_TABLE_SIZE(TL_TABLE_NODES_MAX) + 4U + TL_TABLE_PLAYS_SIZE(TL_TABLE_NODES_MAX) + TL_TABLE_WORDS_SIZE)
 #define TL_TABLE_ANY_AXIS 0xFFU
 /// Positions, position -+ B/2 and angles stay within +-TL_TABLE_VALUE_MAX, so that differences never overflow.
-#define TL_TABLE_VALUE_MAX  ((int32_t)0x3FFFFFFF)
-#define TL_TABLE_CENTRE_MAX ((int32_t)1 << 29) ///< of Y
+#define TL_TABLE_VALUE_MAX        ((int32_t)0x3FFFFFFF)
+#define TL_TABLE_CENTRE_MAX       ((int32_t)1 << 29) ///< of Y
 #define TL_TABLE_ENCODER_MAX      ((int32_t)1 << 17) ///< of all amplitudes of an encoder's error: 512 counts, Q8
 #define TL_TABLE_ADAPT_OFFSET_MAX ((int32_t)1 << 22) ///< Q8 counts: 16384
 
@@ -132,15 +132,15 @@ typedef enum { TL_UNIT_MM = 0, TL_UNIT_DEG = 1 } tl_unit_t;
 
 #define TL_TABLE_ENCODER(FIELD, ARRAY) FIELD(period_q12) FIELD(sine) FIELD(cosine) FIELD(sine2) FIELD(cosine2)
 #define TL_TABLE_SIDES(FIELD, ARRAY)   FIELD(side) FIELD(step_log2) ARRAY(late, TL_TABLE_LAST + 1U)
-#define TL_TABLE_SPEED(FIELD, ARRAY)                                                                                   \
-    FIELD(step_log2) FIELD(time_us) FIELD(held) ARRAY(extra, TL_TABLE_LAST + 1U)
-#define TL_TABLE_LATE(FIELD, ARRAY)  ARRAY(gain_q16, TL_TABLE_LATE_MAX) ARRAY(time_us, TL_TABLE_LATE_MAX)
-#define TL_TABLE_LOAD(FIELD, ARRAY)  FIELD(reference) FIELD(width) FIELD(gain) FIELD(offset) FIELD(middle)
-#define TL_TABLE_JOINT(FIELD, ARRAY) ARRAY(axis, TL_TABLE_JOINTS) ARRAY(play, TL_TABLE_JOINTS) ARRAY(slope, TL_TABLE_JOINTS)
+#define TL_TABLE_SPEED(FIELD, ARRAY)   FIELD(step_log2) FIELD(time_us) FIELD(held) ARRAY(extra, TL_TABLE_LAST + 1U)
+#define TL_TABLE_LATE(FIELD, ARRAY)    ARRAY(gain_q16, TL_TABLE_LATE_MAX) ARRAY(time_us, TL_TABLE_LATE_MAX)
+#define TL_TABLE_LOAD(FIELD, ARRAY)    FIELD(reference) FIELD(width) FIELD(gain) FIELD(offset) FIELD(middle)
+#define TL_TABLE_JOINT(FIELD, ARRAY)                                                                                   \
+    ARRAY(axis, TL_TABLE_JOINTS) ARRAY(play, TL_TABLE_JOINTS) ARRAY(slope, TL_TABLE_JOINTS)
 #define TL_TABLE_ADAPT(FIELD, ARRAY) FIELD(offset) FIELD(width_least_q15) FIELD(width_most_q15)
 
-#define TL_TABLE_FIELD(name)                  int32_t name;
-#define TL_TABLE_ARRAY(name, count)           int32_t name[count];
+#define TL_TABLE_FIELD(name)        int32_t name;
+#define TL_TABLE_ARRAY(name, count) int32_t name[count];
 #define TL_TABLE_SECTION(number, name, FIELDS)                                                                         \
     typedef struct {                                                                                                   \
         FIELDS(TL_TABLE_FIELD, TL_TABLE_ARRAY)                                                                         \
@@ -181,7 +181,7 @@ enum { TL_TABLE_SECTIONS(TL_TABLE_NUMBER) };
     X(WARP, "the warp of the elements does not rise, or does not make every width one")                                \
     X(FLAT, "f_remain is flatter somewhere than the stated least slope, and no flat speed is given to cross it")       \
     X(INSTRUMENT,                                                                                                      \
-      "the table was made for another instrument than the board's settings name: flash that one's, or --force")          \
+      "the table was made for another instrument than the board's settings name: flash that one's, or --force")        \
     X(ENCODER, "the encoder's error is too large for its period: its slope may be 1/2 at most")                        \
     X(SIDES, "what unequal sides add must fall with the travel, by no more than it")                                   \
     X(SPEED, "what the speed adds to the width is out of its range")                                                   \

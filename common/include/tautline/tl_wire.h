@@ -423,7 +423,7 @@ extern "C" {
     C(21, NOT_CALIBRATING, "no calibration motion is under way")                                                       \
     C(22, NOT_REFERENCED, "the axis does not know its position: home it, or say where it stands")                      \
     C(23, BEYOND_SETTINGS, "wider than the settings stored on the board: change those, or ask for less")               \
-    C(24, BEYOND_TABLE, "further from the calibrated table than it allows: calibrate again, or flash wider limits")     \
+    C(24, BEYOND_TABLE, "further from the calibrated table than it allows: calibrate again, or flash wider limits")    \
     C(30, TABLE_SIZE, "the table is too long, or its parts are not in order: send it again")                           \
     C(31, TABLE_REFUSED, "the table was refused: the axis' status says why")                                           \
     C(32, SESSION, "the board has restarted: say hello first")

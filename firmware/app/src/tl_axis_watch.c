@@ -23,7 +23,8 @@ TL_FAST uint16_t tl_axis_flags(const tl_axis_t *axis) {
     return (uint16_t)flags;
 }
 
-#define PUSHING_ROUNDS 2U // of tl_undo_pushing(): a fourth of the error of the steepest encoder is left, else next to none
+#define PUSHING_ROUNDS                                                                                                 \
+    2U // of tl_undo_pushing(): a fourth of the error of the steepest encoder is left, else next to none
 
 static void note(tl_axis_t *axis) {
     uint32_t flags = 0;

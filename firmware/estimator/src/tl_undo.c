@@ -5,14 +5,14 @@
 
 #define HAS(lookup, section) (((lookup)->table.has & (uint32_t)TL_TABLE_HAS_##section) != 0)
 
-#define COUNT_Q16     65536             // a count, of an offset
-#define SCALE_STEP    (1 << 12)         // of a scale in a tick, Q23: B = 2000 counts then changes by a count
-#define SCALE_LEAST   (-(1 << 23))      // no width at all
-#define SCALE_MOST    ((1 << 23) - 1)   // twice of it
-#define GAIN_MOST     (1 << 22)         // half of it
-#define MOST          (((int32_t)1 << 30) - 1)
-#define SHORT_MOST    (((int32_t)1 << 20) - 1) // that a factor may take
-#define COARSE_US     50000
+#define COUNT_Q16   65536           // a count, of an offset
+#define SCALE_STEP  (1 << 12)       // of a scale in a tick, Q23: B = 2000 counts then changes by a count
+#define SCALE_LEAST (-(1 << 23))    // no width at all
+#define SCALE_MOST  ((1 << 23) - 1) // twice of it
+#define GAIN_MOST   (1 << 22)       // half of it
+#define MOST        (((int32_t)1 << 30) - 1)
+#define SHORT_MOST  (((int32_t)1 << 20) - 1) // that a factor may take
+#define COARSE_US   50000
 
 static TL_FAST inline uint32_t size_of(int32_t value) {
     return value < 0 ? 0U - (uint32_t)value : (uint32_t)value;
@@ -184,8 +184,8 @@ static TL_FAST int32_t share_of(int32_t amplitude, int32_t wave_q15) {
 static TL_FAST int32_t encoder_error(const tl_lookup_t *lookup, tl_count_q8_t x) {
     const tl_table_encoder_t *e = &lookup->table.encoder;
     const uint32_t rest = lookup->phase_rest; // 16 bits below those of a turn
-    const uint32_t turn = (uint32_t)x * lookup->phase + (uint32_t)((x >> 16) * (int32_t)rest) +
-                          (((uint32_t)x & 0xFFFFU) * rest >> 16);
+    const uint32_t turn =
+        (uint32_t)x * lookup->phase + (uint32_t)((x >> 16) * (int32_t)rest) + (((uint32_t)x & 0xFFFFU) * rest >> 16);
     const int32_t s = sine(turn), c = sine(turn + (1U << 30));
     int32_t error = share_of(e->sine, s) + share_of(e->cosine, c);
     if ((e->sine2 | e->cosine2) != 0) {
@@ -254,8 +254,8 @@ void tl_undo_start(tl_undo_t *undo, const tl_lookup_t *lookup, uint32_t rate_hz)
         undo->carried[i] = moved.joint[i];
         undo->slope_q28[i] = factor_of(table->joints.slope[i], 0);
     }
-    undo->active = (table->has & ~(uint32_t)TL_TABLE_HAS_adapt) != 0 ||
-                   (moved.offset.now | moved.scale.now | moved.gain.now) != 0;
+    undo->active =
+        (table->has & ~(uint32_t)TL_TABLE_HAS_adapt) != 0 || (moved.offset.now | moved.scale.now | moved.gain.now) != 0;
 }
 
 void tl_undo_rest(tl_undo_t *undo, tl_count_q8_t p) {

@@ -30,14 +30,20 @@ from tautline.cli._live import axis_option, board_option
 @click.option("--force", is_flag=True, help="Load an unusable model, or one for another instrument, all the same.")
 @json_option
 def command(
-    model_path: Path, board: str | None, axis: int, without_effects: bool, joints: tuple[str, ...], force: bool, as_json: bool
+    model_path: Path,
+    board: str | None,
+    axis: int,
+    without_effects: bool,
+    joints: tuple[str, ...],
+    force: bool,
+    as_json: bool,
 ) -> None:
     """Load MODEL's tables into an axis of a board, read them back and compare them byte for byte.
 
     The table is checked by the board before it replaces the one in use; a failure leaves the old one. A corrected model
     (taut diagnose) with effects that no table undoes, such as stick-slip, is refused unless --without-effects is given;
-    so is one that another axis couples into without --joint. So is one whose rig.toml names another instrument than the board's settings do (taut commission --instrument), without
-    --force.
+    so is one that another axis couples into without --joint, and one whose rig.toml names another instrument than the
+    board's settings do (taut commission --instrument) without --force.
     """
     from tautline import tables
     from tautline.device import wire

@@ -1,7 +1,8 @@
 /// The tables of all axes: which are in use, and new ones from the host. The task alone.
 ///
 /// A table comes in pieces, is checked when it is whole, then stored, then used. It is checked where the one in use is,
-/// with all motors off: whatever is wrong with it, that one is read from flash again. What comes shares memory with a calibration motion: none is taken during one.
+/// with all motors off: whatever is wrong with it, that one is read from flash again. What comes shares memory with a
+/// calibration motion: none is taken during one.
 #ifndef TAUTLINE_TL_TABLES_H
 #define TAUTLINE_TL_TABLES_H
 
@@ -34,7 +35,8 @@ typedef struct {
 typedef struct {
     const tl_port_t *port;
     tl_axis_t *axes;
-    uint8_t *upload; ///< TL_TABLE_SIZE_MAX bytes for what comes, shared; whoever takes them says tl_tables_abort() first
+    uint8_t
+        *upload; ///< TL_TABLE_SIZE_MAX bytes for what comes, shared; whoever takes them says tl_tables_abort() first
     tl_table_in_use_t in_use[TL_WIRE_AXES_MAX];
     uint32_t upload_size; ///< bytes that have come
     uint8_t upload_axis;

@@ -16,9 +16,9 @@
 /// be, undone play by play. There the feed is steeper than p* after a reversal, up to 1 / w_1 times; what of that is
 /// faster than the take-up, and the jump of the first element, is taken up. Within the band all elements stay.
 ///
-/// What the table's further sections name (tl_undo.h) is undone in TL_MODE_FULL: before f^-1 and behind it, in the width,
-/// which the strength then scales with what is added to it, and in what is handed out: the inside of the compensator
-/// knows where the motor pushes from, its callers what the encoder reads.
+/// What the table's further sections name (tl_undo.h) is undone in TL_MODE_FULL: before f^-1 and behind it, in the
+/// width, which the strength then scales with what is added to it, and in what is handed out: the inside of the
+/// compensator knows where the motor pushes from, its callers what the encoder reads.
 ///
 /// Use: load a table, tl_compensator_start() with the motor's position when the axis is switched on, then
 /// tl_compensator_step() once a control tick, 1 to 10 kHz. All other functions are called between steps from
@@ -26,7 +26,8 @@
 /// Faults: none is fatal. Every input is valid; what could not be done is in `flags`.
 ///
 /// A step: at most about 930 cycles on a Cortex-M0+ (-O2, no wait states), in three parts of 320, 290 and 320; with
-/// seven plays the second is 560 and the third 800; all sections add up to 900, 400 of them before and behind. No division, no 64-bit product, 64-bit sums only. Memory: 420 bytes, plus the table that it points to.
+/// seven plays the second is 560 and the third 800; all sections add up to 900, 400 of them before and behind. No
+/// division, no 64-bit product, 64-bit sums only. Memory: 420 bytes, plus the table that it points to.
 #ifndef TAUTLINE_TL_COMPENSATOR_H
 #define TAUTLINE_TL_COMPENSATOR_H
 

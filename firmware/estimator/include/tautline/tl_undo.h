@@ -3,7 +3,8 @@
 ///     c* -> joints, load -> f^-1 -> late -> p* -> B(p*) by load, speed, side -> offset, encoder -> q*
 ///
 /// and how the table may be moved while it is in use: an offset and a scale of B go to where they are told along a
-/// straight line of time, at most half a count a tick, so that nothing jumps. A load is told and followed in the same way.
+/// straight line of time, at most half a count a tick, so that nothing jumps. A load is told and followed in the same
+/// way.
 ///
 /// The compensator calls what is below, once a tick each, where its table has any of these sections or was moved.
 /// O(1); no division and no 64-bit product but in tl_undo_start(), tl_undo_adapt() and tl_undo_load(), which are the
@@ -24,11 +25,11 @@ typedef struct {
 
 /// How a table is moved while it is used, by the host and by the load; all zero: not at all.
 typedef struct {
-    tl_ramp_t offset; ///< counts Q16: the motor pushes as if it were so much further on
-    tl_ramp_t scale;  ///< of B, less 1, Q23
-    tl_ramp_t gain;   ///< of the angle's distance from load.middle, less 1, Q23
-    int32_t adapt_offset, adapt_scale; ///< the host's share of their goals,
-    int32_t load_offset, load_scale;   ///< and the load's
+    tl_ramp_t offset;                     ///< counts Q16: the motor pushes as if it were so much further on
+    tl_ramp_t scale;                      ///< of B, less 1, Q23
+    tl_ramp_t gain;                       ///< of the angle's distance from load.middle, less 1, Q23
+    int32_t adapt_offset, adapt_scale;    ///< the host's share of their goals,
+    int32_t load_offset, load_scale;      ///< and the load's
     tl_count_q8_t joint[TL_TABLE_JOINTS]; ///< where the other axes of section 7 are
 } tl_moved_t;
 
@@ -55,10 +56,10 @@ typedef struct {
     int32_t speed_q8; ///< of p, filtered, counts/s
     int32_t extra;    ///< width at that speed
     uint32_t speed_share_q16;
-    int32_t rate_hz, step_max; ///< Q8 counts a tick that are a speed still
-    tl_count_q8_t p;         ///< of the last tick
-    int32_t side;            ///< that the motor pushes on since it last turned
-    tl_count_q8_t turned_at; ///< where p turned
+    int32_t rate_hz, step_max;              ///< Q8 counts a tick that are a speed still
+    tl_count_q8_t p;                        ///< of the last tick
+    int32_t side;                           ///< that the motor pushes on since it last turned
+    tl_count_q8_t turned_at;                ///< where p turned
     tl_count_q8_t carried[TL_TABLE_JOINTS]; ///< where other axes have carried the tip,
     tl_factor_t slope_q28[TL_TABLE_JOINTS]; ///< by so much for each count
 } tl_undo_t;
@@ -68,8 +69,8 @@ void tl_undo_start(tl_undo_t *undo, const tl_lookup_t *lookup, uint32_t rate_hz)
 void tl_undo_rest(tl_undo_t *undo, tl_count_q8_t p);
 
 /// The table is to be moved by `offset` (Q8 counts), and its width scaled, within `ticks`; it takes longer where that
-/// were more than half a count a tick. 0: at once, for a compensator that does not run. False: section 8 does not allow that much (without one nothing), and all stays as it
-/// was.
+/// were more than half a count a tick. 0: at once, for a compensator that does not run. False: section 8 does not allow
+/// that much (without one nothing), and all stays as it was.
 bool tl_undo_adapt(tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t offset, int32_t scale_q15, uint32_t ticks);
 
 /// Back to the table as it was calibrated, at once: the compensator does not run. The load stays.
@@ -99,8 +100,8 @@ int32_t tl_undo_scaled(const tl_undo_t *undo, int32_t width);
 /// What the encoder has to read for the motor to push as from q.
 tl_count_q8_t tl_undo_reading(const tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t q);
 
-/// As from where it pushes: the forward play's q. The error of the encoder's error falls by its slope, 1/2 at most, with
-/// each of so many rounds; TL_UNDO_ROUNDS are within 0.1 % of it.
+/// As from where it pushes: the forward play's q. The error of the encoder's error falls by its slope, 1/2 at most,
+/// with each of so many rounds; TL_UNDO_ROUNDS are within 0.1 % of it.
 #define TL_UNDO_ROUNDS 10U
 tl_count_q8_t tl_undo_pushing(const tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t reading, uint32_t rounds);
 
