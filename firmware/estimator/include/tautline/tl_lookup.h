@@ -98,7 +98,7 @@ tl_deg_q16_t tl_lookup_coarse(const tl_lookup_t *lookup, tl_count_q8_t q, uint32
 tl_count_q8_t tl_lookup_coarse_inverse(const tl_lookup_t *lookup, tl_deg_q16_t c, uint32_t *flags);
 
 /// Whether p lies in a span that must be crossed at the table's flat speed. O(1).
-static inline bool tl_lookup_is_flat(const tl_lookup_t *lookup, tl_count_q8_t p) {
+static inline TL_FAST bool tl_lookup_is_flat(const tl_lookup_t *lookup, tl_count_q8_t p) {
     const uint32_t offset = (uint32_t)p - (uint32_t)lookup->q0;
     if (offset >= lookup->extent) {
         return false;
