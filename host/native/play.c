@@ -59,6 +59,15 @@ double play_width(const struct play_table *table, double p, size_t *at) {
     return width[i] + (p - grid[i]) * (width[i + 1] - width[i]) / (grid[i + 1] - grid[i]);
 }
 
+double play_slope(const struct play_table *table, double p, size_t at) {
+    const double *grid = table->grid;
+    const double *width = table->width;
+    if (p <= grid[0] || p >= grid[table->n - 1]) {
+        return 0.0;
+    }
+    return (width[at + 1] - width[at]) / (grid[at + 1] - grid[at]);
+}
+
 struct play play_start(const struct play_table *table, double p) {
     size_t at = 0;
     return (struct play){.at = p, .half = 0.5 * play_width(table, p, &at)};

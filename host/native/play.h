@@ -45,6 +45,9 @@ int play_table_valid(const struct play_table *table);
 /* B(p). *at is a span to start from (0), left at the span found. O(log of the spans passed). */
 double play_width(const struct play_table *table, double p, size_t *at);
 
+/* B'(p), `at` being where play_width found p: 0 beyond the ends. */
+double play_slope(const struct play_table *table, double p, size_t at);
+
 /* An element with a table at p. */
 struct play play_start(const struct play_table *table, double p);
 
