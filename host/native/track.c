@@ -25,7 +25,7 @@ static double carried(const struct track_model *m, const struct play *of, double
                       double *slope) {
     double sum = 0.0, lean = 0.0;
     for (size_t i = 0; i < m->n; i++) {
-        struct play element = of[i];
+        struct play element = {.at = of[i].at};
         lean += m->weight[i] * m->share[i] * push(&element, q, m->share[i], half);
         sum += m->weight[i] * element.at;
     }
@@ -33,13 +33,17 @@ static double carried(const struct track_model *m, const struct play *of, double
     return sum;
 }
 
-/* The p that is its own: carried(p) - p falls strictly while |B'| < 2, so Newton's steps are kept in a bracket. */
-static double solved(const struct track_model *m, struct track_state *state, double q) {
-    double p = state->p, low = -INFINITY, high = INFINITY;
+/* The place of the p that is its own: carried(p) - p falls strictly while |B'| < 2, so Newton's steps are kept in a
+ * bracket. */
+static struct play_place solved(const struct track_model *m, struct track_state *state, double q) {
+    double low = -INFINITY, high = INFINITY;
+    struct play_place here = play_find(&m->table, state->p, state->at);
     for (int turn = 0; turn < TURNS; turn++) {
+        const double p = state->p;
         double slope;
-        const double half = 0.5 * play_width(&m->table, p, &state->at);
-        const double off = carried(m, state->of, q, half, play_slope(&m->table, p, state->at), &slope) - p;
+        const double off = carried(m, state->of, q, 0.5 * play_value(&here, m->table.width),
+                                   play_slope(&here, m->table.width), &slope) -
+                           p;
         if (fabs(off) <= 1e-13 * (1.0 + fabs(p))) {
             break;
         }
@@ -52,22 +56,20 @@ static double solved(const struct track_model *m, struct track_state *state, dou
         if (!(next > low && next < high)) {
             next = isinf(low) || isinf(high) ? p + off : 0.5 * (low + high);
         }
-        p = next;
+        state->p = next;
+        here = play_find(&m->table, next, state->at);
+        state->at = here.step > 0.0 ? here.at : state->at;
     }
-    return p;
+    return here;
 }
 
 /* dz_i = dq - way_i (a_i (dB + B' dp) + da_i B) / 2 of those pushed, and dp = sum w_i dz_i. */
-static void differentiate(const struct track_model *m, struct track_state *s, double width, const int *way,
-                          double *by) {
-    const double by_p = play_slope(&m->table, s->p, s->at);
+static void differentiate(const struct track_model *m, struct track_state *s, const struct play_place *here,
+                          double width, const int *way, double *by) {
+    const double by_p = play_slope(here, m->table.width);
     for (size_t j = 0; j < 1 + m->bases + m->shapes; j++) {
         const double by_q = j == 0 ? 1.0 : 0.0;
-        double by_width = 0.0;
-        if (j >= 1 && j < 1 + m->bases) {
-            const struct play_table basis = {m->table.grid, m->basis + (j - 1) * m->table.n, m->table.n};
-            by_width = play_width(&basis, s->p, &s->at);
-        }
+        const double by_width = j >= 1 && j < 1 + m->bases ? play_value(here, m->basis + (j - 1) * m->table.n) : 0.0;
         const double *shape = j > m->bases ? m->shape + (j - 1 - m->bases) * m->n : NULL;
         double sum = 0.0, lean = 0.0;
         for (size_t i = 0; i < m->n; i++) {
@@ -90,8 +92,9 @@ void track_run(const struct track_model *model, struct track_state *state, const
     state->at = state->at + 1 < model->table.n ? state->at : 0; /* another table's */
     for (size_t k = 0; k < count; k++) {
         int way[TRACK_ELEMENTS] = {0};
-        state->p = p[k] = solved(model, state, q[k]);
-        const double width = play_width(&model->table, state->p, &state->at);
+        const struct play_place here = solved(model, state, q[k]);
+        const double width = play_value(&here, model->table.width);
+        p[k] = state->p;
         moving[k] = state->lean = state->driven = 0.0;
         for (size_t i = 0; i < model->n; i++) {
             way[i] = push(&state->of[i], q[k], model->share[i], 0.5 * width);
@@ -100,7 +103,7 @@ void track_run(const struct track_model *model, struct track_state *state, const
             state->driven += state->of[i].side != PLAY_INSIDE ? model->weight[i] : 0.0;
         }
         if (by) {
-            differentiate(model, state, width, way, by + k * (1 + model->bases + model->shapes));
+            differentiate(model, state, &here, width, way, by + k * (1 + model->bases + model->shapes));
         }
     }
 }
