@@ -15,7 +15,17 @@ import numpy.typing as npt
 from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve, eigh
 
-from tautline.calibration.departures import Columns, Part, Scene, Sparse, contrasts, departures, on_clock, scene_of
+from tautline.calibration.departures import (
+    Columns,
+    Part,
+    Scene,
+    Sparse,
+    contrasts,
+    departures,
+    on_clock,
+    scene_of,
+    starts_anew,
+)
 from tautline.calibration.playfit import Curves, Fitted, PlayFit
 from tautline.independence import frames_each
 from tautline.rig import Rig
@@ -65,6 +75,11 @@ class Components:
     clock: Array  # (2,) seconds by which the sensor's clock departs, linear and quadratic over the session
     rough: bool  # an encoder's count shows in the image
 
+    @property
+    def of_tracker(self) -> bool:
+        """Whether what departs is the tracker's, not the tip's."""
+        return any(part.name == "tracker" for part in self.parts)
+
     def applied(self, fitted: Fitted) -> Fitted:
         """The joint fit as it is with the components taken into account."""
         fit = replace(fitted.fit, tracks=on_clock(fitted.fit.tracks, self.clock), smoothing=fitted.fit.smoothing)
@@ -94,7 +109,8 @@ class _Separation:
 
     def run(self) -> Components:
         self._expect_turns()
-        solved = self._at(self.fitted.curves, np.zeros(2), Columns())
+        scene = scene_of(self.fitted, self.fitted.curves, self.rig, np.zeros(2))
+        solved = self._solved(self.fitted.curves, scene, np.zeros(2), Columns(anew_px=starts_anew(scene)))
         for _ in range(_ROUNDS):
             joined = solved.join()
             self.moving_noise = solved.moving_noise()
@@ -118,7 +134,9 @@ class _Separation:
             self.penalties["turn"] = (self.fitted.scale / count) ** 2
 
     def _at(self, curves: Curves, clock: Array, columns: Columns) -> _Solved:
-        scene = scene_of(self.fitted, curves, self.rig, clock)
+        return self._solved(curves, scene_of(self.fitted, curves, self.rig, clock), clock, columns)
+
+    def _solved(self, curves: Curves, scene: Scene, clock: Array, columns: Columns) -> _Solved:
         parts = [part for part in departures(scene, columns) if part.name not in self.without]
         solved = _Solved(self, curves, scene, parts, clock, columns)
         solved.settle()
