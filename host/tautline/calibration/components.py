@@ -27,6 +27,7 @@ from tautline.calibration.departures import (
     starts_anew,
 )
 from tautline.calibration.playfit import Curves, Fitted, PlayFit
+from tautline.encoder import count_of
 from tautline.independence import frames_each
 from tautline.rig import Rig
 
@@ -125,7 +126,8 @@ class _Separation:
 
     def _expect_turns(self) -> None:
         """Where an encoder's count shows in the image the motor's turns are known no better, whatever else is there."""
-        fit, count = self.fitted.fit, _COUNT * self.rig.actuator.encoder_resolution
+        fit, resolution = self.fitted.fit, self.rig.actuator.encoder_resolution
+        count = _COUNT * max(count_of(frozen.track.reading, resolution) for frozen in fit.tracks)
         steep = np.linalg.norm(fit.follow.slope(self.fitted.curves.follow, fit.grid).reshape(len(fit.grid), -1), axis=1)
         sigma = float(np.median(np.concatenate([frozen.track.sigma for frozen in fit.tracks])))
         if count * float(np.median(steep)) > _SHOWS * sigma:
