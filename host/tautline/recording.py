@@ -113,6 +113,7 @@ GAP_S = 1.0
 def load(path: str | Path, rig: Rig | None = None) -> Recording:
     """A recording's folder. `rig` wins over a rig.toml in the folder. Raises TautError with file, line and column."""
     folder = _folder(path)
+    _check_links(folder)
     warnings: list[str] = []
     own = _own_rig(folder, rig, warnings)
     used = rig or own
@@ -278,6 +279,13 @@ def _folder(path: str | Path) -> Path:
     if not folder.is_dir():
         raise TautError(f"{folder}: is a file: a recording is the folder that holds motor.csv")
     return folder
+
+
+def _check_links(folder: Path) -> None:
+    """A link to nothing is a file that somebody meant to be there."""
+    for path in sorted(folder.iterdir()):
+        if path.is_symlink() and not path.exists():
+            raise TautError(f"{path}: is a link to {path.readlink()}, which is not there: mount or copy it, or remove the link")
 
 
 def _check_reach(columns: Columns, name: str, rig: Rig) -> None:

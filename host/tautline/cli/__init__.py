@@ -8,7 +8,7 @@ import sys
 
 import click
 
-from tautline.errors import TautError
+from tautline.errors import TautError, of_system
 
 # Name, and the line that `taut --help` shows. Module tautline.cli.NAME holds a click command called `command`.
 COMMANDS = {
@@ -75,6 +75,11 @@ def main() -> None:
         click.echo(f"taut: {error}", err=True)
         sys.exit(error.status)
     except BrokenPipeError:
+        sys.exit(1)
+    except OSError as error:
+        if error.filename is None and os.environ.get("TAUT_TRACEBACK"):
+            raise
+        click.echo(f"taut: {of_system(error)}", err=True)
         sys.exit(1)
     except Exception as error:
         if os.environ.get("TAUT_TRACEBACK"):
