@@ -126,7 +126,7 @@ class Model:
             raise TautError(f'{path}: format is not "{FORMAT}": make the model again with taut calibrate')
         missing = [name for name in (*_ARRAYS, "effects", "delay_s", "measured", "extra") if name not in document]
         if missing:
-            raise TautError(f"{path}: {', '.join(missing)} missing: make the model again with taut calibrate")
+            raise TautError(f"{path}: {', '.join(missing)} missing: make it again with taut calibrate")
         try:
             q, width, sigma, c_deg = arrays = [np.array(document[name], dtype=float) for name in _ARRAYS]
             effects = tuple(Effect(item["id"], dict(item["parameters"])) for item in document["effects"])

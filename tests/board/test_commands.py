@@ -263,8 +263,8 @@ def test_the_python_example_streams(paced: DesktopBoard) -> None:
 
 
 def test_ctrl_c_during_a_calibration(tmp_path: Path) -> None:
-    """As on a terminal, where it goes to the whole process group: the simulated board lives until its axis is at rest. A
-    last line that says what to do, exit status 1, and a recording that can be used."""
+    """As on a terminal, where it goes to the whole process group: the simulated board lives until its axis is at rest.
+    A last line that says what to do, exit status 1, and a recording that can be used."""
     command = [sys.executable, "-m", "tautline", "calibrate", "--simulate", "--out", str(tmp_path / "model")]
     reset = (
         "import signal, sys, runpy; signal.signal(signal.SIGINT, signal.default_int_handler); sys.argv = sys.argv[1:]; "

@@ -59,7 +59,9 @@ def test_without_a_board_only_what_a_command_has_is_advised(taut: Taut, model: P
     assert "--simulate" in taut.refuses("follow", "--rig", rig)
 
 
-@pytest.mark.parametrize("words", [["report", "{}"], ["calibrate", "{}", "--out", "o"], ["predict", "{}", "r", "--csv", "o"]])
+@pytest.mark.parametrize(
+    "words", [["report", "{}"], ["calibrate", "{}", "--out", "o"], ["predict", "{}", "r", "--csv", "o"]]
+)
 def test_a_name_that_is_too_long(taut: Taut, words: list[str], tmp_path: Path) -> None:
     line = taut.refuses(*(word.format(tmp_path / ("x" * 300)) for word in words))
     assert "too long" in line.lower() and "internal" not in line and len(line) < 300
@@ -165,12 +167,12 @@ def test_strokes_that_nothing_moves_on_are_warned_of(taut: Taut, tmp_path: Path)
 def large_pictures(count: int) -> list[np.ndarray]:
     """Of 1920 x 1080 px."""
     scope = Endoscope(RIG)
-    return [cv2.resize(scope.frame(c), (1920, 1080), interpolation=cv2.INTER_CUBIC) for c in np.linspace(-30, 30, count)]
+    return [
+        cv2.resize(scope.frame(c), (1920, 1080), interpolation=cv2.INTER_CUBIC) for c in np.linspace(-30, 30, count)
+    ]
 
 
-def test_the_colour_lies_where_it_is_looked_for(
-    taut: Taut, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_colour_lies_where_it_is_looked_for(taut: Taut, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     recording = tmp_path / "recording"
     recording.mkdir()
     writer = cv2.VideoWriter(str(recording / "video.mkv"), cv2.VideoWriter_fourcc(*"MJPG"), 25.0, (720, 576))

@@ -41,7 +41,7 @@ class _Place(click.ParamType):  # type: ignore[type-arg]
 @click.option(
     "--out",
     type=click.Path(path_type=Path, dir_okay=False),
-    help=f"File for the colour. Default: {COLOUR_FILE} where it is looked for: beside a video, in which it is then used "
+    help=f"File for the colour. Default: {COLOUR_FILE} where it is looked for: beside a video, it is then used in "
     "by itself, else here, where --colour has it by default.",
 )
 @json_option

@@ -18,7 +18,6 @@ from tautline.simulated.simulate import run
 from tautline.simulated.trajectory import Trajectory, back_and_forth, random_smooth, sines, trapezoids
 from tautline.vision.timing import FrameTiming
 
-
 _WAY_BACK = 0.105  # of the range
 
 
@@ -117,7 +116,7 @@ MOTIONS = tuple(_MOTIONS)
 @click.option(
     "--amplitude",
     type=click.FloatRange(min=0, min_open=True),
-    help="Stroke of back-and-forth (default 15 % of the range, more below 40 reversals) and trapezoids (30 %), rig unit.",
+    help="Stroke of back-and-forth (default 15 % of the range, more below 40 reversals) and trapezoids (30 %).",
 )
 @click.option("--reversals", type=click.IntRange(2, 2000), default=40, show_default=True, help="On one way up or down.")
 @click.option("--dwell", type=click.FloatRange(min=0), default=0.2, show_default=True, help="Rest at a reversal, s.")

@@ -1,4 +1,4 @@
-"""Who holds a board: each open one leaves a note on this machine, so that a program that finds it busy can say by whom."""
+"""Who holds a board: an open one leaves a note on this machine, and whoever finds it busy can say by whom."""
 
 from __future__ import annotations
 

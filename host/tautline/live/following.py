@@ -13,6 +13,7 @@ from tautline.columns import read_columns
 from tautline.device import wire
 from tautline.errors import TautError
 from tautline.geometry import coarse_range_deg, pose
+from tautline.layouts import TRAJECTORY
 from tautline.live.session import driving, set_range
 from tautline.live.setup import Frame, Live, Recorder
 from tautline.model import Model
@@ -68,7 +69,7 @@ def tip_trajectory(live: Live, what: str, speed_deg_s: float, seed: int, seconds
     if what not in ("trapezoids", "smooth"):
         if not Path(what).is_file():
             raise TautError(f"--trajectory {what}: neither a file nor a shape (trapezoids, smooth)")
-        columns = read_columns(Path(what), ["t_s", "c_deg"], "t_s,c_deg")
+        columns = read_columns(Path(what), TRAJECTORY.required(), TRAJECTORY.header())
         return columns.rising_times(), columns.finite("c_deg")
     speed_deg_s = min(speed_deg_s, 0.3 * live.top_speed * abs(live.rig.coarse.gain))  # f may be flatter than f_coarse
     low, high = _reach(live)
