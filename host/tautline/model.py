@@ -149,8 +149,8 @@ class Model:
         unit = document.get("unit", rig.actuator.unit)
         if unit != rig.actuator.unit:
             raise TautError(
-                f"{folder}: {MODEL_FILE} is in {unit}, the {RIG_FILE} beside it in {rig.actuator.unit}: they are not of "
-                "one calibration, so make the model again with taut calibrate"
+                f"{folder}: {MODEL_FILE} is in {unit}, the {RIG_FILE} beside it in {rig.actuator.unit}: they are not "
+                "of one calibration, so make the model again with taut calibrate"
             )
         if sensor not in (MARKER, ANGLE):
             sensor = MARKER if rig.has_camera else ANGLE

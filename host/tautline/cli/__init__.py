@@ -31,6 +31,7 @@ COMMANDS = {
     "simulate": "make a recording with a simulated instrument and endoscope",
     "compare": "how B and f_remain changed between models",
     "report": "write a model's report again",
+    "explain": "what a message means: an effect, a reason, a fault, a key of rig.toml, a term",
     "blindtest": "diagnose instruments whose effect is withheld, then open the labels and score",
     "inject": "let a fault happen on a simulated board, and see what is said of it",
     "demo": "the whole job on a simulated instrument, without hardware",
