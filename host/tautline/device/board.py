@@ -296,8 +296,11 @@ class Board:
 
     def _fault(self, axis: int) -> str:
         """The axis' fault and what mends it, "" where it has none."""
-        says = wire.fault(self.status(axis))
-        return f"axis {axis} has stopped: {says}. Then run 'taut clear', and this again" if says else ""
+        status = self.status(axis)
+        if not status.fault:
+            return ""
+        more = f"'taut explain {wire.name('FAULTS', status.fault)}' says more"
+        return f"axis {axis} has stopped: {wire.fault(status)}. Then run 'taut clear', and this again ({more})"
 
     def check_reference(self, axis: int) -> None:
         """TautError where the axis does not know its position."""

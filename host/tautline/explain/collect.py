@@ -26,9 +26,10 @@ def find(name: str) -> Topic:
     """By its code, its last part or another name, in any case; TautError with the nearest ones where there is none."""
     known = topics()
     wanted = name.strip().strip("[]").casefold()
-    exact = [topic for topic in known.values() if wanted in _names(topic)]
-    if exact:
-        return exact[0]
+    exact = [topic for topic in known.values() if topic.code.casefold() == wanted]
+    other = [topic for topic in known.values() if wanted in _names(topic)]
+    if exact or other:
+        return (exact or other)[0]
     ends = [topic for topic in known.values() if topic.code.casefold().endswith(f".{wanted}")]
     if len(ends) == 1:
         return ends[0]
@@ -108,7 +109,7 @@ def _keys() -> Iterator[Topic]:
 
     for section in SECTIONS.values():
         rows = tuple((f"rig.{section.name}.{key.name}", key.says) for key in section.keys)
-        yield Topic(f"rig.{section.name}", "rig", section.says, rows=rows, aliases=(f"[{section.name}]",))
+        yield Topic(f"rig.{section.name}", "rig", section.says, rows=rows, aliases=(section.name,))
         for key in section.keys:
             needed = "It has to be there." if key.needed else "It may be left out."
             example = str(key.example).replace("'", '"') if key.kind != "text" else f'"{key.example}"'

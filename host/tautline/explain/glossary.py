@@ -103,7 +103,7 @@ TERMS = (
         "need it; f_remain does.",
         "registration.static",
         "rig.hand_eye.rotation_deg",
-        aliases=("hand-eye transform", "registration", "hand_eye"),
+        aliases=("hand-eye transform", "registration"),
     ),
     _term(
         "delay",
