@@ -64,7 +64,8 @@ def drawn(kind: Kind) -> Figure:
     keep = slice(None, None, 10)
     t_s, moved = made.t_s[keep], made.q[keep]
     sway = np.sin(2 * np.pi * t_s / 9.0)
-    motor = Motor(t_s, moved, translation_mm=2.0 * sway, rotation_deg=20.0 * sway, load_mNm=20.0 * (t_s > t_s.mean()))
+    load = 20.0 * (t_s > t_s.mean())
+    motor = Motor(t_s, moved, translation_mm=2.0 * sway, rotation_deg=20.0 * sway, load_mNm=load)
     values = parameters(kind, rig.actuator.span, float(t_s[-1]))
     without, with_it = (effects.simulate(model, motor, t_s, each) for each in ({}, values))
     by_angle = kind.through_angle or kind.stage == "acquisition"
