@@ -19,7 +19,7 @@ from tautline.errors import TautError
 from tautline.folders import write_file
 from tautline.geometry import pose
 from tautline.model import Model
-from tautline.predict import predict
+from tautline.prediction import predict
 from tautline.recording import Motor, Recording, timeline
 
 Array = np.ndarray

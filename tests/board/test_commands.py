@@ -25,7 +25,7 @@ from tautline.errors import TautError
 from tautline.live.session import check_rig
 from tautline.live.setup import open_live
 from tautline.model import Effect, Model
-from tautline.predict import predict
+from tautline.prediction import predict
 from tautline.recording import load
 from tautline.simulated.instrument import preset
 from tautline.simulated.simlink import DesktopBoard

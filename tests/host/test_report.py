@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from tautline import evidence, report
+from tautline import evidence, reports
 from tautline.cli.compare import command as compare
 from tautline.cli.report import command as rewrite
 from tautline.errors import TautError
@@ -85,7 +85,7 @@ def read(path: Path) -> Links:
 def test_report_stands_alone_and_says_the_result(measured: tuple[Model, Recording], tmp_path: Path) -> None:
     model, recording = measured
     seen = evidence.collect(model, [recording])
-    page = read(report.write(model, tmp_path, seen))
+    page = read(reports.write(model, tmp_path, seen))
     assert len(page.sources) == 6 and all(source.startswith("data:image/svg+xml;base64,") for source in page.sources)
     assert re.search(r"turns 0\.3\d+ to 0\.80\d mm", page.text) and "B was held at 0 & more" in page.text
     assert "its stroke <was> short" in page.text and "80.0 ms" in page.text
@@ -129,13 +129,13 @@ def test_a_sensor_without_camera(tmp_path: Path) -> None:
     assert seen.unit == "deg" and seen.rms()[2] == pytest.approx(0.02, rel=0.2)
     assert (
         "delay of the sensor"
-        not in read(report.write(replace(model, sensor="angle", delay_s=0.0), tmp_path, seen)).text
+        not in read(reports.write(replace(model, sensor="angle", delay_s=0.0), tmp_path, seen)).text
     )
 
 
 def test_a_model_that_measured_nothing_says_so(measured: tuple[Model, Recording], tmp_path: Path) -> None:
     model = replace(measured[0], measured=(0.0, -1.0), extra={})
-    assert "No width could be measured" in read(report.write(model, tmp_path, None)).text
+    assert "No width could be measured" in read(reports.write(model, tmp_path, None)).text
 
 
 def test_runs_beside_a_model_are_shown(measured: tuple[Model, Recording], tmp_path: Path) -> None:
@@ -144,18 +144,18 @@ def test_runs_beside_a_model_are_shown(measured: tuple[Model, Recording], tmp_pa
         run = evidence.Run(t, np.sin(t), np.sin(t) + np.where(t > 1, size, 99.0), t > 1)
         run.save(tmp_path, name)
     assert evidence.Run.load_all(tmp_path)["full"].rms_deg == pytest.approx(0.2, rel=1e-4)
-    text = read(report.write(measured[0], tmp_path, None)).text
+    text = read(reports.write(measured[0], tmp_path, None)).text
     assert "off by 4.0 deg without compensation and by 0.20 deg with it: 20 times less" in text
 
 
 def test_a_new_model_keeps_what_is_not_the_old_ones(measured: tuple[Model, Recording], tmp_path: Path) -> None:
     model, recording = measured
     folder = tmp_path / "model"
-    report.save_model(model, [recording], folder)
+    reports.save_model(model, [recording], folder)
     (folder / "notes.txt").write_text("mine")
     t = np.linspace(0, 1, 11)
     evidence.Run(t, t, t, t > 0).save(folder, "full")
-    sentences = report.save_model(model, [recording], folder)
+    sentences = reports.save_model(model, [recording], folder)
     assert len(sentences) == 2 and (folder / "notes.txt").read_text() == "mine"
     assert not evidence.Run.load_all(folder) and Model.load(folder).rig == model.rig
 

@@ -489,10 +489,11 @@ class _Session:
         )  # fmt: skip
 
     def _characteristic(self, delay_s: float) -> dict[str, Any]:
-        """Up to 3000 frames of (q, c) for the report's picture."""
-        q = np.concatenate([t.motor_at(t.scene_s(delay_s)) for t in self.tracks])
-        c = np.concatenate([pose_of(t, self.rig, delay_s) for t in self.tracks])
+        """Some 3000 frames of (q, c) for the report's picture."""
+        stride = max(1, sum(len(track.t_s) for track in self.tracks) // 3000)
+        tracks = [track.only(slice(None, None, stride)) for track in self.tracks]
+        q = np.concatenate([t.motor_at(t.scene_s(delay_s)) for t in tracks])
+        c = np.concatenate([pose_of(t, self.rig, delay_s) for t in tracks])
         low, high = coarse_range_deg(self.rig)
         good = np.flatnonzero(np.isfinite(c) & (np.abs(c) < 10 * max(abs(low), abs(high), 1.0)))
-        good = good[:: max(1, len(good) // 3000)]
         return {"q": np.round(q[good], 5).tolist(), "c_deg": np.round(c[good], 4).tolist()}

@@ -102,11 +102,11 @@ def command(
 
 def _into_report(model: Any, folder: Path, result: Any, compensation: str) -> None:
     """The run beside the model's others, and its report written again."""
-    from tautline import report
+    from tautline import reports
     from tautline.evidence import Evidence, Run
 
     Run(result.t_s, result.c_ref_deg, result.c_deg, result.counted).save(folder, compensation)
-    report.write(model, folder, Evidence.load(folder))
+    reports.write(model, folder, Evidence.load(folder))
 
 
 def _report(result: Any, compensation: str, out: Path | None) -> dict[str, Any]:

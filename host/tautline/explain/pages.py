@@ -47,7 +47,7 @@ def picture(topic: Topic) -> report.Picture | None:
     return report.picture(
         drawn(kind),
         f"What {topic.code} does",
-        "Simulated on the reference instrument. Left: the tip, or the marker, without (grey) and with (red) the effect. "
+        "Simulated on the reference instrument. Left: tip or marker, without (grey) and with (red) the effect. "
         f"Right: the difference over time, {_TIMES:g} times what a user would notice.",
     )
 

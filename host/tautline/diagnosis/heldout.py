@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnose.fit import Fit, Fitter
+from tautline.diagnosis.fit import Fit, Fitter
 from tautline.nominal import Normal, Rows
 
 Array = npt.NDArray[np.float64]

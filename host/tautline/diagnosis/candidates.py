@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import effects
-from tautline.diagnose import confined, gap, heldout
-from tautline.diagnose.decide import Beyond
-from tautline.diagnose.fit import Fit, Fitter, Scope, outlier_limit
-from tautline.diagnose.screen import Screened, screen
+from tautline.diagnosis import confined, gap, heldout
+from tautline.diagnosis.fit import Fit, Fitter, Scope, outlier_limit
+from tautline.diagnosis.hypotheses import Beyond
+from tautline.diagnosis.screen import Screened, screen
 from tautline.effects import SCATTERS, Kind
 
 Array = npt.NDArray[np.float64]

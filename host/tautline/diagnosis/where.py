@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnose.segment import Segment
+from tautline.diagnosis.segment import Segment
 from tautline.effects import Path
 
 Array = npt.NDArray[np.float64]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from tautline.diagnose.fit import Fit, Fitter
+from tautline.diagnosis.fit import Fit, Fitter
 from tautline.effects import simulate
 from tautline.recording import Motor
 from tautline.simulated import trajectory

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
-from tautline.diagnose import gap
-from tautline.diagnose.segment import Segment
+from tautline.diagnosis import gap
+from tautline.diagnosis.segment import Segment
 
 Array = npt.NDArray[np.float64]
 

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from scipy.linalg import block_diag
 
 from tautline import effects
-from tautline.diagnose.segment import Segment
+from tautline.diagnosis.segment import Segment
 from tautline.effects import Kind, Parameter, Path
 from tautline.least_squares import descend
 from tautline.model import Model, allowed_width

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve
 
-from tautline.diagnose.fit import STATIC_COLUMNS, Fit, Fitter, Scope, Seen, inside, key
+from tautline.diagnosis.fit import STATIC_COLUMNS, Fit, Fitter, Scope, Seen, inside, key
 from tautline.effects import Kind, Parameter
 from tautline.nominal import Normal
 

@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnose import decide, scatter
-from tautline.diagnose.candidates import Found, Search
-from tautline.diagnose.decide import Evidence, Weighed
-from tautline.diagnose.fit import DELAY, WIDTH, Fit, Fitter, Scope
-from tautline.diagnose.scatter import Scatter
+from tautline.diagnosis import decide, scatter
+from tautline.diagnosis.candidates import Found, Search
+from tautline.diagnosis.fit import DELAY, WIDTH, Fit, Fitter, Scope
+from tautline.diagnosis.hyperparameters import learnt
+from tautline.diagnosis.hypotheses import Evidence, Weighed
+from tautline.diagnosis.scatter import Scatter
 from tautline.effects import EVENTS, Kind
 
 Array = npt.NDArray[np.float64]
@@ -142,7 +143,7 @@ class _Weighing:
         """Best first. Where none of them leaves little an event may be there, which hides what it is beside."""
         floor2 = self.search.fitter.floor**2
         before = float(np.mean(self.search.base.power)) - floor2
-        hidden = bool(found) and float(np.mean(found[0].power)) - floor2 > decide.LEFT * before
+        hidden = bool(found) and float(np.mean(found[0].power)) - floor2 > learnt().center.unexplained * before
         hidden = hidden and self._open(found[0])
         for i, one in enumerate(found):
             self.add(one, events=i == 0 or hidden)
@@ -176,7 +177,7 @@ class _Weighing:
         account for what their own stages cannot."""
         evidence = self.evidence()
         anyhow = replace(evidence, hypotheses=tuple(replace(h, beyond=None) for h in evidence.hypotheses))
-        verdict = decide.decide(anyhow)
+        verdict = decide.decide(anyhow, learnt().typical)
         for i in np.argsort(-verdict.posterior):
             ids = self.found[i].ids
             if len(ids) != size or ids in self._extended:

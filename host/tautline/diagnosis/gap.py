@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnose.segment import Segment
+from tautline.diagnosis.segment import Segment
 from tautline.independence import frames_each
 from tautline.recording import Motor
 

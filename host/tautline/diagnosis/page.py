@@ -11,10 +11,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from tautline import figures, report
-from tautline.diagnose import where, words
-from tautline.diagnose.diagnosis import Diagnosis
-from tautline.diagnose.where import Condition
+from tautline import figures, reports
+from tautline.diagnosis import where, words
+from tautline.diagnosis.diagnose import Diagnosis
+from tautline.diagnosis.where import Condition
 from tautline.effects import BY_ID, STAGES, Parameter
 
 FILE = "report.html"
@@ -54,7 +54,7 @@ def write(diagnosis: Diagnosis, folder: Path, known_as: str = "") -> Path:
         "steps": words.steps(document, known_as or str(folder)),
         "flexible": words.flexible(document),
         "chain": _chain(document),
-        "residuals": report.picture(
+        "residuals": reports.picture(
             residuals(diagnosis),
             "Residual before and after",
             "Distance between prediction and measurement over the session, on data that the fit did not see. "
@@ -79,7 +79,7 @@ def write(diagnosis: Diagnosis, folder: Path, known_as: str = "") -> Path:
         else "Blue: mean residual.",
     }
     path = folder / FILE
-    report.write_page("diagnosis.html", page, path)
+    reports.write_page("diagnosis.html", page, path)
     return path
 
 
@@ -164,7 +164,7 @@ def _conditions(diagnosis: Diagnosis, unit: str) -> list[dict[str, Any]]:
         title = _TITLES.get(condition.axis, condition.axis)
         drawn = _condition(diagnosis, condition, after.get(condition.axis), unit, top)
         caption = f"{words.percent(condition.share)} of the gap's power goes with it; largest {condition.says}."
-        pictures.append({"title": title, "picture": report.picture(drawn, title, caption)})
+        pictures.append({"title": title, "picture": reports.picture(drawn, title, caption)})
     return pictures
 
 

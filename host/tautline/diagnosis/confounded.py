@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tautline.diagnose.segment import Segment
+from tautline.diagnosis.segment import Segment
 from tautline.effects import Kind
 
 LOAD, DRIFT = "transmission.load_dependence", "transmission.drift"

@@ -12,11 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import effects
-from tautline.diagnose import confounded, decide, flexible, gap, motion, moved, where
-from tautline.diagnose.candidates import Found, applicable
-from tautline.diagnose.fit import Fit, Fitter, Scope, key
-from tautline.diagnose.gather import Gathered, gather
-from tautline.diagnose.segment import Segment, load_reference, prepare
+from tautline.diagnosis import confounded, decide, flexible, gap, motion, moved, where
+from tautline.diagnosis.candidates import Found, applicable
+from tautline.diagnosis.fit import Fit, Fitter, Scope, key
+from tautline.diagnosis.gather import Gathered, gather
+from tautline.diagnosis.hypotheses import Evidence
+from tautline.diagnosis.segment import Segment, load_reference, prepare
 from tautline.effects.library.registration import with_registration
 from tautline.model import Effect, Model, monotone
 from tautline.recording import Recording
@@ -39,6 +40,7 @@ class Diagnosis:
     before: list[Array]  # residuals of each test, (scored, k)
     after: list[Array]
     conditions: list[where.Condition]
+    evidence: Evidence
 
 
 def diagnose(
@@ -150,7 +152,9 @@ def diagnose(
     progress(1.0, "done")
     corrected = _corrected(chosen.fit, segments[-1]) if named else model
     corrected = replace(corrected, extra={**model.extra, "load_reference_mNm": fitter.load_reference})
-    return Diagnosis(document, model, corrected, following, segments, list(before), list(after), conditions)
+    return Diagnosis(
+        document, model, corrected, following, segments, list(before), list(after), conditions, gathered.evidence
+    )
 
 
 def _best_of_each(gathered: Gathered) -> dict[str, Found]:

@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import _native
-from tautline.diagnose.fit import STATIC_COLUMNS, Fit, Fitter, Seen
-from tautline.diagnose.segment import Segment
+from tautline.diagnosis.fit import STATIC_COLUMNS, Fit, Fitter, Seen
+from tautline.diagnosis.segment import Segment
 from tautline.effects import Kind
 
 Array = npt.NDArray[np.float64]

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnose.fit import Fit, Fitter
+from tautline.diagnosis.fit import Fit, Fitter
 
 Array = npt.NDArray[np.float64]
 

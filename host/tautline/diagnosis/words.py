@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from tautline.diagnose.confounded import DRIFT, LOAD
+from tautline.diagnosis.confounded import DRIFT, LOAD
 from tautline.effects import BY_ID, EVENTS
 
 _SMALL = 3.0  # times the noise: a gap below is called small

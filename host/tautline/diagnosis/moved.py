@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnose import gap
-from tautline.diagnose.fit import DELAY, PARTS, REMAINING, STATIC, WIDTH, Fit, Fitter
+from tautline.diagnosis import gap
+from tautline.diagnosis.fit import DELAY, PARTS, REMAINING, STATIC, WIDTH, Fit, Fitter
 
 Array = npt.NDArray[np.float64]
 
