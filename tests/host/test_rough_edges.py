@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from cli_runner import Taut
 
-from tautline import report
+from tautline import reports
 from tautline.cli import marker as marker_command
 from tautline.device import usb_link
 from tautline.evidence import FILE as EVIDENCE
@@ -104,7 +104,7 @@ def test_a_model_of_another_unit(taut: Taut, model: Path, tmp_path: Path) -> Non
 def test_damaged_evidence_is_never_advised_to_be_trusted(
     taut: Taut, folder: Path, model: Path, tmp_path: Path, damage: str
 ) -> None:
-    report.save_model(Model.load(model), [load(folder, RIG)], tmp_path / "made")
+    reports.save_model(Model.load(model), [load(folder, RIG)], tmp_path / "made")
     path = tmp_path / "made" / EVIDENCE
     if damage == "pickle":
         path.write_bytes(b"\x80\x04K\x01.")

@@ -8,7 +8,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from tautline import effects, figures, report
+from tautline import effects, figures, reports
 from tautline.effects import Kind
 from tautline.explain.collect import topics
 from tautline.explain.topic import KINDS, Topic
@@ -33,18 +33,18 @@ def write_all(folder: Path) -> Path:
             "see": [known[code] for code in topic.see],
             "picture": picture(topic),
         }
-        report.write_page("topic.html", page, folder / topic.file)
+        reports.write_page("topic.html", page, folder / topic.file)
     groups = [(title, [topic for topic in known.values() if topic.kind == kind]) for kind, title in KINDS.items()]
-    report.write_page("topics.html", {"title": "What tautline's messages mean", "groups": groups}, folder / INDEX)
+    reports.write_page("topics.html", {"title": "What tautline's messages mean", "groups": groups}, folder / INDEX)
     return folder / INDEX
 
 
-def picture(topic: Topic) -> report.Picture | None:
+def picture(topic: Topic) -> reports.Picture | None:
     """Of an effect; None where it moves nothing by itself, as of what only scatters."""
     kind = effects.BY_ID.get(topic.code)
     if kind is None or kind.event:
         return None
-    return report.picture(
+    return reports.picture(
         drawn(kind),
         f"What {topic.code} does",
         "Simulated on the reference instrument. Left: tip or marker, without (grey) and with (red) the effect. "
