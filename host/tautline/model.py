@@ -67,11 +67,11 @@ class Model:
         return Play(self.q, self.width, self.elements, self.rig.actuator.encoder_resolution)
 
     def remaining(self, p: npt.ArrayLike) -> Array:
-        """f_remain: bending angles, deg, at centre coordinates p of any shape."""
+        """f_remain: bending angles (n,), deg, at centre coordinates p (n,), unit of q; any other shape as well."""
         return interpolate(p, self.q, self.c_deg)
 
     def remaining_inverse(self, c_deg: npt.ArrayLike) -> Array:
-        """The centre coordinates at which f_remain is c_deg."""
+        """The centre coordinates (n,), unit of q, at which f_remain is c_deg (n,); any other shape as well."""
         order = slice(None) if self.c_deg[-1] > self.c_deg[0] else slice(None, None, -1)
         return interpolate(c_deg, self.c_deg[order], self.q[order])
 
@@ -84,7 +84,7 @@ class Model:
         return self.remaining(play_at(motor.t_s, motor.q, np.asarray(t_s, dtype=float), self.play, p0))
 
     def save(self, folder: str | Path) -> None:
-        """Writes model.json and rig.toml."""
+        """Writes model.json and rig.toml. Raises TautError where the folder cannot be written."""
         folder = Path(folder)
         document: dict[str, Any] = {
             "format": FORMAT,
@@ -109,6 +109,7 @@ class Model:
 
     @classmethod
     def load(cls, folder: str | Path) -> Self:
+        """What `save` wrote. Raises TautError where a file is missing, damaged or no model's."""
         folder = Path(folder)
         path = folder / MODEL_FILE
         try:

@@ -41,7 +41,7 @@ class Motor:
 
     @property
     def joints(self) -> dict[str, Array]:
-        """Further joints that move: NAME_deg or NAME_mm. At most MOST_JOINTS."""
+        """Further joints that move, NAME_deg or NAME_mm, (n,) each. At most MOST_JOINTS."""
         moving = {
             name: values
             for name, values in self.extra.items()

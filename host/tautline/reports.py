@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from tautline import __version__, figures
+from tautline.evidence import FILE as EVIDENCE_FILE
 from tautline.evidence import STAGES, Evidence, Run, collect
 from tautline.folders import replaced, write_file
 from tautline.model import MODEL_FILE, Model
@@ -39,11 +40,13 @@ class Number:
 
 
 def save_model(model: Model, recordings: Sequence[Recording], folder: Path) -> list[str]:
-    """The whole MODEL folder with its report, or nothing. Returns the result in sentences."""
-    with replaced(folder, MODEL_FILE, stale="follow-*.csv") as target:
-        evidence = collect(model, recordings)
+    """The whole MODEL folder with its report, or nothing; without recordings a report of the tables alone. Returns the
+    result in sentences."""
+    with replaced(folder, MODEL_FILE, stale=("follow-*.csv", EVIDENCE_FILE)) as target:
+        evidence = collect(model, recordings) if recordings else None
         model.save(target)
-        evidence.save(target)
+        if evidence is not None:
+            evidence.save(target)
         write(model, target, evidence, folder.absolute().name)
     return sentences(model, evidence)
 

@@ -108,13 +108,14 @@ class Rig:
         return self.camera is not None
 
     def with_camera(self, **changes: Any) -> Rig:
-        """The same rig with fields of its camera replaced."""
+        """The same rig with fields of its camera replaced. Raises TautError where it has none."""
         if self.camera is None:
             raise TautError("the rig has no [camera] section: add one to rig.toml")
         return replace(self, camera=replace(self.camera, **changes))
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
+        """rig.toml. Raises TautError with the key that is missing or wrong."""
         path = Path(path)
         try:
             text = path.read_text(encoding="utf-8")
@@ -128,7 +129,7 @@ class Rig:
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any], where: str) -> Self:
-        """`where` names the file in errors."""
+        """From what its TOML holds. Raises TautError that says what is wrong where; `where` names the file in it."""
         if document.get("format") != FORMAT:
             raise TautError(f'{where}: format is {document.get("format")!r}, expected "{FORMAT}" in the first line')
         read = _Reader(document, where)

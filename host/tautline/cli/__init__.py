@@ -8,6 +8,7 @@ import sys
 
 import click
 
+from tautline import __version__
 from tautline.errors import TautError
 
 # Name, and the line that `taut --help` shows. Module tautline.cli.NAME holds a click command called `command`.
@@ -54,7 +55,7 @@ class _Commands(click.Group):
 
 
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(package_name="tautline", prog_name="taut")
+@click.version_option(__version__, prog_name="taut")
 def taut() -> None:
     """Measures and undoes what a tendon-driven instrument loses between motor and tip."""
 
