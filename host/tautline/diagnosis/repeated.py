@@ -30,7 +30,7 @@ def told(document: dict[str, Any], model: Model, segments: Sequence[Segment], lo
         squares += float(np.sum(left[segment.scored | segment.held]))
         fresh += float(np.sum(left[segment.scored]))
         frames += int(np.sum(segment.scored | segment.held))
-    repeats = [float(np.sum(s.held) / max(np.sum(s.scored | s.held), 1)) for s in segments]
+    repeats = [int(s.held.sum()) / max(int((s.scored | s.held).sum()), 1) for s in segments]
     power, without = squares / frames, fresh / max(sum(int(s.scored.sum()) for s in segments[1:]), 1)
     floor2 = document["noise_floor"] ** 2
     if power - without < _SEEN * floor2:
@@ -59,7 +59,7 @@ def told(document: dict[str, Any], model: Model, segments: Sequence[Segment], lo
         "id": HELD,
         "probability": _SURE,
         "since": (Scope.START if repeats[0] > 0.5 * max(repeats[1:]) else Scope.TESTS).since,
-        "parameters": {"held_share": float(np.mean(repeats[1:]))},
+        "parameters": {"held_share": sum(repeats[1:]) / len(repeats[1:])},
         "shrink": closed,
         "swallowed_by_recalibration": False,
         "loads_on_board": BY_ID[HELD].on_board,
