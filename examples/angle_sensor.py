@@ -1,6 +1,6 @@
 """Backlash of a joint with an angle sensor, from arrays alone: no camera, no file.
 
-    python examples/angle_sensor.py [PICTURE]
+python examples/angle_sensor.py [PICTURE]
 """
 
 import sys

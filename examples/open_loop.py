@@ -1,6 +1,6 @@
 """A path of the tip, followed open loop with set-points that know the backlash, and with ones that do not.
 
-    python examples/open_loop.py [PICTURE]
+python examples/open_loop.py [PICTURE]
 """
 
 import sys

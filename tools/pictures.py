@@ -1,4 +1,4 @@
-"""./run pictures [--demo FOLDER]: the pictures of README and gallery, and the notebooks with what they print, made again.
+"""./run pictures [--demo FOLDER]: pictures of README and gallery, and notebooks with what they print, made again.
 
 FOLDER is a `taut demo` that is there already (tautline-demo); without it one is made.
 """
