@@ -40,14 +40,10 @@ def c_components() -> list[dict[str, Any]]:
     tinyusb = Path(os.environ.get("TAUTLINE_TINYUSB_DIR", DEPS / "root/usr/src/tinyusb")) / "src/tusb_option.h"
     local = DEPS / "root/usr/src/pico-sdk"
     sdk = Path(os.environ.get("PICO_SDK_PATH", local if local.is_dir() else "/usr/src/pico-sdk"))
+    sdk_version = sdk / "pico_sdk_version.cmake"
     return [
         _component("tinyusb", "MIT", tinyusb, r"TUSB_VERSION_(?:MAJOR|MINOR|REVISION)\s+(\d+)"),
-        _component(
-            "pico-sdk",
-            "BSD-3-Clause",
-            sdk / "pico_sdk_version.cmake",
-            r"PICO_SDK_VERSION_(?:MAJOR|MINOR|REVISION) (\d+)",
-        ),
+        _component("pico-sdk", "BSD-3-Clause", sdk_version, r"PICO_SDK_VERSION_(?:MAJOR|MINOR|REVISION) (\d+)"),
     ]
 
 

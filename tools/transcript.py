@@ -75,8 +75,8 @@ def page(steps: Sequence[Step], left_out: Sequence[Block], wheel: str) -> str:
     text = [
         "# README followed from the wheel",
         "",
-        f"Made by `python -m tools.transcript WHEEL` with {wheel}, in an empty folder that held nothing else: the commands of the README "
-        "inside the wheel, typed into one shell in their order, and what they printed.",
+        f"Made by `python -m tools.transcript WHEEL` with {wheel}, in an empty folder that held nothing else: the "
+        "commands of the README inside the wheel, typed into one shell in their order, and what they printed.",
         "",
         "```console",
     ]

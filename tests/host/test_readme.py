@@ -8,6 +8,7 @@ and commands inside sentences and tables.
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 import subprocess
@@ -23,6 +24,7 @@ import pytest
 from tools.readme import Block, blocks, unfenced
 from tools.transcript import environment, readme_of, typed
 
+import tautline
 from tautline.cli import COMMANDS, taut
 
 ROOT = Path(__file__).parents[2]
@@ -114,6 +116,18 @@ def test_no_link_is_dead() -> None:
     assert len(pages) > 10 and dead == []
 
 
+def test_the_version_is_one() -> None:
+    assert re.search(r"^version: (.+)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)[1] == tautline.__version__  # type: ignore[index]
+
+
+@pytest.mark.parametrize(
+    ("tag", "says"), [("v9.9.9", "no tag is called 'v9.9.9'"), ("", "what a release holds, made from a tag")]
+)
+def test_a_release_needs_a_tag(tag: str, says: str) -> None:
+    done = subprocess.run([ROOT / "tools" / "release", *tag.split()], capture_output=True, text=True, check=False)
+    assert done.returncode != 0 and says in done.stdout + done.stderr
+
+
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A wheel of this clone; what the editable installation compiled is used again."""
@@ -125,8 +139,6 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def _paths() -> dict[str, str]:
     """Where the build finds ninja and TinyUSB."""
-    import os
-
     own = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     return {"PATH": own, **{name: value for name, value in os.environ.items() if name.startswith("TAUTLINE")}}
 
