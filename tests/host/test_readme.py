@@ -8,6 +8,7 @@ and commands inside sentences and tables.
 
 from __future__ import annotations
 
+import fcntl
 import os
 import re
 import shlex
@@ -130,8 +131,16 @@ def test_a_release_needs_a_tag(tag: str, says: str) -> None:
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A wheel of this clone; what the editable installation compiled is used again."""
-    folder = tmp_path_factory.mktemp("wheel")
+    """A wheel of this clone, made once for all workers: what the editable installation compiled is used again."""
+    folder = tmp_path_factory.getbasetemp()
+    folder = (folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder) / "wheel"
+    folder.mkdir(exist_ok=True)
+    with (folder / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        return next(folder.glob("*.whl"), None) or _made(folder)
+
+
+def _made(folder: Path) -> Path:
     command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", "-w", str(folder)]
     subprocess.run([*command, str(ROOT)], check=True, env=environment() | _paths())
     return next(folder.glob("*.whl"))
