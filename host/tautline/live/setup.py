@@ -392,7 +392,7 @@ def open_live(
             return
         if rig is None:
             raise TautError("no rig: name the set-up's file with --rig")
-        opened = stack.enter_context(open_board(board))
+        opened = stack.enter_context(open_board(board, "use --simulate"))
         opened.check_axis(axis)
         opened.align(16)
         stack.enter_context(opened.reading())
