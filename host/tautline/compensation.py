@@ -44,8 +44,8 @@ def read_trajectory(path: Path, warnings: list[str] | None = None) -> tuple[Arra
 
 def compensate(
     model: Model,
-    t_s: Array,
-    c_deg: Array,
+    t_s: npt.ArrayLike,
+    c_deg: npt.ArrayLike,
     rate_hz: int = 1000,
     mode: str = "full",
     start_deg: float | None = None,
@@ -54,6 +54,13 @@ def compensate(
     """The set-points at rate_hz from the first time to the last, each from the commands up to its own time. It starts
     at rest where the mode puts the motor for c_deg[0], or start_deg, with the tip on the centre line. Take-up and feed
     are as fast as the rig's motor may be, without a limit if the rig names none."""
+    t_s, c_deg = np.asarray(t_s, dtype=float), np.asarray(c_deg, dtype=float)
+    if t_s.ndim != 1 or t_s.shape != c_deg.shape or not len(t_s):
+        raise TautError(f"the trajectory's t_s {t_s.shape} and c_deg {c_deg.shape} must have one length of 1 or more")
+    if not (np.isfinite(t_s).all() and np.isfinite(c_deg).all() and (np.diff(t_s) > 0.0).all()):
+        raise TautError("the trajectory's times must rise, and its times and angles be finite")
+    if mode not in MODES:
+        raise TautError(f"mode {mode!r} is not there: choose one of {', '.join(MODES)}")
     if not RATES_HZ[0] <= rate_hz <= RATES_HZ[1]:
         raise TautError(f"--rate {rate_hz}: the compensator runs at {RATES_HZ[0]:.0f} to {RATES_HZ[1]:.0f} Hz")
     steps = (t_s[-1] - t_s[0]) * rate_hz * (1 + 1e-12)
