@@ -25,6 +25,7 @@ FARTHEST_PX = 1e5
 FRAME_COLUMNS = ("width_px", "height_px")  # of marker.csv: what the frames measure
 MOST_JOINTS = 8  # that are looked at
 VIDEO_NAMES = ("video.mkv", "video.mp4")
+PICTURE_NAME = "camera.png"
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +98,7 @@ class Recording:
     video: Video | None = None
     rig: Rig | None = None  # the rig.toml in its folder
     warnings: tuple[str, ...] = ()
+    picture: Path | None = None  # a frame that was kept
 
 
 @dataclass(frozen=True)
@@ -134,7 +136,9 @@ def load(path: str | Path, rig: Rig | None = None) -> Recording:
         _check_overlap(
             folder / "motor.csv", motor.t_s, folder / "frames.csv", video.arrival_s[np.isfinite(video.arrival_s)]
         )
-    return Recording(folder.resolve().name, motor, marker, angle, video, own, tuple(warnings))
+    picture = folder / PICTURE_NAME
+    kept = picture if picture.is_file() else None
+    return Recording(folder.resolve().name, motor, marker, angle, video, own, tuple(warnings), kept)
 
 
 def load_all(paths: Sequence[str | Path], rig: Rig | None = None) -> list[Recording]:
