@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import cv2
 import jinja2
 import numpy as np
 from matplotlib.figure import Figure
@@ -15,14 +17,18 @@ from matplotlib.figure import Figure
 from tautline import __version__, figures
 from tautline.evidence import FILE as EVIDENCE_FILE
 from tautline.evidence import STAGES, Evidence, Run, collect
+from tautline.explain import topics
 from tautline.folders import replaced, write_file
 from tautline.model import MODEL_FILE, Model
 from tautline.recording import Recording
 from tautline.rig import MARKER
+from tautline.vision.snapshot import snapshot
 
 Array = np.ndarray
 
 FILE = "report.html"
+CAMERA_FILE = "camera.jpg"  # in a model's folder: what the camera saw, with the marker's way
+_COARSE_IS_WRONG = frozenset({"coarse", "registration.static", "range", "predicts"})
 
 
 @dataclass(frozen=True)
@@ -42,13 +48,30 @@ class Number:
 def save_model(model: Model, recordings: Sequence[Recording], folder: Path) -> list[str]:
     """The whole MODEL folder with its report, or nothing; without recordings a report of the tables alone. Returns the
     result in sentences."""
-    with replaced(folder, MODEL_FILE, stale=("follow-*.csv", EVIDENCE_FILE)) as target:
+    with replaced(folder, MODEL_FILE, stale=("follow-*.csv", EVIDENCE_FILE, CAMERA_FILE)) as target:
         evidence = collect(model, recordings) if recordings else None
         model.save(target)
+        _keep_picture(recordings, target)
         if evidence is not None:
             evidence.save(target)
         write(model, target, evidence, folder.absolute().name)
     return sentences(model, evidence)
+
+
+def _keep_picture(recordings: Sequence[Recording], folder: Path) -> None:
+    seen = next((shown for each in recordings if (shown := snapshot(each)) is not None), None)
+    if seen is not None:
+        cv2.imwrite(str(folder / CAMERA_FILE), seen, [cv2.IMWRITE_JPEG_QUALITY, 88])
+
+
+def _camera(folder: Path) -> Picture | None:
+    path = folder / CAMERA_FILE
+    if not path.is_file():
+        return None
+    uri = "data:image/jpeg;base64," + base64.b64encode(path.read_bytes()).decode()
+    return Picture(
+        uri, "What the camera saw", "What the camera saw. Blue: where the marker was, frame by frame; red: around it."
+    )
 
 
 def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "") -> Path:
@@ -61,6 +84,11 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
         "title": f"What is lost between motor and tip: {name or folder.absolute().name}",
         "source": _source(model, evidence),
         "quality": model.quality.to_json(),
+        "reasons": [
+            {"code": r.code, "says": r.says, "remedy": r.remedy, "topic": topics().get(r.code)}
+            for r in model.quality.reasons
+        ],
+        "camera": _camera(folder),
         "result": sentences(model, evidence) + _run_sentences(runs),
         "numbers": _numbers(model, used, unused, evidence),
         "notes": model.extra.get("notes", []),
@@ -77,6 +105,7 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
         "runs": None,
         "onset_count": len(onsets),
         "onsets": [_onset_row(onset) for onset in onsets],
+        "unused": [k for k, onset in enumerate(onsets) if not onset["used"]],
         "closely": None,
         "track": None,
         "residuals": None,
@@ -90,10 +119,12 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
                 "f_coarse knows neither backlash nor the real law; B alone gets the moments of motion right.",
             ),
             "track": picture(
-                figures.track(evidence, onsets), "Motor and marker over time", "Dots: where the tip began to move."
+                figures.track(evidence, onsets, model.rig.actuator.unit),
+                "Motor and marker over time",
+                "Dots: where the tip began to move.",
             ),
             "residuals": picture(
-                figures.residuals(evidence),
+                figures.residuals(evidence, model.rig.actuator.unit),
                 "Residuals of the whole model",
                 "White and small: nothing is left unmodelled. A pattern over q or time: taut diagnose says what it is.",
             ),
@@ -134,30 +165,29 @@ def write_comparison(models: Mapping[str, Model], path: Path) -> None:
         "picture": picture(
             figures.compared(models),
             "B and f_remain of all models",
-            f"Against {names[0]}. Where bands do not touch, the change is larger than the uncertainty.",
+            f"Above: the curves, with 2 sigma. Below: each less {names[0]}'s, with 2 sigma of the difference; where a "
+            "band does not hold 0, the change is larger than the uncertainty.",
         ),
         "columns": [
             f"B mean ({unit})",
             f"B least to most ({unit})",
             f"change of B ({unit})",
-            "largest change",
+            f"largest change ({unit})",
             "in sigma (rms)",
             "change of f_remain (deg)",
             "delay (ms)",
         ],
         "rows": [
-            {
-                "name": row["model"],
-                "cells": [
-                    _digits(row["width_mean"]),
-                    f"{_digits(row['width_min'])} to {_digits(row['width_max'])}",
-                    _digits(row["width_change_mean"], sign=True),
-                    _digits(row["width_change_max"], sign=True),
-                    _digits(row["width_change_sigmas"], 2),
-                    _digits(row["remaining_change_rms_deg"], 2),
-                    f"{1e3 * row['delay_s']:.1f}",
-                ],
-            }
+            [
+                row["model"],
+                _digits(row["width_mean"]),
+                f"{_digits(row['width_min'])} to {_digits(row['width_max'])}",
+                _digits(row["width_change_mean"], sign=True),
+                _digits(row["width_change_max"], sign=True),
+                _digits(row["width_change_sigmas"], 2),
+                _digits(row["remaining_change_rms_deg"], 2),
+                f"{1e3 * row['delay_s']:.1f}",
+            ]
             for row in rows
         ],
     }
@@ -228,6 +258,11 @@ def _digits(value: float, digits: int = 3, sign: bool = False) -> str:
     return f"{value:{'+' if sign else ''}.{min(places, 6)}f}"
 
 
+def _with(value: float, unit: str, digits: int = 3) -> str:
+    """A number that no line break parts from its unit."""
+    return f"{_digits(value, digits)}\u00a0{unit}"
+
+
 def _inside(model: Model) -> Array:
     return (model.q >= model.measured[0]) & (model.q <= model.measured[1])
 
@@ -258,11 +293,18 @@ def sentences(model: Model, evidence: Evidence | None) -> list[str]:
         if np.isfinite(whole):
             said.append(
                 f"With these tables the tip is where the model says within {_digits(whole, 2)} {evidence.unit}; "
-                f"f_coarse alone is off by {_digits(coarse, 2)} {evidence.unit}, {_times(coarse, whole)} times as much."
+                f"f_coarse alone is off by {_digits(coarse, 2)} {evidence.unit}{_how_much_more(model, coarse, whole)}."
             )
         else:
             said.append("The tip was never driven through a full backlash both ways, so nothing can be scored.")
     return said
+
+
+def _how_much_more(model: Model, coarse: float, whole: float) -> str:
+    """No gain is told over an f_coarse that is wrong itself, as by a sign."""
+    if any(reason.code in _COARSE_IS_WRONG for reason in model.quality.reasons):
+        return ", but something in the rig is wrong, which the verdict names: that is no gain"
+    return f", {_times(coarse, whole)} times as much"
 
 
 def _times(worse: float, better: float) -> str:
@@ -275,22 +317,24 @@ def _numbers(model: Model, used: Sequence[Any], unused: Sequence[Any], evidence:
     if inside.any():
         width, at = model.width[inside], model.q[inside]
         numbers += [
-            Number("widest backlash", f"{_digits(width.max())} {unit}", f"at {_digits(at[width.argmax()], 2)} {unit}"),
-            Number("narrowest", f"{_digits(width.min())} {unit}", f"at {_digits(at[width.argmin()], 2)} {unit}"),
-            Number("measured from, to", f"{_digits(model.measured[0], 3)}, {_digits(model.measured[1], 3)}", unit),
+            Number("widest backlash", _with(width.max(), unit), f"at {_digits(at[width.argmax()], 2)} {unit}"),
+            Number("narrowest", _with(width.min(), unit), f"at {_digits(at[width.argmin()], 2)} {unit}"),
+            Number(
+                "measured", f"{_digits(model.measured[0], 3)} to {_with(model.measured[1], unit)}", "motor position"
+            ),
         ]
     numbers.append(Number("reversals used", str(len(used)), f"of {len(used) + len(unused)}"))
     if model.sensor == MARKER or model.delay_s:
         sigma = model.extra.get("delay_sigma_s")
         spread = f"± {_digits(2e3 * sigma, 1)} ms" if sigma else "nominal"
         what = "image" if model.sensor == MARKER else "sensor"
-        numbers.append(Number(f"delay of the {what}", f"{1e3 * model.delay_s:.1f} ms", spread))
+        numbers.append(Number(f"delay of the {what}", f"{1e3 * model.delay_s:.1f}\u00a0ms", spread))
     if evidence is not None and np.isfinite(evidence.rms()[2]):
-        numbers.append(Number("prediction", f"{_digits(evidence.rms()[2], 2)} {evidence.unit}", "rms per coordinate"))
+        numbers.append(Number("prediction", _with(evidence.rms()[2], evidence.unit, 2), "rms per coordinate"))
     return numbers
 
 
-def _stages(evidence: Evidence | None) -> list[dict[str, str]]:
+def _stages(evidence: Evidence | None) -> list[list[str]]:
     if evidence is None or not evidence.settled.any():
         return []
     rms = evidence.rms()
@@ -298,33 +342,30 @@ def _stages(evidence: Evidence | None) -> list[dict[str, str]]:
     for name, error, value in zip(STAGES, evidence.error, rms, strict=True):
         distance = np.linalg.norm(error[evidence.settled], axis=1)
         rows.append(
-            {
-                "name": name,
-                "rms": _digits(value),
-                "mean": f"{_digits(float(np.nanmean(distance)))} ± {_digits(float(np.nanstd(distance)), 2)}",
-                "worst": _digits(float(np.nanmax(distance))),
-                "better": _times(rms[0], value),
-            }
+            [
+                name,
+                _digits(value),
+                f"{_digits(float(np.nanmean(distance)))} ± {_digits(float(np.nanstd(distance)), 2)}",
+                _digits(float(np.nanmax(distance))),
+                _times(rms[0], value),
+            ]
         )
     return rows
 
 
-def _onset_row(onset: figures.Onset) -> dict[str, Any]:
-    return {
-        "used": onset["used"],
-        "direction": "rises" if onset["direction"] > 0 else "falls",
-        "verdict": "yes" if onset["used"] else onset["reason"] or "no",
-        **{
-            name: "" if np.isnan(value) else f"{value:.{places}f}"
-            for name, value, places in (
-                ("t_s", onset["t_s"], 3),
-                ("q1", onset["q1"], 4),
-                ("q2", onset["q2"], 4),
-                ("width", onset["width"], 4),
-                ("sigma", 2 * onset["sigma"], 4),
-            )
-        },
-    }
+def _onset_row(onset: figures.Onset) -> list[str]:
+    def told(value: float, places: int) -> str:
+        return "" if np.isnan(value) else f"{value:.{places}f}"
+
+    return [
+        told(onset["t_s"], 3),
+        "rises" if onset["direction"] > 0 else "falls",
+        told(onset["q1"], 4),
+        told(onset["q2"], 4),
+        told(onset["width"], 4),
+        told(2 * onset["sigma"], 4),
+        "yes" if onset["used"] else onset["reason"] or "no",
+    ]
 
 
 def _run_sentences(runs: Mapping[str, Run]) -> list[str]:

@@ -64,6 +64,8 @@ def show_quality(quality: Quality) -> None:
     log(f"taut: calibration {word}" + (": the stated sigmas cover" if quality.verdict is Verdict.GOOD else ""))
     for reason in quality.reasons:
         log(f"taut:   {click.style(reason.code, bold=True)} {reason}")
+    if quality.reasons:
+        log(f"taut:   'taut explain {quality.reasons[0].code}' says more")
 
 
 @contextmanager

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import effects
-from tautline.diagnosis import confounded, decide, flexible, gap, motion, moved, tip, where
+from tautline.diagnosis import confounded, decide, flexible, gap, motion, moved, repeated, tip, where
 from tautline.diagnosis.candidates import Found, applicable
 from tautline.diagnosis.fit import Fit, Fitter, Scope, key
 from tautline.diagnosis.gather import Gathered, gather
@@ -149,6 +149,8 @@ def diagnose(
         "next_motion": {"why": following.why, "file": "next_motion.csv"} if following else None,
     }
     confounded.told(document, hidden)
+    if repeated.HELD not in left_out:
+        repeated.told(document, model, segments, fitter.load_reference)
     progress(1.0, "done")
     corrected = _corrected(chosen.fit, segments[-1]) if named else model
     corrected = replace(corrected, extra={**model.extra, "load_reference_mNm": fitter.load_reference})

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
+from scipy.signal import lfilter
 
 from tautline.diagnosis.segment import Segment
 from tautline.independence import frames_each
@@ -15,6 +18,8 @@ Array = npt.NDArray[np.float64]
 
 _STILL_S = 0.6  # a motor at rest for so long has left its own transients behind
 _UNLIKE = 4.0  # times the median rest's power: no noise any more
+_OUTLIER, _MEDIAN = 8.0, 0.455  # deviations that a frame counts at most; median square of noise of unit variance
+_MEMORIES = np.linspace(0.0, 0.9, 37)  # from one frame to the next
 BLOCK_S = 8.0  # of a manoeuvre: longer than a residual remembers
 _CUT_INTO = (12, 9)  # blocks, tried in turn where the motor's turns make none
 _REMEMBERED, _ALIKE = 199, 0.02  # lags at most, and a correlation from which there is none
@@ -29,10 +34,11 @@ def rms(residuals: Sequence[Array]) -> float:
 
 def noise_floor(segments: Sequence[Segment], residuals: Sequence[Array]) -> float:
     """Per coordinate: the scatter of what was observed while the motor stood still, about a straight line through each
-    rest; where it hardly ever rests, the residual's second differences, which a smooth misfit does not reach. Never
-    below what the sensor's own step scatters: one that rests within a step shows no noise at all."""
+    rest, as of noise that remembers from frame to frame (of the first order); where it hardly ever rests, the
+    residual's second differences, which a smooth misfit does not reach. Never below what the sensor's own step
+    scatters: one that rests within a step shows no noise at all."""
     least = counted(segments)
-    found: list[tuple[float, int]] = []  # of each rest: sum of squares, degrees of freedom
+    rests: list[Array] = []
     for segment in segments:
         for stretch in still_stretches(segment):
             seen = segment.observed[stretch]
@@ -40,14 +46,45 @@ def noise_floor(segments: Sequence[Segment], residuals: Sequence[Array]) -> floa
                 continue
             t = segment.arrival_s[stretch]
             line = np.column_stack([np.ones_like(t), t - t[0]])
-            left = seen - line @ np.linalg.lstsq(line, seen, rcond=None)[0]
-            found.append((float(np.sum(left**2)), left.size - 2 * seen.shape[1]))
-    if sum(freedom for _, freedom in found) >= 60:
-        # A rest in which something happened, such as a shift, tells nothing of noise.
-        most = _UNLIKE * float(np.median([squares / freedom for squares, freedom in found]))
-        squares, freedom = np.sum([one for one in found if one[0] <= most * one[1]], axis=0)
-        return max(float(np.sqrt(squares / freedom)), least)
-    return max(jitters(residuals), least)
+            rests.append(seen - line @ np.linalg.lstsq(line, seen, rcond=None)[0])
+    if sum(rest.size - 2 * rest.shape[1] for rest in rests) < 60:
+        return max(jitters(residuals), least)
+    # A rest in which something happened, such as a shift, tells nothing of noise; a frame that is elsewhere is noise.
+    power = [float(np.median(np.square(rest))) for rest in rests]
+    usual = float(np.median(power))
+    most = _OUTLIER * np.sqrt(usual / _MEDIAN)
+    steady = [np.clip(rest, -most, most) for rest, p in zip(rests, power, strict=True) if p <= _UNLIKE * usual]
+    return max(_deviation(steady), least)
+
+
+def _deviation(rests: Sequence[Array]) -> float:
+    """Of first-order noise of which each rest's (n, k) own line was taken. What it remembers looks like a line: so much
+    less is left than of white noise."""
+    count: Counter[int] = Counter()
+    for rest in rests:
+        count[len(rest)] += rest.shape[1]
+    squares = sum(float(np.sum(rest**2)) for rest in rests)
+    follows = sum(float(np.sum(rest[1:] * rest[:-1])) for rest in rests) / max(squares, 1e-300)
+    expected = np.sum([many * _of_first_order(n) for n, many in count.items()], axis=0)  # (2, memories)
+    unsure = 1.0 / np.sqrt(expected[0, 0])  # of `follows`: no more memory is believed in than it shows
+    remembers = np.interp(follows - unsure, np.maximum.accumulate(expected[1] / expected[0]), _MEMORIES)
+    return float(np.sqrt(squares / np.interp(remembers, _MEMORIES, expected[0])))
+
+
+@cache
+def _of_first_order(n: int) -> Array:
+    """Expected sums of squares and of products of neighbours of n values of unit variance less their straight line, at
+    each of _MEMORIES: (2, memories)."""
+    line, _ = np.linalg.qr(np.column_stack([np.ones(n), np.arange(n) - 0.5 * (n - 1)]))
+    sums = []
+    for rho in _MEMORIES:
+        ahead = lfilter([1.0], [1.0, -rho], line, axis=0)
+        behind = lfilter([1.0], [1.0, -rho], line[::-1], axis=0)[::-1]
+        covered = ahead + behind - line  # covariance times line
+        of_line = line.T @ covered
+        neighbours = np.sum(line[:-1] * covered[1:] + covered[:-1] * line[1:] - (line[:-1] @ of_line) * line[1:])
+        sums.append([n - np.trace(of_line), (n - 1) * rho - neighbours])
+    return np.array(sums).T
 
 
 def counted(segments: Sequence[Segment]) -> float:

@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cache
 from importlib import resources
 
 import numpy as np
 import numpy.typing as npt
+import tomli_w
 from scipy import stats
 
 Array = npt.NDArray[np.float64]
@@ -73,11 +74,12 @@ class Learnt:
         """Of a known instrument: one draw."""
         return replace(self, spread=np.zeros_like(self.spread))
 
-    def to_toml(self, provenance: Sequence[str]) -> str:
-        lines = [*(f"# {line}" for line in provenance), f"covers = {self.covers:.4g}"]
-        for table, values in (("center", asdict(self.center)), ("spread", dict(zip(NAMES, self.spread, strict=True)))):
-            lines += ["", f"[{table}]", *(f"{name} = {value:.4g}" for name, value in values.items())]
-        return "\n".join(lines) + "\n"
+    def to_toml(self, cases: Mapping[str, int]) -> str:
+        """cases: of each generator, how many it was learnt on."""
+        center = {name: float(f"{value:.4g}") for name, value in asdict(self.center).items()}
+        spread = {name: float(f"{value:.3g}") for name, value in zip(NAMES, self.spread, strict=True)}
+        learnt_on = {"cases": dict(cases), "covers": float(f"{self.covers:.4g}")}
+        return tomli_w.dumps({**learnt_on, "center": center, "spread": spread})
 
     @classmethod
     def of_toml(cls, document: Mapping[str, object]) -> Learnt:

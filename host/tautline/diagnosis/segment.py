@@ -19,6 +19,8 @@ from tautline.rig import ANGLE, MARKER, Sensor
 
 Array = npt.NDArray[np.float64]
 
+_CONTINUOUS = 0.9  # share of a sensor's fresh values that no other is equal to
+
 
 @dataclass(frozen=True)
 class Segment:
@@ -32,6 +34,11 @@ class Segment:
     offset_s: float  # added to the recording's times to get the session's
     calibration: bool
     number: int = 1  # of the recording, the calibration is 0
+    repeats: npt.NDArray[np.bool_] | None = None  # (n,) that would be scored were they no repetition of the one before
+
+    @property
+    def held(self) -> npt.NDArray[np.bool_]:
+        return np.zeros_like(self.scored) if self.repeats is None else self.repeats
 
     @property
     def unit(self) -> str:
@@ -60,7 +67,8 @@ class Segment:
     def every(self, stride: int) -> Segment:
         """The same recording with fewer observations."""
         kept = slice(None, None, stride)
-        return replace(self, arrival_s=self.arrival_s[kept], observed=self.observed[kept], scored=self.scored[kept])
+        few = {name: getattr(self, name)[kept] for name in ("arrival_s", "observed", "scored")}
+        return replace(self, **few, repeats=self.held[kept])
 
     def part(self, keep: npt.NDArray[np.bool_]) -> Segment:
         """The same recording scored only where `keep` (n,) says."""
@@ -99,7 +107,9 @@ def prepare(model: Model, calibration: Recording, tests: Sequence[Recording]) ->
             times, observed = times[::stride], observed[::stride]
         scene = times - model.delay_of(MARKER if by_marker else ANGLE)
         from_s = settled_from(model, recording.motor)
-        scored = (scene >= from_s) & (scene <= motor.t_s[-1])
+        within = (scene >= from_s) & (scene <= motor.t_s[-1])
+        repeats = within & repeated(observed)
+        scored = within & ~repeats
         if not scored.any():
             raise TautError(
                 f"{recording.name}: the tip is never driven through a full backlash both ways while it is seen: "
@@ -115,9 +125,19 @@ def prepare(model: Model, calibration: Recording, tests: Sequence[Recording]) ->
                 offset,
                 i == 0,
                 i,
+                repeats,
             )
         )
     return segments
+
+
+def repeated(observed: Array) -> npt.NDArray[np.bool_]:
+    """(n,) observations (n, k) of a continuous sensor that are those before to the last digit: it shows no place twice.
+    One that counts in steps may rest on one: of that none."""
+    again = np.concatenate([[False], (observed[1:] == observed[:-1]).all(axis=1)])
+    fresh = observed[~again]
+    continuous = all(len(np.unique(column)) > _CONTINUOUS * len(fresh) for column in fresh.T)
+    return again if continuous else np.zeros_like(again)
 
 
 def settled_from(model: Model, motor: Motor) -> float:

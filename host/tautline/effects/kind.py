@@ -51,6 +51,8 @@ class Kind:
     amplitudes: tuple[Parameter, ...]
     shapes: tuple[Parameter, ...] = ()
     says: str = ""
+    tell: str = ""  # how a person tells it from what looks like it
+    mend: str = ""  # what to do about it on the instrument
     # sensor: the model has a delay for what is observed; freedom: the instrument's second or third degree of freedom
     # moves; joint: a further joint's column does.
     needs: Literal["", "camera", "sensor", "load", "freedom", "joint"] = ""

@@ -98,7 +98,11 @@ class DesktopBoard:
         command = [str(program()), f"--{line}", "0", "--sim", "0", "--flash", str(self.flash), "--axes", str(axes)]
         command += ["--rate", str(rate_hz), "--serial", serial, "--parent", str(os.getpid())]
         command += ["--realtime"] if realtime else []
-        self.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE)
+        # In a group of its own: Ctrl-C on a terminal goes to every process of a group, and the board has to live until
+        # its axis is at rest. It ends with this process (--parent).
+        self.process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, start_new_session=True
+        )
         assert self.process.stdout is not None
         started = self.process.stdout.readline()
         if not started:

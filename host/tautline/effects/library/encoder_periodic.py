@@ -7,6 +7,8 @@ EFFECTS = (
         (Parameter("encoder_period", "unit", 0.05, (0.02, 0.3), low=1e-3),),  # from the shortest to the longest
         says="once-per-turn error of the measured motor position",
         undone=True,
+        tell="B(q) and the residuals ripple with one period over q, the same in both directions.",
+        mend="Centre the encoder's magnet or disc and calibrate again.",
         scan="period",
     ),
 )

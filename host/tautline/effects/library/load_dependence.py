@@ -10,6 +10,9 @@ EFFECTS = (
         ),
         says="width, gain or offset follow the load",
         undone=True,
+        tell="Two loads have two curves. It needs load_mNm in motor.csv, and a third load or the first one again tells "
+        "it from a drift.",
+        mend="Calibrate at the load of use, or at several.",
         needs="load",
     ),
 )

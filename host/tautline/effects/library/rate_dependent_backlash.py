@@ -11,5 +11,7 @@ EFFECTS = (
         ),
         says="the width grows with speed",
         undone=True,
+        tell="The same reversal is wider when it is driven faster.",
+        mend="Calibrate at the speed of use, or drive more slowly through reversals.",
     ),
 )
