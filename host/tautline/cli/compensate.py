@@ -9,8 +9,8 @@ import click
 from tautline.cli._common import emit, json_option, progress_bar, warn, warn_unusable
 from tautline.compensation import MODES, RATES_HZ, compensate, read_trajectory, write_csv
 from tautline.effects import BY_ID
-from tautline.undone import COUPLED
 from tautline.model import Model
+from tautline.undone import COUPLED
 
 
 @click.command("compensate")
