@@ -83,7 +83,7 @@ def anchors(page: Path) -> set[str]:
 
 
 def here(name: str, page: Path) -> bool:
-    """Whether a tracked file or folder has this path, from the root, the page, the package or any folder of the code."""
+    """Whether a tracked file or folder has this path, from the root, the page or any folder of the code."""
     name = name.rstrip("/")
     if (page.parent / name).exists() or (ROOT / name).exists():
         return True
