@@ -13,7 +13,7 @@ from tautline.calibration.components import Components
 from tautline.calibration.findings import Findings
 from tautline.calibration.observations import Track
 from tautline.calibration.onset import BRACKET, HINGE, Onset
-from tautline.calibration.playfit import NODES, Curves, Fitted
+from tautline.calibration.playfit import NODES, Curves, Fitted, Frozen
 from tautline.calibration.several import left
 from tautline.calibration.smooth import Domain, overlap
 from tautline.model import allowed_width
@@ -25,6 +25,7 @@ _AGREE = 3.0  # mean squared z of onsets against the joint fit up to which both 
 _STANDS_OUT = 10.0  # a motion of so many sigma is one
 _AT_ONCE = 0.75  # of the path's slope: a tip that starts slower starts gradually
 _SURER = 2.0  # times less certain: the joint fit's B beside the onsets'
+_BEARABLE = 4.0  # times what the joint fit's own B leaves: onsets' that leaves more stands for something else
 _LITTLE = 0.03  # of the width: differences below are no contradiction
 _WORSE = 1.25  # times what the best single curve leaves: a B that leaves more is not for predictions
 _FEW_ONSETS, _NEARER = 6, 0.5  # onsets that may say so, and their mean squared z against one B over that to the other
@@ -101,7 +102,7 @@ class Choice:
         jumps = jumping(widths) and not self._foretells(widths, joint, curve)
         if not jumps and (agreed or not self._contradicted(widths, curve, passes)):
             both, spread = (width, sigma) if gradual else self._weighed(curve, width, sigma)
-            if both is not width and self.predicts(self._left_at(joint, both), joint):
+            if both is not width and self._left_at(joint, both) < _BEARABLE * max(self._left_at(joint, width), 1.0):
                 width, sigma = both, spread
             return width, sigma, JOINT
         self.found.notes.append("the passes contradict the onsets: B(q) is the onsets' alone")
@@ -131,6 +132,15 @@ class Choice:
     def alone(self, found: Components, apart: Fitted, joint: Fitted) -> float:
         """Residual over noise of B, path and delay as they are without the departures."""
         return self._left_with(apart, found.usual) if found.parts else joint.scale
+
+    def ended(self, found: Components, apart: Fitted) -> float:
+        """The same of what was seen as it is when the session ends, and B as it is then."""
+        tracks = found.at_the_end([frozen.track for frozen in apart.fit.tracks])
+        frozen = [
+            Frozen.of(track, old.use[since.frames])
+            for track, old, since in zip(tracks, apart.fit.tracks, found.since, strict=True)
+        ]
+        return self._left_with(replace(apart, fit=replace(apart.fit, tracks=frozen)), found.curves)
 
     @staticmethod
     def predicts(rest: float, joint: Fitted) -> bool:

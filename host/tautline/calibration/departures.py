@@ -34,6 +34,14 @@ _LAGS_S, _CREEPS_S = (0.02, 0.05, 0.1, 0.2), (0.6, 2.0)
 _FINE_S = 0.005  # of the path that lags
 _BREATHS_HZ = 0.08, 1.0
 _SCAN = 12.0  # what looking for a moment or a rhythm costs, of twice the log likelihood
+_LASTS, _CONSTANT = 0.2, 0.5  # of the misfit, that neighbours share; of that, both halves of a stroke
+_ACROSS, _SWAYS = 0.25, 0.5  # of what lies along the path, across it; of the misfit, that one rhythm explains
+_PIECES, _LAGS = 100, 60  # of all strokes, at most; frames over which neighbours share something
+
+# What changes during a session and then is what it is: a model holds what it came to.
+STATES = frozenset(
+    {"offset.time", "width.time", "image.time", "image.shift", "offset.recording", "width.recording"}
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -70,6 +78,7 @@ class Scene:
     way: Array  # of the motor since then
     stroke: npt.NDArray[np.intp]  # half-cycle of the tip
     recording: npt.NDArray[np.intp]
+    frame: npt.NDArray[np.intp]  # of its track
     lagging: Array  # (n, 3) what lags would add to p, per s
     creeping: Array  # (n, 2) what creep would, per share
     load: Array | None  # less its mean
@@ -86,13 +95,23 @@ class Scene:
         """The same columns for every channel of the image, apart."""
         return sparse.csr_matrix(sparse.block_diag([sparse.csr_matrix(columns)] * self.slope.shape[1]))
 
+    def at_the_end(self) -> Scene:
+        """The same frames, had all been taken when the session ended."""
+        n = len(self.t)
+        last = int(self.recording.max(initial=0))
+        return replace(
+            self, t=np.full(n, 0.5), time_s=np.full(n, self.time_s.max(initial=0.0)), recording=np.full(n, last)
+        )
+
 
 @dataclass(frozen=True)
 class Columns:
-    """What is looked for in what is left: when a shift happened, s, and how often something breathes, Hz."""
+    """What is looked for in what is left: when a shift happened, s, and how often something breathes, Hz; after how
+    much of the path the tracker's error begins anew, px."""
 
     shift_s: float | None = None
     breath_hz: float | None = None
+    anew_px: float | None = None
 
     def scanned(self, scene: Scene, left: Array, used: Set[str]) -> Columns:
         found = self
@@ -134,12 +153,13 @@ def scene_of(fitted: Fitted, curves: Curves, rig: Rig, clock: Array) -> Scene:
     )
 
 
-def departures(scene: Scene, looked_for: Columns) -> list[Part]:
+def departures(scene: Scene, looked_for: Columns, *, apart: bool | None = None) -> list[Part]:
+    """apart: whether recordings may differ (None: where they show much the same positions)."""
     hats = _hats(scene.phase, _PHASES)[:, :-1]
     smooth, one = _smooth(hats.shape[1]), np.eye(1)
     n, channels = len(scene.p), scene.slope.shape[1]
     strokes = int(scene.stroke.max(initial=0)) + 1
-    slow = _slow_basis(scene.t, min(_TIMES, strokes // _STROKES_A_SPAN))
+    slow = slow_basis(scene.t, min(_TIMES, strokes // _STROKES_A_SPAN))
     each = sparse.csr_matrix((np.ones(n), (np.arange(n), scene.stroke)), shape=(n, strokes))
     held = sparse.csr_matrix(each.multiply((~scene.moving)[:, None]))
     speeds = np.abs(scene.speed)
@@ -174,7 +194,7 @@ def departures(scene: Scene, looked_for: Columns) -> list[Part]:
         effects = np.column_stack([load, scene.by_width * load, (scene.p - scene.p.mean()) * load])
         parts.append(Part("load", scene.along(effects), np.eye(3)))
     recordings = int(scene.recording.max(initial=0)) + 1
-    if recordings > 1 and _same_places(scene, recordings):
+    if recordings > 1 and (_same_places(scene, recordings) if apart is None else apart):
         which, free = contrasts(recordings)[scene.recording], np.eye(recordings - 1)
         parts += [
             Part("offset.recording", scene.along(which), free),
@@ -183,7 +203,7 @@ def departures(scene: Scene, looked_for: Columns) -> list[Part]:
     if channels > 1:
         parts += [
             *([] if slow is None else [Part("image.time", scene.each(slow), _smooth(slow.shape[1], channels))]),
-            Part("image.stroke", scene.each(each), np.eye(channels * strokes)),
+            _of_strokes(scene, each, looked_for.anew_px),
             Part("image.side", scene.each(scene.side[:, None]), np.eye(channels)),
         ]
         if looked_for.shift_s is not None:
@@ -194,6 +214,81 @@ def departures(scene: Scene, looked_for: Columns) -> list[Part]:
             waves = np.column_stack([np.cos(turn), np.sin(turn)])
             parts.append(Part("image.breath", scene.each(waves), np.eye(2 * channels), price=_SCAN))
     return parts
+
+
+def _of_strokes(scene: Scene, each: Sparse, anew_px: float | None) -> Part:
+    """The image's place on each stroke, or the tracker's error on each piece of it."""
+    columns = each if anew_px is None else _pieces(scene, anew_px)
+    name = "image.stroke" if anew_px is None else "tracker"
+    return Part(name, scene.each(columns), np.eye(scene.slope.shape[1] * columns.shape[1]))
+
+
+def starts_anew(scene: Scene) -> float | None:
+    """After how much of the path (px) an error of the tracker begins anew, as behind a codec that holds back what moves
+    little; None where there is none. It lies across the path as well as along it, as none of the tip does, and is
+    another in both halves of a stroke, as none of the camera's is but a sway."""
+    if scene.slope.shape[1] < 2 or len(scene.p) < 4 * _LAGS:
+        return None
+    left = scene.rows * scene.weight[:, None]
+    direction = scene.slope / np.maximum(np.linalg.norm(scene.slope, axis=1), 1e-12)[:, None]
+    along = np.sum(left * direction, axis=1)
+    across = left[:, 0] * direction[:, 1] - left[:, 1] * direction[:, 0]
+
+    def shared(values: Array, lag: int = 1) -> float:
+        same = scene.stroke[lag:] == scene.stroke[:-lag]
+        return float(np.mean((values[lag:] * values[:-lag])[same])) if same.any() else 0.0
+
+    near = shared(along) + shared(across)
+    if near < _LASTS * float(np.mean(np.sum(left**2, axis=1))) or shared(across) < _ACROSS * shared(along):
+        return None
+    if _halves(left, scene.stroke) > _CONSTANT * near or _swaying(scene.time_s, left) > _SWAYS:
+        return None
+    place = _along_path(scene)
+    for lag in range(1, _LAGS):
+        if shared(along, lag) + shared(across, lag) < 0.5 * near:
+            break
+    same = (scene.stroke[lag:] == scene.stroke[:-lag]) & scene.moving[lag:]
+    gone = float(np.median((place[lag:] - place[:-lag])[same])) if same.any() else 0.0
+    return max(gone, float(np.sum(np.maximum(np.diff(place), 0.0))) / _PIECES)
+
+
+def _along_path(scene: Scene) -> Array:
+    """How far, px, the image has gone since the stroke began."""
+    step = np.linalg.norm(scene.slope / scene.inverse[:, None], axis=1)[1:] * np.abs(np.diff(scene.p))
+    gone = np.concatenate([[0.0], np.cumsum(step)])
+    first = np.searchsorted(scene.stroke, scene.stroke, side="left")
+    return gone - gone[first]
+
+
+def _pieces(scene: Scene, length_px: float) -> sparse.csr_matrix:
+    """(n, nodes) piecewise linear along each stroke's path."""
+    place = _along_path(scene) / length_px
+    spans = np.zeros(int(scene.stroke.max(initial=0)) + 1, dtype=np.intp)
+    np.maximum.at(spans, scene.stroke, place.astype(np.intp) + 1)
+    first = np.concatenate([[0], np.cumsum(spans + 1)])
+    at = first[scene.stroke] + place.astype(np.intp)
+    share, n = place % 1.0, np.arange(len(place))
+    values = np.concatenate([1.0 - share, share]), (np.concatenate([n, n]), np.concatenate([at, at + 1]))
+    return sparse.csr_matrix(values, shape=(len(place), int(first[-1])))
+
+
+def _halves(left: Array, stroke: npt.NDArray[np.intp]) -> float:
+    """What the means of a stroke's two halves share."""
+    begins = np.flatnonzero(np.diff(stroke, prepend=-1))
+    ends = np.append(begins[1:], len(stroke))
+    pairs = [(left[a : (a + b) // 2], left[(a + b) // 2 : b]) for a, b in zip(begins, ends, strict=True) if b - a >= 12]
+    return float(np.mean([early.mean(axis=0) @ late.mean(axis=0) for early, late in pairs])) if pairs else 0.0
+
+
+def _swaying(t: Array, left: Array) -> float:
+    """Share of what is left that a sine of the likeliest frequency explains."""
+    rate = _rhythm(t, left)
+    if rate is None:
+        return 0.0
+    turn = 2 * np.pi * rate * t
+    waves = np.column_stack([np.cos(turn), np.sin(turn), np.ones_like(t)])
+    rest = left - waves @ np.linalg.lstsq(waves, left, rcond=None)[0]
+    return 1.0 - float(np.sum(rest**2)) / max(float(np.sum((left - left.mean(axis=0)) ** 2)), 1e-30)
 
 
 def contrasts(recordings: int) -> Array:
@@ -271,6 +366,7 @@ def _piece(
         "phase": gone / np.maximum(width, 0.2 * usual),
         "way": way,
         "stroke": stroke[keep],
+        "frame": np.flatnonzero(keep),
         "lagging": behind(_LAGS_S) / np.array(_LAGS_S),
         "creeping": behind(_CREEPS_S),
         "load": None if load is None else np.interp(scene_s[keep], track.motor.t_s, load),
@@ -306,8 +402,8 @@ def _hats(x: Array, nodes: Array) -> sparse.csr_matrix:
     return sparse.csr_matrix((np.concatenate([1 - share, share]), places), shape=(len(x), len(nodes)))
 
 
-def _slow_basis(t: Array, spans: int) -> Sparse | None:
-    """None where so few spans are as quick as the motion."""
+def slow_basis(t: Array, spans: int) -> Sparse | None:
+    """Cubic splines (n, spans + 3) over the session. None where so few spans are as quick as the motion."""
     if spans < 2:
         return None
     knots = -0.5 + np.arange(-3, spans + 4) / spans
