@@ -289,7 +289,7 @@ class _Session:
         joint = allowing_for_place(joint, noise)
         self.found.evidence["residual_before_components"] = joint.scale
         self.components = separate(joint, self.rig)
-        if self.components.noise > PREDICTS:
+        if self.components.noise > PREDICTS and not self.components.of_tracker:
             joint = as_smooth_as_independent(joint, noise)
             self.components = separate(joint, self.rig)
         gradual = self.options.elements == "auto" and not jumping(onsets)
