@@ -92,6 +92,16 @@ _LIVED = (
 # -- the same, and what lies around it: one test each -----------------------------------------------------------------
 
 _APP = (
+    _one("an encoder that shows nothing",
+         SAFETY + "an_encoder_lost_next_to_its_target_is_noticed_and_its_position_not_trusted",
+         GUARD, "!within(grown, 2 *", "!within(grown, 99 *"),
+    _one("a stall adds up", SAFETY + "an_encoder_lost_while_its_path_goes_to_and_fro_is_noticed", GUARD,
+         "guard->pushed_ms - (guard->pushed_ms > 0U ? 1U : 0U)", "guard->pushed_ms - guard->pushed_ms"),
+    _one("an unseen motion takes the reference",
+         SAFETY + "an_encoder_lost_next_to_its_target_is_noticed_and_its_position_not_trusted",
+         REST, "unseen ? OF_POSITION | OF_MOTION : OF_POSITION", "unseen ? OF_POSITION : OF_POSITION"),
+    _one("growth counts from rest", SAFETY + "a_sound_motor_that_sticks_at_every_count_is_no_stall",
+         GUARD, "if (guard->unseen_ms < SETTLES_MS) {", "if (guard->unseen_ms == 0U) {"),
     _one("a driver that chops pushes", SAFETY + "a_driver_that_chops_its_current_at_a_blocked_motor_is_a_stall",
          GUARD, "(chops_ma > 0 && size_ma >= chops_ma)", "(chops_ma > 0 && size_ma < 0)"),
     _one("the port's current limit", SAFETY + "the_default_current_limit_is_below_the_drivers_own",
@@ -227,7 +237,8 @@ _HOST = (
     _one("tried gains are taken back", COMMISSION + "a_fault_while_commissioning_stores_nothing",
          HOST + "live/commission.py", '            board.ask("servo", **_servo(before))\n'),
     _one("homing ends with its program", COMMISSION + "ctrl_c_during_homing_leaves_the_motor_at_rest_and_no_position",
-         HOST + "live/homing.py", "            live.release()\n", "            pass\n"),
+         HOST + "live/setup.py", "                yield\n            finally:\n                self.release()\n",
+         "                yield\n            finally:\n                pass\n"),
 )  # fmt: skip
 
 GUARDS = (*_LIVED, *_APP, *_PORT, *_HOST)

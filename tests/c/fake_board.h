@@ -27,6 +27,7 @@ typedef struct {
     uint16_t supply_mv;
     double lag_s;                     // of a motor's speed, by its inertia
     double winding_s;                 // of its current; 0: at once
+    double load, friction;            // of full drive: what pulls at the motors, and what rubs
     double current[TL_WIRE_AXES_MAX]; // that speeds a motor up, of what full duty brings
     double wiring[TL_WIRE_AXES_MAX]; // counts that the encoder shows for one of the motor's: -1 where wires are swapped
     uint8_t flash[FAKE_FLASH];
@@ -196,7 +197,11 @@ static inline void fake_ready(void) {
 static inline void fake_turn(uint8_t i, double dt) {
     const double drive = fake.duty[i] / 32768.0 - fake.speed[i] / FAKE_SPEED;
     fake.current[i] = fake.winding_s > 0.0 ? fake.current[i] + (drive - fake.current[i]) * dt / fake.winding_s : drive;
-    fake.speed[i] = fake.blocked ? 0.0 : fake.speed[i] + fake.current[i] * FAKE_SPEED * dt / fake.lag_s;
+    const double pull = fake.current[i] - fake.load, way = fake.speed[i] != 0.0 ? fake.speed[i] : pull;
+    const bool sticks = fake.speed[i] == 0.0 && pull <= fake.friction && pull >= -fake.friction;
+    const double rubs = sticks ? pull : way < 0.0 ? -fake.friction : fake.friction;
+    const double speed = fake.speed[i] + (pull - rubs) * FAKE_SPEED * dt / fake.lag_s;
+    fake.speed[i] = fake.blocked || (fake.friction > 0.0 && speed * way < 0.0) ? 0.0 : speed; // it stops, never turns
     fake.position[i] += fake.speed[i] * dt;
 }
 

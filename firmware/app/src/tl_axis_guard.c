@@ -4,6 +4,7 @@
 #include "tautline/tl_fast.h"
 
 #define STALL_WAY     (8 * TL_COUNT_ONE) // within it for the stall time, a pushing motor stands still
+#define SETTLES_MS    20U                // without a count after which it brakes no more
 #define DRIVER_MS     5U                 // a fault line that is low for as long is no glitch
 #define SUPPLY_MS     20U                // a dip as long is more than a motor's start
 #define SWING_STEP    160U               // a change from limit to limit, forgotten in 40 ms, and in
@@ -66,17 +67,28 @@ static bool electrical(tl_axis_t *axis, tl_us_t now_us) {
                  guard->current_mean_q8 >> 8, now_us);
 }
 
-// How long it has been pushing without a motion. A driver at its own current limit pushes as hard as it can, too.
+// How long it has been pushing without a motion, less how long it has not. A driver at its own current limit pushes as
+// hard as it can, too; and so does a drive that has grown, since the encoder last showed anything, by more than twice
+// what the check has shown to overcome friction: whatever load it holds, it would have moved.
 static void feel(tl_axis_t *axis) {
     tl_axis_guarded_t *guard = &axis->guard;
     const int32_t chops_ma = axis->port->driver_ma - axis->port->driver_ma / 16; // with the noise of its measurement
     const int32_t size_ma = guard->current_ma < 0 ? -guard->current_ma : guard->current_ma;
-    const bool pushes = guard->pushed != 0 || (chops_ma > 0 && size_ma >= chops_ma);
-    if (!pushes || !within(axis->q - guard->still_q, STALL_WAY)) {
+    guard->unseen_ms = counted(guard->unseen_ms, axis->q == guard->seen_q);
+    guard->seen_q = axis->q;
+    if (guard->unseen_ms < SETTLES_MS) {
+        guard->seen_duty = axis->motor.duty;
+    }
+    const int32_t grown = axis->motor.duty - guard->seen_duty;
+    const bool pushes = guard->pushed != 0 || (chops_ma > 0 && size_ma >= chops_ma) ||
+                        !within(grown, 2 * (axis->motor.servo.gains.friction + CHECK_PUSH));
+    if (!within(axis->q - guard->still_q, STALL_WAY)) {
         guard->still_q = axis->q;
         guard->pushed_ms = 0;
-    } else if (guard->pushed_ms < UINT16_MAX) {
-        guard->pushed_ms++;
+    } else if (pushes) {
+        guard->pushed_ms = (uint16_t)(guard->pushed_ms + (guard->pushed_ms < UINT16_MAX ? 1U : 0U));
+    } else {
+        guard->pushed_ms = (uint16_t)(guard->pushed_ms - (guard->pushed_ms > 0U ? 1U : 0U));
     }
 }
 
