@@ -1,4 +1,4 @@
-"""Whatever goes wrong at whatever point of a calibration, a flash or a follow: at rest within the time that
+"""Whatever goes wrong at whatever point of a calibration, a flash, a follow or a stream: at rest within the time that
 docs/safety.md states, named on the terminal with its remedy, the table whole, and the same command works after it.
 
 The points are the events of a run without a fault (events.py): evenly spread, and each at which the axis begins to do
@@ -21,7 +21,7 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
-from events import PATIENCE_S, Events, HostDied, Look
+from events import PATIENCE_S, BoardTime, Events, HostDied, Look
 from test_board_tables import model
 
 from conftest import SIMULATED, Bench, bench_of
@@ -39,6 +39,7 @@ EVEN = 12  # points evenly spread over a run
 SHARES = 16  # of the points: the first is taken each time
 RUN_DOWN_S = 0.11  # a motor that is switched off at its full speed, by its friction
 BRAKING_S = 0.15  # within the limits, from any speed that these runs have
+LAST_S = 0.1  # in which a command may end without a word of a fault
 SEEN_S = 0.01  # between two looks, and the path's lead
 OLD, NEW = model(), model(scale=0.7)
 MOVED = 8.0  # counts: the axis was told to move
@@ -90,7 +91,7 @@ OFF, CHECK = (wire.code("MODES", name) for name in ("OFF", "CHECK"))
 class Task:
     arguments: Callable[[Bench, Path], list[str]]
     ills: tuple[str, ...] = tuple(name for name in ILLS if name != "power")
-    within: Callable[[], contextlib.AbstractContextManager[Any]] = contextlib.nullcontext
+    within: Callable[[Bench], contextlib.AbstractContextManager[Any]] = lambda bench: contextlib.nullcontext()
     moves: bool = True
 
     @property
@@ -119,19 +120,28 @@ def follow(bench: Bench, folder: Path) -> list[str]:
     ]
 
 
+def stream(bench: Bench, folder: Path) -> list[str]:
+    return ["stream", "--board", bench.where, "--sine", "8", "2", "--duration", "2.6", "--rate", "50"]
+
+
 def flash(bench: Bench, folder: Path) -> list[str]:
     if not (folder / "new").exists():
         NEW.save(folder / "new")
     return ["flash", str(folder / "new"), "--board", bench.where]
 
 
-def by_messages() -> contextlib.AbstractContextManager[Any]:
+def by_board_time(bench: Bench) -> contextlib.AbstractContextManager[Any]:
+    return BoardTime(bench.sim).of_stream()
+
+
+def by_messages(bench: Bench) -> contextlib.AbstractContextManager[Any]:
     return patch.object(UsbLink, "tables", lambda link, axis: None)
 
 
 TASKS = {
     "calibration": Task(calibrate),
     "follow": Task(follow),
+    "stream": Task(stream, within=by_board_time),
     "flash": Task(flash, tuple(ILLS), moves=False),
     "flash-by-messages": Task(flash, tuple(ILLS), by_messages, moves=False),
 }
@@ -171,6 +181,7 @@ class Said:
     status: int
     error: str = ""
     printed: str = ""
+    ended_s: float = 0.0  # board time
 
 
 def terminal(*arguments: str) -> Said:
@@ -229,8 +240,9 @@ def rest_at(looks: list[Look]) -> float:
 
 
 def run(bench: Bench, task: Task, folder: Path, events: Events) -> Said:
-    with set_up(bench), task.within(), events.counted():
-        return terminal(*task.arguments(bench, folder))
+    with set_up(bench), task.within(bench), events.counted():
+        said = terminal(*task.arguments(bench, folder))
+    return replace(said, ended_s=bench.sim.ask("state")["board_us"] * 1e-6)
 
 
 def mend(bench: Bench) -> None:
@@ -256,6 +268,7 @@ def is_named(status: wire.Message, said: Said, cleared: Said) -> None:
     fault = wire.fault(status)
     assert fault in cleared.printed
     if said.status == 0:
+        assert said.ended_s - status.fault_us * 1e-6 < LAST_S
         return
     assert said.status == 1 and said.error.startswith("taut: axis 0 has stopped: ")
     assert fault in said.error and "taut clear" in said.error
