@@ -96,7 +96,7 @@ _APP = (
          SAFETY + "an_encoder_lost_next_to_its_target_is_noticed_and_its_position_not_trusted",
          GUARD, "!within(grown, 2 *", "!within(grown, 99 *"),
     _one("a stall adds up", SAFETY + "an_encoder_lost_while_its_path_goes_to_and_fro_is_noticed", GUARD,
-         "guard->pushed_ms - (guard->pushed_ms > 0U ? 1U : 0U)", "guard->pushed_ms - guard->pushed_ms"),
+         "guard->pushed_ms + (pushes ? 1 : -1)", "pushes ? guard->pushed_ms + 1 : 0"),
     _one("an unseen motion takes the reference",
          SAFETY + "an_encoder_lost_next_to_its_target_is_noticed_and_its_position_not_trusted",
          REST, "unseen ? OF_POSITION | OF_MOTION : OF_POSITION", "unseen ? OF_POSITION : OF_POSITION"),

@@ -326,7 +326,8 @@ def try_point(request: pytest.FixtureRequest, task: Task, name: str, at: int, fo
         find_again(bench)
         folder = folder / "again"
         folder.mkdir()
-        assert run(bench, task, folder, Events(bench.sim)).status == 0
+        again = run(bench, task, folder, Events(bench.sim))
+        assert again.status == 0, again.error
         with bench.open() as board:
             assert in_store(board) == task.tables[-1]
 

@@ -82,14 +82,12 @@ static void feel(tl_axis_t *axis) {
     const int32_t grown = axis->motor.duty - guard->seen_duty;
     const bool pushes = guard->pushed != 0 || (chops_ma > 0 && size_ma >= chops_ma) ||
                         !within(grown, 2 * (axis->motor.servo.gains.friction + CHECK_PUSH));
+    int32_t pushed_ms = guard->pushed_ms + (pushes ? 1 : -1);
     if (!within(axis->q - guard->still_q, STALL_WAY)) {
         guard->still_q = axis->q;
-        guard->pushed_ms = 0;
-    } else if (pushes) {
-        guard->pushed_ms = (uint16_t)(guard->pushed_ms + (guard->pushed_ms < UINT16_MAX ? 1U : 0U));
-    } else {
-        guard->pushed_ms = (uint16_t)(guard->pushed_ms - (guard->pushed_ms > 0U ? 1U : 0U));
+        pushed_ms = 0;
     }
+    guard->pushed_ms = (uint16_t)tl_clamp(pushed_ms, 0, UINT16_MAX);
 }
 
 static bool oscillates(tl_axis_t *axis) {
