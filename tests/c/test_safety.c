@@ -100,6 +100,21 @@ static void test_an_encoder_lost_next_to_its_target_is_noticed_and_its_position_
     }
 }
 
+static void test_an_encoder_lost_just_before_switching_off_leaves_no_position(void) {
+    for (int how = 0; how < 3; how++) {
+        fake_new(1);
+        fake.position[0] = 0.5;
+        hold();
+        fake.wiring[0] = how == 2 ? 1.0 : 0.0;
+        TEST_ASSERT_EQUAL(0, move(40));
+        fake_run_ms(100);
+        TEST_ASSERT_EQUAL(0, how == 0 ? ask_axis(TL_WIRE_SAFE_STOP) : fake_enable(0, 0));
+        fake_run_ms(100);
+        TEST_ASSERT_EQUAL(TL_WIRE_MODE_OFF, fake_status(0).mode);
+        TEST_ASSERT_EQUAL(how == 2, (fake_status(0).flags & TL_WIRE_FLAG_REFERENCED) != 0);
+    }
+}
+
 static void test_an_encoder_lost_while_its_path_goes_to_and_fro_is_noticed(void) {
     fake_new(1);
     fake.position[0] = 0.5;
@@ -584,6 +599,7 @@ int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_a_motor_blocked_near_its_target_faults_within_the_stall_time);
     RUN_TEST(test_an_encoder_lost_next_to_its_target_is_noticed_and_its_position_not_trusted);
+    RUN_TEST(test_an_encoder_lost_just_before_switching_off_leaves_no_position);
     RUN_TEST(test_an_encoder_lost_while_its_path_goes_to_and_fro_is_noticed);
     RUN_TEST(test_a_sound_motor_that_sticks_at_every_count_is_no_stall);
     RUN_TEST(test_a_driver_that_chops_its_current_at_a_blocked_motor_is_a_stall);

@@ -9,11 +9,15 @@
 // nor after these where the encoder showed nothing for so long: it may have been lost, and the motor have run on.
 #define OF_MOTION (BIT(FOLLOWING) | BIT(CURRENT) | BIT(STALL))
 #define UNSEEN_MS 5U
+// Who switches off before it is a fault: pushed, and nothing seen, for so long.
+#define BLIND_MS 20U
 // After these somebody may have changed its wires.
 #define OF_WIRING (OF_POSITION | OF_MOTION | BIT(DRIVER) | BIT(SUPPLY))
 
 TL_FAST void tl_axis_off(tl_axis_t *axis) {
     tl_actuator_release(&axis->motor);
+    const bool blind = axis->closed && axis->guard.unseen_ms >= BLIND_MS && axis->guard.pushed_ms >= BLIND_MS;
+    axis->referenced = axis->referenced && !blind;
     tl_axis_enter(axis, TL_WIRE_MODE_OFF);
     axis->plan.stream.used = 0;
     axis->plan.motion = NULL;
