@@ -39,7 +39,7 @@ EVEN = 12  # points evenly spread over a run
 SHARES = 16  # of the points: the first is taken each time
 RUN_DOWN_S = 0.11  # a motor that is switched off at its full speed, by its friction
 BRAKING_S = 0.15  # within the limits, from any speed that these runs have
-LAST_S = 0.1  # in which a command may end without a word of a fault
+LAST_S = 1.1  # in which a command may end without a word of a fault: a calibration ends with a second of frames at rest
 SEEN_S = 0.01  # between two looks, and the path's lead
 OLD, NEW = model(), model(scale=0.7)
 RANGE = 5000.0  # counts: the instrument's

@@ -23,6 +23,8 @@ typedef struct {
     int32_t current_ma;
     bool slipped[TL_WIRE_AXES_MAX]; // until the app has asked
     bool blocked;
+    bool stuck;    // the encoders,
+    int32_t shown; // at this
     bool driver_fault[TL_WIRE_AXES_MAX];
     uint16_t supply_mv;
     double lag_s;                     // of a motor's speed, by its inertia
@@ -49,6 +51,9 @@ static tl_us_t fake_time(void *context) {
 static int32_t fake_encoder(void *context, uint8_t axis) {
     const fake_t *f = context;
     const double position = f->position[axis] * f->wiring[axis];
+    if (f->stuck) {
+        return f->shown;
+    }
     return (int32_t)(position < 0.0 ? position - 1.0 : position);
 }
 static void fake_drive(void *context, uint8_t axis, tl_duty_q15_t duty) {

@@ -115,6 +115,17 @@ static void test_an_encoder_lost_just_before_switching_off_leaves_no_position(vo
     }
 }
 
+static void test_an_encoder_lost_at_full_speed_leaves_no_position(void) {
+    hold();
+    TEST_ASSERT_EQUAL(0, move(10000));
+    fake_run_ms(200);
+    fake.shown = fake_encoder(&fake, 0);
+    fake.stuck = true;
+    TEST_ASSERT_TRUE(until_fault(100) <= 25U); // 300 counts at 16000 a second
+    assert_fault(TL_WIRE_FAULT_FOLLOWING);
+    TEST_ASSERT_EQUAL(0, fake_status(0).flags & TL_WIRE_FLAG_REFERENCED);
+}
+
 static void test_an_encoder_lost_while_its_path_goes_to_and_fro_is_noticed(void) {
     fake_new(1);
     fake.position[0] = 0.5;
@@ -600,6 +611,7 @@ int main(void) {
     RUN_TEST(test_a_motor_blocked_near_its_target_faults_within_the_stall_time);
     RUN_TEST(test_an_encoder_lost_next_to_its_target_is_noticed_and_its_position_not_trusted);
     RUN_TEST(test_an_encoder_lost_just_before_switching_off_leaves_no_position);
+    RUN_TEST(test_an_encoder_lost_at_full_speed_leaves_no_position);
     RUN_TEST(test_an_encoder_lost_while_its_path_goes_to_and_fro_is_noticed);
     RUN_TEST(test_a_sound_motor_that_sticks_at_every_count_is_no_stall);
     RUN_TEST(test_a_driver_that_chops_its_current_at_a_blocked_motor_is_a_stall);
