@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 from tautline.calibration.calibrate import calibrate
-from tautline.diagnose.diagnosis import Diagnosis, diagnose
+from tautline.diagnosis.diagnose import Diagnosis, diagnose
 from tautline.errors import TautError
 from tautline.model import Model
 from tautline.recording import Recording, load

@@ -19,7 +19,7 @@ from rich.table import Table
 from tools.so101 import constant_play
 
 from tautline.calibration.calibrate import calibrate
-from tautline.diagnose.diagnosis import Diagnosis, diagnose
+from tautline.diagnosis.diagnose import Diagnosis, diagnose
 from tautline.errors import TautError
 from tautline.recording import Angle, Recording, load
 from tautline.rig import Rig

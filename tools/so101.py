@@ -26,7 +26,7 @@ from scipy.optimize import minimize, nnls
 
 from tautline.calibration.calibrate import Calibration, calibrate
 from tautline.errors import TautError
-from tautline.predict import predict
+from tautline.prediction import predict
 from tautline.recording import Recording, load
 from tautline.rig import Rig
 

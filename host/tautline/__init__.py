@@ -1,6 +1,14 @@
 """tautline: measure and undo what a tendon-driven instrument loses between motor and tip.
 
-The public types of results and errors; what makes them is in the package's rooms (DESIGN.md).
+    import tautline as tl
+
+    recording = tl.load("monday", "rig.toml")
+    found = tl.calibrate(recording)
+    print(found.model.quality.verdict, found.model.width)
+    tl.report(found, "model", recording)
+    blob = tl.encode(found.model)
+
+Its functions and the types of what they take and give. Where they are made is in the package's rooms (DESIGN.md).
 """
 
 from importlib import import_module
@@ -8,36 +16,71 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from tautline.api import calibrate as calibrate
+    from tautline.api import compensate as compensate
+    from tautline.api import diagnose as diagnose
+    from tautline.api import encode as encode
+    from tautline.api import load as load
+    from tautline.api import predict as predict
+    from tautline.api import report as report
+    from tautline.api import track as track
     from tautline.calibration.calibrate import Calibration as Calibration
+    from tautline.compensation import SetPoints as SetPoints
+    from tautline.diagnosis.diagnose import Diagnosis as Diagnosis
     from tautline.elements import Elements as Elements
     from tautline.errors import TautError as TautError
     from tautline.errors import UnusableError as UnusableError
     from tautline.model import Model as Model
+    from tautline.prediction import Prediction as Prediction
     from tautline.quality import Quality as Quality
     from tautline.quality import Reason as Reason
     from tautline.quality import Verdict as Verdict
+    from tautline.recording import Angle as Angle
+    from tautline.recording import Marker as Marker
+    from tautline.recording import Motor as Motor
     from tautline.recording import Recording as Recording
     from tautline.rig import Rig as Rig
+    from tautline.tracking import Tracked as Tracked
 
-__version__ = version("tautline")
+DISTRIBUTION = "tautline-robotics"  # its name on the package index
+__version__ = version(DISTRIBUTION)
 
 _PUBLIC = {
+    "Angle": "recording",
     "Calibration": "calibration.calibrate",
+    "Diagnosis": "diagnosis.diagnose",
     "Elements": "elements",
+    "Marker": "recording",
     "Model": "model",
+    "Motor": "recording",
+    "Prediction": "prediction",
     "Quality": "quality",
     "Reason": "quality",
     "Recording": "recording",
     "Rig": "rig",
+    "SetPoints": "compensation",
     "TautError": "errors",
+    "Tracked": "tracking",
     "UnusableError": "errors",
     "Verdict": "quality",
+    "calibrate": "api",
+    "compensate": "api",
+    "diagnose": "api",
+    "encode": "api",
+    "load": "api",
+    "predict": "api",
+    "report": "api",
+    "track": "api",
 }
 __all__ = ["__version__", *_PUBLIC]
 
 
 def __getattr__(name: str) -> Any:
-    """Each type comes with its module when it is first asked for: `taut --help` needs none of them."""
+    """Each comes with its module when it is first asked for: `taut --help` needs none of them."""
     if name not in _PUBLIC:
         raise AttributeError(f"module 'tautline' has no attribute {name!r}")
     return getattr(import_module(f"tautline.{_PUBLIC[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

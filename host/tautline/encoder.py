@@ -238,12 +238,19 @@ def _stops(motor: Motor, encoder: _Steps) -> list[_Stop]:
         if not level:
             continue
         middle = 0.5 * (since + until)
-        start_s = since if slows is None else min(since + slows[0], middle)
-        end_s = until if starts is None else max(until - starts[0], middle)
+        # Beside a jump it stands for as long as samples say so.
+        start_s = since + _half(t, changes, step, i - 1) if slows is None else min(since + slows[0], middle)
+        end_s = until - _half(t, changes, step, i) if starts is None else max(until - starts[0], middle)
         if turns and slows is not None and starts is not None and end_s - start_s < 2 * period:
             start_s = end_s = 0.5 * (start_s + end_s)
         found.append(_Stop(encoder.zero + encoder.count * float(np.mean(level)), start_s, end_s, since, until))
     return found
+
+
+def _half(t: Array, changes: npt.NDArray[np.intp], step: Array, i: int) -> float:
+    """Half the time between the samples that the i-th change is between, where it is of many counts at once; else 0."""
+    jumps = 0 <= i < len(changes) and abs(step[i]) > 1
+    return 0.5 * float(t[changes[i] + 1] - t[changes[i]]) if jumps else 0.0
 
 
 def _vertex(at: Array, boundary: Array, step: Array, centre: float, period: float) -> tuple[float, float] | None:

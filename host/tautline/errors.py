@@ -11,3 +11,14 @@ class UnusableError(TautError):
     """A calibration that nothing should be driven with."""
 
     status = 3
+
+
+_LONGEST_NAME = 120  # characters of a file's name that an error shows
+
+
+def of_system(error: OSError) -> str:
+    """What the operating system refused, in one line: a name that is too long, a full disk, a folder without
+    permission."""
+    name = str(error.filename) if error.filename is not None else "a file"
+    shown = name if len(name) <= _LONGEST_NAME else f"{name[:40]}...{name[-20:]} ({len(name)} characters)"
+    return f"{shown}: {error.strerror or error}: name another file or folder, or make room and permission for this one"

@@ -19,7 +19,7 @@ from tautline.errors import TautError
 from tautline.folders import write_file
 from tautline.geometry import pose
 from tautline.model import Model
-from tautline.predict import predict
+from tautline.prediction import predict
 from tautline.recording import Motor, Recording, timeline
 
 Array = np.ndarray
@@ -72,7 +72,11 @@ class Evidence:
             with np.load(io.BytesIO(path.read_bytes())) as data:
                 found = cls(**{field.name: data[field.name] for field in fields(cls)})
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-            raise TautError(f"{path}: cannot be read ({error}): make it again with taut calibrate") from error
+            why = f"{error.strerror}" if isinstance(error, OSError) and error.strerror else "it is damaged"
+            raise TautError(
+                f"{path}: cannot be read, {why}: make it again with taut calibrate, or delete it for a report without "
+                "the recording"
+            ) from error
         n = len(found.t_s)
         if not (
             len(found.q) == len(found.seen) == len(found.settled) == n and found.error.shape[:2] == (len(STAGES), n)

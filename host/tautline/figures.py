@@ -102,8 +102,12 @@ def draw_backlash(axes: Axes, model: Model, onsets: Sequence[Onset], knots: Arra
     unit, (low, high) = model.rig.actuator.unit, model.measured
     inside = (model.q >= low) & (model.q <= high)
     used, _ = split_onsets(onsets)
-    widths = [o["width"] for o in used]
-    top = 1.25 * max([*widths, float(model.width[inside].max()) if inside.any() else 0.0, 1e-9])
+    reaches = [o["width"] + (2 * o["sigma"] if np.isfinite(o["sigma"]) else 0.0) for o in used]
+    highest = max([o["width"] for o in used], default=0.0)
+    level = max(highest, float(model.width[inside].max()) if inside.any() else 0.0, 1e-9)
+    top = max(1.25 * level, min(1.05 * max(reaches, default=0.0), 3.0 * level))  # every bar, but for wild ones
+    at = [q_mean(o) for o in used]
+    ends = min([float(model.q[0]), *at]), max([float(model.q[-1]), *at])  # a motor may have gone beyond the range
     axes.fill_between(
         model.q,
         np.maximum(model.width - 2 * model.width_sigma, 0),
@@ -134,7 +138,7 @@ def draw_backlash(axes: Axes, model: Model, onsets: Sequence[Onset], knots: Arra
     for left, right in ((model.q[0], low), (high, model.q[-1])):
         if right > left:
             axes.axvspan(left, right, color=PALE, alpha=0.6, lw=0)
-    axes.set(xlabel=f"q ({unit})", ylabel=f"backlash width ({unit})", xlim=(model.q[0], model.q[-1]), ylim=(0, top))
+    axes.set(xlabel=f"q ({unit})", ylabel=f"backlash width ({unit})", xlim=ends, ylim=(0, top))
     axes.set_title("Backlash width B(q)")
     axes.legend(loc="upper right", ncols=2)
 
@@ -205,11 +209,14 @@ def main_axis(evidence: Evidence) -> tuple[Array, str]:
 
 
 @mpl.rc_context(STYLE)
-def track(evidence: Evidence, onsets: Sequence[Onset]) -> Figure:
+def track(evidence: Evidence, onsets: Sequence[Onset], motor_unit: str) -> Figure:
     """Motor and marker over time with every reversal."""
     made, axes = figure(11, 4.0, 2, 1, sharex=True)
     position, name = main_axis(evidence)
-    for ax, values, colour, label in ((axes[0, 0], evidence.q, UP, "q"), (axes[1, 0], position, INK, name)):
+    for ax, values, colour, label in (
+        (axes[0, 0], evidence.q, UP, f"q ({motor_unit})"),
+        (axes[1, 0], position, INK, name),
+    ):
         for index in np.unique(evidence.recording):
             chosen = evidence.recording == index
             ax.plot(evidence.t_s[chosen], values[chosen], color=colour, lw=0.9, rasterized=len(values) > MANY)
@@ -285,7 +292,7 @@ def _around(evidence: Evidence, onset: Onset) -> tuple[Onset, Array, Array, floa
 
 
 @mpl.rc_context(STYLE)
-def residuals(evidence: Evidence) -> Figure:
+def residuals(evidence: Evidence, motor_unit: str) -> Figure:
     """Seen minus predicted by the whole model, over time and over q."""
     made, axes = figure(11, 2.9, 1, 2, sharey=True, width_ratios=[2, 1])
     names = ("u", "v") if evidence.unit == "px" else ("c",)
@@ -295,7 +302,7 @@ def residuals(evidence: Evidence) -> Figure:
             ax.plot(x[evidence.settled], values, ".", ms=1.6, color=colour, label=name, rasterized=len(values) > MANY)
     axes[0, 0].set(xlabel="time (s)", ylabel=f"seen - predicted ({evidence.unit})")
     axes[0, 0].set_title("Residuals of f_remain + B")
-    axes[0, 1].set_xlabel("q")
+    axes[0, 1].set_xlabel(f"q ({motor_unit})")
     if len(names) > 1:
         axes[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, markerscale=5, borderaxespad=0.1)
     return made
@@ -349,31 +356,63 @@ def followed(runs: Mapping[str, Run]) -> Figure:
 
 @mpl.rc_context(STYLE)
 def compared(models: Mapping[str, Model]) -> Figure:
-    """B and f_remain of several models (the paper's Fig. 2)."""
+    """B and f_remain of several models (the paper's Fig. 2), and each less the first's: equal curves hide each other,
+    their differences do not."""
     first = next(iter(models.values()))
     unit = first.rig.actuator.unit
-    made, axes = figure(11, 4.0, 1, 2)
-    for (name, model), colour in zip(models.items(), _colours(len(models)), strict=True):
-        low, high = model.measured
-        inside = (model.q >= low) & (model.q <= high)
-        axes[0, 0].fill_between(
-            model.q[inside],
-            np.maximum(model.width - 2 * model.width_sigma, 0)[inside],
-            (model.width + 2 * model.width_sigma)[inside],
-            color=colour,
-            alpha=0.15,
-            lw=0,
-        )
-        axes[0, 0].plot(model.q[inside], model.width[inside], color=colour, lw=1.6, label=name)
+    made, axes = figure(11, 7.4, 2, 2, sharex="col")
+    for k, ((name, model), colour) in enumerate(zip(models.items(), _colours(len(models)), strict=True)):
+        line: Any = {
+            "color": colour,
+            "lw": max(3.2 - 0.9 * k, 1.2),
+            "ls": "-" if k == 0 else (0, (5, 1 + k)),
+            "label": name,
+        }
+        inside = _inside(model)
+        low, high = np.maximum(model.width - 2 * model.width_sigma, 0), model.width + 2 * model.width_sigma
+        axes[0, 0].fill_between(model.q[inside], low[inside], high[inside], color=colour, alpha=0.15, lw=0)
+        axes[0, 0].plot(model.q[inside], model.width[inside], **line)
         for side in (-0.5, 0.5):
             axes[0, 1].plot(model.q + side * model.width, model.c_deg, color=colour, lw=0.8, alpha=0.7)
-        axes[0, 1].plot(model.q, model.c_deg, color=colour, lw=1.6, label=name)
-    axes[0, 0].set(xlabel=f"q ({unit})", ylabel=f"backlash width ({unit})", ylim=(0, None))
+        axes[0, 1].plot(model.q, model.c_deg, **line)
+        if k:
+            _draw_change(axes[1, 0], axes[1, 1], first, model, line)
+    axes[0, 0].set(ylabel=f"backlash width ({unit})", ylim=(0, None))
     axes[0, 0].set_title("Backlash width B(q), ± 2 sigma")
-    axes[0, 1].set(xlabel=f"q ({unit})", ylabel="bending c (deg)")
+    axes[0, 1].set(ylabel="bending c (deg)")
     axes[0, 1].set_title("f_remain (thick) and the envelopes that B makes of it")
     axes[0, 0].legend(loc="best")
+    name = next(iter(models))
+    axes[1, 0].set(xlabel=f"q ({unit})", ylabel=f"change of B ({unit})")
+    axes[1, 0].set_title(f"B less that of {name}, ± 2 sigma of the difference")
+    axes[1, 1].set(xlabel=f"q ({unit})", ylabel="change of f_remain (deg)")
+    axes[1, 1].set_title(f"f_remain less that of {name}, its mean taken off")
+    for ax in axes[1]:
+        ax.axhline(0.0, color=GREY, lw=0.8)
+        ax.legend(loc="best")
     return made
+
+
+def _draw_change(width: Axes, angle: Axes, first: Model, model: Model, line: Mapping[str, Any]) -> None:
+    """One model less the first, over the q that both have measured."""
+    low, high = max(first.measured[0], model.measured[0]), min(first.measured[1], model.measured[1])
+    if not high > low:
+        return
+    q = np.linspace(low, high, 401)
+    change = np.interp(q, model.q, model.width) - np.interp(q, first.q, first.width)
+    sigma = np.hypot(np.interp(q, model.q, model.width_sigma), np.interp(q, first.q, first.width_sigma))
+    width.fill_between(q, change - 2 * sigma, change + 2 * sigma, color=line["color"], alpha=0.15, lw=0)
+    width.plot(q, change, **line)
+    moved = model.remaining(q) - first.remaining(q)
+    angle.plot(q, moved - moved.mean(), **line)
+    if model.c_sigma is not None and first.c_sigma is not None:
+        spread = np.hypot(np.interp(q, model.q, model.c_sigma), np.interp(q, first.q, first.c_sigma))
+        centre = moved - moved.mean()
+        angle.fill_between(q, centre - 2 * spread, centre + 2 * spread, color=line["color"], alpha=0.15, lw=0)
+
+
+def _inside(model: Model) -> Array:
+    return np.asarray((model.q >= model.measured[0]) & (model.q <= model.measured[1]))
 
 
 @mpl.rc_context(STYLE)

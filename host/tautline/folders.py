@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -22,9 +22,9 @@ def check_replaceable(folder: Path, key_file: str) -> None:
 
 
 @contextmanager
-def replaced(folder: Path, key_file: str, stale: str | None = None) -> Iterator[Path]:
+def replaced(folder: Path, key_file: str, stale: Sequence[str] = ()) -> Iterator[Path]:
     """A temporary folder to write into; it takes `folder`'s place when the block ends without an error. Other files in
-    it are kept, but for those that match `stale`, which belong to the earlier result."""
+    it are kept, but for those that match one of `stale`, which belong to the earlier result."""
     folder = folder.absolute()
     check_replaceable(folder, key_file)
     temporary = folder.with_name(f".{folder.name}.{os.getpid()}.new")
@@ -35,7 +35,7 @@ def replaced(folder: Path, key_file: str, stale: str | None = None) -> Iterator[
         yield temporary
         if folder.exists():
             for old in folder.iterdir():
-                if not (temporary / old.name).exists() and not (stale and old.match(stale)):
+                if not (temporary / old.name).exists() and not any(old.match(each) for each in stale):
                     (shutil.copytree if old.is_dir() else shutil.copy2)(old, temporary / old.name)
             folder.rename(retired)
         try:

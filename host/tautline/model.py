@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from tautline.elements import SINGLE, Elements, Play
 from tautline.encoder import straight_lines
-from tautline.errors import TautError
+from tautline.errors import TautError, of_system
 from tautline.quality import Quality
 from tautline.recording import Motor
 from tautline.rig import ANGLE, MARKER, Rig, Sensor
@@ -67,11 +67,11 @@ class Model:
         return Play(self.q, self.width, self.elements, self.rig.actuator.encoder_resolution)
 
     def remaining(self, p: npt.ArrayLike) -> Array:
-        """f_remain: bending angles, deg, at centre coordinates p of any shape."""
+        """f_remain: bending angles (n,), deg, at centre coordinates p (n,), unit of q; any other shape as well."""
         return interpolate(p, self.q, self.c_deg)
 
     def remaining_inverse(self, c_deg: npt.ArrayLike) -> Array:
-        """The centre coordinates at which f_remain is c_deg."""
+        """The centre coordinates (n,), unit of q, at which f_remain is c_deg (n,); any other shape as well."""
         order = slice(None) if self.c_deg[-1] > self.c_deg[0] else slice(None, None, -1)
         return interpolate(c_deg, self.c_deg[order], self.q[order])
 
@@ -84,7 +84,7 @@ class Model:
         return self.remaining(play_at(motor.t_s, motor.q, np.asarray(t_s, dtype=float), self.play, p0))
 
     def save(self, folder: str | Path) -> None:
-        """Writes model.json and rig.toml."""
+        """Writes model.json and rig.toml. Raises TautError where the folder cannot be written."""
         folder = Path(folder)
         document: dict[str, Any] = {
             "format": FORMAT,
@@ -109,16 +109,25 @@ class Model:
 
     @classmethod
     def load(cls, folder: str | Path) -> Self:
+        """What `save` wrote. Raises TautError where a file is missing, damaged or no model's."""
         folder = Path(folder)
         path = folder / MODEL_FILE
         try:
             document = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError) as error:
-            raise TautError(f"{folder}: has no readable {MODEL_FILE}: make it with taut calibrate") from error
+        except (FileNotFoundError, NotADirectoryError) as error:
+            what = f"holds no {MODEL_FILE}" if folder.is_dir() else "is a file" if folder.exists() else "is not there"
+            raise TautError(f"{folder}: {what}: a model is a folder that taut calibrate writes") from error
+        except OSError as error:
+            raise TautError(of_system(error)) from error
+        except UnicodeDecodeError as error:
+            raise TautError(f"{path}: damaged, it is no text: make the model again with taut calibrate") from error
         except json.JSONDecodeError as error:
             raise TautError(f"{path}: not valid JSON ({error}): make the model again with taut calibrate") from error
         if not isinstance(document, dict) or document.get("format") != FORMAT:
             raise TautError(f'{path}: format is not "{FORMAT}": make the model again with taut calibrate')
+        missing = [name for name in (*_ARRAYS, "effects", "delay_s", "measured", "extra") if name not in document]
+        if missing:
+            raise TautError(f"{path}: {', '.join(missing)} missing: make it again with taut calibrate")
         try:
             q, width, sigma, c_deg = arrays = [np.array(document[name], dtype=float) for name in _ARRAYS]
             effects = tuple(Effect(item["id"], dict(item["parameters"])) for item in document["effects"])
@@ -131,12 +140,19 @@ class Model:
             offset_s = None if document.get("offset_s") is None else float(document["offset_s"])
             sensor = document.get("sensor")
         except (KeyError, TypeError, ValueError) as error:
-            raise TautError(f"{path}: {error!r} is missing or wrong: make it again with taut calibrate") from error
+            what = f"a key {error} is missing" if isinstance(error, KeyError) else f"a value is wrong ({error})"
+            raise TautError(f"{path}: damaged, {what}: make the model again with taut calibrate") from error
         good = all(a.ndim == 1 and a.shape == q.shape and np.isfinite(a).all() for a in arrays) and len(q) >= 2
         good = good and (c_sigma is None or c_sigma.shape == q.shape)
         if not (good and is_backlash_table(q, width) and abs(np.sign(np.diff(c_deg)).sum()) == len(q) - 1):
             raise TautError(f"{path}: its tables are not a model's: make the model again with taut calibrate")
         rig = Rig.load(folder / RIG_FILE)
+        unit = document.get("unit", rig.actuator.unit)
+        if unit != rig.actuator.unit:
+            raise TautError(
+                f"{folder}: {MODEL_FILE} is in {unit}, the {RIG_FILE} beside it in {rig.actuator.unit}: they are not "
+                "of one calibration, so make the model again with taut calibrate"
+            )
         if sensor not in (MARKER, ANGLE):
             sensor = MARKER if rig.has_camera else ANGLE
         return cls(

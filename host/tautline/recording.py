@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from tautline import layouts
 from tautline.columns import Columns, read_columns
 from tautline.errors import TautError
 from tautline.folders import replaced
@@ -24,6 +25,7 @@ FARTHEST_PX = 1e5
 FRAME_COLUMNS = ("width_px", "height_px")  # of marker.csv: what the frames measure
 MOST_JOINTS = 8  # that are looked at
 VIDEO_NAMES = ("video.mkv", "video.mp4")
+PICTURE_NAME = "camera.png"
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +43,7 @@ class Motor:
 
     @property
     def joints(self) -> dict[str, Array]:
-        """Further joints that move: NAME_deg or NAME_mm. At most MOST_JOINTS."""
+        """Further joints that move, NAME_deg or NAME_mm, (n,) each. At most MOST_JOINTS."""
         moving = {
             name: values
             for name, values in self.extra.items()
@@ -96,6 +98,7 @@ class Recording:
     video: Video | None = None
     rig: Rig | None = None  # the rig.toml in its folder
     warnings: tuple[str, ...] = ()
+    picture: Path | None = None  # a frame that was kept
 
 
 @dataclass(frozen=True)
@@ -113,6 +116,7 @@ GAP_S = 1.0
 def load(path: str | Path, rig: Rig | None = None) -> Recording:
     """A recording's folder. `rig` wins over a rig.toml in the folder. Raises TautError with file, line and column."""
     folder = _folder(path)
+    _check_links(folder)
     warnings: list[str] = []
     own = _own_rig(folder, rig, warnings)
     used = rig or own
@@ -132,7 +136,9 @@ def load(path: str | Path, rig: Rig | None = None) -> Recording:
         _check_overlap(
             folder / "motor.csv", motor.t_s, folder / "frames.csv", video.arrival_s[np.isfinite(video.arrival_s)]
         )
-    return Recording(folder.resolve().name, motor, marker, angle, video, own, tuple(warnings))
+    picture = folder / PICTURE_NAME
+    kept = picture if picture.is_file() else None
+    return Recording(folder.resolve().name, motor, marker, angle, video, own, tuple(warnings), kept)
 
 
 def load_all(paths: Sequence[str | Path], rig: Rig | None = None) -> list[Recording]:
@@ -191,7 +197,7 @@ def read_motor(file: Path, rig: Rig, warnings: list[str] | None = None) -> Motor
     warnings = [] if warnings is None else warnings
     unit = rig.actuator.unit
     q_name, other = f"q_{unit}", "q_deg" if unit == "mm" else "q_mm"
-    expected = f"t_s,{q_name}"
+    expected = layouts.MOTOR.header(unit)
     columns = read_columns(file, ["t_s"], expected)
     if q_name not in columns.names:
         if other in columns.names:
@@ -280,6 +286,15 @@ def _folder(path: str | Path) -> Path:
     return folder
 
 
+def _check_links(folder: Path) -> None:
+    """A link to nothing is a file that somebody meant to be there."""
+    for path in sorted(folder.iterdir()):
+        if path.is_symlink() and not path.exists():
+            raise TautError(
+                f"{path}: is a link to {path.readlink()}, which is not there: mount or copy it, or remove the link"
+            )
+
+
 def _check_reach(columns: Columns, name: str, rig: Rig) -> None:
     """A motor far beyond the rig's range is another unit or a broken file: an error where nothing can come of it."""
     q = columns.finite(name)
@@ -311,8 +326,7 @@ def _own_rig(folder: Path, rig: Rig | None, warnings: list[str]) -> Rig | None:
 
 
 def _load_marker(file: Path, warnings: list[str]) -> Marker:
-    expected = "t_s,u_px,v_px"
-    columns = read_columns(file, ["t_s", "u_px", "v_px"], expected)
+    columns = read_columns(file, layouts.MARKER.required(), layouts.MARKER.header())
     t_s = columns.rising_times()
     u_px, v_px = columns.raw("u_px"), columns.raw("v_px")
     seen = np.isfinite(u_px) & np.isfinite(v_px)
@@ -335,7 +349,7 @@ def _load_marker(file: Path, warnings: list[str]) -> Marker:
         np.where(valid, v_px, np.nan),
         valid,
         sigma_px,
-        _extra(columns, {"t_s", "u_px", "v_px", "valid", "sigma_px", *FRAME_COLUMNS}),
+        _extra(columns, set(layouts.MARKER.names())),
         frame_px,
     )
 
@@ -358,7 +372,7 @@ def _sizes(marker: Marker) -> dict[str, Array]:
 
 
 def _load_angle(file: Path, warnings: list[str]) -> Angle:
-    columns = read_columns(file, ["t_s", "c_deg"], "t_s,c_deg")
+    columns = read_columns(file, layouts.ANGLE.required(), layouts.ANGLE.header())
     t_s = columns.rising_times()
     c_deg = columns.raw("c_deg")
     finite = np.isfinite(c_deg)
@@ -372,7 +386,7 @@ def _load_angle(file: Path, warnings: list[str]) -> Angle:
         columns.warnings.append(f"{file}: {lost} rows have no finite c_deg: taken as not valid")
     warnings += columns.warnings
     kept = None if stated is None and finite.all() else valid
-    return Angle(t_s, np.where(valid, c_deg, np.nan), kept, _extra(columns, {"t_s", "c_deg", "valid"}))
+    return Angle(t_s, np.where(valid, c_deg, np.nan), kept, _extra(columns, set(layouts.ANGLE.names())))
 
 
 def _find_video(folder: Path, tracked: bool, warnings: list[str]) -> Video | None:
@@ -386,7 +400,7 @@ def _find_video(folder: Path, tracked: bool, warnings: list[str]) -> Video | Non
                 f"{path}: no frames.csv beside it: the container's times are used, with the first frame at 0"
             )
         return Video(path, None)
-    columns = read_columns(file, ["frame", "t_s"], "frame,t_s")
+    columns = read_columns(file, layouts.FRAMES.required(), layouts.FRAMES.header())
     t_s = columns.rising_times()
     frames = columns.finite("frame")
     if np.any(frames != np.floor(frames)) or frames[0] < 0 or np.any(np.diff(frames) <= 0) or frames[-1] > 1e8:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -13,6 +12,7 @@ import numpy as np
 import tomli_w
 
 from tautline.errors import TautError
+from tautline.schema import Key, Section
 
 FORMAT = "rig/1"
 UNITS = ("mm", "deg")
@@ -85,6 +85,124 @@ class HandEye:
     translation_mm: tuple[float, float, float]
 
 
+_SECTIONS = (
+    Section(
+        "actuator",
+        "The motor that bends the instrument.",
+        (
+            Key(
+                "unit", "the unit of q everywhere: mm of cable travel, or deg of a spindle", "mm", "text", choices=UNITS
+            ),
+            Key(
+                "range",
+                "the useful motor range, in its unit: from where to where it may go",
+                [-5.0, 5.0],
+                "numbers",
+                count=2,
+                wrong="the calibration says `range`: the motor goes far beyond it, or hardly into it",
+            ),
+            Key(
+                "encoder_resolution",
+                "one count of the encoder, in the motor's unit",
+                0.001,
+                above=0.0,
+                wrong="motor and encoder disagree on how far it went; B comes out wrong by a factor",
+            ),
+            Key(
+                "speed_max",
+                "the motor's top speed, units per second; `taut compensate` keeps to it",
+                20.0,
+                needed=False,
+                above=0.0,
+            ),
+            Key(
+                "instrument",
+                "the instrument's serial: a board whose settings name another one refuses the tables",
+                "SN-7",
+                "text",
+                needed=False,
+                pattern="[!-~]{1,8}",
+                described="1 to 8 letters, digits or signs",
+            ),
+        ),
+    ),
+    Section(
+        "coarse",
+        "f_coarse, what the kinematics alone says: c = gain * q + offset, c in deg.",
+        (
+            Key(
+                "gain",
+                "deg of bending per unit of q; negative where c falls as q rises",
+                12.0,
+                wrong="the marker moves too much, too little or backwards: the calibration says `coarse`",
+            ),
+            Key("offset", "deg: the bending at q = 0", 0.0),
+        ),
+    ),
+    Section(
+        "kinematics",
+        "A section of constant curvature, then a straight tip with the marker at its end. It bends in the base's x-z "
+        "plane: c > 0 towards +x, c = 0 along +z.",
+        (
+            Key("bending_length_mm", "mm: the bending section along its middle", 18.0, above=0.0),
+            Key("tip_length_mm", "mm: from the end of the bending section to the marker", 6.0, at_least=0.0),
+        ),
+    ),
+    Section(
+        "camera",
+        "A pinhole camera with OpenCV's distortion, as cv2.calibrateCamera gives it.",
+        (
+            Key("width_px", "px: the frames' width that the other numbers hold for", 720, "whole", above=0.0),
+            Key("height_px", "px: their height", 576, "whole", above=0.0),
+            Key("fx_px", "px: focal length across", 520.0, above=0.0, wrong="angles come out too large or too small"),
+            Key("fy_px", "px: focal length down", 520.0, above=0.0),
+            Key("cx_px", "px: principal point from the left", 360.0),
+            Key("cy_px", "px: principal point from the top", 288.0),
+            Key("distortion", "k1 k2 p1 p2 k3, OpenCV's", [0.0, 0.0, 0.0, 0.0, 0.0], "numbers", count=5),
+            Key("frame_rate_hz", "Hz: frames per second", 25.0, above=0.0),
+            Key(
+                "delay_s", "s: how old a frame is when it arrives, nominal; calibration measures it", 0.08, at_least=0.0
+            ),
+        ),
+    ),
+    Section(
+        "angle",
+        "An external sensor of the bending angle, where there is one.",
+        (
+            Key(
+                "delay_s",
+                "s: how old its value is when it arrives, nominal; calibration measures it",
+                0.0,
+                needed=False,
+            ),
+        ),
+    ),
+    Section(
+        "hand_eye",
+        "From the instrument's base to the camera: X_cam = R X_base + t, R = Rz(rz) Ry(ry) Rx(rx).",
+        (
+            Key(
+                "rotation_deg",
+                "deg: rx, ry, rz",
+                [4.0, -3.0, 2.0],
+                "numbers",
+                count=3,
+                wrong="f_remain bends away from f_coarse: the calibration says `registration.static`",
+            ),
+            Key(
+                "translation_mm",
+                "mm: where the base's origin is, seen from the camera",
+                [-4.0, 5.0, 14.0],
+                "numbers",
+                count=3,
+            ),
+        ),
+    ),
+)
+SECTIONS = {section.name: section for section in _SECTIONS}
+_NEEDED = ("actuator", "coarse")  # the others are there with a camera, or an angle sensor
+
+
 @dataclass(frozen=True)
 class Rig:
     actuator: Actuator
@@ -108,13 +226,14 @@ class Rig:
         return self.camera is not None
 
     def with_camera(self, **changes: Any) -> Rig:
-        """The same rig with fields of its camera replaced."""
+        """The same rig with fields of its camera replaced. Raises TautError where it has none."""
         if self.camera is None:
             raise TautError("the rig has no [camera] section: add one to rig.toml")
         return replace(self, camera=replace(self.camera, **changes))
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
+        """rig.toml. Raises TautError with the key that is missing or wrong."""
         path = Path(path)
         try:
             text = path.read_text(encoding="utf-8")
@@ -128,55 +247,25 @@ class Rig:
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any], where: str) -> Self:
-        """`where` names the file in errors."""
+        """From what its TOML holds. Raises TautError that says what is wrong where; `where` names the file in it."""
         if document.get("format") != FORMAT:
             raise TautError(f'{where}: format is {document.get("format")!r}, expected "{FORMAT}" in the first line')
-        read = _Reader(document, where)
-        unit = read.text("actuator", "unit")
-        if unit not in UNITS:
-            raise TautError(f'{where}: actuator.unit is {unit!r}, expected "mm" or "deg"')
-        low, high = read.numbers("actuator", "range", 2)
+        read = {
+            name: section.read(document, where)
+            for name, section in SECTIONS.items()
+            if name in _NEEDED or name in document
+        }
+        actuator = Actuator(**read["actuator"])
+        low, high = actuator.range
         if not low < high:
-            raise TautError(f"{where}: actuator.range is [{low}, {high}], expected [low, high] with low < high")
-        resolution = read.number("actuator", "encoder_resolution", above=0.0)
-        limited = "speed_max" in document["actuator"]
-        speed_max = read.number("actuator", "speed_max", above=0.0) if limited else None
-        instrument = read.text("actuator", "instrument") if "instrument" in document["actuator"] else None
-        if instrument is not None and not re.fullmatch(r"[!-~]{1,8}", instrument):
-            raise TautError(f"{where}: actuator.instrument is {instrument!r}, expected 1 to 8 letters, digits or signs")
-        actuator = Actuator(unit, (low, high), resolution, speed_max, instrument)
-        coarse = Coarse(read.number("coarse", "gain"), read.number("coarse", "offset"))
+            raise _wrong(where, "actuator.range", f"[{low}, {high}], expected [low, high] with low < high")
+        coarse = Coarse(**read["coarse"])
         if coarse.gain == 0.0:
-            raise TautError(f"{where}: coarse.gain is 0, expected deg per {unit} (negative where c falls with q)")
-        kinematics = camera = hand_eye = None
-        if "kinematics" in document:
-            kinematics = Kinematics(
-                read.number("kinematics", "bending_length_mm", above=0.0),
-                read.number("kinematics", "tip_length_mm", at_least=0.0),
-            )
-        if "camera" in document:
-            distortion = read.numbers("camera", "distortion", 5)
-            camera = Camera(
-                width_px=int(read.number("camera", "width_px", above=0.0)),
-                height_px=int(read.number("camera", "height_px", above=0.0)),
-                fx_px=read.number("camera", "fx_px", above=0.0),
-                fy_px=read.number("camera", "fy_px", above=0.0),
-                cx_px=read.number("camera", "cx_px"),
-                cy_px=read.number("camera", "cy_px"),
-                distortion=(distortion[0], distortion[1], distortion[2], distortion[3], distortion[4]),
-                frame_rate_hz=read.number("camera", "frame_rate_hz", above=0.0),
-                delay_s=read.number("camera", "delay_s", at_least=0.0),
-            )
-        angle = None
-        if "angle" in document:
-            given = isinstance(document["angle"], Mapping) and "delay_s" not in document["angle"]
-            angle = AngleSensor() if given else AngleSensor(read.number("angle", "delay_s"))
-        if "hand_eye" in document:
-            rotation = read.numbers("hand_eye", "rotation_deg", 3)
-            translation = read.numbers("hand_eye", "translation_mm", 3)
-            hand_eye = HandEye(
-                (rotation[0], rotation[1], rotation[2]), (translation[0], translation[1], translation[2])
-            )
+            raise _wrong(where, "coarse.gain", f"0, expected deg per {actuator.unit} (negative where c falls with q)")
+        kinematics = Kinematics(**read["kinematics"]) if "kinematics" in read else None
+        camera = Camera(**read["camera"]) if "camera" in read else None
+        angle = AngleSensor(**read["angle"]) if "angle" in read else None
+        hand_eye = HandEye(**read["hand_eye"]) if "hand_eye" in read else None
         if camera and not (kinematics and hand_eye):
             missing = "kinematics" if kinematics is None else "hand_eye"
             raise TautError(f"{where}: has [camera] but no [{missing}] section, which a marker's pose needs: add it")
@@ -184,7 +273,7 @@ class Rig:
 
     def to_document(self) -> dict[str, Any]:
         document: dict[str, Any] = {"format": FORMAT}
-        for name in ("actuator", "coarse", "kinematics", "camera", "angle", "hand_eye"):
+        for name in SECTIONS:
             section = getattr(self, name)
             if section is not None:
                 document[name] = {
@@ -203,14 +292,8 @@ class Rig:
         Path(path).write_bytes(tomli_w.dumps(self.to_document()).encode())
 
 
-_KNOWN = {
-    "actuator": {"unit", "range", "encoder_resolution", "speed_max", "instrument"},
-    "coarse": {"gain", "offset"},
-    "kinematics": {"bending_length_mm", "tip_length_mm"},
-    "camera": {"width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px", "distortion", "frame_rate_hz", "delay_s"},
-    "angle": {"delay_s"},
-    "hand_eye": {"rotation_deg", "translation_mm"},
-}
+def _wrong(where: str, name: str, says: str) -> TautError:
+    return TautError(f"{where}: {name} is {says} (taut explain rig.{name})")
 
 
 def _unknown(document: Mapping[str, Any]) -> dict[str, Any]:
@@ -218,8 +301,9 @@ def _unknown(document: Mapping[str, Any]) -> dict[str, Any]:
     for key, value in document.items():
         if key == "format":
             continue
-        known = _KNOWN.get(key)
-        if known is None:
+        section = SECTIONS.get(key)
+        known = {k.name for k in section.keys} if section else set()
+        if section is None:
             extra[key] = value
         elif isinstance(value, Mapping) and (rest := {k: v for k, v in value.items() if k not in known}):
             extra[key] = rest
@@ -228,44 +312,3 @@ def _unknown(document: Mapping[str, Any]) -> dict[str, Any]:
 
 def _reason(error: Exception) -> str:
     return getattr(error, "strerror", None) or str(error)
-
-
-@dataclass(frozen=True)
-class _Reader:
-    document: Mapping[str, Any]
-    where: str
-
-    def value(self, section: str, key: str) -> Any:
-        table = self.document.get(section)
-        if not isinstance(table, Mapping):
-            raise TautError(
-                f"{self.where}: section [{section}] is missing: it holds {', '.join(sorted(_KNOWN[section]))}"
-            )
-        if key not in table:
-            raise TautError(f"{self.where}: {section}.{key} is missing")
-        return table[key]
-
-    def text(self, section: str, key: str) -> str:
-        value = self.value(section, key)
-        if not isinstance(value, str):
-            raise TautError(f"{self.where}: {section}.{key} is {value!r}, expected a text in quotes")
-        return value
-
-    def number(self, section: str, key: str, above: float | None = None, at_least: float | None = None) -> float:
-        value = self._finite(self.value(section, key), f"{section}.{key}")
-        if above is not None and not value > above:
-            raise TautError(f"{self.where}: {section}.{key} is {value:g}, expected a number above {above:g}")
-        if at_least is not None and not value >= at_least:
-            raise TautError(f"{self.where}: {section}.{key} is {value:g}, expected {at_least:g} or more")
-        return value
-
-    def numbers(self, section: str, key: str, count: int) -> list[float]:
-        value = self.value(section, key)
-        if not isinstance(value, list) or len(value) != count:
-            raise TautError(f"{self.where}: {section}.{key} is {value!r}, expected a list of {count} numbers")
-        return [self._finite(item, f"{section}.{key}") for item in value]
-
-    def _finite(self, value: Any, name: str) -> float:
-        if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-            raise TautError(f"{self.where}: {name} is {value!r}, expected a finite number")
-        return float(value)

@@ -25,7 +25,7 @@ from tautline.errors import TautError
 from tautline.live.session import check_rig
 from tautline.live.setup import open_live
 from tautline.model import Effect, Model
-from tautline.predict import predict
+from tautline.prediction import predict
 from tautline.recording import load
 from tautline.simulated.instrument import preset
 from tautline.simulated.simlink import DesktopBoard
@@ -123,6 +123,36 @@ def test_follow_a_file_with_and_without_compensation(folder: Path, tmp_path: Pat
     assert (tmp_path / "run" / "trajectory.csv").exists()
     with pytest.raises(TautError, match="neither a file nor a shape"):
         run("follow", str(folder), "--simulate", "--trajectory", "nowhere.csv")
+
+
+def test_follow_says_what_the_tip_cannot_reach(folder: Path, tmp_path: Path) -> None:
+    reach = float(np.abs(Model.load(folder).c_deg).max())
+    (tmp_path / "path.csv").write_text(f"t_s,c_deg\n0,0\n4,{2 * reach:.3f}\n8,0\n")
+    arguments = ["follow", str(folder), "--simulate", "--trajectory", str(tmp_path / "path.csv")]
+    done = CliRunner().invoke(taut, [*arguments, "--json"], standalone_mode=False)
+    assert done.exception is None
+    told = json.loads(done.stdout)
+    assert told["clipped"] == pytest.approx(0.5, abs=0.05) and told["reach_deg"][1] == pytest.approx(reach, abs=0.1)
+    assert "beyond what the tip can reach" in done.stderr and f"{told['reach_deg'][1]:.1f} deg" in done.stderr
+
+
+def test_a_busy_board_says_who_uses_it(bench: Bench) -> None:
+    """Whoever watches a board that follows learns which program has it."""
+    if not bench.leaves_its_bus:
+        pytest.skip("nobody says on a serial line that it is in use")
+    hold = (
+        "import sys, time; from tautline.device.board import open_board; board = open_board(sys.argv[2]); "
+        "sys.stdout.write('open\\n'); sys.stdout.flush(); time.sleep(60)"
+    )
+    start = f"import sys; sys.argv[0] = 'taut'; exec({hold!r})"
+    with subprocess.Popen([sys.executable, "-c", start, "follow", bench.where], stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None and other.stdout.readline() == b"open\n"
+        try:
+            with pytest.raises(TautError, match=rf"'taut follow' \(process {other.pid}\) uses the board"):
+                run("monitor", "--board", bench.where)
+        finally:
+            other.kill()
+    assert run("monitor", "--board", bench.where)["axes"]
 
 
 def test_record_the_motor_and_the_marker(tmp_path: Path) -> None:
@@ -233,13 +263,15 @@ def test_the_python_example_streams(paced: DesktopBoard) -> None:
 
 
 def test_ctrl_c_during_a_calibration(tmp_path: Path) -> None:
-    """A last line that says what to do, exit status 1, and a recording that can be used."""
+    """As on a terminal, where it goes to the whole process group: the simulated board lives until its axis is at rest.
+    A last line that says what to do, exit status 1, and a recording that can be used."""
     command = [sys.executable, "-m", "tautline", "calibrate", "--simulate", "--out", str(tmp_path / "model")]
     reset = (
         "import signal, sys, runpy; signal.signal(signal.SIGINT, signal.default_int_handler); sys.argv = sys.argv[1:]; "
     )
     command = [sys.executable, "-c", reset + "runpy.run_module('tautline', run_name='__main__')", "taut", *command[3:]]
-    with subprocess.Popen(command, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as calibration:
+    pipes: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "start_new_session": True}
+    with subprocess.Popen(command, text=True, **pipes) as calibration:
         assert calibration.stderr is not None
         motor = tmp_path / "model-recording" / "motor.csv"
         size, grown = 0, time.monotonic()  # as fast as this machine simulates, but it must go on
@@ -247,9 +279,10 @@ def test_ctrl_c_during_a_calibration(tmp_path: Path) -> None:
             time.sleep(0.05)
             now = motor.stat().st_size if motor.exists() else 0
             size, grown = now, grown if now == size else time.monotonic()
-        calibration.send_signal(signal.SIGINT)
+        os.killpg(calibration.pid, signal.SIGINT)
         said = calibration.stderr.read()
     assert calibration.returncode == 1
+    assert f"'taut calibrate {tmp_path / 'model-recording'} --out MODEL'" in said
     assert "the axis is at rest" in said.strip().splitlines()[-1] and "Traceback" not in said
     recording = load(tmp_path / "model-recording")
     assert recording.motor.t_s[-1] > 10.0 and recording.marker is not None

@@ -13,7 +13,7 @@ from tautline.effects import simulate as simulate_effects
 from tautline.errors import TautError
 from tautline.geometry import project
 from tautline.model import Model
-from tautline.predict import predict
+from tautline.prediction import predict
 from tautline.recording import Angle, Marker, Motor
 from tautline.rig import Actuator, Coarse, Rig
 from tautline.simulated.instrument import Instrument, preset, reference_rig

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from cli_runner import Taut
 
-from tautline.compensate import compensate
+from tautline.compensation import compensate
 from tautline.elements import SINGLE, Elements
 from tautline.model import Effect, Model
 from tautline.rig import Actuator, Coarse, Rig

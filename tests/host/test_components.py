@@ -117,6 +117,22 @@ def test_widths_that_grow_are_those_of_the_end():
     assert um < 2e-3 and z < 2.0
 
 
+@pytest.mark.parametrize(("until", "verdict"), [(0.6, Verdict.GOOD), (1.0, Verdict.DOUBTFUL)])
+def test_an_offset_that_drifts_leaves_the_model_of_the_end(until, verdict):
+    """The cable goes 20 um away from its encoder; what has come to rest is told, what still goes on is a doubt."""
+    plant, gone = Plant(), 0.02
+    plant.q = plant.q + gone * np.minimum(plant.t / (until * plant.t[-1]), 1.0)
+    plant.p = plant.play(width_at(np.clip(GRID, -5.5, 5.5)))
+    found = plant.calibrated()
+    model = found.model
+    um, z = error_of(found, width_at(model.q + gone))
+    assert um < 1.5e-3 and z < 2.0
+    assert model.quality.verdict is verdict and "transmission.drift" in codes(found)
+    inside = (model.q > model.measured[0]) & (model.q < model.measured[1])
+    off = (model.c_deg - bend(model.q + gone))[inside]
+    assert np.sqrt(np.mean(off**2)) < 0.1 * gone * 11.5  # of what the offset is in deg
+
+
 def test_a_gradual_start_is_several_elements_and_predicts_as_well_as_a_play():
     plant = Plant()
     width = np.full_like(GRID, 0.46)

@@ -7,9 +7,9 @@ import pytest
 from tests.host.test_diagnose import NOISE, RIG, recordings, true_model
 
 from tautline import effects
-from tautline.diagnose import confined
-from tautline.diagnose.fit import Fit, Fitter, Hypothesis
-from tautline.diagnose.segment import prepare
+from tautline.diagnosis import confined
+from tautline.diagnosis.fit import Fit, Fitter, Hypothesis
+from tautline.diagnosis.segment import prepare
 from tautline.effects import BY_ID
 
 LAG, JITTER, LENS = "transmission.lag", "acquisition.jitter", "camera.distortion"

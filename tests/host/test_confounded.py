@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tautline.diagnose.confounded import DRIFT, LOAD, hidden, load_goes_with_time, told
-from tautline.diagnose.segment import Segment
+from tautline.diagnosis.confounded import DRIFT, LOAD, hidden, load_goes_with_time, told
+from tautline.diagnosis.segment import Segment
 from tautline.effects import BY_ID
 from tautline.recording import Motor
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from tautline import effects
-from tautline.diagnose.diagnosis import _corrected
-from tautline.diagnose.fit import Fit, Hypothesis, State
-from tautline.diagnose.segment import Segment
+from tautline.diagnosis.diagnose import _corrected
+from tautline.diagnosis.fit import Fit, Hypothesis, State
+from tautline.diagnosis.segment import Segment
 from tautline.effects import BY_ID, LIBRARY
 from tautline.errors import TautError
 from tautline.model import Effect, Model
-from tautline.predict import predict
+from tautline.prediction import predict
 from tautline.recording import Motor
 from tautline.simulated import simulate, trajectory
 from tautline.simulated.instrument import Corrected, of_name, preset, reference_rig
@@ -147,8 +147,8 @@ def test_flash_wants_to_be_told_before_it_leaves_an_effect_out(tmp_path, monkeyp
 
 
 def test_the_next_motion_stays_within_the_rig_and_asks_for_no_axis_that_never_moved():
-    from tautline.diagnose import motion
-    from tautline.diagnose.fit import Fitter
+    from tautline.diagnosis import motion
+    from tautline.diagnosis.fit import Fitter
 
     for others in (True, False):
         made = LAST if others else replace(LAST, translation_mm=None, rotation_deg=None)

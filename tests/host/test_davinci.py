@@ -7,8 +7,8 @@ import pytest
 from tools.davinci import Tool, find, times
 
 from tautline.calibration.calibrate import calibrate
-from tautline.diagnose import words
-from tautline.predict import predict
+from tautline.diagnosis import words
+from tautline.prediction import predict
 from tautline.recording import Recording, load
 from tautline.rig import Rig
 from tautline.splines import Basis

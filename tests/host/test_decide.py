@@ -1,5 +1,6 @@
 """The verdict from evidence: probabilities that add up, and each answer where it belongs."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tautline.diagnose.decide import Beyond, Evidence, Verdict, Weighed, decide, that_help
+from tautline.diagnosis.decide import Verdict, decide, that_help
+from tautline.diagnosis.hypotheses import Beyond, Evidence, Weighed
+from tautline.plain import plain
 
 FLOOR = 0.05
 BLOCKS = 30
@@ -236,3 +239,11 @@ def test_more_parameters_than_observations_cost_no_more():
     more = replace(few, hypotheses=tuple(replace(h, parameters=1000 * h.parameters) for h in few.hypotheses))
     assert decide(many).leading[WIDTH] == pytest.approx(decide(more).leading[WIDTH])
     assert decide(many).leading[WIDTH] <= decide(few).leading[WIDTH]
+
+
+def test_evidence_that_was_written_gives_the_same_verdict():
+    told = evidence({(LAG,): 0.05, (CREEP,): 0.2, (LAG, CREEP): 0.01})
+    beyond = Beyond(power(0.0, 1.0), np.full(BLOCKS, 40.0))
+    told = replace(told, hypotheses=tuple(replace(h, beyond=beyond) for h in told.hypotheses))
+    read = Evidence.from_json(json.loads(json.dumps(plain(told.to_json()))))
+    np.testing.assert_array_equal(decide(read).posterior, decide(told).posterior)

@@ -9,14 +9,14 @@ import pytest
 from tautline import effects
 from tautline.blindtest import cases
 from tautline.calibration.calibrate import calibrate
-from tautline.diagnose import words
-from tautline.diagnose.candidates import Search
-from tautline.diagnose.diagnosis import _corrected, diagnose
-from tautline.diagnose.fit import Fit, Fitter, Hypothesis
-from tautline.diagnose.segment import prepare
+from tautline.diagnosis import words
+from tautline.diagnosis.candidates import Search
+from tautline.diagnosis.diagnose import _corrected, diagnose
+from tautline.diagnosis.fit import Fit, Fitter, Hypothesis
+from tautline.diagnosis.segment import prepare
 from tautline.effects import LIBRARY, STAGES
 from tautline.model import Model
-from tautline.predict import predict
+from tautline.prediction import predict
 from tautline.recording import Marker, Recording, save
 from tautline.simulated import simulate, trajectory
 from tautline.simulated.instrument import preset, reference_rig
@@ -176,8 +176,8 @@ def test_too_short_a_motion_is_refused_in_one_line():
 
 
 def test_a_sensor_that_counts_has_the_noise_of_its_step():
-    from tautline.diagnose import gap
-    from tautline.diagnose.segment import Segment
+    from tautline.diagnosis import gap
+    from tautline.diagnosis.segment import Segment
     from tautline.recording import Motor
 
     t = np.arange(0.0, 20.0, 0.01)
@@ -190,8 +190,8 @@ def test_a_sensor_that_counts_has_the_noise_of_its_step():
 @pytest.mark.parametrize("period_s", [4.0, 20.0])
 def test_every_other_block_holds_both_ways(period_s):
     """On a single way width and offset are one: a half of the blocks that never saw the other way predicts nothing."""
-    from tautline.diagnose import gap
-    from tautline.diagnose.segment import Segment
+    from tautline.diagnosis import gap
+    from tautline.diagnosis.segment import Segment
     from tautline.recording import Motor
 
     t = np.arange(0.0, 30.0, 0.01)
@@ -204,7 +204,7 @@ def test_every_other_block_holds_both_ways(period_s):
 
 
 def test_a_direction_has_a_bin_of_its_own():
-    from tautline.diagnose.where import _condition
+    from tautline.diagnosis.where import _condition
 
     rng = np.random.default_rng(1)
     way = rng.choice([-1.0, 0.0, 1.0], 900)
@@ -214,7 +214,7 @@ def test_a_direction_has_a_bin_of_its_own():
 
 
 def test_the_report_says_it_all_and_shows_the_axes_that_tell_most(tmp_path):
-    from tautline.diagnose import page, words
+    from tautline.diagnosis import page, words
 
     found, _ = diagnosed({"lag": 0.08})
     text = page.write(found, tmp_path).read_text()

@@ -8,7 +8,7 @@ import numpy.typing as npt
 import pytest
 
 from tautline.calibration.calibrate import JOINT, Calibration, calibrate
-from tautline.calibration.components import Component, Components
+from tautline.calibration.components import Component, Components, Since
 from tautline.calibration.doubts import doubts
 from tautline.calibration.holding import released
 from tautline.calibration.observations import observe
@@ -88,7 +88,9 @@ def components(rms: float, shift_um: float, noise: float = 1.0, effective: float
         (0.5, 0.5, 1.1, None),  # next to nothing
         (1.0, 0.5, 1.25, "mild"),  # it is there, B holds, the model predicts without it
         (1.0, 0.5, 2.5, "doubt"),  # the model does not predict
-        (0.5, 30.0, 1.1, "doubt"),  # B would be another by 6 %
+        (0.5, 30.0, 1.1, "mild"),  # B would be another by 6 %: the third of it that is uncertain is in sigma
+        (0.5, 30.0, 1.5, "doubt"),  # ... and the model does not predict to the noise
+        (0.5, 60.0, 1.1, "doubt"),  # B would be another by 12 %
         (1.5, 0.5, 1.25, "doubt"),  # it is strong
     ],
 )
@@ -96,6 +98,25 @@ def test_a_departure_is_a_doubt_where_b_or_predictions_hang_on_it(rms, shift_um,
     reasons = doubts(components(rms, shift_um), np.ones(50, bool), "mm", alone, rough=False)
     assert [reason.code for reason in reasons] == ([] if told is None else ["transmission.drift"])
     assert all(reason.mild == (told == "mild") for reason in reasons)
+
+
+@pytest.mark.parametrize(
+    ("name", "late", "ended", "told"),
+    [
+        ("offset.time", 0.5, 1.05, "mild"),  # it came to rest, the model holds what it came to
+        ("offset.time", 2.0, 1.05, "doubt"),  # it goes on
+        ("offset.time", 0.5, 2.0, "doubt"),  # f_remain cannot hold it
+        ("image.shift", 2.0, 1.05, "mild"),  # once, late
+        ("offset.recording", 0.0, 1.05, "doubt"),  # what differs between recordings may differ again
+    ],
+)
+def test_what_changed_once_is_no_doubt_where_the_model_is_of_what_it_came_to(name, late, ended, told) -> None:
+    few = np.arange(4)
+    since = Since(few, late * np.ones((4, 2)), np.ones(4, bool))
+    found = components(3.0, 0.5)
+    found = replace(found, parts=(replace(found.parts[0], name=name),), since=(since,))
+    (reason,) = doubts(found, np.ones(50, bool), "mm", 1.05, rough=False, ended=ended)
+    assert reason.mild == (told == "mild")
 
 
 def test_frames_that_are_elsewhere_are_outliers_and_scatter_of_all_is_noise() -> None:

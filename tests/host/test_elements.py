@@ -13,7 +13,7 @@ from tautline import _native, effects
 from tautline.elements import SINGLE, Elements, Play, warp_of
 from tautline.encoder import between_counts
 from tautline.model import STEEPEST, Model, allowed_width
-from tautline.predict import predict
+from tautline.prediction import predict
 from tautline.recording import Motor
 from tautline.rig import Actuator, Coarse, Rig
 

@@ -66,6 +66,18 @@ def test_a_turn_without_a_rest_is_where_the_motor_turned():
         assert np.abs(lines.t_s - turn).min() < 0.003
 
 
+@pytest.mark.parametrize("rest_s", [0.05, 0.9])
+def test_a_jump_between_rests_is_between_two_samples(rest_s):
+    """A recording in which a stretch of the motion was left out."""
+    there = trajectory.through([0.0, -2.0], 1.0, 12.0, rest_s)
+    back = trajectory.through([1.0, 3.0], 1.0, 12.0, 0.5)
+    still = np.full(round(rest_s / 0.004), 1.0)
+    q = np.concatenate([there.q[::4], still, back.q[::4]])
+    motor = Motor(0.004 * np.arange(len(q)), np.round(q / COUNT) * COUNT)
+    lines = straight_lines(motor, COUNT)
+    assert np.abs(np.interp(motor.t_s, lines.t_s, lines.q) - motor.q).max() < 2.5 * COUNT
+
+
 def test_other_axes_do_not_blur_a_rest():
     motion = trajectory.through([0.0, 1.0, -0.5], 1.0, 12.0, 0.5)
     plain = straight_lines(counted(motion.t_s, motion.q), COUNT)

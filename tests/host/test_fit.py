@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from tautline import effects
-from tautline.diagnose.candidates import applicable
-from tautline.diagnose.fit import Fitter, Hypothesis
-from tautline.diagnose.screen import screen
-from tautline.diagnose.segment import prepare
+from tautline.diagnosis.candidates import applicable
+from tautline.diagnosis.fit import Fitter, Hypothesis
+from tautline.diagnosis.screen import screen
+from tautline.diagnosis.segment import prepare
 from tautline.effects import BY_ID
 from tautline.encoder import between_counts, straight_lines
 from tautline.model import Model

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tautline.diagnose import flexible
-from tautline.diagnose.segment import Segment
+from tautline.diagnosis import flexible
+from tautline.diagnosis.segment import Segment
 from tautline.recording import Motor
 
 NOISE = 0.05

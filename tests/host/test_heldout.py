@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from tests.host.test_diagnose import recordings, rms, true_model
 
-from tautline.diagnose import gap, heldout
-from tautline.diagnose.fit import Fitter, Hypothesis
-from tautline.diagnose.segment import prepare
+from tautline.diagnosis import gap, heldout
+from tautline.diagnosis.fit import Fitter, Hypothesis
+from tautline.diagnosis.segment import prepare
 from tautline.effects import BY_ID
 
 

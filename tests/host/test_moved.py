@@ -7,9 +7,9 @@ import pytest
 
 from tautline.blindtest.reality import Plant, Truth, record
 from tautline.calibration.calibrate import calibrate
-from tautline.diagnose import moved, words
-from tautline.diagnose.diagnosis import diagnose
-from tautline.predict import predict
+from tautline.diagnosis import moved, words
+from tautline.diagnosis.diagnose import diagnose
+from tautline.prediction import predict
 from tautline.rig import Rig
 from tautline.simulated import trajectory
 from tautline.simulated.instrument import preset, reference_rig

@@ -62,7 +62,7 @@ import numpy as np
 import tautline
 from tautline import effects
 from tautline.calibration.calibrate import calibrate
-from tautline.diagnose.diagnosis import diagnose
+from tautline.diagnosis.diagnose import diagnose
 from tautline.encoder import straight_lines
 from tautline.simulated import simulate, trajectory
 from tautline.simulated.instrument import preset, reference_rig

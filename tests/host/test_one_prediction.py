@@ -12,13 +12,13 @@ import pytest
 from tautline import effects, evidence
 from tautline.calibration.observations import observe
 from tautline.calibration.playfit import Frozen
-from tautline.diagnose.fit import Fitter
-from tautline.diagnose.segment import prepare
+from tautline.diagnosis.fit import Fitter
+from tautline.diagnosis.segment import prepare
 from tautline.elements import SINGLE, Elements
 from tautline.encoder import straight_lines
 from tautline.geometry import project
 from tautline.model import Model
-from tautline.predict import predict, times_of, write_csv
+from tautline.prediction import predict, times_of, write_csv
 from tautline.recording import Angle, Marker, Motor, Recording
 from tautline.rig import ANGLE, MARKER
 from tautline.simulated import trajectory

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import html.parser
 import json
 import re
@@ -9,18 +10,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from tautline import evidence, report
+from tautline import evidence, figures, reports
 from tautline.cli.compare import command as compare
 from tautline.cli.report import command as rewrite
 from tautline.errors import TautError
 from tautline.model import Model
+from tautline.quality import Quality, Reason
 from tautline.recording import Recording
 from tautline.rig import Actuator, Coarse, Rig
-from tautline.simulated import instrument, simulate, trajectory
+from tautline.simulated import endoscope, instrument, simulate, trajectory
 
 
 def true_model(plant: instrument.Instrument, onsets: list[dict[str, Any]], **extra: Any) -> Model:
@@ -73,7 +76,7 @@ class Links(html.parser.HTMLParser):
         self.sources += [value or "" for name, value in attrs if name in ("src", "href")]
 
     def handle_data(self, data: str) -> None:
-        self.text += data
+        self.text += data.replace("\u00a0", " ")
 
 
 def read(path: Path) -> Links:
@@ -85,7 +88,7 @@ def read(path: Path) -> Links:
 def test_report_stands_alone_and_says_the_result(measured: tuple[Model, Recording], tmp_path: Path) -> None:
     model, recording = measured
     seen = evidence.collect(model, [recording])
-    page = read(report.write(model, tmp_path, seen))
+    page = read(reports.write(model, tmp_path, seen))
     assert len(page.sources) == 6 and all(source.startswith("data:image/svg+xml;base64,") for source in page.sources)
     assert re.search(r"turns 0\.3\d+ to 0\.80\d mm", page.text) and "B was held at 0 & more" in page.text
     assert "its stroke <was> short" in page.text and "80.0 ms" in page.text
@@ -129,13 +132,13 @@ def test_a_sensor_without_camera(tmp_path: Path) -> None:
     assert seen.unit == "deg" and seen.rms()[2] == pytest.approx(0.02, rel=0.2)
     assert (
         "delay of the sensor"
-        not in read(report.write(replace(model, sensor="angle", delay_s=0.0), tmp_path, seen)).text
+        not in read(reports.write(replace(model, sensor="angle", delay_s=0.0), tmp_path, seen)).text
     )
 
 
 def test_a_model_that_measured_nothing_says_so(measured: tuple[Model, Recording], tmp_path: Path) -> None:
     model = replace(measured[0], measured=(0.0, -1.0), extra={})
-    assert "No width could be measured" in read(report.write(model, tmp_path, None)).text
+    assert "No width could be measured" in read(reports.write(model, tmp_path, None)).text
 
 
 def test_runs_beside_a_model_are_shown(measured: tuple[Model, Recording], tmp_path: Path) -> None:
@@ -144,18 +147,18 @@ def test_runs_beside_a_model_are_shown(measured: tuple[Model, Recording], tmp_pa
         run = evidence.Run(t, np.sin(t), np.sin(t) + np.where(t > 1, size, 99.0), t > 1)
         run.save(tmp_path, name)
     assert evidence.Run.load_all(tmp_path)["full"].rms_deg == pytest.approx(0.2, rel=1e-4)
-    text = read(report.write(measured[0], tmp_path, None)).text
+    text = read(reports.write(measured[0], tmp_path, None)).text
     assert "off by 4.0 deg without compensation and by 0.20 deg with it: 20 times less" in text
 
 
 def test_a_new_model_keeps_what_is_not_the_old_ones(measured: tuple[Model, Recording], tmp_path: Path) -> None:
     model, recording = measured
     folder = tmp_path / "model"
-    report.save_model(model, [recording], folder)
+    reports.save_model(model, [recording], folder)
     (folder / "notes.txt").write_text("mine")
     t = np.linspace(0, 1, 11)
     evidence.Run(t, t, t, t > 0).save(folder, "full")
-    sentences = report.save_model(model, [recording], folder)
+    sentences = reports.save_model(model, [recording], folder)
     assert len(sentences) == 2 and (folder / "notes.txt").read_text() == "mine"
     assert not evidence.Run.load_all(folder) and Model.load(folder).rig == model.rig
 
@@ -191,3 +194,78 @@ def test_compare(measured: tuple[Model, Recording], tmp_path: Path) -> None:
     assert CliRunner().invoke(compare, names).exit_code == 0
     assert CliRunner().invoke(compare, names[:1]).exit_code == 2
     assert "twice" in str(CliRunner().invoke(compare, [names[0], names[0]]).exception)
+
+
+def test_every_axis_has_a_unit(measured: tuple[Model, Recording]) -> None:
+    model, recording = measured
+    seen = evidence.collect(model, [recording])
+    onsets = figures.onsets_of(model)
+    passes = np.array(model.extra["pass_width"], dtype=float)
+    run = evidence.Run(seen.t_s, seen.c_deg, seen.c_deg, np.ones(len(seen.t_s), dtype=bool))
+    drawn = [
+        figures.hero(model, onsets, seen),
+        figures.gain(seen),
+        figures.track(seen, onsets, "mm"),
+        figures.residuals(seen, "mm"),
+        figures.cross_check(model, passes),
+        figures.followed({"off": run}),
+        figures.compared({"one": model, "other": model}),
+    ]
+    for made in drawn:
+        labels = [text for axes in made.axes for text in (axes.get_xlabel(), axes.get_ylabel()) if text]
+        assert labels and all(re.search(r"\((mm|deg|px|s|ms|counts)\)", text) for text in labels), labels
+        assert all(axes.get_xlabel() for axes in made.axes if axes.get_subplotspec().is_last_row())
+
+
+def test_no_width_lies_outside_its_axes(measured: tuple[Model, Recording]) -> None:
+    model, _ = measured
+    plant = instrument.preset("reference", model.rig)
+    wide = an_onset(plant, 3.0, 5.3, 1) | {"width": 0.9, "q2": 6.1, "sigma": 0.1}  # the motor went beyond the range
+    made = figures.hero(model, figures.onsets_of(replace(model, extra={"onsets": [wide]})), None)
+    axes = made.axes[0]
+    low, high = axes.get_xlim()
+    assert low <= figures.q_mean(wide) <= high and axes.get_ylim()[1] >= 0.9 + 2 * 0.1
+
+
+def test_equal_models_show_their_difference(measured: tuple[Model, Recording]) -> None:
+    model, _ = measured
+    made = figures.compared({"one": model, "same": model, "wider": replace(model, width=model.width + 0.1)})
+    change = made.axes[2]
+    lines = {line.get_label(): line.get_ydata() for line in change.lines}
+    assert np.allclose(lines["same"], 0.0) and np.allclose(lines["wider"], 0.1)
+    band = change.collections[0].get_paths()[0].get_extents()
+    assert band.height == pytest.approx(4 * np.sqrt(2) * 0.004)  # 2 sigma of a difference, both ways
+    styles = {line.get_label(): (line.get_linestyle(), line.get_linewidth()) for line in made.axes[0].lines}
+    assert len(set(styles.values())) == 3
+
+
+def test_nothing_is_gained_over_an_f_coarse_that_is_wrong(measured: tuple[Model, Recording], tmp_path: Path) -> None:
+    model, recording = measured
+    turned = replace(model, rig=replace(model.rig, coarse=Coarse(-model.rig.coarse.gain, 0.0)))
+    seen = evidence.collect(turned, [recording])
+    assert "times as much" in reports.sentences(turned, seen)[1]
+    doubted = replace(turned, quality=Quality((Reason("coarse", "the tip bends the other way", "turn the sign"),)))
+    said = reports.sentences(doubted, seen)[1]
+    assert "times as much" not in said and "something in the rig is wrong" in said
+    page = read(reports.write(doubted, tmp_path, seen))
+    assert "taut explain coarse" in page.text and "the encoder's direction" in page.text
+
+
+def test_a_report_shows_what_the_camera_saw(measured: tuple[Model, Recording], tmp_path: Path) -> None:
+    model, recording = measured
+    scope = endoscope.Endoscope(model.rig)
+    kept = tmp_path / "kept.png"
+    cv2.imwrite(str(kept), scope.frame(20.0))
+    reports.save_model(model, [replace(recording, picture=kept)], tmp_path / "model")
+    page = read(tmp_path / "model" / "report.html")
+    (uri,) = [source for source in page.sources if source.startswith("data:image/jpeg")]
+    shown = cv2.imdecode(np.frombuffer(base64.b64decode(uri.split(",")[1]), np.uint8), cv2.IMREAD_COLOR)
+    assert shown.shape == (576, 720, 3)
+    blue = np.array([178, 111, 31])  # the marker's way
+    assert recording.marker is not None
+    near = [
+        shown[round(v), round(u)] for u, v in zip(recording.marker.u_px[::20], recording.marker.v_px[::20], strict=True)
+    ]
+    assert np.mean(np.abs(np.array(near, dtype=float) - blue).max(axis=1) < 60) > 0.9
+    reports.save_model(model, [recording], tmp_path / "model")  # a recording without a picture
+    assert not any(s.startswith("data:image/jpeg") for s in read(tmp_path / "model" / "report.html").sources)

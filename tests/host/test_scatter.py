@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tautline.diagnose.scatter import RIVALS, Scatter, frames, weighed
+from tautline.diagnosis.scatter import RIVALS, Scatter, frames, weighed
 
 FLOOR, RATE_HZ = 0.05, 25.0
 JITTER, STICK = "acquisition.jitter", "transmission.stick_slip"

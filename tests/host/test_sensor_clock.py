@@ -14,7 +14,7 @@ from tautline.calibration.observations import not_held, observe
 from tautline.calibration.steps import jumps
 from tautline.encoder import between_counts
 from tautline.model import Model
-from tautline.predict import predict, times_of
+from tautline.prediction import predict, times_of
 from tautline.quality import Verdict
 from tautline.recording import Angle, Motor, load, save, shifted
 from tautline.rig import ANGLE, MARKER, Rig

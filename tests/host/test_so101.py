@@ -6,8 +6,8 @@ from tools.real import DELAY, JOINT, LAG, late_s, rigid
 from tools.so101 import Calibrated, constant_play, find
 
 from tautline.calibration.calibrate import calibrate
-from tautline.diagnose import words
-from tautline.diagnose.diagnosis import diagnose
+from tautline.diagnosis import words
+from tautline.diagnosis.diagnose import diagnose
 from tautline.recording import load
 from tautline.rig import Rig
 

@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from tautline.diagnose import page, words
+from tautline.diagnosis import page, words
 
 NAMES = ("transmission.lag", "acquisition.delay", "configuration.contact")
 UNEXPLAINED = "no known effect explains"

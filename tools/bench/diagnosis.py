@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 from tautline.blindtest import cases
 from tautline.blindtest.reality import Plant, Truth, record
 from tautline.calibration.calibrate import calibrate
-from tautline.diagnose.diagnosis import diagnose
+from tautline.diagnosis.diagnose import diagnose
 from tautline.recording import Recording
 from tautline.rig import Rig
 from tautline.simulated import trajectory

@@ -12,7 +12,7 @@ from tools.tracking.sessions import COST, OUTSIDE, Instrument, calibration, idea
 
 from tautline.calibration.calibrate import calibrate
 from tautline.model import Model
-from tautline.predict import predict
+from tautline.prediction import predict
 from tautline.tracking import replay
 
 INSTRUMENTS = 6  # whose calibrations are shared by the sessions of a worker

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tautline.calibration.calibrate import calibrate
-from tautline.predict import predict
+from tautline.prediction import predict
 from tautline.recording import Recording, load
 from tautline.rig import Rig
 from tautline.tracking import off_by, replay

@@ -24,10 +24,10 @@ import numpy.typing as npt
 
 from tautline import effects
 from tautline.blindtest.scores import FAILED, NONE, STAGES, UNEXPLAINED, Answer
-from tautline.diagnose import candidates, gap, where
-from tautline.diagnose.fit import Fit, Fitter, Hypothesis, Scope
-from tautline.diagnose.screen import Screened, screen
-from tautline.diagnose.segment import Segment, load_reference, prepare
+from tautline.diagnosis import candidates, gap, where
+from tautline.diagnosis.fit import Fit, Fitter, Hypothesis, Scope
+from tautline.diagnosis.screen import Screened, screen
+from tautline.diagnosis.segment import Segment, load_reference, prepare
 from tautline.effects import Kind
 from tautline.model import Model
 from tautline.recording import Recording

@@ -13,11 +13,11 @@ import numpy.typing as npt
 
 from tautline.blindtest.draws import KNOWN, UNKNOWN
 from tautline.blindtest.reality import Plant, Truth, record
-from tautline.diagnose import candidates
-from tautline.diagnose.fit import Fit, Fitter, Scope
-from tautline.diagnose.gap import rms
-from tautline.diagnose.screen import Screened, screen
-from tautline.diagnose.segment import load_reference, prepare
+from tautline.diagnosis import candidates
+from tautline.diagnosis.fit import Fit, Fitter, Scope
+from tautline.diagnosis.gap import rms
+from tautline.diagnosis.screen import Screened, screen
+from tautline.diagnosis.segment import load_reference, prepare
 from tautline.model import Model
 from tautline.recording import Recording
 from tautline.rig import Rig

@@ -11,7 +11,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from tautline import figures, report
+from tautline import figures, reports
 from tautline.blindtest import scores
 from tautline.blindtest.campaign import FORMAT
 from tautline.blindtest.cases import SCORED_FROM, Label
@@ -155,24 +155,24 @@ def write(records: Sequence[Mapping[str, Any]], folder: Path) -> dict[str, Any]:
         "naming": naming(document),
         "effects": effects(document),
         "generators": by_generator(document),
-        "confusion": report.picture(
+        "confusion": reports.picture(
             confusion(document["confusion"]),
             "Confusion",
             "Truth in rows, verdicts in columns, shares of a row. Below the line: effects outside the library.",
         ),
-        "reliability": report.picture(
+        "reliability": reports.picture(
             reliability(scores.reliability(ours)),
             "Calibration of the probabilities",
             "How often the leading answer is right over the probability it was given, with exact 95 % intervals.",
         ),
-        "shrinkage": report.picture(
+        "shrinkage": reports.picture(
             shrinkage(ours),
             "Claimed and realised shrinkage",
             "Realised: on a motion that the diagnosis never saw. Single identifiable effects that have a path.",
         ),
         "wrong": [line for line in document["each"] if line["right"] is False],
     }
-    report.write_page("blindtest.html", page, folder / FILE)
+    reports.write_page("blindtest.html", page, folder / FILE)
     return document
 
 

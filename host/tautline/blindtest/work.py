@@ -20,18 +20,19 @@ from tautline.blindtest.cases import Label, make
 from tautline.blindtest.generators import GENERATORS, SECOND
 from tautline.blindtest.scores import FAILED, Answer
 from tautline.calibration.calibrate import calibrate
-from tautline.diagnose.diagnosis import diagnose
-from tautline.diagnose.segment import settled_from
+from tautline.diagnosis.diagnose import diagnose
+from tautline.diagnosis.segment import settled_from
 from tautline.errors import TautError
 from tautline.model import Model
 from tautline.plain import plain
-from tautline.predict import predict
+from tautline.prediction import predict
 from tautline.recording import Recording, load, save
 from tautline.rig import Rig
 
 Files = Mapping[str, bytes]
 
 DOCUMENT = "diagnosis.json"
+EVIDENCE = "evidence.json"  # what the verdict was worked out from: what constants are learnt on
 COST = "cost.json"
 _VISIBLE = ("calibration", "test-1", "test-2")
 
@@ -56,7 +57,7 @@ def make_case(
 
 
 def diagnose_case(files: Files, left_out: Collection[str] = ()) -> Files:
-    """What `taut diagnose` says of a case's files: diagnosis.json, nominal/, corrected/, and what it cost."""
+    """What `taut diagnose` says of a case's files: diagnosis.json, nominal/, corrected/, its evidence and cost."""
     with threadpool_limits(1), unpacked(files) as folder:
         began = time.process_time()
         try:
@@ -67,7 +68,7 @@ def diagnose_case(files: Files, left_out: Collection[str] = ()) -> Files:
             found.nominal.save(folder / "out" / "nominal")
             found.corrected.save(folder / "out" / "corrected")
             document: Any = plain(found.document)
-            said = sealed.read(folder / "out")
+            said = {**sealed.read(folder / "out"), EVIDENCE: sealed.canonical(plain(found.evidence.to_json()))}
         except Exception as error:  # a verdict like any other, and a wrong one: the campaign goes on
             calibrated, document, said = 0.0, {"verdict": FAILED, "error": _told(error)}, {}
         cost = {"core_s": time.process_time() - began, "calibration_core_s": calibrated}

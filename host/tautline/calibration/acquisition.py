@@ -146,8 +146,8 @@ def _told_by_places(track: Track, rig: Rig, camera: Camera) -> Reason | None:
         return float(np.sqrt(np.mean(away**2))) if likely else np.inf
 
     as_is = off(1.0)
-    best = min(_SCALES, key=off)
-    if as_is > _OFF * camera.width_px and off(best) < _FITS * as_is:
+    best = min(_SCALES, key=off) if as_is > _OFF * camera.width_px else 1.0
+    if best != 1.0 and off(best) < _FITS * as_is:
         return Reason(
             "frame_size",
             f"{track.name}: the marker is {as_is:.3g} px off the tip's path, but on it if the frames were {best:.3g} "

@@ -46,7 +46,8 @@ Progress = Callable[[float, str], None]
 _LEAST_FRAMES = 10
 _GRADUAL = 0.4  # noise: what a gradual start must leave for several elements to be tried
 _HELD = 0.5  # of the square of what one element leaves beyond noise: several may leave so much
-_HELD_SHARE = 0.1  # of all frames: where more are left out the rest may be wrong too
+_HELD_SHARE = 0.1  # of all frames: where more are left out the rest may be wrong too, unless one model explains it
+_ASTRAY = 2.0  # times what B and a path of any shape leave: f_remain in the rig's geometry
 _OF_ELEMENTS = frozenset({"phase.even", "image.side"})  # what several elements, or their number, stand for
 _BETWEEN_ELEMENTS = 0.003  # of B: what elements of a few shares leave, alike on every stroke
 _LIKELY_GAIN = (0.4, 2.5)  # of f_coarse's, between which f_remain's is no wrong scale
@@ -157,6 +158,8 @@ class _Session:
         self.tracks = tracks = aligned.tracks
         self.found = Findings([*aligned.reasons, *reasons], list(aligned.notes))
         self.components: Components | None = None
+        self.held = 0.0  # share of the frames that repeat a place that the tip had left
+        self.ended: Sequence[Track] | None = None  # what was seen, as it is when the session ends
         self.elements = SINGLE
         reached = [(float(t.motor.q.min()), float(t.motor.q.max())) for t in tracks]
         self.reached = min(r[0] for r in reached), max(r[1] for r in reached)
@@ -202,7 +205,8 @@ class _Session:
         settled = joint.fit.settled_only if joint is not None else False
         remaining = self._remaining(width, delay.delay_s, settled) if self.choice.moves() else None
         self._comment(onsets, curve, remaining)
-        self._depart(joint, curve, source)
+        self._hold()
+        self._depart(joint, curve, source, remaining)
         self.say(1.0, "done")
         return self._result(onsets, delay, curve, joint, passes, width, sigma, source, remaining)
 
@@ -212,13 +216,7 @@ class _Session:
             return
         before = sum(len(track.t_s) for track in self.tracks)
         self.tracks = released(self.tracks, lambda: self._one_curve(self.nominal_s), self.domain, self.nominal_s)
-        if held := before - sum(len(track.t_s) for track in self.tracks):
-            self.found.doubt(
-                "acquisition.held_samples",
-                f"{held} frames repeat a place that the tip had left",
-                "let the tracker say when it does not see the marker",
-                mild=held < _HELD_SHARE * before,
-            )
+        self.held = 1.0 - sum(len(track.t_s) for track in self.tracks) / before
 
     # ---- the delay
 
@@ -300,6 +298,9 @@ class _Session:
         apart = self.components.applied(joint)
         alone = self.choice.alone(self.components, apart, joint)
         if self.choice.predicts(alone, joint) or self.choice.nearer(onsets, curve, apart, joint):
+            if self.components.since and apart.fit.tracks[0].track.unit == self.tracks[0].unit:
+                self.ended = [t for t in self.components.at_the_end(self.tracks) if len(t.t_s)]
+                alone = self.choice.ended(self.components, apart)
             self.found.evidence["residual_alone"] = alone
             return apart
         self.found.evidence["residual_alone"] = joint.scale
@@ -330,7 +331,8 @@ class _Session:
             if found is not None:
                 return found
             self.found.notes.append("the characteristic shows no closed shape: f_remain was fitted directly instead")
-        return fit_remaining(self.tracks, self.rig, self.domain, self.grid, width, delay_s, settled, self.elements)
+        tracks = self.ended or self.tracks
+        return fit_remaining(tracks, self.rig, self.domain, self.grid, width, delay_s, settled, self.elements)
 
     # ---- what to think of it
 
@@ -372,7 +374,18 @@ class _Session:
         self.found.notes += remaining.notes
         self._sanity(remaining)
 
-    def _depart(self, joint: Fitted | None, curve: WidthCurve | None, source: str) -> None:
+    def _hold(self) -> None:
+        frames = sum(len(track.t_s) for track in self.tracks)
+        left = self.found.evidence.get("residual_alone", np.inf)
+        if self.held > 0:
+            self.found.doubt(
+                "acquisition.held_samples",
+                f"{frames / (1.0 - self.held) * self.held:.0f} frames repeat a place that the tip had left",
+                "let the tracker say when it does not see the marker",
+                mild=self.held < _HELD_SHARE or left < PREDICTS,
+            )
+
+    def _depart(self, joint: Fitted | None, curve: WidthCurve | None, source: str, remaining: Remaining | None) -> None:
         if self.components is not None:
             low, high = self.choice.measured(curve, joint, source)
             inside = (self.grid > low) & (self.grid < high)
@@ -385,10 +398,22 @@ class _Session:
                 )
             alone = self.found.evidence["residual_alone"]
             rough = self.components.rough or any(track.motor_noise > 0 for track in self.tracks)
-            found = doubts(self.components, inside, self.unit, alone, rough)
+            ended = remaining.scale if remaining is not None and self.ended is not None else None
+            found = doubts(self.components, inside, self.unit, alone, rough, ended=ended)
+            moved = any(part.name.startswith("image.") for part in self.components.parts)
+            if self.camera and remaining is not None and not moved and remaining.scale > _ASTRAY * max(alone, 1.0):
+                found.append(self._elsewhere(remaining.scale))
             if self.camera and any(not reason.mild for reason in found):
                 self.found.reasons += clock.jumps(self.tracks, self.rig)
             self.found.reasons += found
+
+    @staticmethod
+    def _elsewhere(scale: float) -> Reason:
+        return Reason(
+            "registration.static",
+            f"the tip's path in the image is not the rig's: {scale:.1f} times the noise is left",
+            "check hand_eye, kinematics and the camera's calibration",
+        )
 
     def _sanity(self, remaining: Remaining) -> None:
         """Scale and sign before anything else is blamed."""
@@ -466,7 +491,7 @@ class _Session:
             self.rig, self.grid, width, sigma, c, delay.delay_s, measured, elements=self.elements, c_sigma=c_sigma,
             sensor=self.tracks[0].sensor, offset_s=aligned.offset_s,
         )  # fmt: skip
-        told = worth(model, self.tracks, self.rig)
+        told = worth(model, self.ended or self.tracks, self.rig)
         if told is not None:
             self.found.reasons += told.doubts
             self.found.evidence |= {"error": told.model, "error_coarse": told.coarse, "error_constant": told.constant}
@@ -489,10 +514,11 @@ class _Session:
         )  # fmt: skip
 
     def _characteristic(self, delay_s: float) -> dict[str, Any]:
-        """Up to 3000 frames of (q, c) for the report's picture."""
-        q = np.concatenate([t.motor_at(t.scene_s(delay_s)) for t in self.tracks])
-        c = np.concatenate([pose_of(t, self.rig, delay_s) for t in self.tracks])
+        """Some 3000 frames of (q, c) for the report's picture."""
+        stride = max(1, sum(len(track.t_s) for track in self.tracks) // 3000)
+        tracks = [track.only(slice(None, None, stride)) for track in self.tracks]
+        q = np.concatenate([t.motor_at(t.scene_s(delay_s)) for t in tracks])
+        c = np.concatenate([pose_of(t, self.rig, delay_s) for t in tracks])
         low, high = coarse_range_deg(self.rig)
         good = np.flatnonzero(np.isfinite(c) & (np.abs(c) < 10 * max(abs(low), abs(high), 1.0)))
-        good = good[:: max(1, len(good) // 3000)]
         return {"q": np.round(q[good], 5).tolist(), "c_deg": np.round(c[good], 4).tolist()}

@@ -13,7 +13,7 @@ from tautline.calibration.components import Components
 from tautline.calibration.findings import Findings
 from tautline.calibration.observations import Track
 from tautline.calibration.onset import BRACKET, HINGE, Onset
-from tautline.calibration.playfit import NODES, Curves, Fitted
+from tautline.calibration.playfit import NODES, Curves, Fitted, Frozen
 from tautline.calibration.several import left
 from tautline.calibration.smooth import Domain, overlap
 from tautline.model import allowed_width
@@ -131,6 +131,15 @@ class Choice:
     def alone(self, found: Components, apart: Fitted, joint: Fitted) -> float:
         """Residual over noise of B, path and delay as they are without the departures."""
         return self._left_with(apart, found.usual) if found.parts else joint.scale
+
+    def ended(self, found: Components, apart: Fitted) -> float:
+        """The same of what was seen as it is when the session ends, and B as it is then."""
+        tracks = found.at_the_end([frozen.track for frozen in apart.fit.tracks])
+        frozen = [
+            Frozen.of(track, old.use[since.frames])
+            for track, old, since in zip(tracks, apart.fit.tracks, found.since, strict=True)
+        ]
+        return self._left_with(replace(apart, fit=replace(apart.fit, tracks=frozen)), found.curves)
 
     @staticmethod
     def predicts(rest: float, joint: Fitted) -> bool:

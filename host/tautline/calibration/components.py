@@ -8,6 +8,7 @@ from then on it is estimated beside B and adds to B's covariance (Henderson's eq
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,7 +16,19 @@ import numpy.typing as npt
 from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve, eigh
 
-from tautline.calibration.departures import Columns, Part, Scene, Sparse, contrasts, departures, on_clock, scene_of
+from tautline.calibration.departures import (
+    STATES,
+    Columns,
+    Part,
+    Scene,
+    Sparse,
+    contrasts,
+    departures,
+    on_clock,
+    scene_of,
+    slow_basis,
+)
+from tautline.calibration.observations import Track
 from tautline.calibration.playfit import Curves, Fitted, PlayFit
 from tautline.independence import frames_each
 from tautline.rig import Rig
@@ -34,8 +47,9 @@ _STILL = 0.05  # a change of B, in its sigma, that is none
 _COUNT = 0.29  # of an encoder's step: the standard deviation of a place within it
 _SHOWS = 0.3  # of the noise: an encoder's count that moves the image by more shows
 _FEW = 30  # frames that tell no scatter
-_CORRECTS = 0.3  # of a component's correction of B: what it may be off by
+CORRECTS = 0.3  # of a component's correction of B: what it may be off by
 _LAGS = 60  # frames of autocorrelation
+_LATE = 0.25  # of the session, which goes from -1/2 to 1/2: its last quarter
 
 
 @dataclass(frozen=True)
@@ -47,6 +61,15 @@ class Component:
     chi2: float  # what is lost without it, over the noise's variance
     shift: Array  # (grid,) by how much B would be another without it
     values: Array
+
+
+@dataclass(frozen=True)
+class Since:
+    """How the counted frames of one track differ from what they would show when the session ends."""
+
+    frames: npt.NDArray[np.intp]
+    over_noise: Array  # (frames, channels)
+    late: npt.NDArray[np.bool_]  # frames of the last quarter of the session
 
 
 @dataclass(frozen=True)
@@ -64,6 +87,23 @@ class Components:
     parts: tuple[Component, ...]  # strongest first
     clock: Array  # (2,) seconds by which the sensor's clock departs, linear and quadratic over the session
     rough: bool  # an encoder's count shows in the image
+    since: tuple[Since, ...] = ()  # by track; empty where nothing changed
+
+    @property
+    def late(self) -> float:
+        """How much of what changed, in the noise, it still did in the last quarter of the session; rms."""
+        late = [each.over_noise[each.late] for each in self.since if each.late.any()]
+        return float(np.sqrt(np.mean(np.concatenate(late) ** 2))) if late else 0.0
+
+    def at_the_end(self, tracks: Sequence[Track]) -> list[Track]:
+        """The counted frames of the fit's tracks as they would be if all had been seen when the session ended."""
+        if not self.since:
+            return list(tracks)
+        kept = [track.only(since.frames) for track, since in zip(tracks, self.since, strict=True)]
+        return [
+            replace(track, y=track.y - since.over_noise * track.sigma[:, None])
+            for track, since in zip(kept, self.since, strict=True)
+        ]
 
     def applied(self, fitted: Fitted) -> Fitted:
         """The joint fit as it is with the components taken into account."""
@@ -331,11 +371,11 @@ class _Solved:
         # A linear correction is right to a share of itself.
         parts = sorted((self._component(name, at) for name, at in self._blocks()), key=lambda part: -part.chi2)
         corrected = sum((np.mean(part.shift**2) for part in parts), 0.0)
-        sigma = np.sqrt(np.maximum(own**2 - plain**2, 0.0) + number * plain**2 + _CORRECTS**2 * corrected)
+        sigma = np.sqrt(np.maximum(own**2 - plain**2, 0.0) + number * plain**2 + CORRECTS**2 * corrected)
         moved = self.moved
         curves = replace(moved, backlash=self._at_the_end(moved.backlash))
         changed = float(np.mean((curves.backlash - moved.backlash) ** 2))
-        sigma = np.sqrt(sigma**2 + _CORRECTS**2 * changed + (self._between_recordings() * self.fit.width(curves)) ** 2)
+        sigma = np.sqrt(sigma**2 + CORRECTS**2 * changed + (self._between_recordings() * self.fit.width(curves)) ** 2)
         delay = self.noise * float(np.sqrt(number * self.inverse[self.head - 1, self.head - 1]))
         power = np.mean(left**2, axis=1)
         moves = self.scene.moving
@@ -343,12 +383,42 @@ class _Solved:
         moving = np.sqrt(np.mean(power[moves]) / max(float(rests), 1e-30)) if moves.any() else 1.0
         return Components(
             curves, moved, self.fit.width(curves), sigma, delay, self.noise, float(moving), number,
-            tuple(parts), self.clock + self.clock_step, self.owner.rough,
+            tuple(parts), self.clock + self.clock_step, self.owner.rough, self._since(),
         )  # fmt: skip
 
+    def _since(self) -> tuple[Since, ...]:
+        changed = [(name, at) for name, at in self._blocks() if name in STATES]
+        if not changed:
+            return ()
+        scene = self.scene
+        ended = {part.name: part for part in departures(scene.at_the_end(), self.columns, apart=True)}
+        rows = np.zeros(scene.rows.size)
+        for name, at in changed:
+            rows += (self.parts[name].columns - ended[name].columns) @ self.values[at]
+        by_frame = rows.reshape(scene.rows.shape[1], -1).T
+        own = [scene.recording == k for k in range(len(self.fit.tracks))]
+        return tuple(Since(scene.frame[k], by_frame[k], scene.t[k] > _LATE) for k in own)
+
+    def _offset_at_the_end(self) -> float:
+        """Of the motor's positions, unit of q: the tip is where it was at q + offset."""
+        offset = 0.0
+        for name, at in self._blocks():
+            values = self.values[at]
+            if name == "offset.recording":
+                offset += float(contrasts(len(values) + 1)[-1] @ values)
+            elif name == "offset.time":
+                slow = slow_basis(np.array([0.5]), len(values) - 3)
+                offset += float((slow @ values)[0])
+        return offset
+
     def _at_the_end(self, backlash: Array) -> Array:
-        """B as it is when the session ends, of slow strokes: the others are wider by what a departure says."""
+        """B as it is when the session ends, of slow strokes: the others are wider by what a departure says. What
+        offsets the transmission takes B along."""
         values = {name: self.values[at] for name, at in self._blocks() if name.startswith("width.")}
+        if offset := self._offset_at_the_end():
+            basis, grid = self.fit.backlash, self.fit.grid
+            there = basis.value(backlash, np.clip(grid + offset, grid[0], grid[-1]))
+            backlash = np.linalg.lstsq(basis.design(grid).toarray(), there, rcond=None)[0]
         grown = 1.0 + 0.5 * float(values["width.time"][0]) if "width.time" in values else 1.0
         if "width.recording" in values:
             each = values["width.recording"]

@@ -35,6 +35,11 @@ _FINE_S = 0.005  # of the path that lags
 _BREATHS_HZ = 0.08, 1.0
 _SCAN = 12.0  # what looking for a moment or a rhythm costs, of twice the log likelihood
 
+# What changes during a session and then is what it is: a model holds what it came to.
+STATES = frozenset(
+    {"offset.time", "width.time", "image.time", "image.shift", "offset.recording", "width.recording"}
+)  # fmt: skip
+
 
 @dataclass(frozen=True)
 class Part:
@@ -70,6 +75,7 @@ class Scene:
     way: Array  # of the motor since then
     stroke: npt.NDArray[np.intp]  # half-cycle of the tip
     recording: npt.NDArray[np.intp]
+    frame: npt.NDArray[np.intp]  # of its track
     lagging: Array  # (n, 3) what lags would add to p, per s
     creeping: Array  # (n, 2) what creep would, per share
     load: Array | None  # less its mean
@@ -85,6 +91,14 @@ class Scene:
     def each(self, columns: Sparse) -> sparse.csr_matrix:
         """The same columns for every channel of the image, apart."""
         return sparse.csr_matrix(sparse.block_diag([sparse.csr_matrix(columns)] * self.slope.shape[1]))
+
+    def at_the_end(self) -> Scene:
+        """The same frames, had all been taken when the session ended."""
+        n = len(self.t)
+        last = int(self.recording.max(initial=0))
+        return replace(
+            self, t=np.full(n, 0.5), time_s=np.full(n, self.time_s.max(initial=0.0)), recording=np.full(n, last)
+        )
 
 
 @dataclass(frozen=True)
@@ -134,12 +148,13 @@ def scene_of(fitted: Fitted, curves: Curves, rig: Rig, clock: Array) -> Scene:
     )
 
 
-def departures(scene: Scene, looked_for: Columns) -> list[Part]:
+def departures(scene: Scene, looked_for: Columns, *, apart: bool | None = None) -> list[Part]:
+    """apart: whether recordings may differ (None: where they show much the same positions)."""
     hats = _hats(scene.phase, _PHASES)[:, :-1]
     smooth, one = _smooth(hats.shape[1]), np.eye(1)
     n, channels = len(scene.p), scene.slope.shape[1]
     strokes = int(scene.stroke.max(initial=0)) + 1
-    slow = _slow_basis(scene.t, min(_TIMES, strokes // _STROKES_A_SPAN))
+    slow = slow_basis(scene.t, min(_TIMES, strokes // _STROKES_A_SPAN))
     each = sparse.csr_matrix((np.ones(n), (np.arange(n), scene.stroke)), shape=(n, strokes))
     held = sparse.csr_matrix(each.multiply((~scene.moving)[:, None]))
     speeds = np.abs(scene.speed)
@@ -174,7 +189,7 @@ def departures(scene: Scene, looked_for: Columns) -> list[Part]:
         effects = np.column_stack([load, scene.by_width * load, (scene.p - scene.p.mean()) * load])
         parts.append(Part("load", scene.along(effects), np.eye(3)))
     recordings = int(scene.recording.max(initial=0)) + 1
-    if recordings > 1 and _same_places(scene, recordings):
+    if recordings > 1 and (_same_places(scene, recordings) if apart is None else apart):
         which, free = contrasts(recordings)[scene.recording], np.eye(recordings - 1)
         parts += [
             Part("offset.recording", scene.along(which), free),
@@ -271,6 +286,7 @@ def _piece(
         "phase": gone / np.maximum(width, 0.2 * usual),
         "way": way,
         "stroke": stroke[keep],
+        "frame": np.flatnonzero(keep),
         "lagging": behind(_LAGS_S) / np.array(_LAGS_S),
         "creeping": behind(_CREEPS_S),
         "load": None if load is None else np.interp(scene_s[keep], track.motor.t_s, load),
@@ -306,8 +322,8 @@ def _hats(x: Array, nodes: Array) -> sparse.csr_matrix:
     return sparse.csr_matrix((np.concatenate([1 - share, share]), places), shape=(len(x), len(nodes)))
 
 
-def _slow_basis(t: Array, spans: int) -> Sparse | None:
-    """None where so few spans are as quick as the motion."""
+def slow_basis(t: Array, spans: int) -> Sparse | None:
+    """Cubic splines (n, spans + 3) over the session. None where so few spans are as quick as the motion."""
     if spans < 2:
         return None
     knots = -0.5 + np.arange(-3, spans + 4) / spans

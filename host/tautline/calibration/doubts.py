@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tautline.calibration.components import Component, Components
+from tautline.calibration.components import CORRECTS, Component, Components
+from tautline.calibration.departures import STATES
 from tautline.calibration.observations import Track
 from tautline.encoder import between_samples
 from tautline.quality import Reason
@@ -22,6 +23,7 @@ _MOST = 1.5  # the same, up to which it does where some frames show something el
 _STRONG = 1.2  # of the noise: a departure that is a doubt whatever else is
 _MOSTLY = 0.5  # of the strongest: one that has its part in what is left
 _SHIFTED = 0.03  # of B: what leaving a component out would change, from which it is told
+_STILL_MOVES = 0.83  # of the noise, in the last quarter: with the noise itself 1.3 times it
 _WHITE = 1.5  # frames for each independent one up to which scatter is of single frames
 _SPEEDS = 1.5  # scatter of moving frames over that of resting ones, from which times are unsteady
 
@@ -124,23 +126,40 @@ _MEANS: dict[str, tuple[str, str, str]] = {
 }
 
 
-def doubts(found: Components, counted: npt.NDArray[np.bool_], unit: str, alone: float, rough: bool) -> list[Reason]:
+def doubts(
+    found: Components,
+    counted: npt.NDArray[np.bool_],
+    unit: str,
+    alone: float,
+    rough: bool,
+    *,
+    ended: float | None = None,
+) -> list[Reason]:
     """Likeliest first; mild where B holds, and the model predicts what was seen without its departures about as well as
     noise lets it. counted: the grid's places at which B was measured; unit: of q; alone: residual over noise of B,
-    path and delay alone; rough: the motor's counts or noise show in the image."""
+    path and delay alone; rough: the motor's counts or noise show in the image; ended: what f_remain leaves, over the
+    noise, where the model is that of the session's end: what changed before is not in `alone` then."""
     usual = max(float(np.median(found.width[counted])) if counted.any() else 0.0, 1e-12)
     sigma = float(np.sqrt(np.mean(found.sigma[counted] ** 2))) if counted.any() else np.inf
     strongest = max((part.rms for part in found.parts), default=0.0)
     reasons = []
     for part in found.parts:
         shift = float(np.sqrt(np.mean(part.shift[counted] ** 2))) if counted.any() else 0.0
-        counts = part.name == "turn" and shift < _SHIFTED * usual  # a count is a count
+        strong = np.hypot(1.0, part.rms) > PREDICTS
+        if part.name == "turn" and shift < _SHIFTED * usual:
+            strong = False  # a count is a count
+        if ended is not None and part.name in STATES:
+            predicts = _holds(part.name, found, ended) if strong else True
+            held = predicts
+        else:
+            predicts = alone < _LEFT or part.rms < _MOSTLY * strongest
+            held = not strong or part.rms < _STRONG
         moves = shift > max(_SHIFTED * usual, 3.0 * sigma)
-        predicts = alone < _LEFT or part.rms < _MOSTLY * strongest
-        if moves or not predicts or (not counts and np.hypot(1.0, part.rms) > PREDICTS):
-            mild = not moves and predicts and (counts or part.rms < _STRONG)
+        # What is uncertain of it is in sigma.
+        doubted = moves and not (alone < PREDICTS and CORRECTS * shift < _SHIFTED * usual)
+        if moves or strong or not predicts:
             kind = "turn.itself" if part.name == "turn" and not rough else part.name
-            reasons.append((part.chi2, _reason(kind, part, shift, unit, mild)))
+            reasons.append((part.chi2, _reason(kind, part, shift, unit, predicts and held and not doubted)))
     told = [reason for _, reason in sorted(reasons, key=lambda each: -each[0])]
     if found.noise > PREDICTS:
         told.append(_scatter(found, alone))
@@ -148,6 +167,14 @@ def doubts(found: Components, counted: npt.NDArray[np.bool_], unit: str, alone: 
     for reason in sorted(told, key=lambda each: each.mild):
         first.setdefault(reason.code, reason)
     return list(first.values())
+
+
+def _holds(state: str, found: Components, ended: float) -> bool:
+    """Whether a model holds what this came to: nothing still moves, and the image is where f_remain can put it. What
+    differs between recordings may differ again."""
+    if state.endswith("recording") or ended > PREDICTS * max(found.noise, 1.0):
+        return False
+    return state == "image.shift" or found.late < _STILL_MOVES
 
 
 def _reason(kind: str, part: Component, shift: float, unit: str, mild: bool) -> Reason:

@@ -27,6 +27,7 @@ _SUDDEN = 0.35  # of the window's mean slope: a path that starts slower is no hi
 _NOMINAL_S = 0.03  # standard deviation of a nominal delay
 _PER_TERM = 3.5  # chi-square that one more term of a path must explain: between AIC (2) and BIC (4.5)
 _DELAY_REACH_S = 0.12  # the delay is looked for this far around the nominal one
+_AROUND_S = np.array([-0.5, 0.5])  # of a stop: what the motor does in it, at any delay that is looked for
 _SETTLE_S = np.geomspace(0.2, 8.0, 16)  # time constants of a tip that creeps; the first one is a lag's
 _SETTLES = 0.9  # share of the squares after a turn that creeping must explain
 
@@ -459,27 +460,28 @@ def find_delay(tracks: Sequence[Track], rig: Rig, nominal_s: float, passes: int 
 
 @dataclass(frozen=True)
 class _Stop:
-    track: Track
+    arrival_s: Array  # (frames,)
+    motor_t: Array  # around them
+    motor_q: Array
     turn_s: float
     q1: float
     direction: int  # before the turn
-    frames: npt.NDArray[np.intp]
     z: Array  # (frames, channels) as in _Stroke
     order: int
 
     @property
     def freedom(self) -> int:
-        return int(max(1, (len(self.frames) - 1 - self.order) * self.z.shape[1]))
+        return int(max(1, (len(self.arrival_s) - 1 - self.order) * self.z.shape[1]))
 
     def squares(self, delays: Array) -> Array:
-        scene = self.track.t_s[self.frames][None, :] - delays[:, None]
-        behind = np.minimum(self.direction * (self.track.motor_at(scene.ravel()).reshape(scene.shape) - self.q1), 0.0)
+        scene = self.arrival_s[None, :] - delays[:, None]
+        behind = np.minimum(self.direction * (np.interp(scene, self.motor_t, self.motor_q) - self.q1), 0.0)
         behind = np.where(scene < self.turn_s, behind, 0.0)
         return _profile(behind, self.order, self.z)[0]
 
 
 def _stops(track: Track, rig: Rig, delay_s: float) -> list[_Stop]:
-    strokes = _strokes(track, rig, delay_s)
+    strokes, motor = _strokes(track, rig, delay_s), track.motor
     stops = []
     for before, after in pairwise(strokes):
         if before.departure is None or not track.others_still(before.end_s - 0.5, after.end_s):
@@ -496,7 +498,11 @@ def _stops(track: Track, rig: Rig, delay_s: float) -> list[_Stop]:
             z = np.concatenate(
                 [track.y[before.frames[-count:]] / track.sigma[before.frames[-count:], None], after.z[:still]]
             )
-            stop = _Stop(track, after.start_s, after.q1, -after.direction, frames, z, 2 if count > 6 else 1)
+            arrival = track.t_s[frames]
+            around = slice(*np.searchsorted(motor.t_s, arrival[[0, -1]] - delay_s + _AROUND_S))
+            times, positions = motor.t_s[around], motor.q[around]
+            order = 2 if count > 6 else 1
+            stop = _Stop(arrival, times, positions, after.start_s, after.q1, -after.direction, z, order)
             nearby = delay_s + np.linspace(-0.03, 0.03, 13)
             if count <= 6 or stop.squares(nearby).min() < stop.freedom + 4.0 * np.sqrt(2.0 * stop.freedom):
                 break

@@ -65,6 +65,16 @@ class Simulated:
 
 
 @dataclass(frozen=True)
+class Driven:
+    """What the motor did, as the frames of one track saw it at one delay."""
+
+    positions: Array  # all that a play needs, in order of time
+    at: npt.NDArray[np.intp]  # which of them are at the frames
+    within: Mask  # motor samples cover the frame
+    speed: Array  # dq/dt, unit/s
+
+
+@dataclass(frozen=True)
 class Frozen:
     """One track prepared for many simulations."""
 
@@ -73,6 +83,7 @@ class Frozen:
     corner_q: Array
     use: Mask  # frames that count
     half_s: float  # half the interval over which the motor's speed is taken
+    last: dict[float, Driven] = field(init=False, default_factory=dict, compare=False, repr=False)  # of one delay
 
     @classmethod
     def of(cls, track: Track, use: Mask | None = None) -> Frozen:
@@ -88,18 +99,26 @@ class Frozen:
         back[order] = np.arange(len(times))
         return np.concatenate([self.corner_q, self.track.motor_at(scene_s)])[order], back[len(self.corner_t) :]
 
+    def driven(self, delay_s: float) -> Driven:
+        """Kept until another delay is asked for: a scan of widths has one."""
+        if delay_s not in self.last:
+            track, scene = self.track, self.track.scene_s(delay_s)
+            positions, at = self.course(scene)
+            speed = (track.motor_at(scene + self.half_s) - track.motor_at(scene - self.half_s)) / (2 * self.half_s)
+            self.last.clear()
+            self.last[delay_s] = Driven(positions, at, track.within_motor(scene), speed)
+        return self.last[delay_s]
+
     def simulate(self, grid: Array, width: Array, delay_s: float, elements: Elements = SINGLE) -> Simulated:
-        track = self.track
-        scene = track.scene_s(delay_s)
-        positions, at = self.course(scene)
+        driven = self.driven(delay_s)
+        positions, at = driven.positions, driven.at
         far = 10.0 * (abs(grid[-1] - grid[0]) + abs(positions).max(initial=1.0))
         plays = Play(grid, width, elements).native
         p, side, lean, share = plays.trace(positions, -far)
         other, other_side = plays.forward(positions, far)
-        known = (np.abs(p - other) < 1e-9 * (grid[-1] - grid[0]))[at] & track.within_motor(scene)
+        known = (np.abs(p - other) < 1e-9 * (grid[-1] - grid[0]))[at] & driven.within
         both = np.logical_or.accumulate(side == -1) & np.logical_or.accumulate(other_side == 1)
-        speed = (track.motor_at(scene + self.half_s) - track.motor_at(scene - self.half_s)) / (2 * self.half_s)
-        return Simulated(p[at], known, known & both[at], side[at], lean[at], share[at], speed)
+        return Simulated(p[at], known, known & both[at], side[at], lean[at], share[at], driven.speed)
 
 
 @dataclass

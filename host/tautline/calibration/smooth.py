@@ -17,6 +17,7 @@ Array = npt.NDArray[np.float64]
 
 SPANS = 100  # of B and of the path: a bump of B 0.6 mm wide on 10 mm has six of them
 _MOST_FRAMES = 12000  # of one fit; more are thinned out evenly
+_SCANNED = 3000  # frames, about, that tell where a fit begins
 _REPEATS = 1.6  # residual of the first approach over that of the rest up to which it counts
 _HARMLESS = 1.15  # what counting the first approach may do to the residuals of the rest
 _FEWEST = 40  # frames that a joint fit is tried with
@@ -53,7 +54,7 @@ def fit_jointly(
 ) -> Fitted | None:
     """B, the path in the sensor's own coordinates and the delay, from all frames at once. None where the tip was never
     driven through a backlash (or next to nothing was seen)."""
-    coarse = _scan(frozen, domain, delay_s, guess)
+    coarse = _scan(_thinned(frozen), domain, delay_s, guess)
     if coarse is None:
         return None
     fit, curves = coarse
@@ -78,6 +79,14 @@ def fit_jointly(
             return whole
         fitted.fit.residuals(fitted.curves)
     return fitted
+
+
+def _thinned(frozen: Sequence[Frozen]) -> list[Frozen]:
+    stride = max(1, sum(len(each.track.t_s) for each in frozen) // _SCANNED)
+    if stride == 1:
+        return list(frozen)
+    every = slice(None, None, stride)
+    return [replace(each, track=each.track.only(every), use=each.use[every]) for each in frozen]
 
 
 def _reaches_further(fitted: Fitted, domain: Domain) -> bool:

@@ -12,7 +12,7 @@ from tautline.calibration.observations import Track
 from tautline.calibration.playfit import Frozen
 from tautline.geometry import project
 from tautline.model import Model
-from tautline.predict import predict
+from tautline.prediction import predict
 from tautline.quality import Reason
 from tautline.rig import Rig
 

@@ -8,7 +8,8 @@ import sys
 
 import click
 
-from tautline.errors import TautError
+from tautline import __version__
+from tautline.errors import TautError, of_system
 
 # Name, and the line that `taut --help` shows. Module tautline.cli.NAME holds a click command called `command`.
 COMMANDS = {
@@ -31,6 +32,7 @@ COMMANDS = {
     "simulate": "make a recording with a simulated instrument and endoscope",
     "compare": "how B and f_remain changed between models",
     "report": "write a model's report again",
+    "explain": "what a message means: an effect, a reason, a fault, a key of rig.toml, a term",
     "blindtest": "diagnose instruments whose effect is withheld, then open the labels and score",
     "inject": "let a fault happen on a simulated board, and see what is said of it",
     "demo": "the whole job on a simulated instrument, without hardware",
@@ -54,7 +56,7 @@ class _Commands(click.Group):
 
 
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(package_name="tautline", prog_name="taut")
+@click.version_option(__version__, prog_name="taut")
 def taut() -> None:
     """Measures and undoes what a tendon-driven instrument loses between motor and tip."""
 
@@ -75,6 +77,11 @@ def main() -> None:
         click.echo(f"taut: {error}", err=True)
         sys.exit(error.status)
     except BrokenPipeError:
+        sys.exit(1)
+    except OSError as error:
+        if error.filename is None and os.environ.get("TAUT_TRACEBACK"):
+            raise
+        click.echo(f"taut: {of_system(error)}", err=True)
         sys.exit(1)
     except Exception as error:
         if os.environ.get("TAUT_TRACEBACK"):

@@ -9,7 +9,6 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +64,8 @@ def show_quality(quality: Quality) -> None:
     log(f"taut: calibration {word}" + (": the stated sigmas cover" if quality.verdict is Verdict.GOOD else ""))
     for reason in quality.reasons:
         log(f"taut:   {click.style(reason.code, bold=True)} {reason}")
+    if quality.reasons:
+        log(f"taut:   'taut explain {quality.reasons[0].code}' says more")
 
 
 @contextmanager
@@ -120,15 +121,6 @@ def read_recordings(paths: Sequence[Path], rig_path: Path | None) -> tuple[list[
         for warning in recording.warnings:
             warn(warning)
     return recordings, rig
-
-
-def tracked(recording: Recording, rig: Rig, progress: Progress) -> Recording:
-    """With the marker's track, from the video where there is no marker.csv."""
-    if recording.marker is not None or recording.video is None or not rig.has_camera:
-        return recording
-    from tautline.vision.marker import track_video
-
-    return replace(recording, marker=track_video(recording.video, progress=progress))
 
 
 def _own_rig(paths: Sequence[Path]) -> Rig:

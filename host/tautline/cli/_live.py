@@ -112,6 +112,11 @@ def opened(live: LiveOptions, rig_path: Path | None, seed: int = 0, model: Model
     rig = Rig.load(rig_path) if rig_path is not None else (model.rig if model is not None else None)
     if live.simulate is None and rig is None:
         raise TautError("no rig: name the set-up's file with --rig")
+    if model is not None and rig is not None and rig.actuator.unit != model.rig.actuator.unit:
+        raise TautError(
+            f"{rig_path}: its motor is in {rig.actuator.unit}, the model's in {model.rig.actuator.unit}: name the rig "
+            "that the model was calibrated with, or leave --rig out"
+        )
     with open_live(
         board=live.board,
         camera=live.camera,

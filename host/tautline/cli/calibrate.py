@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import click
 
-from tautline import report
+from tautline import reports
 from tautline.calibration.calibrate import Calibration, Options, calibrate
 from tautline.cli._common import (
     emit,
@@ -20,7 +20,6 @@ from tautline.cli._common import (
     read_recordings,
     rig_option,
     show_quality,
-    tracked,
     warn,
 )
 from tautline.cli._live import LiveOptions, live_options, opened
@@ -29,6 +28,7 @@ from tautline.folders import check_replaceable
 from tautline.live.rounds import in_words
 from tautline.model import MODEL_FILE
 from tautline.recording import load, shifted
+from tautline.vision.marker import with_marker
 
 
 @click.command("calibrate")
@@ -105,10 +105,10 @@ def command(
     show_quality(quality)
     for note in found.notes:
         log(f"taut: {note}")
-    result = {**found.to_json(), "model": out, "report": out / report.FILE}
+    result = {**found.to_json(), "model": out, "report": out / reports.FILE}
     if not recording_paths:
         result |= {"recording": kept, "motion": made}
-    emit(result, as_json, "\n".join([*said, f"{out / report.FILE} shows it."]))
+    emit(result, as_json, "\n".join([*said, f"{out / reports.FILE} shows it."]))
     if not quality.usable:
         raise UnusableError(f"{out}: written, but unusable: {quality.reasons[0]}")
 
@@ -124,9 +124,9 @@ def _from_recordings(
 ) -> tuple[Calibration, list[str]]:
     recordings, rig = read_recordings(paths, rig_path)
     with progress_bar("calibrating") as progress:
-        recordings = [tracked(recording, rig, progress) for recording in recordings]
+        recordings = [with_marker(recording, rig, progress) for recording in recordings]
         found = calibrate(recordings, rig, options, progress)
-        return found, report.save_model(found.model, shifted(recordings, found.offsets), out)
+        return found, reports.save_model(found.model, shifted(recordings, found.offsets), out)
 
 
 def _live(
@@ -174,7 +174,7 @@ def _live(
     made |= {"seconds": motion.seconds, "reversals": motion.reversals, "frames": motion.frames}
     log(f"taut: {motion.reversals} reversals in {motion.seconds:.0f} s, recorded in {kept}")
     recordings = shifted([load(kept, found.model.rig)], found.offsets)
-    return found, [*report.save_model(found.model, recordings, out), *goal_said], made
+    return found, [*reports.save_model(found.model, recordings, out), *goal_said], made
 
 
 def sigma_of(text: str, unit: str) -> float:

@@ -39,6 +39,7 @@ def _clear(board: Any, axis: int) -> dict[str, Any]:
     return {
         "axis": axis,
         "fault": wire.fault(before) or None,
+        "code": wire.name("FAULTS", before.fault) if before.fault else None,
         "fault_us": before.fault_us if before.fault else None,
         "left": wire.fault(after) or None,  # a new one, or one that is still there
         "referenced": bool(after.flags & wire.code("FLAGS", "REFERENCED")),
@@ -47,6 +48,7 @@ def _clear(board: Any, axis: int) -> dict[str, Any]:
 
 def _text(row: dict[str, Any]) -> str:
     said = f"axis {row['axis']}: {row['fault'] or 'no fault'}"
+    said += f" ('taut explain {row['code']}' says more)" if row["code"] else ""
     if row["left"]:
         return f"{said}\n  not cleared: {row['left']}"
     if row["fault"]:

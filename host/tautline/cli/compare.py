@@ -8,7 +8,7 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from tautline import report
+from tautline import reports
 from tautline.cli._common import emit, json_option
 from tautline.errors import TautError
 from tautline.model import Model
@@ -26,9 +26,9 @@ def command(model_paths: tuple[Path, ...], html_path: Path | None, as_json: bool
     units = {model.rig.actuator.unit for model in models.values()}
     if len(units) > 1:
         raise TautError("the models' motors have different units, mm and deg: they are not of one instrument")
-    rows = report.comparison(models)
+    rows = reports.comparison(models)
     if html_path is not None:
-        report.write_comparison(models, html_path)
+        reports.write_comparison(models, html_path)
     emit({"unit": units.pop(), "models": rows, "html": html_path}, as_json, _table(rows, next(iter(models.values()))))
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from tautline.cli._common import emit, json_option, progress_bar, warn, warn_unusable
-from tautline.compensate import MODES, RATES_HZ, compensate, read_trajectory, write_csv
+from tautline.compensation import MODES, RATES_HZ, compensate, read_trajectory, write_csv
 from tautline.effects import BY_ID
 from tautline.model import Model
 

@@ -30,7 +30,7 @@ def run(
     out: Path, instrument: str, seed: int, progress: Callable[[float, str], None], say: Callable[[str], None]
 ) -> dict[str, Any]:
     """What was measured and gained; the recording, MODEL and report are in `out`."""
-    from tautline import report, tables
+    from tautline import reports, tables
     from tautline.evidence import Evidence, Run
     from tautline.folders import check_replaceable
     from tautline.live.following import follow_run
@@ -58,7 +58,7 @@ def run(
             f"marker tracked in {motion.frames - motion.lost_frames} of {motion.frames} frames"
             + (f"; {reached.why}" if reached.why else "")
         )
-        sentences = report.save_model(model, [load(recording_folder, live.rig)], model_folder)
+        sentences = reports.save_model(model, [load(recording_folder, live.rig)], model_folder)
         say("3  " + " ".join(sentences[:2]))
         blob = tables.encode(model, axis=live.axis)
         board.load_table(live.axis, blob, part(0.55, 0.6))
@@ -77,7 +77,7 @@ def run(
         f"5  a trajectory followed open loop: off by {runs['off'].rms_deg:.2f} deg rms without, "
         f"{runs['full'].rms_deg:.3f} with the tables, {gain:.0f} times less"
     )
-    page = report.write(Model.load(model_folder), model_folder, Evidence.load(model_folder))
+    page = reports.write(Model.load(model_folder), model_folder, Evidence.load(model_folder))
     return {
         "report": page,
         "model": model_folder,

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from tautline import report
-from tautline.calibration.calibrate import Calibration, calibrate
-from tautline.calibration.clock import on_motor_clock
+from tautline.calibration.calibrate import Calibration
 from tautline.cli._common import (
     emit,
     folder_option,
@@ -20,22 +17,21 @@ from tautline.cli._common import (
     progress_bar,
     read_recordings,
     rig_option,
-    tracked,
     warn_unusable,
 )
 from tautline.cli._live import LiveOptions, live_options, opened
-from tautline.diagnose import motion, page, words
-from tautline.diagnose.diagnosis import Diagnosis, diagnose
-from tautline.folders import check_replaceable, replaced, write_file
-from tautline.plain import plain
-from tautline.recording import Recording, load, shifted
+from tautline.diagnosis import words
+from tautline.diagnosis.diagnose import diagnose
+from tautline.diagnosis.folder import DOCUMENT, save
+from tautline.diagnosis.recorded import calibrated
+from tautline.folders import check_replaceable
+from tautline.recording import Recording, load
 from tautline.rig import Rig
 
 if TYPE_CHECKING:
     from tautline.live.asking import Asked
 
 Progress = Callable[[float, str], None]
-DOCUMENT = "diagnosis.json"
 
 
 @click.command("diagnose")
@@ -102,10 +98,9 @@ def _calibrated(
     recordings: list[Recording], rig: Rig, path: Path, progress: Progress
 ) -> tuple[Calibration, list[Recording]]:
     """On the first of them; all on the motor's clock."""
-    recordings = [tracked(recording, rig, progress) for recording in recordings]
-    found = calibrate(recordings[:1], rig, progress=lambda fraction, text: progress(0.3 * fraction, text))
+    found, recordings = calibrated(recordings, rig, lambda fraction, text: progress(0.3 * fraction, text))
     warn_unusable(found.model, path)
-    return found, [*shifted(recordings[:1], found.offsets), *on_motor_clock(recordings[1:], rig)]
+    return found, recordings
 
 
 def _ask(
@@ -126,17 +121,3 @@ def _ask(
         assert rig is not None
         found, recordings = _calibrated(given, rig, calibration_path, progress)
         return diagnose_live(setup, found, recordings[0], recordings[1:], kept, most, progress, log)
-
-
-def save(diagnosis: Diagnosis, out: Path) -> None:
-    """The whole folder, or nothing."""
-    with replaced(out, DOCUMENT) as folder:
-        for name, model in (("nominal", diagnosis.nominal), ("corrected", diagnosis.corrected)):
-            model.save(folder / name)
-            report.write(model, folder / name, None, name)
-        if diagnosis.next_motion is not None:
-            table = motion.table(diagnosis.next_motion.motion, diagnosis.nominal.rig.actuator.unit)
-            table.to_csv(folder / "next_motion.csv", index=False, float_format="%.6f")
-        document: dict[str, Any] = plain(diagnosis.document)
-        write_file(folder / DOCUMENT, json.dumps(document, indent=1, allow_nan=False) + "\n")
-        page.write(diagnosis, folder, str(out))

@@ -16,6 +16,7 @@ from tautline.cli._common import (
     progress_bar,
     refuse_unusable,
     rig_option,
+    warn,
 )
 from tautline.cli._live import LiveOptions, live_options, opened
 
@@ -89,17 +90,23 @@ def command(
     if model is not None and model_path is not None and result.scored_by:
         _into_report(model, model_path, result, compensation)
     emit(_report(result, compensation, out), as_json, _text(result, compensation, out))
+    if result.clipped:
+        low, high = result.reach_deg
+        warn(
+            f"{trajectory}: {100 * max(result.clipped, 0.01):.0f} % of it is beyond what the tip can reach with these "
+            f"tables, {low:.1f} to {high:.1f} deg: it was held at the end there (clipped)"
+        )
     if result.counters["telemetry_dropped"]:
         log(f"taut: {result.counters['telemetry_dropped']} telemetry samples were dropped")
 
 
 def _into_report(model: Any, folder: Path, result: Any, compensation: str) -> None:
     """The run beside the model's others, and its report written again."""
-    from tautline import report
+    from tautline import reports
     from tautline.evidence import Evidence, Run
 
     Run(result.t_s, result.c_ref_deg, result.c_deg, result.counted).save(folder, compensation)
-    report.write(model, folder, Evidence.load(folder))
+    reports.write(model, folder, Evidence.load(folder))
 
 
 def _report(result: Any, compensation: str, out: Path | None) -> dict[str, Any]:
@@ -109,6 +116,8 @@ def _report(result: Any, compensation: str, out: Path | None) -> dict[str, Any]:
         "error_rms_deg": result.rms_deg,
         "error_max_deg": result.max_deg,
         "scored_by": result.scored_by,
+        "clipped": result.clipped,
+        "reach_deg": list(result.reach_deg),
         "recording": out,
         "counters": result.counters,
     }

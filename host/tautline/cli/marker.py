@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -11,10 +13,12 @@ import numpy as np
 from tautline.cli._common import emit, json_option, progress_bar
 from tautline.errors import TautError
 from tautline.vision.camera import VideoCamera, sample_video
-from tautline.vision.colour import COLOUR_FILE, MarkerColour, pick
+from tautline.vision.colour import COLOUR_FILE, LARGEST_PX, MarkerColour, pick
 from tautline.vision.marker import Sighting, Tracker, find_colour
 
 _STILL_FRAMES = 60  # that are tracked to say how well the marker can be seen
+_SPREAD = 12  # frames from all over a video in which the marker is looked for
+_SEARCHED_LINES = 480  # of a picture, at least, in which it is looked for
 _WARM_UP = 15  # frames of a device that pass while it finds its exposure
 
 
@@ -37,19 +41,19 @@ class _Place(click.ParamType):  # type: ignore[type-arg]
 @click.option(
     "--out",
     type=click.Path(path_type=Path, dir_okay=False),
-    default=Path(COLOUR_FILE),
-    show_default=True,
-    help="File for the colour. Beside a video it is used for that video.",
+    help=f"File for the colour. Default: {COLOUR_FILE} where it is looked for: beside a video, it is then used in "
+    "by itself, else here, where --colour has it by default.",
 )
 @json_option
-def command(source: str, at: tuple[float, float] | None, out: Path, as_json: bool) -> None:
+def command(source: str, at: tuple[float, float] | None, out: Path | None, as_json: bool) -> None:
     """Pick the marker's colour, once.
 
     SOURCE is a picture, a video, a camera (its number or device) or a stream's address. Beside --out goes a picture of
     what was found, as a PNG.
     """
+    out = out or _place(source)
     pictures, spread = _pictures(source)
-    colour = pick(pictures[0], at) if at or len(spread) == 1 else find_colour(spread)
+    colour = pick(pictures[0], at) if at or len(spread) == 1 else _found(spread)
     if colour is None:
         raise TautError(
             f"{source}: no marker stands out by its colour: show where it is in the first picture with --at U,V"
@@ -92,6 +96,12 @@ def command(source: str, at: tuple[float, float] | None, out: Path, as_json: boo
     emit(result, as_json, f"{text}\n{out} holds its colour; look at {shown} to see that it is the right one")
 
 
+def _place(source: str) -> Path:
+    """Where the colour is looked for without being named: beside a video, else in the working directory."""
+    video = Path(source)
+    return (video.parent if video.is_file() and not cv2.haveImageReader(source) else Path()) / COLOUR_FILE
+
+
 def _pictures(source: str) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """The source's first pictures, and some from all over it."""
     if source.isdigit() and not Path(source).exists():
@@ -110,7 +120,27 @@ def _pictures(source: str) -> tuple[list[np.ndarray], list[np.ndarray]]:
         is_file = camera.frames is not None
     if not pictures:
         raise TautError(f"{source}: holds no frames")
-    return pictures, sample_video(Path(source), 24) if is_file else pictures[:: _STILL_FRAMES // 10]
+    return pictures, sample_video(Path(source), _SPREAD) if is_file else pictures[:: _STILL_FRAMES // 10]
+
+
+def _found(pictures: list[np.ndarray]) -> MarkerColour | None:
+    """The marker's colour in pictures of one scene. Large ones are searched smaller, where everything stands out as
+    well and costs a quarter or less; its colour is then picked as they are."""
+    shrink = min(pictures[0].shape[:2]) // _SEARCHED_LINES
+    if shrink < 2:
+        return find_colour(pictures)
+    small = [cv2.resize(p, None, fx=1 / shrink, fy=1 / shrink, interpolation=cv2.INTER_AREA) for p in pictures]
+    coarse = find_colour(small)
+    if coarse is None:
+        return find_colour(pictures)  # a marker of a few pixels
+    tracker = Tracker(replace(coarse, diameter_px=min(coarse.diameter_px * shrink, LARGEST_PX)))
+    for picture in pictures:
+        tracker.reset()
+        seen = tracker.track(picture)
+        if seen.valid:
+            with suppress(TautError):
+                return pick(picture, (seen.u_px, seen.v_px))
+    return find_colour(pictures)
 
 
 def _where(colour: MarkerColour) -> str:

@@ -8,7 +8,7 @@ import click
 
 from tautline.cli._common import emit, json_option, warn, warn_unusable
 from tautline.model import Model
-from tautline.predict import predict, times_of, write_csv
+from tautline.prediction import predict, times_of, write_csv
 from tautline.recording import load_motor
 
 

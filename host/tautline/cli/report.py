@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from tautline import report
+from tautline import reports
 from tautline.cli._common import emit, json_option
 from tautline.evidence import Evidence
 from tautline.model import Model
@@ -17,5 +17,5 @@ from tautline.model import Model
 @json_option
 def command(model_path: Path, as_json: bool) -> None:
     """Write a model's report.html again."""
-    path = report.write(Model.load(model_path), model_path, Evidence.load(model_path))
+    path = reports.write(Model.load(model_path), model_path, Evidence.load(model_path))
     emit({"report": path}, as_json, str(path))

@@ -7,15 +7,18 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import click
+import numpy as np
 
-from tautline.cli._common import emit, folder_option, json_option, progress_bar
+from tautline.cli._common import emit, folder_option, json_option, progress_bar, warn
 from tautline.errors import TautError
 from tautline.rig import Actuator, Rig
 from tautline.simulated.endoscope import Endoscope, load_background
-from tautline.simulated.instrument import PRESETS, of_name
+from tautline.simulated.instrument import PRESETS, Instrument, of_name
 from tautline.simulated.simulate import run
 from tautline.simulated.trajectory import Trajectory, back_and_forth, random_smooth, sines, trapezoids
 from tautline.vision.timing import FrameTiming
+
+_WAY_BACK = 0.105  # of the range
 
 
 @dataclass(frozen=True)
@@ -33,7 +36,15 @@ class _Wish:
 def _back_and_forth(actuator: Actuator, wish: _Wish) -> Trajectory:
     span = actuator.span
     speeds = wish.speeds or (0.05 * span, 0.1 * span)
-    return back_and_forth(actuator, speeds, wish.amplitude or 0.15 * span, wish.reversals, 0.5 * span, wish.dwell_s)
+    stroke = wish.amplitude or usual_stroke(span, wish.reversals)
+    return back_and_forth(actuator, speeds, stroke, wish.reversals, 0.5 * span, wish.dwell_s)
+
+
+def usual_stroke(span: float, reversals: int) -> float:
+    """15 % of the range, and more where there are few reversals: the way back, a stroke less what the ramp goes on by,
+    has to stay longer than any backlash, _WAY_BACK of the range."""
+    advances = max(1, reversals // 2)
+    return max(0.15, (_WAY_BACK * advances + 1.0) / (advances + 1.0)) * span
 
 
 def _trapezoids(actuator: Actuator, wish: _Wish) -> Trajectory:
@@ -53,6 +64,15 @@ def _random(actuator: Actuator, wish: _Wish) -> Trajectory:
 
 def _one_speed(actuator: Actuator, wish: _Wish) -> float:
     return wish.speeds[0] if wish.speeds else 0.1 * actuator.span
+
+
+def _short_strokes(trajectory: Trajectory, instrument: Instrument) -> int:
+    """Strokes between two reversals that do not get through the backlash."""
+    way = np.sign(np.diff(trajectory.q))
+    moving = np.flatnonzero(way)
+    turns = moving[np.flatnonzero(np.diff(way[moving]))] + 1  # the last sample before each
+    q = trajectory.q[np.concatenate([turns, [len(trajectory.q) - 1]])]
+    return int(np.sum(np.abs(np.diff(q)) < instrument.backlash(0.5 * (q[1:] + q[:-1]))))
 
 
 _MOTIONS: dict[str, Callable[[Actuator, _Wish], Trajectory]] = {
@@ -96,7 +116,7 @@ MOTIONS = tuple(_MOTIONS)
 @click.option(
     "--amplitude",
     type=click.FloatRange(min=0, min_open=True),
-    help="Stroke of back-and-forth (default 15 % of the range) and trapezoids (30 %), rig unit.",
+    help="Stroke of back-and-forth (default 15 % of the range, more below 40 reversals) and trapezoids (30 %).",
 )
 @click.option("--reversals", type=click.IntRange(2, 2000), default=40, show_default=True, help="On one way up or down.")
 @click.option("--dwell", type=click.FloatRange(min=0), default=0.2, show_default=True, help="Rest at a reversal, s.")
@@ -151,6 +171,11 @@ def command(
     if video and not made.drawn:
         raise TautError(f"{instrument}: its effects change what is seen, which no drawn video shows: leave --video out")
     trajectory = _MOTIONS[motion](rig.actuator, _Wish(speeds, amplitude, reversals, dwell, duration, seed))
+    if short := _short_strokes(trajectory, made):
+        warn(
+            f"{short} of the motor's strokes are shorter than the instrument's backlash: nothing moves on them and no "
+            "calibration can use them. Choose a larger --amplitude or more --reversals"
+        )
     if any(sway):
         trajectory = trajectory.with_sway(*sway, period_s=20.0)
     jitter = jitter or made.jitter_s

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tautline.cli._common import emit, json_option, log, progress_bar, read_recordings, tracked, warn, warn_unusable
+from tautline.cli._common import emit, json_option, log, progress_bar, read_recordings, warn, warn_unusable
 from tautline.model import RIG_FILE, Model
+from tautline.vision.marker import with_marker
 
 if TYPE_CHECKING:
     from tautline.tracking import Tracked
@@ -51,7 +52,7 @@ def command(
         warn(f"{model_path}: what it holds beside its tables ({named}) is not simulated while tracking")
     recordings, _ = read_recordings(recording_paths, model_path / RIG_FILE)
     with progress_bar("tracking") as progress:
-        recordings = [tracked(recording, model.rig, progress) for recording in recordings]
+        recordings = [with_marker(recording, model.rig, progress) for recording in recordings]
         result = replay(model, recordings, progress)
     write_csv(csv_path, result)
     if picture_path is not None:

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
-from tautline.device import wire
+from tautline.device import holder, wire
 from tautline.device.clock import Clock
 from tautline.device.dfu import DfuError
 from tautline.device.link import BoardGone, Found, Link
@@ -59,13 +59,15 @@ def _find_named(where: str) -> list[Found]:
     return find_usbip(where) if where.startswith("usbip:") else find_serial(where)
 
 
-def open_board(where: str | None = None) -> Board:
-    """The one board that `where` names (see `find`), checked to speak this protocol and to be free."""
+def open_board(where: str | None = None, otherwise: str = "") -> Board:
+    """The one board that `where` names (see `find`), checked to speak this protocol and to be free. `otherwise`: what
+    else the caller could use where there is none, for the error."""
     found = find(where)
     if not found:
         looked = f"no board '{where}' was found" if where else "no board was found"
         raise TautError(
-            f"{looked}: plug it in, name one with --board usbip:HOST:PORT or serial:DEVICE, or use --simulate"
+            f"{looked}: plug it in{',' if otherwise else ' or'} name one with --board usbip:HOST:PORT or serial:DEVICE"
+            f"{f', or {otherwise}' if otherwise else ''}"
         )
     if len(found) > 1:
         choices = " or ".join(f"--board {board.where}" for board in found)
@@ -117,6 +119,7 @@ class Board:
         self._stop = threading.Event()
         try:
             self.identity = self._hello()
+            holder.take(self.where)
         except BaseException:
             self.close()
             raise
@@ -147,6 +150,7 @@ class Board:
         self._stop.set()
         if self._reader is not None and self._reader is not threading.current_thread():
             self._reader.join()
+        holder.leave(self.where)
         self._link.close()
 
     @contextlib.contextmanager
@@ -295,8 +299,11 @@ class Board:
 
     def _fault(self, axis: int) -> str:
         """The axis' fault and what mends it, "" where it has none."""
-        says = wire.fault(self.status(axis))
-        return f"axis {axis} has stopped: {says}. Then run 'taut clear', and this again" if says else ""
+        status = self.status(axis)
+        if not status.fault:
+            return ""
+        more = f"'taut explain {wire.name('FAULTS', status.fault)}' says more"
+        return f"axis {axis} has stopped: {wire.fault(status)}. Then run 'taut clear', and this again ({more})"
 
     def check_reference(self, axis: int) -> None:
         """TautError where the axis does not know its position."""

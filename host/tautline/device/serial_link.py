@@ -18,6 +18,7 @@ from typing import Any
 import serial
 
 from tautline.device import wire
+from tautline.device.holder import busy
 from tautline.device.link import BoardGone, Found
 from tautline.errors import TautError
 
@@ -91,7 +92,7 @@ class SerialLink:
 
 
 def _busy(where: str) -> TautError:
-    return TautError(f"{where}: another program uses the board: close that program first")
+    return TautError(busy(where))
 
 
 def _open(where: str) -> Any:

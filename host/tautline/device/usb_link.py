@@ -14,6 +14,7 @@ import usb.util
 
 from tautline.device import usbip_backend, wire
 from tautline.device.dfu import Dfu
+from tautline.device.holder import busy
 from tautline.device.link import BoardGone, Found
 from tautline.errors import TautError
 
@@ -65,7 +66,7 @@ class UsbLink:
         if error.errno in (errno.ENODEV, errno.EIO, errno.ESHUTDOWN, errno.ENOENT):
             return BoardGone(f"{self._where}: the board is gone: check plug and power, then run the command again")
         if error.errno == errno.EBUSY:
-            return TautError(f"{self._where}: another program uses the board: close that program first")
+            return TautError(busy(self._where))
         if error.errno == errno.EACCES:
             mend = "sudo cp tools/70-tautline.rules /etc/udev/rules.d/"
             return TautError(f"{self._where}: no permission: run '{mend}' and plug the board in again")

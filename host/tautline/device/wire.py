@@ -96,6 +96,11 @@ def code(codes: str, name: str) -> int:
     return int(getattr(wire, codes)[name][0])
 
 
+def name(codes: str, number: int) -> str:
+    """The name of a number in one of tl_wire.h's lists, the number itself where this version does not know it."""
+    return next((name for name, (value, _) in getattr(wire, codes).items() if value == number), str(number))
+
+
 def text(codes: str, number: int) -> str:
     """What tl_wire.h says of a number in one of its lists."""
     for value, says in getattr(wire, codes).values():

@@ -35,7 +35,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Event:
-    """An effect without a path that repeats: it is told by its scatter (diagnose/scatter.py)."""
+    """An effect without a path that repeats: it is told by its scatter (diagnosis/scatter.py)."""
 
     amount: str  # the parameter that says how much it scatters
     mean: str = ""  # and the one that says what of it repeats
@@ -51,6 +51,8 @@ class Kind:
     amplitudes: tuple[Parameter, ...]
     shapes: tuple[Parameter, ...] = ()
     says: str = ""
+    tell: str = ""  # how a person tells it from what looks like it
+    mend: str = ""  # what to do about it on the instrument
     # sensor: the model has a delay for what is observed; freedom: the instrument's second or third degree of freedom
     # moves; joint: a further joint's column does.
     needs: Literal["", "camera", "sensor", "load", "freedom", "joint"] = ""
@@ -66,7 +68,7 @@ class Kind:
     contains: tuple[str, ...] = ()  # effects that it can do too
     each: bool = False  # it alone may be another in every recording
     scan: Literal["probe", "period", "moment"] = "probe"  # how its shapes are screened
-    # What it could do whatever its equations are, beside moving the tip through the angle (diagnose/confined.py).
+    # What it could do whatever its equations are, beside moving the tip through the angle (diagnosis/confined.py).
     leaves: Literal["", "lens", "plane", "channel", "time"] = ""
 
     @property

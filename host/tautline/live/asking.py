@@ -10,10 +10,10 @@ from typing import Any
 
 from tautline.calibration.calibrate import Calibration
 from tautline.calibration.clock import on_motor_clock
-from tautline.diagnose import motion
-from tautline.diagnose.diagnosis import Diagnosis, diagnose
-from tautline.diagnose.motion import NextMotion
-from tautline.diagnose.words import percent
+from tautline.diagnosis import motion
+from tautline.diagnosis.diagnose import Diagnosis, diagnose
+from tautline.diagnosis.motion import NextMotion
+from tautline.diagnosis.words import percent
 from tautline.errors import TautError
 from tautline.live.following import record
 from tautline.live.setup import Live

@@ -13,6 +13,7 @@ from tautline.columns import read_columns
 from tautline.device import wire
 from tautline.errors import TautError
 from tautline.geometry import coarse_range_deg, pose
+from tautline.layouts import TRAJECTORY
 from tautline.live.session import driving, set_range
 from tautline.live.setup import Frame, Live, Recorder
 from tautline.model import Model
@@ -32,6 +33,7 @@ _STEP_S = 0.06
 _SETTLE_S = 0.25
 _LEAD_SHARE = 0.15  # of the range per second: the move to where a trajectory begins
 _MARGIN = 0.06  # of the range of c, left free at either end by the built-in shapes
+_COUNTS_AS_BEYOND, _LOOKS = 0.05, 4001  # deg: less is the table's own rounding; places along a trajectory to look at
 _DEG, _COUNT = 65536.0, 256.0  # set_point's value has no scale of its own: it is what `follow` says
 
 
@@ -45,6 +47,8 @@ class Followed:
     counted: Array  # bool: after the first full take-up in both directions
     scored_by: str = ""
     counters: dict[str, Any] = field(default_factory=dict)
+    clipped: float = 0.0  # share of the trajectory's time that is beyond `reach_deg`: the tip is held at its end there
+    reach_deg: tuple[float, float] = (float("-inf"), float("inf"))  # that the tables, or f_coarse without any, can give
 
     @property
     def error_deg(self) -> Array:
@@ -65,7 +69,7 @@ def tip_trajectory(live: Live, what: str, speed_deg_s: float, seed: int, seconds
     if what not in ("trapezoids", "smooth"):
         if not Path(what).is_file():
             raise TautError(f"--trajectory {what}: neither a file nor a shape (trapezoids, smooth)")
-        columns = read_columns(Path(what), ["t_s", "c_deg"], "t_s,c_deg")
+        columns = read_columns(Path(what), TRAJECTORY.required(), TRAJECTORY.header())
         return columns.rising_times(), columns.finite("c_deg")
     speed_deg_s = min(speed_deg_s, 0.3 * live.top_speed * abs(live.rig.coarse.gain))  # f may be flatter than f_coarse
     low, high = _reach(live)
@@ -188,6 +192,9 @@ def follow_run(
     if not has_tables and compensation != "off":
         raise TautError(f"axis {axis} has no tables: flash a model first, or use --compensation off")
     t_s, c_deg = tip_trajectory(live, what, speed_deg_s, seed)
+    low, high = _reach(live)
+    asked = np.interp(np.linspace(t_s[0], t_s[-1], _LOOKS), t_s, c_deg)
+    clipped = float(np.mean((asked < low - _COUNTS_AS_BEYOND) | (asked > high + _COUNTS_AS_BEYOND)))
     recorder = Recorder(live, folder) if folder is not None else None
     frames: list[Frame] = []
 
@@ -221,7 +228,8 @@ def follow_run(
             folder / "trajectory.csv", rows, fmt=["%.6f", "%.5f"], delimiter=",", header="t_s,c_deg", comments=""
         )
     scored = _score(live, begin_s, sent_s, plan, frames)
-    return replace(scored, counters={name: int(v) for name, v in counters.values.items() if name != "t_us"})
+    counted = {name: int(v) for name, v in counters.values.items() if name != "t_us"}
+    return replace(scored, counters=counted, clipped=clipped, reach_deg=(low, high))
 
 
 def _score(live: Live, begin_s: float, t_s: Array, plan: Array, frames: list[Frame]) -> Followed:

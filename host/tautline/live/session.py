@@ -278,7 +278,7 @@ def moving(live: Live, folder: Path, low: float, high: float, video: bool) -> It
             if isinstance(error, KeyboardInterrupt):
                 raise TautError(
                     f"stopped after {made.reversals} reversals, the axis is at rest: "
-                    f"'taut calibrate {folder}' uses what was recorded"
+                    f"'taut calibrate {folder} --out MODEL' uses what was recorded"
                 ) from None
             raise
     made.seconds = (live.now_us() - began) * 1e-6

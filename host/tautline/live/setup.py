@@ -22,7 +22,7 @@ from tautline.device import wire
 from tautline.device.board import Board, open_board
 from tautline.errors import TautError
 from tautline.geometry import coarse_range_deg, project
-from tautline.recording import FRAME_COLUMNS, Marker, Motor, Recording
+from tautline.recording import FRAME_COLUMNS, PICTURE_NAME, Marker, Motor, Recording
 from tautline.rig import Rig
 from tautline.simulated.endoscope import Endoscope
 from tautline.simulated.instrument import of_name
@@ -246,7 +246,7 @@ class Recorder:
         self._size = ""  # of the frames, as it stands in each row of marker.csv
         self._frames: IO[str] | None = None
         self._video: Any = None
-        self._wants_video = video
+        self._wants_video, self._pictured = video, False
         self._count = 0
         self._last_us = -1
         self._paused = False
@@ -309,6 +309,8 @@ class Recorder:
         else:
             row = f"{t_s:.6f},,,0,{self._size}"
         self._write(self._marker, "marker", row)
+        if seen.valid and frame.picture is not None and not self._pictured:
+            self._pictured = cv2.imwrite(str(self.folder / PICTURE_NAME), frame.picture)
         if self._wants_video and frame.picture is not None:
             self._add_picture(frame.picture, t_s)
         self._count += 1
@@ -392,7 +394,7 @@ def open_live(
             return
         if rig is None:
             raise TautError("no rig: name the set-up's file with --rig")
-        opened = stack.enter_context(open_board(board))
+        opened = stack.enter_context(open_board(board, "use --simulate"))
         opened.check_axis(axis)
         opened.align(16)
         stack.enter_context(opened.reading())

@@ -24,6 +24,7 @@ from tautline.simulated.instrument import Instrument
 Array = np.ndarray
 PROGRAM = "TAUTLINE_DESKTOP_BOARD"  # environment: the program, where it is not built in the usual place
 LINE = "TAUTLINE_DESKTOP_LINE"  # environment: "uart" puts simulated boards on a serial line in place of USB
+_PACKAGED = Path(__file__).resolve().parents[1] / "bin" / "tautline-board"  # in a wheel
 _BUILT = Path(__file__).resolve().parents[3] / "build" / "gcc" / "firmware" / "port" / "desktop" / "tautline-board"
 _START_S = 10.0
 _ANSWER_S = 60.0
@@ -63,14 +64,21 @@ class SimLink:
 
 
 def program() -> Path:
-    """The desktop board's executable."""
+    """The desktop board's executable. Raises TautError with the places where it was looked for."""
     named = os.environ.get(PROGRAM)
     if named and not Path(named).is_file():
         raise TautError(f"{PROGRAM} names {named}, which is not there: build it, or unset {PROGRAM}")
-    for candidate in (named, shutil.which("tautline-board"), _BUILT):
+    for candidate in (named, _PACKAGED, shutil.which("tautline-board"), _BUILT):
         if candidate and Path(candidate).is_file():
             return Path(candidate)
-    raise TautError("the desktop board is not built: run 'cmake --preset gcc && cmake --build --preset gcc'")
+    clone = _BUILT.parents[5]
+    remedy = "install a release's wheel, which holds it"
+    if (clone / "CMakePresets.json").is_file():
+        remedy = f"in {clone} run 'cmake --preset gcc && cmake --build --preset gcc'"
+    raise TautError(
+        f"the desktop board, which simulations run on, is neither {_PACKAGED} nor tautline-board on the PATH: "
+        f"{remedy}, or name it in {PROGRAM}"
+    )
 
 
 class DesktopBoard:
@@ -90,7 +98,11 @@ class DesktopBoard:
         command = [str(program()), f"--{line}", "0", "--sim", "0", "--flash", str(self.flash), "--axes", str(axes)]
         command += ["--rate", str(rate_hz), "--serial", serial, "--parent", str(os.getpid())]
         command += ["--realtime"] if realtime else []
-        self.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE)
+        # In a group of its own: Ctrl-C on a terminal goes to every process of a group, and the board has to live until
+        # its axis is at rest. It ends with this process (--parent).
+        self.process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, start_new_session=True
+        )
         assert self.process.stdout is not None
         started = self.process.stdout.readline()
         if not started:

@@ -36,6 +36,7 @@ class Tracked:
     sensor: Sensor
 
     def column(self, name: str) -> Array:
+        """(n,) of a field of Row, in its unit."""
         return np.array([getattr(row, name) for row in self.rows])
 
 

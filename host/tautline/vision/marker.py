@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 
 import cv2
@@ -13,7 +13,8 @@ import numpy.typing as npt
 
 from tautline._native import MARKER_CLIPPED, MARKER_CUT_OFF, MARKER_FOUND, marker_measure
 from tautline.errors import TautError
-from tautline.recording import Marker, Video
+from tautline.recording import Marker, Recording, Video
+from tautline.rig import Rig
 from tautline.vision.camera import VideoCamera, sample_video
 from tautline.vision.colour import COLOUR_FILE, MarkerColour, candidates, pick
 
@@ -328,6 +329,14 @@ def track_video(video: Video, colour: MarkerColour | None = None, progress: Prog
     rows = np.array([(s.u_px, s.v_px, s.sigma_px) for s in seen])
     u, v, sigma = np.where(sure[:, None], rows, np.nan)[timed].T
     return Marker(np.array(t_s)[timed], u, v, sure[timed], sigma, frame_px=size)
+
+
+def with_marker(recording: Recording, rig: Rig, progress: Progress | None = None) -> Recording:
+    """The recording with the marker's track, from its video where there is no marker.csv. Raises TautError where no
+    marker can be told."""
+    if recording.marker is not None or recording.video is None or not rig.has_camera:
+        return recording
+    return replace(recording, marker=track_video(recording.video, progress=progress))
 
 
 def of_one_marker(seen: Sequence[Sighting]) -> npt.NDArray[np.bool_]:

@@ -20,6 +20,8 @@ EFFECTS = (
         _ID,
         (Parameter("c_per_translation", "deg/mm", 0.2), Parameter("c_per_rotation", "deg/deg", 0.02)),
         says=_SAYS,
+        tell="The gap goes with another axis' position, with the bending motor at rest too.",
+        mend="Measure with the other axes at rest, or keep their columns in motor.csv so that the model has them.",
         needs="freedom",
         of_joint=_of_joint,
     ),

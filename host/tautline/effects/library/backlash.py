@@ -27,6 +27,8 @@ EFFECTS = (
         "transmission.backlash",
         (Parameter("width_scale", "", 0.1), *(Parameter(name, "unit", 5e-3) for name in _NAMES)),
         says="the backlash is not the model's",
+        tell="Every reversal at one place is wider or narrower than the model's B there, by the same amount each time.",
+        mend="Re-tension the tendon as it was, or calibrate again: that is all it takes.",
         holds=_in_the_table,
         in_tables=True,
         nominal=True,

@@ -10,5 +10,7 @@ EFFECTS = (
             Parameter("contact_soft", "deg", 2.0, (1.0, 5.0), low=0.0),
         ),
         says="an obstacle holds the tip back beyond some bending angle",
+        tell="The gap begins beyond one bending angle and has one sign.",
+        mend="Free the tip of what it touches, or keep away from that angle.",
     ),
 )

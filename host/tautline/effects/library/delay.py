@@ -14,6 +14,9 @@ EFFECTS = (
         "acquisition.delay",
         (Parameter("delay", "s", 0.01),),
         says="the sensor's delay is wrong",
+        tell="The gap goes with the marker's speed in the image, both ways, and is gone at rest, whichever axis moves "
+        "it.",
+        mend="Put the measured delay into the rig: calibration does.",
         needs="sensor",
         holds=_later,
         law=True,

@@ -29,6 +29,8 @@ EFFECTS = (
             Parameter("k3", "", 0.05),
         ),
         says="the lens distorts otherwise than the rig says",
+        tell="The gap grows towards the picture's corners, whatever the motor does.",
+        mend="Calibrate the camera again, with the whole picture covered.",
         needs="camera",
         holds=_in_the_rig,
         leaves="lens",

@@ -25,6 +25,8 @@ EFFECTS = (
         (Parameter("offset_drift", "unit/s", 5e-5), Parameter("width_drift", "1/s", 5e-4)),
         (Parameter("drift_decay", "1/s", 5e-3, (0.0, 0.01), low=0.0),),
         says="width or offset changes with time",
+        tell="The gap grows with time, whatever the motion is, also with the motor at one place again.",
+        mend="Warm the instrument up, check the tendon's clamps, calibrate again; taut track follows it while in use.",
         holds=_so_far,
         course=_gone,
     ),

@@ -5,6 +5,8 @@ EFFECTS = (
         "acquisition.jitter",
         (Parameter("jitter", "s", 0.005, searched=True),),
         says="frame times are unsteady",
+        tell="Frames scatter along the track while the tip moves, and not at rest.",
+        mend="Take the frames' hardware times, or fix the camera's rate and exposure.",
         needs="camera",
         event=Event("jitter", cause="camera timing", what="unsteady times"),
         law=True,

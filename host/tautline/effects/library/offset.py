@@ -20,6 +20,9 @@ EFFECTS = (
         (Parameter("offset", "unit", 2e-3),),
         (Parameter("offset_at_tip", "", 1.0, (0.0, 1.0), searched=True),),
         says="the transmission's offset is not the model's",
+        tell="The whole characteristic lies shifted along q, both branches alike, since a posture, a re-tensioning or "
+        "a homing.",
+        mend="Home the axis again, or calibrate in this posture.",
         holds=_in_the_tables,
         nominal=True,
         posture=True,

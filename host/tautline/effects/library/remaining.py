@@ -26,6 +26,8 @@ EFFECTS = (
         "configuration.remaining",
         tuple(Parameter(name, "deg", 1.0) for name in _NAMES),
         says="the static law f_remain is not the model's",
+        tell="The gap is a curve over q alone, the same both ways and at all speeds.",
+        mend="Calibrate again over the whole range.",
         holds=_in_the_table,
         in_tables=True,
         nominal=True,

@@ -9,5 +9,7 @@ EFFECTS = (
             Parameter("swing_damping", "", 0.1, (0.1,), low=0.01, high=0.95),
         ),
         says="the tip swings after it is moved",
+        tell="After fast moves the tip rings with a period of its own.",
+        mend="Accelerate more gently, or wait until it has died away.",
     ),
 )

@@ -1,0 +1,247 @@
+"""The package's functions: what the commands do, on arrays and files of your own.
+
+Each of them is one step: load -> calibrate -> predict, encode, compensate, track, diagnose -> report. The commands
+take the same steps. `B` is the backlash width, `f_remain` the law behind it (docs/calibration.md); `q` is the motor's
+position in the unit of the rig (mm of cable or deg of a spindle), `c` the bending angle in deg.
+
+Every error that a caller can act on is a TautError whose text says what to do; a wrong type is Python's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy.typing as npt
+
+from tautline import recording as recordings_room
+from tautline.errors import TautError
+from tautline.recording import Motor, Recording
+from tautline.rig import Rig
+
+if TYPE_CHECKING:
+    from tautline.calibration.calibrate import Calibration
+    from tautline.compensation import SetPoints
+    from tautline.diagnosis.diagnose import Diagnosis
+    from tautline.model import Model
+    from tautline.prediction import Prediction
+    from tautline.tables import Limits
+    from tautline.tracking import Tracked
+
+Progress = Callable[[float, str], None]  # (share done, 0 to 1; what is being done)
+
+
+def _silent(share: float, what: str) -> None:
+    pass
+
+
+def load(path: str | Path, rig: Rig | str | Path | None = None, progress: Progress = _silent) -> Recording:
+    """A recording from its folder; where it holds a video and no marker.csv, the marker is tracked.
+
+    Shapes: motor.t_s and motor.q are (n,); marker.t_s, u_px, v_px, valid (m,); angle.t_s, c_deg (k,).
+    Units: t_s in s on one clock, arrival times for marker and angle; q in mm or deg as the rig says; c_deg in deg.
+    Errors: TautError names file, line and column of what cannot be read, a missing rig, or a video without a marker.
+        What was mended is told in `.warnings`.
+    Source: the files of docs/files.md; the tracker of docs/marker.md.
+
+    path: the folder. rig: a Rig or its file; it wins over the folder's own rig.toml and is the result's `.rig`.
+    """
+    named = Rig.load(rig) if isinstance(rig, str | Path) else rig
+    found = recordings_room.load(path, named)
+    used = named or found.rig
+    assert used is not None  # else load has refused it
+    if found.marker is None and found.video is not None:
+        from tautline.vision.marker import with_marker
+
+        found = with_marker(found, used, progress)
+    return replace(found, rig=used)
+
+
+def calibrate(
+    recordings: Recording | Sequence[Recording],
+    rig: Rig | None = None,
+    *,
+    knots: Literal["smooth", "paper"] = "smooth",
+    remaining: Literal["direct", "morphological"] = "direct",
+    progress: Progress = _silent,
+) -> Calibration:
+    """B(q), f_remain and the sensor's delay from recordings of any motion of one instrument.
+
+    Shapes: `.model.q`, `.width`, `.width_sigma`, `.c_deg` and `.c_sigma` are (n,), on one grid over the motor's range.
+    Units: q and widths in the rig's unit, c in deg, delay in s; sigmas are one standard deviation, model error
+        included.
+    Errors: TautError where nothing can be measured: no marker, no motion, no rig. What is measured but cannot be
+        trusted raises nothing: `.model.quality` has the verdict (good, doubtful, unusable) and each doubt's remedy.
+    Source: the onsets of in-situ backlash estimation, B = |q(t2 - t_delay) - q1| at q_mean = (q1 + q2)/2, sharpened by
+        a fit of all frames; f_remain from the pose, eq. 8. docs/calibration.md has what differs and why.
+
+    knots: B as a spline smoothed as the data ask for, or through the paper's 14 knots. remaining: f_remain fitted
+    directly, or the paper's central fibre of the characteristic as an image. rig: default the first recording's.
+    """
+    from tautline.calibration.calibrate import Options
+    from tautline.calibration.calibrate import calibrate as calibrated
+
+    several = _several(recordings)
+    return calibrated(several, _rig_of(several, rig), Options(knots=knots, remaining=remaining), progress)
+
+
+def predict(model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float | None = None) -> Prediction:
+    """Where the tip was, by the model and the motor's motion alone.
+
+    Shapes: scene_s (n,) in any order; `.c_deg` (n,), `.image_px` (n, 2), or None on a rig without a camera.
+    Units: scene_s in s on the motor's clock, which is arrival time less `model.delay_s`; start_deg and c in deg; px.
+    Errors: TautError where the motor lacks a column that one of the model's effects needs. A place where the marker
+        cannot be is NaN.
+    Source: the play p[k] = min(max(p[k-1], p_lo(q)), p_hi(q)) with p_lo + B(p_lo)/2 = q = p_hi - B(p_hi)/2, then
+        c = f_remain(p) and the rig's pinhole camera (eqs. 3 and 5, their signs for a law that rises or falls).
+
+    The tip starts on the centre line, c = f_remain(q[0]), or at start_deg; q is held before and after motor's samples.
+    """
+    from tautline.prediction import predict as predicted
+
+    return predicted(model, motor, scene_s, start_deg)
+
+
+def encode(
+    model: Model, axis: int = 0, *, limits: Limits | None = None, kind: str = "bending", instrument: str | None = None
+) -> bytes:
+    """The model's table as a board takes it, by `taut flash` or any DFU tool.
+
+    Shapes: at most 257 nodes over the motor's range, 1.4 kB (2.5 kB with several plays).
+    Units: of the result: Q8 encoder counts and Q16 deg; limits in the rig's unit, s.
+    Errors: TautError with the board's own reason where it would refuse the table: |B'| >= 2, a law that is not
+        monotone, numbers beyond its range, an axis or kind that does not exist.
+    Source: the layout and its rules are common/tl_table.h's; the board's own C checks the result.
+
+    kind: bending, translation or rotation. instrument: serial of the one it is for, 8 characters at most; default the
+    rig's. limits: of the take-up; default moderate ones.
+    """
+    from tautline import tables
+
+    return tables.encode(model, axis, limits, kind, instrument=instrument)
+
+
+def compensate(
+    model: Model,
+    t_s: npt.ArrayLike,
+    c_deg: npt.ArrayLike,
+    *,
+    rate_hz: int = 1000,
+    mode: Literal["off", "backlash", "full"] = "full",
+    start_deg: float | None = None,
+    progress: Progress = _silent,
+) -> SetPoints:
+    """Motor set-points that lead the tip along a trajectory: the board's own fixed-point code, run here.
+
+    Shapes: t_s and c_deg (n,), straight lines between them; the result's t_s, q, clipped (m,), m = duration x rate_hz.
+    Units: t_s in s, rising; c_deg and start_deg in deg; q in the rig's unit; rate_hz 16 to 100 000.
+    Errors: TautError for a trajectory that is not finite, does not rise or is too long, a rate or a mode that is not
+        there. What lies beyond the table, the range or the motor's speed is clipped and marked.
+    Source: q* = p* + B(p*)/2 while p* = f^-1(c*) rises, p* - B(p*)/2 while it falls, unchanged at rest (eq. 9 with its
+        signs put right); firmware/estimator/tl_compensator.h.
+
+    Each set-point knows the trajectory up to its own time only. mode: off is the inverse of the model's f_coarse,
+    backlash that with B, full f_remain's with B. The tip starts at rest on the centre line at start_deg, default
+    c_deg[0].
+    """
+    from tautline.compensation import compensate as compensated
+
+    return compensated(model, t_s, c_deg, rate_hz, mode, start_deg, progress)
+
+
+def track(model: Model, recordings: Recording | Sequence[Recording], progress: Progress = _silent) -> Tracked:
+    """How the model would have been kept calibrated while the instrument was used: recordings, in turn, frame by frame.
+
+    Shapes: `.rows` has one row for each frame (or angle), `.t_s`, `.column(name)` and `.recording` are (n,).
+    Units: t_s in s, arrival times; offset in the rig's unit, scale in shares of B, c in deg, u and v in px.
+    Errors: TautError where not all recordings have a marker, or all an angle.
+    Source: docs/tracking.md: laws nested from nothing to a new shape of B, the simplest that leaves no more than noise.
+
+    A row is predicted from the motor up to its time and the frames before it, so a recording cut short gives the same
+    rows. state is trusted, stale or adapting; `.changes` tells what changed, and when.
+    """
+    from tautline.tracking import replay
+
+    return replay(model, _several(recordings), progress)
+
+
+def diagnose(
+    calibration: Recording,
+    tests: Recording | Sequence[Recording],
+    rig: Rig | None = None,
+    progress: Progress = _silent,
+) -> Diagnosis:
+    """Where model and instrument part, which effect is the cause, and how far the gap shrinks with it.
+
+    Shapes: `.before` and `.after` hold for each test the residuals (frames, 2) in px, or (samples, 1) in deg.
+    Units: of every gap px where a marker was recorded, else deg; probabilities and shares 0 to 1.
+    Errors: TautError where the calibration measures nothing or no test can be scored. An unusable calibration is not
+        refused: look at `.nominal.quality`.
+    Source: docs/diagnosis.md: the nominal model and one effect after the other fitted together, judged on blocks that
+        the fit did not see. `.document` is diagnosis.json (docs/files.md).
+
+    calibration may be a simulator's recording and tests the robot's: what it says is then what the simulator lacks.
+    `.corrected` is the model with the effects that were named. rig: default the calibration's.
+    """
+    from tautline.diagnosis.diagnose import diagnose as diagnosed
+    from tautline.diagnosis.recorded import calibrated
+
+    several = [calibration, *_several(tests)]
+    found, on_one_clock = calibrated(several, _rig_of(several, rig), lambda share, what: progress(0.3 * share, what))
+    return diagnosed(
+        found.model, on_one_clock[0], on_one_clock[1:], lambda share, what: progress(0.3 + 0.7 * share, what)
+    )
+
+
+def report(
+    result: Calibration | Model | Diagnosis,
+    folder: str | Path,
+    recordings: Recording | Sequence[Recording] = (),
+) -> Path:
+    """Writes a result with its page, report.html, as the commands do; returns the page.
+
+    Shapes: none; a calibration's recordings are those that it was made from.
+    Units: as in the result.
+    Errors: TautError where the folder holds something else or cannot be written (what was there then stays), and for a
+        calibration without its recordings.
+    Source: the figures of a page are those of the paper's Figs. 7 to 11; docs/files.md lists the files.
+
+    A calibration becomes a MODEL folder (model.json, rig.toml), which the commands and Model.load take; a model the
+    same without measured frames; a diagnosis its DIR (diagnosis.json, corrected/, nominal/).
+    """
+    from tautline import reports
+    from tautline.diagnosis.diagnose import Diagnosis
+    from tautline.model import Model
+
+    folder = Path(folder)
+    if isinstance(result, Diagnosis):
+        from tautline.diagnosis.folder import save
+
+        save(result, folder)
+    elif isinstance(result, Model):
+        reports.save_model(result, _several(recordings), folder)
+    else:
+        several = _several(recordings)
+        if not several:
+            raise TautError(f"{folder}: a calibration's report shows its recordings: give them too")
+        reports.save_model(result.model, recordings_room.shifted(several, result.offsets), folder)
+    return folder / reports.FILE
+
+
+def _several(recordings: Recording | Sequence[Recording]) -> list[Recording]:
+    return [recordings] if isinstance(recordings, Recording) else list(recordings)
+
+
+def _rig_of(recordings: Sequence[Recording], rig: Rig | None) -> Rig:
+    """The one named, else the one that all recordings have."""
+    if rig is not None:
+        return rig
+    rigs = [recording.rig for recording in recordings if recording.rig is not None]
+    if not rigs:
+        raise TautError("no recording, or none with a rig: give rig, or load them with one")
+    for recording in recordings:
+        if recording.rig is not None and recording.rig != rigs[0]:
+            raise TautError(f"{recording.name}: its rig differs from the others': say which with rig")
+    return rigs[0]

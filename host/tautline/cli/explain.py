@@ -1,0 +1,65 @@
+"""taut explain [CODE]"""
+
+from __future__ import annotations
+
+import textwrap
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+from tautline.cli._common import emit, json_option
+
+_WIDTH = 100
+
+
+@click.command("explain")
+@click.argument("code", required=False)
+@click.option("--html", "folder", type=click.Path(path_type=Path), help="Write all pages there, with their pictures.")
+@json_option
+def command(code: str | None, folder: Path | None, as_json: bool) -> None:
+    """What a message means: an effect (transmission.creep), a reason of a verdict (clock.offset), a fault (STALL), "
+    "a key
+    of rig.toml (actuator.range), a file (motor.csv) or a term (f_remain). Without CODE: the list of all.
+
+    It is in the package: no network is needed.
+    """
+    from tautline.explain import KINDS, find, topics
+
+    if folder is not None:
+        from tautline.explain.pages import write_all
+
+        index = write_all(folder)
+        emit({"index": index, "pages": len(topics())}, as_json, f"{len(topics())} pages: open {index}")
+        return
+    if code is not None:
+        topic = find(code)
+        emit(asdict(topic), as_json, _text(topic))
+        return
+    lines = []
+    for kind, title in KINDS.items():
+        lines += ["", click.style(title, bold=True)]
+        lines += [f"  {topic.code:<40} {_first(topic.what)}" for topic in topics().values() if topic.kind == kind]
+    emit({"topics": list(topics())}, as_json, "\n".join(lines[1:]))
+
+
+def _first(text: str) -> str:
+    return textwrap.shorten(text, 78, placeholder=" ...")
+
+
+def _text(topic: object) -> str:
+    from tautline.explain import Topic
+
+    assert isinstance(topic, Topic)
+    lines = [click.style(topic.code, bold=True), *textwrap.wrap(topic.what, _WIDTH)]
+    for title, text in (("How to tell it", topic.tell), ("What to do", topic.mend)):
+        if text:
+            lines += ["", click.style(title, bold=True), *textwrap.wrap(text, _WIDTH)]
+    if topic.rows:
+        wide = min(max(len(name) for name, _ in topic.rows), 34)
+        lines.append("")
+        for name, says in topic.rows:
+            lines += textwrap.wrap(f"{name:<{wide}}  {says}", _WIDTH, subsequent_indent=" " * (wide + 2))
+    if topic.see:
+        lines += ["", f"See also: {', '.join(topic.see)} (taut explain ...)"]
+    return "\n".join(lines)

@@ -1,0 +1,222 @@
+"""The hypotheses that are weighed: every effect is screened on top of what is known, the leading ones are fitted, and
+each fit is judged by what it leaves on blocks of manoeuvres that it did not see."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline import effects
+from tautline.diagnosis import confined, gap, heldout
+from tautline.diagnosis.fit import Fit, Fitter, Scope, outlier_limit
+from tautline.diagnosis.hypotheses import Beyond
+from tautline.diagnosis.screen import Screened, screen
+from tautline.effects import SCATTERS, Kind
+
+Array = npt.NDArray[np.float64]
+Progress = Callable[[str], None]
+
+
+_MARGIN_S = 1.0  # before and after a shift that a recording has to show
+_CHANGES = 0.15  # share of a change with time that a recording has to show
+_LITTLE = 0.1
+_OF_A_CURVE = 3  # coefficients that count
+_NOISE = 4.0  # floors: what is more is no noise, and a lost marker counts no more than that
+
+
+@dataclass(frozen=True)
+class Found:
+    """A hypothesis fitted to everything, and what it leaves of each block when it has not seen it."""
+
+    fit: Fit
+    left: list[Array]  # of each recording, (scored, k)
+    power: Array  # (blocks,) mean squares of `left`, outliers pulled in
+    beyond: Beyond | None
+    scatters: Mapping[str, float] = field(default_factory=dict)  # how much, of an effect without a path
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        return tuple(kind.id for kind in self.fit.hypothesis.kinds)
+
+    @property
+    def parameters(self) -> int:
+        """Those that were fitted, and those of the scatter. A curve is smooth: it counts as what its level, slope and
+        bend take; one that each recording has of its own is paid for by its own blocks."""
+        hypothesis, values = self.fit.hypothesis, self.fit.state.values
+        single = {p for kind in hypothesis.kinds if kind.each for p in kind.amplitudes}
+        keys = {slot.key for slot in hypothesis.slots if slot.number <= 1 or slot.parameter in single}
+        keys |= {p.name for kind in hypothesis.kinds for p in kind.parameters if p.searched} - SCATTERS
+        curves = [{k for k in keys & values.keys() if k.split("@")[0] in _curve(kind)} for kind in hypothesis.kinds]
+        spared = sum(max(0, len(curve) - _OF_A_CURVE) for curve in curves)
+        return len(keys & values.keys()) - spared + len(self.scatters)
+
+    @property
+    def has_path(self) -> bool:
+        """Whether a prediction follows all of its effects, as far as they can be followed."""
+        events = [kind.event for kind in self.fit.hypothesis.kinds if kind.event]
+        return all(event.mean in self.fit.state.values for event in events)
+
+    def reported(self) -> Found:
+        """With the parameters of its scatter in the fit, where no residual is asked for any more."""
+        values = {**self.fit.state.values, **self.scatters}
+        return replace(self, fit=replace(self.fit, state=replace(self.fit.state, values=values)))
+
+
+class Search:
+    """Hypotheses on top of others, all judged on the same blocks by the same measure."""
+
+    def __init__(self, fitter: Fitter, base: Fit, kinds: Sequence[Kind], progress: Progress) -> None:
+        self.fitter, self.kinds, self._progress = fitter, kinds, progress
+        self._with_path = [kind for kind in kinds if not kind.event]
+        self.labels = [np.unique(gap.blocks(s), return_inverse=True)[1] for s in fitter.segments]
+        self.limits = outlier_limits(fitter, base)
+        self.base = self.judged(base)
+
+    def judged(self, fit: Fit) -> Found:
+        left = heldout.residuals(self.fitter, fit, self.labels, self.limits)
+        return Found(fit, left, self.power(left), self.beyond(fit))
+
+    def beyond(self, fit: Fit, further: Sequence[Kind] = ()) -> Beyond | None:
+        """What no law of the stages of the fit's effects and of `further` could leave of each block."""
+        left = confined.residuals(self.fitter, fit, further)
+        if left is None:
+            return None
+        count = [np.bincount(label) * r.shape[1] for label, r in zip(self.labels, left, strict=True)]
+        return Beyond(self._power(left, [_NOISE * self.fitter.floor] * len(left)), np.concatenate(count).astype(float))
+
+    def power(self, residuals: Sequence[Array]) -> Array:
+        """(blocks,) mean squares, block after block and recording after recording."""
+        return self._power(residuals, self.limits)
+
+    def _power(self, residuals: Sequence[Array], limits: Sequence[float]) -> Array:
+        parts = []
+        for r, label, limit in zip(residuals, self.labels, limits, strict=True):
+            squares = np.mean(np.minimum(np.abs(r), limit) ** 2, axis=1)
+            parts.append(np.bincount(label, squares) / np.bincount(label))
+        return np.concatenate(parts)
+
+    def on_top_of(self, below: Found, refits: int, both_scopes: int) -> list[Found]:
+        """The `refits` effects that screen best, each in the scope that screens
+        best; the best `both_scopes` of them in their other scopes too. Best first."""
+        seen: dict[str, dict[Scope, Screened]] = {}
+        for entry in screen(self.fitter, below.fit, self._with_path, self.limits):
+            seen.setdefault(entry.kind.id, {}).setdefault(entry.scope, entry)
+        found: list[Found] = []
+
+        def refit(entry: Screened) -> None:
+            self._progress(f"fitting {' and '.join((*below.ids, entry.kind.id))}")
+            start = {**below.fit.state.values, **entry.values}
+            hypothesis = below.fit.hypothesis.plus(entry.kind, entry.scope)
+            fit = self.fitter.fit(hypothesis, start, below.fit.state, entry.others)
+            if not fit.finite:
+                return
+            if (entry.kind.scan != "moment" or self._seen_to_happen(fit)) and self._seen_to_change(fit):
+                found.append(self.judged(fit))
+
+        leading = list(seen)[:refits]
+        for name, scopes in seen.items():
+            best, *rest = scopes.values()
+            # A linear step tells little of parts of the nominal model: the recalibrated one has moved half way.
+            if name in leading or (both_scopes and best.kind.nominal):
+                refit(best)
+            for other in rest if both_scopes and best.kind.each else []:
+                refit(other)
+        found.sort(key=_loss)
+        for one in found[:both_scopes]:
+            kind, tried = one.fit.hypothesis.kinds[-1], one.fit.hypothesis.scopes[-1]
+            for scope, other in seen[kind.id].items():
+                if scope != tried and not kind.each:
+                    refit(other)
+        return sorted(found, key=_loss)
+
+    def posture(self, below: Found, only: Collection[str] | None = None) -> Found | None:
+        """All that another posture, tension or homing changes at once on top of a hypothesis, in each recording another
+        where there are several; or these ids of it only. `below` may have some of it already."""
+        kinds = [kind for kind in self.kinds if kind.posture and not below.fit.hypothesis.find(kind.id)]
+        if only is not None:
+            kinds = [kind for kind in kinds if kind.id in only]
+        scope = Scope.EACH if below.fit.hypothesis.tests > 1 else Scope.TESTS
+        hypothesis = below.fit.hypothesis
+        for kind in kinds:
+            hypothesis = hypothesis.plus(kind, scope)
+        self._progress("fitting another posture")
+        values = {slot.key: 0.0 for slot in hypothesis.slots} | dict(below.fit.state.values)
+        fit = self.fitter.fit(hypothesis, values, below.fit.state)
+        return self.judged(fit) if kinds and fit.finite else None
+
+    def in_the_mean(self, below: Found, kind: Kind, amount: float) -> Found | None:
+        """An event after the calibration on top of a hypothesis, as it is in the mean: with sticking the play is wider
+        by about the length that the tip sticks for (while calibrating it is B's own)."""
+        assert kind.event
+        hypothesis = below.fit.hypothesis.plus(kind, Scope.TESTS)
+        values = {**below.fit.state.values, kind.event.amount: 0.0, kind.event.mean: amount}
+        little = {kind.event.mean: _LITTLE * amount}  # what is below may hold most of it already
+        fit = self.fitter.fit(hypothesis, values, below.fit.state, [little])
+        return self.judged(fit) if fit.finite and fit.state.values[kind.event.mean] > 0.0 else None
+
+    def _seen_to_happen(self, fit: Fit) -> bool:
+        """A recording shows it: what comes before in it fits better without the shift, and what comes after with it. A
+        shift between two recordings is a wrong registration of those after it."""
+        shift_s = fit.state.values["shift_time"]
+        for i, segment in enumerate(self.fitter.segments):
+            seen = segment.arrival_s[segment.scored] + segment.offset_s
+            if seen[0] + _MARGIN_S < shift_s < seen[-1] - _MARGIN_S:
+                never, always = (self._squares(fit, i, at) for at in (np.inf, -np.inf))
+                before = seen < shift_s
+                return bool(never[before].sum() < always[before].sum() and never[~before].sum() > always[~before].sum())
+        return False
+
+    def _seen_to_change(self, fit: Fit) -> bool:
+        """Of an effect that goes with time: some recording shows more of its change than is there throughout. What is
+        constant in every recording is another width or offset."""
+        kind, scope = fit.hypothesis.kinds[-1], fit.hypothesis.scopes[-1]
+        if kind.course is None:
+            return True
+        values = fit.state.values
+        at = [
+            [kind.course(values, float(s.arrival_s[s.scored][i]) + s.offset_s) for i in (0, -1)]
+            for s in self.fitter.segments
+            if not (scope and s.calibration)
+        ]
+        most = max(abs(value) for ends in at for value in ends)
+        return max(abs(last - first) for first, last in at) > _CHANGES * most
+
+    def _squares(self, fit: Fit, which: int, shift_s: float) -> Array:
+        """(scored,) of a recording, outliers pulled in, had the shift happened then."""
+        segment, limit = self.fitter.segments[which], self.limits[which]
+        state = replace(fit.state, values={**fit.state.values, "shift_time": shift_s})
+        _, predicted = segment.predict(state.model, state.at(segment, fit.hypothesis), self.fitter.load_reference)
+        left = (segment.observed - predicted)[segment.scored]
+        return np.asarray(np.sum(np.minimum(np.abs(left), limit) ** 2, axis=1))
+
+
+def _curve(kind: Kind) -> set[str]:
+    """The coefficients of a spline of the nominal model."""
+    return {p.name for p in kind.amplitudes if kind.nominal and p.name.rsplit("_", 1)[-1].isdigit()}
+
+
+def _loss(found: Found) -> float:
+    return float(np.mean(np.log(found.power)))
+
+
+def applicable(fitter: Fitter, left_out: Collection[str] = ()) -> list[Kind]:
+    """The effects that these recordings could show at all, but for those left out."""
+    load = any(s.motor.load_mNm is not None for s in fitter.segments)
+    freedom = any(
+        values is not None and float(np.ptp(values)) > 0.0
+        for s in fitter.segments
+        for values in (s.motor.translation_mm, s.motor.rotation_deg)
+    )
+    joints = sorted({name for s in fitter.segments for name in s.motor.joints})
+    has = {"": True, "camera": fitter.px, "sensor": fitter.delayed, "load": load, "freedom": freedom}
+    known = [kind for kind in effects.LIBRARY if kind.id not in left_out]
+    further = [kind.of_joint(name) for kind in known if kind.of_joint for name in joints]
+    return [*(kind for kind in known if has[kind.needs]), *further]
+
+
+def outlier_limits(fitter: Fitter, base: Fit) -> list[float]:
+    """Of each recording, one for all that are compared."""
+    return [max(outlier_limit(r), 8.0 * fitter.floor) for r in base.residuals]

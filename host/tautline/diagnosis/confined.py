@@ -1,0 +1,124 @@
+"""What a fit leaves that no law of its effects' stages could leave, whatever their equations.
+
+No model of an effect is exact, but its error is confined to its own stage. What moves the tip through the bending angle
+(actuator, transmission, configuration) shifts the image along d image / dc and nowhere else; a bending section that is
+curved otherwise keeps the tip in its plane, at a place that the angle tells; an instrument that rocks in its channel is
+a rigid body that settles after a reversal; a lens shifts the image by a function of where it is; unsteady frame times
+shift it along its velocity; a rigid transform and a delay have one equation. What is left beyond that is the camera's
+noise, or another cause.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline import _native
+from tautline.diagnosis.fit import STATIC_COLUMNS, Fit, Fitter, Seen
+from tautline.diagnosis.segment import Segment
+from tautline.effects import Kind
+
+Array = npt.NDArray[np.float64]
+
+_LENS_ORDER = 5  # of polynomials over the image
+_PLANE_ORDER = 5  # and over the bending angle
+_TRAVELS = (0.003, 0.01, 0.03)  # of the motor's range, in which an instrument settles in its channel
+
+
+def residuals(fitter: Fitter, fit: Fit, further: Sequence[Kind] = ()) -> list[Array] | None:
+    """(scored, 1 or 2) of each recording, px; None where the effects' stages could leave anything. `further`: effects
+    beside the fit's own, which change nothing of it."""
+    kinds = (*fit.hypothesis.kinds, *further)
+    if not fitter.px or not kinds:
+        return None
+    along = any(kind.through_angle for kind in kinds)
+    timed = any(kind.leaves == "time" for kind in kinds)
+    if along and timed:
+        return None
+    plain = fitter.rows(fit.state, fit.hypothesis)
+    own = fitter.effect_columns(fit.state, fit.hypothesis, plain)  # what an inexact law leaves has biased them
+    rows = [
+        replace(row, columns=np.concatenate([row.columns, more], axis=2)) for row, more in zip(plain, own, strict=True)
+    ]
+    scopes = list(zip(fit.hypothesis.kinds, fit.hypothesis.scopes, strict=True))
+    for what, freedom in _FREEDOM.items():
+        only = [only for kind, only in scopes if kind.leaves == what]
+        if only:
+            extra = freedom(fitter, rows)
+            rows = [
+                replace(row, columns=np.concatenate([row.columns, more * (not (all(only) and s.calibration))], axis=2))
+                for s, row, more in zip(fitter.segments, rows, extra, strict=True)
+            ]
+    if not (along or timed):
+        return fitter.left(rows) if rows[0].columns.shape[2] <= _native.NORMAL_COLUMNS else None
+    ways = [row.by_c for row in rows] if along else [_velocity(s) for s in fitter.segments]
+    parts = [_across(row, way) for row, way in zip(rows, ways, strict=True)]
+    columns = np.concatenate([part[1] for part in parts])
+    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    seen = np.concatenate([part[0] for part in parts])
+    step = np.linalg.lstsq(columns / size, seen, rcond=1e-9)[0] / size
+    return [(left - moved @ step)[:, None] for left, moved in parts]
+
+
+def _across(row: Seen, way: Array) -> tuple[Array, Array]:
+    """Of residual (n,) and of columns (n, m): what is normal to `way` (n, 2)."""
+    unit = way / np.maximum(np.linalg.norm(way, axis=1), 1e-12)[:, None]
+    normal = np.column_stack([-unit[:, 1], unit[:, 0]])
+    return np.einsum("nk,nk->n", row.residual, normal), np.einsum("nkm,nk->nm", row.columns, normal)
+
+
+def _velocity(segment: Segment) -> Array:
+    """(scored, 2) of the image, per second."""
+    velocity: Array = np.gradient(segment.observed, segment.arrival_s, axis=0)
+    return velocity[segment.scored]
+
+
+def _lens(fitter: Fitter, rows: Sequence[Seen]) -> list[Array]:
+    """Polynomials of where the image should be (where it is has the noise in it), for either coordinate."""
+    seen = [s.observed[s.scored] - row.residual for s, row in zip(fitter.segments, rows, strict=True)]
+    low, high = (f([f(x, axis=0) for x in seen], axis=0) for f in (np.min, np.max))
+    found = []
+    for x in seen:
+        u, v = (2.0 * (x - low) / np.maximum(high - low, 1e-9) - 1.0).T
+        of_u, of_v = (np.polynomial.chebyshev.chebvander(c, _LENS_ORDER) for c in (u, v))
+        terms = [of_u[:, i] * of_v[:, j] for i in range(_LENS_ORDER + 1) for j in range(_LENS_ORDER + 1 - i)]
+        found.append(np.einsum("nm,kl->nkml", np.column_stack(terms), np.eye(2)).reshape(len(x), 2, -1))
+    return found
+
+
+def _plane(fitter: Fitter, rows: Sequence[Seen]) -> list[Array]:
+    """The bending plane's two directions in the image, times polynomials of the angle."""
+    angles = [row.path.c_deg[s.scored] for s, row in zip(fitter.segments, rows, strict=True)]
+    low, high = min(float(c.min()) for c in angles), max(float(c.max()) for c in angles)
+    found = []
+    for segment, row, c in zip(fitter.segments, rows, angles, strict=True):
+        x, y, z = np.moveaxis(row.columns[:, :, STATIC_COLUMNS], 2, 0)[3:6]
+        roll = row.path.rotation_deg
+        turned = np.zeros(len(c)) if roll is None else np.radians(roll[segment.scored])
+        sideways = np.cos(turned)[:, None] * x + np.sin(turned)[:, None] * y
+        of_c = np.polynomial.chebyshev.chebvander(2.0 * (c - low) / max(high - low, 1e-9) - 1.0, _PLANE_ORDER)
+        found.append(np.concatenate([sideways[:, :, None] * of_c[:, None], z[:, :, None] * of_c[:, None]], axis=2))
+    return found
+
+
+def _channel(fitter: Fitter, rows: Sequence[Seen]) -> list[Array]:
+    """Rigid motions of the instrument that depend on the direction and die away after it changes."""
+    found = []
+    for segment, row in zip(fitter.segments, rows, strict=True):
+        step = np.diff(row.path.p, prepend=row.path.p[0])
+        way = np.sign(step)
+        last = np.maximum.accumulate(np.where(way != 0, np.arange(len(way)), 0))
+        way = way[last]
+        turn = np.maximum.accumulate(np.where(np.diff(way, prepend=way[0]) != 0, np.arange(len(way)), 0))
+        travel = np.abs(row.path.p - row.path.p[np.maximum(turn - 1, 0)]) / fitter.model.rig.actuator.span
+        settles = [np.exp(-travel / reach) for reach in _TRAVELS]
+        law = np.column_stack([np.ones(len(way)), way, *(way * s for s in settles)])[segment.scored]
+        motions = row.columns[:, :, STATIC_COLUMNS]
+        found.append(np.einsum("nki,nj->nkij", motions, law).reshape(len(law), motions.shape[1], -1))
+    return found
+
+
+_FREEDOM = {"lens": _lens, "plane": _plane, "channel": _channel}

@@ -1,0 +1,169 @@
+"""From evidence to probabilities: a comparison of models on blocks of manoeuvres that their fits did not see.
+
+No model of an instrument is exact: the right effect leaves a share of what it explains, because reality has other
+equations; how much is learnt (hyperparameters.py). Pure: no fit, no recording, no simulation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import logsumexp
+
+from tautline.diagnosis.hyperparameters import Learnt, learnt
+from tautline.diagnosis.hypotheses import Evidence
+from tautline.diagnosis.likelihoods import Likelihoods
+from tautline.effects import EVENTS
+
+Array = npt.NDArray[np.float64]
+
+NAMED = 0.5  # probability from which on an effect is named
+MOVED = 0.2  # share of what a recalibration closes from which on a part of it is named
+HELPS = 0.7  # standard errors of the mean over blocks; one block alone that shows an effect is 1
+
+
+@dataclass(frozen=True)
+class Verdict:
+    none: float
+    unknown: float
+    leading: Mapping[str, float]  # of each effect weighed: that it is the leading one; with the two above they sum to 1
+    posterior: Array  # (hypotheses,); of those with the same effects the best alone has any
+    named: tuple[str, ...]  # the effects that are more likely there than not, given those before, leading first
+    probability: tuple[float, ...]  # of each named one, given those before
+    chosen: int  # the hypothesis of the named ones
+
+    @property
+    def name(self) -> str:
+        return max((self.none, "none"), (self.unknown, "unknown"), (sum(self.leading.values()), "effect"))[1]
+
+    @property
+    def ranked(self) -> list[str]:
+        """Effects, the likeliest to lead first."""
+        return sorted(self.leading, key=lambda name: -self.leading[name])
+
+    def ambiguous(self, covers: float | None = None) -> list[str]:
+        """The smallest set of effects that holds `covers` (what is learnt unless told) of the probability that any
+        leads."""
+        covers = learnt().covers if covers is None else covers
+        total, held = sum(self.leading.values()), 0.0
+        names: list[str] = []
+        for name in self.ranked:
+            if names and held >= covers * total:
+                break
+            names.append(name)
+            held += self.leading[name]
+        return names
+
+
+def decide(evidence: Evidence, by: Learnt | None = None) -> Verdict:
+    """by: what is learnt unless told; over what instruments may have of it probabilities are averaged."""
+    by = by or learnt()
+    hypotheses = evidence.hypotheses
+    same: dict[frozenset[str], list[int]] = {}
+    for i, h in enumerate(hypotheses):
+        same.setdefault(frozenset(h.ids), []).append(i)
+    weights = Likelihoods(evidence, by.center)
+    p = np.mean([_posterior(Likelihoods(evidence, drawn), same) for drawn in by.draws()], axis=0)
+    best = {key: max(of, key=lambda i: (p[i], weights.of[i])) for key, of in same.items()}
+    for key, of in same.items():
+        p[best[key]], p[[i for i in of if i != best[key]]] = p[of].sum(), 0.0
+
+    leading = dict.fromkeys((name for h in hypotheses for name in h.ids), 0.0)
+    first: dict[int, str] = {}
+    for key, i in best.items():
+        if key:
+            alone = [(weights.alone(best.get(frozenset({n})), key), n) for n in key]
+            first[i] = max(alone)[1]
+            leading[first[i]] += float(p[i])
+
+    named: list[str] = []
+    probability: list[float] = []
+    if leading:
+        named.append(max(leading, key=lambda name: leading[name]))
+        probability.append(sum(float(p[i]) for key, i in best.items() if named[0] in key))
+    while named:
+        given = {key: float(p[i]) for key, i in best.items() if set(named) <= key}
+        total = sum(given.values())
+        more = {n: sum(v for key, v in given.items() if n in key) for n in leading if n not in named}
+        likeliest = max(more, key=lambda name: more[name], default=None)
+        if likeliest is None or total <= 0.0 or more[likeliest] < NAMED * total:
+            break
+        named.append(likeliest)
+        probability.append(more[likeliest] / total)
+    return Verdict(
+        float(p[0]),
+        float(p[-1]),
+        leading,
+        p[:-1],
+        tuple(named),
+        tuple(probability),
+        best.get(frozenset(named), 0),
+    )
+
+
+def _posterior(weights: Likelihoods, same: Mapping[frozenset[str], Sequence[int]]) -> Array:
+    """Of each hypothesis, the best of `same` effects, and at the end of none that was tried: (hypotheses + 1,)."""
+    log = np.full(len(weights.of) + 1, -np.inf)
+    log[-1] = weights.unknown + np.log(weights.by.odds_unknown)
+    for key, of in same.items():
+        best = max(of, key=lambda i: float(weights.of[i]))
+        log[best] = weights.of[best] + weights.prior(key)
+        log[-1] = np.logaddexp(log[-1], weights.elsewhere[best] + weights.prior(key))
+    return np.asarray(np.exp(log - logsumexp(log)))
+
+
+def with_moved(verdict: Verdict, parts: Sequence[tuple[str, float]]) -> Verdict:
+    """Recalibrating closed the gap, so what these parts of the nominal model did (ids with shares) is what was there;
+    it may yet stand in for an unknown effect. They are named as the nominal hypothesis has them."""
+    told = (1.0 - learnt().center.mimics) * verdict.unknown
+    leading = dict(verdict.leading)
+    for name, share in parts:
+        leading[name] = leading.get(name, 0.0) + share * told
+    named = tuple(name for name, share in parts if share >= MOVED)
+    return replace(
+        verdict,
+        unknown=verdict.unknown - told,
+        leading=leading,
+        named=named,
+        probability=tuple(1.0 - learnt().center.mimics for _ in named),
+        chosen=0,
+    )
+
+
+def that_help(evidence: Evidence, verdict: Verdict) -> Verdict:
+    """Only effects without which the model leaves more on blocks that the fits did not see, by more than the blocks
+    scatter; unknown where none does. Events have no path to be judged by."""
+    ids = [h.ids for h in evidence.hypotheses]
+
+    def least(names: Sequence[str]) -> int:
+        same = [i for i, own in enumerate(ids) if set(own) == set(names)]
+        return min(same, key=lambda i: float(np.mean(evidence.hypotheses[i].power)), default=0)
+
+    named, chosen, probability = (
+        list(verdict.named),
+        verdict.chosen,
+        dict(zip(verdict.named, verdict.probability, strict=False)),
+    )
+    for name in reversed(verdict.named if verdict.name == "effect" else ()):
+        rest = [other for other in named if other != name]
+        without = least(rest)
+        if name in EVENTS or (rest and not ids[without]):
+            continue
+        gained = evidence.hypotheses[without].power - evidence.hypotheses[chosen].power
+        if float(np.mean(gained)) <= HELPS * float(np.std(gained)) / np.sqrt(len(gained)):
+            named, chosen = rest, without
+    if len(named) == len(verdict.named):
+        return verdict
+    if named:
+        return replace(verdict, named=tuple(named), probability=tuple(probability[n] for n in named), chosen=chosen)
+    told = sum(verdict.leading.values())
+    nothing = dict.fromkeys(verdict.leading, 0.0)
+    return replace(verdict, unknown=verdict.unknown + told, leading=nothing, named=(), probability=(), chosen=0)
+
+
+def is_open(evidence: Evidence, power: Array | float) -> bool:
+    """Whether a fit leaves more than the noise and what a nominal model may leave of it."""
+    return float(np.mean(power)) > (1.0 + learnt().center.calibration_excess) * evidence.floor**2

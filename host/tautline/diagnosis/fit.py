@@ -1,0 +1,486 @@
+"""Fits one hypothesis (no effect, one or several) to all recordings at once, the nominal model free where it may move.
+
+The nominal that is shared by all recordings: B and f_remain as corrections in cubic B-splines and a factor on what of
+them these cannot follow, the static registration and the delay. Its Jacobian is analytic along the play (nominal.py);
+the effects' Jacobian is a difference quotient of the simulation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import IntEnum
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import block_diag
+
+from tautline import effects
+from tautline.diagnosis.segment import Segment
+from tautline.effects import Kind, Parameter, Path
+from tautline.least_squares import descend
+from tautline.model import Model, allowed_width
+from tautline.nominal import Nominal, Normal, Rows, by_width
+from tautline.splines import Basis
+
+Array = npt.NDArray[np.float64]
+
+_WIDTH_PIECES, _REMAINING_PIECES = 20, 22
+_ROUGH = 0.001  # second difference of a correction's neighbouring coefficients, share of its range
+STATIC_COLUMNS = slice(2, 8)  # of Seen.columns, with a camera
+_STATIC = tuple(p.name for p in effects.BY_ID["registration.static"].amplitudes)
+WIDTH, REMAINING, STATIC, DELAY = PARTS = (
+    "transmission.backlash",
+    "configuration.remaining",
+    "registration.static",
+    "acquisition.delay",
+)  # of the nominal model, that a recalibration moves
+_OUTLIER = 6.0  # robust standard deviations: a residual beyond is pulled in, unless it is one of many
+_AHEAD_S = 5e-3  # over which the tip's velocity is taken
+_DIFFERENCE = 0.05  # of a parameter's scale: the step of its difference quotient
+_SMALL_GAIN, _COARSE_GAIN = 1e-4, 5e-4  # of the cost: next to nothing
+_COARSE_FRAMES = 2500  # that a fit begins with
+_ROUGH_STEPS, _COARSE_STEPS, _FULL_STEPS = 3, 12, 8  # of each start, of the best one, of all observations
+_NOMINAL_STEPS = 16
+_FAR = 30.0  # of a parameter's scale: its prior
+_RARE = 0.01  # a misfit that lasts longer than this share of a recording is no outlier
+
+
+class Scope(IntEnum):
+    """Since when an effect is there; what is false is there from the start."""
+
+    START = 0
+    TESTS = 1  # in all recordings after the calibration, the same
+    EACH = 2  # in each of them another
+
+    @property
+    def since(self) -> str:
+        return ("start", "calibration", "recording")[self]
+
+
+@dataclass(frozen=True)
+class Slot:
+    """A number that is fitted."""
+
+    parameter: Parameter
+    key: str  # of State.values
+    scope: Scope
+    number: int = 0  # of the recording, where each has its own
+
+    def holds_in(self, segment: Segment) -> bool:
+        if self.scope == Scope.EACH:
+            return segment.number == self.number
+        return not (self.scope and segment.calibration)
+
+
+def key(name: str, number: int) -> str:
+    """Of a parameter's value in one recording only."""
+    return f"{name}@{number}"
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """Effects that are present, and since when."""
+
+    kinds: tuple[Kind, ...] = ()
+    scopes: tuple[Scope, ...] = ()
+    tests: int = 1  # recordings after the calibration
+
+    def plus(self, kind: Kind, scope: Scope) -> Hypothesis:
+        return replace(self, kinds=(*self.kinds, kind), scopes=(*self.scopes, scope))
+
+    def find(self, name: str) -> tuple[Kind, Scope] | None:
+        """The effect of an id."""
+        return next(((k, s) for k, s in zip(self.kinds, self.scopes, strict=True) if k.id == name), None)
+
+    @property
+    def slots(self) -> list[Slot]:
+        """Amplitudes and continuous shapes."""
+        found = []
+        for kind, scope in zip(self.kinds, self.scopes, strict=True):
+            for p in (p for p in kind.parameters if not p.searched):
+                if scope == Scope.EACH:
+                    found += [Slot(p, key(p.name, i), scope, i) for i in range(1, self.tests + 1)]
+                else:
+                    found.append(Slot(p, p.name, scope))
+        return found
+
+
+@dataclass(frozen=True)
+class State:
+    """A point of the parameter space."""
+
+    model: Model  # the nominal with its corrections
+    static: Mapping[str, float]  # nominal registration, all recordings
+    values: Mapping[str, float] = field(default_factory=dict)  # of the effects
+
+    def at(self, segment: Segment, hypothesis: Hypothesis) -> dict[str, Any]:
+        """The parameters that hold in one recording."""
+        chosen: dict[str, Any] = dict(self.static)
+        for kind, scope in zip(hypothesis.kinds, hypothesis.scopes, strict=True):
+            if scope and segment.calibration:
+                continue
+            if kind.column:
+                chosen["column"] = kind.column
+            for p in kind.parameters:
+                own = scope == Scope.EACH and not p.searched
+                value = self.values.get(key(p.name, segment.number) if own else p.name)
+                if value is not None:
+                    chosen[p.name] = chosen.get(p.name, 0.0) + value if p.name in _STATIC else value
+        return chosen
+
+
+@dataclass(frozen=True)
+class Seen(Rows):
+    """One recording's scored observations. Unknowns beside B and f_remain: factors on their details and, with a camera,
+    static registration and delay."""
+
+    path: Path  # at all observations
+
+
+@dataclass(frozen=True)
+class Fit:
+    hypothesis: Hypothesis
+    state: State
+    residuals: list[Array]  # of each segment, (scored, k)
+
+    @property
+    def finite(self) -> bool:
+        """Not so where the marker would be behind the camera."""
+        return all(bool(np.isfinite(r).all()) for r in self.residuals)
+
+    @property
+    def freedom(self) -> int:
+        """How many parameters the effects have."""
+        return len(self.hypothesis.slots)
+
+
+class Fitter:
+    def __init__(self, model: Model, segments: Sequence[Segment], load_reference: float = 0.0) -> None:
+        self.model, self.segments, self.load_reference = model, list(segments), load_reference
+        self.px = segments[0].unit == "px"
+        self.delayed = segments[0].sensor == model.sensor  # the model has a delay of its own for what is observed
+        low = min(float(s.motor.q.min()) for s in segments)
+        high = max(float(s.motor.q.max()) for s in segments)
+        self.nominal_curves = curves = Nominal(Basis(low, high, _WIDTH_PIECES), Basis(low, high, _REMAINING_PIECES))
+        span = model.rig.actuator.span
+        gain = abs(model.rig.coarse.gain)
+        # Priors keep what the motion does not excite where calibration left it.
+        prior = [np.full(curves.width.size, 0.03 * span), np.full(curves.follow.size, 0.1 * gain * span), np.ones(2)]
+        # What the splines cannot follow: an effect that was there during calibration left its ripple in it.
+        self._details = tuple(
+            _beyond(basis, model.q, values)
+            for basis, values in ((curves.width, model.width), (curves.follow, model.c_deg))
+        )
+        if self.px:
+            prior += [np.full(3, 3.0), np.full(3, 2.0)]
+        self._prior = np.concatenate([*prior, np.full(1, 0.02)])
+        self._bending = block_diag(
+            curves.width.bending / (_ROUGH * span) ** 2, curves.follow.bending / (_ROUGH * gain * span) ** 2
+        )
+        self.floor = 1.0
+        # What begins outside of the angles that were reached would be another gain and offset.
+        ends = np.sort(model.remaining(np.array([low, high])))
+        inset = 0.05 * float(ends[1] - ends[0])
+        self._reached = (float(ends[0]) + inset, float(ends[1]) - inset)
+
+    @property
+    def nothing(self) -> Hypothesis:
+        """No effect."""
+        return Hypothesis(tests=len(self.segments) - 1)
+
+    def nominal(self, free: Collection[str] = PARTS) -> Fit:
+        """The recalibrated model without any effect; of PARTS only those that are free."""
+        held = self._columns_of(set(PARTS) - set(free))
+        found = self.descend(self.nothing, self.start(), _NOMINAL_STEPS, held=held)
+        # Beside an effect as large as an obstacle a descent may stall for once.
+        return self.descend(self.nothing, found.state, _NOMINAL_STEPS, held=held)
+
+    def _columns_of(self, parts: Collection[str]) -> npt.NDArray[np.int64]:
+        """The nominal's unknowns that belong to these of PARTS."""
+        b, details = self.nominal_curves.width.size, self.nominal_curves.size
+        delay = len(self._prior) - 1
+        of = {
+            WIDTH: [*range(b), details],
+            REMAINING: [*range(b, details), details + 1],
+            STATIC: list(range(details + 2, delay)),
+            DELAY: [delay],
+        }
+        return np.array([i for part in parts for i in of[part]], dtype=np.int64)
+
+    def scale(self, parameter: Parameter) -> float:
+        """A parameter's natural step in its own unit."""
+        return parameter.scale * (self.model.rig.actuator.span if parameter.unit.startswith("unit") else 1.0)
+
+    def start(self) -> State:
+        return State(self.model, dict.fromkeys(_STATIC, 0.0) if self.px else {})
+
+    def residuals(self, state: State, hypothesis: Hypothesis) -> list[Array]:
+        """Of each recording, (scored, k)."""
+        found = []
+        for segment in self.segments:
+            _, predicted = segment.predict(state.model, state.at(segment, hypothesis), self.load_reference)
+            found.append((segment.observed - predicted)[segment.scored])
+        return found
+
+    def rows(self, state: State, hypothesis: Hypothesis) -> list[Seen]:
+        """Of each recording."""
+        slope_b = np.gradient(state.model.width, state.model.q)
+        slope_f = np.gradient(state.model.c_deg, state.model.q)
+        return [self._rows(segment, state, hypothesis, slope_b, slope_f) for segment in self.segments]
+
+    def _rows(self, segment: Segment, state: State, hypothesis: Hypothesis, slope_b: Array, slope_f: Array) -> Seen:
+        parameters, keep = state.at(segment, hypothesis), segment.scored
+        path = segment.follow(state.model, parameters, self.load_reference)
+        model = effects.tabled(state.model, parameters)
+        if model is not state.model:
+            slope_b, slope_f = np.gradient(model.width, model.q), np.gradient(model.c_deg, model.q)
+        p, tip, gain = path.p[keep], path.tip[keep], path.gain[keep]
+        by_b = gain * np.interp(tip, model.q, slope_f) * by_width(path.lean[keep], np.interp(p, model.q, slope_b))
+        details = np.column_stack(
+            [by_b * np.interp(p, model.q, self._details[0]), gain * np.interp(tip, model.q, self._details[1])]
+        )
+        if self.px:
+            seen, by_c, by_static = effects.image_with_slopes(model, path, parameters, segment.offset_s)
+        else:
+            seen = path.c_deg[:, None]
+            by_c, by_static = np.ones_like(seen), np.empty((*seen.shape, 0))
+        by_delay = np.zeros_like(by_c)
+        if self.delayed:
+            sooner = {**parameters, "delay": parameters.get("delay", 0.0) - _AHEAD_S}
+            later = segment.follow(state.model, sooner, self.load_reference)
+            by_delay = ((path.c_deg - later.c_deg) / _AHEAD_S)[:, None] * by_c
+        columns = np.concatenate(
+            [by_c[keep][:, :, None] * details[:, None, :], by_static[keep], by_delay[keep][:, :, None]], axis=2
+        )
+        return Seen(p, tip, by_b, gain, by_c[keep], columns, (segment.observed - seen)[keep], path)
+
+    def normal(
+        self, rows: Rows, extra: Array | None = None, weight: Array | None = None, known: Normal | None = None
+    ) -> Normal:
+        """Of one recording. extra (n, k, m): further columns, their unknowns behind the others. known: the same without
+        `extra`, which then need not be summed again."""
+        columns, first = rows.columns, rows.columns.shape[2]
+        before = self.nominal_curves.size + first
+        if extra is not None:
+            columns = np.concatenate([columns, extra], axis=2)
+        found = Normal.zeros(before - first + columns.shape[2])
+        if known is not None:
+            found.matrix[:before, :before], found.gradient[:before] = known.matrix, known.gradient
+        self.nominal_curves.add(rows, found, columns, weight, first=0 if known is None else first)
+        return found
+
+    def left(self, rows: Sequence[Rows]) -> list[Array]:
+        """What a step of the nominal, as far as it likes, leaves of each recording's residual: least squares of the
+        linearisation."""
+        parts = [self.normal(row) for row in rows]
+        matrix = np.asarray(sum(part.matrix for part in parts))
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-12 * float(np.diag(matrix).max())))
+        inverse = np.linalg.pinv(matrix * np.outer(scale, scale), rcond=1e-12, hermitian=True)
+        step = scale * (inverse @ (scale * np.asarray(sum(part.gradient for part in parts))))
+        return [row.residual - self.moved(row, step) for row in rows]
+
+    def moved(self, row: Rows, step: Array) -> Array:
+        """(n, k): by how much a step of the unknowns, those of row.columns last, moves the prediction."""
+        return self.nominal_curves.moved(row, step)
+
+    def spread(self, hypothesis: Hypothesis) -> Array:
+        """Standard deviations of the prior: of the nominal's corrections, then of the effects' parameters."""
+        return np.concatenate([self._prior, [_FAR * self.scale(slot.parameter) for slot in hypothesis.slots]])
+
+    def stiffness(self, hypothesis: Hypothesis) -> Array:
+        """The prior's inverse covariance: 1 / spread^2, and B and f_remain move smoothly: where a motion hardly reaches
+        they go with what is beside them."""
+        stiff = np.diag(1 / self.spread(hypothesis) ** 2)
+        n = len(self._bending)
+        stiff[:n, :n] += self._bending
+        return stiff
+
+    def effect_columns(self, state: State, hypothesis: Hypothesis, rows: Sequence[Seen]) -> list[Array]:
+        """Of each recording (n, k, m) by difference quotients, one column for each of the hypothesis' slots."""
+        found = []
+        for segment, row in zip(self.segments, rows, strict=True):
+            slots = hypothesis.slots
+            columns = np.zeros((*row.residual.shape, len(slots)))
+            for i, slot in enumerate(slots):
+                if slot.holds_in(segment):
+                    step = _DIFFERENCE * self.scale(slot.parameter)
+                    there = replace(state, values={**state.values, slot.key: state.values[slot.key] + step})
+                    moved = self.moved_by(segment, there, hypothesis, slot.parameter, row, row.residual)
+                    columns[:, :, i] = moved / step
+            found.append(columns)
+        return found
+
+    def moved_by(
+        self, segment: Segment, state: State, hypothesis: Hypothesis, parameter: Parameter, row: Seen, residual: Array
+    ) -> Array:
+        """(scored, k): by how much the prediction is another than where `residual` is left, `state` differing from
+        where `row` is by `parameter` alone. An observation that it would take behind the camera is not moved."""
+        values = state.at(segment, hypothesis)
+        path = segment.follow(state.model, values, self.load_reference) if moves_tip(parameter) else row.path
+        moved = residual - (segment.observed - segment.seen(state.model, values, path))[segment.scored]
+        return np.where(np.isfinite(moved), moved, 0.0)
+
+    def fit(
+        self,
+        hypothesis: Hypothesis,
+        values: Mapping[str, float],
+        start: State,
+        others: Sequence[Mapping[str, float]] = (),
+    ) -> Fit:
+        """From `values` and `others` of the effects' parameters; the nominal from `start`, and of a first effect as it
+        was calibrated too (a recalibration bends towards an effect and finds back slowly). A few observations say which
+        of these is best and how it goes on; all of them end it."""
+        coarse, found = self.coarse, []
+        for nominal in [start, self.start()][: 2 if len(hypothesis.kinds) == 1 else 1]:
+            states = [replace(nominal, values={**values, **each}) for each in ({}, *others)]
+            best = _best([coarse.descend(hypothesis, state, _ROUGH_STEPS) for state in states])
+            found.append(coarse.descend(hypothesis, best.state, _COARSE_STEPS, _COARSE_GAIN))
+        return self.descend(hypothesis, _best(found).state, _FULL_STEPS)
+
+    @property
+    def coarse(self) -> Fitter:
+        """The same with fewer observations."""
+        self._coarse.floor = self.floor
+        return self._coarse
+
+    @cached_property
+    def _coarse(self) -> Fitter:
+        stride = round(sum(int(s.scored.sum()) for s in self.segments) / _COARSE_FRAMES)
+        if stride < 2:
+            return self
+        return Fitter(self.model, [s.every(stride) for s in self.segments], self.load_reference)
+
+    def descend(
+        self,
+        hypothesis: Hypothesis,
+        state: State,
+        most: int,
+        enough: float = _SMALL_GAIN,
+        held: npt.NDArray[np.int64] | None = None,
+    ) -> Fit:
+        """At most so many steps, and no more where one gains less than `enough` of the cost. held: unknowns of the
+        nominal that stay."""
+        held = np.zeros(0, dtype=np.int64) if held is None else held
+        found = descend(_Descent(self, hypothesis, enough, held), _Point(state, self.rows(state, hypothesis)), most)
+        return Fit(hypothesis, found.state, [row.residual for row in found.rows])
+
+    def stepped(self, state: State, hypothesis: Hypothesis, step: Array) -> State:
+        """The state a step of all unknowns further."""
+        model, curves = state.model, self.nominal_curves
+        b, both = curves.width.size, curves.size
+        width = model.width + curves.width.value(step[:b], model.q) + step[both] * self._details[0]
+        width = allowed_width(model.q, width)
+        c_deg = model.c_deg + curves.follow.value(step[b:both], model.q) + step[both + 1] * self._details[1]
+        static = {name: value + float(step[both + 2 + i]) for i, (name, value) in enumerate(state.static.items())}
+        at = len(self._prior)
+        values = dict(state.values)
+        for i, slot in enumerate(hypothesis.slots, at):
+            value = inside(slot.parameter, values[slot.key] + float(step[i]))
+            values[slot.key] = float(np.clip(value, *self._reached)) if slot.parameter.reached else value
+        model = replace(model, width=width, c_deg=c_deg, delay_s=model.delay_s + float(step[at - 1]))
+        return State(model, static, values)
+
+
+@dataclass(frozen=True)
+class _Point:
+    state: State
+    rows: list[Seen]
+
+
+class _Descent:
+    """A hypothesis as a least-squares problem: Huber's cost, its limit taken anew of each recording before every step;
+    an effect's parameter stays at the end of its range where a step would lead beyond it."""
+
+    def __init__(self, fitter: Fitter, hypothesis: Hypothesis, enough: float, held: npt.NDArray[np.int64]) -> None:
+        self.fitter, self.hypothesis, self.least, self.held = fitter, hypothesis, enough, held
+        self.prior = fitter.floor**2 * fitter.stiffness(hypothesis)
+        self.limits: list[float] = []
+
+    def linearised(self, point: _Point) -> tuple[Array, Array, float]:
+        fitter, hypothesis = self.fitter, self.hypothesis
+        self.limits = [outlier_limit(row.residual) for row in point.rows]
+        matrix, gradient = self.prior.copy(), np.zeros(len(self.prior))
+        columns = fitter.effect_columns(point.state, hypothesis, point.rows)
+        for row, extra, limit in zip(point.rows, columns, self.limits, strict=True):
+            weight = np.minimum(1.0, limit / np.maximum(np.abs(row.residual), 1e-12))
+            part = fitter.normal(row, extra, weight)
+            matrix += part.matrix
+            gradient += part.gradient
+        held = np.concatenate([self.held, self._at_their_ends(point.state, gradient)])
+        matrix[held, :] = matrix[:, held] = gradient[held] = 0.0
+        matrix[held, held] = 1.0
+        return matrix, gradient, self.cost(point)
+
+    def _at_their_ends(self, state: State, gradient: Array) -> npt.NDArray[np.int64]:
+        found = []
+        for i, slot in enumerate(self.hypothesis.slots, len(gradient) - len(self.hypothesis.slots)):
+            value = state.values[slot.key]
+            onward = value + float(np.sign(gradient[i])) * 1e-6 * self.fitter.scale(slot.parameter)
+            if inside(slot.parameter, onward) == value:
+                found.append(i)
+        return np.array(found, dtype=np.int64)
+
+    def moved(self, point: _Point, step: Array) -> _Point:
+        state = self.fitter.stepped(point.state, self.hypothesis, step)
+        return _Point(state, self.fitter.rows(state, self.hypothesis))
+
+    def cost(self, point: _Point) -> float:
+        return _cost([row.residual for row in point.rows], self.limits)
+
+    def enough(self, gained: float, cost: float) -> bool:
+        return gained < self.least * cost
+
+
+def _beyond(basis: Basis, grid: Array, values: Array) -> Array:
+    """What of a curve on a grid the basis cannot follow."""
+    reached = (grid >= basis.low) & (grid <= basis.high)
+    design = basis.design(grid).toarray()
+    coefficients = np.linalg.lstsq(design[reached], values[reached], rcond=None)[0]
+    left: Array = np.where(reached, values - design @ coefficients, 0.0)
+    return left
+
+
+def moves_tip(parameter: Parameter) -> bool:
+    """Whether the tip's path depends on it, and not only what is seen of it."""
+    return parameter.name not in effects.SIGHT
+
+
+def inside(parameter: Parameter, value: float) -> float:
+    """A parameter kept where it means something."""
+    return min(max(value, parameter.low), parameter.high)
+
+
+def _best(fits: Sequence[Fit]) -> Fit:
+    """That leaves least; one that ended behind the camera only where all did."""
+    fits = [fit for fit in fits if fit.finite] or fits
+    limits = [min(map(outlier_limit, each)) for each in zip(*(fit.residuals for fit in fits), strict=True)]
+    return min(fits, key=lambda fit: _cost(fit.residuals, limits))
+
+
+def _cost(residuals: Sequence[Array], limits: Sequence[float]) -> float:
+    """Huber's: quadratic to the recording's limit, linear beyond: one that fits badly throughout is not an outlier of
+    those that fit."""
+    total = 0.0
+    for residual, limit in zip(residuals, limits, strict=True):
+        size = np.abs(residual)
+        total += float(np.sum(np.where(size < limit, size**2, 2 * limit * size - limit**2)))
+    return total
+
+
+def velocity(segment: Segment, c_deg: Array) -> Array:
+    """dc/dt (n,) deg/s at the observations."""
+    return np.gradient(c_deg, segment.arrival_s) if len(c_deg) > 1 else np.zeros_like(c_deg)
+
+
+def outlier_limit(residual: Array) -> float:
+    """Of one recording: a lost marker must not decide, and what follows every reversal must."""
+    if residual.size == 0:
+        return 1.0
+    return max(_OUTLIER * robust_deviation(residual), 1.2 * float(np.quantile(np.abs(residual), 1.0 - _RARE)))
+
+
+def robust_deviation(values: Array) -> float:
+    return 1.4826 * float(np.median(np.abs(values))) + 1e-12

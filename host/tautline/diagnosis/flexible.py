@@ -1,0 +1,188 @@
+"""How far a flexible model would close a gap: a Gaussian process that knows no physics, only what was measured."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from threadpoolctl import threadpool_limits
+
+from tautline.diagnosis import gap
+from tautline.diagnosis.segment import Segment
+
+Array = npt.NDArray[np.float64]
+
+_LENGTHS_FROM, _TRAINED_ON, _SCORED_ON = 200, 700, 3000  # observations: for length scales, of either half, in all
+_RATES = np.arange(0.05, 2.0, 0.003)  # Hz, of a swing: breathing, a heart, a loose mount
+_HARMONICS = 6  # of a motion, in which it may drive the tip
+_SWINGS = 0.25  # share of the residual's power that makes a swing
+_DRIVEN, _DRIVES = 0.05, 0.4  # shares of a motion's power that drive it: at its rate, at the rate it is a harmonic of
+_SHORTEST, _LONGEST = 0.05, 20.0  # length scales, of an input's standard deviation
+
+
+@dataclass(frozen=True)
+class Flexible:
+    """rms per coordinate of the residuals that it was given, and of what it leaves of them."""
+
+    before: float
+    after: float
+    floor: float
+    swing_s: float | None  # the period in which they swing, whatever motor and axes do; None where they do not
+
+    @property
+    def shrink(self) -> float:
+        return max(0.0, 1.0 - self.after / max(self.before, 1e-300))
+
+    @property
+    def closable_shrink(self) -> float:
+        """Of the power above the noise floor, 0 to 1; 0 where there is none."""
+        open_before = self.before**2 - self.floor**2
+        if open_before <= 0.0:
+            return 0.0
+        return float(np.clip(1.0 - (self.after**2 - self.floor**2) / open_before, 0.0, 1.0))
+
+    def to_json(self) -> dict[str, float]:
+        return {
+            "before": self.before,
+            "after": self.after,
+            "shrink": self.shrink,
+            "closable_shrink": self.closable_shrink,
+            **({} if self.swing_s is None else {"swing_s": self.swing_s}),
+        }
+
+
+def close(segments: Sequence[Segment], residuals: Sequence[Array], floor: float) -> Flexible | None:
+    """What a Gaussian process of motor position, travel since the reversal, direction, speed, the other axes, the load,
+    the session's time and a swing's phase closes of `residuals` (each recording's scored ones): each half of the blocks
+    is predicted by a process trained on the other half. None where there are not two halves. About a second."""
+    swing_s = _swing(segments, residuals)
+    inputs, half = _inputs(segments, swing_s), _halves(segments)
+    seen = np.concatenate(residuals)
+    if any(np.count_nonzero(half == h) < 50 for h in (0, 1)):
+        return None
+    inputs = (inputs - inputs.mean(axis=0)) / inputs.std(axis=0)
+    before = after = 0.0
+    count = 0
+    with threadpool_limits(1):  # many small systems
+        for trained in (0, 1):
+            known = _some(np.flatnonzero(half == trained), _TRAINED_ON)
+            asked = _some(np.flatnonzero(half != trained), _SCORED_ON // 2)
+            said = _process(inputs[known], seen[known], floor, inputs[asked])
+            before += float(np.sum(seen[asked] ** 2))
+            after += float(np.sum((seen[asked] - said) ** 2))
+            count += seen[asked].size
+    return Flexible(float(np.sqrt(before / count)), float(np.sqrt(after / count)), floor, swing_s)
+
+
+def _process(inputs: Array, seen: Array, floor: float, asked: Array) -> Array:
+    """The mean (m, k) at `asked` (m, d) of a process trained on `seen` (n, k) at `inputs` (n, d)."""
+    # Half a second to import: only a diagnosis needs it.
+    from sklearn.exceptions import ConvergenceWarning
+    from sklearn.gaussian_process import GaussianProcessRegressor
+    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+
+    scale = float(np.sqrt(np.mean(seen**2))) or 1.0
+    noise = max((floor / scale) ** 2, 1e-4)
+    lengths = np.full(inputs.shape[1], 1.0)
+    kernel = ConstantKernel(1.0, (1e-3, 1e2)) * RBF(lengths, (_SHORTEST, _LONGEST)) + WhiteKernel(
+        noise, (0.5 * noise, 10.0)
+    )
+    few = _some(np.arange(len(inputs)), _LENGTHS_FROM)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)  # an input that tells nothing ends at a bound
+        found = GaussianProcessRegressor(kernel).fit(inputs[few], seen[few] / scale)
+    process = GaussianProcessRegressor(found.kernel_, optimizer=None).fit(inputs, seen / scale)
+    said: Array = scale * process.predict(asked)
+    return said.reshape(len(asked), seen.shape[1])
+
+
+def _inputs(segments: Sequence[Segment], swing_s: float | None) -> Array:
+    """(n, d) at the scored observations of all recordings; only what varies."""
+    parts = []
+    for segment in segments:
+        t = segment.arrival_s
+        load = segment.motor.load_mNm
+        columns: tuple[Array, ...] = (
+            _features(segment),
+            t + segment.offset_s,
+            np.zeros_like(t) if load is None else np.interp(t, segment.motor.t_s, load),
+        )
+        if swing_s is not None:
+            phase = 2.0 * np.pi * (t + segment.offset_s) / swing_s
+            columns = (*columns, np.sin(phase), np.cos(phase))
+        parts.append(np.column_stack(columns)[segment.scored])
+    inputs = np.concatenate(parts)
+    varies: Array = inputs[:, np.ptp(inputs, axis=0) > 1e-9]
+    return varies
+
+
+def _features(segment: Segment) -> Array:
+    """(n, 6): motor position, travel since the reversal, direction, speed, the other two axes."""
+    motor, t = segment.motor, segment.arrival_s
+    span = float(np.ptp(motor.q)) or 1.0
+    q = np.interp(t, motor.t_s, motor.q) / span
+    step = np.diff(motor.q)
+    way = np.sign(step)
+    turning = np.flatnonzero(way != 0)
+    turns = turning[1:][np.diff(way[turning]) != 0]
+    last = np.searchsorted(motor.t_s[turns], t, side="right") - 1
+    start = np.where(last >= 0, motor.q[turns][np.maximum(last, 0)] if len(turns) else motor.q[0], motor.q[0]) / span
+    travel = np.minimum(np.abs(q - start), 0.3)
+    rate = np.gradient(q, t) if len(t) > 1 else np.zeros_like(q)
+    others = [
+        np.zeros_like(q) if values is None else np.interp(t, motor.t_s, values)
+        for values in (motor.translation_mm, motor.rotation_deg)
+    ]
+    return np.column_stack([q, travel, np.sign(q - start), np.abs(rate), *others])
+
+
+def _swing(segments: Sequence[Segment], residuals: Sequence[Array]) -> float | None:
+    """The period, s, of a swing that takes _SWINGS of the residuals' power and that in some recording neither the motor
+    nor another axis makes."""
+    taken, driven, total = np.zeros(len(_RATES)), np.ones(len(_RATES), dtype=bool), 0.0
+    for segment, residual in zip(segments, residuals, strict=True):
+        at = _some(np.arange(len(residual)), _SCORED_ON // 2)
+        t, motor = segment.arrival_s[segment.scored][at], segment.motor
+        if len(t) < 10:
+            continue
+        axes = [np.interp(t, motor.t_s, x) for x in (motor.translation_mm, motor.rotation_deg) if x is not None]
+        q = np.interp(t, motor.t_s, motor.q)
+        q_moves = np.column_stack([q, np.gradient(q)])
+        turned = np.exp(2j * np.pi * _RATES[:, None] * t)
+        taken += np.sum(_shares(turned, residual[at]) * np.var(residual[at], axis=0) * len(residual), axis=1)
+        here = np.max(_shares(turned, np.column_stack([q_moves, *axes])), axis=1) > _DRIVEN
+        for k in range(2, _HARMONICS + 1):  # what follows the motor's way and stroke swings at its rate's multiples
+            here |= np.max(_shares(np.exp(2j * np.pi * _RATES[:, None] / k * t), q_moves), axis=1) > _DRIVES
+        driven &= here
+        total += float(np.sum(np.var(residual[at], axis=0))) * len(residual)
+    best = int(np.argmax(taken))
+    if taken[best] < _SWINGS * total or driven[best]:
+        return None
+    return float(1.0 / _RATES[best])
+
+
+def _shares(turned: npt.NDArray[np.complex128], values: Array) -> Array:
+    """(rates, k) of each column's variance that a sinusoid of each rate takes."""
+    apart = values - values.mean(axis=0)
+    power = np.maximum(np.sum(apart**2, axis=0), 1e-300)
+    return np.asarray(2.0 * np.abs(turned @ apart) ** 2 / (len(values) * power))
+
+
+def _halves(segments: Sequence[Segment]) -> npt.NDArray[np.int64]:
+    """(n,) 0 or 1: every other block of manoeuvres."""
+    count, halves = 0, []
+    for segment in segments:
+        block = gap.blocks(segment) + count
+        halves.append(block % 2)
+        count = int(block.max(initial=count - 1)) + 1
+    return np.concatenate(halves)
+
+
+def _some(index: npt.NDArray[np.int64], most: int) -> npt.NDArray[np.int64]:
+    """At most so many, evenly."""
+    if len(index) <= most:
+        return index
+    return index[np.linspace(0, len(index) - 1, most).astype(np.int64)]

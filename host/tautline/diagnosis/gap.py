@@ -1,0 +1,180 @@
+"""The size of a gap: root mean squares, the noise below them, and how far they can be trusted."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import lfilter
+
+from tautline.diagnosis.segment import Segment
+from tautline.independence import frames_each
+from tautline.recording import Motor
+
+Array = npt.NDArray[np.float64]
+
+_STILL_S = 0.6  # a motor at rest for so long has left its own transients behind
+_UNLIKE = 4.0  # times the median rest's power: no noise any more
+_OUTLIER, _MEDIAN = 8.0, 0.455  # deviations that a frame counts at most; median square of noise of unit variance
+_MEMORIES = np.linspace(0.0, 0.9, 37)  # from one frame to the next
+BLOCK_S = 8.0  # of a manoeuvre: longer than a residual remembers
+_CUT_INTO = (12, 9)  # blocks, tried in turn where the motor's turns make none
+_REMEMBERED, _ALIKE = 199, 0.02  # lags at most, and a correlation from which there is none
+_EACH_WAY = 0.2  # share of the motion that either way must have
+
+
+def rms(residuals: Sequence[Array]) -> float:
+    """Per coordinate."""
+    values = np.concatenate([r.ravel() for r in residuals])
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def noise_floor(segments: Sequence[Segment], residuals: Sequence[Array]) -> float:
+    """Per coordinate: the scatter of what was observed while the motor stood still, about a straight line through each
+    rest, as of noise that remembers from frame to frame (of the first order); where it hardly ever rests, the
+    residual's second differences, which a smooth misfit does not reach. Never below what the sensor's own step
+    scatters: one that rests within a step shows no noise at all."""
+    least = counted(segments)
+    rests: list[Array] = []
+    for segment in segments:
+        for stretch in still_stretches(segment):
+            seen = segment.observed[stretch]
+            if len(seen) < 6:
+                continue
+            t = segment.arrival_s[stretch]
+            line = np.column_stack([np.ones_like(t), t - t[0]])
+            rests.append(seen - line @ np.linalg.lstsq(line, seen, rcond=None)[0])
+    if sum(rest.size - 2 * rest.shape[1] for rest in rests) < 60:
+        return max(jitters(residuals), least)
+    # A rest in which something happened, such as a shift, tells nothing of noise; a frame that is elsewhere is noise.
+    power = [float(np.median(np.square(rest))) for rest in rests]
+    usual = float(np.median(power))
+    most = _OUTLIER * np.sqrt(usual / _MEDIAN)
+    steady = [np.clip(rest, -most, most) for rest, p in zip(rests, power, strict=True) if p <= _UNLIKE * usual]
+    return max(_deviation(steady), least)
+
+
+def _deviation(rests: Sequence[Array]) -> float:
+    """Of first-order noise of which each rest's (n, k) own line was taken. What it remembers looks like a line: so much
+    less is left than of white noise."""
+    count: Counter[int] = Counter()
+    for rest in rests:
+        count[len(rest)] += rest.shape[1]
+    squares = sum(float(np.sum(rest**2)) for rest in rests)
+    follows = sum(float(np.sum(rest[1:] * rest[:-1])) for rest in rests) / max(squares, 1e-300)
+    expected = np.sum([many * _of_first_order(n) for n, many in count.items()], axis=0)  # (2, memories)
+    unsure = 1.0 / np.sqrt(expected[0, 0])  # of `follows`: no more memory is believed in than it shows
+    remembers = np.interp(follows - unsure, np.maximum.accumulate(expected[1] / expected[0]), _MEMORIES)
+    return float(np.sqrt(squares / np.interp(remembers, _MEMORIES, expected[0])))
+
+
+@cache
+def _of_first_order(n: int) -> Array:
+    """Expected sums of squares and of products of neighbours of n values of unit variance less their straight line, at
+    each of _MEMORIES: (2, memories)."""
+    line, _ = np.linalg.qr(np.column_stack([np.ones(n), np.arange(n) - 0.5 * (n - 1)]))
+    sums = []
+    for rho in _MEMORIES:
+        ahead = lfilter([1.0], [1.0, -rho], line, axis=0)
+        behind = lfilter([1.0], [1.0, -rho], line[::-1], axis=0)[::-1]
+        covered = ahead + behind - line  # covariance times line
+        of_line = line.T @ covered
+        neighbours = np.sum(line[:-1] * covered[1:] + covered[:-1] * line[1:] - (line[:-1] @ of_line) * line[1:])
+        sums.append([n - np.trace(of_line), (n - 1) * rho - neighbours])
+    return np.array(sums).T
+
+
+def counted(segments: Sequence[Segment]) -> float:
+    """What the sensors' own steps scatter, of the coarsest."""
+    return float(max(_step(s.observed) for s in segments) / np.sqrt(12.0))
+
+
+def jitters(residuals: Sequence[Array]) -> float:
+    """The scatter from one observation to the next, by second differences: of white noise its deviation."""
+    bends = [np.diff(r, n=2, axis=0).ravel() for r in residuals if len(r) > 2]
+    return float(1.4826 * np.median(np.abs(np.concatenate(bends))) / np.sqrt(6.0)) if bends else 0.0
+
+
+def _step(observed: Array) -> float:
+    """The step in which a sensor counts, 0 where its values hardly repeat."""
+    steps = [np.diff(np.unique(np.round(column, 9))) for column in observed.T]
+    return max((float(np.median(s)) for s in steps if 0 < len(s) < len(observed) // 2), default=0.0)
+
+
+def still_stretches(segment: Segment) -> list[slice]:
+    """Observations while the motor and the other degrees of freedom were at rest, a slice each."""
+    starts, ends = _moves(segment.motor)
+    if len(starts) == 0:
+        return [slice(0, len(segment.arrival_s))]
+    at = np.searchsorted(ends, segment.arrival_s)
+    before = np.where(at > 0, ends[np.maximum(at - 1, 0)], -np.inf)
+    after = np.where(at < len(starts), starts[np.minimum(at, len(starts) - 1)], np.inf)
+    # The frame's delay is well below _STILL_S: a frame counts when the motor rested before and after it.
+    still = (segment.arrival_s - before > _STILL_S) & (after > segment.arrival_s)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]])))
+    return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def _moves(motor: Motor) -> tuple[Array, Array]:
+    """Times from and to which a degree of freedom moved."""
+    moved = np.zeros(len(motor.t_s) - 1, dtype=bool)
+    for values in (motor.q, motor.translation_mm, motor.rotation_deg):
+        if values is not None:
+            moved |= np.diff(values) != 0
+    return motor.t_s[:-1][moved], motor.t_s[1:][moved]
+
+
+def blocks(segment: Segment) -> npt.NDArray[np.int64]:
+    """(scored,) the number of the block of manoeuvres that each scored observation is in: blocks end where the motor
+    turns, after BLOCK_S at the least. Where the motor turns too rarely for every other block to hold both ways (width
+    and offset are one on a single way), they are cut out of the passes, and where that cannot be, there is one."""
+    t = segment.arrival_s[segment.scored]
+    number = np.zeros(len(t), dtype=np.int64)
+    if len(t) < 3:
+        return number
+    q = np.interp(t, segment.motor.t_s, segment.motor.q)
+    way = np.sign(np.gradient(q))
+    turns = t[1:-1][np.diff(np.sign(np.diff(q))) != 0]
+    edges, last = [], t[0]
+    for turn in turns:
+        if turn - last >= BLOCK_S:
+            edges.append(turn)
+            last = turn
+    for cuts in (np.array(edges), *(np.linspace(t[0], t[-1], n + 1)[1:-1] for n in _CUT_INTO)):
+        number[:] = np.searchsorted(cuts, t, side="right")
+        if all(_goes_both_ways(way[number % 2 == half]) for half in (0, 1)):
+            return number
+    return np.zeros_like(number)
+
+
+def _goes_both_ways(way: Array) -> bool:
+    moving = int(np.count_nonzero(way))
+    return bool(min(np.count_nonzero(way > 0), np.count_nonzero(way < 0)) > _EACH_WAY * max(moving, 1))
+
+
+def memory(residuals: Sequence[Array]) -> float:
+    """How many neighbouring residuals tell as much as one independent one, in recordings that are long enough."""
+    long = [r - r.mean(axis=0) for r in residuals if len(r) > _REMEMBERED + 1]
+    if not long:
+        return 1.0
+    recording = np.repeat(np.arange(len(long)), [len(r) for r in long])
+    return frames_each(np.concatenate(long), _REMEMBERED, least=_ALIKE, group=recording)
+
+
+def bootstrap(
+    before: Sequence[Array], after: Sequence[Array], labels: Sequence[npt.NDArray[np.int64]], seed: int = 7
+) -> Array:
+    """(2, 400) rms before and after with blocks drawn with replacement."""
+    sums = []
+    for b, a, label in zip(before, after, labels, strict=True):
+        for number in np.unique(label):
+            here = label == number
+            sums.append((float(np.sum(b[here] ** 2)), float(np.sum(a[here] ** 2)), int(b[here].size)))
+    table = np.array(sums)
+    rng = np.random.default_rng(seed)
+    drawn = table[rng.integers(0, len(table), (400, len(table)))].sum(axis=1)
+    result: Array = np.sqrt(drawn[:, :2] / drawn[:, 2:]).T
+    return result

@@ -1,0 +1,194 @@
+"""The evidence of a diagnosis: hypotheses of one effect, and of more on top of the likeliest, fitted and judged."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.diagnosis import decide, scatter
+from tautline.diagnosis.candidates import Found, Search
+from tautline.diagnosis.fit import DELAY, WIDTH, Fit, Fitter, Scope
+from tautline.diagnosis.hyperparameters import learnt
+from tautline.diagnosis.hypotheses import Evidence, Weighed
+from tautline.diagnosis.scatter import Scatter
+from tautline.effects import EVENTS, Kind
+
+Array = npt.NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+MOST_EFFECTS = 3
+_REFITS, _BOTH_SCOPES = 8, 3  # of single effects
+_FURTHER_REFITS = 3  # of effects on top of others
+_EXTENDED = (2, 1)  # hypotheses of one and of two effects that a further one is put on
+
+
+@dataclass(frozen=True)
+class Gathered:
+    evidence: Evidence
+    found: list[Found]  # of each of the evidence's hypotheses
+
+
+def gather(fitter: Fitter, frozen: Sequence[Array], base: Fit, kinds: Sequence[Kind], progress: Progress) -> Gathered:
+    """`frozen`: what the calibrated model leaves of each recording as it is. `base`: the recalibrated nominal."""
+    steps = [0]
+
+    def told(text: str) -> None:
+        steps[0] += 1
+        progress(min(1.0, steps[0] / (_REFITS + _BOTH_SCOPES + sum(_EXTENDED) * _FURTHER_REFITS)), text)
+
+    search = Search(fitter, base, kinds, told)
+    weighing = _Weighing(search, search.power(frozen), float(np.mean(np.square(frozen[0]))))
+    weighing.add(search.base, events=True)
+    weighing.add_single(search.on_top_of(search.base, _REFITS, _BOTH_SCOPES))
+    for size, most in enumerate(_EXTENDED, start=1):
+        for _ in range(most):
+            below = weighing.next_to_extend(size)
+            if below is None:
+                break
+            weighing.add_further(search.on_top_of(below, _FURTHER_REFITS, 0))
+            if size == 1:
+                weighing.add_changed(below)
+    if not fitter.px:  # nothing else than its fit tells a delay from a width at one speed
+        late = next((found for found in weighing.found if found.ids == (DELAY,)), None)
+        if late is not None and weighing.open():
+            weighing.add_changed(late)
+    return Gathered(weighing.evidence(), [found.reported() for found in weighing.found])
+
+
+class _Weighing:
+    def __init__(self, search: Search, frozen: Array, calibrated: float) -> None:
+        self.search, self._frozen, self._calibrated = search, frozen, calibrated
+        self.found: list[Found] = []
+        self._weighed: list[Weighed] = []
+        self._extended: set[tuple[str, ...]] = set()
+
+    def add(self, found: Found, events: bool = False) -> None:
+        """events: with the effects without a path on top of it."""
+        nothing = np.zeros_like(found.power)
+        self.found.append(found)
+        self._weighed.append(Weighed(found.ids, found.power, nothing, nothing, found.parameters, beyond=found.beyond))
+        if not events:
+            return
+        kinds = [kind for kind in self.search.kinds if kind.event]
+        beyond = {kind.id: self.search.beyond(found.fit, [kind]) for kind in kinds}
+        for scope in (Scope.START, Scope.TESTS):
+            said = self._said(found, bool(scope))
+            for kind in kinds:
+                fit = replace(found.fit, hypothesis=found.fit.hypothesis.plus(kind, scope))
+                self._add_scatter(replace(found, fit=fit, beyond=beyond[kind.id]), kind, said)
+
+    def add_posture(self, found: Sequence[Found]) -> None:
+        """On top of the best of its parts."""
+        part = next((one for one in found if one.fit.hypothesis.kinds[0].posture), self.search.base)
+        posture = self.search.posture(part)
+        if posture is not None:
+            self.add(posture)
+
+    def add_changed(self, below: Found) -> None:
+        """Beside an effect since the calibration another width, and where that leaves more than noise all that another
+        posture changes: where another machine was calibrated, such as a simulator, its nominal is not this one's."""
+        hypothesis = below.fit.hypothesis
+        if hypothesis.scopes[0] == Scope.START or hypothesis.kinds[0].posture:
+            return
+        for only in ((WIDTH,), None):
+            found = self.search.posture(below, only)
+            if found is not None:
+                self.add(found)
+                below = found
+                if not self._open(found):
+                    return
+
+    def add_in_the_mean(self, below: Found) -> None:
+        """Events after the calibration, as they are in the mean, on top of what is weighed already."""
+        said = self._said(below, True)
+        for kind in self.search.kinds:
+            if kind.event and kind.event.mean and said.beats_noise(kind.id):
+                held = self.search.in_the_mean(below, kind, said.amount[kind.id])
+                if held is not None:
+                    self._add_with_scatter(held)
+
+    def _add_with_scatter(self, found: Found) -> None:
+        """A fit that has an event after the calibration among its effects, as it is in the mean."""
+        kind = next(kind for kind in found.fit.hypothesis.kinds if kind.event and kind.event.mean)
+        self._add_scatter(found, kind, self._said(found, True))
+
+    def _said(self, found: Found, only_tests: bool) -> Scatter:
+        return scatter.of_fit(self.search.fitter, found.fit, self.search.labels, only_tests)
+
+    def _add_scatter(self, found: Found, kind: Kind, said: Scatter) -> None:
+        """`found` with what the scatter that it leaves says of one of its effects."""
+        plain, level = said.loss["as it is"], said.loss["level"]
+        rival = min(
+            (said.loss[name] for name in scatter.RIVALS if name != kind.id), key=lambda loss: float(np.mean(loss))
+        )
+        assert kind.event
+        found = replace(found, scatters={kind.event.amount: said.amount[kind.id]})
+        self.found.append(found)
+        self._weighed.append(
+            Weighed(
+                found.ids,
+                found.power,
+                scatter=said.loss[kind.id] - plain,
+                rival=rival - plain,
+                parameters=found.parameters,
+                white=float(np.exp(min(0.0, float(np.mean((said.loss["memory"] - level)[level != 0.0]))))),
+                beyond=found.beyond,
+            )
+        )
+
+    def add_single(self, found: Sequence[Found]) -> None:
+        """Best first. Where none of them leaves little an event may be there, which hides what it is beside."""
+        floor2 = self.search.fitter.floor**2
+        before = float(np.mean(self.search.base.power)) - floor2
+        hidden = bool(found) and float(np.mean(found[0].power)) - floor2 > learnt().center.unexplained * before
+        hidden = hidden and self._open(found[0])
+        for i, one in enumerate(found):
+            self.add(one, events=i == 0 or hidden)
+        if hidden or (found and found[0].fit.hypothesis.kinds[0].posture and self._open(found[0])):
+            self.add_posture(found)
+        if hidden:
+            self.add_in_the_mean(self.search.base)
+            # Another width is what sticking does in the mean: beside it nothing of that would be seen.
+            best = next((one for one in found if not one.fit.hypothesis.kinds[0].posture), None)
+            if best is not None:
+                self.add_in_the_mean(best)
+
+    def add_further(self, found: Sequence[Found]) -> None:
+        """Of more than one effect, best first."""
+        for i, one in enumerate(found):
+            if set(one.ids) & EVENTS:
+                self._add_with_scatter(one)
+            else:
+                self.add(one, events=i == 0 and len(one.ids) < MOST_EFFECTS)
+
+    def open(self) -> bool:
+        """Whether the best single effect leaves more than noise."""
+        singles = [found for found in self.found if len(found.ids) == 1]
+        return bool(singles) and self._open(min(singles, key=lambda found: float(np.mean(found.power))))
+
+    def _open(self, found: Found) -> bool:
+        return decide.is_open(self.evidence(), found.power)
+
+    def next_to_extend(self, size: int) -> Found | None:
+        """The most probable hypothesis of so many effects with a path that has room for a further one, which may well
+        account for what their own stages cannot."""
+        evidence = self.evidence()
+        anyhow = replace(evidence, hypotheses=tuple(replace(h, beyond=None) for h in evidence.hypotheses))
+        verdict = decide.decide(anyhow, learnt().typical)
+        for i in np.argsort(-verdict.posterior):
+            ids = self.found[i].ids
+            if len(ids) != size or ids in self._extended:
+                continue
+            # Sticking may be likeliest without a path: with one a further effect is seen beside it.
+            one = next((found for found in (self.found[i], *self.found) if found.ids == ids and found.has_path), None)
+            if one is not None:
+                self._extended.add(ids)
+                return one if self._open(one) else None
+        return None
+
+    def evidence(self) -> Evidence:
+        floor, weighed = self.search.fitter.floor, tuple(self._weighed)
+        return Evidence(floor, self._frozen, weighed, len(self.search.kinds), self._calibrated)

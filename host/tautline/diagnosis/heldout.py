@@ -1,0 +1,59 @@
+"""What a fit leaves on a block of manoeuvres that it did not see, for every block from one fit.
+
+Near its optimum a fit is a linear least-squares problem: leaving a block out moves the parameters by -(N - N_b)^-1
+g_b, where N_b and g_b are the block's own parts of the normal matrix and of the gradient. A share of the block stays
+in: what it alone shows of the nominal model (the ends of a range, an axis that moves in it only) says nothing about
+an effect, and would else be guessed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.diagnosis.fit import Fit, Fitter
+from tautline.nominal import Normal, Rows
+
+Array = npt.NDArray[np.float64]
+_STAYS = 0.1  # of a block that is left out
+_PER_OBSERVATION = ("p", "tip", "by_width", "by_follow", "by_c", "columns", "residual")
+Labels = Sequence[npt.NDArray[np.int64]]  # of each recording's scored observations: the number of their block
+
+
+def residuals(fitter: Fitter, fit: Fit, labels: Labels, limits: Sequence[float]) -> list[Array]:
+    """(scored, k) of each recording. limits: beyond these an observation is an outlier and pulls no more."""
+    plain = fitter.rows(fit.state, fit.hypothesis)
+    added = fitter.effect_columns(fit.state, fit.hypothesis, plain)
+    rows = [
+        replace(row, columns=np.concatenate([row.columns, columns], axis=2))
+        for row, columns in zip(plain, added, strict=True)
+    ]
+    matrix = fitter.floor**2 * fitter.stiffness(fit.hypothesis)
+    parts: list[list[tuple[npt.NDArray[np.bool_], Rows, Normal]]] = []
+    for row, label, limit in zip(rows, labels, limits, strict=True):
+        parts.append([])
+        for number in np.unique(label):
+            here = label == number
+            block = _taken(row, here)
+            weight = np.minimum(1.0, limit / np.maximum(np.abs(block.residual), 1e-12))
+            normal = fitter.normal(block, weight=weight)
+            matrix += normal.matrix
+            parts[-1].append((here, block, normal))
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    result = []
+    for row, blocks in zip(rows, parts, strict=True):
+        left = row.residual.copy()
+        for here, block, normal in blocks:
+            rest = (matrix - (1.0 - _STAYS) * normal.matrix) * np.outer(scale, scale)
+            step = -scale * np.linalg.lstsq(rest, (1.0 - _STAYS) * scale * normal.gradient, rcond=1e-10)[0]
+            left[here] -= fitter.moved(block, step)
+        result.append(left)
+    return result
+
+
+def _taken(row: Rows, here: npt.NDArray[np.bool_]) -> Rows:
+    chosen = {name: getattr(row, name)[here] for name in _PER_OBSERVATION}
+    return replace(row, **chosen)

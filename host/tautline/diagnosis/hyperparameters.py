@@ -1,0 +1,96 @@
+"""How right and wrong hypotheses behave: learnt on blind cases of several generators (tools/learning), each of which
+has its own way. What a new instrument has is drawn from how they differ."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from functools import cache
+from importlib import resources
+
+import numpy as np
+import numpy.typing as npt
+import tomli_w
+from scipy import stats
+
+Array = npt.NDArray[np.float64]
+
+FILE = "hyperparameters.toml"
+_DRAWS = 8  # of what a new instrument may have
+
+
+@dataclass(frozen=True)
+class Hyperparameters:
+    """All positive; learnt as logarithms. docs/diagnosis.md has a reason for each."""
+
+    misfit_tells: float  # independent observations in a block of misfit
+    noise_tells: float  # and in one of noise, or of scatter that forgets
+    block_freedom: float  # degrees of freedom of a block's own variance: how unlike blocks are
+    unexplained: float  # share of the power that a right effect may well leave
+    unexplained_by_law: float  # that of one with the same equations everywhere, rigid motion and time
+    unexplained_by_wrong: float  # share from which on the best wrong one may well leave any
+    mimics: float  # probability that a wrong one leaves no more than a right one
+    share_spread: float  # of the logarithm of a share beyond these
+    calibration_excess: float  # of the floor's power: what a calibration leaves above it where nothing is wrong
+    odds_none: float  # prior, to one effect
+    odds_unknown: float
+    odds_further: float  # of a further effect to none
+    parameter_price: float  # of the Bayesian information criterion's: held-out blocks have charged for most of it
+    floor_known: float  # of the noise power's logarithm: how well a case's is known
+    floor_steady: float  # and how unlike blocks are
+    disturbed: float  # share of blocks in which something happens that no model has, such as the moment of a shift
+
+    def logarithms(self) -> Array:
+        return np.log(list(asdict(self).values()))
+
+    @classmethod
+    def of_logarithms(cls, values: Array) -> Hyperparameters:
+        """Probabilities stay below 1."""
+        found = {f.name: math.exp(v) for f, v in zip(fields(cls), values, strict=True)}
+        return cls(**{name: min(value, 0.99) if name in _SHARES else value for name, value in found.items()})
+
+
+_SHARES = frozenset(("unexplained", "unexplained_by_law", "unexplained_by_wrong", "mimics", "disturbed"))
+
+
+@dataclass(frozen=True)
+class Learnt:
+    center: Hyperparameters
+    spread: Array  # standard deviation of each one's logarithm between instruments
+    covers: float  # share of the effects' probability that a set must hold so that it has the right one in 95 %
+
+    def draws(self) -> list[Hyperparameters]:
+        """Of a new instrument: the same each time, spread as the distribution is."""
+        center = self.center.logarithms()
+        if not self.spread.any():
+            return [self.center]
+        points = stats.qmc.Sobol(len(center), rng=np.random.default_rng(0)).random(_DRAWS)
+        return [Hyperparameters.of_logarithms(center + self.spread * step) for step in stats.norm.ppf(points)]
+
+    @property
+    def typical(self) -> Learnt:
+        """Of a known instrument: one draw."""
+        return replace(self, spread=np.zeros_like(self.spread))
+
+    def to_toml(self, cases: Mapping[str, int]) -> str:
+        """cases: of each generator, how many it was learnt on."""
+        center = {name: float(f"{value:.4g}") for name, value in asdict(self.center).items()}
+        spread = {name: float(f"{value:.3g}") for name, value in zip(NAMES, self.spread, strict=True)}
+        learnt_on = {"cases": dict(cases), "covers": float(f"{self.covers:.4g}")}
+        return tomli_w.dumps({**learnt_on, "center": center, "spread": spread})
+
+    @classmethod
+    def of_toml(cls, document: Mapping[str, object]) -> Learnt:
+        center, spread = document["center"], document["spread"]
+        assert isinstance(center, dict) and isinstance(spread, dict) and isinstance(document["covers"], float)
+        return cls(Hyperparameters(**center), np.array([spread[name] for name in NAMES]), document["covers"])
+
+
+NAMES = tuple(field.name for field in fields(Hyperparameters))
+
+
+@cache
+def learnt() -> Learnt:
+    return Learnt.of_toml(tomllib.loads(resources.files(__package__).joinpath(FILE).read_text("utf-8")))

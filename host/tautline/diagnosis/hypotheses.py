@@ -1,0 +1,58 @@
+"""What fits leave of each block of manoeuvres under each hypothesis: all that a verdict is worked out from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Beyond:
+    """What no law of a hypothesis' stages could leave (confined.py)."""
+
+    power: Array  # (blocks,) mean squares
+    count: Array  # (blocks,) of how many numbers
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """One hypothesis: effects on top of the recalibrated nominal, in the order they were added; none is the nominal
+    alone."""
+
+    ids: tuple[str, ...]
+    power: Array  # (blocks,) mean squares that a fit leaves of a block it did not see
+    scatter: Array  # (blocks,) logarithm of what an effect without a path takes off as a factor on the power; 0: none
+    rival: Array  # (blocks,) the same of the best scatter of another origin
+    parameters: int
+    white: float = 0.0  # 1: the scatter forgets from frame to frame, 0: it goes on
+    beyond: Beyond | None = None  # None: the effects' stages could leave anything
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any]) -> Weighed:
+        beyond = document["beyond"] and Beyond(**{name: np.array(v) for name, v in document["beyond"].items()})
+        arrays = {name: np.array(document[name]) for name in ("power", "scatter", "rival")}
+        return cls(**{**document, **arrays, "ids": tuple(document["ids"]), "beyond": beyond})
+
+
+@dataclass(frozen=True)
+class Evidence:
+    floor: float  # px or deg
+    frozen: Array  # (blocks,) mean squares that the calibrated model leaves as it is
+    hypotheses: tuple[Weighed, ...]  # the first without any effect
+    applicable: int  # effects of the library that these recordings could show
+    calibrated: float = 0.0  # mean square that the calibrated model leaves of its own calibration
+
+    def to_json(self) -> dict[str, Any]:
+        """All that `decide` is told: plain, once tautline.plain.plain was applied."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any]) -> Evidence:
+        hypotheses = tuple(Weighed.from_json(h) for h in document["hypotheses"])
+        return cls(**{**document, "frozen": np.array(document["frozen"]), "hypotheses": hypotheses})

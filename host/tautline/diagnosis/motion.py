@@ -1,0 +1,84 @@
+"""The motion that would best tell effects apart: of several kinds within the rig's limits, the one whose simulations
+differ most between the candidates."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from tautline.diagnosis.fit import Fit, Fitter
+from tautline.effects import simulate
+from tautline.recording import Motor
+from tautline.simulated import trajectory
+from tautline.simulated.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class NextMotion:
+    why: str
+    motion: Trajectory
+    separation: float  # rms between the two candidates that differ least, px or deg
+
+
+def best(fitter: Fitter, fits: Sequence[Fit]) -> NextMotion | None:
+    """None where fewer than two candidates have a path to differ in."""
+    if len(fits) < 2:
+        return None
+    chosen: NextMotion | None = None
+    for why, motion in _motions(fitter):
+        images = [_simulated(fitter, fit, motion) for fit in fits]
+        least = min(float(np.sqrt(np.nanmean((a - b) ** 2))) for a, b in itertools.combinations(images, 2))
+        if chosen is None or least > chosen.separation:
+            chosen = NextMotion(why, motion, least)
+    return chosen
+
+
+def table(motion: Trajectory, unit: str) -> pd.DataFrame:
+    """next_motion.csv: t_s, q and the other degrees of freedom that move, at 100 Hz."""
+    columns = {"t_s": motion.t_s, f"q_{unit}": motion.q}
+    if motion.translation_mm is not None:
+        columns["translation_mm"] = motion.translation_mm
+    if motion.rotation_deg is not None:
+        columns["rotation_deg"] = motion.rotation_deg
+    return pd.DataFrame(columns).iloc[::10]
+
+
+def _simulated(fitter: Fitter, fit: Fit, motion: Trajectory) -> np.ndarray:
+    motor = Motor(motion.t_s, motion.q, None, motion.translation_mm, motion.rotation_deg)
+    scene = np.arange(0.0, motion.duration_s, 0.04)
+    test = fitter.segments[-1]
+    values = fit.state.at(test, fit.hypothesis)
+    path = simulate(fit.state.model, motor, scene, values, clock_offset_s=float(test.motor.t_s[-1]) + test.offset_s)
+    return path.image_px if fitter.px else path.c_deg[:, None]
+
+
+def _sways(motor: Motor) -> bool:
+    """Whether the set-up moves another axis: what it cannot do nobody should be asked for."""
+    return any(x is not None and float(np.ptp(x)) > 0.0 for x in (motor.translation_mm, motor.rotation_deg))
+
+
+def _motions(fitter: Fitter) -> list[tuple[str, Trajectory]]:
+    actuator = fitter.model.rig.actuator
+    span = actuator.span
+    fastest = max(float(np.abs(np.gradient(s.motor.q, s.motor.t_s)).max()) for s in fitter.segments)
+    speed = min(max(fastest, 0.02 * span), 0.3 * span)
+    stroke = min(0.5 * span, max(0.2 * span, 2.5 * float(fitter.model.width.max())))
+    quick = 10.0 * speed
+
+    def steps(rate: float, dwell: float) -> Trajectory:
+        return trajectory.trapezoids(actuator, rate, stroke, 6, quick, dwell)
+
+    motions = [
+        ("slow strokes with rests", steps(0.25 * speed, 2.0)),
+        ("fast strokes with rests", steps(speed, 2.0)),
+        ("fast strokes with long rests", steps(speed, 8.0)),
+        ("two sines over the whole range", trajectory.sines(actuator, speed, 60.0)),
+    ]
+    if fitter.px and any(_sways(s.motor) for s in fitter.segments):
+        swaying = [(f"{why} while the other axes sway", m.with_sway(2.0, 20.0, 17.0)) for why, m in motions[1:]]
+        motions += swaying
+    return motions

@@ -1,0 +1,91 @@
+"""Which part of the nominal model had to move where a recalibration closes a gap: the parts are freed in turn."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.diagnosis import gap
+from tautline.diagnosis.fit import DELAY, PARTS, REMAINING, STATIC, WIDTH, Fit, Fitter
+
+Array = npt.NDArray[np.float64]
+
+CLOSES = 0.1  # of a gap's power above the floor: what leaves less has closed it
+_COUNTS = 0.05  # a smaller share is not told
+
+
+@dataclass(frozen=True)
+class Moved:
+    id: str  # of PARTS
+    share: float  # of what the recalibration closes
+
+
+def closes(before: float, after: float, floor: float) -> bool:
+    """rms; whether there is a gap and what is left of it is little."""
+    open_before = before**2 - floor**2
+    return open_before > 0.0 and after**2 - floor**2 < CLOSES * open_before
+
+
+def from_the_start(fitter: Fitter, frozen: Sequence[Array], base: Fit) -> list[Moved]:
+    """The parts that moved in all recordings at once, the largest share first: `base` closes the gap that the
+    calibrated model leaves (`frozen`, of each recording). A registration that was wrong while calibrating has bent
+    f_remain: where nothing closes the gap without it, f_remain follows it and is no cause of its own."""
+    coarse, floor = fitter.coarse, fitter.floor
+    before = gap.rms(frozen[1:])
+    excess = max(before**2 - floor**2, 1e-300)
+
+    def left(fit: Fit) -> float:
+        return gap.rms(fit.residuals[1:])
+
+    def closed(free: Collection[str]) -> float:
+        if not free:
+            return 0.0
+        after = left(base) if set(free) == set(PARTS) else left(coarse.nominal(free))
+        return float(np.clip((before**2 - after**2) / excess, 0.0, 1.0))
+
+    others = (WIDTH, REMAINING, DELAY) if fitter.delayed else (WIDTH, REMAINING)
+    if fitter.px and not closes(before, left(coarse.nominal(others)), floor):
+        known = {frozenset[str](): 0.0}
+
+        def following(parts: frozenset[str]) -> float:
+            if parts not in known:
+                known[parts] = closed({*parts, REMAINING} if STATIC in parts else parts)
+            return known[parts]
+
+        return _shares((STATIC, REMAINING), following)
+    known = {}
+
+    def alone(parts: frozenset[str]) -> float:
+        if parts not in known:
+            known[parts] = closed(parts)
+        return known[parts]
+
+    return _shares(others, alone)
+
+
+def of_named(shrinks: Sequence[tuple[str, float]]) -> list[Moved]:
+    """Of effects that are parts of the nominal, each constant from the calibration or in each recording, with what
+    each shrinks."""
+    total = sum(max(share, 0.0) for _, share in shrinks)
+    return [Moved(name, max(share, 0.0) / total) for name, share in shrinks] if total > 0.0 else []
+
+
+def _shares(parts: Sequence[str], worth: Callable[[frozenset[str]], float]) -> list[Moved]:
+    """Shapley's, of those that count."""
+    n = len(parts)
+    found = []
+    for part in parts:
+        rest = [other for other in parts if other != part]
+        share = 0.0
+        for k in range(n):
+            weight = math.factorial(k) * math.factorial(n - k - 1) / math.factorial(n)
+            for subset in itertools.combinations(rest, k):
+                share += weight * (worth(frozenset((*subset, part))) - worth(frozenset(subset)))
+        found.append((part, max(share, 0.0)))
+    most = max(share for _, share in found)
+    return sorted(of_named([(name, s) for name, s in found if s > _COUNTS * most]), key=lambda m: -m.share)

@@ -1,0 +1,253 @@
+"""The diagnosis as a page that reads in a minute: verdict, chain, residuals, candidates, what to do next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from tautline import figures, reports
+from tautline.diagnosis import where, words
+from tautline.diagnosis.diagnose import Diagnosis
+from tautline.diagnosis.where import Condition
+from tautline.effects import BY_ID, STAGES, Parameter
+
+FILE = "report.html"
+
+_CANDIDATES = 5
+_GUESS = 0.2  # share of a gap that an effect must close for its stage to be a guess
+_PARAMETERS = 6  # of an effect
+_AXES = 2  # pictures of where and when it is
+_MANY_POINTS = 2500
+_TITLES = {
+    "q": "motor position",
+    "direction": "direction of the motor",
+    "speed": "motor speed",
+    "phase": "time since the reversal",
+    "time": "time in the session",
+    "translation": "translation",
+    "rotation": "rotation",
+    "u": "image position, across",
+    "v": "image position, down",
+    "load": "load",
+}
+
+
+def write(diagnosis: Diagnosis, folder: Path, known_as: str = "") -> Path:
+    """known_as: what the page's commands call the folder, where it is not there yet."""
+    document = diagnosis.document
+    unit = diagnosis.nominal.rig.actuator.unit
+    named = document["verdict"] == "effect"
+    page = {
+        "title": "Where model and robot part",
+        "source": _source(diagnosis),
+        "sentence": words.sentence(document),
+        "document": document,
+        "named": named,
+        "digits": words.digits,
+        "percent": words.percent,
+        "steps": words.steps(document, known_as or str(folder)),
+        "flexible": words.flexible(document),
+        "chain": _chain(document),
+        "residuals": reports.picture(
+            residuals(diagnosis),
+            "Residual before and after",
+            "Distance between prediction and measurement over the session, on data that the fit did not see. "
+            + ("Grey: the calibrated model. Red: with what was named." if named else "The calibrated model."),
+        ),
+        "candidates": [
+            {
+                "name": name,
+                "says": BY_ID[name].says if name in BY_ID else "",
+                "percent": words.percent(p),
+                "width": f"{100 * p:.1f}",
+                "closes": closes,
+            }
+            for name, p, closes in words.rows(document, _CANDIDATES)
+            if p >= words.SHOWN
+        ],
+        "parameters": [row for effect in document["effects"] for row in _parameters(effect, unit)],
+        "moved": words.moved(document),
+        "conditions": _conditions(diagnosis, unit),
+        "colours": "Blue: mean residual across the image; orange: down."
+        if document["unit"] == "px"
+        else "Blue: mean residual.",
+    }
+    path = folder / FILE
+    reports.write_page("diagnosis.html", page, path)
+    return path
+
+
+def _source(diagnosis: Diagnosis) -> str:
+    names = [segment.name for segment in diagnosis.segments]
+    seconds = sum(float(np.ptp(segment.motor.t_s)) for segment in diagnosis.segments)
+    return f"calibrated on {names[0]}, tested on {words.listed(names[1:])}; {seconds:.0f} s in all"
+
+
+def _chain(document: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The stages in order, each with the largest share of the gap that one of its effects closes."""
+    named = {effect["id"].split(".")[0] for effect in document["effects"]}
+    marked = document["where"]["stage"]
+    stages = []
+    for stage in STAGES:
+        found = [c for c in document["candidates"] if c["id"].startswith(stage + ".")]
+        closes = max((c["shrink"] for c in found), default=0.0)
+        share = sum(e["shrink"] for e in document["effects"] if e["id"].startswith(stage + "."))
+        says = f"{words.percent(share)} of the gap" if stage in named and share > 0.005 else ""
+        if not says and closes > words.told(document):
+            says = f"could close {words.percent(closes)}"
+        certain = document["verdict"] == "effect"
+        mark = "named" if certain and (stage == marked or stage in named) else ""
+        if not certain and stage == marked and closes > _GUESS:
+            mark = "guess"
+        stages.append({"name": stage, "mark": mark, "says": says})
+    return stages
+
+
+def _parameters(effect: Mapping[str, Any], unit: str) -> list[dict[str, Any]]:
+    kind = BY_ID[effect["id"]]
+    if kind.of_joint and "column" in effect["parameters"]:
+        kind = kind.of_joint(effect["parameters"]["column"])
+    splines = {p.name for p in kind.parameters if p.name.rsplit("_", 1)[-1].isdigit()}  # say nothing to a reader
+    known = {p.name: p for p in kind.parameters if p.name in effect["parameters"]}
+    known = dict([item for item in known.items() if item[0] not in splines][:_PARAMETERS])
+    if not known and "column" not in effect["parameters"]:
+        return [_row(effect, "a curve", "", True)]
+    shown = {name: value for name, value in effect["parameters"].items() if name in known or name == "column"}
+    return [
+        _row(
+            effect,
+            name.replace("_", " "),
+            f"{words.digits(value)} {_unit(known[name], unit)}".strip() if name in known else value,
+            name == next(iter(shown)),
+        )
+        for name, value in shown.items()
+    ]
+
+
+def _row(effect: Mapping[str, Any], name: str, value: str, first: bool) -> dict[str, Any]:
+    return {
+        "effect": effect["id"],
+        "name": name,
+        "value": value,
+        "since": words.SINCE[effect["since"]].strip(" ,"),
+        "share": words.percent(effect["shrink"]),
+        "with": ", ".join(effect["ambiguous_with"]),
+        "first": first,
+    }
+
+
+def _unit(parameter: Parameter, unit: str) -> str:
+    return parameter.unit.replace("unit", unit)
+
+
+def _conditions(diagnosis: Diagnosis, unit: str) -> list[dict[str, Any]]:
+    """A picture for every axis, the most telling first."""
+    if diagnosis.document["verdict"] == "effect":
+        reference = float(diagnosis.corrected.extra.get("load_reference_mNm", 0.0))
+        tests = diagnosis.segments[1:]
+        paths = [segment.predict(diagnosis.nominal, {}, reference)[0] for segment in tests]
+        after = {c.axis: c for c in where.conditions(tests, paths, diagnosis.after)}
+    else:
+        after = {}
+    shown = diagnosis.conditions[:_AXES]
+    drawn_too = [after[c.axis] for c in shown if c.axis in after]
+    tops = [max(float(_rms(c).max()), float(c.mean.max())) for c in shown] + [float(_rms(c).max()) for c in drawn_too]
+    top = max([*tops, diagnosis.document["noise_floor"]])
+    pictures = []
+    for condition in shown:
+        title = _TITLES.get(condition.axis, condition.axis)
+        drawn = _condition(diagnosis, condition, after.get(condition.axis), unit, top)
+        caption = f"{words.percent(condition.share)} of the gap's power goes with it; largest {condition.says}."
+        pictures.append({"title": title, "picture": reports.picture(drawn, title, caption)})
+    return pictures
+
+
+def _rms(condition: Condition) -> where.Array:
+    """(bins,) per coordinate, as the noise is."""
+    return np.asarray(np.sqrt(condition.power / condition.mean.shape[1]))
+
+
+@mpl.rc_context(figures.STYLE)
+def _condition(diagnosis: Diagnosis, condition: Condition, after: Condition | None, unit: str, top: float) -> Figure:
+    made, axes = figures.figure(3.5, 2.2)
+    ax: Axes = axes[0, 0]
+    floor = diagnosis.document["noise_floor"]
+    x, rms = condition.centres, _rms(condition)
+    colours = (figures.UP, figures.DOWN)
+    if condition.axis == "direction":
+        shown = {-1: "falls", 0: "rests", 1: "rises"}
+        at = np.sign(np.round(x)).astype(int)
+        ax.bar(at, rms, width=0.6, color=figures.PALE)
+        for values, colour in zip(condition.mean.T, colours, strict=False):
+            ax.plot(at, values, "o", color=colour, markersize=4)
+        if after is not None:
+            ax.plot(np.sign(np.round(after.centres)), _rms(after), "_", color=figures.MODEL, markersize=22)
+        ax.set_xticks(list(shown), list(shown.values()))
+        ax.set_xlim(-1.5, 1.5)
+    else:
+        ax.fill_between(x, 0, rms, color=figures.PALE)
+        for values, colour in zip(condition.mean.T, colours, strict=False):
+            ax.plot(x, values, color=colour, linewidth=1.2)
+        if after is not None:
+            ax.plot(after.centres, _rms(after), color=figures.MODEL, linewidth=1.8)
+        ax.margins(x=0)
+        of = where.AXES[condition.axis][2].replace("unit", unit)
+        ax.set_xlabel(f"{_TITLES.get(condition.axis, condition.axis)} ({of})")
+    ax.axhline(floor, color=figures.INK, linewidth=0.8, linestyle="--")
+    low = min(0.0, float(condition.mean.min()))
+    ax.set_ylim(1.08 * low, 1.08 * top)
+    ax.set_ylabel(f"residual ({diagnosis.document['unit']})")
+    return made
+
+
+@mpl.rc_context(figures.STYLE)
+def residuals(diagnosis: Diagnosis) -> Figure:
+    """Over the session's time, both models."""
+    made, axes = figures.figure(10.5, 2.8)
+    ax = axes[0, 0]
+    named = diagnosis.document["verdict"] == "effect"
+    series = [(diagnosis.before, figures.GREY, "calibrated model")]
+    if named:
+        series.append((diagnosis.after, figures.MODEL, "corrected"))
+    tests = diagnosis.segments[1:]
+    every = max(1, sum(int(segment.scored.sum()) for segment in tests) // _MANY_POINTS)
+    for values, colour, label in series:
+        for i, (segment, residual) in enumerate(zip(tests, values, strict=True)):
+            t = segment.arrival_s[segment.scored] + segment.offset_s
+            size = np.sqrt(np.mean(residual**2, axis=1))
+            ax.plot(
+                t[::every],
+                size[::every],
+                ".",
+                markersize=2.5,
+                color=colour,
+                label=label if i == 0 else None,
+                rasterized=True,
+            )
+    ax.axhline(diagnosis.document["noise_floor"], color=figures.INK, linewidth=0.8, linestyle="--", label="noise")
+    for segment in tests:
+        start = float(segment.motor.t_s[0]) + segment.offset_s
+        ax.axvline(start, color=figures.GREY, linewidth=0.6)
+        ax.annotate(
+            segment.name,
+            (start, 1.0),
+            (3, -3),
+            xycoords=("data", "axes fraction"),
+            textcoords="offset points",
+            va="top",
+            fontsize=8,
+            color=figures.INK,
+        )
+    ax.margins(x=0.01)
+    ax.set_xlabel("time in the session (s)")
+    ax.set_ylabel(f"residual ({diagnosis.document['unit']})")
+    ax.set_ylim(bottom=0)
+    ax.set_xlim(float(tests[0].motor.t_s[0]) + tests[0].offset_s, float(tests[-1].motor.t_s[-1]) + tests[-1].offset_s)
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, markerscale=4)
+    return made

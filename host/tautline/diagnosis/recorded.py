@@ -1,0 +1,23 @@
+"""What a diagnosis begins with: recordings on the motor's clock, and the calibration that the first of them gives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from tautline.calibration.calibrate import Calibration, calibrate
+from tautline.calibration.clock import on_motor_clock
+from tautline.recording import Recording, shifted
+from tautline.rig import Rig
+from tautline.vision.marker import with_marker
+
+Progress = Callable[[float, str], None]
+
+
+def calibrated(
+    recordings: Sequence[Recording], rig: Rig, progress: Progress = lambda fraction, text: None
+) -> tuple[Calibration, list[Recording]]:
+    """On the first of them; all with their marker's track, on the motor's clock. Raises TautError where nothing can be
+    measured."""
+    seen = [with_marker(recording, rig, progress) for recording in recordings]
+    found = calibrate(seen[:1], rig, progress=progress)
+    return found, [*shifted(seen[:1], found.offsets), *on_motor_clock(seen[1:], rig)]

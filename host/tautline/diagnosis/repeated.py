@@ -1,0 +1,84 @@
+"""Samples that a sensor's link repeats: known for certain where a continuous sensor shows the same value twice, so no
+fit has to find them. They are no observations; what they add to the gap is `acquisition.held_samples`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.diagnosis.fit import Scope
+from tautline.diagnosis.segment import Segment
+from tautline.effects import BY_ID
+from tautline.model import Model
+
+Array = npt.NDArray[np.float64]
+
+HELD = "acquisition.held_samples"
+_SEEN = 0.1  # of the floor's power, by which repeats raise the gap's
+_SURE = 0.98
+
+
+def told(document: dict[str, Any], model: Model, segments: Sequence[Segment], load_reference: float) -> None:
+    """Writes into a diagnosis.json what repeated samples add to the gap of `model`, and names them where they are much
+    of it. segments: the calibration first."""
+    squares, fresh, frames = 0.0, 0.0, 0
+    for segment in segments[1:]:
+        left = np.mean(np.square(segment.observed - segment.predict(model, {}, load_reference)[1]), axis=1)
+        squares += float(np.sum(left[segment.scored | segment.held]))
+        fresh += float(np.sum(left[segment.scored]))
+        frames += int(np.sum(segment.scored | segment.held))
+    repeats = [int(s.held.sum()) / max(int((s.scored | s.held).sum()), 1) for s in segments]
+    power, without = squares / frames, fresh / max(sum(int(s.scored.sum()) for s in segments[1:]), 1)
+    floor2 = document["noise_floor"] ** 2
+    if power - without < _SEEN * floor2:
+        return
+    share = (power - without) / max(power - floor2, 1e-300)  # of the gap
+    alone = document["verdict"] == "none"
+    probability = _SURE if alone else min(share, _SURE)
+    named = alone or share > 0.5 or document["verdict"] == "effect"
+    _widen(document["gap"], float(np.sqrt(power)), floor2, named)
+    for candidate in document["candidates"]:
+        candidate["probability"] *= 1.0 - probability
+    document["probability_none"] *= 1.0 - probability
+    document["probability_unknown"] *= 1.0 - probability
+    closed = 1.0 - float(np.sqrt(without / power))
+    entry = {"id": HELD, "probability": probability, "shrink": closed, "identifiable": True}
+    others = [candidate for candidate in document["candidates"] if candidate["id"] != HELD]
+    document["candidates"] = sorted([entry, *others], key=lambda c: -c["probability"])
+    leads = probability > 0.5
+    if not leads and document["verdict"] != "effect":
+        return  # most of it has another, unknown cause
+    if document["verdict"] == "unknown":
+        document["effects"] = []
+    for effect in document["effects"]:
+        effect["shrink"] *= 1.0 - closed
+    found = {
+        "id": HELD,
+        "probability": _SURE,
+        "since": (Scope.START if repeats[0] > 0.5 * max(repeats[1:]) else Scope.TESTS).since,
+        "parameters": {"held_share": sum(repeats[1:]) / len(repeats[1:])},
+        "shrink": closed,
+        "swallowed_by_recalibration": False,
+        "loads_on_board": BY_ID[HELD].on_board,
+        "ambiguous_with": [],
+    }
+    rest = [effect for effect in document["effects"] if effect["id"] != HELD]
+    document["effects"] = [found, *rest] if leads else [*rest, found]
+    document["verdict"] = "effect"
+    if leads:
+        document["where"]["stage"] = BY_ID[HELD].stage
+
+
+def _widen(told: dict[str, Any], before: float, floor2: float, named: bool) -> None:
+    """A gap's figures with the repeats in `before`; after: a repeat is as far off as the sample that it repeats. Both
+    ends of an interval at their worst."""
+    wider = before / told["before"]
+    told["before"], told["before_ci"] = before, [wider * end for end in told["before_ci"]]
+    if named:
+        (least, most), (low, high) = told["before_ci"], told["after_ci"]
+        told["shrink"], told["shrink_ci"] = 1.0 - told["after"] / before, [1.0 - high / least, 1.0 - low / most]
+        left = (told["after"] ** 2 - floor2) / max(before**2 - floor2, 1e-12)
+        told["closable_shrink"] = float(np.clip(1.0 - left, 0.0, 1.0))

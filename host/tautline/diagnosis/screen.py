@@ -1,0 +1,248 @@
+"""Every effect's linear score on top of a fit: how much of the residual it would take that the nominal model cannot.
+
+Everything is done in normal equations: with N of the nominal and X, G of the effect's columns, what the nominal cannot
+absorb of them is G - X'N^-1 X. Shapes are scanned: an encoder's period by the error's derivative along the play, the
+time of a shift by sums over time, the others by simulating a small amplitude.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import cho_factor, cho_solve
+
+from tautline.diagnosis.fit import STATIC_COLUMNS, Fit, Fitter, Scope, Seen, inside, key
+from tautline.effects import Kind, Parameter
+from tautline.nominal import Normal
+
+Array = npt.NDArray[np.float64]
+
+_SHIFT_STEP_S = 0.5  # within which a shift's time is found first; then to a frame
+_PERIODS_PER_RANGE = 0.4  # step of 1 / encoder_period times the motor's range: phases stay together over it
+_FREE = 1e-3  # share of a column's norm that the nominal must leave of it
+_BEFORE_S = 1e-3
+_WITHIN_S = 2.0  # a shift happens within a recording: between two it is another static registration
+_OTHERS = 1  # further starts of an effect's shapes
+_RANK = 1e-6  # of the free columns' normal matrix, scaled to ones
+
+
+@dataclass(frozen=True)
+class Screened:
+    gain: float  # share of the sum of squares that the effect would take
+    kind: Kind
+    scope: Scope
+    values: dict[str, float]  # to start from
+    others: tuple[dict[str, float], ...] = ()  # the next best ones with other shapes
+
+
+def screen(fitter: Fitter, base: Fit, kinds: Iterable[Kind], limits: Sequence[float]) -> list[Screened]:
+    """Every kind, in all recordings and in the tests only, best first. limits: of each recording, what residuals are
+    cut to. Effects that the nominal absorbs are left out."""
+    scan = _Scan(fitter.coarse, base, limits)
+    found: list[Screened] = []
+    for kind in kinds:
+        if base.hypothesis.find(kind.id) is None:
+            starts = sorted(scan.kind(kind), key=lambda entry: -entry.gain)
+            if kind.scan == "moment" and starts:
+                starts = _Scan(fitter, base, limits).shift(kind, starts[0].values["shift_time"])
+            for scope in (Scope.TESTS, Scope.EACH, Scope.START):
+                best = [entry for entry in starts if entry.scope == scope][: 1 + _OTHERS]
+                if best:
+                    found.append(replace(best[0], others=tuple(entry.values for entry in best[1:])))
+    return sorted(found, key=lambda entry: -entry.gain)
+
+
+class _Scan:
+    def __init__(self, fitter: Fitter, base: Fit, limits: Sequence[float]) -> None:
+        self.fitter, self.base = fitter, base
+        plain = fitter.rows(base.state, base.hypothesis)
+        known = fitter.effect_columns(base.state, base.hypothesis, plain)
+        self.here = [row.residual for row in plain]
+        self.rows = [
+            replace(
+                row,
+                residual=np.clip(row.residual, -limit, limit),
+                columns=np.concatenate([row.columns, columns], axis=2),
+            )
+            for row, columns, limit in zip(plain, known, limits, strict=True)
+        ]
+        self.known = [fitter.normal(row) for row in self.rows]
+        matrix = fitter.floor**2 * fitter.stiffness(base.hypothesis) + sum(n.matrix for n in self.known)
+        self.factor = cho_factor(matrix)
+        self.gradient = np.asarray(sum(n.gradient for n in self.known))
+        self.absorbed = cho_solve(self.factor, self.gradient)
+        self.squares = sum(float(np.sum(row.residual**2)) for row in self.rows) - float(self.gradient @ self.absorbed)
+
+    def kind(self, kind: Kind) -> list[Screened]:
+        if kind.scan == "moment":
+            return self.shift(kind)
+        if kind.scan == "period":
+            return self._encoder(kind)
+        signs = (1.0, -1.0) if any(p.one_way for p in kind.amplitudes) else (1.0,)
+        return [
+            entry
+            for shapes, sign in itertools.product(_starts(self.fitter, self.base, kind), signs)
+            for entry in self._score(kind, shapes, self._columns(kind, shapes, sign), sign)
+        ]
+
+    def _columns(self, kind: Kind, shapes: Mapping[str, float], sign: float) -> list[Array]:
+        """d prediction / d amplitude of each recording, (n, k, m), the effect in every recording."""
+        fitter, base = self.fitter, self.base
+        hypothesis = base.hypothesis.plus(kind, Scope.START)
+        found = [np.empty((*here.shape, len(kind.amplitudes))) for here in self.here]
+        for i, parameter in enumerate(kind.amplitudes):
+            step = sign * parameter.probe * fitter.scale(parameter)
+            values = {**base.state.values, **shapes, **{p.name: 0.0 for p in kind.amplitudes}, parameter.name: step}
+            state = replace(base.state, values=values)
+            for segment, row, here, columns in zip(fitter.segments, self.rows, self.here, found, strict=True):
+                columns[:, :, i] = fitter.moved_by(segment, state, hypothesis, parameter, row, here) / step
+        return found
+
+    def _score(self, kind: Kind, shapes: Mapping[str, float], columns: Sequence[Array], sign: float) -> list[Screened]:
+        parts = [
+            self.fitter.normal(row, extra, known=known)
+            for row, extra, known in zip(self.rows, columns, self.known, strict=True)
+        ]
+        scored = []
+        tests, count = len(parts) - 1, len(kind.amplitudes)
+        for scope in Scope:
+            if (scope == Scope.START and kind.nominal) or (scope == Scope.EACH and not (kind.each and tests > 1)):
+                continue
+            summed = parts if scope == Scope.START else parts[1:]
+            if scope == Scope.EACH:
+                summed = [self._apart(part, i, tests, count) for i, part in enumerate(parts[1:])]
+            amplitude, gain = self.gain(summed)
+            if amplitude is None:
+                continue
+            start = dict(shapes)
+            for i, a in enumerate(amplitude):
+                parameter = kind.amplitudes[i % count]
+                reach = 10.0 * self.fitter.scale(parameter)
+                value = inside(parameter, float(np.clip(a, -reach, reach)))
+                if value == 0.0 or (parameter.one_way and value * sign < 0.0):
+                    gain, value = 0.0, 0.2 * sign * self.fitter.scale(parameter)  # the other way than it can be
+                start[key(parameter.name, 1 + i // count) if scope == Scope.EACH else parameter.name] = value
+            scored.append(Screened(gain, kind, scope, start))
+        return scored
+
+    def _apart(self, part: Normal, which: int, of: int, count: int) -> Normal:
+        """A recording's equations where each has amplitudes of its own."""
+        cut = len(self.gradient)
+        size = cut + of * count
+        at = np.concatenate([np.arange(cut), cut + which * count + np.arange(count)])
+        found = Normal(np.zeros((size, size)), np.zeros(size))
+        found.matrix[np.ix_(at, at)] = part.matrix
+        found.gradient[at] = part.gradient
+        return found
+
+    def gain(self, parts: Sequence[Normal]) -> tuple[Array | None, float]:
+        """Amplitudes and the share of the squares that they take, from the normal equations of the recordings that the
+        effect is in; None where the nominal absorbs it."""
+        cut = len(self.gradient)
+        cross = np.asarray(sum(part.matrix[cut:, :cut] for part in parts))
+        own = np.asarray(sum(part.matrix[cut:, cut:] for part in parts))
+        force = np.asarray(sum(part.gradient[cut:] for part in parts)) - cross @ self.absorbed
+        free = own - cross @ cho_solve(self.factor, cross.T)
+        size = np.diag(own)
+        if not (np.diag(free) > _FREE**2 * np.maximum(size, 1e-300)).any():
+            return None, 0.0
+        scale = 1.0 / np.sqrt(np.maximum(size, 1e-12 * size.max()))
+        value, vector = np.linalg.eigh(free * np.outer(scale, scale))
+        inverse = np.where(value > _RANK, 1.0 / np.maximum(value, _RANK), 0.0)
+        amplitude = scale * (vector @ (inverse * (vector.T @ (scale * force))))
+        return amplitude, float(amplitude @ force) / self.squares
+
+    # ---- shapes that are scanned densely
+
+    def _encoder(self, kind: Kind) -> list[Screened]:
+        """An error d of the motor's position moves the tip by d(q) / (1 + side B'/2), q being where it was last
+        carried."""
+        fitter, model = self.fitter, self.base.state.model
+        slope_f, slope_b = (np.gradient(values, model.q) for values in (model.c_deg, model.width))
+        low, high = (shape * fitter.model.rig.actuator.span for shape in kind.shapes[0].shape)
+        reach = max(float(np.ptp(s.motor.q)) for s in fitter.segments)
+        carried, by_q = [], []
+        for row, segment in zip(self.rows, fitter.segments, strict=True):
+            side = row.path.side[segment.scored].astype(float)
+            carried.append(row.p + 0.5 * side * np.interp(row.p, model.q, model.width))
+            steep = np.maximum(1.0 + 0.5 * side * np.interp(row.p, model.q, slope_b), 0.1)
+            by_q.append((row.by_follow * np.interp(row.tip, model.q, slope_f) / steep)[:, None] * row.by_c)
+        rates = np.arange(reach / high, reach / low, _PERIODS_PER_RANGE) / reach
+        found = []
+        for rate in rates:
+            columns = []
+            for q, slope in zip(carried, by_q, strict=True):
+                angle = 2 * np.pi * rate * q
+                waves = [np.sin(angle), np.cos(angle), np.sin(2 * angle), np.cos(2 * angle)]
+                columns.append(slope[:, :, None] * np.stack(waves, axis=1)[:, None, :])
+            found += self._score(kind, {"encoder_period": 1.0 / rate}, columns, 1.0)
+        return found
+
+    def shift(self, kind: Kind, near: float | None = None) -> list[Screened]:
+        """The static registration's columns from a time on: found roughly, or to a frame `near` a rough one."""
+        times = [(s.arrival_s + s.offset_s)[s.scored] for s in self.fitter.segments]
+        if near is None:
+            ends = [t[[0, -1]] for t in times if len(t)]
+            candidates = np.arange(min(t[0] for t in ends), max(t[1] for t in ends), _SHIFT_STEP_S)
+        else:
+            near += self._delay()
+            candidates = np.sort(np.concatenate([t[np.abs(t - near) <= 1.5 * _SHIFT_STEP_S] for t in times]))
+        within = [(t[0] + _WITHIN_S, t[-1] - _WITHIN_S) for t in times if len(t)]
+        candidates = np.array([c for c in candidates if any(a <= c <= b for a, b in within)])
+        best = self._best_shift(times, candidates) if len(candidates) else None
+        if best is None:
+            return []
+        gain, time, amplitude = best
+        values = {p.name: float(a) for p, a in zip(kind.amplitudes, amplitude, strict=True)}
+        # The scene is older than its arrival; a little before the first frame that shows the shift.
+        return [Screened(gain, kind, Scope.START, {**values, "shift_time": time - self._delay() - _BEFORE_S})]
+
+    def _delay(self) -> float:
+        return self.base.state.model.delay_s + self.base.state.values.get("delay", 0.0)
+
+    def _best_shift(self, times: Sequence[Array], edges: Array) -> tuple[float, float, Array] | None:
+        """Of these times the best one: its gain, itself, and the amplitudes."""
+        cut = len(self.gradient)
+        nothing = Normal(np.zeros((cut, cut)), np.zeros(cut))
+        total = Normal(np.zeros((cut + 6, cut + 6)), np.zeros(cut + 6))
+        best: tuple[float, float, Array] | None = None
+        for begin, end in reversed(list(zip(edges, [*edges[1:], np.inf], strict=True))):
+            for t, row in zip(times, self.rows, strict=True):
+                a, b = np.searchsorted(t, [begin, end])
+                if a < b:
+                    piece = _cut(row, slice(int(a), int(b)))
+                    part = self.fitter.normal(piece, piece.columns[:, :, STATIC_COLUMNS], known=nothing)
+                    total.matrix[...] += part.matrix
+                    total.gradient[...] += part.gradient
+            if total.matrix[-1, -1] == 0.0:
+                continue
+            amplitude, gain = self.gain([total])
+            if amplitude is not None and (best is None or gain > best[0]):
+                best = gain, float(begin), amplitude
+        return best
+
+
+def _cut(row: Seen, part: slice) -> Seen:
+    return replace(
+        row,
+        **{
+            name: getattr(row, name)[part]
+            for name in ("p", "tip", "by_width", "by_follow", "by_c", "columns", "residual")
+        },
+    )
+
+
+def _starts(fitter: Fitter, base: Fit, kind: Kind) -> list[dict[str, float]]:
+    def values(parameter: Parameter) -> list[float]:
+        if parameter.reached:
+            c = np.concatenate([s.follow(base.state.model, {}, 0.0).c_deg for s in fitter.segments])
+            return [float(v) for v in np.quantile(c, [0.1, 0.25, 0.5, 0.75, 0.9])]
+        unit = fitter.model.rig.actuator.span if parameter.unit == "unit" else 1.0
+        return [v * unit for v in parameter.shape]
+
+    choices = [[(parameter.name, value) for value in values(parameter)] for parameter in kind.shapes]
+    return [dict(choice) for choice in itertools.product(*choices)]

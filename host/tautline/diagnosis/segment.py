@@ -1,0 +1,152 @@
+"""Recordings made ready for fitting: what was observed, when, under which motion, and what may be scored."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline import effects
+from tautline.effects import Path
+from tautline.encoder import between_counts, straight_lines
+from tautline.errors import TautError
+from tautline.model import Model
+from tautline.recording import Motor, Recording
+from tautline.rig import ANGLE, MARKER, Sensor
+
+Array = npt.NDArray[np.float64]
+
+_CONTINUOUS = 0.9  # share of a sensor's fresh values that no other is equal to
+
+
+@dataclass(frozen=True)
+class Segment:
+    """One recording. Observations (n, k): k = 2 px from the marker or k = 1 deg from the angle."""
+
+    name: str
+    motor: Motor  # between the encoder's counts; knots of straight lines
+    arrival_s: Array  # (n,)
+    observed: Array  # (n, k)
+    scored: npt.NDArray[np.bool_]  # (n,) after a full backlash in both directions
+    offset_s: float  # added to the recording's times to get the session's
+    calibration: bool
+    number: int = 1  # of the recording, the calibration is 0
+    repeats: npt.NDArray[np.bool_] | None = None  # (n,) that would be scored were they no repetition of the one before
+
+    @property
+    def held(self) -> npt.NDArray[np.bool_]:
+        return np.zeros_like(self.scored) if self.repeats is None else self.repeats
+
+    @property
+    def unit(self) -> str:
+        return "px" if self.observed.shape[1] == 2 else "deg"
+
+    @property
+    def sensor(self) -> Sensor:
+        return MARKER if self.unit == "px" else ANGLE
+
+    def follow(self, model: Model, parameters: Mapping[str, Any], load_reference: float) -> Path:
+        """Where the tip is at the observations."""
+        scene = self.arrival_s - model.delay_of(self.sensor)
+        return effects.follow(
+            model, self.motor, scene, parameters, load_reference=load_reference, clock_offset_s=self.offset_s
+        )
+
+    def seen(self, model: Model, parameters: Mapping[str, Any], path: Path) -> Array:
+        """(n, k) what is observed of a tip that moves so."""
+        return effects.image(model, path, parameters, self.offset_s) if self.unit == "px" else path.c_deg[:, None]
+
+    def predict(self, model: Model, parameters: Mapping[str, Any], load_reference: float) -> tuple[Path, Array]:
+        """The path at the observations and the prediction (n, k)."""
+        path = self.follow(model, parameters, load_reference)
+        return path, self.seen(model, parameters, path)
+
+    def every(self, stride: int) -> Segment:
+        """The same recording with fewer observations."""
+        kept = slice(None, None, stride)
+        few = {name: getattr(self, name)[kept] for name in ("arrival_s", "observed", "scored")}
+        return replace(self, **few, repeats=self.held[kept])
+
+    def part(self, keep: npt.NDArray[np.bool_]) -> Segment:
+        """The same recording scored only where `keep` (n,) says."""
+        return replace(self, scored=self.scored & keep)
+
+
+def load_reference(calibration: Recording) -> float:
+    """mNm at which a model calibrated on it holds."""
+    load = calibration.motor.load_mNm
+    return 0.0 if load is None else float(np.median(load))
+
+
+def prepare(model: Model, calibration: Recording, tests: Sequence[Recording]) -> list[Segment]:
+    """The calibration first. px where every recording has a marker, else deg where every one has an angle."""
+    recordings = [calibration, *tests]
+    by_marker = model.rig.has_camera and all(recording.marker is not None for recording in recordings)
+    if not by_marker and not all(recording.angle is not None for recording in recordings):
+        raise TautError("diagnose needs marker.csv (or a video) in every recording, or angle.csv in every one")
+    segments = []
+    offset = end = 0.0
+    for i, recording in enumerate(recordings):
+        motor = straight_lines(recording.motor, model.rig.actuator.encoder_resolution)
+        # Recordings share one clock where their times do not overlap; else each follows the one before.
+        offset = 0.0 if i == 0 or motor.t_s[0] >= end else end - float(motor.t_s[0])
+        end = float(motor.t_s[-1]) + offset
+        if by_marker:
+            marker = recording.marker
+            assert marker is not None
+            good = np.asarray(marker.valid, dtype=bool) & np.isfinite(marker.u_px) & np.isfinite(marker.v_px)
+            times, observed = marker.t_s[good], np.column_stack([marker.u_px, marker.v_px])[good]
+        else:
+            angle = recording.angle
+            assert angle is not None
+            times, observed = angle.t_s[angle.seen], angle.c_deg[angle.seen, None]
+            stride = max(1, len(times) // 6000)
+            times, observed = times[::stride], observed[::stride]
+        scene = times - model.delay_of(MARKER if by_marker else ANGLE)
+        from_s = settled_from(model, recording.motor)
+        within = (scene >= from_s) & (scene <= motor.t_s[-1])
+        repeats = within & repeated(observed)
+        scored = within & ~repeats
+        if not scored.any():
+            raise TautError(
+                f"{recording.name}: the tip is never driven through a full backlash both ways while it is seen: "
+                "record a motion with strokes longer than the backlash"
+            )
+        segments.append(
+            Segment(
+                recording.name,
+                motor,
+                times,
+                observed,
+                scored,
+                offset,
+                i == 0,
+                i,
+                repeats,
+            )
+        )
+    return segments
+
+
+def repeated(observed: Array) -> npt.NDArray[np.bool_]:
+    """(n,) observations (n, k) of a continuous sensor that are those before to the last digit: it shows no place twice.
+    One that counts in steps may rest on one: of that none."""
+    again = np.concatenate([[False], (observed[1:] == observed[:-1]).all(axis=1)])
+    fresh = observed[~again]
+    continuous = all(len(np.unique(column)) > _CONTINUOUS * len(fresh) for column in fresh.T)
+    return again if continuous else np.zeros_like(again)
+
+
+def settled_from(model: Model, motor: Motor) -> float:
+    """The scene time from which the start inside the backlash no longer matters: both envelopes were reached."""
+    widest = 1.1 * float(model.width.max()) + 2 * model.rig.actuator.encoder_resolution
+    motor = between_counts(motor, model.rig.actuator.encoder_resolution)  # at every sample
+    low, high = np.minimum.accumulate(motor.q), np.maximum.accumulate(motor.q)
+    up = np.flatnonzero(motor.q - low > widest)
+    down = np.flatnonzero(high - motor.q > widest)
+    if len(up) == 0 or len(down) == 0:
+        return float("inf")
+    return float(motor.t_s[max(up[0], down[0])])

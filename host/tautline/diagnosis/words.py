@@ -1,0 +1,281 @@
+"""The diagnosis in words: one sentence, what to do next, and the table that a terminal shows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from tautline.diagnosis.confounded import DRIFT, LOAD
+from tautline.effects import BY_ID, EVENTS
+
+_SMALL = 3.0  # times the noise: a gap below is called small
+SHOWN = 0.005  # probability from which on a candidate is shown
+_NO_PATH = "It has no path that repeats, so no model can predict it away."
+_TOLD = 2  # effects that are told in words
+_NEAR = 0.1  # of a gap that an effect or a refit closes: it is told beside "unknown"
+SINCE = {
+    "start": " from the start",
+    "calibration": " since the calibration",
+    "recording": ", another in each recording",
+}
+_SHRINKS = 0.02  # of a gap that jumps or unsteady times leave: part of it has a path
+
+
+def digits(value: float) -> str:
+    """Three significant digits, no exponent."""
+    return f"{value:.3g}" if abs(value) >= 1e-3 or value == 0 else f"{value:.6f}"
+
+
+def listed(names: Sequence[str], last: str = "and") -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {last} {names[-1]}"
+
+
+def sentence(document: Mapping[str, Any]) -> str:
+    """Verdict, effect and shrinkage."""
+    gap, unit, floor = document["gap"], document["unit"], document["noise_floor"]
+    before = f"{digits(gap['before'])} {unit} rms"
+    times = f"{gap['before'] / floor:.2g} times the noise"
+    if document["verdict"] == "none":
+        return (
+            f"No gap beyond noise: the calibrated model predicts motions that it never saw to {before}, "
+            f"and the noise alone is {digits(floor)}."
+        )
+    if document["verdict"] == "unknown":
+        small = _is_small(document)
+        what = "Nothing large is left: a small gap" if small else "A gap"
+        seen = "" if small else _seen(document)
+        near = max(document["candidates"], key=lambda c: c["shrink"], default=None)
+        again = 1.0 - document["gap_recalibrated"]["before"] / max(gap["before"], 1e-300)
+        if near and near["shrink"] > max(_NEAR, again):
+            return (
+                f"{what} of {before}, {times}: of the known effects {near['id']} comes nearest and would close "
+                f"{percent(near['shrink'])}, but leaves what it could not{seen}."
+            )
+        if again > _NEAR:
+            return (
+                f"{what} of {before}, {times}: refitting B, f_remain and registration would close {percent(again)} of "
+                f"it, but leaves what they could not{seen}."
+            )
+        return f"{what} of {before}, {times}, that no known effect explains{seen}."
+    effects = document["effects"]
+    told = [f"{BY_ID[e['id']].says}{_since(e)} ({e['id']}, {percent(e['probability'])} sure)" for e in effects]
+    if len(effects) > _TOLD:
+        rest = [f"{e['id']} ({percent(e['probability'])})" for e in effects[1:]]
+        told = [told[0], f"beside it {listed(rest)}"]
+    named = listed(told)
+    if effects[0]["id"] in EVENTS and gap["shrink"] > _SHRINKS:
+        text = (
+            f"{_capital(named)}: what of it repeats shrinks the gap by {percent(gap['shrink'])} in the model, from "
+            f"{before} to {digits(gap['after'])}; the rest has no path, so no model can predict it away."
+        )
+    elif effects[0]["id"] in EVENTS:
+        text = f"{_capital(named)}: a gap of {before}, {times}. {_NO_PATH}"
+    else:
+        shrinks = "removes" if gap["shrink"] > 0.995 else f"shrinks by {percent(gap['shrink'])}"
+        text = (
+            f"{_capital(named)}: with {'it' if len(effects) == 1 else 'them'} in the model the gap {shrinks}, "
+            f"from {before} to {digits(gap['after'])}."
+        )
+    others = [name for name in effects[0]["ambiguous_with"] if name not in {e["id"] for e in effects}]
+    if others:
+        which = "it" if len(effects) == 1 else "the former"
+        text += f" These motions cannot tell {which} from {listed(others, 'or')}."
+    if document["signature"]:
+        text += f" The gap is {document['signature']}."
+    return text
+
+
+def _since(effect: Mapping[str, Any]) -> str:
+    """Of a part of the nominal model; other effects are there or not."""
+    return SINCE[effect["since"]] if BY_ID[effect["id"]].nominal else ""
+
+
+def moved(document: Mapping[str, Any]) -> str:
+    """Which parts of the nominal model had to move; "" where the sentence says it all."""
+    parts = document["moved"]
+    if len(parts) < 2:
+        return ""
+    told = [p["id"] + SINCE[p["since"]] + f" ({percent(p['share'])})" for p in parts]
+    return f"What had to move: {listed(told)}."
+
+
+def percent(share: float) -> str:
+    return f"{100 * share:.0f} %"
+
+
+def flexible(document: Mapping[str, Any]) -> str:
+    """What a model without any physics would close; "" where it was not asked."""
+    found = document.get("flexible")
+    if not found:
+        return ""
+    swing = _swing(document)
+    if swing:
+        asked_of = "What is left" if document["verdict"] == "effect" else "The gap"
+        text = (
+            f"{asked_of} swings with a period of {swing:.2g} s ({60 / swing:.0f} a minute), whatever the motor does. "
+        )
+    else:
+        text = ""
+    what = "what is left" if document["verdict"] == "effect" else "the gap"
+    share = found["closable_shrink"]
+    asked = "a flexible model of motor position, travel since the reversal, speed, time and the other axes"
+    if share < 0.15:
+        return text + (
+            f"{_capital(asked)} would follow hardly any of {what}: it goes with nothing that was recorded, "
+            "or does not repeat."
+        )
+    return text + (
+        f"{_capital(asked)} would follow {percent(share)} of {what} above the noise "
+        f"({digits(found['before'])} to {digits(found['after'])} {document['unit']} rms): so much of it repeats."
+    )
+
+
+@dataclass(frozen=True)
+class Step:
+    says: str
+    command: str = ""
+
+
+def steps(document: Mapping[str, Any], folder: str) -> list[Step]:
+    """What to do next, most useful first; `folder` is the diagnosis' own."""
+    verdict, following = document["verdict"], document["next_motion"]
+    effects = document["effects"]
+    event = bool(effects) and effects[0]["id"] in EVENTS
+    if verdict == "none" or _is_small(document):
+        return [Step("Use the model as it is: these motions show nothing large that it lacks.")]
+    told = []
+    swing = _swing(document)
+    if swing and not effects:
+        told.append(Step(f"Look for what moves every {swing:.2g} s: breathing, a heartbeat, a loose mount, a fan."))
+    elif verdict == "unknown":
+        where = listed([f"{c['says']} ({c['axis']})" for c in document["where"]["conditions"][:3]])
+        told.append(Step(f"Look at the instrument where the gap is largest: {where}."))
+    ambiguous = {name for e in effects for name in (e["id"], *e["ambiguous_with"])}
+    if {LOAD, DRIFT} <= ambiguous:
+        told.append(
+            Step(
+                "Record the first load once more, or a third one, and diagnose with it too: no drift comes back, "
+                "and one slope serves all loads."
+            )
+        )
+    elif following and (verdict == "unknown" or any(e["ambiguous_with"] for e in effects)):
+        told.append(
+            Step(
+                f"Record the motion that tells the leading candidates apart ({following['why']}), and diagnose with it "
+                "too.",
+                f"taut record --motion {folder}/{following['file']} --rig {folder}/nominal/rig.toml --out more",
+            )
+        )
+    if event:
+        kind = BY_ID[effects[0]["id"]].event
+        assert kind
+        told.append(Step(f"Mend the cause, {kind.cause}: no table and no model takes its {kind.what} away."))
+    if effects and (not event or document["gap"]["shrink"] > _SHRINKS):
+        told.append(
+            Step("Predict with the corrected model.", f"taut predict {folder}/corrected RECORDING --csv OUT.csv")
+        )
+    if any(p["since"] == "start" and p["id"] == "registration.static" for p in document["moved"]):
+        told.append(
+            Step(
+                "Put the corrected hand-eye transform into the rig, and calibrate with it again: f_remain was bent "
+                f"by the wrong one ([hand_eye] of {folder}/corrected/rig.toml)."
+            )
+        )
+    if effects and not event:
+        told.append(
+            Step(
+                "Try the tables against an instrument that has this effect.",
+                f"taut follow {folder}/nominal --simulate {folder}/corrected",
+            )
+        )
+        told.append(board(effects, folder))
+        if effects[0]["swallowed_by_recalibration"]:
+            told.append(
+                Step(
+                    "Or calibrate on all these recordings: that closes the gap as well, without knowing why.",
+                    "taut calibrate CALIBRATION TEST... --out MODEL",
+                )
+            )
+    return told
+
+
+def board(effects: Sequence[Mapping[str, Any]], folder: str) -> Step:
+    """What `taut flash` can do about it."""
+    left = [e["id"] for e in effects if not e["loads_on_board"]]
+    if left:
+        return Step(
+            f"The board's tables cannot carry {listed(left)}: they take B and f_remain alone.",
+            f"taut flash {folder}/corrected --without-effects",
+        )
+    return Step("Load the corrected tables into the board.", f"taut flash {folder}/corrected")
+
+
+def text(document: Mapping[str, Any], folder: str) -> str:
+    """For a terminal: the sentence, the gap, the candidates, what to do next, where it is."""
+    gap, unit = document["gap"], document["unit"]
+    low, high = gap["after_ci"]
+    lines = [sentence(document), ""]
+    lines.append(f"  gap before      {digits(gap['before']):>8} {unit} rms")
+    if document["verdict"] == "effect":
+        lines.append(f"  gap after       {digits(gap['after']):>8} {unit} rms ({digits(low)} to {digits(high)})")
+    again = document["gap_recalibrated"]["before"]
+    lines.append(f"  recalibrated    {digits(again):>8} {unit} rms (B, f_remain and registration refitted on all)")
+    lines.append(f"  noise           {digits(document['noise_floor']):>8} {unit} rms")
+    if moved(document):
+        lines += ["", f"  {moved(document)}"]
+    lines.append("")
+    for name, probability, closes in rows(document, 4):
+        if probability < SHOWN:
+            continue
+        lines.append(f"  {name:<40} {percent(probability):>6}  {closes}".rstrip())
+    said = flexible(document)
+    if said:
+        lines += ["", said]
+    lines.append("")
+    for step in steps(document, folder):
+        lines += [f"- {step.says}", *([f"    {step.command}"] if step.command else [])]
+    lines += ["", f"{folder}/report.html"]
+    return "\n".join(lines)
+
+
+def rows(document: Mapping[str, Any], most: int) -> list[tuple[str, float, str]]:
+    """Candidate, its probability to be the leading one, and what it closes: the likeliest, unknown and none. Where
+    nothing is explained, what closes next to nothing says nothing."""
+    least = told(document)
+    found = [
+        (c["id"], c["probability"], f"closes {percent(c['shrink'])}" if c["shrink"] > least else "")
+        for c in document["candidates"][:most]
+    ]
+    for name, probability in (
+        ("none of these (unknown)", document["probability_unknown"]),
+        ("no gap", document["probability_none"]),
+    ):
+        if probability >= SHOWN:
+            found.append((name, probability, ""))
+    return sorted(found, key=lambda row: -row[1])
+
+
+def told(document: Mapping[str, Any]) -> float:
+    """Share of the gap from which on it is said that an effect closes it."""
+    return {"effect": 0.005, "unknown": _NEAR, "none": 1.0}[str(document["verdict"])]
+
+
+def _seen(document: Mapping[str, Any]) -> str:
+    swing = _swing(document)
+    if swing:
+        return f"; it swings with a period of {swing:.2g} s, whatever the motor does"
+    return f"; it is {document['signature']}" if document["signature"] else ""
+
+
+def _swing(document: Mapping[str, Any]) -> float | None:
+    found = document.get("flexible")
+    return found.get("swing_s") if found else None
+
+
+def _is_small(document: Mapping[str, Any]) -> bool:
+    return document["verdict"] == "unknown" and bool(document["gap"]["before"] < _SMALL * document["noise_floor"])
+
+
+def _capital(said: str) -> str:
+    return said[:1].upper() + said[1:]

@@ -1,0 +1,139 @@
+"""Every topic, collected from where it is defined."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Mapping
+from functools import cache
+from itertools import chain
+
+from tautline.errors import TautError
+from tautline.explain.faults import AFTER, LOOK
+from tautline.explain.glossary import TERMS
+from tautline.explain.reasons import REASONS
+from tautline.explain.topic import KINDS, Topic
+
+
+@cache
+def topics() -> Mapping[str, Topic]:
+    """By code, in the order of KINDS."""
+    found = list(chain(_effects(), REASONS, _faults(), _refusals(), _keys(), _files(), TERMS))
+    found.sort(key=lambda topic: list(KINDS).index(topic.kind))
+    return {topic.code: topic for topic in found}
+
+
+def find(name: str) -> Topic:
+    """By its code, its last part or another name, in any case; TautError with the nearest ones where there is none."""
+    known = topics()
+    wanted = name.strip().strip("[]").casefold()
+    exact = [topic for topic in known.values() if topic.code.casefold() == wanted]
+    other = [topic for topic in known.values() if wanted in _names(topic)]
+    if exact or other:
+        return (exact or other)[0]
+    ends = [topic for topic in known.values() if topic.code.casefold().endswith(f".{wanted}")]
+    if len(ends) == 1:
+        return ends[0]
+    names = {each: topic.code for topic in known.values() for each in _names(topic)}
+    near = [topic.code for topic in ends] or [names[each] for each in difflib.get_close_matches(wanted, names, 3, 0.6)]
+    near += [code for code in known if wanted and wanted in code.casefold() and code not in near]
+    hint = f": is it {' or '.join(dict.fromkeys(near[:4]))}?" if near else ""
+    raise TautError(f"nothing is called '{name}'{hint or ':'} 'taut explain' lists all that there is")
+
+
+def link(code: str) -> str:
+    """The command that explains a code, "" where nothing does."""
+    return f"taut explain {code}" if code in topics() else ""
+
+
+def _names(topic: Topic) -> set[str]:
+    return {topic.code.casefold(), *(alias.casefold() for alias in topic.aliases)}
+
+
+def _effects() -> Iterator[Topic]:
+    from tautline.effects import LIBRARY
+
+    for kind in LIBRARY:
+        event = (
+            f"Mend the cause, {kind.event.cause}: no table and no model takes its {kind.event.what} away."
+            if kind.event
+            else ""
+        )
+        held = (
+            "The board's tables can carry it."
+            if kind.on_board
+            else "The board's tables cannot carry it; a corrected model does."
+        )
+        rows = tuple((parameter.name, _parameter(parameter.unit, parameter.scale)) for parameter in kind.parameters)
+        yield Topic(
+            kind.id,
+            "effect",
+            f"{kind.says[:1].upper()}{kind.says[1:]}.",
+            kind.tell,
+            " ".join(part for part in (kind.mend, event, held) if part),
+            rows,
+        )
+
+
+def _parameter(unit: str, scale: float) -> str:
+    told = unit.replace("unit", "unit of q") or "a share"
+    share = " of the motor's range" if unit.startswith("unit") else ""
+    return f"{told}; a change of {scale:g}{share} is noticed"
+
+
+def _faults() -> Iterator[Topic]:
+    from tautline.device import wire
+
+    for name, (number, text) in wire.wire.FAULTS.items():
+        if not number:
+            continue
+        says, _, mend = text.partition(": ")
+        mended = f"{mend[:1].upper()}{mend[1:]}. {AFTER}" if mend else AFTER
+        yield Topic(name, "fault", f"{says[:1].upper()}{says[1:]}.", LOOK.get(name, ""), mended)
+
+
+def _refusals() -> Iterator[Topic]:
+    from tautline.device import wire
+
+    for name, (_, text) in wire.wire.REASONS.items():
+        says, _, mend = text.partition(": ")
+        yield Topic(
+            f"refused.{name}",
+            "refusal",
+            f"{says[:1].upper()}{says[1:]}.",
+            mend=f"{mend[:1].upper()}{mend[1:]}." if mend else "",
+        )
+
+
+def _keys() -> Iterator[Topic]:
+    from tautline.rig import SECTIONS
+
+    for section in SECTIONS.values():
+        rows = tuple((f"rig.{section.name}.{key.name}", key.says) for key in section.keys)
+        yield Topic(f"rig.{section.name}", "rig", section.says, rows=rows, aliases=(section.name,))
+        for key in section.keys:
+            needed = "It has to be there." if key.needed else "It may be left out."
+            example = str(key.example).replace("'", '"') if key.kind != "text" else f'"{key.example}"'
+            yield Topic(
+                f"rig.{section.name}.{key.name}",
+                "rig",
+                f"{key.says[:1].upper()}{key.says[1:]}. Expected: {key.expected}. {needed}",
+                f"A wrong one shows itself: {key.wrong}." if key.wrong else "",
+                rows=((f"[{section.name}]", f"{key.name} = {example}"),),
+                see=(f"rig.{section.name}",),
+                aliases=(f"{section.name}.{key.name}",),
+            )
+
+
+def _files() -> Iterator[Topic]:
+    from tautline.layouts import LAYOUTS
+
+    for layout in LAYOUTS:
+        rows = tuple(
+            (
+                column.name.format(unit="mm|deg") if "{" in column.name else column.name,
+                f"{column.says}{' (needed)' if column.needed else ''}",
+            )
+            for column in layout.columns
+        )
+        names = tuple(f"{layout.file}:{name}" for unit in ("mm", "deg") for name in layout.names(unit))
+        yield Topic(layout.file, "file", layout.says, rows=rows, aliases=names)

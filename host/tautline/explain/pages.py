@@ -1,0 +1,111 @@
+"""The topics as HTML: an index and a page each; what an effect does is drawn from the simulation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+from tautline import effects, figures, reports
+from tautline.effects import Kind
+from tautline.explain.collect import topics
+from tautline.explain.topic import KINDS, Topic
+from tautline.model import Model
+from tautline.recording import Motor
+from tautline.simulated import instrument, trajectory
+
+INDEX = "index.html"
+_TIMES = 4.0  # of the change that a user would notice, so that it is seen in a picture
+_CONTACT_DEG = 25.0
+_FEW = 5  # amplitudes that are shown together
+
+
+def write_all(folder: Path) -> Path:
+    """Every topic's page, and the index that leads to them."""
+    known = topics()
+    for topic in known.values():
+        page = {
+            "title": topic.code,
+            "topic": topic,
+            "kind": KINDS[topic.kind],
+            "see": [known[code] for code in topic.see],
+            "picture": picture(topic),
+        }
+        reports.write_page("topic.html", page, folder / topic.file)
+    groups = [(title, [topic for topic in known.values() if topic.kind == kind]) for kind, title in KINDS.items()]
+    reports.write_page("topics.html", {"title": "What tautline's messages mean", "groups": groups}, folder / INDEX)
+    return folder / INDEX
+
+
+def picture(topic: Topic) -> reports.Picture | None:
+    """Of an effect; None where it moves nothing by itself, as of what only scatters."""
+    kind = effects.BY_ID.get(topic.code)
+    if kind is None or kind.event:
+        return None
+    return reports.picture(
+        drawn(kind),
+        f"What {topic.code} does",
+        "Simulated on the reference instrument. Left: tip or marker, without (grey) and with (red) the effect. "
+        f"Right: the difference over time, {_TIMES:g} times what a user would notice.",
+    )
+
+
+@mpl.rc_context(figures.STYLE)
+def drawn(kind: Kind) -> Figure:
+    """The characteristic, or the marker's track where only the image changes, and the difference over time."""
+    rig = instrument.reference_rig()
+    plant = instrument.preset("reference", rig)
+    q = np.linspace(*rig.actuator.range, 201)
+    width, c_deg = plant.backlash(q), plant.bend(q)
+    model = Model(rig, q, width, np.zeros_like(q), c_deg, rig.delay_s, rig.actuator.range)
+    made = trajectory.through([-4.0, 4.0, -4.0, 3.0, -2.0, 0.5, 0.5], 2.5, 20.0, 1.0)
+    keep = slice(None, None, 10)
+    t_s, moved = made.t_s[keep], made.q[keep]
+    sway = np.sin(2 * np.pi * t_s / 9.0)
+    load = 20.0 * (t_s > t_s.mean())
+    motor = Motor(t_s, moved, translation_mm=2.0 * sway, rotation_deg=20.0 * sway, load_mNm=load)
+    values = parameters(kind, rig.actuator.span, float(t_s[-1]))
+    without, with_it = (effects.simulate(model, motor, t_s, each) for each in ({}, values))
+    by_angle = kind.through_angle or kind.stage == "acquisition"
+    made_figure, axes = figures.figure(11, 3.4, 1, 2)
+    left, right = axes[0]
+    for seen, colour, name in ((without, figures.GREY, "without"), (with_it, figures.MODEL, "with it")):
+        across, down = (moved, seen.c_deg) if by_angle else seen.image_px.T
+        left.plot(across, down, color=colour, lw=1.2, label=name)
+    if by_angle:
+        left.set(xlabel=f"q ({rig.actuator.unit})", ylabel="bending c (deg)")
+        right.plot(t_s, with_it.c_deg - without.c_deg, color=figures.MODEL, lw=1.2)
+        right.set(ylabel="difference (deg)")
+    else:
+        left.set(xlabel="u (px)", ylabel="v (px)")
+        left.invert_yaxis()
+        apart = with_it.image_px - without.image_px
+        for column, colour, name in ((0, figures.UP, "across"), (1, figures.DOWN, "down")):
+            right.plot(t_s, apart[:, column], color=colour, lw=1.2, label=name)
+        right.set(ylabel="difference (px)")
+        right.legend()
+    left.set_title("The characteristic" if by_angle else "The marker in the image")
+    left.legend()
+    right.set(xlabel="time (s)")
+    right.set_title("What it changes")
+    return made_figure
+
+
+def parameters(kind: Kind, span: float, seconds: float) -> dict[str, float]:
+    """Values at which the effect is seen: amplitudes at _TIMES their scale, shapes at the first they start from."""
+
+    def scaled(unit: str, value: float) -> float:
+        return value * span if unit.startswith("unit") else value
+
+    shown = kind.amplitudes
+    if len(shown) > _FEW:  # a rigid motion's first part, or one piece of a curve
+        shown = shown[:1] if not shown[0].name[-1].isdigit() else shown[len(shown) // 2 :][:1]
+    values = {p.name: float(np.clip(scaled(p.unit, _TIMES * p.scale), p.low, p.high)) for p in shown}
+    for p in kind.shapes:
+        values[p.name] = float(scaled(p.unit, p.shape[0] if p.shape else p.scale))
+    values |= {"encoder_period": 0.3 * span} if "encoder_period" in values else {}
+    values |= {"shift_time": 0.5 * seconds} if "shift_time" in values else {}
+    values |= {"contact_c": _CONTACT_DEG, "contact_hold": 0.9} if "contact_c" in values else {}
+    return values

@@ -1,0 +1,34 @@
+"""A topic: one thing that a message names, and all that is known of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+KINDS = {
+    "effect": "Effects: what may stand between model and instrument",
+    "reason": "Reasons of a verdict",
+    "fault": "Faults of an axis",
+    "refusal": "What a board refuses",
+    "rig": "rig.toml, key by key",
+    "file": "Files of a recording",
+    "term": "Terms",
+}
+
+
+@dataclass(frozen=True)
+class Topic:
+    """`code` is what messages name. The texts are sentences; an empty one is left out."""
+
+    code: str
+    kind: str  # one of KINDS
+    what: str  # what it is, or does
+    tell: str = ""  # how to tell it
+    mend: str = ""  # what to do about it
+    rows: tuple[tuple[str, str], ...] = ()  # name and meaning: parameters, keys, columns
+    see: tuple[str, ...] = ()  # codes of other topics
+    aliases: tuple[str, ...] = field(default=())  # other names that lead here
+
+    @property
+    def file(self) -> str:
+        """Its page's name."""
+        return f"{self.kind}-{self.code.lower().replace(' ', '-').replace('.', '-').replace('_', '-')}.html"

@@ -1,0 +1,128 @@
+"""What a key of a file may hold: one definition, of which its parser, its errors and its page are made."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any, Literal
+
+from tautline.errors import TautError
+
+
+@dataclass(frozen=True)
+class Key:
+    """One key of a section. Where it is not `needed` and not there, it is left to its dataclass' default."""
+
+    name: str
+    says: str  # what it is, with its unit
+    example: Any
+    kind: Literal["number", "whole", "numbers", "text"] = "number"
+    count: int = 0  # of numbers
+    needed: bool = True
+    above: float | None = None
+    at_least: float | None = None
+    choices: tuple[str, ...] = ()
+    pattern: str = ""  # of a text
+    described: str = ""  # the pattern in words
+    wrong: str = ""  # how a wrong value shows itself
+
+    @property
+    def expected(self) -> str:
+        if self.choices:
+            return " or ".join(f'"{choice}"' for choice in self.choices)
+        if self.kind == "text":
+            return self.described or "a text in quotes"
+        if self.kind == "numbers":
+            return f"a list of {self.count} numbers"
+        what = "a whole number" if self.kind == "whole" else "a number"
+        if self.above is not None:
+            return f"{what} above {self.above:g}"
+        return f"{self.at_least:g} or more" if self.at_least is not None else f"a finite {what.removeprefix('a ')}"
+
+    def read(self, value: Any, name: str, where: str) -> Any:
+        """The value as its dataclass has it. `name`: section.key; `where`: the file."""
+        if self.kind == "text":
+            good = isinstance(value, str) and (not self.choices or value in self.choices)
+            if not good or (self.pattern and not re.fullmatch(self.pattern, value)):
+                raise self.refuse(value, name, where)
+            return value
+        if self.kind == "numbers":
+            if not isinstance(value, list) or len(value) != self.count:
+                raise self.refuse(value, name, where)
+            if not all(_is_number(item) for item in value):
+                bad = next(item for item in value if not _is_number(item))
+                raise _error(where, f"{name} holds {bad!r}, expected finite numbers", name)
+            return tuple(float(item) for item in value)
+        if not _is_number(value):
+            raise _error(where, f"{name} is {value!r}, expected a finite number", name)
+        too_low = (self.above is not None and not value > self.above) or (
+            self.at_least is not None and not value >= self.at_least
+        )
+        if too_low or (self.kind == "whole" and value != int(value)):
+            raise self.refuse(value, name, where)
+        return int(value) if self.kind == "whole" else float(value)
+
+    def refuse(self, value: Any, name: str, where: str) -> TautError:
+        shown = f"{value:g}" if _is_number(value) else repr(value)
+        return _error(where, f"{name} is {shown}, expected {self.expected}", name)
+
+
+@dataclass(frozen=True)
+class Section:
+    name: str
+    says: str
+    keys: tuple[Key, ...]
+
+    def read(self, document: Mapping[str, Any], where: str) -> dict[str, Any]:
+        """Its keys that are there, checked, by name."""
+        table = document.get(self.name)
+        if not isinstance(table, Mapping):
+            names = ", ".join(key.name for key in self.keys)
+            raise _error(where, f"section [{self.name}] is missing: it holds {names}", self.name)
+        found = {}
+        for key in self.keys:
+            name = f"{self.name}.{key.name}"
+            if key.name in table:
+                found[key.name] = key.read(table[key.name], name, where)
+            elif key.needed:
+                raise _error(where, f"{name} is missing, expected {key.expected}", name)
+        return found
+
+
+@dataclass(frozen=True)
+class Column:
+    """Of a CSV. `name` may hold {unit}: the rig's unit of q."""
+
+    name: str
+    says: str
+    needed: bool = False
+    written: bool = False  # by tautline only; never looked for
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A CSV file's columns, in the order in which they are written."""
+
+    file: str
+    says: str
+    columns: tuple[Column, ...]
+
+    def required(self, unit: str = "") -> list[str]:
+        return [column.name.format(unit=unit) for column in self.columns if column.needed]
+
+    def header(self, unit: str = "") -> str:
+        """The least header line, for errors."""
+        return ",".join(self.required(unit))
+
+    def names(self, unit: str = "") -> list[str]:
+        return [column.name.format(unit=unit) for column in self.columns]
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
+
+
+def _error(where: str, says: str, name: str) -> TautError:
+    return TautError(f"{where}: {says} (taut explain rig.{name})")

@@ -1,0 +1,87 @@
+"""Learning how hypotheses behave: from evidence alone, in the direction that the evidence says."""
+
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tools import learning
+
+from tautline.diagnosis.decide import Verdict, decide
+from tautline.diagnosis.hyperparameters import NAMES, Hyperparameters, Learnt, learnt
+from tautline.diagnosis.hypotheses import Evidence, Weighed
+
+BLOCKS = 20
+LAG, CREEP = "transmission.lag", "transmission.creep"
+
+
+def case(generator: str, truth: str, seed: int, left: float = 0.01, excess: float = 0.0) -> learning.Case:
+    """Lag leaves this share of a gap, creep nearly all; with nothing wrong the calibration leaves `excess`."""
+    rng = np.random.default_rng(seed)
+    gap = 0.0 if truth == "none" else 100.0
+    unlike = np.exp(0.1 * rng.normal(size=BLOCKS))
+    none = np.zeros(BLOCKS)
+
+    def power(share: float) -> np.ndarray:
+        return (1.0 + excess + share * gap) * unlike
+
+    hypotheses = [Weighed((), power(1.0), none, none, 0)]
+    hypotheses += [Weighed((name,), power(s), none, none, 2) for name, s in ((LAG, left), (CREEP, 0.8))]
+    return learning.Case(generator, truth, Evidence(1.0, power(1.0), tuple(hypotheses), 18))
+
+
+def loss(cases: list[learning.Case], by: Learnt) -> float:
+    said = [learning.probability(c, decide(c.evidence, by)) for c in cases]
+    return float(-np.mean(np.log(np.array(said) + 1e-3)))
+
+
+def test_a_generator_whose_right_effects_leave_more_teaches_so():
+    """Right effects that leave 25 % are unknown to what it starts from."""
+    cases = [case("a", LAG, i, left=0.25) for i in range(6)] + [case("a", "none", 10 + i, excess=0.5) for i in range(6)]
+    before = Learnt(learning.START, np.zeros(len(NAMES)), 0.95)
+    with ProcessPoolExecutor(1) as pool:
+        found = learning.learn(cases, pool)
+    assert found.center.unexplained > learning.START.unexplained
+    assert found.center.calibration_excess > learning.START.calibration_excess
+    assert loss(cases, found.typical) < 0.8 * loss(cases, before)
+
+
+def test_each_sort_of_case_weighs_the_same_however_many_there_are():
+    cases = [case("a", "none", i) for i in range(9)] + [case("a", LAG, i) for i in range(3)]
+    weight = learning.weights_of(cases)
+    assert weight.sum() == pytest.approx(len(cases))
+    assert weight[:9].sum() / weight.sum() == pytest.approx(0.25 / 0.75)
+
+
+def test_a_set_holds_what_it_must_to_be_right_in_95_of_100():
+    """Where the truth is now and then behind others with 0.6 of the probability, so much and no more is held."""
+    rare, usual = ({LAG: 0.4, CREEP: 0.6}, {LAG: 0.9, CREEP: 0.1})
+    said = []
+    for i in range(100):
+        leading = rare if i < 8 else usual
+        said.append((case("a", LAG, 0), Verdict(0.0, 0.0, leading, np.zeros(3), (LAG,), (1.0,), 1)))
+    covers = learning.conformal(said)
+    assert 0.6 < covers < 0.7
+    held = [truth.truth in verdict.ambiguous(covers) for truth, verdict in said]
+    assert np.mean(held) >= 0.95
+    assert learning.conformal(said[8:]) < 0.1
+
+
+def test_what_is_learnt_survives_its_file():
+    import tomllib
+
+    drawn = replace(learnt(), spread=np.linspace(0.1, 0.3, len(NAMES)))
+    read = Learnt.of_toml(tomllib.loads(drawn.to_toml({"a": 3})))
+    assert read.center == drawn.center and read.covers == drawn.covers
+    np.testing.assert_allclose(read.spread, drawn.spread, rtol=0.01)
+
+
+def test_draws_are_of_the_spread_and_the_same_each_time():
+    wide = replace(learnt(), spread=np.full(len(NAMES), 0.2))
+    drawn = np.array([d.logarithms() for d in wide.draws()])
+    np.testing.assert_array_equal(drawn, [d.logarithms() for d in wide.draws()])
+    assert np.all(np.abs(np.mean(drawn, axis=0) - wide.center.logarithms()) < 0.2)
+    assert np.std(drawn) > 0.1 and [d.logarithms() for d in learnt().typical.draws()] == [
+        pytest.approx(learnt().center.logarithms())
+    ]
+    assert Hyperparameters.of_logarithms(wide.center.logarithms() + 50.0).mimics < 1.0

@@ -1,0 +1,63 @@
+"""Samples that are repeated: seen as such, left out, and named where they are the gap."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tautline.diagnosis.diagnose import diagnose
+from tautline.diagnosis.repeated import HELD
+from tautline.diagnosis.segment import repeated
+from tautline.model import Model
+from tautline.recording import Marker, Recording
+from tautline.simulated import simulate, trajectory
+from tautline.simulated.instrument import preset, reference_rig
+
+RIG = reference_rig()
+GRID = np.linspace(-5.0, 5.0, 401)
+NOISE = 0.05
+
+
+def stalled(recording: Recording) -> Recording:
+    """0.6 s in every 3 s show the frame before them."""
+    marker = recording.marker
+    at = np.arange(len(marker.t_s))
+    at -= np.where(at % 75 < 15, at % 75, 0)
+    return replace(recording, marker=Marker(marker.t_s, marker.u_px[at], marker.v_px[at], marker.valid))
+
+
+def diagnosed() -> dict:
+    instrument = preset("reference", RIG)
+    model = Model(RIG, GRID, instrument.backlash(GRID), np.full(401, 0.003), instrument.bend(GRID), 0.08, (-4.0, 4.0))
+    motions = [
+        trajectory.back_and_forth(RIG.actuator, [0.8], 2.0, 12, 6.0),
+        trajectory.trapezoids(RIG.actuator, 0.9, 2.6, 5, 8.0, 0.8),
+    ]
+    calibration, test = (
+        simulate.run(RIG, instrument, motion, noise_px=NOISE, seed=40 + i).recording for i, motion in enumerate(motions)
+    )
+    test = replace(test, rig=RIG)
+    later = float(calibration.motor.t_s[-1]) + 5.0
+    test = replace(
+        test,
+        motor=replace(test.motor, t_s=test.motor.t_s + later),
+        marker=replace(test.marker, t_s=test.marker.t_s + later),
+    )
+    return diagnose(model, replace(calibration, rig=RIG), [stalled(test)]).document
+
+
+def test_stalls_are_the_gap_and_not_friction():
+    document = diagnosed()
+    assert document["verdict"] == "effect" and [e["id"] for e in document["effects"]] == [HELD]
+    assert document["gap"]["before"] > 20.0 * NOISE and document["gap"]["after"] == pytest.approx(NOISE, rel=0.15)
+    assert document["effects"][0]["parameters"]["held_share"] == pytest.approx(14 / 75, abs=0.02)
+    assert document["effects"][0]["since"] == "calibration"
+    total = document["probability_none"] + document["probability_unknown"]
+    assert total + sum(c["probability"] for c in document["candidates"]) == pytest.approx(1.0)
+
+
+def test_a_sensor_that_counts_repeats_nothing_when_it_rests_on_a_step():
+    smooth = np.column_stack([np.sin(np.linspace(0.0, 6.0, 400)), np.cos(np.linspace(0.0, 6.0, 400))])
+    assert not repeated(smooth).any() and not repeated(np.round(smooth, 2)).any()
+    twice = np.repeat(smooth, 2, axis=0)
+    assert np.array_equal(repeated(twice), np.arange(len(twice)) % 2 == 1)

@@ -1,0 +1,232 @@
+"""python -m tools.learning CAMPAIGN...: learns how right and wrong hypotheses behave from blind tuning campaigns.
+
+Of each generator the hyperparameters that make the truth likeliest, held together by what they have in common (maximum
+a posteriori, their spread by expectation maximisation); of a family of generators that was left out what that says; and
+how much of the probability a set must hold for the right effect to be in it, by split-conformal quantiles over what was
+left out. --write puts the result where `taut diagnose` reads it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import Counter
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import click
+import numpy as np
+import numpy.typing as npt
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+from scipy.optimize import minimize
+
+from tautline.blindtest import sealed, work
+from tautline.blindtest.cases import SCORED_FROM, Label
+from tautline.blindtest.scores import NONE, UNEXPLAINED, counts, truth
+from tautline.diagnosis import hyperparameters
+from tautline.diagnosis.decide import Verdict, decide
+from tautline.diagnosis.hyperparameters import NAMES, Hyperparameters, Learnt
+from tautline.diagnosis.hypotheses import Evidence
+from tautline.diagnosis.likelihoods import Likelihoods
+
+Array = npt.NDArray[np.float64]
+
+START = Hyperparameters(
+    misfit_tells=1.0, noise_tells=10.0, block_freedom=3.0, unexplained=0.05, unexplained_by_law=1e-4,
+    unexplained_by_wrong=0.2, mimics=0.06, share_spread=1.5, calibration_excess=0.1, odds_none=30.0, odds_unknown=0.9,
+    odds_further=0.05, parameter_price=0.5, floor_known=0.2, floor_steady=0.07, disturbed=0.03,
+)  # fmt: skip  # docs/diagnosis.md says why
+_PRIOR = 0.7  # spread of a logarithm about START
+_UNLIKE, _UNLIKE_WORTH = 0.3, 2.0  # spread between generators expected, and of how many generators that is worth
+_ROUNDS, _STEPS, _STEP = 3, 8, 0.05
+_LEAST = 0.01  # of a truth's probability: no case says more than that all is wrong
+_KEPT = 24  # hypotheses of a case that weigh anything
+_MIX = {NONE: 0.25, UNEXPLAINED: 0.25}  # of a generator's weight; the rest is of effects
+_COVERS = 0.95
+
+
+@dataclass(frozen=True)
+class Case:
+    generator: str
+    truth: str
+    evidence: Evidence
+
+    @property
+    def family(self) -> str:
+        return self.generator.split(".")[0]
+
+
+def probability(case: Case, verdict: Verdict) -> float:
+    fixed = {NONE: verdict.none, UNEXPLAINED: verdict.unknown}
+    return fixed.get(case.truth, verdict.leading.get(case.truth, 0.0))
+
+
+def _loss(case: Case, logarithms: Array) -> float:
+    known = Learnt(Hyperparameters.of_logarithms(logarithms), np.zeros(len(NAMES)), _COVERS)
+    return -float(np.log((1.0 - _LEAST) * probability(case, decide(case.evidence, known)) + _LEAST))
+
+
+def _slopes(case: Case, logarithms: Array) -> Array:
+    """Loss, and its derivatives by central differences."""
+    steps = _STEP * np.eye(len(logarithms))
+    ahead = [(_loss(case, logarithms + step) - _loss(case, logarithms - step)) / (2.0 * _STEP) for step in steps]
+    return np.array([_loss(case, logarithms), *ahead])
+
+
+def load(folders: Sequence[Path]) -> list[Case]:
+    cases = []
+    for folder in folders:
+        for diagnosis in sorted((folder / sealed.DIAGNOSES).iterdir()):
+            label = Label.from_json(
+                json.loads((folder / sealed.SEALED / diagnosis.name / sealed.LABEL).read_text())["label"]
+            )
+            if label.seed >= SCORED_FROM:
+                raise click.ClickException(
+                    f"{folder}: seed {label.seed} is scored, not learnt from: name one of --seed 1 to {SCORED_FROM - 1}"
+                )
+            document = json.loads((diagnosis / work.DOCUMENT).read_text())
+            if not (diagnosis / work.EVIDENCE).exists() or label.kind == "pair":
+                continue
+            seen = float(np.sqrt(max(document["gap"]["before"] ** 2 - label.noise_px**2, 0.0)))
+            if counts(replace(label, left=tuple(min(left, seen) for left in label.left))):
+                evidence = Evidence.from_json(json.loads((diagnosis / work.EVIDENCE).read_text()))
+                cases.append(Case(label.generator, truth(label), _thinned(evidence)))
+    return cases
+
+
+def _thinned(evidence: Evidence) -> Evidence:
+    """Without the hypotheses that weigh nothing."""
+    weights = Likelihoods(evidence, START)
+    likely = [weights.of[i] + weights.prior(h.ids) for i, h in enumerate(evidence.hypotheses)]
+    power = [float(np.mean(h.power)) for h in evidence.hypotheses]
+    kept = {0, *np.argsort(likely)[-_KEPT:].tolist(), *np.argsort(power)[:4].tolist()}
+    return replace(evidence, hypotheses=tuple(evidence.hypotheses[i] for i in sorted(kept)))
+
+
+def weights_of(cases: Sequence[Case]) -> Array:
+    """None, unknown and effects have the same weight in every generator; it has as many cases' as it has cases."""
+    sorts = [case.truth if case.truth in _MIX else "effect" for case in cases]
+    count = Counter(sorts)
+    share = {sort: _MIX.get(sort, 1.0 - sum(_MIX.values())) for sort in count}
+    total = sum(share.values())
+    return np.array([len(cases) * share[sort] / total / count[sort] for sort in sorts])
+
+
+def learn(cases: Sequence[Case], pool: ProcessPoolExecutor) -> Learnt:
+    """`covers` as it would be were all known."""
+    generators = sorted({case.generator for case in cases})
+    center = start = START.logarithms()
+    own = dict.fromkeys(generators, start)
+    variance = np.full(len(NAMES), _UNLIKE**2)
+    for _ in range(_ROUNDS):
+        for name in generators:
+            mine = [case for case in cases if case.generator == name]
+            own[name] = _likeliest(mine, own[name], center, variance, pool)
+        center = (start / _PRIOR**2 + sum(own.values()) / variance) / (1.0 / _PRIOR**2 + len(own) / variance)
+        squares = sum(np.square(at - center) for at in own.values())
+        variance = (_UNLIKE_WORTH * _UNLIKE**2 + squares) / (_UNLIKE_WORTH + len(own))
+    return Learnt(Hyperparameters.of_logarithms(center), np.sqrt(variance), _COVERS)
+
+
+def _likeliest(cases: Sequence[Case], at: Array, center: Array, variance: Array, pool: ProcessPoolExecutor) -> Array:
+    weight = weights_of(cases)
+
+    def loss(at: Array) -> tuple[float, Array]:
+        said = weight @ np.array(list(pool.map(_slopes, cases, [at] * len(cases), chunksize=4)))
+        off = at - center
+        return float(said[0] + 0.5 * np.sum(off**2 / variance)), said[1:] + off / variance
+
+    return np.asarray(minimize(loss, at, jac=True, method="L-BFGS-B", options={"maxiter": _STEPS}).x)
+
+
+def before_truth(case: Case, verdict: Verdict) -> float:
+    """Share of the effects' probability that goes to likelier ones than the right one; 1 where it is none of them."""
+    total = sum(verdict.leading.values())
+    if case.truth not in verdict.leading or total <= 0.0:
+        return 1.0
+    return sum(p for p in verdict.leading.values() if p > verdict.leading[case.truth]) / total
+
+
+def conformal(said: Sequence[tuple[Case, Verdict]]) -> float:
+    """Share that a set must hold; generators weigh the same."""
+    found = [
+        (before_truth(case, verdict), case.generator) for case, verdict in said if case.truth not in (NONE, UNEXPLAINED)
+    ]
+    count = Counter(generator for _, generator in found)
+    found.sort()
+    weight = np.cumsum([1.0 / count[generator] / len(count) for _, generator in found])
+    at = int(np.searchsorted(weight, _COVERS * (1.0 + 1.0 / max(len(found), 1))))
+    return float(min(found[min(at, len(found) - 1)][0] + 1e-3, 0.9999)) if found else _COVERS
+
+
+def row(name: str, said: Sequence[tuple[Case, Verdict]], covers: float) -> list[str]:
+    def share(hits: Sequence[bool]) -> str:
+        return f"{100.0 * np.mean(hits):.0f} % of {len(hits)}" if hits else "-"
+
+    def lead(verdict: Verdict) -> str:
+        return max(verdict.leading, key=lambda n: verdict.leading[n]) if verdict.name == "effect" else verdict.name
+
+    singles = [(c, v) for c, v in said if c.truth not in (NONE, UNEXPLAINED)]
+    log = -np.mean([np.log((1.0 - _LEAST) * probability(c, v) + _LEAST) for c, v in said])
+    top = np.array([max(v.none, v.unknown, *v.leading.values(), 0.0) for _, v in said])
+    right = np.array([lead(v) == c.truth for c, v in said])
+    edges = np.clip((10 * top).astype(int), 0, 9)
+    error = sum(abs(float(np.sum(top[edges == e] - right[edges == e]))) for e in range(10)) / len(said)
+    return [
+        name, f"{log:.3f}", share([lead(v) == c.truth for c, v in singles]),
+        share([c.truth in v.ambiguous(covers) for c, v in singles if v.name == "effect"]),
+        share([v.name == "unknown" for c, v in said if c.truth == UNEXPLAINED]),
+        share([v.name == "none" for c, v in said if c.truth == NONE]), f"{error:.3f}",
+    ]  # fmt: skip
+
+
+@click.command()
+@click.argument("campaigns", nargs=-1, required=True, type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.option("--leave-out", multiple=True, help="Families that nothing is learnt from: they are reported alone.")
+@click.option("--write", is_flag=True, help="Put what is learnt into the package.")
+@click.option("--jobs", type=click.IntRange(1), default=os.cpu_count() or 1, help="Processes.")
+def main(campaigns: tuple[Path, ...], leave_out: tuple[str, ...], write: bool, jobs: int) -> None:
+    """Learns from blind CAMPAIGNS, and tells what that says of generators that were left out."""
+    cases = load(campaigns)
+    learnable = [case for case in cases if case.family not in leave_out]
+    if not learnable:
+        raise click.ClickException("nothing to learn from: run taut blindtest --seed below 1000000 first")
+    families = sorted({case.family for case in learnable})
+    told: list[list[str]] = []
+    unseen: list[tuple[Case, Verdict]] = []
+    with ProcessPoolExecutor(jobs) as pool:
+        by: dict[str, Learnt] = {}
+        for family in track(families if len(families) > 1 else [], "leaving out"):
+            by[family] = learn([case for case in learnable if case.family != family], pool)
+            unseen += [(case, decide(case.evidence, by[family])) for case in learnable if case.family == family]
+        everything = learn(learnable, pool)
+    everything = replace(everything, covers=conformal(unseen) if unseen else _COVERS)
+    started = Learnt(START, np.zeros(len(NAMES)), _COVERS)
+    for family in families:
+        mine = [(case, verdict) for case, verdict in unseen if case.family == family]
+        if mine:
+            told.append(row(f"{family}, left out", mine, everything.covers))
+    for family in sorted({case.family for case in cases}):
+        mine = [case for case in cases if case.family == family]
+        told.append(row(f"{family}, as it started", [(c, decide(c.evidence, started)) for c in mine], _COVERS))
+        name = f"{family}, {'left out' if family in leave_out else 'learnt on'}"
+        told.append(row(name, [(c, decide(c.evidence, everything)) for c in mine], everything.covers))
+    table = Table(
+        "generators", "-log p of the truth", "right name leads", "in its set", "unknown", "none", "calibration error"
+    )
+    for cells in told:
+        table.add_row(*cells)
+    console = Console()
+    console.print(table)
+    text = everything.to_toml(Counter(case.generator for case in learnable))
+    console.print(text, highlight=False)
+    if write:
+        (Path(hyperparameters.__file__).parent / hyperparameters.FILE).write_text(text, "utf-8")
+
+
+if __name__ == "__main__":
+    main()
