@@ -27,6 +27,7 @@ from scipy.optimize import minimize, nnls
 from tautline.calibration.calibrate import Calibration, calibrate
 from tautline.errors import TautError
 from tautline.prediction import predict
+from tautline.quality import Reason
 from tautline.recording import Recording, load
 from tautline.rig import Rig
 
@@ -183,6 +184,11 @@ def pairs(folder: Path, joints: Sequence[str] = JOINTS) -> Iterator[tuple[Calibr
             yield made, {name: rms for name, rms in others.items() if rms}
 
 
+def told(reason: Reason) -> str:
+    """Its code; in brackets where it is no doubt."""
+    return f"({reason.code})" if reason.mild else reason.code
+
+
 @click.command()
 @click.argument("data", required=False, type=click.Path(path_type=Path, exists=True))
 @click.option("--every", is_flag=True, help="List every pair of motions too.")
@@ -213,7 +219,7 @@ def main(data: Path | None, every: bool) -> None:
             *(f"{value:.3f}" if np.isfinite(value) else "" for value in medians),
             f"{np.median(said):.2f}" if said else "",
             f"{max(said):.2f}" if said else "",
-            made.refused or ", ".join(reason.code for reason in (quality.reasons if quality else ())),
+            made.refused or ", ".join(told(reason) for reason in (quality.reasons if quality else ())),
         )
         for name, rms in tests.items():
             ratio = f"{rms['tautline'] / rms['play']:6.2f}" if "tautline" in rms else "refused"

@@ -5,7 +5,6 @@
 #include <vector>
 
 #include "arrays.h"
-#include "play.h"
 #include "track.h"
 
 namespace nb = nanobind;
@@ -41,8 +40,14 @@ struct TrackModel {
         }
     }
     struct track_model view() const {
-        return {grid.data(),  width.data(), grid.size(), share.data(), weight.data(),
-                share.size(), basis.data(), bases,       shape.data(), shapes};
+        return {{grid.data(), width.data(), grid.size()},
+                share.data(),
+                weight.data(),
+                share.size(),
+                basis.data(),
+                bases,
+                shape.data(),
+                shapes};
     }
 };
 

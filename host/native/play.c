@@ -45,18 +45,25 @@ size_t play_span(const double *rising, size_t n, size_t at, double x) {
     return low;
 }
 
-double play_width(const struct play_table *table, double p, size_t *at) {
+struct play_place play_find(const struct play_table *table, double p, size_t from) {
     const double *grid = table->grid;
-    const double *width = table->width;
     const size_t last = table->n - 1;
     if (p <= grid[0]) {
-        return width[0];
+        return (struct play_place){0, 0.0, 0.0};
     }
     if (p >= grid[last]) {
-        return width[last];
+        return (struct play_place){last, 0.0, 0.0};
     }
-    const size_t i = *at = play_span(grid, table->n, *at, p);
-    return width[i] + (p - grid[i]) * (width[i + 1] - width[i]) / (grid[i + 1] - grid[i]);
+    const size_t i = play_span(grid, table->n, from, p);
+    return (struct play_place){i, p - grid[i], grid[i + 1] - grid[i]};
+}
+
+double play_width(const struct play_table *table, double p, size_t *at) {
+    const struct play_place here = play_find(table, p, *at);
+    if (here.step > 0.0) {
+        *at = here.at;
+    }
+    return play_value(&here, table->width);
 }
 
 struct play play_start(const struct play_table *table, double p) {

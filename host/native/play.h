@@ -45,6 +45,24 @@ int play_table_valid(const struct play_table *table);
 /* B(p). *at is a span to start from (0), left at the span found. O(log of the spans passed). */
 double play_width(const struct play_table *table, double p, size_t *at);
 
+/* Where p is in a table: at and along of the span of length `step`; 0 beyond the ends, where a table is held. */
+struct play_place {
+    size_t at;
+    double along, step;
+};
+
+/* Looks from span `from` (0 .. n-2) on. O(log of the spans passed). */
+struct play_place play_find(const struct play_table *table, double p, size_t from);
+
+/* There, of values on the table's grid. */
+static inline double play_slope(const struct play_place *here, const double *values) {
+    return here->step > 0.0 ? (values[here->at + 1] - values[here->at]) / here->step : 0.0;
+}
+
+static inline double play_value(const struct play_place *here, const double *values) {
+    return values[here->at] + here->along * play_slope(here, values);
+}
+
 /* An element with a table at p. */
 struct play play_start(const struct play_table *table, double p);
 

@@ -2,72 +2,48 @@
 
 #include <math.h>
 
-#include "play.h"
-
 enum { TURNS = 60 }; /* more than Newton's method ever takes on a table */
 
 void track_start(struct track_state *state, size_t n, double p) {
     *state = (struct track_state){.p = p};
     for (size_t i = 0; i < n; i++) {
-        state->z[i] = p;
+        state->of[i].at = p;
     }
 }
 
-/* Where p is in the table, and how far beyond its nodes' left one. */
-struct place {
-    size_t at;
-    double along, step;
-};
-
-static struct place place_of(const struct track_model *m, size_t at, double p) {
-    const size_t last = m->nodes - 1;
-    if (last == 0 || p <= m->grid[0]) {
-        return (struct place){0, 0.0, 0.0};
+/* Pushes an element by `share` of a width that is 2 half here. Which way it went, 0: not at all. */
+static int push(struct play *element, double q, double share, double half) {
+    element->half = half;
+    if (play_push(element, NULL, q, PLAY_RISING, share) > 0.0) {
+        return PLAY_RISING;
     }
-    if (p >= m->grid[last]) {
-        return (struct place){last, 0.0, 0.0};
-    }
-    const size_t i = play_span(m->grid, m->nodes, at < last ? at : last - 1, p);
-    return (struct place){i, p - m->grid[i], m->grid[i + 1] - m->grid[i]};
-}
-
-static double slope_at(const struct place *here, const double *table) {
-    return here->step > 0.0 ? (table[here->at + 1] - table[here->at]) / here->step : 0.0;
-}
-
-static double value_at(const struct place *here, const double *table) {
-    return table[here->at] + here->along * slope_at(here, table);
+    return play_push(element, NULL, q, PLAY_FALLING, share) > 0.0 ? PLAY_FALLING : 0;
 }
 
 /* sum w_i z_i if the width were that at p, and its slope by p. */
-static double carried(const struct track_model *m, const double *z, double q, double width, double by_p,
+static double carried(const struct track_model *m, const struct play *of, double q, double half, double by_p,
                       double *slope) {
     double sum = 0.0, lean = 0.0;
     for (size_t i = 0; i < m->n; i++) {
-        const double reach = 0.5 * m->share[i] * width;
-        if (z[i] < q - reach) {
-            sum += m->weight[i] * (q - reach);
-            lean += m->weight[i] * m->share[i];
-        } else if (z[i] > q + reach) {
-            sum += m->weight[i] * (q + reach);
-            lean -= m->weight[i] * m->share[i];
-        } else {
-            sum += m->weight[i] * z[i];
-        }
+        struct play element = {.at = of[i].at};
+        lean += m->weight[i] * m->share[i] * push(&element, q, m->share[i], half);
+        sum += m->weight[i] * element.at;
     }
     *slope = -0.5 * lean * by_p;
     return sum;
 }
 
-/* The p that is its own: carried(p) - p falls strictly while |B'| < 2, so Newton's steps are kept in a bracket. */
-static double solved(const struct track_model *m, const struct track_state *state, double q, struct place *here) {
-    double p = state->p, low = -INFINITY, high = INFINITY;
-    size_t at = state->at;
+/* The place of the p that is its own: carried(p) - p falls strictly while |B'| < 2, so Newton's steps are kept in a
+ * bracket. */
+static struct play_place solved(const struct track_model *m, struct track_state *state, double q) {
+    double low = -INFINITY, high = INFINITY;
+    struct play_place here = play_find(&m->table, state->p, state->at);
     for (int turn = 0; turn < TURNS; turn++) {
+        const double p = state->p;
         double slope;
-        *here = place_of(m, at, p);
-        at = here->at;
-        const double off = carried(m, state->z, q, value_at(here, m->width), slope_at(here, m->width), &slope) - p;
+        const double off = carried(m, state->of, q, 0.5 * play_value(&here, m->table.width),
+                                   play_slope(&here, m->table.width), &slope) -
+                           p;
         if (fabs(off) <= 1e-13 * (1.0 + fabs(p))) {
             break;
         }
@@ -80,35 +56,21 @@ static double solved(const struct track_model *m, const struct track_state *stat
         if (!(next > low && next < high)) {
             next = isinf(low) || isinf(high) ? p + off : 0.5 * (low + high);
         }
-        p = next;
+        state->p = next;
+        here = play_find(&m->table, next, state->at);
+        state->at = here.step > 0.0 ? here.at : state->at;
     }
-    return p;
-}
-
-/* Pushes the elements to where they are for the width at p, and says which were pushed. */
-static void pushed(const struct track_model *m, struct track_state *s, double q, double width, signed char *way) {
-    s->lean = s->driven = 0.0;
-    for (size_t i = 0; i < m->n; i++) {
-        const double reach = 0.5 * m->share[i] * width;
-        way[i] = s->z[i] < q - reach ? 1 : (s->z[i] > q + reach ? -1 : 0);
-        if (way[i] != 0) {
-            s->z[i] = q - way[i] * reach;
-            s->side[i] = way[i];
-        }
-        s->lean += m->weight[i] * m->share[i] * s->side[i];
-        s->driven += s->side[i] != 0 ? m->weight[i] : 0.0;
-    }
+    return here;
 }
 
 /* dz_i = dq - way_i (a_i (dB + B' dp) + da_i B) / 2 of those pushed, and dp = sum w_i dz_i. */
-static void differentiate(const struct track_model *m, struct track_state *s, const struct place *here, double width,
-                          const signed char *way, double *by) {
-    const double by_p = slope_at(here, m->width);
+static void differentiate(const struct track_model *m, struct track_state *s, const struct play_place *here,
+                          double width, const int *way, double *by) {
+    const double by_p = play_slope(here, m->table.width);
     for (size_t j = 0; j < 1 + m->bases + m->shapes; j++) {
         const double by_q = j == 0 ? 1.0 : 0.0;
-        const int is_width = j >= 1 && j < 1 + m->bases;
-        const double by_width = is_width ? value_at(here, m->basis + (j - 1) * m->nodes) : 0.0;
-        const double *shape = j > m->bases ? m->shape + (j - 1 - m->bases) * m->n : 0;
+        const double by_width = j >= 1 && j < 1 + m->bases ? play_value(here, m->basis + (j - 1) * m->table.n) : 0.0;
+        const double *shape = j > m->bases ? m->shape + (j - 1 - m->bases) * m->n : NULL;
         double sum = 0.0, lean = 0.0;
         for (size_t i = 0; i < m->n; i++) {
             if (way[i] != 0) {
@@ -127,17 +89,18 @@ static void differentiate(const struct track_model *m, struct track_state *s, co
 
 void track_run(const struct track_model *model, struct track_state *state, const double *q, size_t count, double *p,
                double *moving, double *by) {
+    state->at = state->at + 1 < model->table.n ? state->at : 0; /* another table's */
     for (size_t k = 0; k < count; k++) {
-        struct place here;
-        signed char way[TRACK_ELEMENTS] = {0};
-        const double found = solved(model, state, q[k], &here);
-        const double width = value_at(&here, model->width);
-        pushed(model, state, q[k], width, way);
-        state->p = p[k] = found;
-        state->at = here.at;
-        moving[k] = 0.0;
+        int way[TRACK_ELEMENTS] = {0};
+        const struct play_place here = solved(model, state, q[k]);
+        const double width = play_value(&here, model->table.width);
+        p[k] = state->p;
+        moving[k] = state->lean = state->driven = 0.0;
         for (size_t i = 0; i < model->n; i++) {
+            way[i] = push(&state->of[i], q[k], model->share[i], 0.5 * width);
             moving[k] += model->weight[i] * way[i];
+            state->lean += model->weight[i] * model->share[i] * state->of[i].side;
+            state->driven += state->of[i].side != PLAY_INSIDE ? model->weight[i] : 0.0;
         }
         if (by) {
             differentiate(model, state, &here, width, way, by + k * (1 + model->bases + model->shapes));

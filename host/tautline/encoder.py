@@ -79,6 +79,13 @@ def reading_noise(motor: Motor) -> float:
     return float(np.sqrt(np.median(third**2) / 0.455 / 20.0)) if len(third) else 0.0
 
 
+def count_of(motor: Motor, resolution: float) -> float:
+    """The encoder's step as the readings show it, their unit; where they show none, by how much they scatter, up to the
+    rig's."""
+    steps = _steps_of(motor, resolution)
+    return min(resolution, float(np.sqrt(12.0)) * reading_noise(motor)) if steps is None else steps.count
+
+
 @dataclass(frozen=True)
 class _Steps:
     """Readings are zero + count * counts, counts whole."""

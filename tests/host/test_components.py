@@ -103,6 +103,36 @@ def test_breathing_is_named_and_taken_out():
     assert um < 4e-3 and z < 2.0
 
 
+def held_back(px: np.ndarray, rng: np.random.Generator, length_px: float) -> np.ndarray:
+    """What lies over px (n, 2) after a codec: another error of 0.15 px each way after every so much of the path."""
+    gone = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(px, axis=0), axis=1))]) / length_px
+    nodes = rng.normal(0.0, 0.15, (int(gone[-1]) + 2, 2))
+    return np.column_stack([np.interp(gone, np.arange(len(nodes)), each) for each in nodes.T])
+
+
+def test_what_a_codec_holds_back_is_the_trackers_error():
+    plant = Plant()
+    seen = project(plant.rig, bend(np.interp(plant.scene, plant.t, plant.p)), 0.0, 0.0)
+    plant.shown += held_back(seen, plant.rng, 6.0)
+    found = plant.calibrated()
+    um, z = error_of(found)
+    assert found.model.quality.reasons[0].code == "tracker"
+    assert not any(code.startswith("registration") for code in codes(found))
+    assert um < 10e-3 and 0.3 < z < 2.0
+
+
+def test_an_image_that_is_moved_on_every_stroke_is_no_error_of_the_tracker():
+    plant = Plant()
+    step = np.diff(np.interp(plant.scene, plant.t, plant.p), prepend=0.0)
+    moves = np.flatnonzero(np.abs(step) > 1e-9)
+    turns = np.concatenate([[0], np.cumsum(np.diff(np.sign(step[moves])) != 0)])
+    stroke = turns[np.maximum(np.searchsorted(moves, np.arange(len(step)), side="right") - 1, 0)]
+    plant.shown += plant.rng.normal(0.0, 0.3, (stroke[-1] + 1, 2))[stroke]
+    found = plant.calibrated()
+    assert "registration.repeatability" in codes(found) and "tracker" not in codes(found)
+    assert error_of(found)[1] < 2.0
+
+
 def test_widths_that_grow_are_those_of_the_end():
     plant = Plant()
     table, state, made = width_at(np.clip(GRID, -5.5, 5.5)), plant.q[0], np.empty_like(plant.q)

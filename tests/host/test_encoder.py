@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tautline.encoder import between_counts, straight_lines
+from tautline.encoder import between_counts, count_of, straight_lines
 from tautline.recording import Motor
 from tautline.simulated import trajectory
 
@@ -125,3 +125,12 @@ def test_lines_are_as_near_to_the_truth_as_what_is_between_counts(count, noise):
         ]
         assert errors[1] < 1.2 * errors[0] + 2e-4
         assert len(lines.t_s) < 0.4 * len(t_s)
+
+
+def test_a_count_is_what_the_readings_show_of_it():
+    t = np.arange(0.0, 12.0, 0.02)
+    q = 4.0 * np.sin(t)
+    assert count_of(Motor(t, np.rint(q / 0.01) * 0.01), 0.01) == pytest.approx(0.01)
+    assert count_of(Motor(t, np.rint(q / 0.033) * 0.033), 0.01) == pytest.approx(0.033)
+    assert count_of(Motor(t, q), 0.01) < 1e-4  # a command
+    assert count_of(Motor(t, q + np.random.default_rng(1).normal(0.0, 0.01, len(q))), 0.01) == 0.01

@@ -10,10 +10,10 @@ import pytest
 from cli_runner import Taut
 
 from tautline import effects, explain, rig
+from tautline.cli._topic_pages import picture, write_all
 from tautline.device import wire
 from tautline.errors import TautError
 from tautline.explain.faults import LOOK
-from tautline.explain.pages import picture, write_all
 from tautline.layouts import LAYOUTS
 from tautline.recording import Motor
 
@@ -135,7 +135,7 @@ def test_names_are_found_and_near_ones_told(taut: Taut) -> None:
 
 
 def test_the_pages_are_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tautline.explain.pages.picture", lambda topic: None)
+    monkeypatch.setattr("tautline.cli._topic_pages.picture", lambda topic: None)
     index = write_all(tmp_path / "pages")
     written = {path.name for path in index.parent.iterdir()}
     assert written == {topic.file for topic in explain.topics().values()} | {"index.html"}

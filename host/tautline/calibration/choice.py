@@ -25,6 +25,7 @@ _AGREE = 3.0  # mean squared z of onsets against the joint fit up to which both 
 _STANDS_OUT = 10.0  # a motion of so many sigma is one
 _AT_ONCE = 0.75  # of the path's slope: a tip that starts slower starts gradually
 _SURER = 2.0  # times less certain: the joint fit's B beside the onsets'
+_BEARABLE = 4.0  # times what the joint fit's own B leaves: onsets' that leaves more stands for something else
 _LITTLE = 0.03  # of the width: differences below are no contradiction
 _WORSE = 1.25  # times what the best single curve leaves: a B that leaves more is not for predictions
 _FEW_ONSETS, _NEARER = 6, 0.5  # onsets that may say so, and their mean squared z against one B over that to the other
@@ -101,7 +102,7 @@ class Choice:
         jumps = jumping(widths) and not self._foretells(widths, joint, curve)
         if not jumps and (agreed or not self._contradicted(widths, curve, passes)):
             both, spread = (width, sigma) if gradual else self._weighed(curve, width, sigma)
-            if both is not width and self.predicts(self._left_at(joint, both), joint):
+            if both is not width and self._left_at(joint, both) < _BEARABLE * max(self._left_at(joint, width), 1.0):
                 width, sigma = both, spread
             return width, sigma, JOINT
         self.found.notes.append("the passes contradict the onsets: B(q) is the onsets' alone")

@@ -27,9 +27,11 @@ from tautline.calibration.departures import (
     on_clock,
     scene_of,
     slow_basis,
+    starts_anew,
 )
 from tautline.calibration.observations import Track
 from tautline.calibration.playfit import Curves, Fitted, PlayFit
+from tautline.encoder import count_of
 from tautline.independence import frames_each
 from tautline.rig import Rig
 
@@ -105,6 +107,11 @@ class Components:
             for track, since in zip(kept, self.since, strict=True)
         ]
 
+    @property
+    def of_tracker(self) -> bool:
+        """Whether what departs is the tracker's, not the tip's."""
+        return any(part.name == "tracker" for part in self.parts)
+
     def applied(self, fitted: Fitted) -> Fitted:
         """The joint fit as it is with the components taken into account."""
         fit = replace(fitted.fit, tracks=on_clock(fitted.fit.tracks, self.clock), smoothing=fitted.fit.smoothing)
@@ -134,7 +141,8 @@ class _Separation:
 
     def run(self) -> Components:
         self._expect_turns()
-        solved = self._at(self.fitted.curves, np.zeros(2), Columns())
+        scene = scene_of(self.fitted, self.fitted.curves, self.rig, np.zeros(2))
+        solved = self._solved(self.fitted.curves, scene, np.zeros(2), Columns(anew_px=starts_anew(scene)))
         for _ in range(_ROUNDS):
             joined = solved.join()
             self.moving_noise = solved.moving_noise()
@@ -149,7 +157,8 @@ class _Separation:
 
     def _expect_turns(self) -> None:
         """Where an encoder's count shows in the image the motor's turns are known no better, whatever else is there."""
-        fit, count = self.fitted.fit, _COUNT * self.rig.actuator.encoder_resolution
+        fit, resolution = self.fitted.fit, self.rig.actuator.encoder_resolution
+        count = _COUNT * max(count_of(frozen.track.reading, resolution) for frozen in fit.tracks)
         steep = np.linalg.norm(fit.follow.slope(self.fitted.curves.follow, fit.grid).reshape(len(fit.grid), -1), axis=1)
         sigma = float(np.median(np.concatenate([frozen.track.sigma for frozen in fit.tracks])))
         if count * float(np.median(steep)) > _SHOWS * sigma:
@@ -158,7 +167,9 @@ class _Separation:
             self.penalties["turn"] = (self.fitted.scale / count) ** 2
 
     def _at(self, curves: Curves, clock: Array, columns: Columns) -> _Solved:
-        scene = scene_of(self.fitted, curves, self.rig, clock)
+        return self._solved(curves, scene_of(self.fitted, curves, self.rig, clock), clock, columns)
+
+    def _solved(self, curves: Curves, scene: Scene, clock: Array, columns: Columns) -> _Solved:
         parts = [part for part in departures(scene, columns) if part.name not in self.without]
         solved = _Solved(self, curves, scene, parts, clock, columns)
         solved.settle()

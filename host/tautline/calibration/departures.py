@@ -34,6 +34,9 @@ _LAGS_S, _CREEPS_S = (0.02, 0.05, 0.1, 0.2), (0.6, 2.0)
 _FINE_S = 0.005  # of the path that lags
 _BREATHS_HZ = 0.08, 1.0
 _SCAN = 12.0  # what looking for a moment or a rhythm costs, of twice the log likelihood
+_LASTS, _CONSTANT = 0.2, 0.5  # of the misfit, that neighbours share; of that, both halves of a stroke
+_ACROSS, _SWAYS = 0.25, 0.5  # of what lies along the path, across it; of the misfit, that one rhythm explains
+_PIECES, _LAGS = 100, 60  # of all strokes, at most; frames over which neighbours share something
 
 # What changes during a session and then is what it is: a model holds what it came to.
 STATES = frozenset(
@@ -103,10 +106,12 @@ class Scene:
 
 @dataclass(frozen=True)
 class Columns:
-    """What is looked for in what is left: when a shift happened, s, and how often something breathes, Hz."""
+    """What is looked for in what is left: when a shift happened, s, and how often something breathes, Hz; after how
+    much of the path the tracker's error begins anew, px."""
 
     shift_s: float | None = None
     breath_hz: float | None = None
+    anew_px: float | None = None
 
     def scanned(self, scene: Scene, left: Array, used: Set[str]) -> Columns:
         found = self
@@ -198,7 +203,7 @@ def departures(scene: Scene, looked_for: Columns, *, apart: bool | None = None) 
     if channels > 1:
         parts += [
             *([] if slow is None else [Part("image.time", scene.each(slow), _smooth(slow.shape[1], channels))]),
-            Part("image.stroke", scene.each(each), np.eye(channels * strokes)),
+            _of_strokes(scene, each, looked_for.anew_px),
             Part("image.side", scene.each(scene.side[:, None]), np.eye(channels)),
         ]
         if looked_for.shift_s is not None:
@@ -209,6 +214,81 @@ def departures(scene: Scene, looked_for: Columns, *, apart: bool | None = None) 
             waves = np.column_stack([np.cos(turn), np.sin(turn)])
             parts.append(Part("image.breath", scene.each(waves), np.eye(2 * channels), price=_SCAN))
     return parts
+
+
+def _of_strokes(scene: Scene, each: Sparse, anew_px: float | None) -> Part:
+    """The image's place on each stroke, or the tracker's error on each piece of it."""
+    columns = each if anew_px is None else _pieces(scene, anew_px)
+    name = "image.stroke" if anew_px is None else "tracker"
+    return Part(name, scene.each(columns), np.eye(scene.slope.shape[1] * columns.shape[1]))
+
+
+def starts_anew(scene: Scene) -> float | None:
+    """After how much of the path (px) an error of the tracker begins anew, as behind a codec that holds back what moves
+    little; None where there is none. It lies across the path as well as along it, as none of the tip does, and is
+    another in both halves of a stroke, as none of the camera's is but a sway."""
+    if scene.slope.shape[1] < 2 or len(scene.p) < 4 * _LAGS:
+        return None
+    left = scene.rows * scene.weight[:, None]
+    direction = scene.slope / np.maximum(np.linalg.norm(scene.slope, axis=1), 1e-12)[:, None]
+    along = np.sum(left * direction, axis=1)
+    across = left[:, 0] * direction[:, 1] - left[:, 1] * direction[:, 0]
+
+    def shared(values: Array, lag: int = 1) -> float:
+        same = scene.stroke[lag:] == scene.stroke[:-lag]
+        return float(np.mean((values[lag:] * values[:-lag])[same])) if same.any() else 0.0
+
+    near = shared(along) + shared(across)
+    if near < _LASTS * float(np.mean(np.sum(left**2, axis=1))) or shared(across) < _ACROSS * shared(along):
+        return None
+    if _halves(left, scene.stroke) > _CONSTANT * near or _swaying(scene.time_s, left) > _SWAYS:
+        return None
+    place = _along_path(scene)
+    for lag in range(1, _LAGS):
+        if shared(along, lag) + shared(across, lag) < 0.5 * near:
+            break
+    same = (scene.stroke[lag:] == scene.stroke[:-lag]) & scene.moving[lag:]
+    gone = float(np.median((place[lag:] - place[:-lag])[same])) if same.any() else 0.0
+    return max(gone, float(np.sum(np.maximum(np.diff(place), 0.0))) / _PIECES)
+
+
+def _along_path(scene: Scene) -> Array:
+    """How far, px, the image has gone since the stroke began."""
+    step = np.linalg.norm(scene.slope / scene.inverse[:, None], axis=1)[1:] * np.abs(np.diff(scene.p))
+    gone = np.concatenate([[0.0], np.cumsum(step)])
+    first = np.searchsorted(scene.stroke, scene.stroke, side="left")
+    return np.asarray(gone - gone[first])
+
+
+def _pieces(scene: Scene, length_px: float) -> sparse.csr_matrix:
+    """(n, nodes) piecewise linear along each stroke's path."""
+    place = _along_path(scene) / length_px
+    spans = np.zeros(int(scene.stroke.max(initial=0)) + 1, dtype=np.intp)
+    np.maximum.at(spans, scene.stroke, place.astype(np.intp) + 1)
+    first = np.concatenate([[0], np.cumsum(spans + 1)])
+    at = first[scene.stroke] + place.astype(np.intp)
+    share, n = place % 1.0, np.arange(len(place))
+    values = np.concatenate([1.0 - share, share]), (np.concatenate([n, n]), np.concatenate([at, at + 1]))
+    return sparse.csr_matrix(values, shape=(len(place), int(first[-1])))
+
+
+def _halves(left: Array, stroke: npt.NDArray[np.intp]) -> float:
+    """What the means of a stroke's two halves share."""
+    begins = np.flatnonzero(np.diff(stroke, prepend=-1))
+    ends = np.append(begins[1:], len(stroke))
+    pairs = [(left[a : (a + b) // 2], left[(a + b) // 2 : b]) for a, b in zip(begins, ends, strict=True) if b - a >= 12]
+    return float(np.mean([early.mean(axis=0) @ late.mean(axis=0) for early, late in pairs])) if pairs else 0.0
+
+
+def _swaying(t: Array, left: Array) -> float:
+    """Share of what is left that a sine of the likeliest frequency explains."""
+    rate = _rhythm(t, left)
+    if rate is None:
+        return 0.0
+    turn = 2 * np.pi * rate * t
+    waves = np.column_stack([np.cos(turn), np.sin(turn), np.ones_like(t)])
+    rest = left - waves @ np.linalg.lstsq(waves, left, rcond=None)[0]
+    return 1.0 - float(np.sum(rest**2)) / max(float(np.sum((left - left.mean(axis=0)) ** 2)), 1e-30)
 
 
 def contrasts(recordings: int) -> Array:

@@ -118,6 +118,11 @@ _MEANS: dict[str, tuple[str, str, str]] = {
         "the image is moved otherwise on every stroke",
         "fix camera and instrument to each other",
     ),
+    "tracker": (
+        "tracker",
+        "the marker's place errs anew along every stroke, as behind a video codec that holds back what moves little",
+        "record raw or MJPEG frames, or give the codec more bits",
+    ),
     "image.side": (
         "registration.direction_dependent",
         "the image lies elsewhere on the way up than on the way down",
