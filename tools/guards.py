@@ -92,6 +92,20 @@ _LIVED = (
 # -- the same, and what lies around it: one test each -----------------------------------------------------------------
 
 _APP = (
+    _one("an encoder that shows nothing",
+         SAFETY + "an_encoder_lost_next_to_its_target_is_noticed_and_its_position_not_trusted",
+         GUARD, "pushes || !within(axis->motor.duty - guard->seen_duty, 2 *",
+         "pushes || !within(axis->motor.duty - guard->seen_duty, 99 *"),
+    _one("a stall adds up", SAFETY + "an_encoder_lost_while_its_path_goes_to_and_fro_is_noticed", GUARD,
+         "pushes ? guard->pushed_ms + 1 : guard->pushed_ms - 1;", "pushes ? guard->pushed_ms + 1 : 0;"),
+    _one("an unseen motion takes the reference", SAFETY + "an_encoder_lost_at_full_speed_leaves_no_position",
+         REST, "unseen ? OF_POSITION | OF_MOTION : OF_POSITION", "unseen ? OF_POSITION : OF_POSITION"),
+    _one("off in the dark takes the reference",
+         SAFETY + "an_encoder_lost_just_before_switching_off_leaves_no_position",
+         REST, "axis->referenced = axis->referenced && !blind;", "(void)blind;"),
+    _one("growth counts from rest", SAFETY + "a_sound_motor_that_sticks_at_every_count_is_no_stall",
+         GUARD, "        guard->seen_duty = axis->motor.duty;\n        guard->unseen_ms = (",
+         "        guard->unseen_ms = ("),
     _one("a driver that chops pushes", SAFETY + "a_driver_that_chops_its_current_at_a_blocked_motor_is_a_stall",
          GUARD, "(chops_ma > 0 && size_ma >= chops_ma)", "(chops_ma > 0 && size_ma < 0)"),
     _one("the port's current limit", SAFETY + "the_default_current_limit_is_below_the_drivers_own",

@@ -20,7 +20,7 @@ from tautline.calibration.doubts import PREDICTS, doubts, floor_of
 from tautline.calibration.findings import Findings
 from tautline.calibration.holding import released
 from tautline.calibration.observations import Track, observe
-from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, find_onsets
+from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, delayed, find_onsets
 from tautline.calibration.place import (
     allowing_for_place,
     as_many_as_independent,
@@ -44,6 +44,7 @@ Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 _LEAST_FRAMES = 10
+_LATER = 0.05  # of a frame's period, by which onsets are moved and not looked for again
 _GRADUAL = 0.4  # noise: what a gradual start must leave for several elements to be tried
 _HELD = 0.5  # of the square of what one element leaves beyond noise: several may leave so much
 _HELD_SHARE = 0.1  # of all frames: where more are left out the rest may be wrong too, unless one model explains it
@@ -191,8 +192,12 @@ class _Session:
         if joint is not None and (joint.fit.fit_delay or joint.curves.delay_s != delay.delay_s):
             before, delay = delay, self._joint_delay(delay, joint)
             surer = not self.camera and delay.sigma_s < 0.5 * before.sigma_s
-            if surer or abs(before.delay_s - delay.delay_s) > 1e-4:
+            later = delay.delay_s - before.delay_s
+            if surer or abs(later) > _LATER * clock.period_s(self.tracks):
                 onsets = find_onsets(self.tracks, self.rig, delay.delay_s, delay.sigma_s)
+                curve = fit_widths(onsets, self.grid)
+            elif abs(later) > 1e-4:
+                onsets = delayed(onsets, self.tracks, later)
                 curve = fit_widths(onsets, self.grid)
         gradual = self.components is not None and any(part.name.startswith("phase") for part in self.components.parts)
         like_paper = self.options.knots == "paper"
