@@ -231,7 +231,7 @@ _HOST = (
     _one("faults into simulated boards alone", COMMISSION + "faults_go_to_simulated_boards_alone",
          HOST + "cli/inject.py", "    if board is not None:", "    if False:"),
     _one("a fault is named", EVERY_POINT,
-         HOST + "device/board.py", "has stopped: {says}. Then", "has stopped. Then"),
+         HOST + "device/board.py", "has stopped: {wire.fault(status)}. Then", "has stopped. Then"),
     _one("room for a reply", "tests/c/test_axis.c::test_telemetry_is_even_and_every_drop_is_counted",
          "firmware/app/src/tl_outbox.c", "return put(outbox, FOR_REPLIES,", "return put(outbox, 0,"),
     _one("clear clears", COMMISSION + "clear_names_the_fault_and_its_remedy",
