@@ -426,7 +426,7 @@ extern "C" {
     C(7, STOPPED, "stopped by safe_stop")                                                                              \
     C(8, ENCODER, "the encoder jumped (by counts): check its plug and screen, then home the axis")                     \
     C(9, EDGES, "encoder edges were lost (at counts/s): go slower, or check its plug and screen, then home the axis")  \
-    C(10, STALL, "drive at its limit and the motor stood still (at duty 1/32768): free it, or raise its limits")       \
+    C(10, STALL, "driven, and the motor stood still (at duty 1/32768): free it, check the encoder, or raise limits")   \
     C(11, DRIVER, "the motor driver reports over-current, heat or low voltage: check motor wires for a short")         \
     C(12, SUPPLY, "the motors' supply is too low (mV): check power supply and fuse")                                   \
     C(13, OSCILLATION, "the drive swung between its limits: lower the servo gains")                                    \
