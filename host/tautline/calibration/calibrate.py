@@ -48,7 +48,7 @@ _LATER = 0.05  # of a frame's period, by which onsets are moved and not looked f
 _GRADUAL = 0.4  # noise: what a gradual start must leave for several elements to be tried
 _HELD = 0.5  # of the square of what one element leaves beyond noise: several may leave so much
 _HELD_SHARE = 0.1  # of all frames: where more are left out the rest may be wrong too, unless one model explains it
-_ASTRAY = 2.0  # times what B and a path of any shape leave: f_remain in the rig's geometry
+_ASTRAY = 2.5  # times what B and a path of any shape leave: f_remain in the rig's geometry
 _OF_ELEMENTS = frozenset({"phase.even", "image.side"})  # what several elements, or their number, stand for
 _BETWEEN_ELEMENTS = 0.003  # of B: what elements of a few shares leave, alike on every stroke
 _LIKELY_GAIN = (0.4, 2.5)  # of f_coarse's, between which f_remain's is no wrong scale
@@ -405,9 +405,10 @@ class _Session:
             rough = self.components.rough or any(track.motor_noise > 0 for track in self.tracks)
             ended = remaining.scale if remaining is not None and self.ended is not None else None
             found = doubts(self.components, inside, self.unit, alone, rough, ended=ended)
-            moved = any(part.name.startswith("image.") for part in self.components.parts)
-            if self.camera and remaining is not None and not moved and remaining.scale > _ASTRAY * max(alone, 1.0):
-                found.append(self._elsewhere(remaining.scale))
+            sigma = float(np.median(np.concatenate([track.sigma for track in self.tracks])))
+            astray = 0.0 if remaining is None else remaining.residual / sigma
+            if self.camera and not self.components.parts and astray > _ASTRAY * max(alone, 1.0):
+                found.append(self._elsewhere(astray))
             if self.camera and any(not reason.mild for reason in found):
                 self.found.reasons += clock.jumps(self.tracks, self.rig)
             self.found.reasons += found
