@@ -4,6 +4,7 @@ python examples/open_loop.py [PICTURE]
 """
 
 import sys
+from typing import Literal
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -22,8 +23,12 @@ wanted = 30.0 * np.sin(2 * np.pi * t_s / 10.0) + 8.0 * np.sin(2 * np.pi * t_s / 
 figure = Figure(figsize=(7, 4), layout="constrained")
 top, bottom = figure.subplots(2, 1, sharex=True)
 top.plot(t_s, wanted, color="#22303c", lw=3, alpha=0.35, label="asked for")
-for mode, colour, name in (("off", "#d9772b", "without tables"), ("full", "#1f6fb2", "with tables")):
-    points = tl.compensate(model, t_s, wanted, rate_hz=500, mode=mode)  # type: ignore[arg-type]
+MODES: tuple[tuple[Literal["off", "full"], str, str], ...] = (
+    ("off", "#d9772b", "without tables"),
+    ("full", "#1f6fb2", "with tables"),
+)
+for mode, colour, name in MODES:
+    points = tl.compensate(model, t_s, wanted, rate_hz=500, mode=mode)
     instrument.reset()
     tip = instrument.move(points.t_s, points.q)  # on your robot: send points.q to the motor's controller
     off = tip - np.interp(points.t_s, t_s, wanted)

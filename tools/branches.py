@@ -37,6 +37,7 @@ REASONS = (
     Reason("tl_axis_step.c", "while (job < TL_AXIS_JOBS)", 1, "at 5 kHz each tick of a millisecond has a job"),
     Reason("tl_servo.h", "servo->velocity = tl_clamp(", 2,
            "the copy for a motor that is off; driven it went both ways"),
+    Reason("tl_axis_rest.c", "const bool blind =", 2, "no encoder is lost while it is measured: tests/c/test_safety.c"),
     Reason("tl_path.h", "return path->speed == 0 &&", 1, "at its target at speed 0 a path has ended its last bend"),
     Reason("tl_reference.c", "velocity = up ? (before > a", 1,
            "a target at the range's end that moves within the tick in which the reference starts: seldom"),

@@ -26,6 +26,39 @@ class HostDied(BaseException):
     """The host's process was killed: nothing of it runs any more."""
 
 
+class BoardTime:
+    """Stands where a command has the wall clock: the simulation's time, which passes only where the command sleeps."""
+
+    def __init__(self, link: SimLink) -> None:
+        self._link = link
+
+    def monotonic(self) -> float:
+        return float(_ASK(self._link, "state")["t_us"]) * 1e-6
+
+    def sleep(self, seconds: float) -> None:
+        if seconds > 0.0:
+            self._link.ask(f"advance {round(seconds * 1e6)}")
+
+    @contextmanager
+    def of_stream(self) -> Iterator[None]:
+        """`taut stream` goes by it."""
+
+        def align(board: Board, trips: int = 8) -> float:
+            for _ in range(trips):
+                now = self.monotonic()
+                board.clock.add(now, now, board.sync())
+            return board.clock.offset(now)[1]
+
+        switch_on = Board.switch_on
+        with (
+            patch("tautline.device.stream.time", self),
+            patch("tautline.cli.stream.time", self),
+            patch.object(Board, "align", align),
+            patch.object(Board, "switch_on", lambda board, axis: switch_on(board, axis, self.sleep)),
+        ):
+            yield
+
+
 @dataclass(frozen=True)
 class Look:
     """Axis 0 as the simulation knows it. Positions are counts, the time is the board's."""

@@ -66,6 +66,29 @@ def test_dfu_util_lists_loads_and_reads_tables(bench: Bench, tmp_path: Path) -> 
         assert board.read_table(0) == blob()
 
 
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.7, 1.0])
+def test_dfu_util_cut_short_leaves_a_whole_table(bench: Bench, tmp_path: Path, share: float) -> None:
+    """The power goes in the first flash operation of a load, the last, or one between; the same command works then."""
+    old, new = blob(0, 0.3), blob()
+    with bench.open() as board:
+        board.load_table(0, old)
+        before = bench.sim.ask("state")["flash_operations"]
+        board.load_table(0, old)
+    operations = bench.sim.ask("state")["flash_operations"] - before
+    (tmp_path / "table.bin").write_bytes(new)
+    load = ("dfu-util", "-a", "0", "-D", str(tmp_path / "table.bin"))
+    bench.sim.ask(f"cut {1 + round(share * (operations - 1))}")
+    on_the_bus(bench, *load, check=False)
+    assert not bench.sim.ask("state")["powered"]
+    bench.sim.ask("reset")
+    bench.run(0.1)
+    with bench.open() as board:
+        assert board.status(0).fault == 0 and board.read_table(0) in (old, new)
+    on_the_bus(bench, *load)
+    with bench.open() as board:
+        assert board.read_table(0) == new
+
+
 @pytest.mark.parametrize("library", ["system", "package"])
 def test_our_host_code_on_libusb_is_our_host_code_on_usbip(bench: Bench, library: str) -> None:
     """The same calls on both buses, with the system's libusb and with the one that comes as a Python package."""

@@ -23,10 +23,13 @@ typedef struct {
     int32_t current_ma;
     bool slipped[TL_WIRE_AXES_MAX]; // until the app has asked
     bool blocked;
+    bool stuck;    // the encoders,
+    int32_t shown; // at this
     bool driver_fault[TL_WIRE_AXES_MAX];
     uint16_t supply_mv;
     double lag_s;                     // of a motor's speed, by its inertia
     double winding_s;                 // of its current; 0: at once
+    double load, friction;            // of full drive: what pulls at the motors, and what rubs
     double current[TL_WIRE_AXES_MAX]; // that speeds a motor up, of what full duty brings
     double wiring[TL_WIRE_AXES_MAX]; // counts that the encoder shows for one of the motor's: -1 where wires are swapped
     uint8_t flash[FAKE_FLASH];
@@ -48,6 +51,9 @@ static tl_us_t fake_time(void *context) {
 static int32_t fake_encoder(void *context, uint8_t axis) {
     const fake_t *f = context;
     const double position = f->position[axis] * f->wiring[axis];
+    if (f->stuck) {
+        return f->shown;
+    }
     return (int32_t)(position < 0.0 ? position - 1.0 : position);
 }
 static void fake_drive(void *context, uint8_t axis, tl_duty_q15_t duty) {
@@ -196,7 +202,11 @@ static inline void fake_ready(void) {
 static inline void fake_turn(uint8_t i, double dt) {
     const double drive = fake.duty[i] / 32768.0 - fake.speed[i] / FAKE_SPEED;
     fake.current[i] = fake.winding_s > 0.0 ? fake.current[i] + (drive - fake.current[i]) * dt / fake.winding_s : drive;
-    fake.speed[i] = fake.blocked ? 0.0 : fake.speed[i] + fake.current[i] * FAKE_SPEED * dt / fake.lag_s;
+    const double pull = fake.current[i] - fake.load, way = fake.speed[i] != 0.0 ? fake.speed[i] : pull;
+    const bool sticks = fake.speed[i] == 0.0 && pull <= fake.friction && pull >= -fake.friction;
+    const double rubs = sticks ? pull : way < 0.0 ? -fake.friction : fake.friction;
+    const double speed = fake.speed[i] + (pull - rubs) * FAKE_SPEED * dt / fake.lag_s;
+    fake.speed[i] = fake.blocked || (fake.friction > 0.0 && speed * way < 0.0) ? 0.0 : speed; // it stops, never turns
     fake.position[i] += fake.speed[i] * dt;
 }
 

@@ -82,6 +82,80 @@ static void test_a_motor_blocked_near_its_target_faults_within_the_stall_time(vo
     TEST_ASSERT_EQUAL(0, fake_status(0).flags & TL_WIRE_FLAG_CHECKED); // wires may have been pulled
 }
 
+// It shows nothing any more, and so what the servo sees stands still: the integral drives the motor away. After the
+// stall time, and what the integral of the default gains needs to grow by twice what the check drives with.
+static void test_an_encoder_lost_next_to_its_target_is_noticed_and_its_position_not_trusted(void) {
+    const int32_t ways[] = {2, 3, 5, 8, 20, 60};
+    for (unsigned i = 0; i < sizeof(ways) / sizeof(ways[0]); i++) {
+        fake_new(1);
+        fake.position[0] = 0.5;
+        hold();
+        fake.wiring[0] = 0.0;
+        TEST_ASSERT_EQUAL(0, move(ways[i]));
+        const double grows_s = 2.0 * (1300.0 + 2621.0) / (12000.0 * ways[i]);
+        const uint32_t ms = until_fault(2000);
+        TEST_ASSERT_TRUE(ms <= 300U + 20U + 20U + (uint32_t)(1000.0 * grows_s)); // and the path's own time
+        assert_fault(TL_WIRE_FAULT_STALL);
+        TEST_ASSERT_EQUAL(0, fake_status(0).flags & TL_WIRE_FLAG_REFERENCED);
+    }
+}
+
+static void test_an_encoder_lost_just_before_switching_off_leaves_no_position(void) {
+    for (int how = 0; how < 3; how++) {
+        fake_new(1);
+        fake.position[0] = 0.5;
+        hold();
+        fake.wiring[0] = how == 2 ? 1.0 : 0.0;
+        TEST_ASSERT_EQUAL(0, move(40));
+        fake_run_ms(100);
+        TEST_ASSERT_EQUAL(0, how == 0 ? ask_axis(TL_WIRE_SAFE_STOP) : fake_enable(0, 0));
+        fake_run_ms(100);
+        TEST_ASSERT_EQUAL(TL_WIRE_MODE_OFF, fake_status(0).mode);
+        TEST_ASSERT_EQUAL(how == 2, (fake_status(0).flags & TL_WIRE_FLAG_REFERENCED) != 0);
+    }
+}
+
+static void test_an_encoder_lost_at_full_speed_leaves_no_position(void) {
+    hold();
+    TEST_ASSERT_EQUAL(0, move(10000));
+    fake_run_ms(200);
+    fake.shown = fake_encoder(&fake, 0);
+    fake.stuck = true;
+    TEST_ASSERT_TRUE(until_fault(100) <= 25U); // 300 counts at 16000 a second
+    assert_fault(TL_WIRE_FAULT_FOLLOWING);
+    TEST_ASSERT_EQUAL(0, fake_status(0).flags & TL_WIRE_FLAG_REFERENCED);
+}
+
+static void test_an_encoder_lost_while_its_path_goes_to_and_fro_is_noticed(void) {
+    fake_new(1);
+    fake.position[0] = 0.5;
+    hold();
+    fake.wiring[0] = 0.0;
+    uint32_t ms = 0;
+    for (int i = 0; app.axes[0].fault == TL_WIRE_FAULT_NONE && ms < 2000U; i++, ms += 100U) {
+        TEST_ASSERT_EQUAL(0, move(i % 2 == 0 ? 30 : -30)); // which never asks for one way as long as a stall takes
+        fake_run_ms(100);
+    }
+    TEST_ASSERT_TRUE(ms <= 700U); // the drive rests for less than half of the time
+    assert_fault(TL_WIRE_FAULT_STALL);
+}
+
+// As much friction as a check lets pass, at no load and at a heavy one: each count waits for the integral.
+static void test_a_sound_motor_that_sticks_at_every_count_is_no_stall(void) {
+    for (int load = -2; load <= 2; load++) {
+        fake_new(1);
+        fake.load = 0.2 * load;
+        fake.friction = 0.115;
+        hold();
+        for (int i = 0; i < 60; i++) {
+            TEST_ASSERT_EQUAL(0, move(i % 7 - i % 3));
+            fake_run_ms(50U + 100U * (uint32_t)(i % 9));
+        }
+        TEST_ASSERT_EQUAL(TL_WIRE_FAULT_NONE, fake_status(0).fault);
+        TEST_ASSERT_TRUE((fake_status(0).flags & TL_WIRE_FLAG_REFERENCED) != 0);
+    }
+}
+
 static void test_a_driver_that_chops_its_current_at_a_blocked_motor_is_a_stall(void) {
     hold();
     tl_wire_settings_t own = settings();
@@ -535,6 +609,11 @@ static void test_a_table_for_another_instrument_is_refused_unless_any_will_do(vo
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_a_motor_blocked_near_its_target_faults_within_the_stall_time);
+    RUN_TEST(test_an_encoder_lost_next_to_its_target_is_noticed_and_its_position_not_trusted);
+    RUN_TEST(test_an_encoder_lost_just_before_switching_off_leaves_no_position);
+    RUN_TEST(test_an_encoder_lost_at_full_speed_leaves_no_position);
+    RUN_TEST(test_an_encoder_lost_while_its_path_goes_to_and_fro_is_noticed);
+    RUN_TEST(test_a_sound_motor_that_sticks_at_every_count_is_no_stall);
     RUN_TEST(test_a_driver_that_chops_its_current_at_a_blocked_motor_is_a_stall);
     RUN_TEST(test_the_default_current_limit_is_below_the_drivers_own);
     RUN_TEST(test_a_driver_fault_and_a_low_supply_are_faults_and_told);

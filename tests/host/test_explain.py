@@ -10,10 +10,10 @@ import pytest
 from cli_runner import Taut
 
 from tautline import effects, explain, rig
+from tautline.cli._topic_pages import picture, write_all
 from tautline.device import wire
 from tautline.errors import TautError
 from tautline.explain.faults import LOOK
-from tautline.explain.pages import picture, write_all
 from tautline.layouts import LAYOUTS
 from tautline.recording import Motor
 
@@ -135,7 +135,7 @@ def test_names_are_found_and_near_ones_told(taut: Taut) -> None:
 
 
 def test_the_pages_are_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tautline.explain.pages.picture", lambda topic: None)
+    monkeypatch.setattr("tautline.cli._topic_pages.picture", lambda topic: None)
     index = write_all(tmp_path / "pages")
     written = {path.name for path in index.parent.iterdir()}
     assert written == {topic.file for topic in explain.topics().values()} | {"index.html"}
@@ -154,3 +154,14 @@ def test_an_effect_s_picture_shows_it(code: str) -> None:
     shown = picture(topic)
     assert shown is not None and shown.uri.startswith("data:image/svg")
     assert picture(explain.topics()["transmission.stick_slip"]) is None
+
+
+def test_what_a_message_names_it_leads_to(capsys: pytest.CaptureFixture[str]) -> None:
+    from tautline.cli._common import show_quality
+    from tautline.cli.diagnose import _lead
+    from tautline.quality import Quality, Reason
+
+    _lead({"effects": [{"id": "transmission.lag"}]})
+    show_quality(Quality((Reason("clock.offset", "it is off", "mend it"),)))
+    said = capsys.readouterr().err
+    assert "'taut explain transmission.lag'" in said and "'taut explain clock.offset'" in said

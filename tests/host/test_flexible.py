@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import approx_fprime
+from scipy.stats import multivariate_normal
 
 from tautline.diagnosis import flexible
 from tautline.diagnosis.segment import Segment
@@ -77,3 +79,32 @@ def test_what_the_motor_makes_is_no_swing():
         residuals = [r + made(motor(s))[:, None] for s, r in zip(SEGMENTS, noise(7), strict=True)]
         found = flexible.close(SEGMENTS, residuals, NOISE)
         assert found is not None and found.swing_s is None and found.closable_shrink > 0.9
+
+
+def test_the_likelihood_s_slopes_are_its_derivatives() -> None:
+    rng = np.random.default_rng(5)
+    x, y = rng.normal(size=(30, 3)), rng.normal(size=(30, 2))
+    squares = (x[:, None] - x) ** 2
+    at = rng.normal(0.0, 0.3, 5)
+    value, slopes = flexible._surprise(at, squares, y)
+    size, lengths, white = np.exp(at[0]), np.exp(at[1:4]), np.exp(at[4])
+    covariance = size * np.exp(-0.5 * squares @ lengths**-2) + white * np.eye(30)
+    expected = -sum(multivariate_normal(np.zeros(30), covariance).logpdf(column) for column in y.T)
+    assert value == pytest.approx(expected - 30 * np.log(2 * np.pi), rel=1e-9)  # 2 columns of 30 values
+    assert slopes == pytest.approx(approx_fprime(at, lambda z: flexible._surprise(z, squares, y)[0], 1e-6), rel=1e-3)
+
+
+@pytest.mark.filterwarnings("ignore:The optimal value:UserWarning")  # inputs that tell nothing
+def test_a_process_follows_as_well_as_scikit_learn_s() -> None:
+    sklearn = pytest.importorskip("sklearn.gaussian_process")
+    kernels = sklearn.kernels
+    rng = np.random.default_rng(1)
+    x, asked = rng.normal(size=(300, 4)), rng.normal(size=(200, 4))
+    y = np.column_stack([np.sin(2 * x[:, 0]) + 0.3 * x[:, 1], np.cos(x[:, 2])]) + rng.normal(0.0, 0.05, (300, 2))
+    scale = np.sqrt(np.mean(y**2))
+    kernel = kernels.ConstantKernel(1.0, (1e-3, 1e2)) * kernels.RBF(np.ones(4), (0.05, 20.0))
+    kernel += kernels.WhiteKernel((0.05 / scale) ** 2, (0.5 * (0.05 / scale) ** 2, 10.0))
+    few = np.linspace(0, 299, 200).astype(int)
+    lengths = sklearn.GaussianProcessRegressor(kernel).fit(x[few], y[few] / scale).kernel_
+    theirs = scale * sklearn.GaussianProcessRegressor(lengths, optimizer=None).fit(x, y / scale).predict(asked)
+    assert np.abs(flexible._process(x, y, 0.05, asked) - theirs).max() < 1e-3

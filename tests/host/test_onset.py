@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tautline.calibration.observations import observe
-from tautline.calibration.onset import BOUND, BRACKET, HINGE, find_delay, find_onsets, fit_hinge, fit_jump
+from tautline.calibration.onset import BOUND, BRACKET, HINGE, delayed, find_delay, find_onsets, fit_hinge, fit_jump
 from tautline.recording import Motor
 from tautline.simulated.instrument import Instrument, preset, reference_rig
 from tautline.simulated.simulate import run
@@ -96,6 +96,21 @@ def test_widths_and_the_delay_of_a_whole_recording():
     assert rms < 3.0
     assert np.sqrt(np.mean(np.square(z))) < 1.5 and np.mean(np.abs(z) < 2) > 0.85
     assert np.max(np.abs(delays)) < 3.5
+
+
+@pytest.mark.parametrize("later", [-1.5e-3, 0.8e-3])
+def test_onsets_of_a_little_more_delay_are_those_that_would_be_found(later):
+    _, tracks = simulated(8, back_and_forth(RIG.actuator, [0.5], 1.6, 30, 4.0))
+    old, new = find_onsets(tracks, RIG, 0.0873), find_onsets(tracks, RIG, 0.0873 + later)
+    moved = delayed(old, tracks, later)
+    pairs = [
+        (a, b, c) for a, b, c in zip(old, new, moved, strict=True) if a.kind == b.kind == HINGE and a.used and b.used
+    ]
+    assert len(pairs) > 10
+    before = np.array([(a.width - b.width) / b.sigma for a, b, _ in pairs])
+    after = np.array([(c.width - b.width) / b.sigma for _, b, c in pairs])
+    assert np.sqrt(np.mean(after**2)) < 0.3 < np.sqrt(np.mean(before**2))
+    assert np.abs([c.t_s - b.t_s for _, b, c in pairs]).max() < 4e-3
 
 
 def test_a_stroke_within_the_backlash_is_a_lower_bound_and_the_next_one_counts_for_nothing():

@@ -158,7 +158,7 @@ extern "C" {
     TL_WIRE_VALUES_SERVO(F, A)                                                                                         \
     F(i32, low_duty_q15, "most drive of check, homing and jog")                                                        \
     F(i32, arrive_q8, "counts within which a move has arrived, 1 or more")                                             \
-    F(u16, stall_ms, "drive at its limit and the motor still for so long is a stall, 20 to 5000")                      \
+    F(u16, stall_ms, "driven for so long with the motor still is a stall, 20 to 5000")                                 \
     F(u16, supply_low_mv, "motor supply below it faults a driven axis; 0: not watched")                                \
     A(text, instrument, 8, "serial of the instrument that is mounted; empty: tables of any are taken")
 
@@ -440,7 +440,7 @@ extern "C" {
     C(7, STOPPED, "stopped by safe_stop")                                                                              \
     C(8, ENCODER, "the encoder jumped (by counts): check its plug and screen, then home the axis")                     \
     C(9, EDGES, "encoder edges were lost (at counts/s): go slower, or check its plug and screen, then home the axis")  \
-    C(10, STALL, "drive at its limit and the motor stood still (at duty 1/32768): free it, or raise its limits")       \
+    C(10, STALL, "driven, and the motor stood still (at duty 1/32768): free it, check the encoder, or raise limits")   \
     C(11, DRIVER, "the motor driver reports over-current, heat or low voltage: check motor wires for a short")         \
     C(12, SUPPLY, "the motors' supply is too low (mV): check power supply and fuse")                                   \
     C(13, OSCILLATION, "the drive swung between its limits: lower the servo gains")                                    \

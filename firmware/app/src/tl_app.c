@@ -18,7 +18,7 @@
 #define NOBODY_READS  500000U
 #define REST_MOST_US  10000000U // for axes that do not come to rest
 #define LATE_FAULT    20000U    // us without a control step that a driven motor may not see
-#define GUARD_LATER   2U        // ticks from an axis' watch to its guard
+#define GUARD_LATER   1U        // ticks from an axis' watch to its guard
 
 // -- tables -----------------------------------------------------------------------------------------------------
 

@@ -300,6 +300,9 @@ static void switch_on(tl_axis_t *axis) {
     axis->guard.current_mean_q8 = 0;
     axis->guard.swing = 0;
     axis->guard.pushed_ms = 0;
+    axis->guard.seen_q = axis->q;
+    axis->guard.seen_duty = 0;
+    axis->guard.unseen_ms = 0;
     axis->guard.pushed = axis->guard.swing_way = 0;
     begin(axis, axis->referenced ? axis->limits.duty_q15 : low_duty(axis));
 }

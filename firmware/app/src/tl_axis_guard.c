@@ -4,6 +4,7 @@
 #include "tautline/tl_fast.h"
 
 #define STALL_WAY     (8 * TL_COUNT_ONE) // within it for the stall time, a pushing motor stands still
+#define SETTLES_MS    20U                // without a count after which it brakes no more
 #define DRIVER_MS     5U                 // a fault line that is low for as long is no glitch
 #define SUPPLY_MS     20U                // a dip as long is more than a motor's start
 #define SWING_STEP    160U               // a change from limit to limit, forgotten in 40 ms, and in
@@ -39,7 +40,8 @@ static inline uint8_t counted(uint8_t ms, bool is) {
     return is ? (uint8_t)(ms < UINT8_MAX ? ms + 1U : ms) : 0U;
 }
 
-static void measure(tl_axis_t *axis) {
+// Returns the size of the current.
+static int32_t measure(tl_axis_t *axis) {
     const tl_port_t *port = axis->port;
     tl_axis_guarded_t *guard = &axis->guard;
     guard->current_ma = tl_clamp(port->current_ma(port->context, axis->index), -100000, 100000);
@@ -53,6 +55,7 @@ static void measure(tl_axis_t *axis) {
     if (port->driver_fault != NULL) {
         guard->driver_ms = counted(guard->driver_ms, port->driver_fault(port->context, axis->index));
     }
+    return magnitude;
 }
 
 // -- faults of a driven motor -----------------------------------------------------------------------------------
@@ -66,18 +69,31 @@ static bool electrical(tl_axis_t *axis, tl_us_t now_us) {
                  guard->current_mean_q8 >> 8, now_us);
 }
 
-// How long it has been pushing without a motion. A driver at its own current limit pushes as hard as it can, too.
-static void feel(tl_axis_t *axis) {
+// How long it has been pushing without a motion, less how long it has not. A driver at its own current limit pushes as
+// hard as it can, too; and so does a drive that has grown, since the encoder last showed anything, by more than twice
+// what the check has shown to overcome friction: whatever load it holds, it would have moved.
+static void feel(tl_axis_t *axis, int32_t size_ma) {
     tl_axis_guarded_t *guard = &axis->guard;
-    const int32_t chops_ma = axis->port->driver_ma - axis->port->driver_ma / 16; // with the noise of its measurement
-    const int32_t size_ma = guard->current_ma < 0 ? -guard->current_ma : guard->current_ma;
-    const bool pushes = guard->pushed != 0 || (chops_ma > 0 && size_ma >= chops_ma);
-    if (!pushes || !within(axis->q - guard->still_q, STALL_WAY)) {
-        guard->still_q = axis->q;
-        guard->pushed_ms = 0;
-    } else if (guard->pushed_ms < UINT16_MAX) {
-        guard->pushed_ms++;
+    const tl_count_q8_t q = axis->q;
+    const int32_t chops_ma = axis->port->driver_ma * 15 >> 4; // with the noise of its measurement
+    bool pushes = (chops_ma > 0 && size_ma >= chops_ma) || guard->pushed != 0;
+    if (q != guard->seen_q) {
+        guard->seen_q = q;
+        guard->seen_duty = axis->motor.duty;
+        guard->unseen_ms = 0;
+    } else if (guard->unseen_ms < SETTLES_MS) {
+        guard->seen_duty = axis->motor.duty;
+        guard->unseen_ms = (uint8_t)(guard->unseen_ms + 1U);
+    } else {
+        pushes =
+            pushes || !within(axis->motor.duty - guard->seen_duty, 2 * (axis->motor.servo.gains.friction + CHECK_PUSH));
     }
+    int32_t pushed_ms = pushes ? guard->pushed_ms + 1 : guard->pushed_ms - 1;
+    if (pushed_ms < 0 || !within(q - guard->still_q, STALL_WAY)) { // a stall, or an end, comes before it overflows
+        guard->still_q = q;
+        pushed_ms = 0;
+    }
+    guard->pushed_ms = (uint16_t)pushed_ms;
 }
 
 static bool oscillates(tl_axis_t *axis) {
@@ -93,9 +109,9 @@ static bool oscillates(tl_axis_t *axis) {
     return guard->swing >= SWING_MOST;
 }
 
-static bool mechanical(tl_axis_t *axis, tl_us_t now_us) {
+static bool mechanical(tl_axis_t *axis, int32_t size_ma, tl_us_t now_us) {
     const tl_count_q8_t error = axis->path.q - axis->q;
-    feel(axis);
+    feel(axis, size_ma);
     const bool stalls = axis->mode != TL_WIRE_MODE_HOME && axis->guard.pushed_ms >= axis->settings.stall_ms;
     return fails(axis, !within(error, axis->limits.following_error_q8), TL_WIRE_FAULT_FOLLOWING, error / TL_COUNT_ONE,
                  now_us) ||
@@ -250,9 +266,9 @@ static __attribute__((noinline)) TL_FAST void try_out(tl_axis_t *axis, tl_us_t n
 }
 
 TL_FAST void tl_axis_guard(tl_axis_t *axis, tl_us_t now_us) {
-    measure(axis);
+    const int32_t size_ma = measure(axis);
     if (axis->mode != TL_WIRE_MODE_OFF && !electrical(axis, now_us) && axis->closed) {
-        mechanical(axis, now_us);
+        mechanical(axis, size_ma, now_us);
     }
     if (has_patience(axis) && --axis->guard.patience == 0U) {
         tl_axis_silence(axis);

@@ -4,13 +4,20 @@
 
 #define BIT(NAME) (1UL << TL_WIRE_FAULT_##NAME)
 
-// After these nobody knows where the motor is,
+// After these nobody knows where the motor is;
 #define OF_POSITION (BIT(ENCODER) | BIT(EDGES) | BIT(REVERSED) | BIT(SCALE) | BIT(UNMOVED))
-// and after these somebody may have changed its wires.
-#define OF_WIRING (OF_POSITION | BIT(FOLLOWING) | BIT(CURRENT) | BIT(STALL) | BIT(DRIVER) | BIT(SUPPLY))
+// nor after these where the encoder showed nothing for so long: it may have been lost, and the motor have run on.
+#define OF_MOTION (BIT(FOLLOWING) | BIT(CURRENT) | BIT(STALL))
+#define UNSEEN_MS 5U
+// Who switches off before it is a fault: pushed, and nothing seen, for so long.
+#define BLIND_MS 20U
+// After these somebody may have changed its wires.
+#define OF_WIRING (OF_POSITION | OF_MOTION | BIT(DRIVER) | BIT(SUPPLY))
 
 TL_FAST void tl_axis_off(tl_axis_t *axis) {
     tl_actuator_release(&axis->motor);
+    const bool blind = axis->closed && axis->guard.unseen_ms >= BLIND_MS && axis->guard.pushed_ms >= BLIND_MS;
+    axis->referenced = axis->referenced && !blind;
     tl_axis_enter(axis, TL_WIRE_MODE_OFF);
     axis->plan.stream.used = 0;
     axis->plan.motion = NULL;
@@ -19,7 +26,8 @@ TL_FAST void tl_axis_off(tl_axis_t *axis) {
 TL_FAST void tl_axis_fail(tl_axis_t *axis, tl_wire_fault_t fault, int32_t value, tl_us_t now_us) {
     tl_axis_off(axis);
     axis->guard.lapsed = false;
-    if ((OF_POSITION >> fault & 1U) != 0) {
+    const bool unseen = axis->guard.unseen_ms >= UNSEEN_MS;
+    if (((unseen ? OF_POSITION | OF_MOTION : OF_POSITION) >> fault & 1U) != 0) {
         axis->referenced = false;
     }
     if ((OF_WIRING >> fault & 1U) != 0) {

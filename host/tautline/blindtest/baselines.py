@@ -36,7 +36,7 @@ Array = npt.NDArray[np.float64]
 
 METHODS = ("majority", "joint", "bic", "forest", "process", "narx")
 SHRINKING = frozenset({"process", "narx"})  # these name nothing
-NEEDS = {"narx": "sysidentpy"}  # packages beyond tautline's own
+NEEDS = {"narx": "sysidentpy", "forest": "sklearn", "process": "sklearn"}  # modules beyond tautline's own
 
 _NO_GAP = 1.25
 _LEFT = 0.3

@@ -20,7 +20,7 @@ from tautline.calibration.doubts import PREDICTS, doubts, floor_of
 from tautline.calibration.findings import Findings
 from tautline.calibration.holding import released
 from tautline.calibration.observations import Track, observe
-from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, find_onsets
+from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, delayed, find_onsets
 from tautline.calibration.place import (
     allowing_for_place,
     as_many_as_independent,
@@ -44,10 +44,11 @@ Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 _LEAST_FRAMES = 10
+_LATER = 0.05  # of a frame's period, by which onsets are moved and not looked for again
 _GRADUAL = 0.4  # noise: what a gradual start must leave for several elements to be tried
 _HELD = 0.5  # of the square of what one element leaves beyond noise: several may leave so much
 _HELD_SHARE = 0.1  # of all frames: where more are left out the rest may be wrong too, unless one model explains it
-_ASTRAY = 2.0  # times what B and a path of any shape leave: f_remain in the rig's geometry
+_ASTRAY = 2.5  # times what B and a path of any shape leave: f_remain in the rig's geometry
 _OF_ELEMENTS = frozenset({"phase.even", "image.side"})  # what several elements, or their number, stand for
 _BETWEEN_ELEMENTS = 0.003  # of B: what elements of a few shares leave, alike on every stroke
 _LIKELY_GAIN = (0.4, 2.5)  # of f_coarse's, between which f_remain's is no wrong scale
@@ -191,8 +192,12 @@ class _Session:
         if joint is not None and (joint.fit.fit_delay or joint.curves.delay_s != delay.delay_s):
             before, delay = delay, self._joint_delay(delay, joint)
             surer = not self.camera and delay.sigma_s < 0.5 * before.sigma_s
-            if surer or abs(before.delay_s - delay.delay_s) > 1e-4:
+            later = delay.delay_s - before.delay_s
+            if surer or abs(later) > _LATER * clock.period_s(self.tracks):
                 onsets = find_onsets(self.tracks, self.rig, delay.delay_s, delay.sigma_s)
+                curve = fit_widths(onsets, self.grid)
+            elif abs(later) > 1e-4:
+                onsets = delayed(onsets, self.tracks, later)
                 curve = fit_widths(onsets, self.grid)
         gradual = self.components is not None and any(part.name.startswith("phase") for part in self.components.parts)
         like_paper = self.options.knots == "paper"
@@ -400,9 +405,10 @@ class _Session:
             rough = self.components.rough or any(track.motor_noise > 0 for track in self.tracks)
             ended = remaining.scale if remaining is not None and self.ended is not None else None
             found = doubts(self.components, inside, self.unit, alone, rough, ended=ended)
-            moved = any(part.name.startswith("image.") for part in self.components.parts)
-            if self.camera and remaining is not None and not moved and remaining.scale > _ASTRAY * max(alone, 1.0):
-                found.append(self._elsewhere(remaining.scale))
+            sigma = float(np.median(np.concatenate([track.sigma for track in self.tracks])))
+            astray = 0.0 if remaining is None else remaining.residual / sigma
+            if self.camera and not self.components.parts and astray > _ASTRAY * max(alone, 1.0):
+                found.append(self._elsewhere(astray))
             if self.camera and any(not reason.mild for reason in found):
                 self.found.reasons += clock.jumps(self.tracks, self.rig)
             self.found.reasons += found

@@ -257,7 +257,7 @@ def _along_path(scene: Scene) -> Array:
     step = np.linalg.norm(scene.slope / scene.inverse[:, None], axis=1)[1:] * np.abs(np.diff(scene.p))
     gone = np.concatenate([[0.0], np.cumsum(step)])
     first = np.searchsorted(scene.stroke, scene.stroke, side="left")
-    return gone - gone[first]
+    return np.asarray(gone - gone[first])
 
 
 def _pieces(scene: Scene, length_px: float) -> sparse.csr_matrix:

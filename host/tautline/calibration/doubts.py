@@ -176,10 +176,10 @@ def doubts(
 
 def _holds(state: str, found: Components, ended: float) -> bool:
     """Whether a model holds what this came to: nothing still moves, and the image is where f_remain can put it. What
-    differs between recordings may differ again."""
-    if state.endswith("recording") or ended > PREDICTS * max(found.noise, 1.0):
+    happened once, or between recordings, is over."""
+    if ended > PREDICTS * max(found.noise, 1.0):
         return False
-    return state == "image.shift" or found.late < _STILL_MOVES
+    return not state.endswith("time") or found.late < _STILL_MOVES
 
 
 def _reason(kind: str, part: Component, shift: float, unit: str, mild: bool) -> Reason:

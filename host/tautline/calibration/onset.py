@@ -290,6 +290,23 @@ def find_onsets(tracks: Sequence[Track], rig: Rig, delay_s: float, delay_sigma: 
     return [_with_clock_and_counts(onset, tracks[onset.track], delay_sigma, resolution) for onset in found]
 
 
+def delayed(onsets: Sequence[Onset], tracks: Sequence[Track], by_s: float) -> list[Onset]:
+    """The same onsets where the images are later by much less than a frame than they were found with: the scene is
+    earlier, the motor where it was then. To first order what `find_onsets` gives."""
+    moved = []
+    for onset in onsets:
+        if not np.isfinite(onset.t_s):
+            moved.append(onset)
+            continue
+        t_s = onset.t_s - by_s
+        before, now = tracks[onset.track].motor_at(np.array([onset.t_s, t_s]))
+        less = onset.direction * (before - now)
+        low, high = max(onset.low - less, 0.0), max(onset.high - less, 0.0)
+        q2 = onset.q1 + onset.direction * max(onset.width - less, 0.0)
+        moved.append(replace(onset, t_s=t_s, q2=q2, low=low, high=high))
+    return moved
+
+
 def _onset(number: int, track: Track, before: _Stroke, after: _Stroke, rig: Rig, delay_s: float) -> Onset:
     reach = after.reach
     nothing = Onset(

@@ -27,7 +27,7 @@ def command(code: str | None, folder: Path | None, as_json: bool) -> None:
     from tautline.explain import KINDS, find, topics
 
     if folder is not None:
-        from tautline.explain.pages import write_all
+        from tautline.cli._topic_pages import write_all
 
         index = write_all(folder)
         emit({"index": index, "pages": len(topics())}, as_json, f"{len(topics())} pages: open {index}")

@@ -18,7 +18,7 @@ from tautline.errors import TautError
 
 __all__ = ["Board", "BoardGone", "BoardRefused", "Found", "check_protocol", "find", "open_board"]
 
-_ANSWER_S = 2.0
+_ANSWER_S, _SIMULATED_S = 2.0, 10.0  # a simulated board answers when this machine lets it
 _STORE_S = 10.0  # a table: an erase and ten pages
 _TABLE_REFUSED = {
     "TABLE_SIZE": "the table is longer than the board takes, or a part of it was lost: load it again",
@@ -102,6 +102,8 @@ class Board:
         self.clock = Clock()
         self.missed = 0  # unasked messages that never came
         self.refused: list[BoardRefused] = []  # of messages that have no answer
+        simulated = found.where.startswith(("usbip:", "serial:tcp:"))
+        self._answer_s = _SIMULATED_S if simulated else _ANSWER_S
         self._link: Link = found.open()
         self._listeners: dict[str, list[Listener]] = {name: [] for name in _UNASKED}
         self._decoder = wire.Decoder()
@@ -127,7 +129,7 @@ class Board:
         for left in reversed(range(tries)):
             try:
                 return self.ask(
-                    "hello", _ANSWER_S / tries, protocol_major=wire.wire.MAJOR, protocol_minor=wire.wire.MINOR
+                    "hello", self._answer_s / tries, protocol_major=wire.wire.MAJOR, protocol_minor=wire.wire.MINOR
                 )
             except (BoardGone, BoardRefused):
                 raise
@@ -192,8 +194,9 @@ class Board:
         if frames:
             self._write(b"".join(frames))
 
-    def ask(self, name: str, timeout_s: float = _ANSWER_S, **values: Any) -> wire.Message:
+    def ask(self, name: str, timeout_s: float | None = None, **values: Any) -> wire.Message:
         """Sends a request and gives its answer; BoardRefused where that is an error."""
+        timeout_s = self._answer_s if timeout_s is None else timeout_s
         sequence = self._next()
         frame = wire.encode(name, sequence, **values)
         deadline = time.monotonic() + timeout_s

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from types import TracebackType
 from typing import Any
 
 from tautline.device import wire
@@ -42,11 +43,15 @@ class SetPoints:
         silence_us = round(self._silence_s * 1e6)
         self._board.ask("follow", axis=self._axis, target=1, compensation=FULL, silence_us=silence_us)
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self._ended = time.monotonic()
         self._board.ask("enable", axis=self._axis, on=0)
         while self._board.status(self._axis).mode != wire.code("MODES", "OFF") and time.monotonic() < self._ended + 2.0:
             time.sleep(0.01)
+        if kind is None:
+            self._board.check_fault(self._axis)  # one that came too late for pace() to see
 
     def send(self, c_deg: float) -> bool:
         """False where the axis is still coming to rest after a silence: nothing was sent, send again."""
@@ -70,7 +75,8 @@ class SetPoints:
         return bool(mode == wire.code("MODES", "FOLLOW_TIP"))
 
     def pace(self, period_s: float) -> None:
-        """Sleeps until the next set-point is due. Four times a second a round trip keeps the clocks together."""
+        """Sleeps until the next set-point is due. Four times a second a round trip keeps the clocks together, and shows
+        whether the board took what was sent; TautError where the axis has a fault."""
         self._next += period_s
         now = time.monotonic()
         if now > self._next + 0.5 * period_s:
@@ -79,6 +85,8 @@ class SetPoints:
         if now > self._aligned + _ALIGN_S:
             self._board.align(1)
             self._aligned = now
+            if any(error.reason == "FAULT" for error in self._board.refused):
+                self._board.check_fault(self._axis)
             if any(error.reason == "NOT_FOLLOWING" for error in self._board.refused):
                 self._last = 0.0  # the board waited longer than we thought
                 self._board.refused = [e for e in self._board.refused if e.reason != "NOT_FOLLOWING"]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import minimize
+from scipy.spatial.distance import cdist
 from threadpoolctl import threadpool_limits
 
 from tautline.diagnosis import gap
@@ -21,6 +23,8 @@ _HARMONICS = 6  # of a motion, in which it may drive the tip
 _SWINGS = 0.25  # share of the residual's power that makes a swing
 _DRIVEN, _DRIVES = 0.05, 0.4  # shares of a motion's power that drive it: at its rate, at the rate it is a harmonic of
 _SHORTEST, _LONGEST = 0.05, 20.0  # length scales, of an input's standard deviation
+_SIZES = 1e-3, 1e2  # of a process, in what it was trained on
+_JITTER = 1e-10
 
 
 @dataclass(frozen=True)
@@ -78,25 +82,48 @@ def close(segments: Sequence[Segment], residuals: Sequence[Array], floor: float)
 
 
 def _process(inputs: Array, seen: Array, floor: float, asked: Array) -> Array:
-    """The mean (m, k) at `asked` (m, d) of a process trained on `seen` (n, k) at `inputs` (n, d)."""
-    # Half a second to import: only a diagnosis needs it.
-    from sklearn.exceptions import ConvergenceWarning
-    from sklearn.gaussian_process import GaussianProcessRegressor
-    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
-
+    """The mean (m, k) at `asked` (m, d) of a Gaussian process trained on `seen` (n, k) at `inputs` (n, d): a squared
+    exponential with a length for each input and white noise, by the marginal likelihood of some of them."""
     scale = float(np.sqrt(np.mean(seen**2))) or 1.0
     noise = max((floor / scale) ** 2, 1e-4)
-    lengths = np.full(inputs.shape[1], 1.0)
-    kernel = ConstantKernel(1.0, (1e-3, 1e2)) * RBF(lengths, (_SHORTEST, _LONGEST)) + WhiteKernel(
-        noise, (0.5 * noise, 10.0)
-    )
+    d = inputs.shape[1]
     few = _some(np.arange(len(inputs)), _LENGTHS_FROM)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)  # an input that tells nothing ends at a bound
-        found = GaussianProcessRegressor(kernel).fit(inputs[few], seen[few] / scale)
-    process = GaussianProcessRegressor(found.kernel_, optimizer=None).fit(inputs, seen / scale)
-    said: Array = scale * process.predict(asked)
-    return said.reshape(len(asked), seen.shape[1])
+    start = np.log([1.0, *np.ones(d), noise])
+    bounds = [_SIZES, *[(_SHORTEST, _LONGEST)] * d, (0.5 * noise, 10.0)]
+    found = minimize(
+        _surprise,
+        start,
+        args=((inputs[few, None] - inputs[few]) ** 2, seen[few] / scale),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=np.log(bounds),
+    )
+    size, lengths, white = _hyper(found.x)
+    near = size * np.exp(-0.5 * cdist(inputs / lengths, inputs / lengths, "sqeuclidean"))
+    factor = cho_factor(near + (white + _JITTER) * np.eye(len(inputs)), lower=True)
+    across = size * np.exp(-0.5 * cdist(asked / lengths, inputs / lengths, "sqeuclidean"))
+    said: Array = scale * (across @ cho_solve(factor, seen / scale))
+    return said
+
+
+def _surprise(logs: Array, squares: Array, seen: Array) -> tuple[float, Array]:
+    """Minus the log marginal likelihood of `seen` (n, k), less its constant, and its derivatives by `logs`: of size,
+    lengths (d) and white noise. squares (n, n, d): of the inputs' distances."""
+    size, lengths, white = _hyper(logs)
+    smooth = size * np.exp(-0.5 * squares @ lengths**-2.0)
+    factor = cho_factor(smooth + (white + _JITTER) * np.eye(len(seen)), lower=True)
+    weights = cho_solve(factor, seen)
+    k = seen.shape[1]
+    value = 0.5 * np.sum(seen * weights) + k * np.sum(np.log(np.diag(factor[0])))
+    inner = k * cho_solve(factor, np.eye(len(seen))) - weights @ weights.T  # d value = tr(inner dK) / 2
+    pull = inner * smooth
+    by_length = np.einsum("ij,ijk->k", pull, squares) * lengths**-2.0
+    return float(value), 0.5 * np.array([np.sum(pull), *by_length, white * np.trace(inner)])
+
+
+def _hyper(logs: Array) -> tuple[float, Array, float]:
+    values = np.exp(logs)
+    return float(values[0]), values[1:-1], float(values[-1])
 
 
 def _inputs(segments: Sequence[Segment], swing_s: float | None) -> Array:

@@ -60,19 +60,22 @@ typedef struct {
 typedef struct {
     int32_t current_ma;
     int32_t current_mean_q8;
-    tl_count_q8_t still_q; ///< where the motor was when it last moved
-    uint16_t pushed_ms;    ///< drive at its limit and no motion
-    uint16_t swing;        ///< how often the drive has lately changed from limit to limit
-    uint8_t swing_way;     ///< the last limit, as tl_actuator_pushed() has it
-    uint8_t supply_ms;     ///< too low
-    uint8_t driver_ms;     ///< it reports a fault
-    uint8_t still_ms;      ///< a move is at its target
-    uint8_t pushed;        ///< limits of the last millisecond, likewise
-    bool lapsed;           ///< the host is lost: a fault as soon as the axis rests
-    bool homing;           ///< the move under way is the retreat from an end
-    bool homed;            ///< the play does not know yet
-    uint32_t patience;     ///< milliseconds until the sender, or the host, counts as lost
-    uint32_t silence_ms;   ///< what patience begins from
+    tl_count_q8_t still_q;   ///< where the motor was when it last moved
+    tl_count_q8_t seen_q;    ///< what the encoder showed last
+    tl_duty_q15_t seen_duty; ///< the drive when it last showed anything new, and the motor had come to rest
+    uint16_t pushed_ms;      ///< that it pushed without a motion, less those that it did not
+    uint16_t swing;          ///< how often the drive has lately changed from limit to limit
+    uint8_t swing_way;       ///< the last limit, as tl_actuator_pushed() has it
+    uint8_t supply_ms;       ///< too low
+    uint8_t driver_ms;       ///< it reports a fault
+    uint8_t still_ms;        ///< a move is at its target
+    uint8_t pushed;          ///< limits of the last millisecond, likewise
+    uint8_t unseen_ms;       ///< that it has shown nothing new, in closed loop; up to 20
+    bool lapsed;             ///< the host is lost: a fault as soon as the axis rests
+    bool homing;             ///< the move under way is the retreat from an end
+    bool homed;              ///< the play does not know yet
+    uint32_t patience;       ///< milliseconds until the sender, or the host, counts as lost
+    uint32_t silence_ms;     ///< what patience begins from
     uint16_t supply_mv;
     int32_t fault_value;
     tl_us_t fault_us;

@@ -15,7 +15,8 @@ static inline void tl_axis_enter(tl_axis_t *axis, tl_wire_mode_t mode) {
 void tl_axis_off(tl_axis_t *axis);
 
 /// Motor off at once, compensation off; the first fault stays the one that is reported. `value`: what was measured.
-/// Faults of the encoder take the reference with them, faults of the wiring the check.
+/// Faults of the encoder, and of a motion that it did not show, take the reference with them, faults of the wiring the
+/// check.
 void tl_axis_fail(tl_axis_t *axis, tl_wire_fault_t fault, int32_t value, tl_us_t now_us);
 
 /// Comes to rest within limits; then holds, or switches off. A check stops at once.
