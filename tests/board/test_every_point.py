@@ -335,7 +335,7 @@ def try_point(request: pytest.FixtureRequest, task: Task, name: str, at: int, fo
         elif not lost:
             had_nothing_to_notice(ill, looks)
         if ill.host and said.status == 1:
-            assert re.search(ill.says, said.error)
+            assert re.search(ill.says, said.error), said.error
         assert task.moves or np.ptp([look.q for look in looks]) == 0.0
         find_again(bench)
         folder = folder / "again"

@@ -147,7 +147,7 @@ extern "C" {
     TL_WIRE_VALUES_SERVO(F, A)                                                                                         \
     F(i32, low_duty_q15, "most drive of check, homing and jog")                                                        \
     F(i32, arrive_q8, "counts within which a move has arrived, 1 or more")                                             \
-    F(u16, stall_ms, "drive at its limit and the motor still for so long is a stall, 20 to 5000")                      \
+    F(u16, stall_ms, "driven for so long with the motor still is a stall, 20 to 5000")                                 \
     F(u16, supply_low_mv, "motor supply below it faults a driven axis; 0: not watched")                                \
     A(text, instrument, 8, "serial of the instrument that is mounted; empty: tables of any are taken")
 

@@ -17,7 +17,7 @@ LOOK = {
     "ENCODER": "Between two samples the position changed by more than any motor can. The position is not known any "
     "more.",
     "EDGES": "Both encoder lines changed at once. The position is not known any more.",
-    "STALL": "Full drive and no motion for a while: the motor is blocked, or has no power.",
+    "STALL": "Driven, and no motion for a while: the motor is blocked or has no power, or the encoder shows nothing.",
     "DRIVER": "The driver chip's own protection acted.",
     "SUPPLY": "Under load the supply sagged, or the fuse is gone.",
     "OSCILLATION": "The servo excited itself. Commissioning tunes it again: taut commission.",
