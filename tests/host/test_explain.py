@@ -154,3 +154,14 @@ def test_an_effect_s_picture_shows_it(code: str) -> None:
     shown = picture(topic)
     assert shown is not None and shown.uri.startswith("data:image/svg")
     assert picture(explain.topics()["transmission.stick_slip"]) is None
+
+
+def test_what_a_message_names_it_leads_to(capsys: pytest.CaptureFixture[str]) -> None:
+    from tautline.cli._common import show_quality
+    from tautline.cli.diagnose import _lead
+    from tautline.quality import Quality, Reason
+
+    _lead({"effects": [{"id": "transmission.lag"}]})
+    show_quality(Quality((Reason("clock.offset", "it is off", "mend it"),)))
+    said = capsys.readouterr().err
+    assert "'taut explain transmission.lag'" in said and "'taut explain clock.offset'" in said

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -80,6 +80,7 @@ def command(
         more = {"recordings": asked.recordings, "why": asked.why, "sure": asked.sure}
         said = f"{words.text(asked.diagnosis.document, str(out))}\n\nStopped: {asked.why}."
         emit({**asked.diagnosis.document, "live": more}, as_json, said)
+        _lead(asked.diagnosis.document)
         return
     if calibration_path is None or not test_paths:
         raise click.UsageError("name CALIBRATION and at least one TEST, or record them with --live")
@@ -92,6 +93,13 @@ def command(
         progress(0.96, "writing the report")
         save(diagnosis, out)
     emit(diagnosis.document, as_json, words.text(diagnosis.document, str(out)))
+    _lead(diagnosis.document)
+
+
+def _lead(document: Mapping[str, Any]) -> None:
+    """To the pages of what was named."""
+    for effect in document["effects"]:
+        log(f"taut: 'taut explain {effect['id']}' says how to tell it and what mends it")
 
 
 def _calibrated(

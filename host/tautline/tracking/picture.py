@@ -25,9 +25,9 @@ def draw(tracked: Tracked, recordings: Sequence[Recording], unit: str) -> Figure
         sensor = "px" if tracked.sensor == "marker" else "deg"
         off = off_by(tracked, recordings)
         axes[0, 0].plot(t_s[some], off[some], ".", ms=2, color=figures.INK, rasterized=len(some) > figures.MANY)
-        axes[0, 0].set_ylabel(f"off by, {sensor}")
+        axes[0, 0].set_ylabel(f"off by ({sensor})")
         axes[0, 0].set_yscale("log")
-        for row, name, label in ((1, "offset", f"offset, {unit}"), (2, "scale", "scale of B")):
+        for row, name, label in ((1, "offset", f"offset ({unit})"), (2, "scale", "scale of B (1)")):
             value, sigma = tracked.column(name)[some], tracked.column(f"{name}_sigma")[some]
             axes[row, 0].fill_between(t_s[some], value - 2 * sigma, value + 2 * sigma, color=figures.BAND, lw=0)
             axes[row, 0].plot(t_s[some], value, color=figures.MODEL, lw=1.4, drawstyle="steps-post")
@@ -37,9 +37,9 @@ def draw(tracked: Tracked, recordings: Sequence[Recording], unit: str) -> Figure
             _bands(panel, t_s, states)
         for name, colour in _STATES.items():
             axes[0, 0].plot([], [], "s", color=colour, label=name)
-        axes[0, 0].legend(loc="upper right", ncols=3)
-        axes[0, 0].set_title("Tracked while in use: how far off, and what changed since the calibration")
-        axes[2, 0].set_xlabel("time, s")
+        axes[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.1)
+        axes[0, 0].set_title("Tracked while in use: how far off, and what changed")
+        axes[2, 0].set_xlabel("time (s)")
     return made
 
 
