@@ -43,14 +43,21 @@ LOOPS = {
     "come_late": (AXES,),
     "tl_elements_ahead": (6,),  # as many elements as a table has, but the first
     "tl_elements_behind": (7,),
+    "tl_undo_angle": (3,),  # joints
+    "tl_axis_watch": (3,),  # the same
+    "tl_undo_late": (4,),  # followers
+    "tl_undo_pushing": (2,),  # as many rounds as the watch asks for
     "tl_history_push": (2,),  # pushed once a millisecond and jitter
     "quadrature_count": (4,),  # the state machine leaves its count within 11 cycles of its own, a round here takes 5
     "bridge_sense_finish": (5,),  # four samples are in the FIFO, and one may come meanwhile
     CONTROL: (1,),  # its alarm passed while it was set; the next one is a period away
     "port_time_us": (2,),  # the high word changes once in 71 minutes
 }
-# What a table of one play never comes to, and one of several does.
-ONE_PLAY = {"tl_several_turn": NEVER, "tl_several_lead": NEVER, "tl_elements_behind": NEVER}
+# What a table never comes to that undoes no more than the play and the curve; and one that has a single play.
+UNDONE = ("angle", "late", "wider", "turned", "scaled", "reading", "pushing", "tick")
+PLAYS_ALONE = {f"tl_undo_{name}": NEVER for name in UNDONE} | {"tl_undoing_feed": NEVER, "tl_undoing_turn": NEVER}
+PLAYS_ALONE |= {"tl_compensator_hear": NEVER, "tl_compensator_reach": NEVER, "turn_one": NEVER}
+ONE_PLAY = {"tl_several_turn": NEVER, "tl_several_lead": NEVER, "tl_elements_behind": NEVER} | PLAYS_ALONE
 CALIBRATION = "tl_motion_tick"  # for one axis at a time, and not while it follows the tip
 # One of these in a tick, in this order, each once a millisecond (tl_axis_step: `switch (job)`). The axes are apart by a
 # tick: tl_axis_init() begins axis i with a tick less than axis i - 1, and all of them count on together.
@@ -225,9 +232,10 @@ class Cycles:
     measured: dict[str, dict[str, int]]
     step: int  # encoder value to duty
     step_plays: int  # with several plays
+    step_undoes: int  # with all that tables undo
     step_any: int  # calibration motion included
     interrupt: int  # AXES axes, from the request to the return, registers included
-    interrupt_plays: int  # the same with several plays
+    interrupt_undoes: int  # the same with several plays and all that tables undo
     millisecond: int  # the same over the ticks of a millisecond
     interrupt_measured: int  # as `interrupt`, with the worst step and watch that were measured
     branches: dict[str, int]  # "step", "onset" -> conditional branches in our functions that it reaches
@@ -270,18 +278,18 @@ def cycles() -> Cycles:
     measured = json.loads(_run("node", str(ROOT / "tools" / "emulator" / "measure.js")))
     stand_in, image = Code(BUILD / "cycles.elf"), Code(BUILD / "tautline.elf")
     step_any = bound(stand_in, STAND_IN_PORT).of(STEP)
-    step, step_plays = (
+    step, step_plays, step_undoes = (
         max(step_bound(stand_in, STAND_IN_PORT, job, **{CALIBRATION: NEVER, **plays}) for job in JOBS)
-        for plays in (ONE_PLAY, {})
+        for plays in (ONE_PLAY, PLAYS_ALONE, {})
     )
-    for kind, most in (("step_tip", step), ("step_plays", step_plays), ("step_other", step_any)):
+    for kind, most in (("step_tip", step), ("step_plays", step_plays), ("step_undoes", step_undoes)):
         if measured[kind]["worst"] > most:
             raise SystemExit(
                 f"budget: {kind} took {measured[kind]['worst']} cycles, the bound says {most}: mend bound.py"
             )
     each = bound(image, PORT)
     registers = sum(each.of(port) for port in EACH_STEP)
-    worst, with_plays = ticks(image, ONE_PLAY), ticks(image, {})
+    worst, with_all = ticks(image, ONE_PLAY), ticks(image, {})
     branches = {"step": branches_of(stand_in, STEP), "onset": branches_of(stand_in, ONSET)}
     seen = dict(measured["seen"])
     one_way = {name: [at for at in found if seen.get(at, 0) != 3] for name, found in branches.items()}
@@ -289,9 +297,10 @@ def cycles() -> Cycles:
         measured,
         step,
         step_plays,
+        step_undoes,
         step_any,
         max(worst),
-        max(with_plays),
+        max(with_all),
         sum(worst),
         max(
             ticks(
@@ -341,8 +350,8 @@ def rows() -> list[Row]:
         if names:
             print(f"{label}: {', '.join(names)}")
     return [
-        Row("flash image", (BUILD / "tautline.bin").stat().st_size, 65536, "bytes"),
-        Row("RAM: code and initialised data", ram_code_and_data, 25600, "bytes"),
+        Row("flash image", (BUILD / "tautline.bin").stat().st_size, 73728, "bytes"),
+        Row("RAM: code and initialised data", ram_code_and_data, 28160, "bytes"),
         Row("RAM with the stack", ram + size[".stack_dummy"], 65536, "bytes"),
         Row("stack, worst", deepest, size[".stack_dummy"], "bytes"),
         Row("float functions", len(floats), 0, ""),
@@ -354,16 +363,19 @@ def rows() -> list[Row]:
         Row("control step with tables, mean", cost.measured["step_tip"]["mean"], 500, "cycles"),
         Row("control step with several plays, measured", worst["step_plays"], 1200, "cycles"),
         Row("control step with several plays, any path", cost.step_plays, 1200, "cycles"),
+        Row("control step with all that is undone, measured", worst["step_undoes"], 1200, "cycles"),
+        Row("control step with all that is undone, any path", cost.step_undoes, 1200, "cycles"),
         Row("control step, other modes, measured", worst["step_other"], 2200, "cycles"),
         Row("calibration motion, measured", worst["motion"], 2000, "cycles"),
         Row("control step, calibration, any path", cost.step_any, 3300, "cycles"),
         Row("once a millisecond beside it, measured", worst["watch"], 1300, "cycles"),
         Row("the same with several plays", worst["watch_plays"], 1800, "cycles"),
+        Row("the same with all that is undone", worst["watch_undoes"], 2100, "cycles"),
         Row("guards, once a millisecond, measured", worst["guard"], 700, "cycles"),
         Row(f"{AXES} axes at {CONTROL_HZ} Hz, any path", load, 25, "% of the core"),
         Row(f"{AXES} axes, worst tick, measured", share * cost.interrupt_measured, 25, "% of its period"),
         Row(f"{AXES} axes, worst tick, any path", share * cost.interrupt, 25, "% of its period"),
-        Row("the same with several plays", share * cost.interrupt_plays, 33, "% of its period"),
+        Row("the same with all that is undone", share * cost.interrupt_undoes, 40, "% of its period"),
         Row("onset update, measured", worst["onset"], 2_000_000, "cycles"),
         *[
             Row(f"branches of the {name}, seen one way for a reason", cost.one_way[name], cost.branches[name], "")

@@ -155,7 +155,18 @@ class Copy:
             return done.returncode != 0
         options = ["--board", board] if file.startswith("tests/board") else []
         done = self._run(
-            sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *options, test, check=False
+            sys.executable,
+            "-m",
+            "pytest",
+            "-x",
+            "-q",
+            "-m",
+            "not long",
+            "-p",
+            "no:cacheprovider",
+            *options,
+            test,
+            check=False,
         )
         if done.returncode not in (0, 1):
             raise SystemExit(f"mutants: {test} did not run:\n{done.stdout}{done.stderr}")

@@ -1,5 +1,7 @@
 #include "tautline/tl_table.h"
 
+#include "tl_sections.h"
+
 #include "tautline/tl_crc.h"
 
 #include <string.h>
@@ -30,56 +32,6 @@ static const uint8_t magic[4] = {'T', 'L', 'T', 'B'};
     X(68, 4, uint32_t, created_s)
 
 enum { MODEL_ID_AT = 72, INSTRUMENT_AT = 80 };
-enum { SECTION_HEAD = 4, PLAYS_HEAD = 64, PLAYS_AT = 8 };
-enum { PERIOD_LOG2_MIN = 8, PERIOD_LOG2_MAX = 26, PLAYS_MIN = 2 };
-
-#define WEIGHT_FIRST_MIN 3277U              // 0.05, Q16
-#define WEIGHT_ALL       65536U             // Q16
-#define SHARE_ERROR_MAX  ((int64_t)1 << 28) // of the sum of shares, Q44: 2^-16
-#define HALF_LOG2        26                 // of an element's half width, in Y's unit
-
-static void put(uint8_t *at, uint32_t value, unsigned size) {
-    for (unsigned i = 0; i < size; i++) {
-        at[i] = (uint8_t)(value >> (8U * i));
-    }
-}
-
-static uint32_t get(const uint8_t *at, unsigned size) {
-    uint32_t value = 0;
-    for (unsigned i = 0; i < size; i++) {
-        value |= (uint32_t)at[i] << (8U * i);
-    }
-    return value;
-}
-
-static uint8_t *put_column(uint8_t *at, const int32_t *values, unsigned nodes) {
-    for (unsigned i = 0; i < nodes; i++, at += 4) {
-        put(at, (uint32_t)values[i], 4);
-    }
-    return at;
-}
-
-static const uint8_t *get_column(const uint8_t *at, int32_t *values, unsigned nodes) {
-    for (unsigned i = 0; i < nodes; i++, at += 4) {
-        values[i] = (int32_t)get(at, 4);
-    }
-    return at;
-}
-
-static uint8_t *put_plays(uint8_t *at, const tl_table_t *table) {
-    put(at, TL_TABLE_PLAYS_SECTION, 2);
-    put(at + 2, TL_TABLE_PLAYS_SIZE(table->nodes), 2);
-    at += SECTION_HEAD;
-    memset(at, 0, PLAYS_HEAD);
-    at[0] = table->plays;
-    at[1] = table->period_log2;
-    put(at + 4, (uint32_t)table->narrow, 4);
-    for (unsigned i = 0; i < table->plays; i++) {
-        put(at + PLAYS_AT + 8U * i, table->play_width_q28[i], 4);
-        put(at + PLAYS_AT + 8U * i + 4U, table->play_weight_q16[i], 4);
-    }
-    return put_column(at + PLAYS_HEAD, table->centre, table->nodes);
-}
 
 // Printable ASCII, then zeros.
 static bool is_text(const char *text, size_t size) {
@@ -97,64 +49,23 @@ size_t tl_table_encode(const tl_table_t *table, uint8_t *blob, size_t capacity) 
     if (table->nodes > TL_TABLE_NODES_MAX || table->plays > TL_TABLE_PLAYS_MAX) {
         return 0;
     }
-    const bool several = table->plays != 0;
-    const size_t size = TL_TABLE_SIZE(table->nodes) + (several ? SECTION_HEAD + TL_TABLE_PLAYS_SIZE(table->nodes) : 0U);
+    const size_t sections = tl_sections_size(table), size = TL_TABLE_SIZE(table->nodes) + sections;
     if (capacity < size) {
         return 0;
     }
     memcpy(blob, magic, sizeof magic);
-    put(blob + 4, several ? TL_TABLE_FORMAT : TL_TABLE_FORMAT_PLAIN, 2);
-    put(blob + 6, (uint32_t)size, 2);
-#define PUT(offset, bytes, type, name) put(blob + (offset), (uint32_t)table->name, bytes);
+    tl_put(blob + 4, sections != 0 ? TL_TABLE_FORMAT : TL_TABLE_FORMAT_PLAIN, 2);
+    tl_put(blob + 6, (uint32_t)size, 2);
+#define PUT(offset, bytes, type, name) tl_put(blob + (offset), (uint32_t)table->name, bytes);
     HEADER_FIELDS(PUT)
 #undef PUT
     memcpy(blob + MODEL_ID_AT, table->model_id, sizeof table->model_id);
     memcpy(blob + INSTRUMENT_AT, table->instrument, sizeof table->instrument);
-    uint8_t *at = put_column(blob + TL_TABLE_HEADER_SIZE, table->width, table->nodes);
-    at = put_column(at, table->angle, table->nodes);
-    if (several) {
-        at = put_plays(at, table);
-    }
-    put(at, tl_crc32(0, blob, size - 4), 4);
+    uint8_t *at = tl_put_column(blob + TL_TABLE_HEADER_SIZE, table->width, table->nodes);
+    at = tl_put_column(at, table->angle, table->nodes);
+    at = tl_sections_put(at, table);
+    tl_put(at, tl_crc32(0, blob, size - 4), 4);
     return size;
-}
-
-static tl_table_reason_t get_plays(const uint8_t *at, size_t size, tl_table_t *table) {
-    if (size != TL_TABLE_PLAYS_SIZE(table->nodes) || table->plays != 0) {
-        return TL_TABLE_BAD_SECTION;
-    }
-    if (at[0] < PLAYS_MIN || at[0] > TL_TABLE_PLAYS_MAX) {
-        return TL_TABLE_BAD_PLAYS;
-    }
-    table->plays = at[0];
-    table->period_log2 = at[1];
-    table->narrow = (int32_t)get(at + 4, 4);
-    for (unsigned i = 0; i < TL_TABLE_PLAYS_MAX; i++) {
-        table->play_width_q28[i] = get(at + PLAYS_AT + 8U * i, 4);
-        table->play_weight_q16[i] = get(at + PLAYS_AT + 8U * i + 4U, 4);
-        if (i >= table->plays && (table->play_width_q28[i] | table->play_weight_q16[i]) != 0) {
-            return TL_TABLE_BAD_RESERVED;
-        }
-    }
-    get_column(at + PLAYS_HEAD, table->centre, table->nodes);
-    return get(at + 2, 2) == 0 ? TL_TABLE_OK : TL_TABLE_BAD_RESERVED;
-}
-
-// From `at` up to `end`.
-static tl_table_reason_t get_sections(const uint8_t *at, const uint8_t *end, tl_table_t *table) {
-    while (at != end) {
-        const size_t left = (size_t)(end - at);
-        const size_t size = left < SECTION_HEAD ? left : get(at + 2, 2);
-        if (left < SECTION_HEAD || size > left - SECTION_HEAD || get(at, 2) != TL_TABLE_PLAYS_SECTION) {
-            return TL_TABLE_BAD_SECTION;
-        }
-        const tl_table_reason_t reason = get_plays(at + SECTION_HEAD, size, table);
-        if (reason != TL_TABLE_OK) {
-            return reason;
-        }
-        at += SECTION_HEAD + size;
-    }
-    return TL_TABLE_OK;
 }
 
 tl_table_reason_t tl_table_decode(const uint8_t *blob, size_t size, uint8_t axis, tl_table_t *table) {
@@ -164,17 +75,17 @@ tl_table_reason_t tl_table_decode(const uint8_t *blob, size_t size, uint8_t axis
     if (memcmp(blob, magic, sizeof magic) != 0) {
         return TL_TABLE_BAD_MAGIC;
     }
-    const uint32_t format = get(blob + 4, 2);
+    const uint32_t format = tl_get(blob + 4, 2);
     if (format != TL_TABLE_FORMAT_PLAIN && format != TL_TABLE_FORMAT) {
         return TL_TABLE_BAD_FORMAT;
     }
-    if (get(blob + 6, 2) != size) {
+    if (tl_get(blob + 6, 2) != size) {
         return TL_TABLE_BAD_SIZE;
     }
-    if (get(blob + size - 4, 4) != tl_crc32(0, blob, size - 4)) {
+    if (tl_get(blob + size - 4, 4) != tl_crc32(0, blob, size - 4)) {
         return TL_TABLE_BAD_CRC;
     }
-#define GET(offset, bytes, type, name) table->name = (type)get(blob + (offset), bytes);
+#define GET(offset, bytes, type, name) table->name = (type)tl_get(blob + (offset), bytes);
     HEADER_FIELDS(GET)
 #undef GET
     memcpy(table->model_id, blob + MODEL_ID_AT, sizeof table->model_id);
@@ -189,19 +100,10 @@ tl_table_reason_t tl_table_decode(const uint8_t *blob, size_t size, uint8_t axis
     if (format == TL_TABLE_FORMAT_PLAIN ? plain != size : plain > size) {
         return TL_TABLE_BAD_SIZE;
     }
-    const uint8_t *at = get_column(blob + TL_TABLE_HEADER_SIZE, table->width, table->nodes);
-    at = get_column(at, table->angle, table->nodes);
-    table->plays = 0;
-    const tl_table_reason_t reason = get_sections(at, blob + size - 4, table);
+    const uint8_t *at = tl_get_column(blob + TL_TABLE_HEADER_SIZE, table->width, table->nodes);
+    at = tl_get_column(at, table->angle, table->nodes);
+    const tl_table_reason_t reason = tl_sections_get(at, blob + size - 4, table);
     return reason == TL_TABLE_OK ? tl_table_check(table, axis) : reason;
-}
-
-static bool beyond(int32_t value) {
-    return value > TL_TABLE_VALUE_MAX || value < -TL_TABLE_VALUE_MAX;
-}
-
-static bool outside(int32_t value, int32_t low, int32_t high) {
-    return value < low || value > high;
 }
 
 static tl_table_reason_t check_header(const tl_table_t *t, uint8_t axis) {
@@ -223,7 +125,8 @@ static tl_table_reason_t check_header(const tl_table_t *t, uint8_t axis) {
     if (t->step_log2 > TL_TABLE_STEP_LOG2_MAX) {
         return TL_TABLE_BAD_STEP;
     }
-    if (beyond(t->q0) || beyond(t->q_min) || beyond(t->q_max) || beyond(t->coarse_c_min) || beyond(t->coarse_c_max)) {
+    if (tl_beyond(t->q0) || tl_beyond(t->q_min) || tl_beyond(t->q_max) || tl_beyond(t->coarse_c_min) ||
+        tl_beyond(t->coarse_c_max)) {
         return TL_TABLE_BAD_SATURATES;
     }
     if (t->q_min >= t->q_max) {
@@ -232,9 +135,9 @@ static tl_table_reason_t check_header(const tl_table_t *t, uint8_t axis) {
     if (t->strength_q15 > TL_RATIO_ONE) {
         return TL_TABLE_BAD_STRENGTH;
     }
-    if (outside(t->speed_max_q8, 1, TL_TABLE_VALUE_MAX) || outside(t->takeup_speed_q8, 1, TL_TABLE_VALUE_MAX) ||
-        outside(t->takeup_accel, 1, INT32_MAX) || outside(t->band, 0, TL_TABLE_VALUE_MAX) ||
-        outside(t->slope_min_q28, 0, INT32_MAX) || outside(t->flat_speed_q8, 0, TL_TABLE_VALUE_MAX)) {
+    if (tl_outside(t->speed_max_q8, 1, TL_TABLE_VALUE_MAX) || tl_outside(t->takeup_speed_q8, 1, TL_TABLE_VALUE_MAX) ||
+        tl_outside(t->takeup_accel, 1, INT32_MAX) || tl_outside(t->band, 0, TL_TABLE_VALUE_MAX) ||
+        tl_outside(t->slope_min_q28, 0, INT32_MAX) || tl_outside(t->flat_speed_q8, 0, TL_TABLE_VALUE_MAX)) {
         return TL_TABLE_BAD_LIMITS;
     }
     if (t->delay_us > TL_TABLE_DELAY_MAX_US) {
@@ -265,7 +168,7 @@ static tl_table_reason_t check_nodes(const tl_table_t *t) {
             return TL_TABLE_BAD_WIDTH_NEGATIVE;
         }
         const int64_t half = t->width[i] - (t->width[i] >> 1);
-        if (beyond(t->angle[i]) || p + half > TL_TABLE_VALUE_MAX || p - half < -TL_TABLE_VALUE_MAX) {
+        if (tl_beyond(t->angle[i]) || p + half > TL_TABLE_VALUE_MAX || p - half < -TL_TABLE_VALUE_MAX) {
             return TL_TABLE_BAD_SATURATES;
         }
         if (i > 0) {
@@ -290,52 +193,17 @@ static tl_table_reason_t check_nodes(const tl_table_t *t) {
     return TL_TABLE_OK;
 }
 
-// The shares of the elements: what they sum up to is told to 2^-16.
-static tl_table_reason_t check_plays(const tl_table_t *t) {
-    if (t->plays < PLAYS_MIN || t->plays > TL_TABLE_PLAYS_MAX || outside(t->narrow, 0, TL_TABLE_VALUE_MAX) ||
-        t->play_weight_q16[0] < WEIGHT_FIRST_MIN) {
-        return TL_TABLE_BAD_PLAYS;
-    }
-    uint64_t weight = 0;
-    int64_t width = -((int64_t)1 << 44);
-    for (unsigned i = 0; i < t->plays; i++) {
-        if (t->play_weight_q16[i] == 0 || (i > 0 && t->play_width_q28[i] <= t->play_width_q28[i - 1U])) {
-            return TL_TABLE_BAD_PLAYS;
-        }
-        weight += t->play_weight_q16[i];
-        if (weight > WEIGHT_ALL) {
-            return TL_TABLE_BAD_PLAYS;
-        }
-        width += (int64_t)((uint64_t)t->play_weight_q16[i] * t->play_width_q28[i]);
-    }
-    if (weight != WEIGHT_ALL || width > SHARE_ERROR_MAX || width < -SHARE_ERROR_MAX) {
-        return TL_TABLE_BAD_PLAYS;
-    }
-    const uint64_t widest = t->play_width_q28[t->plays - 1U];
-    if (t->period_log2 < PERIOD_LOG2_MIN || t->period_log2 > PERIOD_LOG2_MAX ||
-        widest << t->period_log2 >> (28 + 1 + HALF_LOG2) != 0) {
-        return TL_TABLE_BAD_WARP;
-    }
-    for (unsigned i = 0; i < t->nodes; i++) {
-        if (outside(t->centre[i], -TL_TABLE_CENTRE_MAX, TL_TABLE_CENTRE_MAX) ||
-            (i > 0 && t->centre[i] <= t->centre[i - 1U])) {
-            return TL_TABLE_BAD_WARP;
-        }
-    }
-    return TL_TABLE_OK;
-}
-
 tl_table_reason_t tl_table_check(const tl_table_t *table, uint8_t axis) {
     const tl_table_reason_t reason = check_header(table, axis);
     if (reason != TL_TABLE_OK) {
         return reason;
     }
     if (table->nodes == 0) {
-        const bool clean = table->q0 == 0 && table->step_log2 == 0 && table->plays == 0;
+        const bool clean = table->q0 == 0 && table->step_log2 == 0 && table->plays == 0 && table->has == 0;
         return clean ? TL_TABLE_OK : TL_TABLE_BAD_RESERVED;
     }
     const tl_table_reason_t nodes = check_nodes(table);
-    return nodes == TL_TABLE_OK && table->plays != 0 ? check_plays(table) : nodes;
+    return nodes == TL_TABLE_OK ? tl_sections_check(table) : nodes;
 }
 
 const char *tl_table_reason_text(tl_table_reason_t reason) {

@@ -73,6 +73,15 @@ void fill(sight_parameters &into, const nb::dict &values) {
     }
 }
 
+nb::tuple lots(const nb::dict &named) {
+    double spread[EFFECT_LOTS], share[EFFECT_LOTS];
+    const size_t count = effects_lots(all_values(named).data(), spread, share);
+    auto spreads = new_array<double>(count), shares = new_array<double>(count);
+    std::copy(spread, spread + count, spreads.data());
+    std::copy(share, share + count, shares.data());
+    return nb::make_tuple(spreads, shares);
+}
+
 template <typename T> const T *column(const std::optional<ArrayIn<T>> &values, size_t n, const char *name) {
     if (!values) {
         return nullptr;
@@ -168,6 +177,8 @@ void bind_effects(nb::module_ &m) {
 #undef X
     m.attr("effect_parameters") = path; // (name, value when absent, unit, meaning): what moves the tip
     m.attr("sight_parameters") = sight; // and what changes where it is seen
+    m.def("onset_lots", &lots, nb::arg("values"),
+          "(spread, share) of the lots of a play's thresholds, as these effects' parameters spread them");
     m.def("simulate_effects", simulate, "parameters"_a, "plays"_a, "c_deg"_a, "t_s"_a, "q"_a, "at_s"_a,
           "translation"_a = nb::none(), "rotation"_a = nb::none(), "load"_a = nb::none(), "other"_a = nb::none(),
           "session_s"_a = 0.0, "p0"_a = NAN,

@@ -72,7 +72,25 @@ void bind_play_fixed(nb::module_ &m) {
             "set_table",
             [](tl_compensator_t &self, const FixedTable &table) { tl_compensator_set_table(&self, &table.lookup); },
             nb::arg("table"), nb::keep_alive<1, 2>())
-        .def_prop_ro("q", [](const tl_compensator_t &self) { return self.q; })
+        .def("adapt", &tl_compensator_adapt, nb::arg("offset"), nb::arg("scale_q15"), nb::arg("ticks"),
+             "moves the table by an offset and its width by a scale; whether its limits allow that")
+        .def("load", &tl_compensator_load, nb::arg("load"), nb::arg("ticks"), "the load, mNm Q8")
+        .def(
+            "joint",
+            [](tl_compensator_t &self, size_t i, int32_t at) {
+                if (i >= TL_TABLE_JOINTS) {
+                    throw nb::index_error("no such joint");
+                }
+                self.undo.moved.joint[i] = at;
+            },
+            nb::arg("i"), nb::arg("at"), "where the i-th other axis of section 7 is")
+        .def(
+            "pushing",
+            [](const tl_compensator_t &self, int32_t reading) {
+                return tl_undo_pushing(&self.undo, self.lookup, reading, TL_UNDO_ROUNDS);
+            },
+            nb::arg("reading"), "from where the motor pushes whose encoder reads that")
+        .def_prop_ro("q", [](const tl_compensator_t &self) { return self.undoes ? self.reading : self.q; })
         .def_prop_ro("p", [](const tl_compensator_t &self) { return self.p; })
         .def_prop_ro("side", [](const tl_compensator_t &self) { return static_cast<int>(self.side); })
         .def_prop_ro("rest", [](const tl_compensator_t &self) { return tl_compensator_rest(&self); });

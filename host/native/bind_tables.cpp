@@ -83,8 +83,52 @@ nb::object plays_of(const tl_table_t &table) {
     return plays;
 }
 
+// Sections 2 on, each a dict of its fields' names: {"encoder": {"period_q12": .., ..}, ..}.
+void read_words(const nb::dict &from, const char *name, int32_t *to, size_t count) {
+    const auto values = nb::cast<std::vector<int32_t>>(from[name]);
+    if (values.size() != count) {
+        throw nb::value_error((std::string(name) + " of a section has another length").c_str());
+    }
+    std::copy(values.begin(), values.end(), to);
+}
+
+void read_sections(const nb::dict &sections, tl_table_t &table) {
+    size_t known = 0;
+#define READ_FIELD(field)        read_field(from, #field, into.field);
+#define READ_ARRAY(field, count) read_words(from, #field, into.field, count);
+#define READ(number, name, FIELDS)                                                                                     \
+    if (sections.contains(#name)) {                                                                                    \
+        const auto from = nb::cast<nb::dict>(sections[#name]);                                                         \
+        auto &into = table.name;                                                                                       \
+        FIELDS(READ_FIELD, READ_ARRAY)                                                                                 \
+        table.has |= static_cast<uint32_t>(TL_TABLE_HAS_##name);                                                       \
+        known++;                                                                                                       \
+    }
+    TL_TABLE_SECTIONS(READ)
+#undef READ
+    if (known != sections.size()) {
+        throw nb::value_error("a section's name is none of tl_table.h");
+    }
+}
+
+nb::dict sections_of(const tl_table_t &table) {
+    nb::dict sections;
+#define WRITE_FIELD(field)        to[#field] = from.field;
+#define WRITE_ARRAY(field, count) to[#field] = std::vector<int32_t>(from.field, from.field + (count));
+#define WRITE(number, name, FIELDS)                                                                                    \
+    if ((table.has & static_cast<uint32_t>(TL_TABLE_HAS_##name)) != 0) {                                               \
+        const auto &from = table.name;                                                                                 \
+        nb::dict to;                                                                                                   \
+        FIELDS(WRITE_FIELD, WRITE_ARRAY)                                                                               \
+        sections[#name] = to;                                                                                          \
+    }
+    TL_TABLE_SECTIONS(WRITE)
+#undef WRITE
+    return sections;
+}
+
 nb::bytes encode(const nb::dict &fields, ArrayIn<int32_t> width, ArrayIn<int32_t> angle, const nb::bytes &model_id,
-                 const std::string &instrument, std::optional<nb::dict> plays) {
+                 const std::string &instrument, std::optional<nb::dict> plays, const nb::dict &sections) {
     tl_table_t table{};
     if (width.shape(0) != angle.shape(0) || width.shape(0) > TL_TABLE_NODES_MAX) {
         throw nb::value_error("width and angle need the same number of nodes, at most 257");
@@ -106,6 +150,7 @@ nb::bytes encode(const nb::dict &fields, ArrayIn<int32_t> width, ArrayIn<int32_t
     if (plays) {
         read_plays(*plays, table);
     }
+    read_sections(sections, table);
     std::vector<uint8_t> blob(TL_TABLE_SIZE_MAX);
     const size_t size = tl_table_encode(&table, blob.data(), blob.size());
     return nb::bytes(blob.data(), size);
@@ -132,6 +177,7 @@ nb::dict fields_of(const FixedTable &self) {
     fields["width"] = width;
     fields["angle"] = angle;
     fields["plays"] = plays_of(table);
+    fields["sections"] = sections_of(table);
     return fields;
 }
 
@@ -179,9 +225,10 @@ template <Inverse function> nb::tuple batch_near(const FixedTable &self, ArrayIn
 void bind_tables(nb::module_ &m) {
     m.def(
         "table_encode", &encode, nb::arg("fields"), nb::arg("width"), nb::arg("angle"), nb::arg("model_id"),
-        nb::arg("instrument") = "", nb::arg("plays") = nb::none(),
+        nb::arg("instrument") = "", nb::arg("plays") = nb::none(), nb::arg("sections") = nb::dict(),
         "The blob of a table (fields as in tl_table.h, raw fixed-point values; plays: period_log2, narrow, width_q28, "
-        "weight_q16 and centre of section 1); its content is not checked.");
+        "weight_q16 and centre of section 1; sections: the others' fields by their names); its content is not "
+        "checked.");
     m.def("table_check", &check, nb::arg("blob"), nb::arg("axis") = TL_TABLE_ANY_AXIS,
           "(name, text) of the reason why the board would refuse the blob; name is 'OK' where it would not.");
     nb::dict reasons;
@@ -200,6 +247,12 @@ void bind_tables(nb::module_ &m) {
     m.attr("TABLE_FORMAT") = TL_TABLE_FORMAT;
     m.attr("TABLE_PLAYS_MAX") = TL_TABLE_PLAYS_MAX;
     m.attr("TABLE_CENTRE_MAX") = TL_TABLE_CENTRE_MAX;
+    m.attr("TABLE_LAST") = TL_TABLE_LAST;
+    m.attr("TABLE_STEPS") = TL_TABLE_STEPS;
+    m.attr("TABLE_LATE_MAX") = TL_TABLE_LATE_MAX;
+    m.attr("TABLE_JOINTS") = TL_TABLE_JOINTS;
+    m.attr("TABLE_ENCODER_MAX") = TL_TABLE_ENCODER_MAX;
+    m.attr("TABLE_ADAPT_OFFSET_MAX") = TL_TABLE_ADAPT_OFFSET_MAX;
     m.attr("TABLE_AXES") = TL_TABLE_AXES;
     m.attr("TABLE_ANY_AXIS") = TL_TABLE_ANY_AXIS;
     m.attr("TABLE_NODES_MAX") = TL_TABLE_NODES_MAX;

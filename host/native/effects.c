@@ -45,16 +45,22 @@ struct plays {
     struct warp_cursor end_at[2];
 };
 
-static void find_plays(const struct all *all, const struct elements *elements, struct plays *plays) {
-    const int several = elements->warp.knots > 0;
-    double spread[EFFECT_LOTS] = {1.0}, share[EFFECT_LOTS] = {1.0};
-    *plays = (struct plays){.each = several ? elements->n : 1};
+static size_t find_lots(const struct all *all, double *spread, double *share) {
     size_t lots = 1;
+    spread[0] = share[0] = 1.0;
     for (size_t i = 0; i < all->count; i++) {
         if (all->of[i].effect->lots) {
             lots = all->of[i].effect->lots(all->of[i].v, spread, share);
         }
     }
+    return lots;
+}
+
+static void find_plays(const struct all *all, const struct elements *elements, struct plays *plays) {
+    const int several = elements->warp.knots > 0;
+    double spread[EFFECT_LOTS], share[EFFECT_LOTS];
+    *plays = (struct plays){.each = several ? elements->n : 1};
+    const size_t lots = find_lots(all, spread, share);
     plays->count = lots * plays->each;
     double above = 1.0, weight = 0.0;
     for (size_t i = 0; i < lots && above > 0.5; above -= share[i++]) {
@@ -231,6 +237,13 @@ static void find_present(const double *values, double state[MOST][EFFECT_STATES]
         }
         values += effect->count;
     }
+}
+
+size_t effects_lots(const double *values, double *spread, double *share) {
+    double state[MOST][EFFECT_STATES] = {{0}};
+    struct all all;
+    find_present(values, state, &all);
+    return find_lots(&all, spread, share);
 }
 
 // A channel of the motion at t, between the knot before `knot` and itself; NULL: 0.

@@ -17,6 +17,10 @@ size_t effects_parameter_count(void);
 const struct effect_parameter *effects_parameter(size_t i);
 const char *effects_owner(size_t i); // the id of the effect that parameter i belongs to
 
+// A play's thresholds in lots (EFFECT_LOTS at most), in units of its own, and how many of all are in each: their
+// number.
+size_t effects_lots(const double *values, double *spread, double *share);
+
 // f_remain on the nodes of the elements' backlash table (2 or more), linear between them; it goes on with its end
 // slopes.
 struct effect_tables {

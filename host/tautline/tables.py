@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import time
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from tautline.elements import SINGLE, Elements, warp_of
 from tautline.errors import TautError
 from tautline.model import Array, Model
 from tautline.rig import MARKER, Rig
+from tautline.undone import Joint, Section, undone
 
 KINDS: dict[str, int] = _native.AXIS_KINDS
 _KIND_NAMES = {value: name for name, value in KINDS.items()}
@@ -39,6 +41,7 @@ class Limits:
     slope_min: float = 0.0  # deg/unit; spans of f that are flatter are refused, or crossed at flat_speed
     flat_speed: float = 0.0  # unit/s; 0 refuses
     strength: float = 1.0  # share of B that is compensated, 0..1
+    adapt: tuple[float, float, float] | None = None  # in use: offset at most, unit; scale of B at least, at most
 
     @classmethod
     def of(cls, rig: Rig) -> Limits:
@@ -74,15 +77,20 @@ class Table:
     width: Array  # (n,) B
     c_deg: Array  # (n,) f
     elements: Elements = SINGLE
+    sections: Mapping[str, Section] = field(default_factory=dict)  # what else is undone, raw (common/tl_table.h)
 
 
-def model_id(model: Model) -> bytes:
-    """8 bytes that are the same for the same B, elements, f, delay and actuator, and hardly ever else."""
+def model_id(model: Model, joints: Mapping[str, Joint] | None = None) -> bytes:
+    """8 bytes that are the same for the same B, elements, f, delay, actuator and effects that the tables undo, and
+    hardly ever else."""
+    model, sections = undone(model, joints)
     actuator = model.rig.actuator
     digest = hashlib.sha256(repr((actuator.unit, actuator.range, actuator.encoder_resolution, model.delay_s)).encode())
     shares = () if model.elements.single else (model.elements.width, model.elements.weight)
     for values in (model.q, model.width, model.c_deg, *shares):
         digest.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
+    if sections:
+        digest.update(repr(sorted(sections.items())).encode())
     return digest.digest()[:8]
 
 
@@ -93,8 +101,10 @@ def encode(
     kind: str = "bending",
     created_s: int | None = None,
     instrument: str | None = None,
+    joints: Mapping[str, Joint] | None = None,
 ) -> bytes:
-    """The model's blob for `axis`, or a TautError that says why a board would refuse it.
+    """The model's blob for `axis`, with the sections that undo its effects, or a TautError that says why a board would
+    refuse it.
 
     instrument: the serial of the one that it was made for, at most 8 characters, the rig's where it is None: a board
     whose settings name another refuses the table.
@@ -103,7 +113,12 @@ def encode(
     node may lie beyond the range, and with several plays the first does: there B is held and f goes on with its last
     slope.
     """
+    identity = model_id(model, joints)
+    model, sections = undone(model, joints)
     rig = model.rig
+    limits = limits or Limits.of(rig)
+    if limits.adapt is not None:
+        sections = {**sections, "adapt": _adapt(limits.adapt, rig)}
     q_min, q_max = (_counts(q, rig, "actuator.range") for q in rig.actuator.range)
     span = q_max - q_min
     if span < 1:
@@ -117,18 +132,28 @@ def encode(
     q = q_raw * (rig.actuator.encoder_resolution / _COUNT)
     width = np.interp(q, model.q, model.width)
     c_deg = _extended(q, np.asarray(model.q, float), np.asarray(model.c_deg, float))
-    fields = _fields(rig, axis, limits or Limits.of(rig), kind, model.delay_of(MARKER), created_s)
+    fields = _fields(rig, axis, limits, kind, model.delay_of(MARKER), created_s)
     fields |= {"q0": int(q_raw[0]), "step_log2": step_log2}
     raw_width = _raw(width / rig.actuator.encoder_resolution * _COUNT, "a backlash width")
     blob: bytes = _native.table_encode(
         fields,
         raw_width,
         _raw(c_deg * _DEG, "f_remain"),
-        model_id(model),
+        identity,
         instrument if instrument is not None else rig.actuator.instrument or "",
         _plays(model, q_raw.astype(float), raw_width.astype(float)),
+        sections,
     )
     return _checked(blob, axis)
+
+
+def _adapt(adapt: tuple[float, float, float], rig: Rig) -> Section:
+    offset, least, most = adapt
+    return {
+        "offset": _counts(offset, rig, "limits.adapt"),
+        "width_least_q15": _whole(least * _native.RATIO_ONE, "limits.adapt", 0, _native.RATIO_ONE),
+        "width_most_q15": _whole(most * _native.RATIO_ONE, "limits.adapt", _native.RATIO_ONE, 2 * _native.RATIO_ONE),
+    }
 
 
 def _plays(model: Model, q: Array, width: Array) -> dict[str, Any] | None:
@@ -218,6 +243,7 @@ def decode(blob: bytes, axis: int | None = None) -> Table:
             slope_min=fields["slope_min_q28"] / _SLOPE / resolution,
             flat_speed=fields["flat_speed_q8"] * unit,
             strength=fields["strength_q15"] / _native.RATIO_ONE,
+            adapt=_adapted(fields["sections"].get("adapt"), unit),
         ),
         delay_s=fields["delay_us"] * 1e-6,
         created_s=fields["created_s"],
@@ -227,7 +253,15 @@ def decode(blob: bytes, axis: int | None = None) -> Table:
         width=fields["width"] * unit,
         c_deg=fields["angle"] / _DEG,
         elements=_elements(fields["plays"]),
+        sections=fields["sections"],
     )
+
+
+def _adapted(section: Mapping[str, int] | None, unit: float) -> tuple[float, float, float] | None:
+    if section is None:
+        return None
+    least, most = (section[f"width_{name}_q15"] / _native.RATIO_ONE for name in ("least", "most"))
+    return section["offset"] * unit, least, most
 
 
 def _elements(plays: dict[str, Any] | None) -> Elements:

@@ -176,7 +176,7 @@ def test_what_it_says_where_it_cannot(taut: Taut, tmp_path: Path) -> None:
     far = write(tmp_path / "far.csv", "0,0\n1,400\n")
     done = taut("compensate", tmp_path / "m", "--trajectory", far, *out)
     assert done.code == 0 and "were clipped" in done.err
-    with_lag = Model(**{**own.__dict__, "effects": (Effect("transmission.lag", {"lag": 0.1}),)})
-    with_lag.save(tmp_path / "lag")
-    done = taut("compensate", tmp_path / "lag", "--trajectory", good, *out)
-    assert done.code == 0 and "transmission.lag" in done.err
+    contact = Effect("configuration.contact", {"contact_hold": 0.5, "contact_c": 20.0})
+    Model(**{**own.__dict__, "effects": (contact,)}).save(tmp_path / "held")
+    done = taut("compensate", tmp_path / "held", "--trajectory", good, *out)
+    assert done.code == 0 and "configuration.contact" in done.err

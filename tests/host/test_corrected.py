@@ -134,16 +134,31 @@ def test_a_name_that_is_neither_preset_nor_model_is_refused(tmp_path):
 def test_what_the_tables_carry_and_what_they_cannot():
     carried = {kind.id for kind in LIBRARY if kind.on_board}
     assert "transmission.drift" in carried and "registration.static" in carried
-    assert not carried & {"transmission.lag", "transmission.load_dependence", "configuration.contact"}
+    assert {"transmission.lag", "transmission.load_dependence", "transmission.smooth_onset"} <= carried
+    left = {"configuration.contact", "configuration.swing", "transmission.stick_slip"}
+    assert not carried & (left | {"acquisition.jitter", "acquisition.held_samples"})
 
 
 def test_flash_wants_to_be_told_before_it_leaves_an_effect_out(tmp_path, monkeypatch, capsys):
     from tests.host.cli_runner import Taut
 
-    replace(MODEL, effects=(Effect("transmission.lag", {"lag": 0.05}),)).save(tmp_path / "model")
+    contact = Effect("configuration.contact", {"contact_hold": 0.5, "contact_c": 20.0})
+    replace(MODEL, effects=(contact,)).save(tmp_path / "model")
     done = Taut(monkeypatch, capsys)("flash", tmp_path / "model", "--board", "usbip:127.0.0.1:1")
     assert done.code == 1 and done.err.count("\n") == 1
-    assert "cannot carry transmission.lag" in done.err and "--without-effects" in done.err
+    assert "no table can undo configuration.contact" in done.err and "--without-effects" in done.err
+
+
+def test_flash_wants_to_know_which_axis_couples_in(tmp_path, monkeypatch, capsys):
+    from tests.host.cli_runner import Taut
+
+    coupling = Effect("configuration.axis_coupling", {"c_per_translation": 0.5, "c_per_rotation": 0.0})
+    replace(MODEL, effects=(coupling,)).save(tmp_path / "model")
+    taut = Taut(monkeypatch, capsys)
+    done = taut("flash", tmp_path / "model", "--board", "usbip:127.0.0.1:1")
+    assert done.code == 1 and "without --joint" in done.err
+    done = taut("flash", tmp_path / "model", "--board", "usbip:127.0.0.1:1", "--joint", "translation_mm=1")
+    assert done.code == 2 and "translation_mm=1:0.001" in done.err
 
 
 def test_the_next_motion_stays_within_the_rig_and_asks_for_no_axis_that_never_moved():

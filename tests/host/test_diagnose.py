@@ -229,7 +229,9 @@ def test_the_report_says_it_all_and_shows_the_axes_that_tell_most(tmp_path):
     assert text.count("<img") == 1 + 2 < 1 + len(found.conditions)
     said = words.text(found.document, "out")
     assert said.startswith(words.sentence(found.document)) and said.endswith("out/report.html")
-    assert "taut flash out/corrected --without-effects" in said
+    assert "taut flash out/corrected\n" in said and "--without-effects" not in said
+    tip = found.document["tip"]
+    assert tip["after_deg"] < 0.1 * tip["before_deg"] and words.tip(found.document) in said
 
 
 def test_a_drift_that_wears_off_is_folded_in_as_far_as_it_went():

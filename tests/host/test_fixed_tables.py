@@ -119,7 +119,7 @@ def test_a_blob_gives_back_what_it_was_made_of(reference: Reference) -> None:
     assert _native.table_check(blob)[0] == "OK"
     fields = _native.FixedTable(blob).fields
     width, angle, model_id = fields.pop("width"), fields.pop("angle"), fields.pop("model_id")
-    assert fields.pop("plays") is None and fields.pop("instrument") == ""
+    assert fields.pop("plays") is None and fields.pop("sections") == {} and fields.pop("instrument") == ""
     assert np.array_equal(width, reference.width) and np.array_equal(angle, reference.angle)
     assert fields == reference.fields
     assert _native.table_encode(fields, width, angle, model_id) == blob

@@ -11,7 +11,21 @@
 #include "tautline/tl_axis_watch.h"
 #include "tautline/tl_onset.h"
 
-enum { STEP_TIP, STEP_OTHER, WATCH, GUARD, MOTION, ONSET, STEP_PLAYS, WATCH_PLAYS, LOOKUP, LOOKUP_YARDSTICK, EMPTY };
+enum {
+    STEP_TIP,
+    STEP_OTHER,
+    WATCH,
+    GUARD,
+    MOTION,
+    ONSET,
+    STEP_PLAYS,
+    WATCH_PLAYS,
+    STEP_UNDOES,
+    WATCH_UNDOES,
+    LOOKUP,
+    LOOKUP_YARDSTICK,
+    EMPTY
+};
 enum { TABLES = 90, PLAY_TABLES = 45, TICKS = 300, RATE_HZ = 5000, MOTIONS = 600, REVERSALS = 500 };
 
 #define BEGIN(kind)                                                                                                    \
@@ -169,6 +183,64 @@ static void make_plays(tl_table_t *table) {
     } while (table->plays == 0 || tl_lookup_derive(&axis.tip.lookup, table, 0) != TL_TABLE_OK);
 }
 
+static void small_table(int32_t values[TL_TABLE_LAST + 1U], int32_t most) {
+    values[0] = between(0, most);
+    for (uint32_t i = 1; i <= TL_TABLE_LAST; i++) {
+        values[i] = values[i - 1U] - between(0, values[i - 1U] < 16 ? values[i - 1U] : 16);
+    }
+}
+
+// All that is undone beside plays and curve, or some of it.
+static void add_sections(tl_table_t *table) {
+    const bool all = between(0, 1) == 0;
+    for (uint32_t i = 2; i <= 8; i++) {
+        table->has |= all || between(0, 1) == 0 ? 1U << i : 0;
+    }
+    table->encoder = (tl_table_encoder_t){.period_q12 = between(1 << 20, 1 << 26)};
+    const int32_t most = table->encoder.period_q12 / 2000 < 20000 ? table->encoder.period_q12 / 2000 : 20000;
+    table->encoder.sine = between(-most, most);
+    table->encoder.cosine = between(-most, most);
+    table->encoder.sine2 = between(0, 3) == 0 ? 0 : between(-most, most);
+    table->sides.side = between(0, 1) == 0 ? 1 : -1;
+    table->sides.step_log2 = between(4, 12);
+    small_table(table->sides.late, 20000);
+    table->speed.step_log2 = between(8, 16);
+    table->speed.time_us = between(0, 200000);
+    table->speed.held = between(0, 1);
+    small_table(table->speed.extra, 20000);
+    const int32_t followers = between(0, 1) == 0 ? (int32_t)TL_TABLE_LATE_MAX : between(0, TL_TABLE_LATE_MAX);
+    for (int32_t i = 0; i < followers; i++) {
+        table->late.gain_q16[i] = between(-400000, 1000000);
+        table->late.time_us[i] = between(1000, between(0, 1) == 0 ? 10000 : 5000000);
+    }
+    table->load = (tl_table_load_t){.reference = between(-2560, 2560),
+                                    .width = between(-50000, 50000),
+                                    .gain = between(-50000, 50000),
+                                    .offset = between(-200000, 200000),
+                                    .middle = table->angle[table->nodes / 2U]};
+    const int32_t joints = between(0, 1) == 0 ? (int32_t)TL_TABLE_JOINTS : between(0, TL_TABLE_JOINTS);
+    for (int32_t i = 0; i < joints; i++) {
+        table->joints.axis[i] = 2 + i;
+        table->joints.play[i] = between(0, 10000);
+        table->joints.slope[i] = between(-100000, 100000);
+    }
+    table->adapt = (tl_table_adapt_t){.offset = 100000, .width_least_q15 = 8192, .width_most_q15 = 65536};
+}
+
+// Of what moves the tables while they are in use.
+static void move_tables(void) {
+    tl_compensator_t *k = &axis.tip.compensator;
+    const uint32_t ticks = (uint32_t)between(1, 500);
+    if (between(0, 1) == 0) {
+        tl_compensator_load(k, between(-25600, 25600), ticks);
+    } else {
+        tl_compensator_adapt(k, between(-100000, 100000), between(8192, 65536), ticks);
+    }
+    for (uint32_t i = 0; i < TL_TABLE_JOINTS; i++) {
+        k->undo.moved.joint[i] = between(-1000000, 1000000);
+    }
+}
+
 // -- a motor that follows well enough, and sometimes does not
 // -----------------------------------------------------------------
 
@@ -206,7 +278,7 @@ static void __no_inline_not_in_flash_func(step)(uint32_t kind, tl_us_t now_us) {
     tl_axis_step(&axis);
     END();
     if (axis.slot == 0) {
-        BEGIN(axis.tip.lookup.plays > 0 ? WATCH_PLAYS : WATCH);
+        BEGIN(axis.tip.lookup.table.has != 0 ? WATCH_UNDOES : (axis.tip.lookup.plays > 0 ? WATCH_PLAYS : WATCH));
         tl_axis_watch(&axis, now_us);
         END();
     } else if (axis.slot == 2) {
@@ -219,7 +291,7 @@ static void __no_inline_not_in_flash_func(step)(uint32_t kind, tl_us_t now_us) {
     }
 }
 
-static void start_axis(bool plays) {
+static void start_axis(bool plays, bool sections) {
     tl_axis_init(&axis, &port, 0);
     tl_wire_settings_t settings = axis.settings; // the widest
     settings.speed_q8_s = TL_REFERENCE_SPEED_MAX;
@@ -231,6 +303,9 @@ static void start_axis(bool plays) {
     axis.telemetry.divider = (uint8_t)between(0, 3);
     quickness = between(0, 2) == 0 ? 1 << between(3, 9) : 32;
     (plays ? make_plays : make_table)(&axis.tip.lookup.table);
+    if (sections && axis.tip.lookup.table.nodes > 0) {
+        add_sections(&axis.tip.lookup.table);
+    }
     if (tl_lookup_derive(&axis.tip.lookup, &axis.tip.lookup.table, 0) != TL_TABLE_OK) {
         panic("a table that was checked is refused");
     }
@@ -309,7 +384,11 @@ static void follow_tip(tl_us_t *now_us) {
         if (between(0, 40) == 0) {
             tl_axis_set_strength(&axis, between(0, 32768));
         }
-        const uint32_t kind = axis.tip.lookup.plays > 0 ? STEP_PLAYS : STEP_TIP;
+        if (axis.tip.lookup.table.has != 0 && between(0, 200) == 0) {
+            move_tables();
+        }
+        const bool undoes = axis.tip.lookup.table.has != 0;
+        const uint32_t kind = undoes ? STEP_UNDOES : (axis.tip.lookup.plays > 0 ? STEP_PLAYS : STEP_TIP);
         step(axis.mode == TL_WIRE_MODE_FOLLOW_TIP ? kind : STEP_OTHER, *now_us);
     }
 }
@@ -593,7 +672,7 @@ int main(void) {
     for (uint32_t table = 1; table <= TABLES; table++) {
         seed = table * 2654435761u;
         tl_us_t now_us = (1ULL << 32) - 1000000U; // the high word of the time changes on the way
-        start_axis(false);
+        start_axis(false, false);
         follow_tip(&now_us);
         other_modes(&now_us);
         calibrate(&now_us);
@@ -608,7 +687,9 @@ int main(void) {
     for (uint32_t table = 1; table <= PLAY_TABLES; table++) {
         seed = table * 2246822519u;
         tl_us_t now_us = 1000000U;
-        start_axis(true);
+        start_axis(true, false);
+        follow_tip(&now_us);
+        start_axis(between(0, 2) != 0, true);
         follow_tip(&now_us);
     }
     __asm__ volatile("bkpt 0xd2");

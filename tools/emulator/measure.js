@@ -9,7 +9,8 @@ import { Flash } from './src/flash.js';
 import { SimulationClock } from './src/rp2040js.js';
 
 const KINDS = [
-  'step_tip', 'step_other', 'watch', 'guard', 'motion', 'onset', 'step_plays', 'watch_plays', 'lookup', 'lookup_yardstick', 'empty',
+  'step_tip', 'step_other', 'watch', 'guard', 'motion', 'onset', 'step_plays', 'watch_plays',
+  'step_undoes', 'watch_undoes', 'lookup', 'lookup_yardstick', 'empty',
 ];
 const LOOKUP = KINDS.indexOf('lookup'); // and what follows may run from flash
 const LIMIT_S = 150; // of emulated time

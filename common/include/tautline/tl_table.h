@@ -57,6 +57,27 @@
 ///                period, G(p + B/2) - G(p - B/2) = 1; strictly rising, within +-2^29; B is taken as `narrow` where it
 ///                is less
 ///
+/// Further sections, in which the compensator finds what else it is to undo (tl_undo.h). Each is a row of 32-bit words
+/// in the order of its list below; at most one of each, in the order of their numbers.
+///
+/// Section 2, `encoder`: a once-per-turn error of the measured position. The shaft is at x where the encoder reads q,
+/// x = q + e(x), e = sine sin a + cosine cos a + sine2 sin 2a + cosine2 cos 2a, a = 2 pi x / period.
+/// Section 3, `sides`: unequal sides. Once p has turned towards `side` the motor has to be `late` further ahead, Q8
+/// counts at travels of p since then of 0, 1, 2, 3, 4, 6, 8, 12, .. 192, 256 times 2^step_log2 Q8 counts, held beyond:
+/// falling, by no more than the travel.
+/// Section 4, `speed`: the width grows with it. `extra`, Q8 counts, is added to B at speeds of p of as many times
+/// 2^step_log2 Q8 counts/s; the speed comes through a first-order filter of time_us. held: at rest the
+/// width stays.
+/// Section 5, `late`: lag and creep. p = y + sum gain_i (y - y_i), where y is where the tip is to be and y_i follows it
+/// in first order within time_us. A lead by t: gain t / time, t not too much above time.
+/// Section 6, `load`: with the load beyond `reference` (mNm Q8) the width grows by `width` (1/mNm, Q24), the angle's
+/// distance from `middle` (deg Q16) by `gain` (1/mNm, Q24), and the motor is as if it were `offset` (counts/mNm Q16)
+/// further on.
+/// Section 7, `joints`: other axes of the board that move the angle. Each: axis + 1 (0: none), its own backlash in Q8
+/// counts, deg per count Q28.
+/// Section 8, `adapt`: how far from this table a host may move it while it is in use: the offset, Q8 counts, and the
+/// width's scale, least and most, Q15.
+///
 /// Thread model: functions touch only their arguments. Encoding, decoding and checking are for load time:
 /// O(nodes), 0.9 ms for the largest table on a 125 MHz Cortex-M0+, no division.
 #ifndef TAUTLINE_TL_TABLE_H
@@ -81,15 +102,54 @@ extern "C" {
 #define TL_TABLE_PLAYS_MAX         7U
 #define TL_TABLE_PLAYS_SECTION     1U
 #define TL_TABLE_PLAYS_SIZE(nodes) (64U + 4U * (nodes)) ///< of the section's content
-/// 3244: a 4096-byte flash sector has room for more.
-#define TL_TABLE_SIZE_MAX (TL_TABLE_SIZE(TL_TABLE_NODES_MAX) + 4U + TL_TABLE_PLAYS_SIZE(TL_TABLE_NODES_MAX))
+/// 3636: a 4096-byte flash sector has room for more.
+#define TL_TABLE_SIZE_MAX                                                                                              \
+    (TL_TABLE_SIZE(TL_TABLE_NODES_MAX) + 4U + TL_TABLE_PLAYS_SIZE(TL_TABLE_NODES_MAX) + TL_TABLE_WORDS_SIZE)
 #define TL_TABLE_ANY_AXIS 0xFFU
 /// Positions, position -+ B/2 and angles stay within +-TL_TABLE_VALUE_MAX, so that differences never overflow.
-#define TL_TABLE_VALUE_MAX  ((int32_t)0x3FFFFFFF)
-#define TL_TABLE_CENTRE_MAX ((int32_t)1 << 29) ///< of Y
+#define TL_TABLE_VALUE_MAX        ((int32_t)0x3FFFFFFF)
+#define TL_TABLE_CENTRE_MAX       ((int32_t)1 << 29) ///< of Y
+#define TL_TABLE_ENCODER_MAX      ((int32_t)1 << 17) ///< of all amplitudes of an encoder's error: 512 counts, Q8
+#define TL_TABLE_ADAPT_OFFSET_MAX ((int32_t)1 << 22) ///< Q8 counts: 16384
 
 typedef enum { TL_AXIS_BENDING = 0, TL_AXIS_TRANSLATION = 1, TL_AXIS_ROTATION = 2 } tl_axis_kind_t;
 typedef enum { TL_UNIT_MM = 0, TL_UNIT_DEG = 1 } tl_unit_t;
+
+#define TL_TABLE_LAST     16U  ///< node of a small table in a section: its nodes are at
+#define TL_TABLE_STEPS    256U ///< 0, 1, 2, 3, 4, 6, 8, 12, .. 192, 256 of its steps
+#define TL_TABLE_LATE_MAX 4U
+#define TL_TABLE_JOINTS   3U
+
+/// Sections of words: number, name, and their fields or arrays of fields, all int32_t.
+#define TL_TABLE_SECTIONS(X)                                                                                           \
+    X(2, encoder, TL_TABLE_ENCODER)                                                                                    \
+    X(3, sides, TL_TABLE_SIDES)                                                                                        \
+    X(4, speed, TL_TABLE_SPEED)                                                                                        \
+    X(5, late, TL_TABLE_LATE)                                                                                          \
+    X(6, load, TL_TABLE_LOAD)                                                                                          \
+    X(7, joints, TL_TABLE_JOINT)                                                                                       \
+    X(8, adapt, TL_TABLE_ADAPT)
+
+#define TL_TABLE_ENCODER(FIELD, ARRAY) FIELD(period_q12) FIELD(sine) FIELD(cosine) FIELD(sine2) FIELD(cosine2)
+#define TL_TABLE_SIDES(FIELD, ARRAY)   FIELD(side) FIELD(step_log2) ARRAY(late, TL_TABLE_LAST + 1U)
+#define TL_TABLE_SPEED(FIELD, ARRAY)   FIELD(step_log2) FIELD(time_us) FIELD(held) ARRAY(extra, TL_TABLE_LAST + 1U)
+#define TL_TABLE_LATE(FIELD, ARRAY)    ARRAY(gain_q16, TL_TABLE_LATE_MAX) ARRAY(time_us, TL_TABLE_LATE_MAX)
+#define TL_TABLE_LOAD(FIELD, ARRAY)    FIELD(reference) FIELD(width) FIELD(gain) FIELD(offset) FIELD(middle)
+#define TL_TABLE_JOINT(FIELD, ARRAY)                                                                                   \
+    ARRAY(axis, TL_TABLE_JOINTS) ARRAY(play, TL_TABLE_JOINTS) ARRAY(slope, TL_TABLE_JOINTS)
+#define TL_TABLE_ADAPT(FIELD, ARRAY) FIELD(offset) FIELD(width_least_q15) FIELD(width_most_q15)
+
+#define TL_TABLE_FIELD(name)        int32_t name;
+#define TL_TABLE_ARRAY(name, count) int32_t name[count];
+#define TL_TABLE_SECTION(number, name, FIELDS)                                                                         \
+    typedef struct {                                                                                                   \
+        FIELDS(TL_TABLE_FIELD, TL_TABLE_ARRAY)                                                                         \
+    } tl_table_##name##_t;
+TL_TABLE_SECTIONS(TL_TABLE_SECTION)
+#define TL_TABLE_NUMBER(number, name, FIELDS) TL_TABLE_HAS_##name = 1 << (number),
+enum { TL_TABLE_SECTIONS(TL_TABLE_NUMBER) };
+#define TL_TABLE_BYTES(number, name, FIELDS) +4U + sizeof(tl_table_##name##_t)
+#define TL_TABLE_WORDS_SIZE                  (0U TL_TABLE_SECTIONS(TL_TABLE_BYTES)) ///< of all these sections
 
 /// Why a table is refused: name, and the text that board and host show.
 #define TL_TABLE_REASONS(X)                                                                                            \
@@ -121,12 +181,19 @@ typedef enum { TL_UNIT_MM = 0, TL_UNIT_DEG = 1 } tl_unit_t;
     X(WARP, "the warp of the elements does not rise, or does not make every width one")                                \
     X(FLAT, "f_remain is flatter somewhere than the stated least slope, and no flat speed is given to cross it")       \
     X(INSTRUMENT,                                                                                                      \
-      "the table was made for another instrument than the board's settings name: flash that one's, or --force")
+      "the table was made for another instrument than the board's settings name: flash that one's, or --force")        \
+    X(ENCODER, "the encoder's error is too large for its period: its slope may be 1/2 at most")                        \
+    X(SIDES, "what unequal sides add must fall with the travel, by no more than it")                                   \
+    X(SPEED, "what the speed adds to the width is out of its range")                                                   \
+    X(LATE, "a time or gain of lag and creep is out of its range")                                                     \
+    X(LOAD, "what the load changes is out of its range")                                                               \
+    X(JOINTS, "another axis that moves the angle does not exist, or moves it too much")                                \
+    X(ADAPT, "the limits of what may change in use are out of their range")
 
 #define TL_TABLE_REASON_NAME(name, text) TL_TABLE_BAD_##name,
 typedef enum { TL_TABLE_OK = 0, TL_TABLE_REASONS(TL_TABLE_REASON_NAME) TL_TABLE_REASON_COUNT } tl_table_reason_t;
 
-/// A blob's content. 3.2 kB; fields as in the layout above.
+/// A blob's content. 3.6 kB; fields as in the layout above.
 typedef struct {
     uint8_t axis;
     uint8_t kind; ///< tl_axis_kind_t
@@ -158,6 +225,10 @@ typedef struct {
     uint32_t play_width_q28[TL_TABLE_PLAYS_MAX];
     uint32_t play_weight_q16[TL_TABLE_PLAYS_MAX];
     int32_t centre[TL_TABLE_NODES_MAX]; ///< Y
+    uint32_t has;                       ///< TL_TABLE_HAS_..: the sections that follow; what it has not is zero
+#define TL_TABLE_MEMBER(number, name, FIELDS) tl_table_##name##_t name;
+    TL_TABLE_SECTIONS(TL_TABLE_MEMBER)
+#undef TL_TABLE_MEMBER
 } tl_table_t;
 
 /// The first thing found that makes a table's content unfit, or

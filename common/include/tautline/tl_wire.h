@@ -106,6 +106,17 @@ extern "C" {
     F(u8, axis, "")                                                                                                    \
     F(i32, strength_q15, "0: no compensation of the lost motion, 32768: all of it")
 
+#define TL_WIRE_FIELDS_ADAPT(F, A)                                                                                     \
+    F(u8, axis, "")                                                                                                    \
+    F(i32, offset_q8, "counts: the motor pushes as if it were so much further on than its encoder reads")              \
+    F(i32, scale_q15, "of B, 32768: as calibrated")                                                                    \
+    F(u16, within_ms, "time on the way there; longer where that were more than half a count in 1 ms")
+
+#define TL_WIRE_FIELDS_LOAD(F, A)                                                                                      \
+    F(u8, axis, "")                                                                                                    \
+    F(i32, load_q8, "mNm")                                                                                             \
+    F(u16, within_ms, "as adapt's")
+
 #define TL_WIRE_FIELDS_SET_POSITION(F, A)                                                                              \
     F(u8, axis, "motor off")                                                                                           \
     F(i32, q_q8, "counts: what the present position is from now on: the axis is referenced")
@@ -369,6 +380,8 @@ extern "C" {
     M(0x1A, JOG, jog, "-> ack; an event when it is there")                                                             \
     M(0x1B, CHECK, check, "-> ack; an event when motor and encoder agree, then it holds")                              \
     M(0x1C, ANY_TABLE, any_table, "-> ack")                                                                            \
+    M(0x1D, ADAPT, adapt, "-> ack; moves the table in use, as far as the table allows, until the host is lost")        \
+    M(0x1E, LOAD, load, "-> ack; the load that tables with a load section go by; at first that of the calibration")    \
     M(0x20, TABLE_WRITE, table_write, "-> ack; a part of a table, kept until the last one has come")                   \
     M(0x21, TABLE_STORE, table_store, "-> ack: the parts are checked, stored and used, as DFU does")                   \
     M(0x22, TABLE_READ, table_read, "-> table_part, of the table in use")                                              \
@@ -410,6 +423,7 @@ extern "C" {
     C(21, NOT_CALIBRATING, "no calibration motion is under way")                                                       \
     C(22, NOT_REFERENCED, "the axis does not know its position: home it, or say where it stands")                      \
     C(23, BEYOND_SETTINGS, "wider than the settings stored on the board: change those, or ask for less")               \
+    C(24, BEYOND_TABLE, "further from the calibrated table than it allows: calibrate again, or flash wider limits")    \
     C(30, TABLE_SIZE, "the table is too long, or its parts are not in order: send it again")                           \
     C(31, TABLE_REFUSED, "the table was refused: the axis' status says why")                                           \
     C(32, SESSION, "the board has restarted: say hello first")

@@ -170,7 +170,7 @@ void tl_app_init(tl_app_t *app, const tl_port_t *port) {
         tl_axis_init(&app->axes[i], port, i);
     }
     app->settings = tl_settings_load(port, app->axes);
-    tl_tables_init(&app->tables, port, app->axes, &app->work.tables);
+    tl_tables_init(&app->tables, port, app->axes, app->work.upload);
     for (uint8_t i = 0; i < port->axes; i++) {
         if (port->boot == TL_WIRE_BOOT_WATCHDOG) {
             tl_axis_fail(&app->axes[i], TL_WIRE_FAULT_WATCHDOG, 0, app->control_us);

@@ -152,6 +152,32 @@ uint8_t tl_axis_set_strength(tl_axis_t *axis, int32_t strength_q15) {
     return 0;
 }
 
+// A table that nobody follows is moved at once: nothing comes of it yet.
+static uint32_t ticks_of(const tl_axis_t *axis, uint16_t within_ms) {
+    return axis->mode == TL_WIRE_MODE_FOLLOW_TIP ? (uint32_t)within_ms * (TL_AXIS_PLAN_HZ / 1000U) : 0U;
+}
+
+uint8_t tl_axis_adapt(tl_axis_t *axis, const tl_wire_adapt_t *request) {
+    if (!axis->has_table) {
+        return TL_WIRE_REASON_NO_TABLE;
+    }
+    const uint32_t ticks = ticks_of(axis, request->within_ms);
+    tl_compensator_t *compensator = &axis->tip.compensator;
+    compensator->lookup = &axis->tip.lookup;
+    return tl_compensator_adapt(compensator, request->offset_q8, request->scale_q15, ticks)
+               ? 0
+               : TL_WIRE_REASON_BEYOND_TABLE;
+}
+
+uint8_t tl_axis_load(tl_axis_t *axis, const tl_wire_load_t *request) {
+    if (!axis->has_table) {
+        return TL_WIRE_REASON_NO_TABLE;
+    }
+    axis->tip.compensator.lookup = &axis->tip.lookup;
+    tl_compensator_load(&axis->tip.compensator, request->load_q8, ticks_of(axis, request->within_ms));
+    return 0;
+}
+
 // -- where it is ------------------------------------------------------------------------------------------------
 
 uint8_t tl_axis_set_position(tl_axis_t *axis, tl_count_q8_t q) {
@@ -196,6 +222,7 @@ void tl_axis_hear(tl_axis_t *axis) {
 
 void tl_axis_use_table(tl_axis_t *axis, bool has_table) {
     axis->has_table = has_table;
+    axis->tip.compensator.undo = (tl_undo_t){.active = false};
     if (has_table) {
         axis->tip.strength_q15 = axis->tip.lookup.table.strength_q15;
         axis->tip.takeup_accel = axis->tip.lookup.table.takeup_accel;
@@ -411,8 +438,9 @@ uint8_t tl_axis_follow(tl_axis_t *axis, const tl_wire_follow_t *request, tl_us_t
     if (tip) {
         value = tl_play_angle(&axis->tip.play);
         axis->tip.c_ref = plan->c_next = plan->c_last[0] = plan->c_last[1] = value;
-        tl_compensator_start(&axis->tip.compensator, &axis->tip.lookup, TL_AXIS_PLAN_HZ,
-                             (tl_mode_t)request->compensation, q, value);
+        const tl_moved_t moved = axis->tip.compensator.undo.moved;
+        tl_compensator_start_moved(&axis->tip.compensator, &axis->tip.lookup, TL_AXIS_PLAN_HZ,
+                                   (tl_mode_t)request->compensation, q, value, &moved);
         tl_compensator_know(&axis->tip.compensator, &axis->tip.play);
         tl_compensator_set_strength(&axis->tip.compensator, axis->tip.strength_q15);
     }

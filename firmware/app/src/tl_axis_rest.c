@@ -57,6 +57,7 @@ TL_FAST void tl_axis_stop(tl_axis_t *axis, bool then_off) {
 
 TL_FAST void tl_axis_silence(tl_axis_t *axis) {
     const bool follows = tl_axis_is_following(axis);
+    tl_undo_forget(&axis->tip.compensator.undo); // nobody sees any more whether it holds
     if (!follows && axis->mode != TL_WIRE_MODE_MOVE && axis->mode != TL_WIRE_MODE_HOME &&
         axis->mode != TL_WIRE_MODE_CHECK) {
         return;

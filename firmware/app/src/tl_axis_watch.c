@@ -23,6 +23,9 @@ TL_FAST uint16_t tl_axis_flags(const tl_axis_t *axis) {
     return (uint16_t)flags;
 }
 
+#define PUSHING_ROUNDS                                                                                                 \
+    2U // of tl_undo_pushing(): a fourth of the error of the steepest encoder is left, else next to none
+
 static void note(tl_axis_t *axis) {
     uint32_t flags = 0;
     const uint8_t pushed = tl_actuator_pushed(&axis->motor);
@@ -58,6 +61,18 @@ static void sample(tl_axis_t *axis, tl_us_t now_us) {
     telemetry->head = telemetry->head + 1U;
 }
 
+// Where the axes are that move this one's angle. The app's axes lie in a row.
+static void join(tl_axis_t *axis) {
+    const tl_table_joints_t *joints = &axis->tip.lookup.table.joints;
+    const tl_axis_t *first = axis - axis->index;
+    for (uint32_t i = 0; i < TL_TABLE_JOINTS; i++) {
+        const uint32_t other = (uint32_t)joints->axis[i] - 1U; // none: beyond all
+        if (other < axis->port->axes) {
+            axis->tip.compensator.undo.moved.joint[i] = first[other].q;
+        }
+    }
+}
+
 // The play operator's result does not depend on how often it is stepped, but for a reversal's tip: 0.03 counts at
 // 200 000 counts/s2. So is the error of the history, which joins its points by straight lines.
 TL_FAST void tl_axis_watch(tl_axis_t *axis, tl_us_t now_us) {
@@ -66,7 +81,13 @@ TL_FAST void tl_axis_watch(tl_axis_t *axis, tl_us_t now_us) {
         tl_history_push(axis->history, now_us, axis->q);
     }
     if (axis->has_table) {
-        tl_play_step(&axis->tip.play, axis->q);
+        const tl_lookup_t *lookup = &axis->tip.lookup;
+        const tl_undo_t *undo = &axis->tip.compensator.undo;
+        if (lookup->table.has != 0) {
+            join(axis);
+        }
+        const bool off = lookup->table.has != 0 || undo->active; // the encoder reads otherwise than the motor pushes
+        tl_play_step(&axis->tip.play, off ? tl_undo_pushing(undo, lookup, axis->q, PUSHING_ROUNDS) : axis->q);
     }
     tl_axis_planned_t *plan = &axis->plan;
     plan->stream.now_us = now_us + plan->lead_us;

@@ -161,6 +161,10 @@ static uint8_t for_axis(tl_app_t *app, uint8_t type, const tl_wire_message_t *of
         return tl_axis_check(axis);
     case TL_WIRE_STRENGTH:
         return tl_axis_set_strength(axis, of->strength.strength_q15);
+    case TL_WIRE_ADAPT:
+        return tl_axis_adapt(axis, &of->adapt);
+    case TL_WIRE_LOAD:
+        return tl_axis_load(axis, &of->load);
     case TL_WIRE_SET_POSITION:
         return tl_axis_set_position(axis, of->set_position.q_q8);
     case TL_WIRE_LIMITS:
@@ -239,7 +243,7 @@ static uint8_t write(tl_app_t *app, uint8_t type, const tl_wire_message_t *of) {
         return TL_WIRE_REASON_KEY;
     }
     tl_tables_abort(&app->tables);
-    const uint8_t reason = tl_settings_store(app->port, app->axes, &of->settings, app->work.tables.upload);
+    const uint8_t reason = tl_settings_store(app->port, app->axes, &of->settings, app->work.upload);
     app->settings = reason == 0 ? TL_WIRE_STORE_NEWEST : app->settings;
     return reason;
 }

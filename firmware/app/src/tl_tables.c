@@ -13,18 +13,20 @@ bool tl_tables_all_off(const tl_port_t *port, const tl_axis_t *axes) {
     return true;
 }
 
-// The look-up in `scratch` into use, or none. The motor is off: nothing but the watch looks at the table meanwhile.
-static void use(tl_tables_t *tables, uint8_t index, bool found) {
+// Keeps the control step and the watch away from the look-up, into which a table is then read. The motor is off.
+static tl_lookup_t *leave(tl_tables_t *tables, uint8_t index) {
     const tl_port_t *port = tables->port;
     tl_axis_t *axis = &tables->axes[index];
-    uint32_t state = port->lock(port->context);
-    axis->has_table = false; // keeps the control step away from the look-up
+    const uint32_t state = port->lock(port->context);
+    axis->has_table = false;
     port->unlock(port->context, state);
-    if (found) {
-        axis->tip.lookup = tables->scratch->trial;
-    }
-    state = port->lock(port->context);
-    tl_axis_use_table(axis, found);
+    return &axis->tip.lookup;
+}
+
+static void use(tl_tables_t *tables, uint8_t index, bool found) {
+    const tl_port_t *port = tables->port;
+    const uint32_t state = port->lock(port->context);
+    tl_axis_use_table(&tables->axes[index], found);
     port->unlock(port->context, state);
 }
 
@@ -44,6 +46,7 @@ static void load(tl_tables_t *tables, uint8_t index) {
     tl_store_order(tables->port, index, slots);
     const uint8_t before = table->reason;
     *table = (tl_table_in_use_t){.state = TL_WIRE_TABLE_NONE, .reason = before};
+    tl_lookup_t *lookup = leave(tables, index);
     bool found = false;
     for (unsigned i = 0; i < TL_STORE_SLOTS && !found; i++) {
         if (slots[i].blank) {
@@ -51,9 +54,9 @@ static void load(tl_tables_t *tables, uint8_t index) {
         }
         uint8_t reason = TL_TABLE_BAD_CRC;
         if (slots[i].whole) {
-            uint8_t *blob = tables->scratch->upload;
+            uint8_t *blob = tables->upload;
             tables->port->flash_read(tables->port->context, slots[i].blob, blob, slots[i].size);
-            reason = (uint8_t)tl_lookup_load(&tables->scratch->trial, blob, slots[i].size, index);
+            reason = (uint8_t)tl_lookup_load(lookup, blob, slots[i].size, index);
         }
         found = reason == TL_TABLE_OK;
         if (found) {
@@ -70,11 +73,11 @@ static void load(tl_tables_t *tables, uint8_t index) {
     use(tables, index, found);
 }
 
-void tl_tables_init(tl_tables_t *tables, const tl_port_t *port, tl_axis_t *axes, tl_tables_scratch_t *scratch) {
+void tl_tables_init(tl_tables_t *tables, const tl_port_t *port, tl_axis_t *axes, uint8_t *upload) {
     memset(tables, 0, sizeof(*tables));
     tables->port = port;
     tables->axes = axes;
-    tables->scratch = scratch;
+    tables->upload = upload;
     for (uint8_t i = 0; i < port->axes; i++) {
         load(tables, i);
     }
@@ -115,7 +118,7 @@ tl_upload_t tl_tables_data(tl_tables_t *tables, uint8_t axis, uint32_t offset, c
         tables->upload_size = 0;
         return TL_UPLOAD_SIZE;
     }
-    memcpy(tables->scratch->upload + offset, bytes, size);
+    memcpy(tables->upload + offset, bytes, size);
     tables->upload_size += (uint32_t)size;
     return TL_UPLOAD_OK;
 }
@@ -144,25 +147,21 @@ tl_upload_t tl_tables_end(tl_tables_t *tables, uint8_t axis) {
     if (size == 0 || axis != tables->upload_axis) {
         return TL_UPLOAD_SIZE;
     }
-    const uint8_t *blob = tables->scratch->upload;
-    tl_table_reason_t reason = tl_lookup_load(&tables->scratch->trial, blob, size, axis);
-    if (reason == TL_TABLE_OK && !table->any && !is_for(&tables->scratch->trial.table, &tables->axes[axis].settings)) {
+    const uint8_t *blob = tables->upload;
+    tl_lookup_t *lookup = leave(tables, axis);
+    tl_table_reason_t reason = tl_lookup_load(lookup, blob, size, axis);
+    if (reason == TL_TABLE_OK && !table->any && !is_for(&lookup->table, &tables->axes[axis].settings)) {
         reason = TL_TABLE_BAD_INSTRUMENT;
     }
     table->any = false;
-    table->reason = (uint8_t)reason;
-    if (reason != TL_TABLE_OK) {
-        return TL_UPLOAD_REFUSED;
+    if (reason != TL_TABLE_OK || !tl_store_write(tables->port, axis, blob, size)) {
+        load(tables, axis); // what flash has: the one that was in use
+        table->reason = (uint8_t)reason;
+        return reason != TL_TABLE_OK ? TL_UPLOAD_REFUSED : TL_UPLOAD_FLASH;
     }
-    const bool written = tl_store_write(tables->port, axis, blob, size);
+    table->reason = TL_TABLE_OK;
     tl_slot_t slots[TL_STORE_SLOTS];
     tl_store_order(tables->port, axis, slots);
-    if (!written) { // the one in use stays, though flash may no longer have it
-        if (!slots[0].whole || slots[0].crc != table->crc) {
-            table->readable = false;
-        }
-        return TL_UPLOAD_FLASH;
-    }
     note(table, TL_WIRE_TABLE_NEWEST, &slots[0]);
     use(tables, axis, true);
     tl_axis_event(&tables->axes[axis], TL_WIRE_EVENT_TABLE);

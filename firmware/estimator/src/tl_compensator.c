@@ -1,6 +1,7 @@
 #include "tl_elements.h"
 #include "tl_feed.h"
 #include "tl_several.h"
+#include "tl_undoing.h"
 
 #include "tautline/tl_fast.h"
 
@@ -23,23 +24,6 @@ static void set_limits(tl_compensator_t *k, const tl_table_t *table) {
 
 // Where c wants p, and where p wants q ---------------------------------------------------------------
 
-// p* for c, within [q_min, q_max]. The end's flags have the look-up's values.
-static TL_FAST tl_count_q8_t target(const tl_compensator_t *k, tl_deg_q16_t c, uint32_t *flags) {
-    if (k->mode != TL_MODE_FULL) {
-        return tl_lookup_coarse_inverse(k->lookup, c, flags);
-    }
-    const tl_count_q8_t p = tl_lookup_angle_inverse(k->lookup, c, flags);
-    if (p < k->low) {
-        *flags |= TL_COMPENSATOR_BELOW;
-        return k->low;
-    }
-    if (p > k->high) {
-        *flags |= TL_COMPENSATOR_ABOVE;
-        return k->high;
-    }
-    return p;
-}
-
 // k B(p) / 2
 static TL_FAST int32_t half_width(const tl_compensator_t *k) {
     uint32_t ends = 0;
@@ -50,34 +34,17 @@ static TL_FAST int32_t half_width(const tl_compensator_t *k) {
 }
 
 static tl_count_q8_t fed_anew(tl_compensator_t *k) {
+    k->wider = k->undoes ? half_of(k, (uint32_t)tl_undo_wider(&k->undo, k->lookup, k->p)) : 0;
     if (k->several) {
         tl_several_hold(k);
     } else {
         k->half = half_width(k);
+        k->half = k->undoes ? tl_undo_scaled(&k->undo, k->half) + k->wider : k->half;
     }
     return fed(k, k->half);
 }
 
 // One tick -------------------------------------------------------------------------------------------
-
-// On the way to the goal, where spans may be flat: never further than one span in a tick, so that none is jumped over,
-// and to the edge of a flat one first.
-static TL_FAST tl_count_q8_t approach(const tl_compensator_t *k, tl_count_q8_t goal, bool *slow) {
-    const tl_lookup_t *lookup = k->lookup;
-    const int32_t step = (int32_t)1 << lookup->step_log2;
-    const tl_count_q8_t p = k->p, next = p + tl_clamp(goal - p, -step, step);
-    if (tl_lookup_is_flat(lookup, p)) {
-        *slow = true;
-    } else if (tl_lookup_is_flat(lookup, next)) {
-        const uint32_t into = ((uint32_t)next - (uint32_t)lookup->q0) & ((uint32_t)step - 1U);
-        const tl_count_q8_t edge = next - (int32_t)into + (next > p ? 0 : step);
-        if (edge != p) {
-            return edge;
-        }
-        *slow = true;
-    }
-    return next;
-}
 
 // Moves p towards its goal, no faster than speed_max, nor than the flat speed within flat spans.
 static TL_FAST void advance(tl_compensator_t *k) {
@@ -98,13 +65,16 @@ static TL_FAST void advance(tl_compensator_t *k) {
 }
 
 TL_FAST void tl_compensator_feed(tl_compensator_t *k, tl_deg_q16_t c) {
-    bool slow = false;
     k->c = c;
     k->feed_flags = 0;
-    const tl_count_q8_t goal = target(k, c, &k->feed_flags);
-    k->goal = goal;
-    k->aim = k->lookup->has_flat && k->mode == TL_MODE_FULL && goal != k->p ? approach(k, goal, &slow) : goal;
-    k->slow = slow;
+    if (k->by_curve) {
+        seek(k, on_curve(k, c, &k->feed_flags));
+    } else if (k->undoes) {
+        tl_undoing_feed(k);
+    } else {
+        k->goal = k->aim = tl_lookup_coarse_inverse(k->lookup, c, &k->feed_flags);
+        k->slow = false;
+    }
 }
 
 TL_FAST void tl_compensator_turn(tl_compensator_t *k) {
@@ -112,6 +82,10 @@ TL_FAST void tl_compensator_turn(tl_compensator_t *k) {
         advance(k);
     }
     k->feed_flags |= k->p != k->goal ? TL_COMPENSATOR_LIMITED : 0;
+    if (k->undoes) {
+        tl_undoing_turn(k);
+        return;
+    }
     if (k->several) {
         tl_several_turn(k);
         return;
@@ -157,9 +131,13 @@ TL_FAST tl_count_q8_t tl_compensator_take_up(tl_compensator_t *k) {
 }
 
 tl_count_q8_t tl_compensator_step(tl_compensator_t *k, tl_deg_q16_t c) {
+    if (k->undoes) {
+        tl_compensator_hear(k, c);
+    }
     tl_compensator_feed(k, c);
     tl_compensator_turn(k);
-    return tl_compensator_take_up(k);
+    const tl_count_q8_t q = tl_compensator_take_up(k);
+    return k->undoes ? tl_compensator_reach(k) : q;
 }
 
 // Settings -------------------------------------------------------------------------------------------
@@ -173,24 +151,56 @@ static void use(tl_compensator_t *k, const tl_lookup_t *lookup) {
     k->moved = false;
 }
 
-static TL_FAST void stand(tl_compensator_t *k, tl_count_q8_t p) {
+static void stand(tl_compensator_t *k, tl_count_q8_t p) {
     k->p = k->aim = k->goal = p;
     k->slow = false;
+    tl_undo_rest(&k->undo, p);
     if (k->several) {
         tl_several_stand(k);
     }
 }
 
-void tl_compensator_start(tl_compensator_t *k, const tl_lookup_t *lookup, uint32_t rate_hz, tl_mode_t mode,
-                          tl_count_q8_t q, tl_deg_q16_t c) {
+// Where the motor is or is to be, as its encoder reads it and as it pushes.
+static tl_count_q8_t reading_of(const tl_compensator_t *k, tl_count_q8_t q) {
+    return k->undoes ? tl_undo_reading(&k->undo, k->lookup, q) : q;
+}
+
+static tl_count_q8_t pushing_of(const tl_compensator_t *k, tl_count_q8_t reading) {
+    return k->undoes ? tl_undo_pushing(&k->undo, k->lookup, reading, TL_UNDO_ROUNDS) : reading;
+}
+
+static void set_undoes(tl_compensator_t *k) {
+    const bool undoes = k->undo.active && k->mode == TL_MODE_FULL;
+    if (undoes && !k->undoes) { // nothing is late, and the motor reads what it did
+        k->reading = k->q;
+        k->angle = k->c;
+        tl_undo_rest(&k->undo, k->goal);
+    }
+    k->undoes = undoes;
+    k->by_curve = k->mode == TL_MODE_FULL && !undoes;
+}
+
+// p* for c, all that is undone before it included.
+static tl_count_q8_t wanted(tl_compensator_t *k, tl_deg_q16_t c) {
     uint32_t flags = 0;
-    *k = (tl_compensator_t){.mode = mode, .strength_q15 = lookup->table.strength_q15};
+    if (k->undoes) {
+        c = tl_undo_angle(&k->undo, k->lookup, c);
+    }
+    return k->mode == TL_MODE_FULL ? on_curve(k, c, &flags) : tl_lookup_coarse_inverse(k->lookup, c, &flags);
+}
+
+void tl_compensator_start_moved(tl_compensator_t *k, const tl_lookup_t *lookup, uint32_t rate_hz, tl_mode_t mode,
+                                tl_count_q8_t q, tl_deg_q16_t c, const tl_moved_t *moved) {
+    *k = (tl_compensator_t){.mode = mode, .strength_q15 = lookup->table.strength_q15, .undo = {.moved = *moved}};
     use(k, lookup);
     tl_takeup_start(&k->takeup);
     k->rate_hz = rate_hz < RATE_MIN_HZ ? RATE_MIN_HZ : (rate_hz > RATE_MAX_HZ ? RATE_MAX_HZ : rate_hz);
+    tl_undo_start(&k->undo, lookup, k->rate_hz);
+    set_undoes(k);
     k->c = c;
-    k->q = tl_clamp(q, -TL_TABLE_VALUE_MAX, TL_TABLE_VALUE_MAX);
-    const tl_count_q8_t p = target(k, c, &flags);
+    k->reading = tl_clamp(q, -TL_TABLE_VALUE_MAX, TL_TABLE_VALUE_MAX);
+    k->q = pushing_of(k, k->reading);
+    const tl_count_q8_t p = wanted(k, c);
     k->start_offset = k->offset = tl_sub_sat(k->q, p);
     if (k->several) {
         tl_several_begin(k, p, k->q);
@@ -201,24 +211,31 @@ void tl_compensator_start(tl_compensator_t *k, const tl_lookup_t *lookup, uint32
     absorb(k, fed_anew(k), k->q);
 }
 
+void tl_compensator_start(tl_compensator_t *k, const tl_lookup_t *lookup, uint32_t rate_hz, tl_mode_t mode,
+                          tl_count_q8_t q, tl_deg_q16_t c) {
+    const tl_moved_t unmoved = {.joint = {0}};
+    tl_compensator_start_moved(k, lookup, rate_hz, mode, q, c, &unmoved);
+}
+
 void tl_compensator_know(tl_compensator_t *k, const tl_play_t *play) {
     if (k->several && play->lookup == k->lookup) {
-        tl_elements_undo(k->lookup, play->lag, k->undo);
+        tl_elements_undo(k->lookup, play->lag, k->lags);
     }
 }
 
-// p* again for the last command under new settings, with the direction's memory moved along.
-static void settle(tl_compensator_t *k, tl_count_q8_t before) {
-    uint32_t flags = 0;
-    const tl_count_q8_t p = target(k, k->c, &flags);
+// p* again for the last command under new settings, with the direction's memory moved along. `reading`: where the feed
+// would have the encoder now.
+static void settle(tl_compensator_t *k, tl_count_q8_t reading) {
+    const tl_count_q8_t p = wanted(k, k->c);
     k->anchor = tl_add_sat(k->anchor, p - k->p);
     stand(k, p);
-    absorb(k, fed_anew(k), before);
+    absorb(k, fed_anew(k), pushing_of(k, reading));
 }
 
 void tl_compensator_set_mode(tl_compensator_t *k, tl_mode_t mode) {
-    const tl_count_q8_t before = fed_anew(k);
+    const tl_count_q8_t before = reading_of(k, fed_anew(k));
     k->mode = mode;
+    set_undoes(k);
     settle(k, before);
 }
 
@@ -229,14 +246,27 @@ void tl_compensator_set_strength(tl_compensator_t *k, int32_t strength_q15) {
 }
 
 void tl_compensator_set_table(tl_compensator_t *k, const tl_lookup_t *lookup) {
-    const tl_count_q8_t before = fed_anew(k);
+    const tl_count_q8_t before = reading_of(k, fed_anew(k));
     const int32_t place = tl_several_place(k);
     use(k, lookup);
+    tl_undo_start(&k->undo, lookup, k->rate_hz);
+    set_undoes(k);
     set_limits(k, &lookup->table);
     if (k->several) {
         tl_several_begin_at(k, place);
     }
     settle(k, before);
+}
+
+bool tl_compensator_adapt(tl_compensator_t *k, tl_count_q8_t offset, int32_t scale_q15, uint32_t ticks) {
+    const bool allowed = tl_undo_adapt(&k->undo, k->lookup, offset, scale_q15, ticks);
+    set_undoes(k);
+    return allowed;
+}
+
+void tl_compensator_load(tl_compensator_t *k, int32_t load, uint32_t ticks) {
+    tl_undo_load(&k->undo, k->lookup, load, ticks);
+    set_undoes(k);
 }
 
 tl_count_q8_t tl_compensator_rest(const tl_compensator_t *k) {

@@ -134,6 +134,11 @@ static tl_table_reason_t derive(tl_lookup_t *lookup) {
     lookup->plays = 0;
     lookup->narrow = 0;
     lookup->half = 0;
+    if ((table->has & (uint32_t)TL_TABLE_HAS_encoder) != 0) {
+        const uint64_t phase_q48 = ((uint64_t)1 << 52) / (uint32_t)table->encoder.period_q12;
+        lookup->phase = (uint32_t)(phase_q48 >> 16);
+        lookup->phase_rest = (uint32_t)phase_q48 & 0xFFFFU;
+    }
     if (table->nodes != 0) {
         derive_grid(lookup);
     }

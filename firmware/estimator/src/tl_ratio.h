@@ -2,11 +2,12 @@
 #ifndef TAUTLINE_TL_RATIO_H
 #define TAUTLINE_TL_RATIO_H
 
+#include "tautline/tl_fast.h"
 #include "tautline/tl_fixed.h"
 
 #define TL_RATIO_BITS 20U ///< to which the whole is scaled
 
-static inline uint32_t tl_bits(uint32_t x) {
+static inline TL_FAST uint32_t tl_bits(uint32_t x) {
     uint32_t bits = 0;
     if (x >> 16 != 0U) {
         bits = 16U;
@@ -23,7 +24,7 @@ static inline uint32_t tl_bits(uint32_t x) {
     return bits + (x >= 8U ? 4U : (x >= 4U ? 3U : (x >= 2U ? 2U : x)));
 }
 
-static inline uint32_t tl_to_ratio_bits(uint32_t x, uint32_t bits) {
+static inline TL_FAST uint32_t tl_to_ratio_bits(uint32_t x, uint32_t bits) {
     return bits <= TL_RATIO_BITS ? x << (TL_RATIO_BITS - bits) : x >> (bits - TL_RATIO_BITS);
 }
 

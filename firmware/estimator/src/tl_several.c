@@ -26,7 +26,8 @@ static TL_FAST int32_t held(const tl_compensator_t *k) {
     if (k->mode == TL_MODE_OFF) {
         return 0;
     }
-    return offset < 0 ? -half_of(k, 2U * (uint32_t)-offset) : half_of(k, 2U * (uint32_t)offset);
+    const int32_t half = offset < 0 ? -half_of(k, 2U * (uint32_t)-offset) : half_of(k, 2U * (uint32_t)offset);
+    return k->undoes ? tl_undo_scaled(&k->undo, half) : half;
 }
 
 void tl_several_hold(tl_compensator_t *k) {
@@ -35,7 +36,7 @@ void tl_several_hold(tl_compensator_t *k) {
         k->start_offset = offset;
         k->half = tl_abs_sat(offset);
     } else {
-        k->half = k->side > 0 ? offset : -offset;
+        k->half = (k->side > 0 ? offset : -offset) + k->wider;
     }
 }
 
@@ -51,7 +52,7 @@ TL_FAST void tl_several_turn(tl_compensator_t *k) {
         return;
     }
     const int32_t y = tl_lookup_centre(k->lookup, k->p), first = k->lookup->element[0].half;
-    k->apart = tl_elements_ahead(k->lookup, y - k->centre, k->undo) + (k->side > 0 ? first : -first);
+    k->apart = tl_elements_ahead(k->lookup, y - k->centre, k->lags) + (k->side > 0 ? first : -first);
     k->centre = y;
     k->moved = true;
 }
@@ -62,8 +63,8 @@ TL_FAST void tl_several_lead(tl_compensator_t *k) {
     k->moved = false;
     k->offset = offset_on(k, up);
     const int32_t offset = held(k);
-    k->half = up ? offset : -offset;
-    const tl_count_q8_t after = tl_clamp(k->p + offset, k->low, k->high);
+    k->half = (up ? offset : -offset) + k->wider;
+    const tl_count_q8_t after = tl_clamp(k->p + (up ? k->half : -k->half), k->low, k->high);
     const int32_t jump = after - before;
     if (k->turns || jump > k->step_max || jump < -k->step_max) {
         absorb(k, after, before);
@@ -84,8 +85,8 @@ void tl_several_stand(tl_compensator_t *k) {
 
 static void begin(tl_compensator_t *k, int32_t apart) {
     k->apart = tl_clamp(apart, -k->lookup->half, k->lookup->half);
-    tl_elements_start(k->lookup, k->apart, k->undo);
-    tl_elements_undo(k->lookup, k->undo, k->undo);
+    tl_elements_start(k->lookup, k->apart, k->lags);
+    tl_elements_undo(k->lookup, k->lags, k->lags);
 }
 
 void tl_several_begin(tl_compensator_t *k, tl_count_q8_t p, tl_count_q8_t q) {

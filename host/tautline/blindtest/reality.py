@@ -66,7 +66,7 @@ def record(
     camera = rig.camera
     assert camera is not None
     t = motion.t_s
-    tip = _driven(plant, truth, motion, session_s, seed, load, scatter)
+    tip = driven(plant, truth, motion, session_s, seed, load, scatter)
     scene, arrival, shown = _frames(t, rig, truth, clock, scatter)
     image = _image(rig, truth, motion, scene, session_s, tip)
     if readout := truth("readout"):  # a row is read the later the lower it is
@@ -107,14 +107,14 @@ def record(
 
 
 @dataclass(frozen=True)
-class _Tip:
+class Tip:
     """(n,) at the motion's times: bending angle, and which way the instrument lies in its channel, -1 to 1."""
 
     c_deg: Array
     lies: Array
 
 
-def _driven(
+def driven(
     plant: Plant,
     truth: Truth,
     motion: Trajectory,
@@ -122,7 +122,8 @@ def _driven(
     seed: int,
     load: Array | None,
     scatter: np.random.Generator,
-) -> _Tip:
+) -> Tip:
+    """Where the tip goes, whose motor goes where `motion` says."""
     t, span = motion.t_s, plant.rig.actuator.span
     when = t + session_s
     q = motion.q + truth("homing")
@@ -154,7 +155,7 @@ def _driven(
     if stiffness := truth("obstacle"):
         c = _held(c, stiffness, truth("obstacle_at"), float(np.sign(truth("obstacle_side", 1.0))))
     rocks = any(truth(f"rock_{k}") for k in "xyz")
-    return _Tip(c, _native.reality_rocking(p, way, truth("rock_travel", 0.02)) if rocks else np.zeros_like(t))
+    return Tip(c, _native.reality_rocking(p, way, truth("rock_travel", 0.02)) if rocks else np.zeros_like(t))
 
 
 def _held(c: Array, stiffness: float, at: float, side: float) -> Array:
@@ -192,7 +193,7 @@ def _frames(
     return np.clip(scene, t[0], t[-1]), arrival, shown
 
 
-def _image(rig: Rig, truth: Truth, motion: Trajectory, scene: Array, session_s: float, tip: _Tip) -> Array:
+def _image(rig: Rig, truth: Truth, motion: Trajectory, scene: Array, session_s: float, tip: Tip) -> Array:
     """(n, 2) px of the marker at scene times (n,), without noise."""
 
     def at(values: Array | None) -> Array:

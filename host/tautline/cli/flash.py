@@ -17,17 +17,33 @@ from tautline.cli._live import axis_option, board_option
 @click.option(
     "--without-effects",
     is_flag=True,
-    help="Load B and f_remain of a corrected model though the tables cannot carry its effects.",
+    help="Load a corrected model though the tables cannot undo all of its effects.",
+)
+@click.option(
+    "--joint",
+    "joints",
+    metavar="COLUMN=AXIS:RESOLUTION",
+    multiple=True,
+    help="Which axis of the board moves a column that couples in, and its unit per encoder count: "
+    "translation_mm=1:0.001.",
 )
 @click.option("--force", is_flag=True, help="Load an unusable model, or one for another instrument, all the same.")
 @json_option
-def command(model_path: Path, board: str | None, axis: int, without_effects: bool, force: bool, as_json: bool) -> None:
+def command(
+    model_path: Path,
+    board: str | None,
+    axis: int,
+    without_effects: bool,
+    joints: tuple[str, ...],
+    force: bool,
+    as_json: bool,
+) -> None:
     """Load MODEL's tables into an axis of a board, read them back and compare them byte for byte.
 
     The table is checked by the board before it replaces the one in use; a failure leaves the old one. A corrected model
-    (taut diagnose) whose effects the tables cannot carry, such as lag, is refused unless --without-effects is given. So
-    is one whose rig.toml names another instrument than the board's settings do (taut commission --instrument), without
-    --force.
+    (taut diagnose) with effects that no table undoes, such as stick-slip, is refused unless --without-effects is given;
+    so is one that another axis couples into without --joint, and one whose rig.toml names another instrument than the
+    board's settings do (taut commission --instrument) without --force.
     """
     from tautline import tables
     from tautline.device import wire
@@ -38,13 +54,18 @@ def command(model_path: Path, board: str | None, axis: int, without_effects: boo
 
     model = Model.load(model_path)
     refuse_unusable(model, model_path, force)
+    from tautline.undone import COUPLED, Joint, undone
+
+    known = {column: Joint(number, resolution) for column, number, resolution in map(_joint, joints)}
     left = [effect.id for effect in model.effects if not BY_ID[effect.id].on_board]
+    if any(effect.id == COUPLED for effect in model.effects) and "joints" not in undone(model, known)[1]:
+        left.append(COUPLED)
     if left and not without_effects:
         raise TautError(
-            f"{model_path}: the board's tables cannot carry {', '.join(left)}: load B and f_remain alone with "
+            f"{model_path}: no table can undo {', '.join(left)}{_and_joint(left)}: load what they can with "
             "--without-effects, or the model that was calibrated"
         )
-    blob = tables.encode(model, axis=axis)
+    blob = tables.encode(model, axis=axis, joints=known)
     with open_board(board) as opened, progress_bar("flash") as progress:
         opened.load_table(axis, blob, progress, any_instrument=force)
         status = opened.status(axis)
@@ -67,3 +88,18 @@ def command(model_path: Path, board: str | None, axis: int, without_effects: boo
         as_json,
         f"{serial} axis {axis}: model {table.model_id.hex()}, {len(table.q)} nodes, {len(blob)} bytes, read back equal",
     )
+
+
+def _joint(text: str) -> tuple[str, int, float]:
+    column, _, rest = text.partition("=")
+    axis, _, resolution = rest.partition(":")
+    try:
+        return column, int(axis), float(resolution)
+    except ValueError:
+        raise click.UsageError(f"--joint {text}: say it as translation_mm=1:0.001") from None
+
+
+def _and_joint(left: list[str]) -> str:
+    from tautline.undone import COUPLED
+
+    return " (without --joint)" if COUPLED in left else ""

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import effects
-from tautline.diagnosis import confounded, decide, flexible, gap, motion, moved, repeated, where
+from tautline.diagnosis import confounded, decide, flexible, gap, motion, moved, repeated, tip, where
 from tautline.diagnosis.candidates import Found, applicable
 from tautline.diagnosis.fit import Fit, Fitter, Scope, key
 from tautline.diagnosis.gather import Gathered, gather
@@ -154,6 +154,7 @@ def diagnose(
     progress(1.0, "done")
     corrected = _corrected(chosen.fit, segments[-1]) if named else model
     corrected = replace(corrected, extra={**model.extra, "load_reference_mNm": fitter.load_reference})
+    document["tip"] = tip.foretold(model, corrected) if named else None  # with the old tables, and with the new
     return Diagnosis(
         document, model, corrected, following, segments, list(before), list(after), conditions, gathered.evidence
     )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize
+from scipy.optimize import Bounds, minimize
 from scipy.spatial.distance import cdist
 from threadpoolctl import threadpool_limits
 
@@ -88,15 +88,12 @@ def _process(inputs: Array, seen: Array, floor: float, asked: Array) -> Array:
     noise = max((floor / scale) ** 2, 1e-4)
     d = inputs.shape[1]
     few = _some(np.arange(len(inputs)), _LENGTHS_FROM)
-    start = np.log([1.0, *np.ones(d), noise])
+    start: Array = np.log(np.array([1.0, *np.ones(d), noise]))
     bounds = [_SIZES, *[(_SHORTEST, _LONGEST)] * d, (0.5 * noise, 10.0)]
-    found = minimize(
-        _surprise,
-        start,
-        args=((inputs[few, None] - inputs[few]) ** 2, seen[few] / scale),
-        jac=True,
-        method="L-BFGS-B",
-        bounds=np.log(bounds),
+    apart, shown = (inputs[few, None] - inputs[few]) ** 2, seen[few] / scale
+    limits = Bounds(*np.log(bounds).T)
+    found = minimize(  # type: ignore[call-overload]  # the stubs' jac=True takes no array of any shape
+        lambda at: _surprise(at, apart, shown), start, jac=True, method="L-BFGS-B", bounds=limits
     )
     size, lengths, white = _hyper(found.x)
     near = size * np.exp(-0.5 * cdist(inputs / lengths, inputs / lengths, "sqeuclidean"))

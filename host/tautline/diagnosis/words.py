@@ -8,8 +8,16 @@ from typing import Any
 
 from tautline.diagnosis.confounded import DRIFT, LOAD
 from tautline.effects import BY_ID, EVENTS
+from tautline.undone import COUPLED
 
 _SMALL = 3.0  # times the noise: a gap below is called small
+_REMAINS = {  # why
+    "transmission.stick_slip": "where the tip sticks next is chance",
+    "configuration.contact": "what holds the tip back is not the transmission",
+    "configuration.swing": "a swing needs to be seen",
+    "acquisition.jitter": "it is the frames' times",
+    "acquisition.held_samples": "it is the sensor's link",
+}
 SHOWN = 0.005  # probability from which on a candidate is shown
 _NO_PATH = "It has no path that repeats, so no model can predict it away."
 _TOLD = 2  # effects that are told in words
@@ -186,7 +194,7 @@ def steps(document: Mapping[str, Any], folder: str) -> list[Step]:
         told.append(
             Step(
                 "Try the tables against an instrument that has this effect.",
-                f"taut follow {folder}/nominal --simulate {folder}/corrected",
+                f"taut follow {folder}/corrected --simulate {folder}/corrected",
             )
         )
         told.append(board(effects, folder))
@@ -204,11 +212,29 @@ def board(effects: Sequence[Mapping[str, Any]], folder: str) -> Step:
     """What `taut flash` can do about it."""
     left = [e["id"] for e in effects if not e["loads_on_board"]]
     if left:
+        why = [f"{name} ({_REMAINS[name]})" if name in _REMAINS else name for name in left]
         return Step(
-            f"The board's tables cannot carry {listed(left)}: they take B and f_remain alone.",
+            f"No table can undo {listed(why)}; the rest of what was named they do.",
             f"taut flash {folder}/corrected --without-effects",
         )
+    if any(e["id"] == COUPLED for e in effects):
+        return Step(
+            "Load the corrected tables into the board, and say which of its axes moves the column that couples in.",
+            f"taut flash {folder}/corrected --joint COLUMN=AXIS:RESOLUTION",
+        )
     return Step("Load the corrected tables into the board.", f"taut flash {folder}/corrected")
+
+
+def tip(document: Mapping[str, Any]) -> str:
+    """What the tip will do with the new tables."""
+    found = document.get("tip")
+    if not found:
+        return ""
+    before, after = digits(found["before_deg"]), digits(found["after_deg"])
+    return (
+        f"On the instrument that this diagnosis says, the calibrated tables leave the tip off by {before} deg rms, the "
+        f"corrected ones by {after} (simulated on a smooth trajectory)."
+    )
 
 
 def text(document: Mapping[str, Any], folder: str) -> str:
@@ -232,6 +258,8 @@ def text(document: Mapping[str, Any], folder: str) -> str:
     said = flexible(document)
     if said:
         lines += ["", said]
+    if tip(document):
+        lines += ["", tip(document)]
     lines.append("")
     for step in steps(document, folder):
         lines += [f"- {step.says}", *([f"    {step.command}"] if step.command else [])]

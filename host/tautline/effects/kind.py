@@ -59,6 +59,7 @@ class Kind:
     column: str = ""  # of motor.csv, that it follows
     of_joint: Callable[[str], Kind] | None = None  # the same for a further joint's column
     holds: Holds | None = None  # a corrected model holds it in its own tables, rig or delay; None: it is simulated
+    undone: bool = False  # a section of the board's tables undoes it (tautline.undone)
     in_tables: bool = False  # it is simulated as the model that holds it
     course: Callable[[Mapping[str, float], float], float] | None = None  # over the session's time, s: how much of it
     event: Event | None = None
@@ -85,9 +86,10 @@ class Kind:
 
     @property
     def on_board(self) -> bool:
-        """Whether the tables of a corrected model, as they are, put the tip where that model says: what ends up in B
-        and f_remain themselves, and what only changes how the tip is seen."""
-        return self.holds is not None or self.stage in _TABLED
+        """Whether the tables of a corrected model put the tip where that model says: what ends up in B and f_remain,
+        what a section undoes, and what only changes how the tip is seen; what scatters nothing takes away."""
+        seen = self.stage in _TABLED and self.event is None
+        return self.holds is not None or self.undone or seen
 
 
 def six(prefix: str) -> tuple[Parameter, ...]:

@@ -42,6 +42,8 @@ uint8_t tl_axis_set_limits(tl_axis_t *axis, const tl_wire_limits_t *limits);
 uint8_t tl_axis_set_servo(tl_axis_t *axis, const tl_wire_servo_t *gains);
 uint8_t tl_axis_set_position(tl_axis_t *axis, tl_count_q8_t q);
 uint8_t tl_axis_set_strength(tl_axis_t *axis, int32_t strength_q15);
+uint8_t tl_axis_adapt(tl_axis_t *axis, const tl_wire_adapt_t *request);
+uint8_t tl_axis_load(tl_axis_t *axis, const tl_wire_load_t *request);
 uint8_t tl_axis_clear_fault(tl_axis_t *axis);
 
 #endif

@@ -13,6 +13,9 @@ static inline void tl_axis_job(tl_axis_t *axis, uint32_t job) {
     switch (job) {
     case 0U:
         tl_axis_listen(axis);
+        if (tip && axis->tip.compensator.undoes) {
+            tl_compensator_hear(&axis->tip.compensator, axis->plan.c_next);
+        }
         break;
     case 1U:
         if (tip) {
@@ -32,6 +35,9 @@ static inline void tl_axis_job(tl_axis_t *axis, uint32_t job) {
         }
         break;
     default:
+        if (tip && axis->tip.compensator.undoes) {
+            axis->plan.target = tl_compensator_reach(&axis->tip.compensator);
+        }
         tl_axis_plan(axis);
         break;
     }

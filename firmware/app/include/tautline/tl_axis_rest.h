@@ -23,6 +23,7 @@ void tl_axis_fail(tl_axis_t *axis, tl_wire_fault_t fault, int32_t value, tl_us_t
 void tl_axis_stop(tl_axis_t *axis, bool then_off);
 
 /// The sender or the host is gone: it comes to rest. A follower then holds; any other motion ends as a fault.
+/// Its table is the calibrated one again.
 void tl_axis_silence(tl_axis_t *axis);
 
 /// At rest where the motor is: what switching on begins from.

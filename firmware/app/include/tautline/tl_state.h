@@ -19,7 +19,7 @@ typedef struct {
     tl_calibration_t calibration;
     union {
         tl_calibration_work_t calibration; ///< while an axis calibrates
-        tl_tables_scratch_t tables;        ///< else
+        uint8_t upload[TL_TABLE_SIZE_MAX]; ///< else
     } work;
     uint8_t settings; ///< tl_wire_store_t
     tl_wire_counters_t counters;

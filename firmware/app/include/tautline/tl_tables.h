@@ -1,7 +1,8 @@
 /// The tables of all axes: which are in use, and new ones from the host. The task alone.
 ///
-/// A table comes in pieces, is checked when it is whole, then stored, then used. Whatever is wrong with it, or with the
-/// flash, the one in use stays. What comes shares memory with a calibration motion: none is taken during one.
+/// A table comes in pieces, is checked when it is whole, then stored, then used. It is checked where the one in use is,
+/// with all motors off: whatever is wrong with it, that one is read from flash again. What comes shares memory with a
+/// calibration motion: none is taken during one.
 #ifndef TAUTLINE_TL_TABLES_H
 #define TAUTLINE_TL_TABLES_H
 
@@ -31,23 +32,18 @@ typedef struct {
     bool readable; ///< there it is
 } tl_table_in_use_t;
 
-/// Memory that is needed while a table comes.
-typedef struct {
-    uint8_t upload[TL_TABLE_SIZE_MAX];
-    tl_lookup_t trial; ///< of the table that came, while it is checked
-} tl_tables_scratch_t;
-
 typedef struct {
     const tl_port_t *port;
     tl_axis_t *axes;
-    tl_tables_scratch_t *scratch; ///< shared; whoever takes it says tl_tables_abort() first
+    uint8_t
+        *upload; ///< TL_TABLE_SIZE_MAX bytes for what comes, shared; whoever takes them says tl_tables_abort() first
     tl_table_in_use_t in_use[TL_WIRE_AXES_MAX];
     uint32_t upload_size; ///< bytes that have come
     uint8_t upload_axis;
 } tl_tables_t;
 
 /// Loads what flash holds. Motors off.
-void tl_tables_init(tl_tables_t *tables, const tl_port_t *port, tl_axis_t *axes, tl_tables_scratch_t *scratch);
+void tl_tables_init(tl_tables_t *tables, const tl_port_t *port, tl_axis_t *axes, uint8_t *upload);
 
 /// Pieces from offset 0 in order; tl_tables_end() checks, stores and uses the whole, with every motor off.
 tl_upload_t tl_tables_data(tl_tables_t *tables, uint8_t axis, uint32_t offset, const uint8_t *bytes, size_t size);

@@ -16,19 +16,23 @@
 /// be, undone play by play. There the feed is steeper than p* after a reversal, up to 1 / w_1 times; what of that is
 /// faster than the take-up, and the jump of the first element, is taken up. Within the band all elements stay.
 ///
+/// What the table's further sections name (tl_undo.h) is undone in TL_MODE_FULL: before f^-1 and behind it, in the
+/// width, which the strength then scales with what is added to it, and in what is handed out: the inside of the
+/// compensator knows where the motor pushes from, its callers what the encoder reads.
+///
 /// Use: load a table, tl_compensator_start() with the motor's position when the axis is switched on, then
 /// tl_compensator_step() once a control tick, 1 to 10 kHz. All other functions are called between steps from
 /// the same context. To stop, hold c*; to follow the motor while the axis is free, start again.
 /// Faults: none is fatal. Every input is valid; what could not be done is in `flags`.
 ///
-/// A step: at most about 920 cycles on a Cortex-M0+ (-O2, no wait states), in three parts of 320, 290 and 320; with
-/// seven plays the second is 560 and the third 800. No division, no 64-bit product, 64-bit sums only. Memory: 220
-/// bytes, plus the table that it points to.
+/// A step: at most about 930 cycles on a Cortex-M0+ (-O2, no wait states), in three parts of 320, 290 and 320; with
+/// seven plays the second is 560 and the third 800; all sections add up to 900, 400 of them before and behind. No
+/// division, no 64-bit product, 64-bit sums only. Memory: 420 bytes, plus the table that it points to.
 #ifndef TAUTLINE_TL_COMPENSATOR_H
 #define TAUTLINE_TL_COMPENSATOR_H
 
-#include "tautline/tl_lookup.h"
 #include "tautline/tl_play.h"
+#include "tautline/tl_undo.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -73,8 +77,9 @@ typedef struct {
     const tl_lookup_t *lookup;     ///< must outlive the compensator or the next set_table
     tl_count_q8_t low, high, band; ///< the table's q_min, q_max and band
     bool several;                  ///< the table has several plays
+    bool by_curve;                 ///< in TL_MODE_FULL, with nothing but the play and the curve to undo
+    bool undoes;                   ///< it has further sections or was moved, and the mode is for them
     bool moved;                    ///< and p has moved them in this tick
-    bool turns;                    ///< and turned
     uint32_t flags;                ///< of the last whole tick
     uint32_t feed_flags;           ///< of its first part
     uint32_t mode;                 ///< tl_mode_t
@@ -95,11 +100,17 @@ typedef struct {
     tl_takeup_t takeup; ///< e
     uint32_t rate_hz;
     // Of several plays:
+    bool turns;                       ///< p has turned in this tick
     int32_t offset;                   ///< q* - p* - e, before the strength
     int32_t centre;                   ///< Y(p*)
     int32_t apart;                    ///< x - y
-    int32_t undo[TL_TABLE_PLAYS_MAX]; ///< lags behind y of the plays that undo them
+    int32_t lags[TL_TABLE_PLAYS_MAX]; ///< lags behind y of the plays that undo them
     int32_t step_max;                 ///< Q8 counts a tick at the take-up's speed
+    // Of further sections:
+    tl_deg_q16_t angle;    ///< that f has to give for the last command
+    int32_t wider;         ///< what they add to half the width on this side
+    tl_count_q8_t reading; ///< q* as the encoder is to read it, where there is anything to undo
+    tl_undo_t undo;
 } tl_compensator_t;
 
 /// Switches on: the motor is at `q` and stays there in this tick; what is missing to the backlash around the command
@@ -108,6 +119,10 @@ typedef struct {
 void tl_compensator_start(tl_compensator_t *compensator, const tl_lookup_t *lookup, uint32_t rate_hz, tl_mode_t mode,
                           tl_count_q8_t q, tl_deg_q16_t c);
 
+/// The same where the table was moved before, and is so still.
+void tl_compensator_start_moved(tl_compensator_t *compensator, const tl_lookup_t *lookup, uint32_t rate_hz,
+                                tl_mode_t mode, tl_count_q8_t q, tl_deg_q16_t c, const tl_moved_t *moved);
+
 /// After tl_compensator_start(): where the forward play knows the elements of several plays to be, which p and q alone
 /// do not tell after a turn within the backlash. Nothing for another table, or for one play.
 void tl_compensator_know(tl_compensator_t *compensator, const tl_play_t *play);
@@ -115,10 +130,15 @@ void tl_compensator_know(tl_compensator_t *compensator, const tl_play_t *play);
 /// One tick: the motor position to go to for the command c*. O(1), bounded, no division.
 tl_count_q8_t tl_compensator_step(tl_compensator_t *compensator, tl_deg_q16_t c);
 
-/// Its three parts, for a controller that spreads them over time: in this order, the other functions anywhere between.
+/// Its parts, for a controller that spreads them over time: in this order, the other functions anywhere between.
 void tl_compensator_feed(tl_compensator_t *compensator, tl_deg_q16_t c); ///< p*
 void tl_compensator_turn(tl_compensator_t *compensator);                 ///< B(p*) and the side
 tl_count_q8_t tl_compensator_take_up(tl_compensator_t *compensator);     ///< e and q*
+
+/// Where compensator->undoes two more, before the first and after the last: what f has to give for the command, and q*
+/// as the encoder is to read it.
+void tl_compensator_hear(tl_compensator_t *compensator, tl_deg_q16_t c);
+tl_count_q8_t tl_compensator_reach(tl_compensator_t *compensator);
 
 /// Changes that never move the output by themselves; what they change is taken up from the next step on.
 void tl_compensator_set_mode(tl_compensator_t *compensator, tl_mode_t mode);
@@ -126,6 +146,10 @@ void tl_compensator_set_strength(tl_compensator_t *compensator, int32_t strength
 /// Another table for the same axis; the strength stays. Five divisions. The limits of its take-up hold once the take-up
 /// that is under way has come to rest (it brakes at once).
 void tl_compensator_set_table(tl_compensator_t *compensator, const tl_lookup_t *lookup);
+
+/// tl_undo_adapt() and tl_undo_load(), of a compensator that has been started.
+bool tl_compensator_adapt(tl_compensator_t *compensator, tl_count_q8_t offset, int32_t scale_q15, uint32_t ticks);
+void tl_compensator_load(tl_compensator_t *compensator, int32_t load, uint32_t ticks);
 
 /// What is still to be taken up, Q8 counts, signed as in q* = ... - e.
 tl_count_q8_t tl_compensator_rest(const tl_compensator_t *compensator);

@@ -62,7 +62,8 @@ typedef struct {
     uint16_t ratio[TL_LOOKUP_SPANS];        ///< 1 / rise of f in each span (tl_lookup.c)
     uint16_t centre_ratio[TL_LOOKUP_SPANS]; ///< the same of Y; `table.centre` goes on as `table.angle` does
     tl_element_t element[TL_TABLE_PLAYS_MAX];
-    tl_lookup_end_t end[2]; ///< beyond the first and the last node
+    tl_lookup_end_t end[2];     ///< beyond the first and the last node
+    uint32_t phase, phase_rest; ///< a Q8 count's share of the encoder's turn, Q32, and 16 bits more
 } tl_lookup_t;
 
 /// Decodes, checks and derives. On any reason but TL_TABLE_OK `lookup` must not be used.
@@ -97,7 +98,7 @@ tl_deg_q16_t tl_lookup_coarse(const tl_lookup_t *lookup, tl_count_q8_t q, uint32
 tl_count_q8_t tl_lookup_coarse_inverse(const tl_lookup_t *lookup, tl_deg_q16_t c, uint32_t *flags);
 
 /// Whether p lies in a span that must be crossed at the table's flat speed. O(1).
-static inline bool tl_lookup_is_flat(const tl_lookup_t *lookup, tl_count_q8_t p) {
+static inline TL_FAST bool tl_lookup_is_flat(const tl_lookup_t *lookup, tl_count_q8_t p) {
     const uint32_t offset = (uint32_t)p - (uint32_t)lookup->q0;
     if (offset >= lookup->extent) {
         return false;

@@ -10,6 +10,7 @@ def _of_joint(column: str) -> Kind:
         (Parameter("c_per_joint", "deg", 0.05),),
         (Parameter("joint_play", "", 1.0, (0.0, 2.0), low=0.0),),
         says=_SAYS,
+        undone=True,
         needs="joint",
         column=column,
     )
@@ -20,6 +21,7 @@ EFFECTS = (
         _ID,
         (Parameter("c_per_translation", "deg/mm", 0.2), Parameter("c_per_rotation", "deg/deg", 0.02)),
         says=_SAYS,
+        undone=True,
         tell="The gap goes with another axis' position, with the bending motor at rest too.",
         mend="Measure with the other axes at rest, or keep their columns in motor.csv so that the model has them.",
         needs="freedom",

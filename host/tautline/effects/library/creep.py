@@ -9,6 +9,7 @@ EFFECTS = (
             Parameter("creep_slow", "", 0.3, (0.0, 0.5), low=0.0, high=1.0),
         ),
         says="the tip goes on moving after the motor stops",
+        undone=True,
         tell="After the motor stops the tip goes on for seconds, and the gap shrinks while it rests; a lag is over in "
         "a fraction of a second.",
         mend="Use a stiffer tendon or sheath, or wait before a position counts.",

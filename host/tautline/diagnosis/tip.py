@@ -1,0 +1,53 @@
+"""What the tip will do with the tables that a diagnosis leads to: simulated, old tables and new ones."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline import effects
+from tautline.compensation import compensate
+from tautline.errors import TautError
+from tautline.model import Model
+from tautline.recording import Motor
+from tautline.rig import Actuator
+from tautline.simulated import trajectory
+
+Array = npt.NDArray[np.float64]
+
+_SPEED = 15.0  # deg/s, as far as the motor's range allows
+_SPAN_S = 0.15  # of the angles a second, at most
+_SECONDS = 30.0
+_FREE = 0.1  # of the angles that the tables reach, at either end: effects need room
+_SETTLED = 0.3  # share of the trajectory after which the tip has been driven through both ways
+
+
+def foretold(nominal: Model, corrected: Model) -> dict[str, Any] | None:
+    """The rms of the tip's angle off a smooth trajectory through the reached angles, deg, of the instrument that
+    `corrected` says: with the tables of `nominal`, and with its own. None where one of them makes no table. Loads and
+    other axes stay where they were calibrated."""
+    try:
+        t_s, c_deg = _trajectory(corrected)
+        before, after = (_off(tables, corrected, t_s, c_deg) for tables in (nominal, corrected))
+    except TautError:
+        return None
+    return {"before_deg": before, "after_deg": after}
+
+
+def _trajectory(model: Model) -> tuple[Array, Array]:
+    ends = np.sort(model.remaining(np.array(model.rig.actuator.range)))
+    free = _FREE * (ends[1] - ends[0])
+    tip = Actuator("deg", (float(ends[0] + free), float(ends[1] - free)), 1e-3)
+    planned = trajectory.random_smooth(tip, min(_SPEED, _SPAN_S * tip.span), _SECONDS, 1)
+    return planned.t_s, planned.q
+
+
+def _off(tables: Model, instrument: Model, t_s: Array, c_deg: Array) -> float:
+    points = compensate(tables, t_s, c_deg)
+    motor = Motor(points.t_s, points.q)
+    parameters = effects.of_model(instrument, scatter=True)
+    path = effects.follow(instrument, motor, points.t_s, parameters, float(c_deg[0]))
+    off = path.c_deg - np.interp(points.t_s, t_s, c_deg)
+    return float(np.sqrt(np.mean(off[points.t_s > t_s[0] + _SETTLED * (t_s[-1] - t_s[0])] ** 2)))

@@ -1,0 +1,220 @@
+"""What a corrected model's effects become in a board's tables: sections 2 to 7 (common/tl_table.h), and elements."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import residue
+
+from tautline import _native
+from tautline.elements import Elements
+from tautline.errors import TautError
+from tautline.model import Model
+
+Array = npt.NDArray[np.float64]
+
+_COUNT = float(_native.COUNT_ONE)
+_DEG = float(_native.DEG_ONE)
+_FIRST = 0.05  # share of the first element at least: the inverse is at most 20 times as steep as the motion
+_PLAYS: int = _native.TABLE_PLAYS_MAX
+_LEAD = 2e-3, 0.125  # s, share of a lag's stage: the filter within which it is made up for
+_APART = 1.5  # times: the two stages' filters
+_CREEP_MOST = 0.9  # of the motion: more of it is not made up for at once
+_GAIN_MOST = 1000.0
+_STEP_LOG2_MAX = 22
+# Of a section's small table, in its steps.
+_NODES = np.array([0, 1, 2, 3, *(2**k * half for k in range(1, 7) for half in (2, 3)), _native.TABLE_STEPS], float)
+_COLUMNS = {"c_per_translation": "translation_mm", "c_per_rotation": "rotation_deg"}
+COUPLED = "configuration.axis_coupling"
+_LATE = "transmission.lag", "transmission.creep"
+
+Section = dict[str, int | list[int]]
+
+
+@dataclass(frozen=True)
+class Joint:
+    """An axis of the board that moves what a column of motor.csv recorded."""
+
+    axis: int
+    resolution: float  # of the column's unit, per encoder count
+
+
+def parameters_of(model: Model) -> dict[str, dict[str, Any]]:
+    """Those of the model's effects that its own tables do not hold, by the effect's id."""
+    from tautline.effects import BY_ID
+
+    return {
+        effect.id: dict(effect.parameters)
+        for effect in model.effects
+        if effect.id in BY_ID and BY_ID[effect.id].holds is None
+    }
+
+
+def undone(model: Model, joints: Mapping[str, Joint] | None = None) -> tuple[Model, dict[str, Section]]:
+    """The model whose own tables hold a gradual onset, and the sections that undo its other effects. What the board
+    cannot undo is left out; `joints` says which axes move the columns that couple in."""
+    found = parameters_of(model)
+    if onset := found.get("transmission.smooth_onset"):
+        model = replace(model, elements=onset_elements(model.elements, onset))
+    count = model.rig.actuator.encoder_resolution / _COUNT
+    sections: dict[str, Section] = {}
+    if encoder := found.get("actuator.encoder_periodic"):
+        sections["encoder"] = _encoder(encoder, count)
+    if sides := found.get("transmission.asymmetric_backlash"):
+        sections["sides"] = _sides(sides, count)
+    if speed := found.get("transmission.rate_dependent_backlash"):
+        sections["speed"] = _speed(speed, model, count)
+    if late := {name: value for of in _LATE for name, value in found.get(of, {}).items()}:
+        sections["late"] = _late(late)
+    if load := found.get("transmission.load_dependence"):
+        sections["load"] = _load(load, model, count)
+    if coupling := found.get(COUPLED):
+        sections |= _joints(coupling, joints or {})
+    return model, {name: section for name, section in sections.items() if any(map(np.any, section.values()))}
+
+
+def _encoder(v: Mapping[str, float], count: float) -> Section:
+    names = {"sine": "sin", "cosine": "cos", "sine2": "sin2", "cosine2": "cos2"}
+    section: Section = {to: round(v.get(f"encoder_{name}", 0.0) / count) for to, name in names.items()}
+    period = round(v["encoder_period"] / count * 16.0)
+    if period >= 2**31:
+        raise TautError(f"the encoder's turn of {v['encoder_period']:g} is too long for a board's numbers")
+    return section | {"period_q12": period} if any(section.values()) else {}
+
+
+def _step_log2(reach: float) -> int:
+    return int(np.clip(np.ceil(np.log2(max(reach, 1.0) / _native.TABLE_STEPS)), 0, _STEP_LOG2_MAX))
+
+
+def _sides(v: Mapping[str, float], count: float) -> Section:
+    """The play is late by L(x) once it has been carried by x of the motor's way: by the tip's own, d = x + L(0) - L(x),
+    that is a table of d."""
+    size, travel, form = abs(v["asymmetry"]) / count, v["asymmetry_travel"] / count, v.get("asymmetry_form", 1.0)
+    if size < 1.0:
+        return {}
+    most = travel * np.log(size) ** (1.0 / form) + travel
+    x = np.concatenate([[0.0], np.geomspace(1e-4 * travel, most, 4000)])
+    late = size * np.exp(-((x / travel) ** form))
+    moved = x + late[0] - late
+    step_log2 = _step_log2(moved[-1])
+    values = np.rint(np.interp(_NODES * 2.0**step_log2, moved, late)).astype(int)
+    return {"side": 1 if v["asymmetry"] > 0.0 else -1, "step_log2": step_log2, "late": values.tolist()}
+
+
+def _speed(v: Mapping[str, float], model: Model, count: float) -> Section:
+    """width_per_speed is of a speed of a tenth of the table's grid a second; the board's table ends at twice the
+    range a second."""
+    usual = 0.1 * float(model.q[-1] - model.q[0])
+    step_log2 = _step_log2(2.0 * model.rig.actuator.span / count)
+    speed = _NODES * 2.0**step_log2 * count
+    extra = np.maximum(v["width_per_speed"] * usual * (speed / usual) ** v.get("speed_exponent", 1.0), 0.0)
+    return {
+        "step_log2": step_log2,
+        "time_us": round(1e6 * v.get("speed_time", 0.02)),
+        "held": int(v.get("width_held", 0.0) != 0.0),
+        "extra": np.minimum(np.rint(extra / count), 2**24).astype(int).tolist(),
+    }
+
+
+def _late(v: Mapping[str, float]) -> Section:
+    """1 / (what lag and creep do) as a sum of first-order followers, by partial fractions: y + sum a (y - y_T)."""
+    lag, second = v.get("lag", 0.0), v.get("lag_second", 0.0)
+    above, below = np.poly1d([1.0]), np.poly1d([1.0])
+    filtered = 0.0
+    for stage in sorted([lag * second, lag * (1.0 - second)]):
+        if stage > 0.0:
+            filtered = max(_LEAD[0], _LEAD[1] * stage, _APART * filtered)
+            above, below = above * np.poly1d([stage + filtered, 1.0]), below * np.poly1d([filtered, 1.0])
+    share, slow = min(v.get("creep_share", 0.0), _CREEP_MOST), v.get("creep_slow", 0.0)
+    if share > 0.0:
+        fast = np.poly1d([v["creep_time"], 1.0])
+        slowly = np.poly1d([5.0 * v["creep_time"], 1.0]) if slow > 0.0 else np.poly1d([1.0])
+        above = above * fast * slowly
+        below = below * ((1.0 - share) * fast * slowly + share * (1.0 - slow) * slowly + share * slow * fast)
+    gains, poles, _ = residue(above.coeffs, below.coeffs)
+    gains, poles = np.real(gains), np.real(poles)
+    order = np.argsort(poles)
+    gains_q16 = [round(float(np.clip(gains[k] / poles[k], -_GAIN_MOST, _GAIN_MOST)) * 65536.0) for k in order]
+    times_us = [round(-1e6 / float(poles[k])) for k in order]
+    free = _native.TABLE_LATE_MAX - len(order)
+    return {"gain_q16": gains_q16 + [0] * free, "time_us": times_us + [0] * free} if len(order) else {}
+
+
+def _load(v: Mapping[str, float], model: Model, count: float) -> Section:
+    reference = float(model.extra.get("load_reference_mNm", 0.0))
+    return {
+        "reference": round(reference * 256.0),
+        "width": round(v.get("width_per_load", 0.0) * 2.0**24),
+        "gain": round(v.get("gain_per_load", 0.0) * 2.0**24),
+        "offset": round(v.get("offset_per_load", 0.0) / (count * _COUNT) * 2.0**16),
+        "middle": round(float(model.c_deg[len(model.c_deg) // 2]) * _DEG),
+    }
+
+
+def _joints(v: Mapping[str, Any], joints: Mapping[str, Joint]) -> dict[str, Section]:
+    """The columns whose axis is known."""
+    by_column = {column: float(v[name]) for name, column in _COLUMNS.items() if v.get(name)}
+    if v.get("c_per_joint"):
+        by_column[str(v["column"])] = float(v["c_per_joint"])
+    known = [(joints[column], slope) for column, slope in by_column.items() if column in joints]
+    if not known:
+        return {}
+    free = [0] * (_native.TABLE_JOINTS - len(known))
+    return {
+        "joints": {
+            "axis": [joint.axis + 1 for joint, _ in known] + free,
+            "play": [round(float(v.get("joint_play", 0.0)) / joint.resolution * _COUNT) for joint, _ in known] + free,
+            "slope": [round(slope * joint.resolution * 2.0**28) for joint, slope in known] + free,
+        }
+    }
+
+
+# -- gradual onsets -----------------------------------------------------------------------------------------------
+
+
+def onset_elements(elements: Elements, v: Mapping[str, float]) -> Elements:
+    """The elements that come nearest to a play whose thresholds are spread (transmission.smooth_onset), each of
+    `elements` having lots of them."""
+    spread, share = _native.onset_lots(dict(v))
+    width = np.outer(elements.width, spread).ravel()
+    weight = np.outer(elements.weight, share).ravel()
+    order = np.argsort(width, kind="stable")
+    return _fewer(width[order], weight[order])
+
+
+def _fewer(width: Array, weight: Array) -> Elements:
+    """Neighbours together, so that the widths within each lot scatter least; the first moves _FIRST at least."""
+    n = len(width)
+    sums = np.array([np.concatenate([[0.0], np.cumsum(weight * width**k)]) for k in range(3)])
+
+    def scatter(i: int, j: int) -> float:
+        w, first, second = sums[:, j] - sums[:, i]
+        return float(second - first * first / w)
+
+    best: dict[tuple[int, int], tuple[float, tuple[int, ...]]] = {(0, 0): (0.0, (0,))}
+    for lots in range(1, _PLAYS + 1):
+        for end in range(1, n + 1):
+            found = [
+                (cost + scatter(begin, end), (*ends, end))
+                for begin in range(lots - 1, end)
+                if (known := best.get((lots - 1, begin))) is not None
+                for cost, ends in (known,)
+                if lots > 1 or sums[0, end] >= _FIRST
+            ]
+            if found:
+                best[lots, end] = min(found)
+    _, ends = min(best[lots, n] for lots in range(1, _PLAYS + 1) if (lots, n) in best)
+    parts = [(sums[:, j] - sums[:, i])[:2] for i, j in itertools.pairwise(ends)]
+    means = np.array([first / w for w, first in parts])
+    shares = np.array([w for w, _ in parts])
+    keep = np.concatenate([[True], np.diff(means) > 1e-9])
+    shares = np.add.reduceat(shares, np.flatnonzero(keep))
+    means = means[keep]
+    shares /= shares.sum()
+    means /= shares @ means
+    return Elements(tuple(means.tolist()), tuple(shares.tolist()))

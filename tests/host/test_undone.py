@@ -1,0 +1,267 @@
+"""What the tables' sections undo: the board's compensator in front of a float64 plant of the same effect."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from undone_plant import GAIN, Plant
+
+from tautline import _native, tables
+from tautline.compensation import compensate
+from tautline.effects import BY_ID
+from tautline.model import Effect, Model
+from tautline.simulated.instrument import reference_rig
+from tautline.undone import Joint, onset_elements, undone
+
+COUNT = 0.001
+COUNTS = GAIN * COUNT  # deg of a count
+few = settings(max_examples=4, deadline=None)
+
+
+def model(width: float, effect: str = "", **parameters: Any) -> Model:
+    q = np.linspace(-5.0, 5.0, 201)
+    made = Model(reference_rig(), q, np.full(201, width), 0 * q, GAIN * q, 0.08, (-5.0, 5.0))
+    return replace(made, effects=(Effect(effect, parameters),)) if effect else made
+
+
+def path(speed: float = 1.0, seconds: float = 9.0) -> tuple[np.ndarray, np.ndarray]:
+    """Two sines: turns at many places, no rests; at most about `speed` mm/s."""
+    t = np.arange(0.0, seconds, 0.002)
+    c = 0.6 * np.sin(2 * np.pi * 0.21 * t * speed) + 0.4 * np.sin(2 * np.pi * 0.33 * t * speed + 1.0)
+    return t, 0.55 * GAIN * c
+
+
+def errors(own: Model, plant: Plant, path_: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray:
+    """The tip's, in counts, once it has been driven through the play both ways."""
+    t, c = path_ or path()
+    points = compensate(own, t, c)
+    off = plant.run(points.q) - np.interp(points.t_s, t, c)
+    return off[points.t_s > 4.0] / COUNTS
+
+
+def assert_undone(effect: str, parameters: dict[str, Any], plant: Plant, counts: float, **path_: Any) -> None:
+    along = path(**path_)
+    own = model(plant.width, effect, **parameters)
+    rms = np.sqrt(np.mean(errors(own, replace(plant), along) ** 2))
+    before = np.sqrt(np.mean(errors(model(plant.width), replace(plant), along) ** 2))
+    assert rms <= counts, f"{rms:.2f} counts with the section, {before:.1f} without"
+    assert before > 3.0 * counts, "too weak to say anything"
+
+
+@few
+@given(st.floats(-12.0, 12.0), st.floats(4.0, 12.0), st.floats(-4.0, 4.0), st.floats(-4.0, 4.0), st.floats(0.25, 1.5))
+def test_an_encoder_that_errs_once_a_turn(a: float, b: float, a2: float, b2: float, turn: float) -> None:
+    a, b, a2, b2 = (v * COUNT for v in (a, b, a2, b2))
+    v = {"encoder_sin": a, "encoder_cos": b, "encoder_sin2": a2, "encoder_cos2": b2, "encoder_period": turn}
+    assert_undone("actuator.encoder_periodic", v, Plant(0.4, encoder=(a, b, a2, b2, turn)), 0.6)
+
+
+@few
+@given(st.sampled_from([-1, 1]), st.floats(0.08, 0.2), st.floats(0.15, 0.5))
+def test_a_side_that_starts_later_and_catches_up(side: int, late: float, travel: float) -> None:
+    v = {"asymmetry": side * late, "asymmetry_travel": travel, "asymmetry_form": 1.0}
+    plant = Plant(0.4, side=side, late=late, travel=travel)
+    assert_undone("transmission.asymmetric_backlash", v, plant, 2.0)
+
+
+@few
+@given(st.floats(0.02, 0.05), st.floats(0.03, 0.1))
+def test_a_width_that_grows_with_the_speed(per_speed: float, time: float) -> None:
+    """The plant's width knows the motor's speed, the section's that of p: apart while the backlash is crossed."""
+    v = {"width_per_speed": per_speed, "speed_exponent": 1.0, "speed_time": time, "width_held": 1.0}
+    t = np.arange(0.0, 9.0, 0.002)
+    c = 20.0 * (np.abs((0.11 * t) % 1.0 * 4.0 - 2.0) - 1.0)
+    own = model(0.4, "transmission.rate_dependent_backlash", **v)
+    off = np.abs(errors(own, Plant(0.4, per_speed=per_speed, per_speed_time=time), (t, c)))
+    old = np.abs(errors(model(0.4), Plant(0.4, per_speed=per_speed, per_speed_time=time), (t, c)))
+    assert np.median(off) < 1.0 < 5.0 < np.median(old)
+    assert np.sqrt(np.mean(off**2)) < 0.5 * np.sqrt(np.mean(old**2))
+
+
+@few
+@given(st.floats(0.04, 0.15), st.floats(0.0, 0.5))
+def test_lag_of_one_stage_and_two(lag: float, second: float) -> None:
+    stages = tuple(s for s in (lag * (1.0 - second), lag * second) if s > 1e-3)
+    v = {"lag": lag, "lag_second": second if len(stages) == 2 else 0.0}
+    if len(stages) == 1:
+        v["lag"] = stages[0]
+    assert_undone("transmission.lag", v, Plant(0.4, lag=stages), 0.5 + 40.0 * lag, speed=0.6)
+
+
+@few
+@given(st.floats(0.05, 0.3), st.floats(0.5, 3.0), st.floats(0.0, 0.5))
+def test_creep_of_two_times(share: float, time: float, slow: float) -> None:
+    v = {"creep_share": share, "creep_time": time, "creep_slow": slow}
+    elements = ((share * (1.0 - slow), time), (share * slow, 5.0 * time))
+    assert_undone("transmission.creep", v, Plant(0.4, creep=elements), 1.5)
+
+
+def compensator(own: Model, c: float, joints: dict[str, Joint] | None = None) -> Any:
+    blob = tables.encode(own, limits=LIMITS, joints=joints)
+    table = _native.FixedTable(blob)
+    q = int(table.angle_inverse(np.array([deg(c)], np.int32))[0][0])
+    return _native.FixedCompensator(table, 1000, _native.MODE_FULL, q, deg(c))
+
+
+LIMITS = tables.Limits(speed_max=100.0, takeup_speed=50.0, takeup_accel=1e5, band=0.002, adapt=(0.5, 0.25, 1.9))
+
+
+def deg(c: float | np.ndarray) -> Any:
+    return np.rint(np.asarray(c) * _native.DEG_ONE).astype(np.int32) if np.ndim(c) else round(c * _native.DEG_ONE)
+
+
+@few
+@given(st.floats(-0.004, 0.02), st.floats(-0.004, 0.004), st.floats(-0.004, 0.004), st.floats(-60.0, 60.0))
+def test_width_gain_and_offset_by_load(width: float, gain: float, offset: float, load: float) -> None:
+    names = ("width_per_load", "gain_per_load", "offset_per_load")
+    own = model(0.4, "transmission.load_dependence", **dict(zip(names, (width, gain, offset), strict=True)))
+    t, c = path()
+    board = compensator(own, float(c[0]))
+    board.load(round(load * 256), 100)
+    q = board.run(deg(np.interp(np.arange(0.0, t[-1], 1e-3), t, c)))[0] * COUNT / 256.0
+    scale = max(1.0 + width * load, 0.0)
+    plant = Plant(0.4, offset=offset * load, scale=scale, gain=1.0 + gain * load)
+    off = (plant.run(q) - np.interp(np.arange(len(q)) * 1e-3, t, c))[4000:] / COUNTS
+    assert np.sqrt(np.mean(off**2)) < 0.6
+
+
+def test_another_axis_moves_the_angle() -> None:
+    own = model(0.4, "configuration.axis_coupling", c_per_translation=0.7, c_per_rotation=0.0)
+    with_joint = {"translation_mm": Joint(2, 0.002)}
+    assert undone(own)[1] == {} != undone(own, with_joint)[1]
+    t, c = path()
+    board = compensator(own, float(c[0]), with_joint)
+    c = np.interp(np.arange(0.0, t[-1], 1e-3), t, c)
+    other = 3.0 * np.sin(np.arange(len(c)) * 1e-3)
+    q = []
+    for want, at in zip(deg(c), other, strict=True):
+        board.joint(0, round(at / 0.002 * 256))
+        q.append(int(board.run(np.array([want], np.int32))[0][0]))
+    tip = Plant(0.4).run(np.array(q) * COUNT / 256.0) + 0.7 * other
+    assert np.sqrt(np.mean((tip - c)[4000:] ** 2)) < 0.6 * COUNTS
+
+
+@few
+@given(st.floats(0.1, 0.9), st.floats(0.0, 1.0))
+def test_a_gradual_onset_becomes_elements(spread: float, tail: float) -> None:
+    """Their half widths, weighed, are those of the spread thresholds to the fourth part of a seventh of their reach."""
+    v = {"onset_spread": spread, "onset_tail": tail}
+    elements = onset_elements(model(0.4).elements, v)
+    lots, share = _native.onset_lots(v)
+    x = np.linspace(0.0, lots.max() * 1.1, 200)
+
+    def moved(width: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        return np.maximum(x[:, None] - width, 0.0) @ weight
+
+    off = moved(lots, share) - moved(np.array(elements.width), np.array(elements.weight))
+    assert np.abs(off).max() < np.ptp(lots) / 28.0
+    assert elements.weight[0] >= 0.05 - 1e-9 and len(elements.width) > 4
+
+
+# -- moved while in use ---------------------------------------------------------------------------------------------
+
+
+@few
+@given(st.floats(-0.5, 0.5), st.floats(0.25, 1.9), st.integers(1, 3000))
+def test_a_table_is_moved_without_a_jump_and_arrives(offset: float, scale: float, ticks: int) -> None:
+    t, c = path()
+    want = np.interp(np.arange(0.0, t[-1], 1e-3), t, c)
+    board = compensator(model(0.4), float(c[0]))
+    first = board.run(deg(want[:3000]))[0]
+    rest = board.run(deg(np.full(200, want[3000])))[0]
+    assert board.adapt(round(offset / COUNT * 256), round(scale * 32768), ticks)
+    blended = np.concatenate([rest[-1:], board.run(deg(np.full(3500, want[3000])))[0]]) / 256.0
+    assert np.abs(np.diff(blended)).max() < 1.01
+    steps = np.flatnonzero(np.abs(np.diff(blended)) > 0.0)
+    assert steps.max(initial=0) <= max(ticks, 2 * abs(offset) / COUNT, 2048 * abs(scale - 1.0)) + 1
+    after = board.run(deg(want[3000:]))[0]
+    tip = Plant(0.4, offset=offset, scale=scale).run(
+        np.concatenate([first, rest, blended[1:] * 256.0, after]) * COUNT / 256
+    )
+    off = (tip[-len(after) :] - want[3000:])[3000:] / COUNTS
+    assert np.sqrt(np.mean(off**2)) < 0.6
+
+
+def test_nobody_moves_a_table_further_than_it_says() -> None:
+    board = compensator(model(0.4), 0.0)
+    assert not board.adapt(round(0.501 / COUNT * 256), 32768, 100)
+    assert not board.adapt(0, round(0.24 * 32768), 100)
+    assert not board.adapt(0, round(1.91 * 32768), 100)
+    assert board.adapt(0, 32768, 100)
+    q = _native.FixedTable(tables.encode(model(0.4)))
+    unlimited = _native.FixedCompensator(q, 1000, _native.MODE_FULL, 0, 0)
+    assert not unlimited.adapt(1, 32768, 100)
+
+
+# -- sections -------------------------------------------------------------------------------------------------------
+
+
+def test_sections_travel() -> None:
+    own = model(0.4, "transmission.lag", lag=0.05, lag_second=0.3)
+    encoder = Effect("actuator.encoder_periodic", {"encoder_sin": 0.01, "encoder_period": 0.4})
+    own = replace(own, effects=(*own.effects, encoder))
+    read = tables.decode(tables.encode(own, limits=LIMITS))
+    assert read.limits.adapt == pytest.approx(LIMITS.adapt, abs=1e-4)
+    assert read.sections["encoder"] == {
+        "sine": 2560,
+        "cosine": 0,
+        "sine2": 0,
+        "cosine2": 0,
+        "period_q12": 400 * 4096,
+    }
+    assert set(read.sections) == {"encoder", "late", "adapt"}
+    assert tables.model_id(own) != tables.model_id(model(0.4))
+
+
+def test_a_model_without_effects_is_the_table_that_it_was() -> None:
+    blob = tables.encode(model(0.4), created_s=0)
+    assert int.from_bytes(blob[4:6], "little") == 1 and tables.decode(blob).sections == {}
+
+
+@pytest.mark.parametrize(
+    ("section", "reason"),
+    [
+        ({"encoder": {"period_q12": 4096 * 100, "sine": 256 * 8, "cosine": 0, "sine2": 0, "cosine2": 0}}, "ENCODER"),
+        ({"encoder": {"period_q12": 0, "sine": 0, "cosine": 0, "sine2": 0, "cosine2": 0}}, "ENCODER"),
+        ({"sides": {"side": 0, "step_log2": 4, "late": [0] * 17}}, "SIDES"),
+        ({"sides": {"side": 1, "step_log2": 4, "late": [17, *[0] * 16]}}, "SIDES"),
+        ({"sides": {"side": 1, "step_log2": 4, "late": [0, 1, *[0] * 15]}}, "SIDES"),
+        ({"speed": {"step_log2": 4, "time_us": 0, "held": 0, "extra": [-1, *[0] * 16]}}, "SPEED"),
+        ({"speed": {"step_log2": 23, "time_us": 0, "held": 0, "extra": [0] * 17}}, "SPEED"),
+        ({"late": {"gain_q16": [1, 0, 0, 0], "time_us": [0, 0, 0, 0]}}, "LATE"),
+        ({"late": {"gain_q16": [1, 0, 0, 0], "time_us": [999, 0, 0, 0]}}, "LATE"),
+        ({"load": {"reference": 0, "width": 1 << 25, "gain": 0, "offset": 0, "middle": 0}}, "LOAD"),
+        ({"joints": {"axis": [1, 0, 0], "play": [0, 0, 0], "slope": [0, 0, 0]}}, "JOINTS"),
+        ({"joints": {"axis": [5, 0, 0], "play": [0, 0, 0], "slope": [0, 0, 0]}}, "JOINTS"),
+        ({"adapt": {"offset": -1, "width_least_q15": 0, "width_most_q15": 32768}}, "ADAPT"),
+        ({"adapt": {"offset": 0, "width_least_q15": 0, "width_most_q15": 32767}}, "ADAPT"),
+    ],
+)
+def test_sections_that_say_nonsense_are_refused(section: dict[str, Any], reason: str) -> None:
+    fields = _native.FixedTable(tables.encode(model(0.4))).fields
+    width, angle, identity = fields.pop("width"), fields.pop("angle"), fields.pop("model_id")
+    blob = _native.table_encode(fields, width, angle, identity, sections=section)
+    assert _native.table_check(blob)[0] == reason
+
+
+def test_what_is_undone_is_said_of_the_effects() -> None:
+    """An effect that becomes a section says so; what the board cannot take away does not."""
+    strong = {
+        "actuator.encoder_periodic": {"encoder_sin": 0.01, "encoder_period": 0.4},
+        "transmission.asymmetric_backlash": {"asymmetry": 0.1, "asymmetry_travel": 0.3},
+        "transmission.rate_dependent_backlash": {"width_per_speed": 0.05},
+        "transmission.lag": {"lag": 0.05},
+        "transmission.creep": {"creep_share": 0.1, "creep_time": 1.0},
+        "transmission.load_dependence": {"offset_per_load": 0.01},
+        "transmission.smooth_onset": {"onset_spread": 0.3},
+    }
+    for name, parameters in strong.items():
+        own, sections = undone(model(0.4, name, **parameters))
+        assert BY_ID[name].on_board and (sections or not own.elements.single), name
+    for name in ("transmission.stick_slip", "configuration.contact", "configuration.swing", "acquisition.jitter"):
+        assert not BY_ID[name].on_board, name

@@ -1,0 +1,93 @@
+"""A small instrument with one effect at a time, in float64, a sample after the other: none of the package's code."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+GAIN = 12.0  # deg per mm
+
+
+@dataclass
+class Plant:
+    """The motor's reading (mm) to the tip's angle (deg): a play of width `width`, f = GAIN p, and one effect."""
+
+    width: float
+    rate_hz: float = 1000.0
+    encoder: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 1.0)  # sin, cos, sin2, cos2, turn
+    side: int = 0  # that has to move on by `late` more, caught up exponentially within `travel` of the motor's way
+    late: float = 0.0
+    travel: float = 1.0
+    per_speed: float = 0.0  # s: width for each mm/s
+    per_speed_time: float = 0.02
+    lag: tuple[float, ...] = ()  # s, of each stage
+    creep: tuple[tuple[float, float], ...] = ()  # share and time of each element
+    offset: float = 0.0
+    scale: float = 1.0
+    gain: float = 1.0  # of the angle
+    beside: float = 0.0  # deg that something else adds
+    p: float = math.nan
+    _x: float = 0.0
+    _carried: int = 0
+    _speed: float = 0.0
+    _before: float = math.nan
+    _stages: list[float] = field(default_factory=list)
+    _elements: list[float] = field(default_factory=list)
+
+    def error(self, x: float) -> float:
+        a, b, a2, b2, turn = self.encoder
+        t = 2 * math.pi * x / turn
+        return a * math.sin(t) + b * math.cos(t) + a2 * math.sin(2 * t) + b2 * math.cos(2 * t)
+
+    def shaft(self, reading: float) -> float:
+        reach = sum(map(abs, self.encoder[:4]))
+        low, high = reading - reach, reading + reach
+        for _ in range(25 if reach else 0):
+            middle = 0.5 * (low + high)
+            if middle - self.error(middle) < reading:
+                low = middle
+            else:
+                high = middle
+        return 0.5 * (low + high)
+
+    def step(self, reading: float) -> float:
+        q = self.shaft(reading) + self.offset
+        if math.isnan(self.p):
+            self.p, self._before = q, q
+            self._stages, self._elements = [q] * len(self.lag), [q] * len(self.creep)
+        dt = 1.0 / self.rate_hz
+        moved = q - self._before
+        self._before = q
+        if moved:
+            self._speed += (moved / dt - self._speed) * -math.expm1(-dt / self.per_speed_time)
+        half = 0.5 * (self.scale * self.width + self.per_speed * abs(self._speed))
+        for s in (1, -1):
+            if s * moved > 0.0:
+                self._push(q, s, half)
+        return self._angle(dt)
+
+    def _push(self, q: float, s: int, half: float) -> None:
+        """The end on side s, from which it has been carried by _x of the motor's way."""
+        x = self._x if self._carried == s else 0.0
+        held = self.late if s == self.side else 0.0
+        beyond = s * (q - self.p) - half - held * math.exp(-x / self.travel)
+        if beyond > 0.0:
+            self._x, self._carried = x + beyond, s
+            self.p = q - s * (half + held * math.exp(-self._x / self.travel))
+
+    def _angle(self, dt: float) -> float:
+        tip = self.p
+        for i, time in enumerate(self.lag):
+            before = self._stages[i]
+            self._stages[i] += (tip - before) * -math.expm1(-dt / time)
+            tip = self._stages[i]
+        late = 0.0
+        for i, (share, time) in enumerate(self.creep):
+            self._elements[i] += (tip - self._elements[i]) * -math.expm1(-dt / time)
+            late += share * (tip - self._elements[i])
+        return GAIN * (tip - late) * self.gain + self.beside
+
+    def run(self, readings: np.ndarray) -> np.ndarray:
+        return np.array([self.step(float(q)) for q in readings])
