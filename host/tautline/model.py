@@ -116,7 +116,7 @@ class Model:
             document = json.loads(path.read_text(encoding="utf-8"))
         except (FileNotFoundError, NotADirectoryError) as error:
             what = f"holds no {MODEL_FILE}" if folder.is_dir() else "is a file" if folder.exists() else "is not there"
-            raise TautError(f"{folder}: {what}: a model is a folder that taut calibrate writes") from error
+            raise TautError(f"{folder}: {what}, a model is a folder: make it with taut calibrate") from error
         except OSError as error:
             raise TautError(of_system(error)) from error
         except UnicodeDecodeError as error:

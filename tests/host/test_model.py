@@ -36,7 +36,7 @@ def test_saved_and_loaded_it_is_the_same(tmp_path, falling):
         (None, "make it with taut calibrate"),
         ("{", "not valid JSON"),
         ("[]", "format"),
-        ('{"format": "model/1"}', "'q'"),
+        ('{"format": "model/1"}', "q, width, .* missing"),
         ('{"format":"model/1","q":[0,1],"width":[0,3],"width_sigma":[0,0],"c_deg":[0,1],"delay_s":0,'
          '"measured":[0,1],"effects":[],"extra":{}}', "not a model's"),
     ],
