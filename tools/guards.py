@@ -147,7 +147,7 @@ _APP = (
          APP, "port->boot == TL_WIRE_BOOT_WATCHDOG", "false"),
     Guard("a stored table is whole", STORE + "a_flipped_bit_falls_back_to_the_older_table",
           ((FLASH_STORE, "found.whole = crc_of(port, found.blob, found.size) == found.crc;", "found.whole = true;"),
-           ("common/src/tl_table.c", "get(blob + size - 4, 4) != tl_crc32(0, blob, size - 4)", "size < 4"))),
+           ("common/src/tl_table.c", "tl_get(blob + size - 4, 4) != tl_crc32(0, blob, size - 4)", "size < 4"))),
     _one("the older slot is written", STORE + "a_power_cut_at_any_operation_leaves_the_old_or_the_new_table",
          FLASH_STORE, "const uint8_t target = a.whole && (!b.whole || newer(&a, &b)) ? 1U : 0U;",
          "const uint8_t target = a.whole && (!b.whole || newer(&a, &b)) ? 0U : 1U;"),

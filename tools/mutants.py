@@ -63,7 +63,7 @@ class Portable:
         self.objects = dict(zip(self.sources, self._compile(self.sources, folder, []), strict=True))
 
     def _includes(self, before: list[Path]) -> list[str]:
-        return [f"-I{path}" for path in (*before, *INCLUDES, ROOT / "firmware/estimator/src", TESTS, self.unity)]
+        return [f"-I{path}" for path in (*before, *INCLUDES, *SOURCES, TESTS, self.unity)]
 
     def _compile(self, sources: list[Path], into: Path, before: list[Path]) -> list[Path]:
         made = [into / f"{source.stem}.o" for source in sources]

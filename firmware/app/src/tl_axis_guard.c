@@ -267,11 +267,12 @@ static __attribute__((noinline)) TL_FAST void try_out(tl_axis_t *axis, tl_us_t n
 
 TL_FAST void tl_axis_guard(tl_axis_t *axis, tl_us_t now_us) {
     const int32_t size_ma = measure(axis);
+    if (has_patience(axis) && --axis->guard.patience == 0U) {
+        tl_axis_silence(axis); // all that this millisecond has room for
+        return;
+    }
     if (axis->mode != TL_WIRE_MODE_OFF && !electrical(axis, now_us) && axis->closed) {
         mechanical(axis, size_ma, now_us);
-    }
-    if (has_patience(axis) && --axis->guard.patience == 0U) {
-        tl_axis_silence(axis);
     }
     if (!tl_axis_is_following(axis)) {
         try_out(axis, now_us);
