@@ -119,7 +119,12 @@ def draw_backlash(axes: Axes, model: Model, onsets: Sequence[Onset], knots: Arra
     axes.plot(model.q, model.width, color=MODEL, lw=1.0, ls=":")
     axes.plot(model.q[inside], model.width[inside], color=MODEL, lw=1.8, label="B(q)")
     for direction, colour, marker, name in ((1, UP, "^", "rising"), (-1, DOWN, "v", "falling")):
-        chosen = [o for o in used if np.sign(o["direction"]) == direction]
+        mine = [o for o in used if np.sign(o["direction"]) == direction]
+        chosen = [o for o in mine if 2 * o["sigma"] <= top]
+        vague = [o for o in mine if not 2 * o["sigma"] <= top]  # a bar over all the picture says nothing
+        axes.plot(
+            [q_mean(o) for o in vague], [o["width"] for o in vague], marker, ms=4, mfc="none", mec=colour, alpha=0.5
+        )
         if chosen:
             axes.errorbar(
                 [q_mean(o) for o in chosen],

@@ -227,6 +227,20 @@ def test_no_width_lies_outside_its_axes(measured: tuple[Model, Recording]) -> No
     assert low <= figures.q_mean(wide) <= high and axes.get_ylim()[1] >= 0.9 + 2 * 0.1
 
 
+def test_a_width_that_nothing_is_known_of_has_no_bar(measured: tuple[Model, Recording]) -> None:
+    model, _ = measured
+    vague = dict(figures.onsets_of(model)[0]) | {"sigma": 40.0}
+    axes = figures.hero(model, figures.onsets_of(replace(model, extra={"onsets": [vague]})), None).axes[0]
+    bars = [
+        path.vertices
+        for drawn in axes.collections
+        if type(drawn).__name__ == "LineCollection"
+        for path in drawn.get_paths()
+    ]
+    assert all(np.ptp(bar[:, 1]) < axes.get_ylim()[1] for bar in bars)
+    assert any(vague["width"] in np.asarray(line.get_ydata()) for line in axes.lines)
+
+
 def test_equal_models_show_their_difference(measured: tuple[Model, Recording]) -> None:
     model, _ = measured
     made = figures.compared({"one": model, "same": model, "wider": replace(model, width=model.width + 0.1)})
