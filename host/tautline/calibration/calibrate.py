@@ -406,9 +406,12 @@ class _Session:
             ended = remaining.scale if remaining is not None and self.ended is not None else None
             found = doubts(self.components, inside, self.unit, alone, rough, ended=ended)
             sigma = float(np.median(np.concatenate([track.sigma for track in self.tracks])))
-            astray = 0.0 if remaining is None else remaining.residual / sigma
-            if self.camera and not self.components.parts and astray > _ASTRAY * max(alone, 1.0):
-                found.append(self._elsewhere(astray))
+            if self.camera and not self.components.parts and remaining is not None:
+                astray = remaining.residual / sigma
+                if astray > _ASTRAY * max(alone, 1.0) and not self._misplaced(
+                    remaining.residual
+                ):  # which is told already
+                    found.append(self._elsewhere(astray))
             if self.camera and any(not reason.mild for reason in found):
                 self.found.reasons += clock.jumps(self.tracks, self.rig)
             self.found.reasons += found
