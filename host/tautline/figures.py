@@ -102,7 +102,8 @@ def draw_backlash(axes: Axes, model: Model, onsets: Sequence[Onset], knots: Arra
     unit, (low, high) = model.rig.actuator.unit, model.measured
     inside = (model.q >= low) & (model.q <= high)
     used, _ = split_onsets(onsets)
-    reaches = [o["width"] + (2 * o["sigma"] if np.isfinite(o["sigma"]) else 0.0) for o in used]
+    told = [o for o in used if 2 * o["sigma"] <= o["width"]]  # a wider bar over the picture says nothing
+    reaches = [o["width"] + 2 * o["sigma"] for o in told]
     highest = max([o["width"] for o in used], default=0.0)
     level = max(highest, float(model.width[inside].max()) if inside.any() else 0.0, 1e-9)
     top = max(1.25 * level, min(1.05 * max(reaches, default=0.0), 3.0 * level))  # every bar, but for wild ones
@@ -120,8 +121,7 @@ def draw_backlash(axes: Axes, model: Model, onsets: Sequence[Onset], knots: Arra
     axes.plot(model.q[inside], model.width[inside], color=MODEL, lw=1.8, label="B(q)")
     for direction, colour, marker, name in ((1, UP, "^", "rising"), (-1, DOWN, "v", "falling")):
         mine = [o for o in used if np.sign(o["direction"]) == direction]
-        chosen = [o for o in mine if 2 * o["sigma"] <= top]
-        vague = [o for o in mine if not 2 * o["sigma"] <= top]  # a bar over all the picture says nothing
+        chosen, vague = [o for o in mine if o in told], [o for o in mine if o not in told]
         axes.plot(
             [q_mean(o) for o in vague], [o["width"] for o in vague], marker, ms=4, mfc="none", mec=colour, alpha=0.5
         )
