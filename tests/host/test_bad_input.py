@@ -11,10 +11,11 @@ import pandas as pd
 import pytest
 from cli_runner import Finished, Taut
 
+from tautline import trajectory
 from tautline.errors import TautError
 from tautline.model import Model
 from tautline.recording import Recording, save
-from tautline.simulated import instrument, simlink, simulate, trajectory
+from tautline.simulated import instrument, simlink, simulate
 
 RIG = instrument.reference_rig()
 PLANT = instrument.preset("reference", RIG)

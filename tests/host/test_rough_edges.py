@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from cli_runner import Taut
 
-from tautline import reports
+from tautline import reports, trajectory
 from tautline.cli import marker as marker_command
 from tautline.device import usb_link
 from tautline.evidence import FILE as EVIDENCE
 from tautline.model import Model
 from tautline.recording import load, save
-from tautline.simulated import instrument, simulate, trajectory
+from tautline.simulated import instrument, simulate
 from tautline.simulated.endoscope import Endoscope
 from tautline.vision.marker import find_colour
 

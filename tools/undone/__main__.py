@@ -17,11 +17,10 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 from tools.undone.plants import ENCODER, STRENGTHS, instrument, moved
 
-from tautline import _native, effects, tables
+from tautline import _native, effects, tables, trajectory
 from tautline.model import Effect, Model
 from tautline.recording import Motor
 from tautline.rig import Actuator
-from tautline.simulated import trajectory
 from tautline.undone import Joint
 
 Array = npt.NDArray[np.float64]
@@ -77,8 +76,8 @@ def learnt(model: Model, name: str, values: Mapping[str, float]) -> Effect:
             begin = np.array(first)
             begin[0] += way * own[0].probe * unit[0]
             x0 = np.clip(begin, low + 1e-9, high - 1e-9) / unit
-            found = least_squares(off, x0, bounds=(low / unit, high / unit), diff_step=1e-3, max_nfev=25)
-            best = found if best is None or found.cost < best.cost else best
+            minimum = least_squares(off, x0, bounds=(low / unit, high / unit), diff_step=1e-3, max_nfev=25)
+            best = minimum if best is None or minimum.cost < best.cost else best
     assert best is not None
     return Effect(name, dict(zip((p.name for p in own), (best.x * unit).tolist(), strict=True)) | fixed)
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from tautline.blindtest.reality import Plant, Truth, driven
 from tautline.simulated.instrument import preset
-from tautline.simulated.trajectory import Trajectory
+from tautline.trajectory import Trajectory
 
 Array = npt.NDArray[np.float64]
 
