@@ -16,6 +16,7 @@ from tautline.calibration.acquisition import in_another_unit
 from tautline.calibration.backlash import WidthCurve, fit_widths
 from tautline.calibration.choice import JOINT, ONSETS, Choice, jumping, measuring
 from tautline.calibration.components import Components, separate
+from tautline.calibration.departures import SPEED
 from tautline.calibration.doubts import PREDICTS, doubts, floor_of
 from tautline.calibration.findings import Findings
 from tautline.calibration.holding import released
@@ -199,7 +200,9 @@ class _Session:
             elif abs(later) > 1e-4:
                 onsets = delayed(onsets, self.tracks, later)
                 curve = fit_widths(onsets, self.grid)
-        gradual = self.components is not None and any(part.name.startswith("phase") for part in self.components.parts)
+        gradual = self.components is not None and any(
+            part.name.startswith(("phase", SPEED)) for part in self.components.parts
+        )
         like_paper = self.options.knots == "paper"
         width, sigma, source = self.choice.choose(onsets, curve, joint, passes, like_paper=like_paper, gradual=gradual)
         if source == JOINT:

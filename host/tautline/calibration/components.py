@@ -17,6 +17,8 @@ from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve, eigh
 
 from tautline.calibration.departures import (
+    SHARE,
+    SPEED,
     STATES,
     Design,
     Part,
@@ -49,6 +51,7 @@ _STILL = 0.05  # a change of B, in its sigma, that is none
 _COUNT = 0.29  # of an encoder's step: the standard deviation of a place within it
 _SHOWS = 0.3  # of the noise: an encoder's count that moves the image by more shows
 _FEW = 30  # frames that tell no scatter
+LAW = 0.5  # of what speed adds to B: slower than what was seen it may follow another law
 CORRECTS = 0.3  # of a component's correction of B: what it may be off by
 _LAGS = 60  # frames of autocorrelation
 _LATE = 0.25  # of the session, which goes from -1/2 to 1/2: its last quarter
@@ -386,14 +389,16 @@ class _Solved:
         moved = self.moved
         curves = replace(moved, backlash=self._at_the_end(moved.backlash))
         changed = float(np.mean((curves.backlash - moved.backlash) ** 2))
-        sigma = np.sqrt(sigma**2 + CORRECTS**2 * changed + (self._between_recordings() * self.fit.width(curves)) ** 2)
+        width = self.fit.width(curves)
+        between, slower = self._between_recordings() * width, LAW * self._by_speed(width)
+        sigma = np.sqrt(sigma**2 + CORRECTS**2 * changed + between**2 + slower**2)
         delay = self.noise * float(np.sqrt(number * self.inverse[self.head - 1, self.head - 1]))
         power = np.mean(left**2, axis=1)
         moves = self.scene.moving
         rests = np.mean(power[~moves]) if (~moves).sum() > _FEW else np.mean(power)
         moving = np.sqrt(np.mean(power[moves]) / max(float(rests), 1e-30)) if moves.any() else 1.0
         return Components(
-            curves, moved, self.fit.width(curves), sigma, delay, self.noise, float(moving), number,
+            curves, moved, width, sigma, delay, self.noise, float(moving), number,
             tuple(parts), self.clock + self.clock_step, self.owner.rough, self._since(),
         )  # fmt: skip
 
@@ -434,8 +439,12 @@ class _Solved:
         if "width.recording" in values:
             each = values["width.recording"]
             grown += float(contrasts(len(each) + 1)[-1] @ each)
-        faster = float(values["width.speed"][0]) if "width.speed" in values else 0.0
-        return np.maximum(backlash * grown - faster, 0.0)
+        return np.maximum(backlash * grown - self._by_speed(backlash), 0.0)
+
+    def _by_speed(self, width: Array) -> Array:
+        """By how much a width at the usual speed is more than that of slow strokes."""
+        found = [(name, float(self.values[at][0])) for name, at in self._blocks() if name.startswith(SPEED)]
+        return np.asarray(sum((v * (width if name.endswith(SHARE) else 1.0) for name, v in found), 0.0 * width))
 
     def _between_recordings(self) -> float:
         """Standard deviation of B, as a share of it, from one recording to the next: no B is known better."""
