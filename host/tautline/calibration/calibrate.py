@@ -45,6 +45,7 @@ Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 _LEAST_FRAMES = 10
+_TOLD_S = 0.001  # standard deviation to which a clock that was off is found
 _LATER = 0.05  # of a frame's period, by which onsets are moved and not looked for again
 _GRADUAL = 0.4  # noise: what a gradual start must leave for several elements to be tried
 _HELD = 0.5  # of the square of what one element leaves beyond noise: several may leave so much
@@ -493,7 +494,16 @@ class _Session:
             sigma = np.hypot(sigma, self.choice.bridged(joint, width, inside))
         pass_width, pass_sigma = self.choice.second_opinion(onsets, curve, passes)
         characteristic = self._characteristic(delay.delay_s)
+        if self.components is not None:
+            delay = replace(delay, sigma_s=float(np.hypot(delay.sigma_s, self.components.held_back_s)))
         aligned, delay = self.clock.with_delay(delay, self.nominal_s)
+        if any(aligned.offsets_s) and delay.sigma_s > _TOLD_S:
+            self.findings.doubt(
+                "clock.offset",
+                f"the sensor's clock was off, and its offset is known to {2e3 * delay.sigma_s:.2g} ms only (2 sigma)",
+                "put both on one clock: what a codec or glare holds back of the marker looks like a delay",
+                fatal=True,
+            )
         if not np.isfinite(delay.sigma_s):
             self.findings.notes.append(
                 f"no stop of the tip told the delay: the nominal {delay.delay_s * 1e3:.0f} ms is used"
