@@ -147,6 +147,23 @@ def test_widths_that_grow_are_those_of_the_end():
     assert um < 2e-3 and z < 2.0
 
 
+@pytest.mark.parametrize("usual_mm_s", [0.1, 1.0])
+@pytest.mark.parametrize("share", [False, True])
+def test_a_width_that_speed_adds_to_is_that_of_slow_strokes(usual_mm_s, share):
+    """It is less the slower the motor is, most of it below `usual_mm_s`: a motor that stops lets the tip go on."""
+    plant = Plant()
+    table, state, made = width_at(np.clip(GRID, -5.5, 5.5)), plant.q[0], np.empty_like(plant.q)
+    speed = np.abs(np.gradient(plant.q, plant.t))
+    more = 0.1 * -np.expm1(-speed / usual_mm_s)
+    for k, q in enumerate(plant.q):
+        wide = np.interp(state, GRID, table)
+        half = 0.5 * (wide * (1.0 + more[k]) if share else wide + 0.5 * more[k])
+        state = min(max(state, q - half), q + half)
+        made[k] = state
+    plant.p = made
+    assert error_of(plant.calibrated())[1] < 2.0
+
+
 @pytest.mark.parametrize(("until", "verdict"), [(0.6, Verdict.GOOD), (1.0, Verdict.DOUBTFUL)])
 def test_an_offset_that_drifts_leaves_the_model_of_the_end(until, verdict):
     """The cable goes 20 um away from its encoder; what has come to rest is told, what still goes on is a doubt."""

@@ -155,13 +155,11 @@ def doubts(
         if part.name == "turn" and shift < _SHIFTED * usual:
             strong = False  # a count is a count
         if ended is not None and part.name in STATES:
-            predicts = (
-                ended <= PREDICTS * max(components.noise, 1.0) or not strong
-            )  # the image is where f_remain puts it
+            predicts = _holds(part.name, components, ended) if strong else True
             held = predicts
         else:
             predicts = alone < _LEFT or part.rms < _MOSTLY * strongest
-            held = not strong or part.rms < _STRONG or alone < PREDICTS
+            held = not strong or part.rms < _STRONG
         moves = shift > max(_SHIFTED * usual, 3.0 * sigma)
         # What is uncertain of it is in sigma.
         doubted = moves and not (alone < PREDICTS and CORRECTS * shift < _SHIFTED * usual)
@@ -171,9 +169,8 @@ def doubts(
             doubted = moves and not (alone < PREDICTS and LAW * shift < _MUCH * usual)
         if moves or strong or not predicts:
             kind = "turn.itself" if part.name == "turn" and not rough else part.name
-            goes_on = part.name in STATES and part.name.endswith("time") and components.late > _STILL_MOVES
-            rest = f", {components.late:.1f} in its last quarter: it goes on" if goes_on else ""
-            reasons.append((part.chi2, _reason(kind, part, shift, unit, rest, predicts and held and not doubted)))
+            late = f", {components.late:.1f} in its last quarter: it goes on" if _goes_on(part.name, components) else ""
+            reasons.append((part.chi2, _reason(kind, part, shift, unit, late, predicts and held and not doubted)))
     told = [reason for _, reason in sorted(reasons, key=lambda each: -each[0])]
     if components.noise > PREDICTS:
         told.append(_scatter(components, alone, sure=sigma < _SURE * usual))
@@ -183,9 +180,21 @@ def doubts(
     return list(first.values())
 
 
-def _reason(kind: str, part: Component, shift: float, unit: str, rest: str, mild: bool) -> Reason:
+def _holds(state: str, components: Components, ended: float) -> bool:
+    """Whether a model holds what this came to: nothing still moves, and the image is where f_remain can put it. What
+    happened once, or between recordings, is over."""
+    if ended > PREDICTS * max(components.noise, 1.0):
+        return False
+    return not _goes_on(state, components)
+
+
+def _goes_on(state: str, components: Components) -> bool:
+    return state in STATES and state.endswith("time") and components.late > _STILL_MOVES
+
+
+def _reason(kind: str, part: Component, shift: float, unit: str, late: str, mild: bool) -> Reason:
     code, says, remedy = _MEANS[kind.rstrip("0123456789.%")]
-    return Reason(code, f"{says} ({part.rms:.1f} times the noise, {shift:.2g} {unit} of B{rest})", remedy, mild=mild)
+    return Reason(code, f"{says} ({part.rms:.1f} times the noise, {shift:.2g} {unit} of B{late})", remedy, mild=mild)
 
 
 def _scatter(components: Components, alone: float, sure: bool) -> Reason:
