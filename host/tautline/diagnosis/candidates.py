@@ -73,6 +73,7 @@ class Search:
         self._with_path = [kind for kind in kinds if not kind.event]
         self.labels = [np.unique(gap.blocks(s), return_inverse=True)[1] for s in fitter.segments]
         self.limits = outlier_limits(fitter, base)
+        self._alike = gap.alike(fitter.segments)  # of the noise's numbers
         self.base = self.judged(base)
 
     def judged(self, fit: Fit) -> Candidate:
@@ -84,7 +85,7 @@ class Search:
         left = confined.residuals(self.fitter, fit, further)
         if left is None:
             return None
-        count = [np.bincount(label) * r.shape[1] for label, r in zip(self.labels, left, strict=True)]
+        count = [np.bincount(label) * r.shape[1] / self._alike for label, r in zip(self.labels, left, strict=True)]
         return Beyond(self._power(left, [_NOISE * self.fitter.floor] * len(left)), np.concatenate(count).astype(float))
 
     def power(self, residuals: Sequence[Array]) -> Array:
