@@ -148,6 +148,26 @@ class Search:
         fit = self.fitter.fit(hypothesis, values, below.fit.state)
         return self.judged(fit) if kinds and fit.finite else None
 
+    def with_brought(self) -> list[Candidate]:
+        """Effects that came after the calibration and moved parts of the nominal model with them, on top of it."""
+        judged = []
+        for kind in self.kinds:
+            parts = [part for part in self.kinds if part.id in kind.brings]
+            if not parts:
+                continue
+            self._progress(f"fitting {kind.id} with what it brings")
+            hypothesis = self.base.fit.hypothesis
+            for one in (*parts, kind):
+                hypothesis = hypothesis.plus(one, Scope.TESTS)
+            values = {slot.key: 0.0 for slot in hypothesis.slots}
+            values |= {p.name: self.fitter.scale(p) for p in kind.amplitudes} | {
+                p.name: p.shape[0] for p in kind.shapes
+            }
+            fit = self.fitter.fit(hypothesis, values, self.base.fit.state)
+            if fit.finite:
+                judged.append(self.judged(fit))
+        return judged
+
     def in_the_mean(self, below: Candidate, kind: Kind, amount: float) -> Candidate | None:
         """An event after the calibration on top of a hypothesis, as it is in the mean: with sticking the play is wider
         by about the length that the tip sticks for (while calibrating it is B's own)."""
