@@ -42,9 +42,9 @@ START = Hyperparameters(
 )  # fmt: skip  # docs/diagnosis.md says why
 _PRIOR = 0.7  # spread of a logarithm about START
 _UNLIKE, _UNLIKE_WORTH = 0.3, 2.0  # spread between generators expected, and of how many generators that is worth
-_ROUNDS, _STEPS, _STEP = 3, 8, 0.05
+_ROUNDS, _STEPS, _STEP = 2, 6, 0.05
 _LEAST = 0.01  # of a truth's probability: no case says more than that all is wrong
-_KEPT = 24  # hypotheses of a case that weigh anything
+_KEPT = 16  # hypotheses of a case that weigh anything
 _MIX = {NONE: 0.25, UNEXPLAINED: 0.25}  # of a generator's weight; the rest is of effects
 _COVERS = 0.95
 
@@ -71,10 +71,10 @@ def _loss(case: Case, logarithms: Array) -> float:
 
 
 def _slopes(case: Case, logarithms: Array) -> Array:
-    """Loss, and its derivatives by central differences."""
-    steps = _STEP * np.eye(len(logarithms))
-    ahead = [(_loss(case, logarithms + step) - _loss(case, logarithms - step)) / (2.0 * _STEP) for step in steps]
-    return np.array([_loss(case, logarithms), *ahead])
+    """Loss, and its derivatives by differences."""
+    here = _loss(case, logarithms)
+    ahead = [(_loss(case, logarithms + step) - here) / _STEP for step in _STEP * np.eye(len(logarithms))]
+    return np.array([here, *ahead])
 
 
 def load(folders: Sequence[Path]) -> list[Case]:

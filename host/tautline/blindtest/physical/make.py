@@ -6,7 +6,7 @@ import math
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 import numpy.typing as npt
@@ -103,7 +103,7 @@ def _visible(
     best: tuple[dict[str, float], tuple[float, ...]] = ({}, ())
     if not chosen:
         return best
-    without = _silent(session, {})
+    truth = _Truth(session)
     for _ in range(_DRAWS):
         drawn = [(KNOWN.get(name) or UNKNOWN[name])(rng, session.topology) for name in chosen]
         for name, values in zip(chosen, drawn, strict=True):
@@ -112,7 +112,7 @@ def _visible(
                     session.starts_s[1] + float(rng.uniform(0.25, 0.75)) * session.motions[1].duration_s
                 )
         left = tuple(
-            _left(session, values, without, BY_ID[name].nominal if name in BY_ID else False)
+            truth.left(values, name in BY_ID and BY_ID[name].nominal)
             for name, values in zip(chosen, drawn, strict=True)
         )
         if not best[1] or min(left) > min(best[1]):
@@ -122,24 +122,37 @@ def _visible(
     return best
 
 
-def _left(session: _Recorded, values: Mapping[str, float], without: list[Recording], nominal: bool) -> float:
-    """rms of what the truth does differently on the tests, of each coordinate; unless it is a part of the nominal
-    model, beyond what the same mechanism does with another play, rest, stiffness and delay."""
-    there = _silent(session, values)
-    apart = _apart(there, without)
-    if nominal or not np.isfinite(apart).any():
-        return _rms(apart)
-    span = session.rig.actuator.span / session.topology.scale
-    size = {name: step * (span if name == "homing" else 1.0) for name, (_, step) in _MEASURED.items()}
-    at = {name: usual for name, (usual, _) in _MEASURED.items()}
-    columns = np.stack([_apart(_silent(session, {**at, n: at[n] + size[n]}), without) for n in _MEASURED], axis=1)
-    for left_to_go in reversed(range(_STEPS)):
-        known = np.isfinite(apart) & np.isfinite(columns).all(axis=1)
-        step = np.linalg.lstsq(columns[known], apart[known], rcond=1e-6)[0]
-        if left_to_go:
-            at = {n: max(at[n] + by * size[n], 0.2 * _MEASURED[n][0]) for n, by in zip(at, step, strict=True)}
-            apart = _apart(there, _silent(session, at))
-    return _rms(apart - columns @ step)
+class _Truth:
+    """What the mechanism does differently on the tests with something than without it; beyond what the same mechanism
+    does with another play, rest, stiffness and delay."""
+
+    def __init__(self, session: _Recorded) -> None:
+        self.session, self.without = session, _silent(session, {})
+        span = session.rig.actuator.span / session.topology.scale
+        self._size = {name: step * (span if name == "homing" else 1.0) for name, (_, step) in _MEASURED.items()}
+
+    @cached_property
+    def _columns(self) -> Array:
+        usual = {name: at for name, (at, _) in _MEASURED.items()}
+        return np.stack([self._apart({**usual, n: usual[n] + self._size[n]}) for n in _MEASURED], axis=1)
+
+    def _apart(self, values: Mapping[str, float]) -> Array:
+        return _apart(_silent(self.session, values), self.without)
+
+    def left(self, values: Mapping[str, float], nominal: bool) -> float:
+        """rms of each coordinate. nominal: it is a part of the nominal model itself, and all of it counts."""
+        there = apart = self._apart(values)
+        if nominal or not np.isfinite(apart).any():
+            return _rms(apart)
+        at = np.array([usual for usual, _ in _MEASURED.values()])
+        size = np.array(list(self._size.values()))
+        for left_to_go in reversed(range(_STEPS)):
+            known = np.isfinite(apart) & np.isfinite(self._columns).all(axis=1)
+            step = np.linalg.lstsq(self._columns[known], apart[known], rcond=1e-6)[0]
+            if left_to_go:
+                at = np.where(at > 0.0, np.maximum(at + step * size, 0.2 * at), at + step * size)
+                apart = there - self._apart(dict(zip(_MEASURED, at.tolist(), strict=True)))
+        return _rms(apart - self._columns @ step)
 
 
 def _silent(session: _Recorded, values: Mapping[str, float]) -> list[Recording]:
