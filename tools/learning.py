@@ -77,14 +77,15 @@ def _slopes(case: Case, logarithms: Array) -> Array:
     return np.array([here, *ahead])
 
 
-def load(folders: Sequence[Path]) -> list[Case]:
+def load(folders: Sequence[Path], scored: bool = False) -> list[Case]:
+    """scored: seeds that only a report may be made of."""
     cases = []
     for folder in folders:
         for diagnosis in sorted((folder / sealed.DIAGNOSES).iterdir()):
             label = Label.from_json(
                 json.loads((folder / sealed.SEALED / diagnosis.name / sealed.LABEL).read_text())["label"]
             )
-            if label.seed >= SCORED_FROM:
+            if label.seed >= SCORED_FROM and not scored:
                 raise click.ClickException(
                     f"{folder}: seed {label.seed} is scored, not learnt from: name one of --seed 1 to {SCORED_FROM - 1}"
                 )
@@ -189,9 +190,17 @@ def row(name: str, verdicts: Sequence[tuple[Case, Decision]], covers: float) -> 
 @click.command()
 @click.argument("campaigns", nargs=-1, required=True, type=click.Path(exists=True, file_okay=False, path_type=Path))
 @click.option("--leave-out", multiple=True, help="Families that nothing is learnt from: they are reported alone.")
+@click.option(
+    "--report",
+    multiple=True,
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    help="Campaigns of scored seeds that nothing is learnt from.",
+)
 @click.option("--write", is_flag=True, help="Put what is learnt into the package.")
 @click.option("--jobs", type=click.IntRange(1), default=os.cpu_count() or 1, help="Processes.")
-def main(campaigns: tuple[Path, ...], leave_out: tuple[str, ...], write: bool, jobs: int) -> None:
+def main(
+    campaigns: tuple[Path, ...], leave_out: tuple[str, ...], report: tuple[Path, ...], write: bool, jobs: int
+) -> None:
     """Learns from blind CAMPAIGNS, and tells what that says of generators that were left out."""
     cases = load(campaigns)
     learnable = [case for case in cases if case.family not in leave_out]
@@ -217,6 +226,13 @@ def main(campaigns: tuple[Path, ...], leave_out: tuple[str, ...], write: bool, j
         told.append(row(f"{family}, as it started", [(c, decide(c.evidence, started)) for c in mine], _COVERS))
         name = f"{family}, {'left out' if family in leave_out else 'learnt on'}"
         told.append(row(name, [(c, decide(c.evidence, everything)) for c in mine], everything.covers))
+    reported = load(report, scored=True)
+    for family in sorted({case.family for case in reported}):
+        mine = [case for case in reported if case.family == family]
+        ways = [("as it started", started), ("learnt", everything)]
+        ways += [("learnt without it", by[family])] if family in by else []
+        for name, way in ways:
+            told.append(row(f"{family}, report, {name}", [(c, decide(c.evidence, way)) for c in mine], way.covers))
     table = Table(
         "generators", "-log p of the truth", "right name leads", "in its set", "unknown", "none", "calibration error"
     )

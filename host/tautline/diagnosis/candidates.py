@@ -73,7 +73,7 @@ class Search:
         self._with_path = [kind for kind in kinds if not kind.event]
         self.labels = [np.unique(gap.blocks(s), return_inverse=True)[1] for s in fitter.segments]
         self.limits = outlier_limits(fitter, base)
-        self._alike = gap.alike(fitter.segments)  # of the noise's numbers
+        self._alike = gap.alike(fitter.segments, _NOISE * fitter.floor)  # of the noise's numbers
         self.base = self.judged(base)
 
     def judged(self, fit: Fit) -> Candidate:

@@ -47,13 +47,13 @@ def noise_floor(segments: Sequence[Segment], residuals: Sequence[Array]) -> floa
     return max(float(np.sqrt(squares / np.interp(remembers, _MEMORIES, expected))), least)
 
 
-def alike(segments: Sequence[Segment]) -> float:
-    """How many numbers of the noise tell as much of its power as one of white Gaussian noise does: more where it
-    remembers, or where single frames are elsewhere."""
+def alike(segments: Sequence[Segment], most: float) -> float:
+    """How many numbers of the noise, cut to `most`, tell as much of its power as one of white Gaussian noise does: more
+    where it remembers, or where single frames are elsewhere."""
     steady = _rests(segments)
     if steady is None:
         return 1.0
-    values = np.concatenate([rest.ravel() for rest in steady])
+    values = np.clip(np.concatenate([rest.ravel() for rest in steady]), -most, most)
     memory, _ = _remembers(steady)
     tailed = float(np.mean(values**4)) / max(float(np.mean(values**2)) ** 2, 1e-300)
     tailed = max(tailed - _SURE * np.sqrt(24.0 / len(values)), 3.0)  # of a Gaussian: 3
