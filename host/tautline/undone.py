@@ -55,6 +55,16 @@ def parameters_of(model: Model) -> dict[str, dict[str, Any]]:
     }
 
 
+def left(model: Model, joints: Mapping[str, Joint] | None = None) -> list[str]:
+    """Ids of the model's effects that its tables cannot undo; `joints` as in undone."""
+    from tautline.effects import BY_ID
+
+    ids = [effect.id for effect in model.effects if not BY_ID[effect.id].on_board]
+    if any(effect.id == COUPLED for effect in model.effects) and "joints" not in undone(model, joints)[1]:
+        ids.append(COUPLED)
+    return ids
+
+
 def undone(model: Model, joints: Mapping[str, Joint] | None = None) -> tuple[Model, dict[str, Section]]:
     """The model whose own tables hold a gradual onset, and the sections that undo its other effects. What the board
     cannot undo is left out; `joints` says which axes move the columns that couple in."""

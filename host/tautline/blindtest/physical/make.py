@@ -14,7 +14,7 @@ from scipy.special import expit
 
 from tautline import trajectory
 from tautline.blindtest.cases import VISIBLE, Case, Label
-from tautline.blindtest.physical.draws import KNOWN, SIGHT, UNKNOWN
+from tautline.blindtest.physical.draws import KNOWN, PROJECTION, UNKNOWN
 from tautline.blindtest.physical.mechanism import STEP_S, MechanismPath, Topology, Values, drive
 from tautline.effects import BY_ID
 from tautline.geometry import rotation
@@ -43,7 +43,7 @@ _STEPS = 2
 
 
 def known(topology: Topology) -> tuple[str, ...]:
-    return tuple(name for name in KNOWN if topology.seen or name not in SIGHT)
+    return tuple(name for name in KNOWN if topology.seen or name not in PROJECTION)
 
 
 @dataclass(frozen=True)
