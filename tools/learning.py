@@ -120,15 +120,16 @@ def weights_of(cases: Sequence[Case]) -> Array:
 def learn(cases: Sequence[Case], pool: ProcessPoolExecutor) -> Learnt:
     """`covers` as it would be were all known."""
     generators = sorted({case.generator for case in cases})
-    center = start = START.logarithms()
-    own = dict.fromkeys(generators, start)
-    variance = np.full(len(NAMES), _UNLIKE**2)
+    center: Array = START.logarithms()
+    start, own = center, dict.fromkeys(generators, center)
+    variance: Array = np.full(len(NAMES), _UNLIKE**2)
     for _ in range(_ROUNDS):
         for name in generators:
             mine = [case for case in cases if case.generator == name]
             own[name] = _likeliest(mine, own[name], center, variance, pool)
-        center = (start / _PRIOR**2 + sum(own.values()) / variance) / (1.0 / _PRIOR**2 + len(own) / variance)
-        squares = sum(np.square(at - center) for at in own.values())
+        together = np.sum(list(own.values()), axis=0)
+        center = (start / _PRIOR**2 + together / variance) / (1.0 / _PRIOR**2 + len(own) / variance)
+        squares = np.sum([np.square(at - center) for at in own.values()], axis=0)
         variance = (_UNLIKE_WORTH * _UNLIKE**2 + squares) / (_UNLIKE_WORTH + len(own))
     return Learnt(Hyperparameters.of_logarithms(center), np.sqrt(variance), _COVERS)
 
@@ -218,9 +219,9 @@ def main(
     everything = replace(everything, covers=conformal(unseen) if unseen else _COVERS)
     started = Learnt(START, np.zeros(len(NAMES)), _COVERS)
     for family in families:
-        mine = [(case, verdict) for case, verdict in unseen if case.family == family]
-        if mine:
-            told.append(row(f"{family}, left out", mine, everything.covers))
+        said = [(case, verdict) for case, verdict in unseen if case.family == family]
+        if said:
+            told.append(row(f"{family}, left out", said, everything.covers))
     for family in sorted({case.family for case in cases}):
         mine = [case for case in cases if case.family == family]
         told.append(row(f"{family}, as it started", [(c, decide(c.evidence, started)) for c in mine], _COVERS))

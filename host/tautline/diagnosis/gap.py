@@ -57,7 +57,7 @@ def alike(segments: Sequence[Segment], most: float) -> float:
     memory, _ = _remembers(steady)
     tailed = float(np.mean(values**4)) / max(float(np.mean(values**2)) ** 2, 1e-300)
     tailed = max(tailed - _SURE * np.sqrt(24.0 / len(values)), 3.0)  # of a Gaussian: 3
-    return 0.5 * (tailed - 1.0) * (1.0 + memory**2) / (1.0 - memory**2)
+    return float(0.5 * (tailed - 1.0) * (1.0 + memory**2) / (1.0 - memory**2))
 
 
 def _rests(segments: Sequence[Segment]) -> list[Array] | None:

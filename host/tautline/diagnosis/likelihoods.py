@@ -169,7 +169,8 @@ class Likelihoods:
 
     def _is_a_path(self, h: Weighed) -> bool:
         """Whether a path leaves less than scatter on top of this hypothesis would."""
-        return h.scatter.any() and self._followed < float(np.mean(h.power * np.exp(np.minimum(h.scatter, h.rival))))
+        scattered = float(np.mean(h.power * np.exp(np.minimum(h.scatter, h.rival))))
+        return bool(h.scatter.any()) and self._followed < scattered
 
     def _confined(self, beyond: Beyond) -> float:
         """Logarithm of how much likelier what is left beyond the effects' stages is as noise, in all blocks but a few,
