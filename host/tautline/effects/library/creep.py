@@ -10,8 +10,8 @@ EFFECTS = (
         ),
         says="the tip goes on moving after the motor stops",
         undone=True,
-        tell="After the motor stops the tip goes on for seconds, or back where a tendon stretches under its load, and the "
-        "gap shrinks while it rests; a lag is over in a fraction of a second.",
+        tell="After the motor stops the tip goes on for seconds, or back where a tendon stretches under its load, and "
+        "the gap shrinks while it rests; a lag is over in a fraction of a second.",
         mend="Use a stiffer tendon or sheath, or wait before a position counts.",
     ),
 )
