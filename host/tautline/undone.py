@@ -55,6 +55,16 @@ def parameters_of(model: Model) -> dict[str, dict[str, Any]]:
     }
 
 
+def left(model: Model, joints: Mapping[str, Joint] | None = None) -> list[str]:
+    """Ids of the model's effects that its tables cannot undo; `joints` as in undone."""
+    from tautline.effects import BY_ID
+
+    ids = [effect.id for effect in model.effects if not BY_ID[effect.id].on_board]
+    if any(effect.id == COUPLED for effect in model.effects) and "joints" not in undone(model, joints)[1]:
+        ids.append(COUPLED)
+    return ids
+
+
 def undone(model: Model, joints: Mapping[str, Joint] | None = None) -> tuple[Model, dict[str, Section]]:
     """The model whose own tables hold a gradual onset, and the sections that undo its other effects. What the board
     cannot undo is left out; `joints` says which axes move the columns that couple in."""
@@ -131,7 +141,7 @@ def _late(v: Mapping[str, float]) -> Section:
             filtered = max(_LEAD[0], _LEAD[1] * stage, _APART * filtered)
             above, below = above * np.poly1d([stage + filtered, 1.0]), below * np.poly1d([filtered, 1.0])
     share, slow = min(v.get("creep_share", 0.0), _CREEP_MOST), v.get("creep_slow", 0.0)
-    if share > 0.0:
+    if share != 0.0:
         fast = np.poly1d([v["creep_time"], 1.0])
         slowly = np.poly1d([5.0 * v["creep_time"], 1.0]) if slow > 0.0 else np.poly1d([1.0])
         above = above * fast * slowly

@@ -411,24 +411,19 @@ class _Session:
             rough = self.components.rough or any(track.motor_noise > 0 for track in self.tracks)
             ended = remaining.scale if remaining is not None and self.ended is not None else None
             reasons = doubts(self.components, inside, self.unit, alone, rough, ended=ended)
-            sigma = float(np.median(np.concatenate([track.sigma for track in self.tracks])))
             if self.camera and not self.components.parts and remaining is not None:
-                astray = remaining.residual / sigma
-                if astray > _ASTRAY * max(alone, 1.0) and not self._misplaced(
-                    remaining.residual
-                ):  # which is told already
-                    reasons.append(self._elsewhere(astray))
+                reasons += self._off_the_path(remaining.residual, alone)
             if self.camera and any(not reason.mild for reason in reasons):
                 self.findings.reasons += clock.jumps(self.tracks, self.rig)
             self.findings.reasons += reasons
 
-    @staticmethod
-    def _elsewhere(scale: float) -> Reason:
-        return Reason(
-            "registration.static",
-            f"the tip's path in the image is not the rig's: {scale:.1f} times the noise is left",
-            "check hand_eye, kinematics and the camera's calibration",
-        )
+    def _off_the_path(self, residual: float, alone: float) -> list[Reason]:
+        """Where no component explains that the image leaves the rig's path, and that is not told already."""
+        astray = residual / float(np.median(np.concatenate([track.sigma for track in self.tracks])))
+        if astray <= _ASTRAY * max(alone, 1.0) or self._misplaced(residual):
+            return []
+        says = f"the tip's path in the image is not the rig's: {astray:.1f} times the noise is left"
+        return [Reason("registration.static", says, "check hand_eye, kinematics and the camera's calibration")]
 
     def _sanity(self, remaining: Remaining) -> None:
         """Scale and sign before anything else is blamed."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -12,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import effects
-from tautline.diagnosis import confounded, decide, flexible, gap, motion, moved, repeated, tip, where
+from tautline.diagnosis import confounded, decide, flexible, gap, motion, moved, repeated, shapley, tip, where
 from tautline.diagnosis.candidates import Candidate, applicable
 from tautline.diagnosis.fit import Fit, Fitter, Scope, key
 from tautline.diagnosis.gather import Gathered, gather
@@ -193,7 +191,6 @@ def _stage(verdict: decide.Decision) -> str | None:
 def _shapley(gathered: Gathered, fitter: Fitter, named: Sequence[str], chosen: Candidate, before: float) -> list[float]:
     """Each named effect's exact Shapley share of the shrinkage. A set of effects is worth what its own fit shrinks,
     or, where it was not tried, what the chosen fit does with the others at zero; no effect is worth nothing."""
-    n = len(named)
     known: dict[frozenset[str], float] = {frozenset(): 0.0}
     for candidate in gathered.candidates:
         if candidate.ids:
@@ -201,27 +198,15 @@ def _shapley(gathered: Gathered, fitter: Fitter, named: Sequence[str], chosen: C
             known[key] = max(known.get(key, -np.inf), value)
     known[frozenset(named)] = 1.0 - gap.rms(chosen.left[1:]) / before
 
-    def worth(names: tuple[str, ...]) -> float:
-        key = frozenset(names)
-        if key not in known:
-            off = {
-                p.name for name in named if name not in key for p in effects.BY_ID[name].amplitudes
-            } | effects.SCATTERS
-            values = {k: (0.0 if k.split("@")[0] in off else v) for k, v in chosen.fit.state.values.items()}
-            residuals = fitter.residuals(replace(chosen.fit.state, values=values), chosen.fit.hypothesis)
-            known[key] = 1.0 - gap.rms(residuals[1:]) / before
-        return known[key]
+    def worth(names: frozenset[str]) -> float:
+        if names in known:
+            return known[names]
+        off = {p.name for name in named if name not in names for p in effects.BY_ID[name].amplitudes} | effects.SCATTERS
+        values = {k: (0.0 if k.split("@")[0] in off else v) for k, v in chosen.fit.state.values.items()}
+        residuals = fitter.residuals(replace(chosen.fit.state, values=values), chosen.fit.hypothesis)
+        return 1.0 - gap.rms(residuals[1:]) / before
 
-    shares = []
-    for name in named:
-        rest = [other for other in named if other != name]
-        share = 0.0
-        for k in range(n):
-            weight = math.factorial(k) * math.factorial(n - k - 1) / math.factorial(n)
-            for subset in itertools.combinations(rest, k):
-                share += weight * (worth((*subset, name)) - worth(subset))
-        shares.append(share)
-    return shares
+    return shapley.shares(named, worth)
 
 
 def _since(fit: Fit, name: str) -> Scope:
