@@ -121,6 +121,20 @@ def test_what_a_codec_holds_back_is_the_trackers_error():
     assert um < 10e-3 and 0.3 < z < 2.0
 
 
+@pytest.mark.parametrize("codec_px", [0.0, 6.0])
+def test_a_clock_that_was_off_is_refused_where_a_codec_leaves_its_offset_unknown(codec_px):
+    plant = Plant()
+    if codec_px:
+        seen = project(plant.rig, bend(np.interp(plant.scene, plant.t, plant.p)), 0.0, 0.0)
+        plant.shown += 3.0 * dragged(seen, plant.rng, codec_px)
+    plant.arrival += 3.7
+    found = plant.calibrated()
+    late_s = found.delay.delay_s + found.model.offset_s - DELAY_S - 3.7
+    told = [reason.fatal for reason in found.model.quality.reasons if reason.code == "clock.offset"]
+    assert abs(late_s) < 3.0 * found.delay.sigma_s
+    assert any(told) == (codec_px > 0.0) and (codec_px > 0.0 or abs(late_s) < 1e-3)
+
+
 def test_an_image_that_is_moved_on_every_stroke_is_no_error_of_the_tracker():
     plant = Plant()
     step = np.diff(np.interp(plant.scene, plant.t, plant.p), prepend=0.0)
