@@ -125,7 +125,7 @@ _APP = (
     _one("a weak jog", SAFETY + "a_jog_needs_no_reference_and_is_weak", ASK,
          "    begin(axis, low_duty(axis));", "    begin(axis, axis->limits.duty_q15);"),
     _one("settings are stored", SAFETY + "settings_outlive_the_power_and_no_host_widens_them",
-         SETTINGS, "if (!tl_store_write(port, TL_STORE_SETTINGS, scratch, TL_WIRE_AXES_MAX * FRAME_SIZE)) {",
+         SETTINGS, "if (!tl_store_write(port, TL_STORE_SETTINGS, 0U, scratch, TL_WIRE_AXES_MAX * FRAME_SIZE)) {",
          "if (false && scratch[0] == FRAME_SIZE) {"),
     _one("homing lapses", SAFETY + "homing_and_checks_end_with_the_host_too", GUARD,
          "axis->mode == TL_WIRE_MODE_MOVE || axis->mode == TL_WIRE_MODE_HOME ||\n",
