@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 import tautline as tl
 from tautline.simulated.instrument import preset
 from tautline.simulated.simulate import simulate
-from tautline.simulated.trajectory import back_and_forth
+from tautline.trajectory import back_and_forth
 
 rig = tl.Rig.from_document(
     {
@@ -29,8 +29,8 @@ recording = tl.Recording(
     "joint", tl.Motor(seen.motor.t_s, seen.motor.q), angle=tl.Angle(seen.angle.t_s, seen.angle.c_deg), rig=rig
 )
 
-found = tl.calibrate(recording)
-model = found.model
+calibration = tl.calibrate(recording)
+model = calibration.model
 inside = (model.q >= model.measured[0]) & (model.q <= model.measured[1])
 print(f"{model.quality.verdict}: B from {model.width[inside].min():.2f} to {model.width[inside].max():.2f} deg")
 

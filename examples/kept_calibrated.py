@@ -12,7 +12,7 @@ import tautline as tl
 from tautline import figures
 from tautline.simulated.instrument import Instrument, preset
 from tautline.simulated.simulate import simulate
-from tautline.simulated.trajectory import back_and_forth, random_smooth
+from tautline.trajectory import back_and_forth, random_smooth
 from tautline.tracking.picture import draw
 
 TIGHTENED_S = 40.0

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 import tautline as tl
 from tautline.simulated.instrument import preset
 from tautline.simulated.simulate import simulate
-from tautline.simulated.trajectory import back_and_forth
+from tautline.trajectory import back_and_forth
 
 instrument = preset("reference")  # 10 mm of cable, 120 deg of bending, an endoscope of 720 x 576
 rig = instrument.rig

@@ -39,9 +39,9 @@ class Instruction:
     @property
     def registers(self) -> int:
         """How many a push, pop or load/store multiple moves."""
-        found = re.search(r"\{(.*?)\}", self.operands)
+        match = re.search(r"\{(.*?)\}", self.operands)
         count = 0
-        for part in found[1].split(",") if found else []:
+        for part in match[1].split(",") if match else []:
             ends = re.findall(r"\d+", part)
             count += int(ends[1]) - int(ends[0]) + 1 if "-" in part else 1
         return count
@@ -86,8 +86,8 @@ class Code:
             if head := _HEAD.match(line):
                 self.starts[head[2]] = int(head[1], 16)
                 self.names.setdefault(int(head[1], 16), head[2])
-            elif found := _LINE.match(line):
-                self._take(int(found[1], 16), found[2].replace(" ", ""), found[3], found[4] or "")
+            elif match := _LINE.match(line):
+                self._take(int(match[1], 16), match[2].replace(" ", ""), match[3], match[4] or "")
 
     def _take(self, address: int, digits: str, name: str, operands: str) -> None:
         size = len(digits) // 2
@@ -212,8 +212,8 @@ class Bound:
         name = self.code.names.get(here.target)
         if name is None:  # a far jump within the function
             yield here.target, here.cycles
-        elif found := _CASE.search(name):
-            for target in self._cases(after, signed=found[1] == "s", size=1 if found[2] == "q" else 2):
+        elif match := _CASE.search(name):
+            for target in self._cases(after, signed=match[1] == "s", size=1 if match[2] == "q" else 2):
                 yield target, here.cycles + self._function(here.target)
         else:
             yield after, here.cycles + self._function(here.target)
@@ -287,7 +287,7 @@ def _components(graph: Graph, start: int) -> list[list[int]]:
     low: dict[int, int] = {}
     path: list[int] = []
     on_path: set[int] = set()
-    found: list[list[int]] = []
+    components: list[list[int]] = []
     work = [(start, iter(graph[start]))]
     number[start] = low[start] = 0
     path.append(start)
@@ -312,5 +312,5 @@ def _components(graph: Graph, start: int) -> list[list[int]]:
                 while not part or part[-1] != node:
                     part.append(path.pop())
                     on_path.discard(part[-1])
-                found.append(part)
-    return found[::-1]
+                components.append(part)
+    return components[::-1]

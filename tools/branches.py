@@ -155,18 +155,18 @@ def lines_of(elf: Path, addresses: Sequence[int]) -> dict[int, tuple[str, int]]:
     if not addresses:
         return {}
     command = ["arm-none-eabi-addr2line", "-i", "-f", "-a", "-e", str(elf), *map(hex, addresses)]
-    found: dict[int, list[tuple[str, str]]] = {}
+    lines: dict[int, list[tuple[str, str]]] = {}
     at = 0
     output = subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()
     while output:
         first = output.pop(0)
         if first.startswith("0x"):
             at = int(first, 16)
-            found[at] = []
+            lines[at] = []
         else:
-            found[at].append((first, output.pop(0)))
+            lines[at].append((first, output.pop(0)))
     places = {}
-    for address, frames in found.items():
+    for address, frames in lines.items():
         place = next((place for name, place in frames if name not in _HELPERS), frames[0][1])
         file, line = place.split(" ")[0].rsplit(":", 1)
         places[address] = (re.sub(r"^.*/\./|^\./", "", file), int(line) if line.isdigit() else 0)
@@ -176,13 +176,13 @@ def lines_of(elf: Path, addresses: Sequence[int]) -> dict[int, tuple[str, int]]:
 def unexplained(elf: Path, addresses: Sequence[int]) -> dict[int, str]:
     """Of these branches those that no reason covers: address -> file, line and its text."""
     left = {reason: reason.count for reason in REASONS}
-    found = {}
+    missing = {}
     for address, (file, line) in lines_of(elf, addresses).items():
         text = linecache.getline(str(ROOT / file), line).strip()
         name = Path(file).name
         reason = next((r for r in REASONS if r.file == name and r.line in text and left[r] > 0), None)
         if reason is None:
-            found[address] = f"{file}:{line}: {text}"
+            missing[address] = f"{file}:{line}: {text}"
         else:
             left[reason] -= 1
-    return found
+    return missing

@@ -104,8 +104,8 @@ def _run(*command: str) -> str:
 
 def sizes(elf: Path) -> dict[str, int]:
     """Section name -> bytes."""
-    found = re.findall(r"^\s*\d+ (\.\S+)\s+([0-9a-f]{8})", _run("arm-none-eabi-objdump", "-h", str(elf)), re.M)
-    return {name: int(size, 16) for name, size in found}
+    sections = re.findall(r"^\s*\d+ (\.\S+)\s+([0-9a-f]{8})", _run("arm-none-eabi-objdump", "-h", str(elf)), re.M)
+    return {name: int(size, 16) for name, size in sections}
 
 
 # -- who calls whom ---------------------------------------------------------------------------------------------------
@@ -129,14 +129,14 @@ def code(elf: Path) -> tuple[dict[str, int], dict[str, set[str]]]:
 
 
 def reached(calls: dict[str, set[str]], roots: list[str]) -> set[str]:
-    found: set[str] = set()
+    functions: set[str] = set()
     open_ = list(roots)
     while open_:
         name = open_.pop()
-        if name not in found and name in calls:
-            found.add(name)
+        if name not in functions and name in calls:
+            functions.add(name)
             open_ += calls[name]
-    return found
+    return functions
 
 
 # -- stack ------------------------------------------------------------------------------------------------------------
@@ -197,10 +197,10 @@ class Stack:
         return self._depth[title]
 
     def of(self, name: str) -> int:
-        found = self._named(re.escape(name))
-        if not found:
+        functions = self._named(re.escape(name))
+        if not functions:
             raise SystemExit(f"budget: no function {name} in the call graph")
-        return max(self.depth(title) for title in found)
+        return max(self.depth(title) for title in functions)
 
 
 # -- cycles -----------------------------------------------------------------------------------------------------------
@@ -292,7 +292,7 @@ def cycles() -> Cycles:
     worst, with_all = ticks(image, ONE_PLAY), ticks(image, {})
     branches = {"step": branches_of(stand_in, STEP), "onset": branches_of(stand_in, ONSET)}
     seen = dict(measured["seen"])
-    one_way = {name: [at for at in found if seen.get(at, 0) != 3] for name, found in branches.items()}
+    one_way = {name: [at for at in addresses if seen.get(at, 0) != 3] for name, addresses in branches.items()}
     return Cycles(
         measured,
         step,
@@ -311,9 +311,9 @@ def cycles() -> Cycles:
                 measured["guard"]["worst"] + each.of("port_current_ma"),
             )
         ),
-        {name: len(found) for name, found in branches.items()},
-        {name: len(found) for name, found in one_way.items()},
-        list(unexplained(BUILD / "cycles.elf", [at for found in one_way.values() for at in found]).values()),
+        {name: len(addresses) for name, addresses in branches.items()},
+        {name: len(addresses) for name, addresses in one_way.items()},
+        list(unexplained(BUILD / "cycles.elf", [at for addresses in one_way.values() for at in addresses]).values()),
     )
 
 
@@ -389,10 +389,10 @@ def rows() -> list[Row]:
 def main() -> int:
     over = 0
     try:
-        found = rows()
+        measured = rows()
     except Unbounded as unknown:
         raise SystemExit(f"budget: {unknown}: say in tools/budget.py how often, or where to") from unknown
-    for row in found:
+    for row in measured:
         state = (
             "OVER"
             if row.value > row.limit

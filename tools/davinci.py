@@ -31,9 +31,9 @@ Run = tuple[int, int]  # rate, load
 
 def find() -> Path | None:
     for folder in Path(__file__).resolve().parents:
-        found = folder / "shared" / "data" / "davinci"
-        if found.is_dir():
-            return found
+        recordings = folder / "shared" / "data" / "davinci"
+        if recordings.is_dir():
+            return recordings
     return None
 
 

@@ -28,9 +28,9 @@ from tautline.blindtest import sealed, work
 from tautline.blindtest.cases import SCORED_FROM, Label
 from tautline.blindtest.scores import NONE, UNEXPLAINED, counts, truth
 from tautline.diagnosis import hyperparameters
-from tautline.diagnosis.decide import Verdict, decide
+from tautline.diagnosis.decide import Decision, decide
 from tautline.diagnosis.hyperparameters import NAMES, Hyperparameters, Learnt
-from tautline.diagnosis.hypotheses import Evidence
+from tautline.diagnosis.hypotheses import CaseEvidence
 from tautline.diagnosis.likelihoods import Likelihoods
 
 Array = npt.NDArray[np.float64]
@@ -53,14 +53,14 @@ _COVERS = 0.95
 class Case:
     generator: str
     truth: str
-    evidence: Evidence
+    evidence: CaseEvidence
 
     @property
     def family(self) -> str:
         return self.generator.split(".")[0]
 
 
-def probability(case: Case, verdict: Verdict) -> float:
+def probability(case: Case, verdict: Decision) -> float:
     fixed = {NONE: verdict.none, UNEXPLAINED: verdict.unknown}
     return fixed.get(case.truth, verdict.leading.get(case.truth, 0.0))
 
@@ -93,12 +93,12 @@ def load(folders: Sequence[Path]) -> list[Case]:
                 continue
             seen = float(np.sqrt(max(document["gap"]["before"] ** 2 - label.noise_px**2, 0.0)))
             if counts(replace(label, left=tuple(min(left, seen) for left in label.left))):
-                evidence = Evidence.from_json(json.loads((diagnosis / work.EVIDENCE).read_text()))
+                evidence = CaseEvidence.from_json(json.loads((diagnosis / work.EVIDENCE).read_text()))
                 cases.append(Case(label.generator, truth(label), _thinned(evidence)))
     return cases
 
 
-def _thinned(evidence: Evidence) -> Evidence:
+def _thinned(evidence: CaseEvidence) -> CaseEvidence:
     """Without the hypotheses that weigh nothing."""
     weights = Likelihoods(evidence, START)
     likely = [weights.of[i] + weights.prior(h.ids) for i, h in enumerate(evidence.hypotheses)]
@@ -136,14 +136,14 @@ def _likeliest(cases: Sequence[Case], at: Array, center: Array, variance: Array,
     weight = weights_of(cases)
 
     def loss(at: Array) -> tuple[float, Array]:
-        said = weight @ np.array(list(pool.map(_slopes, cases, [at] * len(cases), chunksize=4)))
+        loss_ = weight @ np.array(list(pool.map(_slopes, cases, [at] * len(cases), chunksize=4)))
         off = at - center
-        return float(said[0] + 0.5 * np.sum(off**2 / variance)), said[1:] + off / variance
+        return float(loss_[0] + 0.5 * np.sum(off**2 / variance)), loss_[1:] + off / variance
 
     return np.asarray(minimize(loss, at, jac=True, method="L-BFGS-B", options={"maxiter": _STEPS}).x)
 
 
-def before_truth(case: Case, verdict: Verdict) -> float:
+def before_truth(case: Case, verdict: Decision) -> float:
     """Share of the effects' probability that goes to likelier ones than the right one; 1 where it is none of them."""
     total = sum(verdict.leading.values())
     if case.truth not in verdict.leading or total <= 0.0:
@@ -151,36 +151,38 @@ def before_truth(case: Case, verdict: Verdict) -> float:
     return sum(p for p in verdict.leading.values() if p > verdict.leading[case.truth]) / total
 
 
-def conformal(said: Sequence[tuple[Case, Verdict]]) -> float:
+def conformal(verdicts: Sequence[tuple[Case, Decision]]) -> float:
     """Share that a set must hold; generators weigh the same."""
-    found = [
-        (before_truth(case, verdict), case.generator) for case, verdict in said if case.truth not in (NONE, UNEXPLAINED)
+    sets = [
+        (before_truth(case, verdict), case.generator)
+        for case, verdict in verdicts
+        if case.truth not in (NONE, UNEXPLAINED)
     ]
-    count = Counter(generator for _, generator in found)
-    found.sort()
-    weight = np.cumsum([1.0 / count[generator] / len(count) for _, generator in found])
-    at = int(np.searchsorted(weight, _COVERS * (1.0 + 1.0 / max(len(found), 1))))
-    return float(min(found[min(at, len(found) - 1)][0] + 1e-3, 0.9999)) if found else _COVERS
+    count = Counter(generator for _, generator in sets)
+    sets.sort()
+    weight = np.cumsum([1.0 / count[generator] / len(count) for _, generator in sets])
+    at = int(np.searchsorted(weight, _COVERS * (1.0 + 1.0 / max(len(sets), 1))))
+    return float(min(sets[min(at, len(sets) - 1)][0] + 1e-3, 0.9999)) if sets else _COVERS
 
 
-def row(name: str, said: Sequence[tuple[Case, Verdict]], covers: float) -> list[str]:
+def row(name: str, verdicts: Sequence[tuple[Case, Decision]], covers: float) -> list[str]:
     def share(hits: Sequence[bool]) -> str:
         return f"{100.0 * np.mean(hits):.0f} % of {len(hits)}" if hits else "-"
 
-    def lead(verdict: Verdict) -> str:
+    def lead(verdict: Decision) -> str:
         return max(verdict.leading, key=lambda n: verdict.leading[n]) if verdict.name == "effect" else verdict.name
 
-    singles = [(c, v) for c, v in said if c.truth not in (NONE, UNEXPLAINED)]
-    log = -np.mean([np.log((1.0 - _LEAST) * probability(c, v) + _LEAST) for c, v in said])
-    top = np.array([max(v.none, v.unknown, *v.leading.values(), 0.0) for _, v in said])
-    right = np.array([lead(v) == c.truth for c, v in said])
+    singles = [(c, v) for c, v in verdicts if c.truth not in (NONE, UNEXPLAINED)]
+    log = -np.mean([np.log((1.0 - _LEAST) * probability(c, v) + _LEAST) for c, v in verdicts])
+    top = np.array([max(v.none, v.unknown, *v.leading.values(), 0.0) for _, v in verdicts])
+    right = np.array([lead(v) == c.truth for c, v in verdicts])
     edges = np.clip((10 * top).astype(int), 0, 9)
-    error = sum(abs(float(np.sum(top[edges == e] - right[edges == e]))) for e in range(10)) / len(said)
+    error = sum(abs(float(np.sum(top[edges == e] - right[edges == e]))) for e in range(10)) / len(verdicts)
     return [
         name, f"{log:.3f}", share([lead(v) == c.truth for c, v in singles]),
         share([c.truth in v.ambiguous(covers) for c, v in singles if v.name == "effect"]),
-        share([v.name == "unknown" for c, v in said if c.truth == UNEXPLAINED]),
-        share([v.name == "none" for c, v in said if c.truth == NONE]), f"{error:.3f}",
+        share([v.name == "unknown" for c, v in verdicts if c.truth == UNEXPLAINED]),
+        share([v.name == "none" for c, v in verdicts if c.truth == NONE]), f"{error:.3f}",
     ]  # fmt: skip
 
 
@@ -197,7 +199,7 @@ def main(campaigns: tuple[Path, ...], leave_out: tuple[str, ...], write: bool, j
         raise click.ClickException("nothing to learn from: run taut blindtest --seed below 1000000 first")
     families = sorted({case.family for case in learnable})
     told: list[list[str]] = []
-    unseen: list[tuple[Case, Verdict]] = []
+    unseen: list[tuple[Case, Decision]] = []
     with ProcessPoolExecutor(jobs) as pool:
         by: dict[str, Learnt] = {}
         for family in track(families if len(families) > 1 else [], "leaving out"):

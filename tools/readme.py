@@ -27,16 +27,20 @@ class Block:
 
 def blocks(readme: str) -> list[Block]:
     """In the order of the page; blocks that are not sh or python are pictures of something else."""
-    found = []
+    blocks_ = []
     for language, where, text in _FENCE.findall(readme):
         if language == "sh":
-            found.append(Block(where or "anywhere", text))
+            blocks_.append(Block(where or "anywhere", text))
         elif language == "python":
-            found.append(Block("python", text))
-    return found
+            blocks_.append(Block("python", text))
+    return blocks_
 
 
 def unfenced(readme: str) -> list[str]:
     """Commands inside sentences: `./run ...`, `taut ...` and others in backticks."""
     text = _FENCE.sub("", readme)
-    return [found for found in re.findall(r"`([^`\n]+)`", text) if re.match(r"(\./run|taut|sudo|pipx|python) ?", found)]
+    return [
+        command
+        for command in re.findall(r"`([^`\n]+)`", text)
+        if re.match(r"(\./run|taut|sudo|pipx|python) ?", command)
+    ]

@@ -49,9 +49,9 @@ class Row:
 
 def find() -> Path | None:
     for folder in Path(__file__).resolve().parents:
-        found = folder / "shared" / "data"
-        if found.is_dir():
-            return found
+        recordings = folder / "shared" / "data"
+        if recordings.is_dir():
+            return recordings
     return None
 
 
@@ -95,8 +95,8 @@ def _without_load(run: Recording) -> Recording:
     return replace(run, motor=replace(run.motor, load_mNm=None))
 
 
-def _another_posture(found: Diagnosis) -> bool:
-    return set(named(found.document)) & POSTURE != set() and found.document["gap"]["closable_shrink"] >= CLOSES
+def _another_posture(diagnosis: Diagnosis) -> bool:
+    return set(named(diagnosis.document)) & POSTURE != set() and diagnosis.document["gap"]["closable_shrink"] >= CLOSES
 
 
 def postures() -> Iterator[Row]:
@@ -189,18 +189,18 @@ def _from_simulator(*names: str) -> Callable[[Path], tuple[list[Recording], Rig]
     return made
 
 
-def lags(found: Diagnosis) -> bool:
-    document = found.document
+def lags(diagnosis: Diagnosis) -> bool:
+    document = diagnosis.document
     return (
         bool(leading(document)) and leading(document) <= {LAG, DELAY} and TOTAL_S[0] <= late_s(document) <= TOTAL_S[1]
     )
 
 
-def lags_as_its_own(found: Diagnosis) -> bool:
+def lags_as_its_own(diagnosis: Diagnosis) -> bool:
     """Within OWN_S of the delay that fits the recording best beside a play of its own."""
-    robot = found.segments[-1]
+    robot = diagnosis.segments[-1]
     run = Recording(robot.name, robot.motor, angle=Angle(robot.arrival_s, robot.observed[:, 0]))
-    return lags(found) and abs(late_s(found.document) - constant_play(run)[0]) <= OWN_S
+    return lags(diagnosis) and abs(late_s(diagnosis.document) - constant_play(run)[0]) <= OWN_S
 
 
 def simulators() -> Iterator[Row]:
@@ -235,11 +235,11 @@ def main(data: Path | None, only: str) -> None:
     chosen = [row for row in rows() if only in row.group or only in row.name]
     for i, row in enumerate(chosen, 1):
         try:
-            found = run(row, folder)
+            outcome = run(row, folder)
         except TautError as error:
             table.add_row(f"{row.group}: {row.name}", row.expected, row.why, str(error), *[""] * 5, "no")
             continue
-        holds, document = row.holds(found), found.document
+        holds, document = row.holds(outcome), outcome.document
         good += holds
         gap, late = document["gap"], late_s(document)
         table.add_row(

@@ -43,9 +43,9 @@ SLACK_DEG = 0.2  # a motion that reaches farther than the calibration's by less 
 
 def find() -> Path | None:
     for folder in Path(__file__).resolve().parents:
-        found = folder / "shared" / "data" / "so101"
-        if found.is_dir():
-            return found
+        recordings = folder / "shared" / "data" / "so101"
+        if recordings.is_dir():
+            return recordings
     return None
 
 
@@ -129,7 +129,7 @@ class Calibrated:
     """All methods on one motion; `refused`: why there is no model of ours to use."""
 
     run: Recording
-    found: Calibration | None
+    calibration: Calibration | None
     refused: str
     delay_s: float  # of the constant play, as its width
     width: float
@@ -143,22 +143,22 @@ class Calibrated:
             "prandtl": prandtl(run, delay),
             "polynomial": constant_play(run, hysteresis=False)[2],
         }
-        found, refused = None, ""
+        calibration, refused = None, ""
         try:
-            found = calibrate([run], rig)
-            if not found.model.quality.usable:
-                refused = f"{found.model.quality.reasons[0].code}: {found.model.quality.reasons[0]}"
+            calibration = calibrate([run], rig)
+            if not calibration.model.quality.usable:
+                refused = f"{calibration.model.quality.reasons[0].code}: {calibration.model.quality.reasons[0]}"
         except TautError as error:
             refused = str(error)
-        if found is not None and not refused:
-            model = found.model
+        if calibration is not None and not refused:
+            model = calibration.model
 
             def ours(other: Recording) -> Array:
                 assert other.angle is not None
                 return predict(model, other.motor, other.angle.t_s - model.delay_s).c_deg
 
             laws["tautline"] = ours
-        return cls(run, found, refused, delay, width, laws)
+        return cls(run, calibration, refused, delay, width, laws)
 
     def rms(self, other: Recording) -> dict[str, float]:
         """deg, of each method, on another motion; empty where it is never driven both ways through the backlash."""
@@ -206,19 +206,19 @@ def main(data: Path | None, every: bool) -> None:
     listed: list[str] = []
     ratios: list[float] = []
     for made, tests in pairs(folder):
-        said = [rms["tautline"] / rms["play"] for rms in tests.values() if "tautline" in rms]
-        ratios += said
+        times = [rms["tautline"] / rms["play"] for rms in tests.values() if "tautline" in rms]
+        ratios += times
         medians = (np.median([r[m] for r in tests.values()]) if tests and m in made.laws else np.nan for m in METHODS)
-        quality = made.found.model.quality if made.found else None
+        quality = made.calibration.model.quality if made.calibration else None
         table.add_row(
             made.run.name,
             quality.verdict.value if quality else "refused",
-            f"{1e3 * made.found.model.delay_s:.0f} ms" if made.found else "",
+            f"{1e3 * made.calibration.model.delay_s:.0f} ms" if made.calibration else "",
             f"{1e3 * made.delay_s:.0f} ms",
             str(len(tests)),
             *(f"{value:.3f}" if np.isfinite(value) else "" for value in medians),
-            f"{np.median(said):.2f}" if said else "",
-            f"{max(said):.2f}" if said else "",
+            f"{np.median(times):.2f}" if times else "",
+            f"{max(times):.2f}" if times else "",
             made.refused or ", ".join(told(reason) for reason in (quality.reasons if quality else ())),
         )
         for name, rms in tests.items():

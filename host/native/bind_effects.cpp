@@ -1,7 +1,7 @@
 #include "arrays.h"
 #include "effects.h"
 #include "plays.h"
-#include "sight.h"
+#include "projection.h"
 #include "thin.h"
 
 #include <algorithm>
@@ -26,10 +26,10 @@ using Marks = ArrayIn<unsigned char>;
 
 struct Field {
     const char *name;
-    double sight_parameters::*member;
+    double projection_parameters::*member;
 };
 const Field SIGHTS[] = {
-#define X(name, unit, meaning) {#name, &sight_parameters::name},
+#define X(name, unit, meaning) {#name, &projection_parameters::name},
     SIGHT_PARAMETERS(X)
 #undef X
 };
@@ -61,7 +61,7 @@ std::vector<double> all_values(const nb::dict &named) {
     return values;
 }
 
-void fill(sight_parameters &into, const nb::dict &values) {
+void fill(projection_parameters &into, const nb::dict &values) {
     for (auto [key, value] : values) {
         const std::string name = nb::cast<std::string>(key);
         const auto *at =
@@ -140,15 +140,15 @@ Table table(double *data, std::initializer_list<size_t> shape) {
 
 nb::object see(const nb::dict &parameters, Values rig, Values c_deg, std::optional<Values> translation,
                std::optional<Values> rotation, std::optional<Values> way, std::optional<Marks> shifted, bool slopes) {
-    sight_parameters e = {};
+    projection_parameters e = {};
     fill(e, parameters);
-    sight_rig r;
+    projection_rig r;
     if (rig.shape(0) * sizeof(double) != sizeof r) {
-        throw std::invalid_argument("rig must be the numbers of sight_rig");
+        throw std::invalid_argument("rig must be the numbers of projection_rig");
     }
     std::memcpy(&r, rig.data(), sizeof r);
     const size_t n = c_deg.shape(0);
-    const sight_pose pose = {
+    const projection_pose pose = {
         c_deg.data(),          column(translation, n, "translation"), column(rotation, n, "rotation"),
         column(way, n, "way"), column(shifted, n, "shifted"),         n};
     auto *image = new double[2 * n];
@@ -156,7 +156,7 @@ nb::object see(const nb::dict &parameters, Values rig, Values c_deg, std::option
     auto *by_static = slopes ? new double[2 * n * SIGHT_STATIC] : nullptr;
     {
         nb::gil_scoped_release unlocked;
-        sight_image(&e, &r, &pose, image, by_c, by_static);
+        projection_image(&e, &r, &pose, image, by_c, by_static);
     }
     if (!slopes) {
         return nb::cast(table(image, {n, 2}));
@@ -167,16 +167,16 @@ nb::object see(const nb::dict &parameters, Values rig, Values c_deg, std::option
 } // namespace
 
 void bind_effects(nb::module_ &m) {
-    nb::list path, sight;
+    nb::list path, projection;
     for (size_t i = 0; i < effects_parameter_count(); i++) {
         const effect_parameter *p = effects_parameter(i);
         path.append(nb::make_tuple(p->name, p->absent, p->unit, std::string(effects_owner(i)) + ": " + p->meaning));
     }
-#define X(name, unit, meaning) sight.append(nb::make_tuple(#name, 0.0, unit, meaning));
+#define X(name, unit, meaning) projection.append(nb::make_tuple(#name, 0.0, unit, meaning));
     SIGHT_PARAMETERS(X)
 #undef X
     m.attr("effect_parameters") = path; // (name, value when absent, unit, meaning): what moves the tip
-    m.attr("sight_parameters") = sight; // and what changes where it is seen
+    m.attr("projection_parameters") = projection; // and what changes where it is seen
     m.def("onset_lots", &lots, nb::arg("values"),
           "(spread, share) of the lots of a play's thresholds, as these effects' parameters spread them");
     m.def("simulate_effects", simulate, "parameters"_a, "plays"_a, "c_deg"_a, "t_s"_a, "q"_a, "at_s"_a,
@@ -189,5 +189,5 @@ void bind_effects(nb::module_ &m) {
     m.def("see", see, "parameters"_a, "rig"_a, "c_deg"_a, "translation"_a = nb::none(), "rotation"_a = nb::none(),
           "way"_a = nb::none(), "shifted"_a = nb::none(), "slopes"_a = false,
           "The image (n, 2) px; with slopes also its derivatives by c (n, 2) and by a static registration (n, 2, 6). "
-          "rig: the numbers of struct sight_rig in order. See sight.h.");
+          "rig: the numbers of struct projection_rig in order. See projection.h.");
 }

@@ -1,5 +1,5 @@
 // The simulated transmission with every effect of the library that has a path of its own, in float64.
-// From the motor's motion to the configuration variable c; sight.h says where the marker is then seen.
+// From the motor's motion to the configuration variable c; projection.h says where the marker is then seen.
 #ifndef TAUTLINE_EFFECTS_H
 #define TAUTLINE_EFFECTS_H
 

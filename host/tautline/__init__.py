@@ -3,10 +3,10 @@
     import tautline as tl
 
     recording = tl.load("monday", "rig.toml")
-    found = tl.calibrate(recording)
-    print(found.model.quality.verdict, found.model.width)
-    tl.report(found, "model", recording)
-    blob = tl.encode(found.model)
+    calibration = tl.calibrate(recording)
+    print(calibration.model.quality.verdict, found.model.width)
+    tl.report(calibration, "model", recording)
+    blob = tl.encode(calibration.model)
 
 Its functions and the types of what they take and give. Where they are made is in the package's rooms (DESIGN.md).
 """

@@ -49,14 +49,14 @@ def load(path: str | Path, rig: Rig | str | Path | None = None, progress: Progre
     path: the folder. rig: a Rig or its file; it wins over the folder's own rig.toml and is the result's `.rig`.
     """
     named = Rig.load(rig) if isinstance(rig, str | Path) else rig
-    found = recordings_room.load(path, named)
-    used = named or found.rig
+    recording = recordings_room.load(path, named)
+    used = named or recording.rig
     assert used is not None  # else load has refused it
-    if found.marker is None and found.video is not None:
+    if recording.marker is None and recording.video is not None:
         from tautline.vision.marker import with_marker
 
-        found = with_marker(found, used, progress)
-    return replace(found, rig=used)
+        recording = with_marker(recording, used, progress)
+    return replace(recording, rig=used)
 
 
 def calibrate(
@@ -189,9 +189,11 @@ def diagnose(
     from tautline.diagnosis.recorded import calibrated
 
     several = [calibration, *_several(tests)]
-    found, on_one_clock = calibrated(several, _rig_of(several, rig), lambda share, what: progress(0.3 * share, what))
+    calibrated_on, on_one_clock = calibrated(
+        several, _rig_of(several, rig), lambda share, what: progress(0.3 * share, what)
+    )
     return diagnosed(
-        found.model, on_one_clock[0], on_one_clock[1:], lambda share, what: progress(0.3 + 0.7 * share, what)
+        calibrated_on.model, on_one_clock[0], on_one_clock[1:], lambda share, what: progress(0.3 + 0.7 * share, what)
     )
 
 

@@ -73,8 +73,8 @@ class Columns:
         column = self.frame[name]
         if pd.api.types.is_bool_dtype(column):
             return column.to_numpy(dtype=bool)
-        words = column.astype("string").str.strip().str.lower()
-        values = pd.to_numeric(words.replace({"true": "1", "false": "0"}), errors="coerce")
+        text = column.astype("string").str.strip().str.lower()
+        values = pd.to_numeric(text.replace({"true": "1", "false": "0"}), errors="coerce")
         bad = np.flatnonzero((~values.isin([0, 1])).to_numpy())
         if bad.size:
             cell = str(column.iloc[bad[0]])[:24]

@@ -249,8 +249,8 @@ def _smoothest(q: Array, period: Array, inside: npt.NDArray[np.bool_]) -> Array:
     normal = normal + _RIDGE * max(np.trace(normal), 1e-300) * np.eye(
         _MESH - 1
     )  # a table without corners may ask for nothing
-    found = even + np.linalg.solve(normal, slope)
-    rises = np.diff(np.concatenate([[0.0], found, [1.0]]))
+    smoothest = even + np.linalg.solve(normal, slope)
+    rises = np.diff(np.concatenate([[0.0], smoothest, [1.0]]))
     mean, least = 1.0 / _MESH, float(rises.min())
     share = 1.0 if least >= _AT_LEAST * mean else (1.0 - _AT_LEAST) * mean / (mean - least)
-    return np.concatenate([[0.0], share * found + (1.0 - share) * even])
+    return np.concatenate([[0.0], share * smoothest + (1.0 - share) * even])

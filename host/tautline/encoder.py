@@ -212,7 +212,7 @@ def _without_idle(motor: Motor) -> Motor:
 
 
 @dataclass(frozen=True)
-class _Stop:
+class _Rest:
     """The motor stands at `q`, the rig's unit, from `start_s` to `end_s`, the same where it turns at once; the count
     last changed before it at `since_s` and next changes at `until_s`."""
 
@@ -223,7 +223,7 @@ class _Stop:
     until_s: float
 
 
-def _stops(motor: Motor, encoder: _Steps) -> list[_Stop]:
+def _stops(motor: Motor, encoder: _Steps) -> list[_Rest]:
     """Where the motor rests or turns, as far as its counts show it slow down and start: at a constant acceleration. An
     encoder shows nothing of the last count before a stop, which at 12 mm/s^2 and 1 um takes 13 ms."""
     t, counts = motor.t_s, encoder.counts
@@ -231,7 +231,7 @@ def _stops(motor: Motor, encoder: _Steps) -> list[_Stop]:
     at, step = 0.5 * (t[changes] + t[changes + 1]), np.diff(counts)[changes]
     boundary = counts[changes] + 0.5 * step
     period = float(np.median(np.diff(t)))
-    found = []
+    stops = []
     # The count that holds from change i - 1 to change i.
     edges = np.concatenate([t[:1], at, t[-1:]])
     turned = np.concatenate([[False], step[1:] * step[:-1] < 0, [False]])
@@ -250,8 +250,8 @@ def _stops(motor: Motor, encoder: _Steps) -> list[_Stop]:
         end_s = until - _half(t, changes, step, i) if starts is None else max(until - starts[0], middle)
         if turns and slows is not None and starts is not None and end_s - start_s < 2 * period:
             start_s = end_s = 0.5 * (start_s + end_s)
-        found.append(_Stop(encoder.zero + encoder.count * float(np.mean(level)), start_s, end_s, since, until))
-    return found
+        stops.append(_Rest(encoder.zero + encoder.count * float(np.mean(level)), start_s, end_s, since, until))
+    return stops
 
 
 def _half(t: Array, changes: npt.NDArray[np.intp], step: Array, i: int) -> float:
@@ -288,7 +288,7 @@ def _thinned(t_s: Array, channels: list[tuple[Array, float]]) -> npt.NDArray[np.
     return np.asarray(_native.thin(t_s, values, tolerances, _REST_S), dtype=bool)
 
 
-def _knots(motor: Motor, tolerance: float, stops: list[_Stop]) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+def _knots(motor: Motor, tolerance: float, stops: list[_Rest]) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
     """Times and positions of the bending motor's knots, and which of them are where it rests or turns."""
     keep = _thinned(motor.t_s, [(motor.q, tolerance)])
     t, q = motor.t_s[keep], motor.q[keep]

@@ -70,19 +70,20 @@ class Evidence:
             return None
         try:
             with np.load(io.BytesIO(path.read_bytes())) as data:
-                found = cls(**{field.name: data[field.name] for field in fields(cls)})
+                evidence = cls(**{field.name: data[field.name] for field in fields(cls)})
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
             why = f"{error.strerror}" if isinstance(error, OSError) and error.strerror else "it is damaged"
             raise TautError(
                 f"{path}: cannot be read, {why}: make it again with taut calibrate, or delete it for a report without "
                 "the recording"
             ) from error
-        n = len(found.t_s)
+        n = len(evidence.t_s)
         if not (
-            len(found.q) == len(found.seen) == len(found.settled) == n and found.error.shape[:2] == (len(STAGES), n)
+            len(evidence.q) == len(evidence.seen) == len(evidence.settled) == n
+            and evidence.error.shape[:2] == (len(STAGES), n)
         ):
             raise TautError(f"{path}: its parts do not fit each other: make it again with taut calibrate")
-        return found
+        return evidence
 
 
 def collect(model: Model, recordings: Sequence[Recording]) -> Evidence:

@@ -75,8 +75,8 @@ def onsets_of(model: Model) -> list[Onset]:
     try:
         for given in model.extra.get("onsets", []):
             values = {name: np.nan if given.get(name) is None else float(given[name]) for name in numbers}
-            words = {name: str(given.get(name, "")) for name in ("recording", "reason", "kind")}
-            onsets.append({**values, **words, "used": bool(given["used"])})
+            texts = {name: str(given.get(name, "")) for name in ("recording", "reason", "kind")}
+            onsets.append({**values, **texts, "used": bool(given["used"])})
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise TautError(f"the model's onsets are damaged ({error!r}): make it again with taut calibrate") from error
     return sorted(onsets, key=lambda onset: onset["t_s"])

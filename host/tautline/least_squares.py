@@ -71,5 +71,5 @@ def descend(problem: Problem[Point], point: Point, most: int) -> Point:
 def factor(matrix: Array) -> tuple[Array, bool]:
     """Cholesky's, with a ridge that no data notice. Raises LinAlgError."""
     ridge = _RIDGE * np.diag(np.diag(matrix)) + _FLOOR * np.eye(len(matrix))
-    found: tuple[Array, bool] = cho_factor(matrix + ridge, check_finite=False)
-    return found
+    factored: tuple[Array, bool] = cho_factor(matrix + ridge, check_finite=False)
+    return factored

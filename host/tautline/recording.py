@@ -358,11 +358,11 @@ def _frame_size(columns: Columns) -> tuple[int, int] | None:
     """width_px and height_px of the frames, the same in every row."""
     if not set(FRAME_COLUMNS) <= set(columns.names):
         return None
-    sides = [columns.raw(name) for name in FRAME_COLUMNS]
-    if any(len(np.unique(side)) != 1 or not 1 <= side[0] < FARTHEST_PX for side in sides):
+    sizes = [columns.raw(name) for name in FRAME_COLUMNS]
+    if any(len(np.unique(side)) != 1 or not 1 <= side[0] < FARTHEST_PX for side in sizes):
         columns.warnings.append(f"{columns.path}: {', '.join(FRAME_COLUMNS)} are not one size in all rows: ignored")
         return None
-    return int(sides[0][0]), int(sides[1][0])
+    return int(sizes[0][0]), int(sizes[1][0])
 
 
 def _sizes(marker: Marker) -> dict[str, Array]:

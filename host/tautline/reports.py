@@ -277,27 +277,27 @@ def _source(model: Model, evidence: Evidence | None) -> str:
 def sentences(model: Model, evidence: Evidence | None) -> list[str]:
     """The result for a person, in one line each."""
     unit, inside = model.rig.actuator.unit, _inside(model)
-    said = []
+    lines = []
     if inside.any():
         width, sigma = model.width[inside], model.width_sigma[inside]
         least, most = _digits(width.min()), _digits(width.max())
         reach = least if least == most else f"{least} to {most}"
-        said.append(
+        lines.append(
             f"After every change of direction the motor turns {reach} {unit} before "
             f"the tip moves, known to ± {_digits(2 * float(np.median(sigma)), 2)} {unit}."
         )
     else:
-        said.append("No width could be measured: no reversal reached the end of the backlash.")
+        lines.append("No width could be measured: no reversal reached the end of the backlash.")
     if evidence is not None:
         coarse, _, whole = evidence.rms()
         if np.isfinite(whole):
-            said.append(
+            lines.append(
                 f"With these tables the tip is where the model says within {_digits(whole, 2)} {evidence.unit}; "
                 f"f_coarse alone is off by {_digits(coarse, 2)} {evidence.unit}{_how_much_more(model, coarse, whole)}."
             )
         else:
-            said.append("The tip was never driven through a full backlash both ways, so nothing can be scored.")
-    return said
+            lines.append("The tip was never driven through a full backlash both ways, so nothing can be scored.")
+    return lines
 
 
 def _how_much_more(model: Model, coarse: float, whole: float) -> str:

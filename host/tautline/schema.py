@@ -81,14 +81,14 @@ class Section:
         if not isinstance(table, Mapping):
             names = ", ".join(key.name for key in self.keys)
             raise _error(where, f"section [{self.name}] is missing: it holds {names}", self.name)
-        found = {}
+        values = {}
         for key in self.keys:
             name = f"{self.name}.{key.name}"
             if key.name in table:
-                found[key.name] = key.read(table[key.name], name, where)
+                values[key.name] = key.read(table[key.name], name, where)
             elif key.needed:
                 raise _error(where, f"{name} is missing, expected {key.expected}", name)
-        return found
+        return values
 
 
 @dataclass(frozen=True)

@@ -55,25 +55,35 @@ def parameters_of(model: Model) -> dict[str, dict[str, Any]]:
     }
 
 
+def left(model: Model, joints: Mapping[str, Joint] | None = None) -> list[str]:
+    """Ids of the model's effects that its tables cannot undo; `joints` as in undone."""
+    from tautline.effects import BY_ID
+
+    ids = [effect.id for effect in model.effects if not BY_ID[effect.id].on_board]
+    if any(effect.id == COUPLED for effect in model.effects) and "joints" not in undone(model, joints)[1]:
+        ids.append(COUPLED)
+    return ids
+
+
 def undone(model: Model, joints: Mapping[str, Joint] | None = None) -> tuple[Model, dict[str, Section]]:
     """The model whose own tables hold a gradual onset, and the sections that undo its other effects. What the board
     cannot undo is left out; `joints` says which axes move the columns that couple in."""
-    found = parameters_of(model)
-    if onset := found.get("transmission.smooth_onset"):
+    parameters = parameters_of(model)
+    if onset := parameters.get("transmission.smooth_onset"):
         model = replace(model, elements=onset_elements(model.elements, onset))
     count = model.rig.actuator.encoder_resolution / _COUNT
     sections: dict[str, Section] = {}
-    if encoder := found.get("actuator.encoder_periodic"):
+    if encoder := parameters.get("actuator.encoder_periodic"):
         sections["encoder"] = _encoder(encoder, count)
-    if sides := found.get("transmission.asymmetric_backlash"):
-        sections["sides"] = _sides(sides, count)
-    if speed := found.get("transmission.rate_dependent_backlash"):
+    if asymmetry := parameters.get("transmission.asymmetric_backlash"):
+        sections["sides"] = _sides(asymmetry, count)
+    if speed := parameters.get("transmission.rate_dependent_backlash"):
         sections["speed"] = _speed(speed, model, count)
-    if late := {name: value for of in _LATE for name, value in found.get(of, {}).items()}:
+    if late := {name: value for of in _LATE for name, value in parameters.get(of, {}).items()}:
         sections["late"] = _late(late)
-    if load := found.get("transmission.load_dependence"):
+    if load := parameters.get("transmission.load_dependence"):
         sections["load"] = _load(load, model, count)
-    if coupling := found.get(COUPLED):
+    if coupling := parameters.get(COUPLED):
         sections |= _joints(coupling, joints or {})
     return model, {name: section for name, section in sections.items() if any(map(np.any, section.values()))}
 
@@ -199,15 +209,15 @@ def _fewer(width: Array, weight: Array) -> Elements:
     best: dict[tuple[int, int], tuple[float, tuple[int, ...]]] = {(0, 0): (0.0, (0,))}
     for lots in range(1, _PLAYS + 1):
         for end in range(1, n + 1):
-            found = [
+            fewer = [
                 (cost + scatter(begin, end), (*ends, end))
                 for begin in range(lots - 1, end)
                 if (known := best.get((lots - 1, begin))) is not None
                 for cost, ends in (known,)
                 if lots > 1 or sums[0, end] >= _FIRST
             ]
-            if found:
-                best[lots, end] = min(found)
+            if fewer:
+                best[lots, end] = min(fewer)
     _, ends = min(best[lots, n] for lots in range(1, _PLAYS + 1) if (lots, n) in best)
     parts = [(sums[:, j] - sums[:, i])[:2] for i, j in itertools.pairwise(ends)]
     means = np.array([first / w for w, first in parts])

@@ -20,7 +20,7 @@ from tautline.live.setup import Frame, Live, LockstepEye, PointEye, open_live
 from tautline.recording import load
 from tautline.rig import Rig
 from tautline.simulated.instrument import Instrument, preset
-from tautline.simulated.simlink import Plant
+from tautline.simulated.simlink import SimulatedAxis
 from tautline.vision.marker import Sighting
 
 SHORT = MotionOptions(cycles=3, speeds=(0.7,))
@@ -30,7 +30,7 @@ SHORT = MotionOptions(cycles=3, speeds=(0.7,))
 def live_on(bench: Bench, instrument: Instrument, rig: Rig | None = None, axis: int = 0) -> Iterator[Live]:
     """`rig` is what the host believes, where that is not the instrument's."""
     with bench.open() as board:
-        plant = Plant(bench.sim, instrument, axis)
+        plant = SimulatedAxis(bench.sim, instrument, axis)
         yield Live(board, rig or instrument.rig, axis, PointEye(plant), plant)
 
 

@@ -20,7 +20,7 @@ from tautline.live.setup import Live, PointEye
 from tautline.model import Model
 from tautline.rig import Coarse
 from tautline.simulated.instrument import Instrument, preset, reference_rig
-from tautline.simulated.simlink import Plant
+from tautline.simulated.simlink import SimulatedAxis
 
 FALLING = replace(reference_rig(), coarse=Coarse(-12.0, 3.0))
 
@@ -42,7 +42,7 @@ def report(name: str, shape: str, off: float, full: float) -> None:
 def test_ten_times_smaller_with_the_true_tables(bench: Bench, name: str, shape: str) -> None:
     instrument = preset("reference", FALLING) if name == "falling" else preset(name, seed=7)
     with bench.open() as board:
-        live = Live(board, instrument.rig, 0, None, Plant(bench.sim, instrument))
+        live = Live(board, instrument.rig, 0, None, SimulatedAxis(bench.sim, instrument))
         model = model_of(instrument)
         off = follow_run(live, shape, compensation="off", model=model, seed=3)
         full = follow_run(live, shape, compensation="full", model=model, seed=3)
@@ -59,7 +59,7 @@ def test_a_slow_axis_takes_up_without_overshoot(bench: Bench) -> None:
         limits = dict(board.ask("get_limits", axis=0).values)
         limits["acceleration_s2"] = 40_000.0
         board.ask("limits", **limits)
-        live = Live(board, instrument.rig, 0, None, Plant(bench.sim, instrument))
+        live = Live(board, instrument.rig, 0, None, SimulatedAxis(bench.sim, instrument))
         off = follow_run(live, "smooth", compensation="off", model=model_of(instrument), seed=3)
         full = follow_run(live, "smooth", model=model_of(instrument), seed=3)
     report("slow axis", "smooth", off.rms_deg, full.rms_deg)
@@ -74,7 +74,7 @@ def test_stopped_by_the_user_the_axis_rests(bench: Bench, tmp_path: Path, what: 
 
     instrument = preset("reference")
     with bench.open() as board:
-        live = Live(board, instrument.rig, 0, None, Plant(bench.sim, instrument))
+        live = Live(board, instrument.rig, 0, None, SimulatedAxis(bench.sim, instrument))
         if what == "follow":
             with pytest.raises(KeyboardInterrupt):
                 follow_run(live, "trapezoids", model=model_of(instrument), progress=stop)
@@ -90,7 +90,7 @@ def test_stopped_by_the_user_the_axis_rests(bench: Bench, tmp_path: Path, what: 
 def test_ten_times_smaller_with_what_a_live_calibration_measured(bench: Bench, tmp_path: Path) -> None:
     instrument = preset("reference")
     with bench.open() as board:
-        plant = Plant(bench.sim, instrument)
+        plant = SimulatedAxis(bench.sim, instrument)
         live = Live(board, instrument.rig, 0, PointEye(plant), plant)
         found, _ = calibrate_live(live, tmp_path / "rec", MotionOptions(cycles=6, speeds=(1.0,)))
         live.eye = None

@@ -33,7 +33,7 @@ from tautline.device.usb_link import UsbLink
 from tautline.live.session import MotionOptions, record_calibration
 from tautline.live.setup import Live, PointEye
 from tautline.simulated.instrument import preset
-from tautline.simulated.simlink import Plant
+from tautline.simulated.simlink import SimulatedAxis
 
 EVEN = 12  # points evenly spread over a run
 SHARES = 16  # of the points: the first is taken each time
@@ -166,7 +166,7 @@ def set_up(bench: Bench) -> Iterator[None]:
     def open_live(**_: object) -> Iterator[Live]:
         with bench.open() as board:
             instrument = preset("constant")
-            plant = Plant(bench.sim, instrument)
+            plant = SimulatedAxis(bench.sim, instrument)
             yield Live(board, instrument.rig, 0, PointEye(plant), plant)
 
     with (

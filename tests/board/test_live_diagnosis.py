@@ -8,13 +8,14 @@ from pathlib import Path
 import pytest
 
 from conftest import Bench
+from tautline import trajectory
 from tautline.calibration.calibrate import calibrate
 from tautline.live.asking import MOTION, SURE, diagnose_live
 from tautline.live.setup import Live, PointEye
 from tautline.model import Effect
-from tautline.simulated import simulate, trajectory
+from tautline.simulated import simulate
 from tautline.simulated.instrument import Corrected, preset, reference_rig
-from tautline.simulated.simlink import Plant
+from tautline.simulated.simlink import SimulatedAxis
 
 
 def test_a_lag_that_came_after_the_calibration_is_asked_for_until_it_is_sure(bench: Bench, tmp_path: Path) -> None:
@@ -26,7 +27,7 @@ def test_a_lag_that_came_after_the_calibration_is_asked_for_until_it_is_sure(ben
     lagging = Corrected(replace(found.model, effects=(late,)), "lagging")
     told: list[str] = []
     with bench.open() as board:
-        plant = Plant(bench.sim, lagging, 0)
+        plant = SimulatedAxis(bench.sim, lagging, 0)
         live = Live(board, rig, 0, PointEye(plant), plant)
         asked = diagnose_live(live, found, calibration, [], tmp_path / "made", most=3, told=told.append)
     print(asked.why, told)

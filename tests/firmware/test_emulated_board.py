@@ -15,7 +15,7 @@ from tautline.live.session import MotionOptions, calibrate_live
 from tautline.live.setup import Live, PointEye
 from tautline.model import Model
 from tautline.simulated.instrument import preset
-from tautline.simulated.simlink import PROGRAM, DesktopBoard, Plant, SimLink
+from tautline.simulated.simlink import PROGRAM, DesktopBoard, SimLink, SimulatedAxis
 
 ROOT = Path(__file__).resolve().parents[2]
 EMULATED = ROOT / "tools" / "emulator" / "board.js"
@@ -44,7 +44,7 @@ def calibrated() -> tuple[Model, float]:
         link = process.link()
         made_ready(board, link)
         instrument = preset("reference")
-        plant = Plant(link, instrument)
+        plant = SimulatedAxis(link, instrument)
         eye = PointEye(plant, noise_px=0.005)  # so that two boards are compared, not two samples of noise
         live = Live(board, instrument.rig, 0, eye, plant)
         options = MotionOptions(cycles=3, speeds=(0.7,))

@@ -20,7 +20,7 @@ from tautline.recording import Recording
 from tautline.rig import Actuator, Rig
 from tautline.simulated.instrument import preset, reference_rig
 from tautline.simulated.simulate import run
-from tautline.simulated.trajectory import back_and_forth
+from tautline.trajectory import back_and_forth
 
 RIG = reference_rig()
 

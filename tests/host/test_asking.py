@@ -4,13 +4,13 @@ from types import SimpleNamespace
 
 import pytest
 
-from tautline.live.asking import Answer, why_stop
+from tautline.live.asking import Leading, why_stop
 
 STROKES = SimpleNamespace(why="fast strokes", separation=0.5)
 
 
 def ended(probabilities, asked=("trapezoids",), following=STROKES, noise=0.1, most=5, name="transmission.lag"):
-    return why_stop([Answer(name, p) for p in probabilities], asked, following, noise, most)
+    return why_stop([Leading(name, p) for p in probabilities], asked, following, noise, most)
 
 
 def test_it_goes_on_while_a_motion_tells():
@@ -41,5 +41,5 @@ def test_the_answer_is_the_likeliest_of_all():
         "probability_none": 0.1,
         "probability_unknown": 0.4,
     }
-    assert Answer.of(document) == Answer("unknown", 0.4)
-    assert Answer.of({**document, "probability_unknown": 0.2}) == Answer("transmission.lag", 0.3)
+    assert Leading.of(document) == Leading("unknown", 0.4)
+    assert Leading.of({**document, "probability_unknown": 0.2}) == Leading("transmission.lag", 0.3)

@@ -10,14 +10,11 @@ import numpy as np
 import pandas as pd
 import pytest
 from cli_runner import Finished, Taut
+from reference_instrument import PLANT, moved, saved_model, saved_recording
 
 from tautline.errors import TautError
-from tautline.model import Model
 from tautline.recording import Recording, save
-from tautline.simulated import instrument, simlink, simulate, trajectory
-
-RIG = instrument.reference_rig()
-PLANT = instrument.preset("reference", RIG)
+from tautline.simulated import simlink
 
 
 @pytest.fixture
@@ -27,21 +24,12 @@ def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) ->
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    path = tmp_path / "run"
-    save(moved([-2.0, 1.0, -1.0, 2.0, -2.0], 2.0), path)
-    return path
+    return saved_recording(tmp_path / "run")
 
 
 @pytest.fixture
 def model(tmp_path: Path) -> Path:
-    q = np.linspace(-5, 5, 101)
-    path = tmp_path / "model"
-    Model(RIG, q, PLANT.backlash(q), 0.01 + 0 * q, PLANT.bend(q), 0.08, (-4.0, 4.0)).save(path)
-    return path
-
-
-def moved(points: list[float], speed: float, **options: object) -> Recording:
-    return simulate.simulate(RIG, PLANT, trajectory.through(points, speed, 20.0), **options)
+    return saved_model(tmp_path / "model")
 
 
 def rows(path: Path, change: Callable[[pd.DataFrame], pd.DataFrame]) -> None:

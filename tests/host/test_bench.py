@@ -17,7 +17,7 @@ from tools.bench import __main__ as bench
 from tools.bench import calibration, control_step, diagnosis, endoscopy, trackers, videos
 
 from tautline.vision.colour import pick
-from tautline.vision.marker import Tracker
+from tautline.vision.marker import MarkerTracker
 
 
 def test_the_command_prints_its_parts(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -43,7 +43,7 @@ def test_the_command_prints_its_parts(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_tracker_is_the_quickest_and_most_exact_of_those_in_opencv() -> None:
     scores, _ = trackers.run(frames=8)
     ours, others = scores[0], [score for score in scores if score.name.startswith("OpenCV")]
-    assert ours.noise_px < 0.03 and ours.error_px < 0.03 and ours.found == 1.0
+    assert ours.noise_px < 0.03 and ours.error_px < 0.03 and ours.detected == 1.0
     assert {score.name.split()[1].rstrip(",") for score in others} == {"SimpleBlobDetector", "ArUco"}
     for score in others:
         assert score.frames_per_s < ours.frames_per_s and score.error_px > ours.error_px
@@ -58,7 +58,7 @@ def test_the_videos_share_no_line_with_the_package_and_show_what_they_say() -> N
     world = endoscopy.World(condition, 3)
     scene, picture = next(world.frames())
     place, radius = world.seen(np.array([scene]))
-    seen = Tracker(pick(picture, (float(place[0, 0]), float(place[0, 1])))).track(picture)
+    seen = MarkerTracker(pick(picture, (float(place[0, 0]), float(place[0, 1])))).track(picture)
     assert np.hypot(seen.u_px - place[0, 0], seen.v_px - place[0, 1]) < 0.6
     assert seen.diameter_px == pytest.approx(2.0 * radius[0], rel=0.1)
 

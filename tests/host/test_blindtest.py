@@ -349,7 +349,7 @@ def test_what_only_shrinks_the_gap_is_not_scored_on_names(method):
     pytest.importorskip(baselines.NEEDS.get(method, "tautline"))
     case = made_once(3, "single", ("configuration.axis_coupling",))
     model = calibrate([case.calibration], case.rig).model
-    evidence = baselines.Evidence(model, [case.calibration, *case.tests], case.further)
+    evidence = baselines.Comparison(model, [case.calibration, *case.tests], case.further)
     answer = baselines.ON_CASES[method](evidence)
     assert answer.realised["after"] < 0.6 * answer.realised["before"]  # it follows the other axes
     assert scores.from_json(json.loads(json.dumps(scores.to_json(answer)))) == answer

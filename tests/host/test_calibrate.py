@@ -18,7 +18,7 @@ from tautline.recording import Angle, Marker, Motor
 from tautline.rig import Actuator, Coarse, Rig
 from tautline.simulated.instrument import Instrument, preset, reference_rig
 from tautline.simulated.simulate import Simulation, run
-from tautline.simulated.trajectory import Trajectory, back_and_forth, random_smooth, sines, through, trapezoids
+from tautline.trajectory import Trajectory, back_and_forth, random_smooth, sines, through, trapezoids
 from tautline.vision.timing import FrameTiming
 
 sys.path.insert(0, str(Path(__file__).parents[2]))

@@ -13,13 +13,13 @@ import pandas as pd
 import pytest
 from cli_runner import Taut
 
-from tautline import tables
+from tautline import tables, trajectory
 from tautline.calibration.calibrate import calibrate
 from tautline.geometry import project
 from tautline.model import Model
 from tautline.recording import Recording, save
 from tautline.rig import Actuator, Coarse, Rig
-from tautline.simulated import instrument, simulate, trajectory
+from tautline.simulated import instrument, simulate
 
 RIG = instrument.reference_rig()
 PLANT = instrument.preset("reference", RIG)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tautline.device.clock import STEADY, Clock
+from tautline.device.clock import STEADY, BoardClock
 
 
 @given(
@@ -18,7 +18,7 @@ from tautline.device.clock import STEADY, Clock
 )
 def test_error_is_a_bound(seed: int, drift: float, start: float, asymmetry: float, seconds: float, trips: int) -> None:
     rng = np.random.default_rng(seed)
-    clock = Clock()
+    clock = BoardClock()
 
     def board(host: float) -> float:
         return 3.0 + (host - start) * (1 + drift)
@@ -35,7 +35,7 @@ def test_error_is_a_bound(seed: int, drift: float, start: float, asymmetry: floa
 
 def test_drift_is_found_and_error_shrinks() -> None:
     rng = np.random.default_rng(5)
-    clock = Clock()
+    clock = BoardClock()
     assert clock.offset(1.0)[1] == float("inf")
     for sent in np.arange(0.0, 60.0, 0.2):
         there, back = rng.exponential(0.0002, 2) + 0.0001

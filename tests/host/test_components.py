@@ -16,7 +16,7 @@ from tautline.quality import Verdict
 from tautline.recording import Marker, Motor, Recording
 from tautline.rig import Rig
 from tautline.simulated.instrument import reference_rig
-from tautline.simulated.trajectory import back_and_forth
+from tautline.trajectory import back_and_forth
 
 RIG = reference_rig()
 NOISE_PX, DELAY_S, RATE_HZ = 0.05, 0.083, 25.0
@@ -103,7 +103,7 @@ def test_breathing_is_named_and_taken_out():
     assert um < 4e-3 and z < 2.0
 
 
-def held_back(px: np.ndarray, rng: np.random.Generator, length_px: float) -> np.ndarray:
+def dragged(px: np.ndarray, rng: np.random.Generator, length_px: float) -> np.ndarray:
     """What lies over px (n, 2) after a codec: another error of 0.15 px each way after every so much of the path."""
     gone = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(px, axis=0), axis=1))]) / length_px
     nodes = rng.normal(0.0, 0.15, (int(gone[-1]) + 2, 2))
@@ -113,7 +113,7 @@ def held_back(px: np.ndarray, rng: np.random.Generator, length_px: float) -> np.
 def test_what_a_codec_holds_back_is_the_trackers_error():
     plant = Plant()
     seen = project(plant.rig, bend(np.interp(plant.scene, plant.t, plant.p)), 0.0, 0.0)
-    plant.shown += held_back(seen, plant.rng, 6.0)
+    plant.shown += dragged(seen, plant.rng, 6.0)
     found = plant.calibrated()
     um, z = error_of(found)
     assert found.model.quality.reasons[0].code == "tracker"

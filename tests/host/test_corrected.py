@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tautline import effects
+from tautline import effects, trajectory
 from tautline.diagnosis.diagnose import _corrected
-from tautline.diagnosis.fit import Fit, Hypothesis, State
+from tautline.diagnosis.fit import Fit, Hypothesis, ParameterState
 from tautline.diagnosis.segment import Segment
 from tautline.effects import BY_ID, LIBRARY
 from tautline.errors import TautError
 from tautline.model import Effect, Model
 from tautline.prediction import predict
 from tautline.recording import Motor
-from tautline.simulated import simulate, trajectory
+from tautline.simulated import simulate
 from tautline.simulated.instrument import Corrected, of_name, preset, reference_rig
 
 RIG = reference_rig()
@@ -50,7 +50,7 @@ def values(kind) -> dict[str, float]:
 
 
 def corrected(kind) -> Model:
-    state = State(MODEL, {}, values(kind))
+    state = ParameterState(MODEL, {}, values(kind))
     segment = Segment("last", LAST, T, np.zeros((len(T), 2)), T > 5.0, OFFSET, False)
     model = _corrected(Fit(Hypothesis((kind,), (True,)), state, []), segment)
     return replace(model, extra={"load_reference_mNm": LOAD})

@@ -7,7 +7,7 @@ import pytest
 from tools.davinci import Tool, find, times
 
 from tautline.calibration.calibrate import calibrate
-from tautline.diagnosis import words
+from tautline.diagnosis import narration
 from tautline.prediction import predict
 from tautline.recording import Recording, load
 from tautline.rig import Rig
@@ -83,7 +83,7 @@ def test_at_two_loads_drift_would_do_as_well(tool):
     assert named(document) == ["transmission.load_dependence"]
     assert "transmission.drift" in document["effects"][0]["ambiguous_with"]
     assert times(document) >= 7.0
-    assert any("third one" in step.says for step in words.steps(document, "out"))
+    assert any("third one" in step.says for step in narration.steps(document, "out"))
 
 
 @pytest.mark.parametrize(("rate", "one", "other"), [(0, 2, 3), pytest.param(3, 3, 2, marks=pytest.mark.long)])
@@ -106,7 +106,7 @@ def test_at_one_load_nothing_large_is_left(tool, test):
     document = tool.diagnose((2, 0), [test]).document
     assert document["verdict"] != "effect" or document["gap"]["after"] < 0.1
     assert document["gap"]["before"] < 0.12  # of 50 deg that the jaw moves
-    assert "Nothing large is left" in words.sentence(document) or document["verdict"] == "none"
+    assert "Nothing large is left" in narration.sentence(document) or document["verdict"] == "none"
 
 
 @pytest.mark.parametrize("tests", [[(2, 1)], pytest.param([(2, 1), (2, 3)], marks=pytest.mark.long)])
@@ -116,7 +116,7 @@ def test_without_the_load_column_it_says_why(tool, tests):
         return
     assert document["verdict"] == "unknown" or named(document) == ["transmission.drift"]
     assert "changed between them" in document["signature"] and "load" in document["signature"]
-    assert document["signature"] in words.sentence(document)
+    assert document["signature"] in narration.sentence(document)
 
 
 def test_the_middle_comes_from_the_passes():

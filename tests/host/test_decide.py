@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tautline.diagnosis.decide import Verdict, decide, that_help
-from tautline.diagnosis.hypotheses import Beyond, Evidence, Weighed
+from tautline.diagnosis.decide import Decision, decide, that_help
+from tautline.diagnosis.hypotheses import Beyond, CaseEvidence, Weighed
 from tautline.plain import plain
 
 FLOOR = 0.05
@@ -25,12 +25,12 @@ def power(share: float, before: float) -> np.ndarray:
     return FLOOR**2 * (1.0 + share * before * unlike)
 
 
-def evidence(left: dict[tuple[str, ...], float], before: float = 100.0, frozen: float | None = None) -> Evidence:
+def evidence(left: dict[tuple[str, ...], float], before: float = 100.0, frozen: float | None = None) -> CaseEvidence:
     """What each set of effects leaves of the power above the floor, a share."""
     weighed = [Weighed((), power(1.0, before), NOTHING, NOTHING, 0)]
     weighed += [Weighed(ids, power(share, before), NOTHING, NOTHING, 2 * len(ids)) for ids, share in left.items()]
     as_it_is = power(1.0, before if frozen is None else frozen)
-    return Evidence(FLOOR, as_it_is, tuple(weighed), 18)
+    return CaseEvidence(FLOOR, as_it_is, tuple(weighed), 18)
 
 
 def test_the_effect_that_leaves_little_is_named():
@@ -133,7 +133,7 @@ def test_probabilities_add_up_in_any_order(shares, pair, before, order):
     assert again.leading == pytest.approx(verdict.leading, abs=1e-12)
 
 
-def within(found: Evidence, beyond: dict[tuple[str, ...], np.ndarray]) -> Evidence:
+def within(found: CaseEvidence, beyond: dict[tuple[str, ...], np.ndarray]) -> CaseEvidence:
     """What no law of a hypothesis' stages could leave, times the noise."""
     count = np.full(BLOCKS, 400.0)
     said = {ids: Beyond(FLOOR**2 * times, count) for ids, times in beyond.items()}
@@ -191,8 +191,8 @@ def helped(gains):
     nothing = np.zeros(count)
     base = Weighed((), np.full(count, 4.0), nothing, nothing, 0)
     lag = Weighed(("transmission.lag",), 4.0 - np.array(gains), nothing, nothing, 1)
-    evidence = Evidence(0.1, np.full(count, 4.0), (base, lag), 5)
-    named = Verdict(0.0, 0.1, {"transmission.lag": 0.9}, np.array([0.0, 0.9]), ("transmission.lag",), (0.9,), 1)
+    evidence = CaseEvidence(0.1, np.full(count, 4.0), (base, lag), 5)
+    named = Decision(0.0, 0.1, {"transmission.lag": 0.9}, np.array([0.0, 0.9]), ("transmission.lag",), (0.9,), 1)
     return that_help(evidence, named)
 
 
@@ -212,9 +212,9 @@ def test_an_offset_that_leaves_what_a_right_effect_may_is_no_other_static_law():
     nothing = np.zeros(8)
     power = {(): 100.0, ("transmission.offset",): 0.5, ("configuration.remaining",): 0.02}
     h = tuple(Weighed(ids, np.full(8, p), nothing, nothing, len(ids)) for ids, p in power.items())
-    assert decide(Evidence(0.1, np.full(8, 100.0), h, 5)).named == ("transmission.offset",)
+    assert decide(CaseEvidence(0.1, np.full(8, 100.0), h, 5)).named == ("transmission.offset",)
     h = (h[0], replace(h[1], power=np.full(8, 20.0)), h[2])
-    assert decide(Evidence(0.1, np.full(8, 100.0), h, 5)).named == ("configuration.remaining",)
+    assert decide(CaseEvidence(0.1, np.full(8, 100.0), h, 5)).named == ("configuration.remaining",)
 
 
 DELAY, WIDTH = "acquisition.delay", "transmission.backlash"
@@ -245,5 +245,5 @@ def test_evidence_that_was_written_gives_the_same_verdict():
     told = evidence({(LAG,): 0.05, (CREEP,): 0.2, (LAG, CREEP): 0.01})
     beyond = Beyond(power(0.0, 1.0), np.full(BLOCKS, 40.0))
     told = replace(told, hypotheses=tuple(replace(h, beyond=beyond) for h in told.hypotheses))
-    read = Evidence.from_json(json.loads(json.dumps(plain(told.to_json()))))
+    read = CaseEvidence.from_json(json.loads(json.dumps(plain(told.to_json()))))
     np.testing.assert_array_equal(decide(read).posterior, decide(told).posterior)

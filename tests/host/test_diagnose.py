@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tautline import effects
+from tautline import effects, trajectory
 from tautline.blindtest import cases
 from tautline.calibration.calibrate import calibrate
-from tautline.diagnosis import words
+from tautline.diagnosis import narration
 from tautline.diagnosis.candidates import Search
 from tautline.diagnosis.diagnose import _corrected, diagnose
 from tautline.diagnosis.fit import Fit, Fitter, Hypothesis
@@ -18,7 +18,7 @@ from tautline.effects import LIBRARY, STAGES
 from tautline.model import Model
 from tautline.prediction import predict
 from tautline.recording import Marker, Recording, save
-from tautline.simulated import simulate, trajectory
+from tautline.simulated import simulate
 from tautline.simulated.instrument import preset, reference_rig
 
 NOISE = 0.05
@@ -113,11 +113,11 @@ def test_what_sticking_holds_back_is_predicted():
     found = diagnose(calibrate([case.calibration], case.rig).model, case.calibration, case.tests)
     named = found.document["effects"][0]
     assert named["id"] == "transmission.stick_slip"
-    assert 0.0 < named["parameters"]["held_back"] < 3.0 * case.label.values["static_grip"]
+    assert 0.0 < named["parameters"]["mean_stick_lag"] < 3.0 * case.label.values["static_grip"]
     assert found.document["gap"]["shrink_ci"][0] > 0.2
-    shrinks = f"shrinks the gap by {words.percent(found.document['gap']['shrink'])}"
-    assert shrinks in words.sentence(found.document)
-    assert any("predict" in step.command for step in words.steps(found.document, "here"))
+    shrinks = f"shrinks the gap by {narration.percent(found.document['gap']['shrink'])}"
+    assert shrinks in narration.sentence(found.document)
+    assert any("predict" in step.command for step in narration.steps(found.document, "here"))
 
 
 def test_the_command_writes_what_the_format_says(tmp_path, monkeypatch, capsys):
@@ -214,24 +214,24 @@ def test_a_direction_has_a_bin_of_its_own():
 
 
 def test_the_report_says_it_all_and_shows_the_axes_that_tell_most(tmp_path):
-    from tautline.diagnosis import page, words
+    from tautline.diagnosis import narration, page
 
     found, _ = diagnosed({"lag": 0.08})
     text = page.write(found, tmp_path).read_text()
-    assert words.sentence(found.document) in text.replace("&#39;", "'")
+    assert narration.sentence(found.document) in text.replace("&#39;", "'")
     for stage in STAGES:
         assert f">{stage}<small>" in text
     assert 'class="named">transmission' in text
     for condition in found.conditions[:2]:
         assert page._TITLES[condition.axis] in text
-    for step in words.steps(found.document, str(tmp_path)):
+    for step in narration.steps(found.document, str(tmp_path)):
         assert step.command in text
     assert text.count("<img") == 1 + 2 < 1 + len(found.conditions)
-    said = words.text(found.document, "out")
-    assert said.startswith(words.sentence(found.document)) and said.endswith("out/report.html")
+    said = narration.text(found.document, "out")
+    assert said.startswith(narration.sentence(found.document)) and said.endswith("out/report.html")
     assert "taut flash out/corrected\n" in said and "--without-effects" not in said
     tip = found.document["tip"]
-    assert tip["after_deg"] < 0.1 * tip["before_deg"] and words.tip(found.document) in said
+    assert tip["after_deg"] < 0.1 * tip["before_deg"] and narration.tip(found.document) in said
 
 
 def test_a_drift_that_wears_off_is_folded_in_as_far_as_it_went():

@@ -19,7 +19,7 @@ from tautline.quality import Quality, Reason, Verdict
 from tautline.recording import Recording
 from tautline.simulated.instrument import Instrument, preset, reference_rig
 from tautline.simulated.simulate import Simulation, run
-from tautline.simulated.trajectory import Trajectory, back_and_forth, through
+from tautline.trajectory import Trajectory, back_and_forth, through
 from tautline.vision.timing import FrameTiming
 
 Array = npt.NDArray[np.float64]

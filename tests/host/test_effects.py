@@ -175,7 +175,7 @@ def test_stick_slip_moves_in_jumps_of_its_size():
 
 def test_sticking_holds_back_in_the_mean_as_a_wider_play():
     t = np.arange(1.0, 18.0, 0.002)
-    sticks, wider, plain = (simulate(MODEL, STROKES, t, v) for v in ({"stick": 0.2}, {"held_back": 0.2}, {}))
+    sticks, wider, plain = (simulate(MODEL, STROKES, t, v) for v in ({"stick": 0.2}, {"mean_stick_lag": 0.2}, {}))
     late = wider.side * np.gradient(wider.p, t) > 1e-3  # carried
     late &= (wider.side == plain.side) & (np.abs(wider.p - wider.tip) < 1e-9)
     lag = [float(np.mean((plain.tip - path.tip)[late] * plain.side[late])) for path in (sticks, wider)]
@@ -232,7 +232,7 @@ def test_curvature_against_a_fine_chain(c, gradient):
     x = kinematics.bending_length_mm * np.mean(np.sin(angle)) + kinematics.tip_length_mm * np.sin(np.radians(c))
     z = kinematics.bending_length_mm * np.mean(np.cos(angle)) + kinematics.tip_length_mm * np.cos(np.radians(c))
     expected = geometry.to_image(RIG.camera, geometry.to_camera(RIG.hand_eye, np.array([[x, 0.0, z]])))[0]
-    seen = _native.see({"curvature_gradient": gradient}, effects.sight_rig(RIG), np.array([c]))
+    seen = _native.see({"curvature_gradient": gradient}, effects.projection_rig(RIG), np.array([c]))
     np.testing.assert_allclose(seen, expected, atol=1e-4)
 
 
@@ -255,7 +255,7 @@ def registered(base, way, shifted, values):
 def test_the_image_and_its_slopes(seed):
     rng = np.random.default_rng(seed)
     n = 20
-    names = [name for name, *_ in _native.sight_parameters]
+    names = [name for name, *_ in _native.projection_parameters]
     values = dict(zip(names, rng.normal(0, 1, len(names)) * 0.3, strict=True))
     values |= {name: 0.1 * values[name] for name in ("k1", "k2", "p1", "p2", "k3")}
     values["curvature_gradient"] = 0.0 if seed % 2 else float(np.clip(values["curvature_gradient"], -0.9, 0.9))
@@ -265,7 +265,7 @@ def test_the_image_and_its_slopes(seed):
 
     def see(c_deg, changed=values):
         return _native.see(
-            changed, effects.sight_rig(RIG), c_deg, translation, turn, way, shifted.view(np.uint8), slopes=True
+            changed, effects.projection_rig(RIG), c_deg, translation, turn, way, shifted.view(np.uint8), slopes=True
         )
 
     image, by_c, _ = see(c)
@@ -475,7 +475,7 @@ def test_dahl_s_friction_is_a_spread_of_two_with_a_tail():
 def test_every_parameter_has_one_owner_and_every_native_one_a_descriptor():
     names = [parameter.name for kind in LIBRARY for parameter in kind.parameters]
     assert len(names) == len(set(names))
-    told = {name for name, *_ in (*_native.effect_parameters, *_native.sight_parameters)}
+    told = {name for name, *_ in (*_native.effect_parameters, *_native.projection_parameters)}
     assert told - set(names) == {"c_per_joint", "joint_play"}  # a descriptor for each joint's column has them
     for name, _, _, meaning in _native.effect_parameters:
         if name in names:

@@ -323,7 +323,7 @@ def test_a_gradual_onset_is_the_mean_of_plays_of_scaled_width():
     "parameters",
     [
         {"width_per_load": 0.1},
-        {"held_back": 0.05},
+        {"mean_stick_lag": 0.05},
         {"onset_spread": 0.5},
         {"asymmetry": 0.05, "asymmetry_travel": 0.3},
         {"width_per_speed": 0.02},

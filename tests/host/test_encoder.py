@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tautline import trajectory
 from tautline.encoder import between_counts, count_of, straight_lines
 from tautline.recording import Motor
-from tautline.simulated import trajectory
 
 COUNT = 0.001
 

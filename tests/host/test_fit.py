@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tautline import effects
+from tautline import effects, trajectory
 from tautline.diagnosis.candidates import applicable
 from tautline.diagnosis.fit import Fitter, Hypothesis
 from tautline.diagnosis.screen import screen
@@ -15,7 +15,7 @@ from tautline.encoder import between_counts, straight_lines
 from tautline.model import Model
 from tautline.recording import Angle, Marker, Motor, Recording
 from tautline.rig import ANGLE
-from tautline.simulated import simulate, trajectory
+from tautline.simulated import simulate
 from tautline.simulated.instrument import preset, reference_rig
 
 RIG = reference_rig()

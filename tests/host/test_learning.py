@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from tools import learning
 
-from tautline.diagnosis.decide import Verdict, decide
+from tautline.diagnosis.decide import Decision, decide
 from tautline.diagnosis.hyperparameters import NAMES, Hyperparameters, Learnt, learnt
-from tautline.diagnosis.hypotheses import Evidence, Weighed
+from tautline.diagnosis.hypotheses import CaseEvidence, Weighed
 
 BLOCKS = 20
 LAG, CREEP = "transmission.lag", "transmission.creep"
@@ -27,7 +27,7 @@ def case(generator: str, truth: str, seed: int, left: float = 0.01, excess: floa
 
     hypotheses = [Weighed((), power(1.0), none, none, 0)]
     hypotheses += [Weighed((name,), power(s), none, none, 2) for name, s in ((LAG, left), (CREEP, 0.8))]
-    return learning.Case(generator, truth, Evidence(1.0, power(1.0), tuple(hypotheses), 18))
+    return learning.Case(generator, truth, CaseEvidence(1.0, power(1.0), tuple(hypotheses), 18))
 
 
 def loss(cases: list[learning.Case], by: Learnt) -> float:
@@ -59,7 +59,7 @@ def test_a_set_holds_what_it_must_to_be_right_in_95_of_100():
     said = []
     for i in range(100):
         leading = rare if i < 8 else usual
-        said.append((case("a", LAG, 0), Verdict(0.0, 0.0, leading, np.zeros(3), (LAG,), (1.0,), 1)))
+        said.append((case("a", LAG, 0), Decision(0.0, 0.0, leading, np.zeros(3), (LAG,), (1.0,), 1)))
     covers = learning.conformal(said)
     assert 0.6 < covers < 0.7
     held = [truth.truth in verdict.ambiguous(covers) for truth, verdict in said]

@@ -15,7 +15,7 @@ from tautline.recording import Video
 from tautline.simulated.endoscope import Endoscope, Look, load_background
 from tautline.simulated.instrument import reference_rig
 from tautline.vision.colour import MarkerColour, pick
-from tautline.vision.marker import Sighting, Tracker, find_colour, track_video
+from tautline.vision.marker import MarkerTracker, Sighting, find_colour, track_video
 
 RIG = reference_rig()
 COLOURS = {
@@ -50,7 +50,7 @@ def picked(of: Endoscope, c_deg: float) -> MarkerColour:
 
 def follow(of: Endoscope, states: np.ndarray, colour: MarkerColour | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Errors (n, 2) px and sigmas (n,) px at bending angles; NaN where lost."""
-    tracker = Tracker(colour or picked(of, float(states[0])))
+    tracker = MarkerTracker(colour or picked(of, float(states[0])))
     seen = [tracker.track(of.frame(c)) for c in states]
     place = np.array([(s.u_px, s.v_px) for s in seen])
     return place - of.position(states), np.array([s.sigma_px for s in seen])
@@ -116,7 +116,7 @@ def test_small_and_large_markers(radius_mm: float, limit: float) -> None:
 @pytest.mark.parametrize(("sweep_deg", "limit"), [(1.0, 0.02), (2.0, 0.04), (4.0, 0.4)], ids=["4 px", "7 px", "14 px"])
 def test_motion_blur_keeps_the_mean_place(sweep_deg: float, limit: float) -> None:
     of = scope(Look(noise=2.0))
-    tracker = Tracker(picked(of, 10.0))
+    tracker = MarkerTracker(picked(of, 10.0))
     paths = [10.0 + 2.0 * k + np.linspace(0.0, sweep_deg, 9) for k in range(15)]
     error = np.array([place(tracker.track(of.frame(path))) - of.position(path).mean(axis=0) for path in paths])
     assert np.sqrt(np.mean(error**2, axis=0)).max() < limit
@@ -136,12 +136,12 @@ def test_glare_on_the_rim_and_something_in_front_move_it_little() -> None:
         frame = of.frame(20.0)
         rim = true + 10.0 * np.array([np.cos(angle), np.sin(angle)])
         cv2.circle(frame, np.rint(rim * 16).astype(int).tolist(), 40, (255, 255, 255), -1, cv2.LINE_AA, 4)
-        assert np.hypot(*(place(Tracker(colour).track(frame)) - true)) < 0.12
+        assert np.hypot(*(place(MarkerTracker(colour).track(frame)) - true)) < 0.12
 
 
 def test_it_is_lost_when_covered_and_found_again_elsewhere() -> None:
     of = scope(Look())
-    tracker = Tracker(picked(of, -40.0))
+    tracker = MarkerTracker(picked(of, -40.0))
     assert tracker.track(of.frame(-40.0)).valid
     hidden = of.frame(-40.0)
     u, v = np.rint(of.position(-40.0)[0]).astype(int)
@@ -155,7 +155,7 @@ def test_it_is_lost_when_covered_and_found_again_elsewhere() -> None:
 
 def test_a_jump_across_the_picture_is_followed_at_once() -> None:
     of = scope(Look())
-    tracker = Tracker(picked(of, -40.0))
+    tracker = MarkerTracker(picked(of, -40.0))
     for c in (-40.0, 45.0, -10.0, 30.0):
         assert np.hypot(*(place(tracker.track(of.frame(c))) - of.position(c)[0])) < 0.06
 
@@ -163,7 +163,7 @@ def test_a_jump_across_the_picture_is_followed_at_once() -> None:
 def test_a_marker_at_the_border_is_lost_and_not_misplaced() -> None:
     rig = RIG.with_camera(width_px=320)
     of = Endoscope(rig, Look())
-    tracker = Tracker(picked(of, -20.0))
+    tracker = MarkerTracker(picked(of, -20.0))
     reasons = set()
     for c in np.linspace(0.0, 12.0, 80):
         sighting = tracker.track(of.frame(c))
@@ -178,7 +178,7 @@ def test_a_marker_at_the_border_is_lost_and_not_misplaced() -> None:
 def test_a_marker_of_another_colour_is_no_marker() -> None:
     colour = picked(scope(Look()), 20.0)
     for name in ("blue", "yellow", "magenta"):
-        tracker = Tracker(colour)
+        tracker = MarkerTracker(colour)
         of = scope(Look(marker_colour=COLOURS[name]), seed=2)
         assert not any(tracker.track(of.frame(c)).valid for c in (-30.0, 0.0, 30.0))
 
@@ -192,12 +192,12 @@ def test_a_second_smaller_blob_of_the_colour_does_not_attract_it() -> None:
             cv2.circle(frame, at, 5, COLOURS["green"], -1, cv2.LINE_AA)
         u, v = of.position(c)[0]
         cv2.circle(frame, (round(u) + 17, round(v) - 6), 3, COLOURS["green"], -1, cv2.LINE_AA)
-        assert np.hypot(*(place(Tracker(colour).track(frame)) - of.position(c)[0])) < 0.1
+        assert np.hypot(*(place(MarkerTracker(colour).track(frame)) - of.position(c)[0])) < 0.1
 
 
 def test_dimmed_light_is_no_reason_to_lose_it() -> None:
     of = scope(Look(glint=0.0))
-    tracker = Tracker(picked(of, 20.0))
+    tracker = MarkerTracker(picked(of, 20.0))
     for k in range(40):
         dark = (of.frame(20.0) * (1.0 - 0.015 * k)).astype(np.uint8)
         assert np.hypot(*(place(tracker.track(dark)) - of.position(20.0)[0])) < 0.06
@@ -205,7 +205,7 @@ def test_dimmed_light_is_no_reason_to_lose_it() -> None:
 
 def test_an_over_exposed_picture_is_followed() -> None:
     of = scope(Look(glint=0.0))
-    tracker = Tracker(picked(of, 20.0))
+    tracker = MarkerTracker(picked(of, 20.0))
     for k in range(12):
         bright = np.minimum(of.frame(20.0) * (1.0 + 0.05 * k), 255).astype(np.uint8)  # green at 255 from 1.5 on
         assert np.hypot(*(place(tracker.track(bright)) - of.position(20.0)[0])) < 0.1
@@ -221,7 +221,7 @@ def test_any_picture_is_survived() -> None:
             np.full(shape, 255),
             np.tile([70, 175, 40], (*shape[:2], 1)),
         ):
-            assert not Tracker(colour).track(picture.astype(np.uint8)).valid
+            assert not MarkerTracker(colour).track(picture.astype(np.uint8)).valid
 
 
 def test_a_picture_that_is_a_view_into_another_is_read_right() -> None:
@@ -230,10 +230,10 @@ def test_a_picture_that_is_a_view_into_another_is_read_right() -> None:
     wide = np.zeros((600, 800, 3), np.uint8)
     wide[10:586, 30:750] = frame
     colour = picked(of, 20.0)
-    inner = Tracker(colour).track(wide[10:586, 30:750])
-    assert place(inner).tolist() == place(Tracker(colour).track(frame)).tolist()
+    inner = MarkerTracker(colour).track(wide[10:586, 30:750])
+    assert place(inner).tolist() == place(MarkerTracker(colour).track(frame)).tolist()
     with pytest.raises(ValueError, match="side by side"):
-        Tracker(colour)._measure(frame[:, ::2], 100.0, 100.0, 20.0, 0.0)
+        MarkerTracker(colour)._measure(frame[:, ::2], 100.0, 100.0, 20.0, 0.0)
 
 
 def test_picking_says_why_it_cannot() -> None:

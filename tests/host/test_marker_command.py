@@ -15,7 +15,7 @@ from tautline.errors import TautError
 from tautline.simulated.endoscope import Endoscope
 from tautline.simulated.instrument import reference_rig
 from tautline.vision.colour import MarkerColour
-from tautline.vision.marker import Tracker
+from tautline.vision.marker import MarkerTracker
 
 SCOPE = Endoscope(reference_rig())
 
@@ -41,7 +41,7 @@ def test_a_picture_gives_a_colour_and_a_picture_of_it(picture: Path, tmp_path: P
     result = taut(picture, "--out", out)
     assert result.exit_code == 0 and "px wide" in result.output
     frame = SCOPE.frame(30.0)
-    seen = Tracker(MarkerColour.load(out)).track(frame)
+    seen = MarkerTracker(MarkerColour.load(out)).track(frame)
     assert np.hypot(*(np.array([seen.u_px, seen.v_px]) - SCOPE.position(30.0)[0])) < 0.1
     shown = cv2.imread(str(out.with_suffix(".png")))
     assert shown.shape == (576, 1440, 3)

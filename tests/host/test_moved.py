@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tautline import trajectory
 from tautline.blindtest.reality import Plant, Truth, record
 from tautline.calibration.calibrate import calibrate
-from tautline.diagnosis import moved, words
+from tautline.diagnosis import moved, narration
 from tautline.diagnosis.diagnose import diagnose
 from tautline.prediction import predict
 from tautline.rig import Rig
-from tautline.simulated import trajectory
 from tautline.simulated.instrument import preset, reference_rig
 
 RIG = reference_rig()
@@ -83,7 +83,7 @@ def test_a_hand_eye_transform_that_was_wrong_from_the_start_is_named():
     document, further = diagnosed([PLANT] * 4, Rig.from_document(document_of, "wrong"))
     assert [(e["id"], e["since"]) for e in document["effects"]] == [("registration.static", "start")]
     assert document["moved"][0] == {"id": "registration.static", "share": pytest.approx(1.0), "since": "start"}
-    assert "[hand_eye]" in " ".join(step.says for step in words.steps(document, "out"))
+    assert "[hand_eye]" in " ".join(step.says for step in narration.steps(document, "out"))
     total = sum(c["probability"] for c in document["candidates"])
     assert total + document["probability_none"] + document["probability_unknown"] == pytest.approx(1.0)
     assert further < 1.5 * 0.05, further

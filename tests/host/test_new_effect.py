@@ -64,7 +64,8 @@ from tautline import effects
 from tautline.calibration.calibrate import calibrate
 from tautline.diagnosis.diagnose import diagnose
 from tautline.encoder import straight_lines
-from tautline.simulated import simulate, trajectory
+from tautline import trajectory
+from tautline.simulated import simulate
 from tautline.simulated.instrument import preset, reference_rig
 
 assert Path(tautline.__file__).is_relative_to(sys.argv[1]), tautline.__file__

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tautline import effects, evidence
+from tautline import effects, evidence, trajectory
 from tautline.calibration.observations import observe
 from tautline.calibration.playfit import Frozen
 from tautline.diagnosis.fit import Fitter
@@ -21,7 +21,6 @@ from tautline.model import Model
 from tautline.prediction import predict, times_of, write_csv
 from tautline.recording import Angle, Marker, Motor, Recording
 from tautline.rig import ANGLE, MARKER
-from tautline.simulated import trajectory
 from tautline.simulated.instrument import Corrected, preset, reference_rig
 
 RIG = reference_rig()

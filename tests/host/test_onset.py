@@ -10,7 +10,7 @@ from tautline.calibration.onset import BOUND, BRACKET, HINGE, delayed, find_dela
 from tautline.recording import Motor
 from tautline.simulated.instrument import Instrument, preset, reference_rig
 from tautline.simulated.simulate import run
-from tautline.simulated.trajectory import back_and_forth, through
+from tautline.trajectory import back_and_forth, through
 from tautline.vision.timing import FrameTiming
 
 RIG = reference_rig()

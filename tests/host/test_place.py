@@ -13,7 +13,7 @@ from tautline.quality import Verdict
 from tautline.recording import Recording
 from tautline.simulated.instrument import Instrument, preset, reference_rig
 from tautline.simulated.simulate import run
-from tautline.simulated.trajectory import back_and_forth
+from tautline.trajectory import back_and_forth
 
 RIG = reference_rig()
 

@@ -16,8 +16,8 @@ from tautline.model import allowed_width, is_backlash_table
 from tautline.recording import Motor
 from tautline.simulated.instrument import preset, reference_rig
 from tautline.simulated.simulate import run
-from tautline.simulated.trajectory import random_smooth
 from tautline.splines import Basis
+from tautline.trajectory import random_smooth
 
 RIG = reference_rig()
 

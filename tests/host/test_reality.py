@@ -7,13 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tautline import _native
+from tautline import _native, trajectory
 from tautline.blindtest import cases
 from tautline.blindtest.cases import VISIBLE, make
 from tautline.blindtest.draws import KNOWN, UNKNOWN
 from tautline.blindtest.reality import Plant, Truth, record
 from tautline.geometry import project
-from tautline.simulated import trajectory
 from tautline.simulated.instrument import preset
 
 

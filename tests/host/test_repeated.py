@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tautline import trajectory
 from tautline.diagnosis.diagnose import diagnose
 from tautline.diagnosis.repeated import HELD
 from tautline.diagnosis.segment import repeated
 from tautline.model import Model
 from tautline.recording import Marker, Recording
-from tautline.simulated import simulate, trajectory
+from tautline.simulated import simulate
 from tautline.simulated.instrument import preset, reference_rig
 
 RIG = reference_rig()

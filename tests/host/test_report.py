@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from tautline import evidence, figures, reports
+from tautline import evidence, figures, reports, trajectory
 from tautline.cli.compare import command as compare
 from tautline.cli.report import command as rewrite
 from tautline.errors import TautError
@@ -23,7 +23,7 @@ from tautline.model import Model
 from tautline.quality import Quality, Reason
 from tautline.recording import Recording
 from tautline.rig import Actuator, Coarse, Rig
-from tautline.simulated import endoscope, instrument, simulate, trajectory
+from tautline.simulated import endoscope, instrument, simulate
 
 
 def true_model(plant: instrument.Instrument, onsets: list[dict[str, Any]], **extra: Any) -> Model:

@@ -12,20 +12,18 @@ import cv2
 import numpy as np
 import pytest
 from cli_runner import Taut
+from reference_instrument import RIG, saved_model, saved_recording
 
 from tautline import reports
 from tautline.cli import marker as marker_command
 from tautline.device import usb_link
 from tautline.evidence import FILE as EVIDENCE
 from tautline.model import Model
-from tautline.recording import load, save
-from tautline.simulated import instrument, simulate, trajectory
+from tautline.recording import load
 from tautline.simulated.endoscope import Endoscope
 from tautline.vision.marker import find_colour
 
 ROOT = Path(__file__).parents[2]
-RIG = instrument.reference_rig()
-PLANT = instrument.preset("reference", RIG)
 
 
 @pytest.fixture
@@ -37,17 +35,12 @@ def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) ->
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    path = tmp_path / "run"
-    save(simulate.simulate(RIG, PLANT, trajectory.through([-2.0, 1.0, -1.0, 2.0, -2.0], 2.0, 20.0)), path)
-    return path
+    return saved_recording(tmp_path / "run")
 
 
 @pytest.fixture
 def model(tmp_path: Path) -> Path:
-    q = np.linspace(-5, 5, 101)
-    path = tmp_path / "model"
-    Model(RIG, q, PLANT.backlash(q), 0.01 + 0 * q, PLANT.bend(q), 0.08, (-4.0, 4.0)).save(path)
-    return path
+    return saved_model(tmp_path / "model")
 
 
 def test_without_a_board_only_what_a_command_has_is_advised(taut: Taut, model: Path) -> None:

@@ -16,10 +16,10 @@ from tautline.cli._picture import calibration_picture, picture, standing
 from tautline.cli.calibrate import sigma_of
 from tautline.live.rounds import (
     FEWEST,
+    CameraView,
     Means,
     Place,
     Round,
-    Sight,
     Standing,
     Strokes,
     default_until,
@@ -36,7 +36,7 @@ from tautline.simulated.instrument import reference_rig
 
 UNTIL = 3e-3
 MEANS = Means.of(-5.0, 5.0, 25.0, 16.0, 200.0)
-CLEAR = Sight(0.05, (0.0, 0.0))
+CLEAR = CameraView(0.05, (0.0, 0.0))
 
 
 def found(
@@ -157,7 +157,7 @@ def test_why_not_is_said_when_it_is_hopeless_and_not_before() -> None:
     assert why_not(near, UNTIL, "mm", CLEAR, 20.0, 120.0, FEWEST) == ""
     noisy = of(found(sigma_with((-4.8, 4.8, 30e-3))))
     assert why_not(noisy, UNTIL, "mm", CLEAR, 20.0, 120.0, 1) == ""  # before both rounds have been made
-    said = why_not(noisy, UNTIL, "mm", Sight(0.5, (0.0, 0.0)), 20.0, 120.0, FEWEST)
+    said = why_not(noisy, UNTIL, "mm", CameraView(0.5, (0.0, 0.0)), 20.0, 120.0, FEWEST)
     assert "0.5 px of noise" in said and "30 µm" in said and "2000 s would be needed" in said
     assert why_not(of(found(sigma_with())), UNTIL, "mm", CLEAR, 500.0, 120.0, 5) == ""
     late = why_not(near, UNTIL, "mm", CLEAR, 121.0, 120.0, 5)
@@ -166,12 +166,14 @@ def test_why_not_is_said_when_it_is_hopeless_and_not_before() -> None:
 
 def test_why_not_names_what_is_not_seen_and_what_is_doubted() -> None:
     holes = of(found(sigma_with((3.5, 4.8, 0.2))))
-    said = why_not(holes, UNTIL, "mm", Sight(0.05, (3.4, 5.0)), 121.0, 120.0, 3)
+    said = why_not(holes, UNTIL, "mm", CameraView(0.05, (3.4, 5.0)), 121.0, 120.0, 3)
     assert "the marker is not seen from 3.4 to 5 mm" in said and "actuator.range" in said
-    elsewhere = why_not(of(found(sigma_with((-3.0, -2.0, 0.2)))), UNTIL, "mm", Sight(0.05, (3.4, 5.0)), 121.0, 120.0, 3)
+    elsewhere = why_not(
+        of(found(sigma_with((-3.0, -2.0, 0.2)))), UNTIL, "mm", CameraView(0.05, (3.4, 5.0)), 121.0, 120.0, 3
+    )
     assert "noise" in elsewhere
     short = of(found(sigma_with(), (-4.8, 2.0)))
-    assert "not seen from 2.1 to 5" in why_not(short, UNTIL, "mm", Sight(0.05, (2.1, 5.0)), 40.0, 120.0, FEWEST)
+    assert "not seen from 2.1 to 5" in why_not(short, UNTIL, "mm", CameraView(0.05, (2.1, 5.0)), 40.0, 120.0, FEWEST)
     assert "no reversal from 2 to 5 mm" in why_not(short, UNTIL, "mm", CLEAR, 40.0, 120.0, FEWEST)
     stuck = replace(short, strokes=4.5)
     assert "strokes of 4.5 mm moved nothing" in why_not(stuck, UNTIL, "mm", CLEAR, 40.0, 120.0, FEWEST)
@@ -210,7 +212,7 @@ def view_of(calibration: Calibration | None) -> View:
     view.falling[:24, 0] = 9
     view.falling[40:42, 1] = 2
     if calibration is not None:
-        view.found, view.found_s, view.standing = calibration, 9.0, of(calibration)
+        view.calibration, view.calibrated_s, view.standing = calibration, 9.0, of(calibration)
     return view
 
 
@@ -243,8 +245,8 @@ def test_without_a_terminal_a_line_for_each_step(capsys: pytest.CaptureFixture[s
     with calibration_picture(as_json=True) as show:
         show(view)
         show(view)
-        view.found = found(sigma_with())
-        view.found_s, view.standing = 9.0, of(view.found)
+        view.calibration = found(sigma_with())
+        view.calibrated_s, view.standing = 9.0, of(view.calibration)
         show(view)
         show(view)
     told = capsys.readouterr()

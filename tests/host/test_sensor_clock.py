@@ -20,7 +20,7 @@ from tautline.recording import Angle, Motor, load, save, shifted
 from tautline.rig import ANGLE, MARKER, Rig
 from tautline.simulated.instrument import preset, reference_rig
 from tautline.simulated.simulate import run
-from tautline.simulated.trajectory import back_and_forth
+from tautline.trajectory import back_and_forth
 
 CAMERA_RIG = reference_rig()
 PLAIN = record(Motion.through(), delay_s=0.03)

@@ -21,7 +21,7 @@ from tautline.rig import Rig
 from tautline.simulated.endoscope import Endoscope
 from tautline.simulated.instrument import PRESETS, Instrument, preset, reference_rig
 from tautline.simulated.simulate import run, simulate
-from tautline.simulated.trajectory import Trajectory, back_and_forth, random_smooth, sines, through, trapezoids
+from tautline.trajectory import Trajectory, back_and_forth, random_smooth, sines, through, trapezoids
 from tautline.vision.marker import track_video
 from tautline.vision.timing import FrameTiming
 

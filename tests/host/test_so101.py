@@ -6,7 +6,7 @@ from tools.real import DELAY, JOINT, LAG, late_s, rigid
 from tools.so101 import Calibrated, constant_play, find
 
 from tautline.calibration.calibrate import calibrate
-from tautline.diagnosis import words
+from tautline.diagnosis import narration
 from tautline.diagnosis.diagnose import diagnose
 from tautline.recording import load
 from tautline.rig import Rig
@@ -27,8 +27,8 @@ def test_unseen_motions_within_1_5_times_a_constant_play():
     made = Calibrated.on(load(folder / "rotation-single-joint-rotation", rig), rig)
     rms = [made.rms(load(folder / name, rig)) for name in UNSEEN]
     ratios = [r["tautline"] / r["play"] for r in rms]
-    print(f"delay {1e3 * made.found.model.delay_s:.0f} ms, {np.round(ratios, 2)} times the constant play's error")
-    assert abs(made.found.model.delay_s - made.delay_s) < 0.01
+    print(f"delay {1e3 * made.calibration.model.delay_s:.0f} ms, {np.round(ratios, 2)} times the constant play's error")
+    assert abs(made.calibration.model.delay_s - made.delay_s) < 0.01
     assert max(ratios) < 1.5 and np.median(ratios) < 1.2
 
 
@@ -46,7 +46,7 @@ def test_what_a_rigid_simulator_lacks_is_a_servos_delay():
     simulated = rigid(robot, rig)
     found = diagnose(calibrate([simulated], rig).model, simulated, [robot])
     own = constant_play(robot)[0]  # what fits it best, beside a play of its own
-    print(f"{words.text(found.document, 'out')}\n{1e3 * late_s(found.document):.0f} ms, its own {1e3 * own:.0f} ms")
+    print(f"{narration.text(found.document, 'out')}\n{1e3 * late_s(found.document):.0f} ms, its own {1e3 * own:.0f} ms")
     first = found.document["effects"][0]["id"]
     assert first in (LAG, DELAY), found.document["candidates"][:3]
     assert late_s(found.document) == pytest.approx(own, abs=0.01)

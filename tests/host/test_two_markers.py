@@ -13,7 +13,7 @@ from tautline.recording import Video
 from tautline.simulated.endoscope import Endoscope
 from tautline.simulated.instrument import reference_rig
 from tautline.vision.camera import VideoFile
-from tautline.vision.marker import Sighting, Tracker, alike_but_still, find_colour, of_one_marker, track_video
+from tautline.vision.marker import MarkerTracker, Sighting, alike_but_still, find_colour, of_one_marker, track_video
 
 FRAMES = 80
 COVERED = range(30, 42)
@@ -75,7 +75,7 @@ def test_the_blob_near_the_last_place_is_taken_after_a_loss() -> None:
     some = pictures(covered=False)
     colour = find_colour(some[::4])
     assert colour is not None
-    tracker = Tracker(colour, [(float(TWIN[0]), float(TWIN[1]))])
+    tracker = MarkerTracker(colour, [(float(TWIN[0]), float(TWIN[1]))])
     tracker.track(some[10])
     assert not tracker.track(np.full_like(some[0], 90)).valid
     only_twin = with_twin(np.full_like(some[0], 90))

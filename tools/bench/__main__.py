@@ -35,7 +35,7 @@ def main(context: click.Context, as_json: bool, frames: int) -> None:
                 "frames_per_s": score.frames_per_s,
                 "still_noise_px": score.noise_px,
                 "error_px": score.error_px,
-                "found": score.found,
+                "found": score.detected,
                 "time_ratio": score.frame_us / scores[0].frame_us,
                 "noise_ratio": score.noise_px / scores[0].noise_px,
             }

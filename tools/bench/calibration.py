@@ -10,9 +10,9 @@ from tautline.calibration.calibrate import calibrate
 from tautline.simulated.endoscope import Endoscope
 from tautline.simulated.instrument import preset, reference_rig
 from tautline.simulated.simulate import run as simulated
-from tautline.simulated.trajectory import back_and_forth
+from tautline.trajectory import back_and_forth
 from tautline.vision.colour import pick
-from tautline.vision.marker import Tracker
+from tautline.vision.marker import MarkerTracker
 
 
 def run() -> list[tuple[str, float, str]]:
@@ -31,7 +31,7 @@ def run() -> list[tuple[str, float, str]]:
     scope = Endoscope(rig, seed=21)
     frames = [scope.frame(c) for c in np.linspace(-20.0, 20.0, 50)]
     u, v = scope.position(-20.0)[0]
-    tracker = Tracker(pick(frames[0], (float(u), float(v))))
+    tracker = MarkerTracker(pick(frames[0], (float(u), float(v))))
     start = time.perf_counter()
     for c in np.linspace(-20.0, 20.0, 50):
         scope.frame(c)

@@ -15,11 +15,11 @@ def run() -> list[tuple[str, float, str]]:
     """(name, value, unit) rows: the best of 15 runs of 65536 steps."""
     if not PROGRAM.exists():
         raise TautError("tools/bench/control_step is not built: run './run bench', or 'cmake --build --preset gcc'")
-    found = json.loads(subprocess.run([PROGRAM], check=True, capture_output=True, text=True).stdout)
+    timing = json.loads(subprocess.run([PROGRAM], check=True, capture_output=True, text=True).stdout)
     return [
-        ("control step, fixed point", found["fixed_ns"], "ns"),
-        ("control step, float32", found["float_ns"], "ns"),
-        ("largest difference between the two", found["apart_deg"], "deg"),
+        ("control step, fixed point", timing["fixed_ns"], "ns"),
+        ("control step, float32", timing["float_ns"], "ns"),
+        ("largest difference between the two", timing["apart_deg"], "deg"),
     ]
 
 

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 
 from threadpoolctl import threadpool_limits
 
+from tautline import trajectory
 from tautline.blindtest import cases
 from tautline.blindtest.reality import Plant, Truth, record
 from tautline.calibration.calibrate import calibrate
 from tautline.diagnosis.diagnose import diagnose
 from tautline.recording import Recording
 from tautline.rig import Rig
-from tautline.simulated import trajectory
 from tautline.simulated.instrument import preset, reference_rig
 
 _CASES = (("none", ()), ("single", ("transmission.lag",)), ("pair", ("transmission.creep", "camera.distortion")))

@@ -21,7 +21,7 @@ import numpy as np
 from tautline.simulated.endoscope import Endoscope, Look
 from tautline.simulated.instrument import reference_rig
 from tautline.vision.colour import MarkerColour, pick
-from tautline.vision.marker import Tracker
+from tautline.vision.marker import MarkerTracker
 
 Array = np.ndarray
 Find = Callable[[Array], "tuple[float, float] | None"]
@@ -45,7 +45,7 @@ class Score:
     frame_us: float  # median
     noise_px: float  # rms about the mean at each place, per coordinate
     error_px: float  # rms about the truth, per coordinate
-    found: float  # share of the frames
+    detected: float  # share of the frames
 
     @property
     def frames_per_s(self) -> float:
@@ -75,13 +75,13 @@ def run(frames: int = 40, progress: Callable[[float, str], None] | None = None) 
     for side in ARUCO_PX:
         printed = list(_aruco_shots(frames, side))
         whole = _score(f"OpenCV ArUco of {side} px, whole frame", printed, lambda shot: _aruco())
-        if whole.found >= 0.9:
+        if whole.detected >= 0.9:
             scores.append(
                 _score(f"OpenCV ArUco of {side} px, region", printed, lambda shot: _in_region(shot, _aruco()))
             )
             scores.append(whole)
             break
-        notes.append(f"ArUco of {side} px is found in {100 * whole.found:.0f} % of the frames only")
+        notes.append(f"ArUco of {side} px is found in {100 * whole.detected:.0f} % of the frames only")
     say(0.8, "ViSP's vpDot2")
     visp = _visp(shots, grey)
     if isinstance(visp, str):
@@ -128,7 +128,7 @@ def _summary(name: str, times_ns: list[int], shots: list[Shot], places: list[Arr
 
 
 def _ours(colour: MarkerColour, afresh: bool = False) -> Find:
-    tracker = Tracker(colour)
+    tracker = MarkerTracker(colour)
 
     def find(frame: Array) -> tuple[float, float] | None:
         if afresh:

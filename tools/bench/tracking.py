@@ -8,7 +8,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 from tools.tracking.sessions import Instrument, ideal_model, session
 
-from tautline.tracking import Tracker
+from tautline.tracking import LawTracker
 
 
 def run() -> list[tuple[str, float, str]]:
@@ -29,7 +29,7 @@ def frame_times(kind: str, seconds: float) -> np.ndarray:
     recording = session(instrument, kind, 1, seconds).recording
     marker, motor = recording.marker, recording.motor
     assert marker is not None
-    tracker = Tracker(ideal_model(instrument), "marker")
+    tracker = LawTracker(ideal_model(instrument), "marker")
     tracker.begin()
     times, taken = [], 0
     for k, scene in enumerate((marker.t_s - instrument.camera.delay).tolist()):

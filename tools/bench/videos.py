@@ -40,14 +40,14 @@ class Outcome:
     reasons: tuple[str, ...]
 
     @classmethod
-    def of(cls, condition: str, seed: int, status: int, said: dict[str, Any], truth: dict[str, Any]) -> Outcome:
-        q, width, sigma = (np.array(said["backlash"][key], dtype=float) for key in ("q", "width", "sigma"))
-        low, high = said["backlash"]["measured"]
+    def of(cls, condition: str, seed: int, status: int, document: dict[str, Any], truth: dict[str, Any]) -> Outcome:
+        q, width, sigma = (np.array(document["backlash"][key], dtype=float) for key in ("q", "width", "sigma"))
+        low, high = document["backlash"]["measured"]
         inside = (q >= low) & (q <= high)
         error = (width - np.interp(q, truth["backlash"]["q"], truth["backlash"]["width"]))[inside]
         return cls(
             condition, seed, 1e3 * _rms(error), 1e3 * _rms(sigma[inside]), _rms(error / sigma[inside]), status,
-            said["quality"]["verdict"], tuple(r["code"] for r in said["quality"]["reasons"]),
+            document["quality"]["verdict"], tuple(r["code"] for r in document["quality"]["reasons"]),
         )  # fmt: skip
 
 
@@ -67,8 +67,8 @@ def calibrated(folder: Path, out: Path) -> tuple[int, dict[str, Any]]:
 def backgrounds() -> list[Array]:
     """Real endoscopy frames, where they lie beside the repository; each third seed is drawn over tissue of our own."""
     for folder in Path(__file__).resolve().parents:
-        if (found := folder / "shared" / "data" / "backgrounds").is_dir():
-            pictures = sorted(path for path in found.iterdir() if path.suffix in (".jpg", ".png"))
+        if (pictures_ := folder / "shared" / "data" / "backgrounds").is_dir():
+            pictures = sorted(path for path in pictures_.iterdir() if path.suffix in (".jpg", ".png"))
             return [np.asarray(cv2.imread(str(path))) for path in pictures]
     return []
 
@@ -89,9 +89,9 @@ def run(
                     folder, condition, seed, behind, lambda part, at=share: say(at + part / total, "drawing")
                 )
                 say(share, condition.name)
-                status, said = calibrated(folder, Path(room) / "model")
+                status, document = calibrated(folder, Path(room) / "model")
                 truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-            outcomes.append(Outcome.of(condition.name, seed, status, said, truth))
+            outcomes.append(Outcome.of(condition.name, seed, status, document, truth))
     return outcomes
 
 

@@ -58,15 +58,15 @@ def hinge(t_s: Array, wanted_deg: Array) -> Array:
     state = mujoco.MjData(model)
     state.qpos[0] = state.ctrl[0] = np.radians(wanted_deg[0])
     step = model.opt.timestep
-    found = np.empty_like(wanted_deg)
-    found[0] = wanted_deg[0]
+    angle_deg = np.empty_like(wanted_deg)
+    angle_deg[0] = wanted_deg[0]
     for i in range(1, len(t_s)):
         steps = round((t_s[i] - t_s[0]) / step) - round((t_s[i - 1] - t_s[0]) / step)
         for k in range(1, steps + 1):
             state.ctrl[0] = np.radians(wanted_deg[i - 1] + (wanted_deg[i] - wanted_deg[i - 1]) * k / steps)
             mujoco.mj_step(model, state)
-        found[i] = np.degrees(state.qpos[0])
-    return found
+        angle_deg[i] = np.degrees(state.qpos[0])
+    return angle_deg
 
 
 @click.command()

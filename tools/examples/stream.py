@@ -11,7 +11,7 @@ import argparse
 import math
 
 from tautline.device.board import open_board
-from tautline.device.stream import SetPoints
+from tautline.device.stream import SetPointStream
 
 RATE_HZ = 250.0
 
@@ -27,7 +27,7 @@ def main() -> None:
     parser.add_argument("--axis", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=5.0)
     options = parser.parse_args()
-    with open_board(options.board) as board, SetPoints(board, options.axis) as points:
+    with open_board(options.board) as board, SetPointStream(board, options.axis) as points:
         while points.seconds < options.seconds:
             points.send(points.start_deg + demand(points.seconds))
             points.pace(1.0 / RATE_HZ)

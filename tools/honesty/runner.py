@@ -99,33 +99,33 @@ def _calibrated(made: Made, folder: Path) -> dict[str, Any]:
         return {**row, "verdict": "timeout"}
     if status not in (0, 3):
         return {**row, "verdict": "crash" if "internal error" in err else "refused"}
-    said = json.loads(out)
-    quality = said.get("quality") or {"verdict": "good" if status == 0 else "unusable", "reasons": []}
-    row |= score.backlash(said["backlash"], truth["q"], truth["width"], truth["um_per_unit"])
+    document = json.loads(out)
+    quality = document.get("quality") or {"verdict": "good" if status == 0 else "unusable", "reasons": []}
+    row |= score.backlash(document["backlash"], truth["q"], truth["width"], truth["um_per_unit"])
     row |= {
         "verdict": quality["verdict"],
         "reasons": [reason["code"] for reason in quality["reasons"]],
-        "evidence": {key: value for key, value in said.get("evidence", {}).items() if value is not None},
-        "delay_error_ms": 1000.0 * ((said.get("delay_s") or 0.0) - truth["delay_s"]),
-        "offset_s": said.get("offset_s"),
-        "clock_error_ms": _clock_error(said, truth),
+        "evidence": {key: value for key, value in document.get("evidence", {}).items() if value is not None},
+        "delay_error_ms": 1000.0 * ((document.get("delay_s") or 0.0) - truth["delay_s"]),
+        "offset_s": document.get("offset_s"),
+        "clock_error_ms": _clock_error(document, truth),
         "exit_fits": (status == 3) == (quality["verdict"] == "unusable"),
-        "remaining_deg": _remaining(said, truth),
+        "remaining_deg": _remaining(document, truth),
     }
     return row | _predicted(made, model, folder / "predicted.csv")
 
 
-def _clock_error(said: dict[str, Any], truth: dict[str, Any]) -> float | None:
+def _clock_error(document: dict[str, Any], truth: dict[str, Any]) -> float | None:
     """Of delay and offset together, where the image's clock is off by a constant."""
     if not truth["offset_s"]:
         return None
-    found = (said.get("delay_s") or 0.0) + (said.get("offset_s") or 0.0)
-    return float(1000.0 * (found - truth["delay_s"] - truth["offset_s"]))
+    offset_s = (document.get("delay_s") or 0.0) + (document.get("offset_s") or 0.0)
+    return float(1000.0 * (offset_s - truth["delay_s"] - truth["offset_s"]))
 
 
-def _remaining(said: dict[str, Any], truth: dict[str, Any]) -> float | None:
-    at, c = score.numbers(said["remaining"]["q"]), score.numbers(said["remaining"]["c_deg"])
-    low, high = said["backlash"].get("measured") or (np.nan, np.nan)
+def _remaining(document: dict[str, Any], truth: dict[str, Any]) -> float | None:
+    at, c = score.numbers(document["remaining"]["q"]), score.numbers(document["remaining"]["c_deg"])
+    low, high = document["backlash"].get("measured") or (np.nan, np.nan)
     error = c - np.interp(at, truth["q"], truth["remaining_deg"], left=np.nan, right=np.nan)
     error = error[(at >= low) & (at <= high) & np.isfinite(error)]
     return score.rms(error) if len(error) else None
@@ -136,8 +136,8 @@ def _true(truth: dict[str, Any]) -> Any:
 
 
 def _error(truth: dict[str, Any], key: str) -> float:
-    said = truth[f"{key}_uv"] if "uv" in truth else truth[f"{key}_deg"][:, None]
-    return score.image_rms(said[truth["counted"]] - _true(truth))
+    true = truth[f"{key}_uv"] if "uv" in truth else truth[f"{key}_deg"][:, None]
+    return score.image_rms(true[truth["counted"]] - _true(truth))
 
 
 def _predicted(made: Made, model: Path, path: Path) -> dict[str, Any]:
@@ -147,5 +147,5 @@ def _predicted(made: Made, model: Path, path: Path) -> dict[str, Any]:
     with path.open() as lines:
         rows = list(csv.DictReader(lines))
     names = ("u_px", "v_px") if "uv" in made.truth else ("c_deg",)
-    said = np.array([[float(row[name] or "nan") for name in names] for row in rows])
-    return {"prediction": score.image_rms(said[made.truth["counted"]] - _true(made.truth))}
+    predicted = np.array([[float(row[name] or "nan") for name in names] for row in rows])
+    return {"prediction": score.image_rms(predicted[made.truth["counted"]] - _true(made.truth))}

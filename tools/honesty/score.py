@@ -20,10 +20,10 @@ def rms(x: Array) -> float:
     return float(np.sqrt(np.mean(x**2)))
 
 
-def backlash(said: Mapping[str, Any], q: Array, width: Array, um_per_unit: float) -> dict[str, float | None]:
+def backlash(document: Mapping[str, Any], q: Array, width: Array, um_per_unit: float) -> dict[str, float | None]:
     """z, error and sigma over the points of the grid that are inside `measured` and have a finite sigma."""
-    at, found, sigma = (numbers(said[key]) for key in ("q", "width", "sigma"))
-    low, high = said.get("measured") or (np.nan, np.nan)
+    at, found, sigma = (numbers(document[key]) for key in ("q", "width", "sigma"))
+    low, high = document.get("measured") or (np.nan, np.nan)
     true = np.interp(at, q, width, left=np.nan, right=np.nan)
     keep = (at >= low) & (at <= high) & np.isfinite(sigma) & np.isfinite(found) & np.isfinite(true)
     if not keep.any():
@@ -50,10 +50,10 @@ def best_constant(true: Array) -> float:
     return image_rms(true - true.mean(axis=0))
 
 
-def right_reason(said: Iterable[str], accepted: Iterable[str]) -> bool:
+def right_reason(codes: Iterable[str], accepted: Iterable[str]) -> bool:
     """A code is right when it is accepted, or finer than one that is: clock accepts clock.rate."""
     known = list(accepted)
-    return any(code == a or code.startswith(a + ".") for code in said for a in known)
+    return any(code == a or code.startswith(a + ".") for code in codes for a in known)
 
 
 Run = Mapping[str, Any]
@@ -210,8 +210,8 @@ def _right(run: Run) -> bool:
 
 
 def _clock_settled(run: Run) -> bool:
-    found = run["clock_error_ms"] is not None and abs(run["clock_error_ms"]) <= 2.0
-    return found or run["verdict"] in ("unusable", "refused")
+    settled = run["clock_error_ms"] is not None and abs(run["clock_error_ms"]) <= 2.0
+    return settled or run["verdict"] in ("unusable", "refused")
 
 
 def _useless(run: Run) -> bool:

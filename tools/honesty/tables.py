@@ -129,5 +129,5 @@ def picture(runs: Sequence[Row], path: Path) -> None:
 def scores(runs: Sequence[Row]) -> dict[str, list[dict[str, Any]]]:
     """The headline of each set that was run, and of all together."""
     parts = {which: [r for r in runs if r["set"] == which] for which in ("tuning", "aside")}
-    found = {which: score.summary(part) for which, part in parts.items() if part}
-    return found if len(found) < 2 else {**found, "all": score.summary(runs)}
+    summaries = {which: score.summary(part) for which, part in parts.items() if part}
+    return summaries if len(summaries) < 2 else {**summaries, "all": score.summary(runs)}

@@ -98,10 +98,10 @@ def fig7(seed: int = 0, reversals: int = 38) -> Experiment:
     recording = scenes.fig7_recording(seed, reversals)
     rig = scenes.fig7_rig()
     plant = scenes.fig7_instrument(rig)
-    found = calibrate([recording], rig)
-    ours = two_step(found.model, plant.backlash)
+    calibration = calibrate([recording], rig)
+    ours = two_step(calibration.model, plant.backlash)
     direct = one_step(recording, rig, rig.delay_s, plant.backlash)
-    used = sum(onset.used for onset in found.onsets)
+    used = sum(onset.used for onset in calibration.onsets)
     with rc_context(figures.STYLE):
         made, axes = figures.figure(11, 3.9, 1, 2)
         ax = axes[0, 0]
@@ -116,13 +116,13 @@ def fig7(seed: int = 0, reversals: int = 38) -> Experiment:
         for side in (-0.5, 0.5):
             ax.plot(q + side * 15.0, q, color="#2f9e5b", lw=1.4, label="truth" if side > 0 else None)
             ax.plot(
-                found.model.q + side * found.model.width,
-                found.model.c_deg,
+                calibration.model.q + side * calibration.model.width,
+                calibration.model.c_deg,
                 color=figures.MODEL,
                 lw=1.2,
                 label="two steps" if side > 0 else None,
             )
-        seen = evidence.collect(found.model, [recording])
+        seen = evidence.collect(calibration.model, [recording])
         ax.plot(seen.q, seen.c_deg, ".", ms=1.5, color=figures.UP, alpha=0.6, label="pose of a frame", rasterized=True)
         ax.set(xlabel="q (deg)", ylabel="c (deg)")
         ax.set_title("Hysteresis")
@@ -131,7 +131,7 @@ def fig7(seed: int = 0, reversals: int = 38) -> Experiment:
         "fig7",
         "Fig. 7: a constant backlash of 15 deg, seen with a registration that tilts by ±1.5 deg",
         "The registration error changes sign when the tip begins to move, so the marker jumps at every onset. "
-        f"{len(found.onsets)} reversals, {used} used; 25 Hz, 15 deg/s, {scenes.NOISE_PX} px of noise.",
+        f"{len(calibration.onsets)} reversals, {used} used; 25 Hz, 15 deg/s, {scenes.NOISE_PX} px of noise.",
         [
             Row("two steps: mean |error| (deg)", "0.7", f"{ours.mean:.3f}"),
             Row("two steps: std (deg)", "0.09", f"{ours.std:.3f}"),
@@ -148,24 +148,33 @@ def fig8_and_9(seed: int = 1, reversals: int = 24) -> list[Experiment]:
     recording = scene.recording(scenes.calibration_motion(rig, reversals=reversals), seed)
     papers = calibrate([recording], rig, Options(knots="paper", remaining="morphological"))
     ours = calibrate([recording], rig)
-    errors = [1e3 * two_step(found.model, plant.backlash).rms for found in (papers, ours)]
+    errors = [1e3 * two_step(calibration.model, plant.backlash).rms for calibration in (papers, ours)]
     with rc_context(figures.STYLE):
         fig8, axes = figures.figure(11, 3.9, 1, 2, sharey=True)
-        for ax, found, title in zip(axes[0], (papers, ours), ("14 knots, as in the paper", "ours"), strict=True):
-            onsets = figures.onsets_of(found.model)
-            figures.draw_backlash(ax, found.model, onsets, figures.knots_of(found.model))
-            ax.plot(found.model.q, plant.backlash(found.model.q), color="#2f9e5b", lw=1.0, ls="--", label="truth")
+        for ax, calibration, title in zip(axes[0], (papers, ours), ("14 knots, as in the paper", "ours"), strict=True):
+            onsets = figures.onsets_of(calibration.model)
+            figures.draw_backlash(ax, calibration.model, onsets, figures.knots_of(calibration.model))
+            ax.plot(
+                calibration.model.q,
+                plant.backlash(calibration.model.q),
+                color="#2f9e5b",
+                lw=1.0,
+                ls="--",
+                label="truth",
+            )
             ax.set_title(title)
         axes[0, 0].legend(loc="upper left")
     q = np.linspace(*ours.model.measured, 201)
-    laws = [found.model.remaining(q) for found in (papers, ours)] + [rig.coarse.gain * q + rig.coarse.offset]
+    laws = [calibration.model.remaining(q) for calibration in (papers, ours)] + [
+        rig.coarse.gain * q + rig.coarse.offset
+    ]
     morphological, direct, coarse = (float(np.sqrt(np.mean((law - plant.bend(q)) ** 2))) for law in laws)
     with rc_context(figures.STYLE):
         fig9, axes = figures.figure(11, 3.9, 1, 2, width_ratios=[3, 2])
         figures.draw_characteristic(axes[0, 0], ours.model, evidence.collect(ours.model, [recording]))
         ax = axes[0, 1]
-        for found, colour, name in ((papers, figures.UP, "morphological"), (ours, figures.MODEL, "direct fit")):
-            ax.plot(q, found.model.remaining(q) - plant.bend(q), color=colour, lw=1.3, label=name)
+        for calibration, colour, name in ((papers, figures.UP, "morphological"), (ours, figures.MODEL, "direct fit")):
+            ax.plot(q, calibration.model.remaining(q) - plant.bend(q), color=colour, lw=1.3, label=name)
         ax.set(xlabel="q (mm)", ylabel="f_remain - truth (deg)")
         ax.set_title("Error of f_remain")
         ax.legend()

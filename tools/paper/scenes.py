@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tautline import geometry
+from tautline import geometry, trajectory
 from tautline.recording import Recording
 from tautline.rig import Actuator, Coarse, HandEye, Rig
-from tautline.simulated import simulate, trajectory
+from tautline.simulated import simulate
 from tautline.simulated.instrument import Instrument, preset, reference_rig
 from tautline.vision.timing import FrameTiming
 

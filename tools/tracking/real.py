@@ -19,27 +19,27 @@ POSTURES = ("roll", "pitch")
 
 def find() -> Path | None:
     for folder in Path(__file__).resolve().parents:
-        found = folder / "shared" / "data"
-        if (found / "davinci").is_dir():
-            return found
+        recordings = folder / "shared" / "data"
+        if (recordings / "davinci").is_dir():
+            return recordings
     return None
 
 
 def sets(data: Path) -> dict[str, tuple[Path, list[Path]]]:
     """Name: rig, and the runs in their order."""
     tool, posture = data / "davinci", data / "davinci-posture"
-    found = {
+    recordings = {
         f"load {j}, other rates": (tool / "rig.toml", [tool / f"freq{i}-load{j}" for i in range(5)]) for j in range(4)
     }
-    found |= {
+    recordings |= {
         f"{0.1 * (i + 1):.1f} Hz, other loads": (tool / "rig.toml", [tool / f"freq{i}-load{j}" for j in range(4)])
         for i in (0, 2, 4)
     }
-    found |= {
+    recordings |= {
         f"{name}, other postures": (posture / f"rig-{name}.toml", [posture / f"{name}-{i}" for i in range(1, 6)])
         for name in POSTURES
     }
-    return {name: value for name, value in found.items() if all(path.is_dir() for path in value[1])}
+    return {name: value for name, value in recordings.items() if all(path.is_dir() for path in value[1])}
 
 
 def table(data: Path, names: tuple[str, ...] = ()) -> list[dict[str, Any]]:

@@ -23,7 +23,7 @@ _STEADY = 3  # reversals
 
 def turns_of(q: Array, hysteresis: float = _TURN) -> list[int]:
     """Where q turns: the extremes from which it goes back by more."""
-    found, way, far = [], 0, 0
+    turns, way, far = [], 0, 0
     for k in range(1, len(q)):
         if way == 0:
             if abs(q[k] - q[far]) > hysteresis:
@@ -31,9 +31,9 @@ def turns_of(q: Array, hysteresis: float = _TURN) -> list[int]:
         elif way * (q[k] - q[far]) > 0.0:
             far = k
         elif way * (q[far] - q[k]) > hysteresis:
-            found.append(far)
+            turns.append(far)
             way, far = -way, k
-    return found
+    return turns
 
 
 def score(session: Session, model: Model, tracked: Tracked) -> Scores:
@@ -53,9 +53,9 @@ def score(session: Session, model: Model, tracked: Tracked) -> Scores:
     at = np.array(turns_of(motor.q))
     at = at[motor.t_s[at] > session.change_s]
     turns = motor.t_s[at]
-    said = [c.t_s for c in tracked.changes if c.state is not State.TRUSTED and c.t_s > session.change_s]
+    stale_s = [c.t_s for c in tracked.changes if c.state is not State.TRUSTED and c.t_s > session.change_s]
     result["reversals"] = len(turns)
-    result["stale_after"] = int(np.searchsorted(turns, said[0])) if said else math.inf
+    result["stale_after"] = int(np.searchsorted(turns, stale_s[0])) if stale_s else math.inf
     result["over"] = _over_compensated(session, model, tracked, turns)
     late = tracked.t_s > (turns[9] if len(turns) > 9 else math.inf)
     if session.recording.name in ("shape", "gradual"):

@@ -16,10 +16,9 @@ from tools.undone import hysteresis
 from tools.undone.learn import beside, diagnosed, fitted
 from tools.undone.plants import INSTRUMENTS, Instrument, Values
 
-from tautline import _native, tables
+from tautline import _native, tables, trajectory
 from tautline.model import Model
 from tautline.rig import Actuator
-from tautline.simulated import trajectory
 
 Array = npt.NDArray[np.float64]
 
@@ -64,13 +63,13 @@ def main() -> None:
 @click.option("--effect", "only", multiple=True, help="Part of an effect's name; all without.")
 @click.option("--seconds", default=40.0, show_default=True, help="Of the trajectory that is scored.")
 def of_effects(which: str, learnt: str, only: tuple[str, ...], seconds: float) -> None:
-    """The tip's error, deg rms: old tables, new ones, and without the effect, as its true inverse would leave it."""
+    """The tip's error, deg rms: old tables, new ones, and the old ones without the effect, as its true inverse would
+    leave it."""
     instrument = INSTRUMENTS[which]()
     ends = 0.65 * np.sort(instrument.model.c_deg[[0, -1]])
     planned = trajectory.random_smooth(Actuator("deg", (float(ends[0]), float(ends[1])), 1e-3), 15.0, seconds, 3)
     t = np.arange(0.0, planned.t_s[-1], 1.0 / RATE_HZ)
     c_deg = np.interp(t, planned.t_s, planned.q)
-    true = tip_off(instrument, instrument.model, {}, t, c_deg)
     columns = "effect", "strength", "named", "old tables", "new tables", "true inverse", "gained of what it gains"
     print("| " + " | ".join(columns) + " |\n|" + " --- |" * len(columns))
     for name, strengths in instrument.strengths.items():
@@ -80,9 +79,12 @@ def of_effects(which: str, learnt: str, only: tuple[str, ...], seconds: float) -
             begun = time.monotonic()
             found = diagnosed(instrument, values) if learnt == "diagnosed" else fitted(instrument, name, values)
             old, new = (tip_off(instrument, model, values, t, c_deg) for model in (found.old, found.new))
+            true = tip_off(instrument, found.old, {}, t, c_deg)
             says = ", ".join(f"{key} {value:.4g}" for key, value in values.items())
             gained = 100.0 * (old - new) / (old - true)
-            print(f"| {name} | {says} | {found.named} | {old:.4f} | {new:.4f} | {true:.4f} | {gained:.0f} % |", flush=True)
+            print(
+                f"| {name} | {says} | {found.named} | {old:.4f} | {new:.4f} | {true:.4f} | {gained:.0f} % |", flush=True
+            )
             click.echo(f"{name}: {time.monotonic() - begun:.0f} s, {found.new.effects}", err=True)
 
 

@@ -10,12 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 import tautline as tl
-from tautline import effects
+from tautline import effects, trajectory
 from tautline.elements import SINGLE
 from tautline.model import Model
 from tautline.recording import Angle, Motor, Recording
 from tautline.rig import Actuator, AngleSensor, Rig
-from tautline.simulated import trajectory
 from tautline.simulated.instrument import preset
 
 Array = npt.NDArray[np.float64]
@@ -108,7 +107,9 @@ def recorded(plant: Plant, rig: Rig) -> Recording:
     motor = Motor(motion.t_s[rows], np.round(motion.q[rows] / resolution) * resolution)
     seen = np.arange(0.007, motion.t_s[-1], 1.0 / _SENSOR_HZ)
     noise = np.random.default_rng(0xCA1).normal(0.0, _NOISE_DEG, len(seen))
-    return Recording("calibration", motor, angle=Angle(seen, np.interp(seen, motion.t_s, plant(motion.q)) + noise), rig=rig)
+    return Recording(
+        "calibration", motor, angle=Angle(seen, np.interp(seen, motion.t_s, plant(motion.q)) + noise), rig=rig
+    )
 
 
 def one_play(model: Model, recording: Recording) -> Model:

@@ -12,11 +12,10 @@ from scipy.optimize import least_squares
 from tools.undone.plants import ENCODER, Instrument, Values
 
 import tautline as tl
-from tautline import effects
+from tautline import effects, trajectory
 from tautline.model import Effect, Model
 from tautline.recording import Angle, Motor, Recording
-from tautline.simulated import trajectory
-from tautline.simulated.trajectory import Trajectory
+from tautline.trajectory import Trajectory
 
 Array = npt.NDArray[np.float64]
 

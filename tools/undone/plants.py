@@ -14,7 +14,7 @@ from tautline.blindtest.reality import Plant, Truth, driven
 from tautline.model import Model
 from tautline.rig import Actuator, AngleSensor, Coarse, Rig
 from tautline.simulated.instrument import preset
-from tautline.simulated.trajectory import Trajectory
+from tautline.trajectory import Trajectory
 from tautline.undone import Joint
 
 Array = npt.NDArray[np.float64]
@@ -115,9 +115,7 @@ _PULLEYS: Strengths = {
     ),
     "transmission.lag": _each("damper", 0.03, 0.06, 0.12),
     "transmission.creep": _each("kelvin_s", 0.7, 1.3, 2.5),
-    "transmission.load_dependence": tuple(
-        {"force_per_load": size * _SPAN * _STIFF} for size in (2e-4, 4e-4, 8e-4)
-    ),
+    "transmission.load_dependence": tuple({"force_per_load": size * _SPAN * _STIFF} for size in (2e-4, 4e-4, 8e-4)),
     "configuration.axis_coupling": tuple({"pull": size * _SPAN} for size in (0.02, 0.05, 0.1)),
     "transmission.offset": tuple({"homing": size * _SPAN} for size in (0.005, -0.012, 0.03)),
 }

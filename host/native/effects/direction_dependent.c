@@ -2,7 +2,7 @@
 
 #include <math.h>
 
-// How the instrument turns over in its channel; sight.h says by how much it is then tilted.
+// How the instrument turns over in its channel; projection.h says by how much it is then tilted.
 enum { TRAVEL, COUNT };
 static const struct effect_parameter PARAMETERS[COUNT] = {
     {"tilt_travel", 0, "unit", "the tip's travel in which the instrument turns over"},

@@ -5,7 +5,7 @@
 enum { STICK, HELD_BACK, COUNT };
 static const struct effect_parameter PARAMETERS[COUNT] = {
     {"stick", 0, "unit", "motion held back until the tip jumps"},
-    {"held_back", 0, "unit", "by how much it widens the play in the mean"},
+    {"mean_stick_lag", 0, "unit", "by how much it widens the play in the mean"},
 };
 
 static int present(const double *v) {

@@ -48,7 +48,7 @@ _HISTORY_S = (0.0, 0.1, 0.3, 1.0)  # of the motor that narx sees
 _TERMS = 12
 
 
-class Evidence:
+class Comparison:
     """What every baseline of a case starts from. `further`: what a shrinkage is realised on."""
 
     def __init__(self, model: Model, recordings: Sequence[Recording], further: Recording | None = None) -> None:
@@ -118,7 +118,7 @@ class _Near(Fitter):
         return spread
 
 
-def joint(evidence: Evidence) -> Answer:
+def joint(evidence: Comparison) -> Answer:
     plain = evidence.fitter
     fitter = _Near(plain.model, plain.segments, plain.load_reference)
     fitter.floor = plain.floor
@@ -141,7 +141,7 @@ def joint(evidence: Evidence) -> Answer:
     return evidence.answer(fit, max(hypothesis.kinds, key=shift))
 
 
-def bic(evidence: Evidence) -> Answer:
+def bic(evidence: Comparison) -> Answer:
     fitter = evidence.fitter
     count = sum(r.size for r in evidence.base.residuals)
 
@@ -159,7 +159,7 @@ def bic(evidence: Evidence) -> Answer:
     return evidence.answer(best, best.hypothesis.kinds[0] if best.hypothesis.kinds else None)
 
 
-def features(evidence: Evidence) -> Array:
+def features(evidence: Comparison) -> Array:
     """(n,) of a case, the same n for every case: sizes of the gap, where it is, what each effect would take of it."""
     floor = evidence.floor
     numbers = [np.log(gap.rms(r) / floor) for r in (evidence.frozen[1:], evidence.base.residuals[1:])]
@@ -192,11 +192,13 @@ class Forest:
         return made.fit(self.features, list(self.verdicts))
 
     def answer(self, case: Array, core_s: float) -> Answer:
-        said = dict(zip(self._trees.classes_, self._trees.predict_proba(case[None])[0].tolist(), strict=True))
-        verdict = max(said, key=lambda name: said[name])
+        probabilities = dict(zip(self._trees.classes_, self._trees.predict_proba(case[None])[0].tolist(), strict=True))
+        verdict = max(probabilities, key=lambda name: probabilities[name])
         named = () if verdict in (NONE, UNEXPLAINED) else (verdict,)
-        stage = STAGES.get(max((name for name in said if name in STAGES), key=lambda name: said[name]))
-        return Answer(named, verdict, core_s, frozenset(named), said, stage)
+        stage = STAGES.get(
+            max((name for name in probabilities if name in STAGES), key=lambda name: probabilities[name])
+        )
+        return Answer(named, verdict, core_s, frozenset(named), probabilities, stage)
 
 
 def majority(truths: Sequence[str]) -> Answer:
@@ -212,21 +214,21 @@ def _history(segment: Segment, span: float, since_s: float) -> Array:
     q = np.interp(t, motor.t_s, motor.q) / span
     rate = np.gradient(q, t)
     way, last, travel = 0.0, q[0], np.zeros_like(q)
-    ways = np.zeros_like(q)
+    direction = np.zeros_like(q)
     for i in range(len(q)):
         step = np.sign(rate[i]) if abs(rate[i]) > 1e-3 else 0.0
         if step not in (0.0, way):
             way, last = step, q[i]
-        ways[i], travel[i] = way, min(abs(q[i] - last), 0.3)
+        direction[i], travel[i] = way, min(abs(q[i] - last), 0.3)
     others = [
         np.zeros_like(q) if values is None else np.interp(t, motor.t_s, values) / size
         for values, size in ((motor.translation_mm, 3.0), (motor.rotation_deg, 30.0), (motor.load_mNm, 40.0))
     ]
-    columns = [q, ways, 4.0 * travel, 4.0 * np.abs(rate), *others, (t + segment.offset_s - since_s) / 200.0]
+    columns = [q, direction, 4.0 * travel, 4.0 * np.abs(rate), *others, (t + segment.offset_s - since_s) / 200.0]
     return np.column_stack(columns)[segment.scored]
 
 
-def process(evidence: Evidence) -> Answer:
+def process(evidence: Comparison) -> Answer:
     """A Gaussian process, ARD squared exponential, on _POINTS frames of the tests; claimed on the blocks left out."""
     from sklearn.exceptions import ConvergenceWarning
     from sklearn.gaussian_process import GaussianProcessRegressor
@@ -245,7 +247,7 @@ def process(evidence: Evidence) -> Answer:
     return _learned(evidence, learn)
 
 
-def narx(evidence: Evidence) -> Answer:
+def narx(evidence: Comparison) -> Answer:
     """Polynomials of second order in the motor's history, _TERMS chosen by forward regression."""
     from sysidentpy.basis_function import Polynomial
     from sysidentpy.model_structure_selection import FROLS
@@ -280,7 +282,7 @@ def narx(evidence: Evidence) -> Answer:
 
 
 def _learned(
-    evidence: Evidence, learn: Callable[[Array, Array], Callable[[Array], Array]], lags: Sequence[float] = ()
+    evidence: Comparison, learn: Callable[[Array, Array], Callable[[Array], Array]], lags: Sequence[float] = ()
 ) -> Answer:
     assert evidence.further is not None
     span = evidence.fitter.model.rig.actuator.span
@@ -307,4 +309,4 @@ def _learned(
 
 
 # What they cost is for the caller to take.
-ON_CASES: Mapping[str, Callable[[Evidence], Answer]] = {"joint": joint, "bic": bic, "process": process, "narx": narx}
+ON_CASES: Mapping[str, Callable[[Comparison], Answer]] = {"joint": joint, "bic": bic, "process": process, "narx": narx}

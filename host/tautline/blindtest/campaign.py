@@ -148,7 +148,7 @@ def _make(order: Order, campaign: sealed.Campaign, pool: Pool, progress: Callabl
 def left_out(
     order: Order,
     folder: Path,
-    found: Sequence[Mapping[str, Any]],
+    diagnosed: Sequence[Mapping[str, Any]],
     pool: Pool,
     progress: Progress,
     stopped: bool = False,
@@ -158,7 +158,7 @@ def left_out(
     campaign = sealed.Campaign(folder)
     ranked: list[tuple[int, Mapping[str, Any]]] = []
     for effect in KNOWN:
-        mine = [r for r in found if r["label"]["effects"] == [effect] and r["label"]["identifiable"]]
+        mine = [r for r in diagnosed if r["label"]["effects"] == [effect] and r["label"]["identifiable"]]
         ranked += enumerate(mine[: order.leave_one_out])
     folder = folder / "without"
     chosen = [record for _, record in sorted(ranked, key=lambda pair: pair[0])]  # one of each effect, then the next

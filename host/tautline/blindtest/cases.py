@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from tautline import trajectory
 from tautline.blindtest.draws import KNOWN, UNKNOWN
 from tautline.blindtest.reality import Plant, Truth, record
 from tautline.diagnosis import candidates
@@ -21,9 +22,8 @@ from tautline.diagnosis.segment import load_reference, prepare
 from tautline.model import Model
 from tautline.recording import Recording
 from tautline.rig import Rig
-from tautline.simulated import trajectory
 from tautline.simulated.instrument import preset, reference_rig
-from tautline.simulated.trajectory import Trajectory
+from tautline.trajectory import Trajectory
 
 Array = npt.NDArray[np.float64]
 
@@ -84,7 +84,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class _Session:
+class _Course:
     """One set-up and its motions: calibration, two tests, a further motion."""
 
     plant: Plant
@@ -116,7 +116,7 @@ def make(seed: int, kind: str, effects: tuple[str, ...] = ()) -> Case:
     starts = list(np.concatenate([[0.0], np.cumsum([m.duration_s + 5.0 for m in motions])[:-1]]))
     seeds = [int(s) for s in rng.integers(1 << 30, size=4)]
     loads = [_load(rng, motion, i) if loaded else None for i, motion in enumerate(motions)]
-    session = _Session(plant, motions, starts, seeds, loads, bool(rng.random() < 0.5))
+    session = _Course(plant, motions, starts, seeds, loads, bool(rng.random() < 0.5))
     throughout, values, left = _visible(rng, session, chosen)
     recordings = [session.record(plant, Truth(values), throughout, i) for i in range(4)]
     label = Label(kind, chosen, seed, throughout, values, noise, left)
@@ -124,7 +124,7 @@ def make(seed: int, kind: str, effects: tuple[str, ...] = ()) -> Case:
 
 
 def _visible(
-    rng: np.random.Generator, session: _Session, chosen: tuple[str, ...]
+    rng: np.random.Generator, session: _Course, chosen: tuple[str, ...]
 ) -> tuple[bool, dict[str, float], tuple[float, ...]]:
     """Whether the effects are there throughout, their amplitudes, and what of each one's gap on the tests a
     recalibration leaves (px rms per coordinate): the strongest of up to _DRAWS draws that end with the first that is
@@ -150,7 +150,7 @@ def _visible(
     return best
 
 
-def _left(session: _Session, truth: Truth, throughout: bool, outside: bool) -> float:
+def _left(session: _Course, truth: Truth, throughout: bool, outside: bool) -> float:
     """What the true nominal model with B, f_remain, registration and delay free, one for all recordings, cannot follow
     of the tests, were there no noise: the least-squares residual of its linearisation, px rms per coordinate. Of an
     effect `outside` the library, what no single effect of the library on top of it can follow either. 0 where the

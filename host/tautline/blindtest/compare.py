@@ -68,29 +68,29 @@ def answers(
         for name in todo
         for need in [[m for m in missing[name] if m in on_cases]]
     )
-    for done, (name, found) in enumerate(pool(work.baseline_case, tasks), 1):
+    for done, (name, outcome) in enumerate(pool(work.baseline_case, tasks), 1):
         known = _found(root, name)
-        errors = {**known.get("errors", {}), **found["errors"]}
-        write_file(root / FOLDER / f"{name}.json", sealed.canonical({**known, **found, "errors": errors}).decode())
+        errors = {**known.get("errors", {}), **outcome["errors"]}
+        write_file(root / FOLDER / f"{name}.json", sealed.canonical({**known, **outcome, "errors": errors}).decode())
         progress(0.3 + 0.7 * done / len(todo), f"baselines {done} of {len(todo)}")
     chosen = set(names)
     labels = [Label.from_json(r["label"]) for r in records]
     truths = [scores.truth(x) for x in labels if scores.counts(x) and x.kind != "pair"]
     result = []
     for record in records:
-        said: dict[str, Any] = {}
+        answered: dict[str, Any] = {}
         failed: dict[str, str] = {}
         if record["name"] in chosen:
-            found = _found(root, record["name"])
-            said = {method: found[method] for method in on_cases}
+            outcome = _found(root, record["name"])
+            answered = {method: outcome[method] for method in on_cases}
             if "majority" in methods and truths:
-                said["majority"] = scores.to_json(baselines.majority(truths))
+                answered["majority"] = scores.to_json(baselines.majority(truths))
             if forest:
-                case, spent = found["features"], found["features_core_s"]
+                case, spent = outcome["features"], outcome["features_core_s"]
                 answer = forest.answer(np.array(case), spent) if case else Answer((), scores.FAILED, spent)
-                said["forest"] = scores.to_json(answer)
-            failed = {m: what for m, what in found.get("errors", {}).items() if m in on_cases}
-        result.append({**record, "answers": {m: said[m] for m in methods if m in said}, "failed": failed})
+                answered["forest"] = scores.to_json(answer)
+            failed = {m: what for m, what in outcome.get("errors", {}).items() if m in on_cases}
+        result.append({**record, "answers": {m: answered[m] for m in methods if m in answered}, "failed": failed})
     return result
 
 
@@ -127,8 +127,8 @@ def _forest(root: Path, pool: Pool, progress: Callable[[float], None], stopped: 
     if stopped and not set(wanted) <= set(seen):
         return None
     tasks = ((name, arguments) for name, arguments in wanted.items() if name not in seen)
-    for name, found in pool(work.learn_case, tasks):
-        seen[name] = found
+    for name, learnt in pool(work.learn_case, tasks):
+        seen[name] = learnt
         write_file(path, sealed.canonical(seen).decode())
         progress(len(seen) / len(wanted))
     ordered = [seen[name] for name in wanted if seen[name]["features"] is not None]

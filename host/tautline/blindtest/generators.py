@@ -63,9 +63,9 @@ def chosen(wanted: Sequence[str], left_out: Sequence[str]) -> tuple[tuple[str, .
 
 
 def _several(names: Sequence[str]) -> list[str]:
-    found = [
+    makers = [
         generator
         for generator in GENERATORS
         if generator in names or ALL in names or (MUJOCO in names and generator.startswith(f"{MUJOCO}."))
     ]
-    return found
+    return makers

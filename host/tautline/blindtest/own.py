@@ -18,7 +18,7 @@ from tautline.recording import Marker, Recording
 from tautline.rig import Rig
 from tautline.simulated.instrument import Corrected, preset
 from tautline.simulated.simulate import run
-from tautline.simulated.trajectory import Trajectory
+from tautline.trajectory import Trajectory
 from tautline.vision.timing import FrameTiming
 
 Array = npt.NDArray[np.float64]

@@ -71,12 +71,13 @@ def result(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "tuning": any(label.seed < SCORED_FROM for label, _ in ours),
         "cases": len([1 for label, _ in ours if label.kind != "left out"]),
         "identifiable": Share(sum(label.identifiable for label in labels), len(labels)).to_json(),
-        "methods": {name: found.to_json() for name, found in scored.items()},
+        "methods": {name: scores_of.to_json() for name, scores_of in scored.items()},
         "generators": {name: scores.score(cases).to_json() for name, cases in _generators(ours).items()},
         "compared": _compared(records, methods),
         "confusion": {"truth": rows, "said": columns, "counts": counts.tolist()},
         "reliability": [
-            {"low": b.low, "high": b.high, "said": b.said, "right": b.right.to_json()} for b in scores.reliability(ours)
+            {"low": b.low, "high": b.high, "said": b.stated, "right": b.right.to_json()}
+            for b in scores.reliability(ours)
         ],
         "each": [_line(record) for record in records],
     }
@@ -102,17 +103,21 @@ def methods_of(records: Sequence[Mapping[str, Any]]) -> dict[str, Cases]:
 
 def _generators(cases: Cases) -> dict[str, Cases]:
     """The cases of each generator."""
-    found = dict.fromkeys(label.generator for label, _ in cases)
-    return {name: [case for case in cases if case[0].generator == name] for name in found}
+    names = dict.fromkeys(label.generator for label, _ in cases)
+    return {name: [case for case in cases if case[0].generator == name] for name in names}
 
 
 def by_generator(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     """How often the right name leads, what is unknown is called so, and what is sound; empty where there is but one
     generator."""
-    found = document["generators"]
+    generators = document["generators"]
     rows = [
-        {"what": name, "goal": "", "cells": [_cell(found[name], what, OURS) for what in ("top1", "unknown", "none")]}
-        for name in found
+        {
+            "what": name,
+            "goal": "",
+            "cells": [_cell(generators[name], what, OURS) for what in ("top1", "unknown", "none")],
+        }
+        for name in generators
     ]
     return rows if len(rows) > 1 else []
 
@@ -136,7 +141,7 @@ def _compared(records: Sequence[Mapping[str, Any]], methods: Mapping[str, Cases]
             for record in records
             for method, what in record.get("failed", {}).items()
         ],
-        "paired": {name: {what: found.to_json() for what, found in both.items()} for name, both in paired.items()},
+        "paired": {name: {what: share.to_json() for what, share in both.items()} for name, both in paired.items()},
     }
 
 
@@ -178,14 +183,14 @@ def write(records: Sequence[Mapping[str, Any]], folder: Path) -> dict[str, Any]:
 
 def sentence(document: Mapping[str, Any]) -> str:
     ours = document["methods"][OURS]
-    said = {
+    values = {
         "top1": "single effects named rightly",
         "unknown": "effects outside the library called unknown",
         "none": "sound instruments called sound",
     }
     parts = [
         f"{ours[name]['hits']} of {ours[name]['of']} {what} ({100 * ours[name]['share']:.0f} %)"
-        for name, what in said.items()
+        for name, what in values.items()
         if ours[name]["of"]
     ]
     return f"{document['cases']} cases: " + ", ".join(parts) + "."
@@ -195,7 +200,11 @@ def table(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     """ROWS, then PAIRED, with a cell for each method; rows that say nothing of any method are left out."""
     methods = document["methods"]
     rows = [
-        {"what": what, "goal": goal or "", "cells": [_cell(found, name, method) for method, found in methods.items()]}
+        {
+            "what": what,
+            "goal": goal or "",
+            "cells": [_cell(method_scores, name, method) for method, method_scores in methods.items()],
+        }
         for name, what, goal in ROWS
     ]
     paired = (document["compared"] or {"paired": {}})["paired"]
@@ -207,13 +216,13 @@ def table(document: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 def compared(document: Mapping[str, Any]) -> str:
     """Which cases the baselines answered; empty where there are none."""
-    found = document["compared"]
-    if found is None:
+    comparison = document["compared"]
+    if comparison is None:
         return ""
     return (
-        f"Baselines answered {len(found['cases'])} of the {found['of']} cases that are scored, as many of each effect "
-        f"and kind; '{HERE}' is tautline on these."
-    ) + "".join(f" {x['method']} failed on {x['case']}: {x['error']}." for x in found["failed"])
+        f"Baselines answered {len(comparison['cases'])} of the {comparison['of']} cases that are scored, as many of "
+        f"each effect and kind; '{HERE}' is tautline on these."
+    ) + "".join(f" {x['method']} failed on {x['case']}: {x['error']}." for x in comparison["failed"])
 
 
 def effects(document: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -223,7 +232,10 @@ def effects(document: Mapping[str, Any]) -> list[dict[str, Any]]:
         {
             "what": effect,
             "goal": "75 %",
-            "cells": [_share(found[effect], method) if effect in found else "" for method, found in methods.items()],
+            "cells": [
+                _share(per_effect[effect], method) if effect in per_effect else ""
+                for method, per_effect in methods.items()
+            ],
         }
         for effect in methods.get(OURS, {})
     ]
@@ -231,7 +243,7 @@ def effects(document: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 def naming(document: Mapping[str, Any]) -> list[str]:
     """The methods that name effects."""
-    return [name for name, found in document["methods"].items() if found["per_effect"]]
+    return [name for name, method_scores in document["methods"].items() if method_scores["per_effect"]]
 
 
 def text(document: Mapping[str, Any]) -> str:
@@ -244,10 +256,12 @@ def text(document: Mapping[str, Any]) -> str:
         lines += _aligned(["right name leads", "goal", *naming(document)], per_effect)
     if generators := by_generator(document):
         lines += _aligned(["by generator", "", "right name leads", "unknown called so", "none called so"], generators)
-    if said := compared(document):
-        lines.append(said)
-    found = document["identifiable"]
-    lines.append(f"{found['hits']} of {found['of']} cases with an effect are identifiable; only these are scored.")
+    if comparison := compared(document):
+        lines.append(comparison)
+    identifiable = document["identifiable"]
+    lines.append(
+        f"{identifiable['hits']} of {identifiable['of']} cases with an effect are identifiable; only these are scored."
+    )
     if document["tuning"]:
         lines.append("Seeds below 1000000 are for tuning: nothing here is a result.")
     return "\n".join(lines)
@@ -297,7 +311,7 @@ def _sentence_of(line: Mapping[str, Any]) -> str:
         what += " (left out)"
     since = "" if not line["effects"] else ", throughout" if line["throughout"] else ", after the calibration"
     mark = {True: "ok   ", False: "WRONG", None: "-    "}[line["right"]]
-    said = line["error"] or " + ".join(line["named"]) or line["verdict"]
+    named = line["error"] or " + ".join(line["named"]) or line["verdict"]
     probability = "" if line["probability"] is None else f" ({line['probability']:.2f})"
     gaps = ""
     if line["gap"] is not None:
@@ -305,14 +319,14 @@ def _sentence_of(line: Mapping[str, Any]) -> str:
     if line["realised"] is not None:
         gaps += f"; unseen {line['realised']['before']:.3g} -> {line['realised']['after']:.3g}"
     made = "" if line["generator"] == SECOND else f" {line['generator']}:"
-    return f"{mark} seed {line['seed']}{made} {what}{since}: {said}{probability}{gaps}; {line['core_s']:.1f} s"
+    return f"{mark} seed {line['seed']}{made} {what}{since}: {named}{probability}{gaps}; {line['core_s']:.1f} s"
 
 
-def _cell(found: Mapping[str, Any], name: str, method: str) -> str:
+def _cell(method_scores: Mapping[str, Any], name: str, method: str) -> str:
     if name == "worst":
-        shares = [share["share"] for share in found["per_effect"].values()]
+        shares = [share["share"] for share in method_scores["per_effect"].values()]
         return f"{100 * min(shares):.0f} %" if shares else ""
-    value = found[name]
+    value = method_scores[name]
     if isinstance(value, Mapping):
         return _share(value, method) if value["of"] else ""
     if value is None:
@@ -328,8 +342,8 @@ def _share(share: Mapping[str, Any], method: str) -> str:
     return f"{100 * share['share']:.0f} % ({low}-{high})"
 
 
-def _pair(found: Mapping[str, Any] | None) -> str:
-    return f"{found['ours']} : {found['theirs']} ({found['p']:.1g})" if found else ""
+def _pair(paired: Mapping[str, Any] | None) -> str:
+    return f"{paired['ours']} : {paired['theirs']} ({paired['p']:.1g})" if paired else ""
 
 
 @mpl.rc_context(figures.STYLE)
@@ -364,13 +378,13 @@ def reliability(bins: Sequence[Bin]) -> Figure:
     made, axes = figures.figure(5.2, 4.2)
     ax = axes[0, 0]
     ax.plot([0, 1], [0, 1], color=figures.GREY, linewidth=0.8, linestyle="--")
-    said = np.array([b.said for b in bins])
+    stated = np.array([b.stated for b in bins])
     right = np.array([b.right.value or 0.0 for b in bins])
     ends = np.array([b.right.interval for b in bins]).reshape(-1, 2)
     spread = np.abs(ends.T - right)
-    ax.errorbar(said, right, yerr=spread, fmt="o", color=figures.UP, markersize=4, linewidth=1)
+    ax.errorbar(stated, right, yerr=spread, fmt="o", color=figures.UP, markersize=4, linewidth=1)
     for b in bins:
-        ax.annotate(str(b.right.of), (b.said, b.right.value or 0.0), (4, -10), textcoords="offset points", fontsize=7)
+        ax.annotate(str(b.right.of), (b.stated, b.right.value or 0.0), (4, -10), textcoords="offset points", fontsize=7)
     ax.set(xlim=(0, 1.02), ylim=(0, 1.02), xlabel="probability given", ylabel="share that was right")
     return made
 

@@ -18,7 +18,7 @@ from tautline import _native
 from tautline.geometry import rotation as rotation_of
 from tautline.recording import Marker, Motor, Recording
 from tautline.rig import Rig
-from tautline.simulated.trajectory import Trajectory
+from tautline.trajectory import Trajectory
 
 Array = npt.NDArray[np.float64]
 _JOINTS = 96

@@ -49,8 +49,8 @@ class Share:
     def interval(self) -> tuple[float, float]:
         if not self.of:
             return 0.0, 1.0
-        found = binomtest(self.hits, self.of).proportion_ci(0.95, method="exact")
-        return float(found.low), float(found.high)
+        bounds = binomtest(self.hits, self.of).proportion_ci(0.95, method="exact")
+        return float(bounds.low), float(bounds.high)
 
     def to_json(self) -> dict[str, Any]:
         return {"hits": self.hits, "of": self.of, "share": self.value, "interval": list(self.interval)}
@@ -96,7 +96,7 @@ class Bin:
 
     low: float
     high: float
-    said: float  # mean probability
+    stated: float  # mean probability
     right: Share
 
 
@@ -185,7 +185,7 @@ def score(cases: Sequence[tuple[Label, Answer]]) -> Scores:
         for name in KNOWN
     }
     claims = [(a.claimed, _realised(a)) for _, a in shrinking.answers if a.named or not a.names]
-    differences = [100.0 * (said - done) for said, done in claims if said is not None and done is not None]
+    differences = [100.0 * (claimed - done) for claimed, done in claims if claimed is not None and done is not None]
     closed = [share for _, answer in shrinking.answers if (share := _shrinkage(answer)) is not None]
     return Scores(
         top1=single.share(right),
@@ -259,32 +259,32 @@ def confusion(cases: Sequence[tuple[Label, Answer]]) -> tuple[list[str], list[st
             table[rows.index((*label.effects, NONE)[0]), columns.index(answer.verdict)] += 1
     filled = table.sum(axis=1) > 0
     rows = [name for name, there in zip(rows, filled, strict=True) if there]
-    said = (table.sum(axis=0) > 0) | [name != FAILED for name in columns]
-    columns = [name for name, there in zip(columns, said, strict=True) if there]
-    return rows, columns, table[filled][:, said]
+    filled_columns = (table.sum(axis=0) > 0) | [name != FAILED for name in columns]
+    columns = [name for name, there in zip(columns, filled_columns, strict=True) if there]
+    return rows, columns, table[filled][:, filled_columns]
 
 
 def reliability(cases: Sequence[tuple[Label, Answer]]) -> list[Bin]:
     """How often the most probable answer is right, over its probability; bins without an answer are left out."""
-    said, right = [], []
+    stated, right = [], []
     for label, answer in cases:
         if label.kind in ("single", "unknown", "none") and counts(label) and answer.probabilities:
             leading = max(answer.probabilities, key=lambda name: (answer.probabilities or {})[name])
-            said.append(answer.probabilities[leading])
+            stated.append(answer.probabilities[leading])
             right.append(leading == truth(label))
-    at = np.minimum((np.array(said) * _BINS).astype(int), _BINS - 1)
+    at = np.minimum((np.array(stated) * _BINS).astype(int), _BINS - 1)
     result = []
     for i in range(_BINS):
         here = at == i
         if here.any():
             hits = Share(int(np.sum(np.array(right)[here])), int(here.sum()))
-            result.append(Bin(i / _BINS, (i + 1) / _BINS, float(np.mean(np.array(said)[here])), hits))
+            result.append(Bin(i / _BINS, (i + 1) / _BINS, float(np.mean(np.array(stated)[here])), hits))
     return result
 
 
 def _calibration_error(bins: Sequence[Bin]) -> float | None:
     total = sum(b.right.of for b in bins)
-    return sum(b.right.of * abs((b.right.value or 0.0) - b.said) for b in bins) / total if total else None
+    return sum(b.right.of * abs((b.right.value or 0.0) - b.stated) for b in bins) / total if total else None
 
 
 def _mean(values: Sequence[float]) -> float | None:

@@ -111,8 +111,8 @@ class Campaign:
             raise TautError(f"{closed}: is not there: the diagnoses are not closed yet")
         files = read(self.root / DIAGNOSES / name)
         listed = files.pop(LIST, b"")
-        found = canonical({path: digest(content) for path, content in files.items()})
-        if digest(listed) != json.loads(closed.read_text()).get(name) or found != listed:
+        digests = canonical({path: digest(content) for path, content in files.items()})
+        if digest(listed) != json.loads(closed.read_text()).get(name) or digests != listed:
             raise TautError(f"{self.root / DIAGNOSES / name}: was changed after it was written: nothing can be scored")
         return files
 

@@ -64,15 +64,15 @@ def diagnose_case(files: Files, left_out: Collection[str] = ()) -> Files:
             rig, recordings = recordings_of(folder)
             model = calibrate(recordings[:1], rig).model
             calibrated = time.process_time() - began
-            found = diagnose(model, recordings[0], recordings[1:], left_out=left_out)
-            found.nominal.save(folder / "out" / "nominal")
-            found.corrected.save(folder / "out" / "corrected")
-            document: Any = plain(found.document)
-            said = {**sealed.read(folder / "out"), EVIDENCE: sealed.canonical(plain(found.evidence.to_json()))}
+            diagnosis = diagnose(model, recordings[0], recordings[1:], left_out=left_out)
+            diagnosis.nominal.save(folder / "out" / "nominal")
+            diagnosis.corrected.save(folder / "out" / "corrected")
+            document: Any = plain(diagnosis.document)
+            results = {**sealed.read(folder / "out"), EVIDENCE: sealed.canonical(plain(diagnosis.evidence.to_json()))}
         except Exception as error:  # a verdict like any other, and a wrong one: the campaign goes on
-            calibrated, document, said = 0.0, {"verdict": FAILED, "error": _told(error)}, {}
+            calibrated, document, results = 0.0, {"verdict": FAILED, "error": _told(error)}, {}
         cost = {"core_s": time.process_time() - began, "calibration_core_s": calibrated}
-    return {**said, DOCUMENT: sealed.canonical(document), COST: sealed.canonical(cost)}
+    return {**results, DOCUMENT: sealed.canonical(document), COST: sealed.canonical(cost)}
 
 
 def score_case(visible: Files, opened: Files, diagnosis: Files) -> dict[str, Any]:
@@ -104,12 +104,12 @@ def learn_case(seed: int, kind: str, effects: tuple[str, ...]) -> dict[str, Any]
     with threadpool_limits(1):
         case = make(seed, kind, effects)
         recordings = [case.calibration, *case.tests]
-        found = None
+        features = None
         if scores.counts(case.label):
             with suppress(Exception):
-                evidence = baselines.Evidence(calibrate(recordings[:1], case.rig).model, recordings)
-                found = baselines.features(evidence).tolist()
-        return {"features": found, "verdict": scores.truth(case.label), "core_s": time.process_time() - began}
+                evidence = baselines.Comparison(calibrate(recordings[:1], case.rig).model, recordings)
+                features = baselines.features(evidence).tolist()
+        return {"features": features, "verdict": scores.truth(case.label), "core_s": time.process_time() - began}
 
 
 def baseline_case(visible: Files, opened: Files, diagnosis: Files, methods: Sequence[str]) -> dict[str, Any]:
@@ -129,11 +129,11 @@ def baseline_case(visible: Files, opened: Files, diagnosis: Files, methods: Sequ
         try:
             rig, recordings = recordings_of(folder)
             further = load(folder / sealed.FURTHER, rig)
-            evidence = baselines.Evidence(Model.load(folder / "nominal"), recordings, further)
+            evidence = baselines.Comparison(Model.load(folder / "nominal"), recordings, further)
             answers["features"] = baselines.features(evidence).tolist()
         except Exception as error:
-            said = {method: scores.to_json(replace(failed(method, error), core_s=calibrated)) for method in methods}
-            return {**said, "features": None, "features_core_s": calibrated, "errors": errors}
+            refused = {method: scores.to_json(replace(failed(method, error), core_s=calibrated)) for method in methods}
+            return {**refused, "features": None, "features_core_s": calibrated, "errors": errors}
         common = calibrated + time.process_time() - began
         answers["features_core_s"] = common
         for method in methods:
@@ -160,13 +160,13 @@ def gap_on(model: Model, recording: Recording, nominal: Model) -> float:
     sensor = marker or angle
     assert sensor is not None
     arrival_s = sensor.t_s
-    said = predict(model, recording.motor, arrival_s - model.delay_s)
+    predicted = predict(model, recording.motor, arrival_s - model.delay_s)
     if marker is not None:
-        assert said.image_px is not None
-        apart, valid = np.column_stack([marker.u_px, marker.v_px]) - said.image_px, marker.valid
+        assert predicted.image_px is not None
+        apart, valid = np.column_stack([marker.u_px, marker.v_px]) - predicted.image_px, marker.valid
     else:
         assert angle is not None
-        apart, valid = angle.c_deg - said.c_deg, angle.seen
+        apart, valid = angle.c_deg - predicted.c_deg, angle.seen
     scored = valid & (arrival_s - nominal.delay_s >= settled_from(nominal, recording.motor))
     return float(np.sqrt(np.nanmean(apart[scored] ** 2)))
 

@@ -41,15 +41,15 @@ def doubts(
 ) -> list[Reason]:
     """What contradicts the rig, and what of the motion was not seen. tracks: what the recordings show, on the motor's
     clock, from which their own differ by offsets_s."""
-    found = _range(tracks, rig)
+    wrong_range = _range(tracks, rig)
     if rig.camera is not None and tracks[0].unit == "px":
-        found += _frame_size(recordings, tracks, rig, rig.camera)
-        found += _rate(recordings, rig.camera)
+        wrong_range += _frame_size(recordings, tracks, rig, rig.camera)
+        wrong_range += _rate(recordings, rig.camera)
     for recording, track, offset_s in zip(recordings, tracks, offsets_s, strict=True):
-        found += _duration(recording, track, rig.nominal_delay_s(track.sensor), offset_s)
+        wrong_range += _duration(recording, track, rig.nominal_delay_s(track.sensor), offset_s)
         if recording.marker is not None and track.unit == "px":
-            found += _lost(recording, recording.marker, rig)
-    return found
+            wrong_range += _lost(recording, recording.marker, rig)
+    return wrong_range
 
 
 def in_another_unit(reached: tuple[float, float], rig: Rig) -> bool:
@@ -96,17 +96,17 @@ def _range(tracks: Sequence[Track], rig: Rig) -> list[Reason]:
 
 
 def _frame_size(recordings: Sequence[Recording], tracks: Sequence[Track], rig: Rig, camera: Camera) -> list[Reason]:
-    said = (camera.width_px, camera.height_px)
+    nominal = (camera.width_px, camera.height_px)
     for recording in recordings:
         size = recording.marker.frame_px if recording.marker is not None else None
-        if size is None or size == said:
+        if size is None or size == nominal:
             continue
-        scale = (size[0] / said[0], size[1] / said[1])
+        scale = (size[0] / nominal[0], size[1] / nominal[1])
         even = abs(scale[0] / scale[1] - 1.0) < _EVEN
         return [
             Reason(
                 "frame_size",
-                f"{recording.name}: its frames are {size[0]} x {size[1]} px, the rig's {said[0]} x {said[1]}",
+                f"{recording.name}: its frames are {size[0]} x {size[1]} px, the rig's {nominal[0]} x {nominal[1]}",
                 _rescaled(scale[0]) if even else "calibrate the camera at this size, or record at the rig's",
                 fatal=True,
             )

@@ -144,7 +144,7 @@ def calibrate(
     if frames < _LEAST_FRAMES:
         raise TautError(f"the tip was seen in {frames} frames only: record the calibration motion with it in view")
     with threadpool_limits(1, "blas"):  # its systems are small: threads that wait for each other cost 10 times more
-        aligned = clock.align(tracks, rig) if options.delay_s is None else clock.Clock.as_it_is(tracks)
+        aligned = clock.align(tracks, rig) if options.delay_s is None else clock.AlignedTracks.as_it_is(tracks)
         moved = iter(zip(aligned.tracks, aligned.offsets_s, strict=True))
         pairs = [next(moved) if len(track.t_s) else (track, 0.0) for track in every]
         reasons = acquisition_doubts(recordings, [track for track, _ in pairs], [offset for _, offset in pairs], rig)
@@ -153,11 +153,11 @@ def calibrate(
 
 class _Session:
     def __init__(
-        self, aligned: clock.Clock, rig: Rig, options: Options, say: Progress, reasons: Sequence[Reason] = ()
+        self, aligned: clock.AlignedTracks, rig: Rig, options: Options, say: Progress, reasons: Sequence[Reason] = ()
     ) -> None:
         self.clock, self.rig, self.options, self.say = aligned, rig, options, say
         self.tracks = tracks = aligned.tracks
-        self.found = Findings([*aligned.reasons, *reasons], list(aligned.notes))
+        self.findings = Findings([*aligned.reasons, *reasons], list(aligned.notes))
         self.components: Components | None = None
         self.held = 0.0  # share of the frames that repeat a place that the tip had left
         self.ended: Sequence[Track] | None = None  # what was seen, as it is when the session ends
@@ -173,7 +173,7 @@ class _Session:
 
     @property
     def choice(self) -> Choice:
-        return Choice(self.tracks, self.domain, self.grid, self.unit, self.found)
+        return Choice(self.tracks, self.domain, self.grid, self.unit, self.findings)
 
     def run(self) -> Calibration:
         if self.reached[1] - self.reached[0] < max(5 * self.rig.actuator.encoder_resolution, 1e-3 * self.domain.span):
@@ -204,7 +204,7 @@ class _Session:
         width, sigma, source = self.choice.choose(onsets, curve, joint, passes, like_paper=like_paper, gradual=gradual)
         if source == JOINT:
             # The joint fit is so much sharper that the onsets' scatter about it is their own.
-            spread = float(np.sqrt(np.clip(self.found.evidence["onsets_against_joint_z2"], 1.0, 9.0)))
+            spread = float(np.sqrt(np.clip(self.findings.evidence["onsets_against_joint_z2"], 1.0, 9.0)))
             onsets = [replace(o, sigma=o.sigma * spread) if o.used and o.kind == HINGE else o for o in onsets]
         self.say(0.75, "f_remain")
         settled = joint.fit.settled_only if joint is not None else False
@@ -253,7 +253,7 @@ class _Session:
         still = np.concatenate([track.at_reference(track.scene_s(delay_s), reference) for track in self.tracks])
         if not self.camera or np.mean(still) > 0.5:
             return self.tracks
-        self.found.notes.append(
+        self.findings.notes.append(
             "translation or rotation move most of the time: B(q) rests on the pose, as right as camera and hand_eye are"
         )
         return [posed(track, self.rig, delay_s) for track in self.tracks]
@@ -285,9 +285,9 @@ class _Session:
         """The joint fit with all that departs from its model beside it."""
         noise = place_noise(joint)
         if noise is not None:
-            self.found.evidence |= {f"place_{key}": value for key, value in asdict(noise).items()}
+            self.findings.evidence |= {f"place_{key}": value for key, value in asdict(noise).items()}
         joint = allowing_for_place(joint, noise)
-        self.found.evidence["residual_before_components"] = joint.scale
+        self.findings.evidence["residual_before_components"] = joint.scale
         self.components = separate(joint, self.rig)
         if self.components.noise > PREDICTS and not self.components.of_tracker:
             joint = as_smooth_as_independent(joint, noise)
@@ -296,46 +296,48 @@ class _Session:
         several = self._several(joint, self.components) if gradual else None
         if several is not None:
             joint, self.elements = several, several.fit.elements
-            found = separate(joint, self.rig, without=_OF_ELEMENTS)
-            self.components = replace(found, sigma=np.hypot(found.sigma, _BETWEEN_ELEMENTS * found.width))
+            components = separate(joint, self.rig, without=_OF_ELEMENTS)
+            self.components = replace(
+                components, sigma=np.hypot(components.sigma, _BETWEEN_ELEMENTS * components.width)
+            )
         for part in self.components.parts:
-            self.found.evidence[f"component_{part.name}"] = part.rms
+            self.findings.evidence[f"component_{part.name}"] = part.rms
         apart = self.components.applied(joint)
         alone = self.choice.alone(self.components, apart, joint)
         if self.choice.predicts(alone, joint) or self.choice.nearer(onsets, curve, apart, joint):
             if self.components.since and apart.fit.tracks[0].track.unit == self.tracks[0].unit:
                 self.ended = [t for t in self.components.at_the_end(self.tracks) if len(t.t_s)]
                 alone = self.choice.ended(self.components, apart)
-            self.found.evidence["residual_alone"] = alone
+            self.findings.evidence["residual_alone"] = alone
             return apart
-        self.found.evidence["residual_alone"] = joint.scale
+        self.findings.evidence["residual_alone"] = joint.scale
         return self._as_one(joint, self.components)
 
     @staticmethod
-    def _as_one(joint: Fitted, found: Components) -> Fitted:
+    def _as_one(joint: Fitted, components: Components) -> Fitted:
         """The joint fit as it is; how far the departures would take B from it is its uncertainty."""
         width = joint.fit.width(joint.curves)
         joint.fit.residuals(joint.curves)
-        spread = np.hypot(found.sigma, found.width - width)
-        return replace(joint, spread=spread, delay_spread=max(found.delay_sigma, joint.delay_sigma))
+        spread = np.hypot(components.sigma, components.width - width)
+        return replace(joint, spread=spread, delay_spread=max(components.delay_sigma, joint.delay_sigma))
 
-    def _several(self, joint: Fitted, found: Components) -> Fitted | None:
+    def _several(self, joint: Fitted, components: Components) -> Fitted | None:
         """The joint fit with several elements, where the tip starts gradually and they hold most of it."""
-        gradual = next((part for part in found.parts if part.name == "phase.even"), None)
-        if gradual is None or gradual.rms < max(_GRADUAL, 0.5 * max(part.rms for part in found.parts)):
+        gradual = next((part for part in components.parts if part.name == "phase.even"), None)
+        if gradual is None or gradual.rms < max(_GRADUAL, 0.5 * max(part.rms for part in components.parts)):
             return None
-        several = fit_elements(found.applied(joint), self.rig, fit_delay=self.options.delay_s is None)
-        before, after = (max(scale**2 - found.noise**2, 0.0) for scale in (left(joint), several.scale))
+        several = fit_elements(components.applied(joint), self.rig, fit_delay=self.options.delay_s is None)
+        before, after = (max(scale**2 - components.noise**2, 0.0) for scale in (left(joint), several.scale))
         return several if after < _HELD * before and not several.fit.elements.single else None
 
     # ---- f_remain
 
     def _remaining(self, width: Array, delay_s: float, settled: bool) -> Remaining | None:
         if self.options.remaining == "morphological":
-            found = morphological(self.tracks, self.rig, self.grid, delay_s)
-            if found is not None:
-                return found
-            self.found.notes.append("the characteristic shows no closed shape: f_remain was fitted directly instead")
+            curves = morphological(self.tracks, self.rig, self.grid, delay_s)
+            if curves is not None:
+                return curves
+            self.findings.notes.append("the characteristic shows no closed shape: f_remain was fitted directly instead")
         tracks = self.ended or self.tracks
         return fit_remaining(tracks, self.rig, self.domain, self.grid, width, delay_s, settled, self.elements)
 
@@ -343,9 +345,9 @@ class _Session:
 
     def _comment(self, onsets: Sequence[Onset], curve: WidthCurve | None, remaining: Remaining | None) -> None:
         if stray := sum(track.stray for track in self.tracks):
-            self.found.notes.append(f"{stray} frames show the marker elsewhere for a moment: left out")
+            self.findings.notes.append(f"{stray} frames show the marker elsewhere for a moment: left out")
         if not onsets:
-            self.found.doubt(
+            self.findings.doubt(
                 "coverage", "the motor never turned back", "move back and forth by more than B", fatal=True
             )
         counted = measuring(onsets)
@@ -353,37 +355,37 @@ class _Session:
         if onsets and not counted:
             longest = max((o.low for o in bounds), default=0.0)
             moved = f", {len(bounds)} strokes up to {longest:.3g} {self.unit} moved nothing, so B is wider"
-            self.found.doubt(
+            self.findings.doubt(
                 "coverage",
                 f"none of {len(onsets)} reversals showed an onset" + (moved if bounds else ""),
                 "make longer strokes" if bounds else "turn where the tip is seen to move",
             )
         for reason in dict.fromkeys(o.reason for o in onsets if o.reason and not o.used):
             count = sum(o.reason == reason and not o.used for o in onsets)
-            self.found.notes.append(f"{count} of {len(onsets)} reversals not used: {reason}")
+            self.findings.notes.append(f"{count} of {len(onsets)} reversals not used: {reason}")
         if curve is not None:
             low, high = self.rig.actuator.range
             if curve.measured[0] > low + 0.2 * (high - low) or curve.measured[1] < high - 0.2 * (high - low):
-                self.found.notes.append(
+                self.findings.notes.append(
                     f"onsets reach from {curve.measured[0]:.3g} to {curve.measured[1]:.3g} {self.unit} of the range "
                     f"[{low:g}, {high:g}]: beyond, B(q) is held"
                 )
         if remaining is None:
-            self.found.doubt(
+            self.findings.doubt(
                 "coverage",
                 "the tip was never seen to move, f_remain is f_coarse",
                 "move by more than the backlash, within the view",
                 fatal=True,
             )
             return
-        self.found.notes += remaining.notes
+        self.findings.notes += remaining.notes
         self._sanity(remaining)
 
     def _hold(self) -> None:
         frames = sum(len(track.t_s) for track in self.tracks)
-        left = self.found.evidence.get("residual_alone", np.inf)
+        left = self.findings.evidence.get("residual_alone", np.inf)
         if self.held > 0:
-            self.found.doubt(
+            self.findings.doubt(
                 "acquisition.held_samples",
                 f"{frames / (1.0 - self.held) * self.held:.0f} frames repeat a place that the tip had left",
                 "let the tracker say when it does not see the marker",
@@ -396,55 +398,50 @@ class _Session:
             inside = (self.grid > low) & (self.grid < high)
             if not self.elements.single and self.components.noise > EXPLAINED:
                 rest = f"{self.components.noise:.1f} times the noise"
-                self.found.doubt(
+                self.findings.doubt(
                     "transmission.smooth_onset",
                     f"after a reversal the tip starts gradually, and several plays leave {rest}",
                     "its hysteresis is of another kind: expect as much of a prediction",
                 )
-            alone = self.found.evidence["residual_alone"]
+            alone = self.findings.evidence["residual_alone"]
             rough = self.components.rough or any(track.motor_noise > 0 for track in self.tracks)
             ended = remaining.scale if remaining is not None and self.ended is not None else None
-            found = doubts(self.components, inside, self.unit, alone, rough, ended=ended)
-            sigma = float(np.median(np.concatenate([track.sigma for track in self.tracks])))
+            reasons = doubts(self.components, inside, self.unit, alone, rough, ended=ended)
             if self.camera and not self.components.parts and remaining is not None:
-                astray = remaining.residual / sigma
-                if astray > _ASTRAY * max(alone, 1.0) and not self._misplaced(
-                    remaining.residual
-                ):  # which is told already
-                    found.append(self._elsewhere(astray))
-            if self.camera and any(not reason.mild for reason in found):
-                self.found.reasons += clock.jumps(self.tracks, self.rig)
-            self.found.reasons += found
+                reasons += self._off_the_path(remaining.residual, alone)
+            if self.camera and any(not reason.mild for reason in reasons):
+                self.findings.reasons += clock.jumps(self.tracks, self.rig)
+            self.findings.reasons += reasons
 
-    @staticmethod
-    def _elsewhere(scale: float) -> Reason:
-        return Reason(
-            "registration.static",
-            f"the tip's path in the image is not the rig's: {scale:.1f} times the noise is left",
-            "check hand_eye, kinematics and the camera's calibration",
-        )
+    def _off_the_path(self, residual: float, alone: float) -> list[Reason]:
+        """Where no component explains that the image leaves the rig's path, and that is not told already."""
+        astray = residual / float(np.median(np.concatenate([track.sigma for track in self.tracks])))
+        if astray <= _ASTRAY * max(alone, 1.0) or self._misplaced(residual):
+            return []
+        says = f"the tip's path in the image is not the rig's: {astray:.1f} times the noise is left"
+        return [Reason("registration.static", says, "check hand_eye, kinematics and the camera's calibration")]
 
     def _sanity(self, remaining: Remaining) -> None:
         """Scale and sign before anything else is blamed."""
         p = np.clip(self.grid, *self.reached)
         c = np.interp(p, self.grid, remaining.c_deg)
         gain = float(np.polyfit(p, c, 1)[0]) if np.ptp(p) > 0 else self.rig.coarse.gain
-        self.found.evidence["gain"] = gain
+        self.findings.evidence["gain"] = gain
         ratio = gain / self.rig.coarse.gain
         if ratio < 0:
-            self.found.doubt(
+            self.findings.doubt(
                 "coarse",
                 f"the tip bends {gain:.3g} deg/{self.unit} where f_coarse says {self.rig.coarse.gain:.3g}",
                 "a sign is wrong: check encoder direction, coarse.gain, hand_eye, a mirrored image",
             )
         elif not _LIKELY_GAIN[0] < ratio < _LIKELY_GAIN[1]:
-            self.found.doubt(
+            self.findings.doubt(
                 "coarse",
                 f"the tip bends {gain:.3g} deg/{self.unit} where f_coarse says {self.rig.coarse.gain:.3g}",
                 "check actuator.unit, the encoder's scale, camera.fx_px and the marker's distance",
                 mild=self.camera and not self._misplaced(remaining.residual),
             )
-        self.found.evidence["residual"] = remaining.residual
+        self.findings.evidence["residual"] = remaining.residual
         if self.camera and self._misplaced(remaining.residual):
             self._registration(remaining.residual, ratio, p, c)
 
@@ -462,9 +459,9 @@ class _Session:
         likely = _LIKELY_GAIN[0] < ratio < _LIKELY_GAIN[1] and bent < _LIKELY_BEND * whole
         says = f"the marker is {residual:.3g} px (rms) off where camera, hand_eye and kinematics put it"
         if likely or residual < _LARGE * moved:
-            self.found.doubt("registration.static", says, "f_remain absorbs what it can, but check them")
+            self.findings.doubt("registration.static", says, "f_remain absorbs what it can, but check them")
             return
-        self.found.doubt(
+        self.findings.doubt(
             "registration.static",
             f"{says}, and f_remain had to leave f_coarse by {bent:.3g} of {whole:.3g} deg",
             "rig.toml is not of this set-up: check camera (fx_px, size), hand_eye, kinematics and coarse.gain",
@@ -482,7 +479,7 @@ class _Session:
         beyond = np.abs(self.grid - np.clip(self.grid, *measured))
         inside = (self.grid > measured[0]) & (self.grid < measured[1])
         floor = floor_of(self.tracks, self.grid[inside], width[inside], sigma[inside], self.unit)
-        self.found.reasons += floor.reasons
+        self.findings.reasons += floor.reasons
         sigma = np.hypot(np.hypot(sigma, floor.sigma), 0.5 * beyond)
         if source != ONSETS and joint is not None:
             sigma = np.hypot(sigma, self.choice.bridged(joint, width, inside))
@@ -490,7 +487,7 @@ class _Session:
         characteristic = self._characteristic(delay.delay_s)
         aligned, delay = self.clock.with_delay(delay, self.nominal_s)
         if not np.isfinite(delay.sigma_s):
-            self.found.notes.append(
+            self.findings.notes.append(
                 f"no stop of the tip told the delay: the nominal {delay.delay_s * 1e3:.0f} ms is used"
             )
         coarse = self.rig.coarse
@@ -502,23 +499,27 @@ class _Session:
         )  # fmt: skip
         told = worth(model, self.ended or self.tracks, self.rig)
         if told is not None:
-            self.found.reasons += told.doubts
-            self.found.evidence |= {"error": told.model, "error_coarse": told.coarse, "error_constant": told.constant}
-        notes = tuple(dict.fromkeys(self.found.notes))
+            self.findings.reasons += told.doubts
+            self.findings.evidence |= {
+                "error": told.model,
+                "error_coarse": told.coarse,
+                "error_constant": told.constant,
+            }
+        notes = tuple(dict.fromkeys(self.findings.notes))
         extra: dict[str, Any] = {
             "source": source,
             "delay_sigma_s": _finite(delay.sigma_s),
             "onsets": [onset_json(o, names) for o in onsets],
-            "evidence": {key: _finite(value) for key, value in self.found.evidence.items()},
+            "evidence": {key: _finite(value) for key, value in self.findings.evidence.items()},
             "notes": list(notes),
             "characteristic": characteristic,
             "options": asdict(self.options),
         }
         if pass_width is not None:
             extra["pass_width"] = [_finite(v) for v in pass_width]
-        model = replace(model, quality=Quality.of(self.found.reasons), extra=extra)
+        model = replace(model, quality=Quality.of(self.findings.reasons), extra=extra)
         return Calibration(
-            model, tuple(onsets), delay, source, curve, pass_width, pass_sigma, self.found.evidence, notes, names,
+            model, tuple(onsets), delay, source, curve, pass_width, pass_sigma, self.findings.evidence, notes, names,
             aligned.offsets,
         )  # fmt: skip
 

@@ -47,13 +47,13 @@ def measuring(onsets: Sequence[Onset]) -> list[Onset]:
 
 @dataclass(frozen=True)
 class Choice:
-    """Between the opinions of B(q) on `grid`; what it sees on the way goes to `found`."""
+    """Between the opinions of B(q) on `grid`; what it sees on the way goes to `findings`."""
 
     tracks: Sequence[Track]
     domain: Domain
     grid: Array
     unit: str  # of q
-    found: Findings
+    findings: Findings
 
     def choose(
         self,
@@ -71,12 +71,12 @@ class Choice:
         if like_paper:
             paper = fit_paper(onsets, self.grid)
             if paper is not None:
-                self.found.notes += [*paper.notes, "B(q) is the paper's spline of 14 knots through the onsets"]
+                self.findings.notes += [*paper.notes, "B(q) is the paper's spline of 14 knots through the onsets"]
                 return paper.width, paper.sigma, ONSETS
         if joint is not None and curve is None and not self._passes_tell(joint):
             joint = None
         if joint is None and curve is None:
-            self.found.doubt(
+            self.findings.doubt(
                 "coverage",
                 "no reversal showed an onset and no two passes cover the same positions, B(q) is taken as 0",
                 "move back and forth by more than the backlash",
@@ -85,17 +85,17 @@ class Choice:
             return np.zeros(NODES), np.full(NODES, self.domain.span / 4), NOTHING
         if joint is None:
             assert curve is not None
-            self.found.notes += curve.notes
+            self.findings.notes += curve.notes
             return curve.width, curve.sigma, ONSETS
         width = self._held(joint, curve)
         sigma = joint.width_sigma(self.grid)
         if curve is None:
-            self.found.notes.append("no reversal gave a width: B(q) is the distance between the passes")
+            self.findings.notes.append("no reversal gave a width: B(q) is the distance between the passes")
             return width, sigma, PASSES
         widths = measuring(onsets)
         z = self._against(widths, curve, width, sigma)
-        self.found.evidence["onsets_against_joint_z2"] = float(np.mean(z**2))
-        self.found.evidence["joint_residual_over_noise"] = joint.scale
+        self.findings.evidence["onsets_against_joint_z2"] = float(np.mean(z**2))
+        self.findings.evidence["joint_residual_over_noise"] = joint.scale
         if not joint.fit.elements.single:  # of several an onset shows the first
             return width, sigma, JOINT
         agreed = joint.explained or float(np.mean(z**2)) < _AGREE
@@ -105,7 +105,7 @@ class Choice:
             if both is not width and self._left_at(joint, both) < _BEARABLE * max(self._left_at(joint, width), 1.0):
                 width, sigma = both, spread
             return width, sigma, JOINT
-        self.found.notes.append("the passes contradict the onsets: B(q) is the onsets' alone")
+        self.findings.notes.append("the passes contradict the onsets: B(q) is the onsets' alone")
         return self._filled(widths, curve, joint, passes)
 
     def _weighed(self, curve: WidthCurve, width: Array, sigma: Array) -> tuple[Array, Array]:
@@ -129,18 +129,18 @@ class Choice:
         near, far = (float(np.mean(z**2)) for z in off)
         return far > _AGREE and near < _NEARER * far
 
-    def alone(self, found: Components, apart: Fitted, joint: Fitted) -> float:
+    def alone(self, components: Components, apart: Fitted, joint: Fitted) -> float:
         """Residual over noise of B, path and delay as they are without the departures."""
-        return self._left_with(apart, found.usual) if found.parts else joint.scale
+        return self._left_with(apart, components.usual) if components.parts else joint.scale
 
-    def ended(self, found: Components, apart: Fitted) -> float:
+    def ended(self, components: Components, apart: Fitted) -> float:
         """The same of what was seen as it is when the session ends, and B as it is then."""
-        tracks = found.at_the_end([frozen.track for frozen in apart.fit.tracks])
+        tracks = components.at_the_end([frozen.track for frozen in apart.fit.tracks])
         frozen = [
             Frozen.of(track, old.use[since.frames])
-            for track, old, since in zip(tracks, apart.fit.tracks, found.since, strict=True)
+            for track, old, since in zip(tracks, apart.fit.tracks, components.since, strict=True)
         ]
-        return self._left_with(replace(apart, fit=replace(apart.fit, tracks=frozen)), found.curves)
+        return self._left_with(replace(apart, fit=replace(apart.fit, tracks=frozen)), components.curves)
 
     @staticmethod
     def predicts(rest: float, joint: Fitted) -> bool:
@@ -153,10 +153,12 @@ class Choice:
         seen = [
             (s.p[mask], s.lean[mask]) for s, mask in zip(joint.fit.simulated, joint.masks, strict=True)
         ]  # the simulation is the last that the fit made: at its own curves
-        ways = [np.unique(np.concatenate([p[way * lean > _LEANS] for p, lean in seen])) for way in (-1, 1)]
-        if not all(len(p) for p in ways):
+        by_direction = [np.unique(np.concatenate([p[way * lean > _LEANS] for p, lean in seen])) for way in (-1, 1)]
+        if not all(len(p) for p in by_direction):
             return np.zeros(len(self.grid))
-        apart = np.max([np.min(np.abs(self.grid[:, None] - _nearest(p, self.grid)), axis=1) for p in ways], axis=0)
+        apart = np.max(
+            [np.min(np.abs(self.grid[:, None] - _nearest(p, self.grid)), axis=1) for p in by_direction], axis=0
+        )
         gap = np.maximum(apart - _HOLE * self.domain.span, 0.0)
         holes = inside & (gap > 0)
         if not holes.any():
@@ -167,7 +169,7 @@ class Choice:
             else 0.5
         )
         at = self.grid[holes]
-        self.found.doubt(
+        self.findings.doubt(
             "coverage",
             f"from {at[0]:.3g} to {at[-1]:.3g} {self.unit} the tip passes one way at most in places",
             "move through all of the range both ways",
@@ -204,12 +206,12 @@ class Choice:
             difference = np.array([o.width for o in widths]) - np.interp(p, self.grid, width)
             z = self._against(widths, curve, passes.fit.width(passes.curves), passes.width_sigma(self.grid))
             mean = float(np.mean(difference))
-            self.found.evidence["onsets_minus_passes"] = mean
-            self.found.evidence["onsets_minus_passes_rms"] = float(np.sqrt(np.mean(difference**2)))
-            self.found.evidence["onsets_minus_passes_z2"] = float(np.mean(z**2))
+            self.findings.evidence["onsets_minus_passes"] = mean
+            self.findings.evidence["onsets_minus_passes_rms"] = float(np.sqrt(np.mean(difference**2)))
+            self.findings.evidence["onsets_minus_passes_z2"] = float(np.mean(z**2))
             share = abs(mean) / max(float(np.median([o.width for o in widths])), 1e-9)
             if float(np.mean(z**2)) > 2 * _AGREE and share > 0.03 and passes.fit.elements.single and jumping(widths):
-                self.found.doubt(
+                self.findings.doubt(
                     "registration.direction_dependent",
                     f"the passes lie {abs(mean):.3g} {self.unit} {'less' if mean > 0 else 'more'} apart than the "
                     "onsets say",
@@ -233,7 +235,7 @@ class Choice:
         if far.mean() < clear or abs(near.mean()) > _OTHER_WAY * far.mean():
             return False
         rest = self._left_at(joint, curve.width)
-        self.found.evidence["residual_with_onsets"] = rest
+        self.findings.evidence["residual_with_onsets"] = rest
         return not self.predicts(rest, joint)
 
     def _left_at(self, joint: Fitted, width: Array) -> float:
@@ -288,10 +290,10 @@ class Choice:
         turn = 0.5 * np.array([o.direction for o in widths]) * passes.fit.backlash.slope(passes.curves.backlash, p)
         usual = np.linalg.norm(path.reshape(len(p), -1), axis=1) / (1.0 + turn)
         ratio = float(np.median(np.array([o.slope for o in widths]) / np.maximum(usual, 1e-12)))
-        self.found.evidence["start_over_path_slope"] = ratio
+        self.findings.evidence["start_over_path_slope"] = ratio
         if ratio > _AT_ONCE:
             return False
-        self.found.doubt(
+        self.findings.doubt(
             "transmission.smooth_onset",
             f"the tip starts gradually, at {ratio:.2f} of its later speed",
             "B(q) is what fits all frames, not where the first motion shows",
@@ -329,7 +331,7 @@ class Choice:
         sigma = np.hypot((1 - share) * curve.sigma, share * passes.width_sigma(self.grid))
         if share.max() > 0.5:
             where = self.grid[share > 0.5]
-            self.found.notes.append(
+            self.findings.notes.append(
                 f"no onset from {where[0]:.3g} to {where[-1]:.3g} {self.unit}: there B(q) is the distance of the passes"
             )
         return width, sigma, ONSETS

@@ -75,7 +75,7 @@ class Offset:
 
 
 @dataclass(frozen=True)
-class Clock:
+class AlignedTracks:
     """Tracks with their times on the motor's clock: later than the scene by a delay and no more."""
 
     tracks: list[Track]
@@ -84,7 +84,7 @@ class Clock:
     notes: tuple[str, ...] = ()
 
     @classmethod
-    def as_it_is(cls, tracks: Sequence[Track]) -> Clock:
+    def as_it_is(cls, tracks: Sequence[Track]) -> AlignedTracks:
         return cls(list(tracks), (0.0,) * len(tracks), ())
 
     @property
@@ -98,7 +98,7 @@ class Clock:
         pairs = zip(self.tracks, self.offsets_s, strict=True)
         return {track.name: offset for track, offset in pairs if offset}
 
-    def with_delay(self, delay: Delay, nominal_s: float) -> tuple[Clock, Delay]:
+    def with_delay(self, delay: Delay, nominal_s: float) -> tuple[AlignedTracks, Delay]:
         """A delay that was found on these tracks. Where every clock was off it cannot be told from the offsets: it is
         the nominal one then, and they have the rest."""
         if not self.offsets_s or not all(self.offsets_s):
@@ -112,22 +112,22 @@ def on_motor_clock(recordings: Sequence[Recording], rig: Rig) -> list[Recording]
     return shifted(recordings, align([track for track in observe(recordings, rig) if len(track.t_s)], rig).offsets)
 
 
-def align(tracks: Sequence[Track], rig: Rig) -> Clock:
+def align(tracks: Sequence[Track], rig: Rig) -> AlignedTracks:
     """Each track's own offset found and taken off; nothing is done to one that fits its nominal delay. Frames at which
     the tip follows a motor that stepped go first."""
     tracks, stepping, notes = resolved(tracks, rig)
     notes += [f"{t.name}: the sensor repeats its values, {t.held} of them were left out" for t in tracks if t.held]
     if stepping:
-        return Clock(tracks, (0.0,) * len(tracks), tuple(stepping), tuple(notes))
+        return AlignedTracks(tracks, (0.0,) * len(tracks), tuple(stepping), tuple(notes))
     aligned, offsets = [], []
     reasons: list[Reason] = []
     for track in tracks:
         nominal_s = rig.nominal_delay_s(track.sensor)
-        found = find_offset(track, rig)
-        refused = None if found is None else _refused(track, found, rig)
+        offset = find_offset(track, rig)
+        refused = None if offset is None else _refused(track, offset, rig)
         offset_s = 0.0
-        if found is not None and found.offset_s and found.misfit <= _FOLLOWS:
-            track, offset_s = _taken_off(track, found, nominal_s, rig)
+        if offset is not None and offset.offset_s and offset.misfit <= _FOLLOWS:
+            track, offset_s = _taken_off(track, offset, nominal_s, rig)
         if refused is not None:
             reasons.append(refused)
         aligned.append(track)
@@ -135,7 +135,7 @@ def align(tracks: Sequence[Track], rig: Rig) -> Clock:
     if not reasons:
         aligned, offsets = _at_one_delay(aligned, offsets, rig)
         reasons = [_off(track, offset_s) for track, offset_s in zip(aligned, offsets, strict=True) if offset_s]
-    return Clock(aligned, tuple(offsets), tuple(reasons), tuple(notes))
+    return AlignedTracks(aligned, tuple(offsets), tuple(reasons), tuple(notes))
 
 
 def _off(track: Track, offset_s: float) -> Reason:
@@ -164,8 +164,8 @@ def _at_one_delay(tracks: list[Track], offsets: list[float], rig: Rig) -> tuple[
     return moved, [offset_s + shift for offset_s, shift in zip(offsets, shifts, strict=True)]
 
 
-def _taken_off(track: Track, found: Offset, nominal_s: float, rig: Rig) -> tuple[Track, float]:
-    offset_s = found.offset_s
+def _taken_off(track: Track, offset: Offset, nominal_s: float, rig: Rig) -> tuple[Track, float]:
+    offset_s = offset.offset_s
     near = replace(track, t_s=track.t_s - offset_s)
     delay = delay_of_all([near], rig) if track.sensor == ANGLE else find_delay([near], rig, nominal_s)
     if delay.sigma_s < _SURE_S:
@@ -192,42 +192,42 @@ def jumps(tracks: Sequence[Track], rig: Rig) -> list[Reason]:
 
 def find_offset(track: Track, rig: Rig) -> Offset | None:
     """The offset beyond the nominal delay, within REACH_S. None where the track shows no motion to tell it by."""
-    sight = _Sight.of(track, rig, _FRAMES[0])
-    if sight is None:
+    view = _MotionView.of(track, rig, _FRAMES[0])
+    if view is None:
         return None
     nominal_s = rig.nominal_delay_s(track.sensor)
     near = nominal_s + np.arange(-round(_NEAR_S / _PITCH_S), round(_NEAR_S / _PITCH_S) + 1) * _PITCH_S
-    misfits = sight.misfits(near)
+    misfits = view.misfits(near)
     delays = np.abs(near - nominal_s) <= DELAY_REACH_S
     least = float(misfits[delays].min())
-    at_nominal = least <= max(FITS, 4.0 * sight.noise_share) and least <= _BEATEN * misfits.min()
-    if at_nominal and sight.along(float(near[delays][int(misfits[delays].argmin())])):
+    at_nominal = least <= max(FITS, 4.0 * view.noise_share) and least <= _BEATEN * misfits.min()
+    if at_nominal and view.along(float(near[delays][int(misfits[delays].argmin())])):
         return Offset(0.0, 0.0, least)
     lags = nominal_s + np.arange(-round(REACH_S / _PITCH_S), round(REACH_S / _PITCH_S) + 1) * _PITCH_S
-    rivals = _rivals(sight, _Sight.of(track, rig, _FRAMES[1]) or sight, lags)
+    rivals = _rivals(view, _MotionView.of(track, rig, _FRAMES[1]) or view, lags)
     if not rivals:
         return Offset(0.0, np.inf, 1.0)
     nominal = [r for r in rivals if abs(r.lag_s - nominal_s) <= DELAY_REACH_S]
     if nominal:
         # It may be another half turn of the motion, with the wrong sign, that fits here.
-        others = () if sight.along(nominal[0].lag_s) else tuple(r.lag_s for r in rivals if sight.along(r.lag_s))
+        others = () if view.along(nominal[0].lag_s) else tuple(r.lag_s for r in rivals if view.along(r.lag_s))
         return Offset(0.0, nominal[0].sigma_s, nominal[0].misfit, tuple(lag - nominal_s for lag in others))
-    rivals = [r for r in rivals if sight.along(r.lag_s)] or rivals
+    rivals = [r for r in rivals if view.along(r.lag_s)] or rivals
     others = tuple(r.lag_s - nominal_s for r in rivals[1:])
     return Offset(rivals[0].lag_s - nominal_s, rivals[0].sigma_s, rivals[0].misfit, others)
 
 
-def _rivals(sight: _Sight, fine: _Sight, lags: npt.NDArray[Any]) -> list[_Lag]:
+def _rivals(view: _MotionView, fine: _MotionView, lags: npt.NDArray[Any]) -> list[_Lag]:
     """The lags that fit about as well as the best one, best first; those with no ridge between them are one."""
-    misfits = sight.misfits(lags)
+    misfits = view.misfits(lags)
     finite = np.where(np.isfinite(misfits), misfits, 1.0)
     padded = np.concatenate([[np.inf], finite, [np.inf]])
     lowest = (finite <= padded[:-2]) & (finite <= padded[2:]) & (finite <= 3.0 * _RIVAL * finite.min() + 1e-12)
     at = np.flatnonzero(lowest & np.isfinite(misfits))
-    found = sorted((fine.refined(float(lags[i])) for i in at), key=lambda one: one.misfit)
+    lags_by_misfit = sorted((fine.refined(float(lags[i])) for i in at), key=lambda one: one.misfit)
     rivals: list[_Lag] = []
-    for one in found:
-        if one.misfit > _RIVAL * found[0].misfit:
+    for one in lags_by_misfit:
+        if one.misfit > _RIVAL * lags_by_misfit[0].misfit:
             break
         between = (finite[(lags > min(one.lag_s, r.lag_s)) & (lags < max(one.lag_s, r.lag_s))] for r in rivals)
         apart = all(abs(one.lag_s - r.lag_s) > _APART_S for r in rivals)
@@ -236,16 +236,16 @@ def _rivals(sight: _Sight, fine: _Sight, lags: npt.NDArray[Any]) -> list[_Lag]:
     return rivals
 
 
-def _refused(track: Track, found: Offset, rig: Rig) -> Reason | None:
+def _refused(track: Track, best: Offset, rig: Rig) -> Reason | None:
     """Why no offset can be believed."""
-    follows = found.misfit <= _FOLLOWS
-    if follows and not found.rivals:
+    follows = best.misfit <= _FOLLOWS
+    if follows and not best.rivals:
         return None
-    stretched = _stretched(track, rig, found.misfit)
+    stretched = _stretched(track, rig, best.misfit)
     if stretched is not None:
         return stretched
     if follows:
-        fits = ", ".join(f"{offset:.2f}" for offset in sorted([found.offset_s, *found.rivals])[:6])
+        fits = ", ".join(f"{offset:.2f}" for offset in sorted([best.offset_s, *best.rivals])[:6])
         says = f"{track.name}: the sensor's clock is off, and offsets of {fits} s fit alike"
         return Reason("clock.offset", says, "make a motion that does not repeat, or put both on one clock", fatal=True)
     says = f"{track.name}: at no offset within {REACH_S:g} s does the tip follow the motor"
@@ -259,9 +259,9 @@ def _stretched(track: Track, rig: Rig, misfit: float) -> Reason | None:
     if seen_s <= 0.0 or abs(motor_s / seen_s - 1.0) < _LONGER:
         return None
     times = track.motor.t_s[0] + (track.t_s - track.t_s[0]) * motor_s / seen_s
-    sight = _Sight.of(replace(track, t_s=times), rig, _FRAMES[0])
+    view = _MotionView.of(replace(track, t_s=times), rig, _FRAMES[0])
     lags = rig.nominal_delay_s(track.sensor) + np.arange(-round(1.0 / _PITCH_S), round(1.0 / _PITCH_S) + 1) * _PITCH_S
-    if sight is None or float(sight.misfits(lags).min()) > _STRETCHED * misfit:
+    if view is None or float(view.misfits(lags).min()) > _STRETCHED * misfit:
         return None
     return Reason(
         "duration",
@@ -287,11 +287,11 @@ def delay_of_stops(tracks: Sequence[Track], rig: Rig) -> Delay:
 
 def _near_delay(tracks: Sequence[Track], rig: Rig, nominal_s: float) -> float:
     """The nominal delay, unless another lag within DELAY_REACH_S fits clearly better."""
-    sights = [sight for sight in (_Sight.of(track, rig, _FRAMES[0]) for track in tracks) if sight is not None]
-    if not sights:
+    views = [view for view in (_MotionView.of(track, rig, _FRAMES[0]) for track in tracks) if view is not None]
+    if not views:
         return nominal_s
     lags = nominal_s + np.linspace(-DELAY_REACH_S, DELAY_REACH_S, 11)
-    misfits = np.sum([sight.misfits(lags) for sight in sights], axis=0)
+    misfits = np.sum([view.misfits(lags) for view in views], axis=0)
     best = int(np.argmin(misfits))
     clearly = misfits[best] < 0.7 * misfits[len(lags) // 2] and abs(lags[best] - nominal_s) > 0.06
     return float(lags[best]) if clearly else nominal_s
@@ -305,7 +305,7 @@ class _Lag:
 
 
 @dataclass(frozen=True)
-class _Sight:
+class _MotionView:
     """A track made ready for many lags."""
 
     track: Track  # few frames
@@ -318,7 +318,7 @@ class _Sight:
     way: Array  # (channels,) in which the tip moves as q rises, by f_coarse
 
     @classmethod
-    def of(cls, track: Track, rig: Rig, most: int) -> _Sight | None:
+    def of(cls, track: Track, rig: Rig, most: int) -> _MotionView | None:
         """None where nothing moves, or other axes do most of the time."""
         motor = track.motor
         span = float(np.ptp(motor.q))
@@ -422,21 +422,21 @@ def delay_of_all(tracks: Sequence[Track], rig: Rig) -> Delay:
     """The delay at which a smooth B and a smooth path fit all frames best, weighed against the nominal one. For sensors
     of real joints, which do not stop so sharply that the stops alone tell it."""
     nominal_s = rig.nominal_delay_s(tracks[0].sensor)
-    sights = [sight for sight in (_Sight.of(track, rig, _FRAMES[1]) for track in tracks) if sight is not None]
-    if not sights:
+    views = [view for view in (_MotionView.of(track, rig, _FRAMES[1]) for track in tracks) if view is not None]
+    if not views:
         return Delay(nominal_s, np.inf, 0)
     lags = nominal_s + np.linspace(-DELAY_REACH_S, DELAY_REACH_S, 21)
-    start = float(lags[int(np.argmin(np.sum([sight.misfits(lags) for sight in sights], axis=0)))])
+    start = float(lags[int(np.argmin(np.sum([view.misfits(lags) for view in views], axis=0)))])
     try:
         likely_s, within_s = _UNSTATED_S if rig.angle is None else (nominal_s, _STATED_S)
-        return _posterior(sights, likely_s, start, within_s)
+        return _posterior(views, likely_s, start, within_s)
     except np.linalg.LinAlgError:  # the tip is seen at too few places
         return Delay(nominal_s, np.inf, 0)
 
 
-def _posterior(sights: Sequence[_Sight], likely_s: float, start: float, within_s: float) -> Delay:
+def _posterior(views: Sequence[_MotionView], likely_s: float, start: float, within_s: float) -> Delay:
     for spans in _SPANS:
-        profile = _Profile(sights, spans, likely_s, within_s, start)
+        profile = _Profile(views, spans, likely_s, within_s, start)
         best = min((likely_s, 0.5 * (start + likely_s), start), key=profile.surprise)
         while (better := min((best, best - _COARSE_S, best + _COARSE_S), key=profile.surprise)) != best:
             best = better
@@ -446,7 +446,7 @@ def _posterior(sights: Sequence[_Sight], likely_s: float, start: float, within_s
                 break
         if spread < _TOLD_S:
             break
-    return Delay(best, spread, len(sights))
+    return Delay(best, spread, len(views))
 
 
 def period_s(tracks: Sequence[Track]) -> float:
@@ -473,14 +473,14 @@ class _Profile:
     """How far a delay is contradicted by all frames and by what was thought before, as a chi-square."""
 
     def __init__(
-        self, sights: Sequence[_Sight], spans: tuple[int, int], likely_s: float, within_s: float, start_s: float
+        self, views: Sequence[_MotionView], spans: tuple[int, int], likely_s: float, within_s: float, start_s: float
     ) -> None:
         """spans: of B and of the path. likely_s, within_s: mean and standard deviation thought before."""
-        self._sights, self._likely_s, self._within_s = sights, likely_s, within_s
-        low = min(sight.low for sight in sights)
-        high = max(sight.low + sight.span for sight in sights)
+        self._sights, self._likely_s, self._within_s = views, likely_s, within_s
+        low = min(view.low for view in views)
+        high = max(view.low + view.span for view in views)
         self._fit = PlayFit(
-            [Frozen.of(sight.track, sight.moving()) for sight in sights],
+            [Frozen.of(view.track, view.moving()) for view in views],
             Basis(low, high, spans[0]),
             Basis(low, high, spans[1]),
             fit_delay=False,
@@ -488,7 +488,7 @@ class _Profile:
         )
         self._smoothing = dict(self._fit.smoothing)
         self._found: dict[float, float] = {}
-        strokes = sum(len(sight.turn_t) - 1 for sight in sights)
+        strokes = sum(len(view.turn_t) - 1 for view in views)
         self._independent = min(_independent(self._solved(start_s)), _PER_STROKE * min(strokes, _STROKES))
 
     def surprise(self, delay_s: float) -> float:
@@ -511,7 +511,7 @@ class _Profile:
         fit, channels = self._fit, self._sights[0].track.y.shape[1]
         fit.smoothing = dict(self._smoothing)
         widths = [share * self._sights[0].span for share in _WIDTHS]
-        width = min(widths, key=lambda w: sum(sight.misfit(delay_s, w) for sight in self._sights))
+        width = min(widths, key=lambda w: sum(view.misfit(delay_s, w) for view in self._sights))
         flat = Curves(np.full(fit.backlash.size, width), np.zeros((fit.follow.size, channels)), delay_s)
         return fit.solve(flat, iterations=6)
 

@@ -18,7 +18,7 @@ from scipy.linalg import cho_factor, cho_solve, eigh
 
 from tautline.calibration.departures import (
     STATES,
-    Columns,
+    Design,
     Part,
     Scene,
     Sparse,
@@ -142,7 +142,7 @@ class _Separation:
     def run(self) -> Components:
         self._expect_turns()
         scene = scene_of(self.fitted, self.fitted.curves, self.rig, np.zeros(2))
-        solved = self._solved(self.fitted.curves, scene, np.zeros(2), Columns(anew_px=starts_anew(scene)))
+        solved = self._solved(self.fitted.curves, scene, np.zeros(2), Design(anew_px=starts_anew(scene)))
         for _ in range(_ROUNDS):
             joined = solved.join()
             self.moving_noise = solved.moving_noise()
@@ -166,16 +166,16 @@ class _Separation:
             self.active.append("turn")
             self.penalties["turn"] = (self.fitted.scale / count) ** 2
 
-    def _at(self, curves: Curves, clock: Array, columns: Columns) -> _Solved:
+    def _at(self, curves: Curves, clock: Array, columns: Design) -> _Solved:
         return self._solved(curves, scene_of(self.fitted, curves, self.rig, clock), clock, columns)
 
-    def _solved(self, curves: Curves, scene: Scene, clock: Array, columns: Columns) -> _Solved:
+    def _solved(self, curves: Curves, scene: Scene, clock: Array, columns: Design) -> _Solved:
         parts = [part for part in departures(scene, columns) if part.name not in self.without]
         solved = _Solved(self, curves, scene, parts, clock, columns)
         solved.settle()
         return solved
 
-    def _ahead(self, solved: _Solved, columns: Columns) -> _Solved | None:
+    def _ahead(self, solved: _Solved, columns: Design) -> _Solved | None:
         """The model solved again where its step leads, or less far; None where it gets worse all the same."""
         penalties = dict(self.penalties)
         for share in _SHARES:
@@ -207,7 +207,7 @@ class _Solved:
     """The mixed model at one linearisation: normal equations of path, B, delay and all departures."""
 
     def __init__(
-        self, owner: _Separation, curves: Curves, scene: Scene, parts: list[Part], clock: Array, columns: Columns
+        self, owner: _Separation, curves: Curves, scene: Scene, parts: list[Part], clock: Array, columns: Design
     ) -> None:
         self.owner, self.curves, self.scene, self.clock, self.columns = owner, curves, scene, clock, columns
         self.fit = fit = owner.fitted.fit
@@ -259,12 +259,12 @@ class _Solved:
 
     def _blocks(self) -> list[tuple[str, npt.NDArray[np.intp]]]:
         """Where the active components are among what is solved for."""
-        found, at = [], self.head
+        blocks, at = [], self.head
         for name in self.owner.active:
             size = self.parts[name].size
-            found.append((name, np.arange(at, at + size)))
+            blocks.append((name, np.arange(at, at + size)))
             at += size
-        return found
+        return blocks
 
     def _adapt(self) -> bool:
         changed = False
@@ -335,7 +335,7 @@ class _Solved:
     def _effective(self) -> float:
         return effective(self._left())
 
-    def scanned(self) -> Columns:
+    def scanned(self) -> Design:
         """The moment of a shift and the rhythm of a breath that fit what is left; those in use stay."""
         return self.columns.scanned(self.scene, self._left(), set(self.owner.active))
 

@@ -105,7 +105,7 @@ class Scene:
 
 
 @dataclass(frozen=True)
-class Columns:
+class Design:
     """What is looked for in what is left: when a shift happened, s, and how often something breathes, Hz; after how
     much of the path the tracker's error begins anew, px."""
 
@@ -113,13 +113,13 @@ class Columns:
     breath_hz: float | None = None
     anew_px: float | None = None
 
-    def scanned(self, scene: Scene, left: Array, used: Set[str]) -> Columns:
-        found = self
+    def scanned(self, scene: Scene, left: Array, used: Set[str]) -> Design:
+        best = self
         if "image.shift" not in used:
-            found = replace(found, shift_s=_shift_time(scene.time_s, left))
+            best = replace(best, shift_s=_shift_time(scene.time_s, left))
         if "image.breath" not in used:
-            found = replace(found, breath_hz=_rhythm(scene.time_s, left))
-        return found
+            best = replace(best, breath_hz=_rhythm(scene.time_s, left))
+        return best
 
 
 def scene_of(fitted: Fitted, curves: Curves, rig: Rig, clock: Array) -> Scene:
@@ -153,7 +153,7 @@ def scene_of(fitted: Fitted, curves: Curves, rig: Rig, clock: Array) -> Scene:
     )
 
 
-def departures(scene: Scene, looked_for: Columns, *, apart: bool | None = None) -> list[Part]:
+def departures(scene: Scene, looked_for: Design, *, apart: bool | None = None) -> list[Part]:
     """apart: whether recordings may differ (None: where they show much the same positions)."""
     hats = _hats(scene.phase, _PHASES)[:, :-1]
     smooth, one = _smooth(hats.shape[1]), np.eye(1)
@@ -381,10 +381,10 @@ def _since_turn(motor: Motor, at: Array, rig: Rig) -> tuple[Array, Array]:
     hysteresis = turning_hysteresis(motor, rig.actuator.encoder_resolution, rig.actuator.span)
     turns = _native.turns(np.ascontiguousarray(motor.q), hysteresis)
     edges = np.concatenate([[0], turns, [len(motor.q) - 1]]).astype(int)
-    ways = np.sign(np.diff(motor.q[edges]))
-    which = np.clip(np.searchsorted(motor.t_s[edges], at, side="right") - 1, 0, len(ways) - 1)
+    directions = np.sign(np.diff(motor.q[edges]))
+    which = np.clip(np.searchsorted(motor.t_s[edges], at, side="right") - 1, 0, len(directions) - 1)
     gone = np.abs(np.interp(at, motor.t_s, motor.q) - motor.q[edges[which]])
-    return np.where(which == 0, np.inf, gone), ways[which]
+    return np.where(which == 0, np.inf, gone), directions[which]
 
 
 def _low_pass(p: Array, time_s: float) -> Array:

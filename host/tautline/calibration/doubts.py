@@ -132,7 +132,7 @@ _MEANS: dict[str, tuple[str, str, str]] = {
 
 
 def doubts(
-    found: Components,
+    components: Components,
     counted: npt.NDArray[np.bool_],
     unit: str,
     alone: float,
@@ -144,17 +144,17 @@ def doubts(
     noise lets it. counted: the grid's places at which B was measured; unit: of q; alone: residual over noise of B,
     path and delay alone; rough: the motor's counts or noise show in the image; ended: what f_remain leaves, over the
     noise, where the model is that of the session's end: what changed before is not in `alone` then."""
-    usual = max(float(np.median(found.width[counted])) if counted.any() else 0.0, 1e-12)
-    sigma = float(np.sqrt(np.mean(found.sigma[counted] ** 2))) if counted.any() else np.inf
-    strongest = max((part.rms for part in found.parts), default=0.0)
+    usual = max(float(np.median(components.width[counted])) if counted.any() else 0.0, 1e-12)
+    sigma = float(np.sqrt(np.mean(components.sigma[counted] ** 2))) if counted.any() else np.inf
+    strongest = max((part.rms for part in components.parts), default=0.0)
     reasons = []
-    for part in found.parts:
+    for part in components.parts:
         shift = float(np.sqrt(np.mean(part.shift[counted] ** 2))) if counted.any() else 0.0
         strong = np.hypot(1.0, part.rms) > PREDICTS
         if part.name == "turn" and shift < _SHIFTED * usual:
             strong = False  # a count is a count
         if ended is not None and part.name in STATES:
-            predicts = _holds(part.name, found, ended) if strong else True
+            predicts = _holds(part.name, components, ended) if strong else True
             held = predicts
         else:
             predicts = alone < _LEFT or part.rms < _MOSTLY * strongest
@@ -166,20 +166,20 @@ def doubts(
             kind = "turn.itself" if part.name == "turn" and not rough else part.name
             reasons.append((part.chi2, _reason(kind, part, shift, unit, predicts and held and not doubted)))
     told = [reason for _, reason in sorted(reasons, key=lambda each: -each[0])]
-    if found.noise > PREDICTS:
-        told.append(_scatter(found, alone))
+    if components.noise > PREDICTS:
+        told.append(_scatter(components, alone))
     first: dict[str, Reason] = {}
     for reason in sorted(told, key=lambda each: each.mild):
         first.setdefault(reason.code, reason)
     return list(first.values())
 
 
-def _holds(state: str, found: Components, ended: float) -> bool:
+def _holds(state: str, components: Components, ended: float) -> bool:
     """Whether a model holds what this came to: nothing still moves, and the image is where f_remain can put it. What
     happened once, or between recordings, is over."""
-    if ended > PREDICTS * max(found.noise, 1.0):
+    if ended > PREDICTS * max(components.noise, 1.0):
         return False
-    return not state.endswith("time") or found.late < _STILL_MOVES
+    return not state.endswith("time") or components.late < _STILL_MOVES
 
 
 def _reason(kind: str, part: Component, shift: float, unit: str, mild: bool) -> Reason:
@@ -187,18 +187,18 @@ def _reason(kind: str, part: Component, shift: float, unit: str, mild: bool) -> 
     return Reason(code, f"{says} ({part.rms:.1f} times the noise, {shift:.2g} {unit} of B)", remedy, mild=mild)
 
 
-def _scatter(found: Components, alone: float) -> Reason:
+def _scatter(components: Components, alone: float) -> Reason:
     if alone < _MOST:  # of most frames
-        says = f"some frames are far off ({found.noise:.1f} times the noise with them, {alone:.1f} without)"
+        says = f"some frames are far off ({components.noise:.1f} times the noise with them, {alone:.1f} without)"
         return Reason("outliers", says, "look for a second blob of the marker's colour", mild=True)
-    times = f"{found.noise:.1f} times the noise of a tip at rest is left"
-    if found.effective < _WHITE and found.moving > _SPEEDS:
+    times = f"{components.noise:.1f} times the noise of a tip at rest is left"
+    if components.effective < _WHITE and components.moving > _SPEEDS:
         return Reason(
             "acquisition.jitter",
             f"{times}, from frame to frame, while the tip moves",
             "take the frames' hardware times",
         )
-    if found.effective < _WHITE:
+    if components.effective < _WHITE:
         return Reason(
             "noise", f"{times}, from frame to frame", "check light, focus and the marker's colour", mild=alone < _LEFT
         )

@@ -280,14 +280,14 @@ def _departure(z: Array) -> int | None:
 
 def find_onsets(tracks: Sequence[Track], rig: Rig, delay_s: float, delay_sigma: float = 0.0) -> list[Onset]:
     """Every reversal of every track, in order of time, with the widths that count."""
-    found = []
+    onsets = []
     for number, track in enumerate(tracks):
         strokes = _strokes(track, rig, delay_s)
         for before, after in pairwise(strokes):
-            found.append(_onset(number, track, before, after, rig, delay_s))
-    found = _pooled_jumps(found)
+            onsets.append(_onset(number, track, before, after, rig, delay_s))
+    onsets = _pooled_jumps(onsets)
     resolution = rig.actuator.encoder_resolution
-    return [_with_clock_and_counts(onset, tracks[onset.track], delay_sigma, resolution) for onset in found]
+    return [_with_clock_and_counts(onset, tracks[onset.track], delay_sigma, resolution) for onset in onsets]
 
 
 def delayed(onsets: Sequence[Onset], tracks: Sequence[Track], by_s: float) -> list[Onset]:
@@ -476,7 +476,7 @@ def find_delay(tracks: Sequence[Track], rig: Rig, nominal_s: float, passes: int 
 
 
 @dataclass(frozen=True)
-class _Stop:
+class _Turn:
     arrival_s: Array  # (frames,)
     motor_t: Array  # around them
     motor_q: Array
@@ -497,7 +497,7 @@ class _Stop:
         return _profile(behind, self.order, self.z)[0]
 
 
-def _stops(track: Track, rig: Rig, delay_s: float) -> list[_Stop]:
+def _stops(track: Track, rig: Rig, delay_s: float) -> list[_Turn]:
     strokes, motor = _strokes(track, rig, delay_s), track.motor
     stops = []
     for before, after in pairwise(strokes):
@@ -519,7 +519,7 @@ def _stops(track: Track, rig: Rig, delay_s: float) -> list[_Stop]:
             around = slice(*np.searchsorted(motor.t_s, arrival[[0, -1]] - delay_s + _AROUND_S))
             times, positions = motor.t_s[around], motor.q[around]
             order = 2 if count > 6 else 1
-            stop = _Stop(arrival, times, positions, after.start_s, after.q1, -after.direction, z, order)
+            stop = _Turn(arrival, times, positions, after.start_s, after.q1, -after.direction, z, order)
             nearby = delay_s + np.linspace(-0.03, 0.03, 13)
             if count <= 6 or stop.squares(nearby).min() < stop.freedom + 4.0 * np.sqrt(2.0 * stop.freedom):
                 break

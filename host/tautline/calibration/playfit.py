@@ -220,8 +220,8 @@ class PlayFit:
 
     def solve(self, start: Curves, iterations: int = 30, robust: bool = True, adapt: bool = True) -> Fitted:
         """Least squares; smoothing by restricted maximum likelihood (Fellner-Schall steps)."""
-        found = descend(_Descent(self, robust, adapt), _Point.of(self, start), iterations)
-        curves = found.curves
+        minimum = descend(_Descent(self, robust, adapt), _Point.of(self, start), iterations)
+        curves = minimum.curves
         rows, masks = self.residuals(curves)
         scale, weights = _weights(rows, masks, robust)
         matrix, _ = self.normal(curves, rows, weights)

@@ -36,8 +36,8 @@ def fit_elements(fitted: Fitted, rig: Rig, fit_delay: bool) -> Fitted:
     at = int(np.searchsorted(SHARES, 1.0))
     narrow, wide = np.zeros(len(SHARES)), np.full(len(SHARES), 1.0 / len(SHARES))
     narrow[at - 1 : at + 1] = 2 / 3, 1 / 3
-    found = [_descended(fitted, _lawful(start), rig, fit_delay) for start in (narrow, wide)]
-    return min(found, key=lambda one: one.scale)
+    fits = [_descended(fitted, _lawful(start), rig, fit_delay) for start in (narrow, wide)]
+    return min(fits, key=lambda one: one.scale)
 
 
 def _descended(fitted: Fitted, weights: Array, rig: Rig, fit_delay: bool) -> Fitted:
@@ -74,14 +74,14 @@ def _elements(weights: Array) -> Elements:
 def _lawful(weights: Array) -> Array:
     """The nearest weights, none negative, the first that counts not too small, with both sums one."""
     rows = np.vstack([np.eye(len(SHARES)), 1e4 * np.ones(len(SHARES)), 1e4 * SHARES])
-    found = nnls(rows, np.concatenate([weights, [1e4, 1e4]]))[0]
-    first = int(np.argmax(found > _LEAST))
-    if found[first] < _FIRST:
-        found[:first] = 0.0
-        found[first + 1] += found[first]
-        found[first] = 0.0
-        return _lawful(found)
-    return np.asarray(found)
+    weighted = nnls(rows, np.concatenate([weights, [1e4, 1e4]]))[0]
+    first = int(np.argmax(weighted > _LEAST))
+    if weighted[first] < _FIRST:
+        weighted[:first] = 0.0
+        weighted[first + 1] += weighted[first]
+        weighted[first] = 0.0
+        return _lawful(weighted)
+    return np.asarray(weighted)
 
 
 def left(fitted: Fitted) -> float:
@@ -128,10 +128,10 @@ def _by_weight(fitted: Fitted) -> Array:
     _, masks = fit.residuals(curves)
     far = 10.0 * float(np.abs(warp.x).max())
     plays = [_native.Plays(np.array([-far, far]), np.full(2, share)) for share in SHARES]
-    found = []
+    fits = []
     for frozen, sim, mask in zip(fit.tracks, fit.simulated, masks, strict=True):
         positions, at = frozen.course(frozen.track.scene_s(curves.delay_s))
         x = np.interp(positions, warp.q, warp.x)
         alone = [play.forward(x, -far)[0] for play in plays]
-        found.append(np.column_stack(alone)[at][mask] * np.interp(sim.p[mask], fit.grid, by_y)[:, None])
-    return np.concatenate(found)
+        fits.append(np.column_stack(alone)[at][mask] * np.interp(sim.p[mask], fit.grid, by_y)[:, None])
+    return np.concatenate(fits)

@@ -29,9 +29,9 @@ _FRAME_S = 0.1  # between two pictures, wall clock
 def picture(view: View) -> list[Text]:
     """Lines of text; colours say how far sigma is from the goal."""
     lines = [_heading(view), _way("seen rising", view.rising), _way("seen falling", view.falling)]
-    if view.found is not None:
+    if view.calibration is not None:
         q = view.low + (np.arange(BINS) + 0.5) * (view.high - view.low) / BINS
-        model = view.found.model
+        model = view.calibration.model
         known = (q >= model.measured[0]) & (q <= model.measured[1])
         width = np.where(known, np.interp(q, model.q, model.width), np.nan)
         sigma = np.where(known, np.interp(q, model.q, model.width_sigma), np.inf)
@@ -48,9 +48,9 @@ def standing(view: View) -> str:
 
 def _seen_and_known(view: View) -> tuple[str, str]:
     seen = f"{view.seconds:.1f} s, {view.frames - view.lost} of {view.frames} frames, {view.reversals} reversals"
-    if view.found is None:
+    if view.calibration is None:
         return seen, "too early to tell B(q)"
-    low, high = view.found.model.measured
+    low, high = view.calibration.model.measured
     known = f"B(q) from {low:.3g} to {high:.3g} {view.unit}"
     if view.standing is None or view.until is None:
         return seen, known
@@ -153,8 +153,8 @@ def _told() -> Iterator[Callable[[View], None]]:
         if view.doing != last[1]:
             last[1] = view.doing
             log(f"taut: {view.doing}")
-        if view.found_s != last[0]:
-            last[0] = view.found_s
+        if view.calibrated_s != last[0]:
+            last[0] = view.calibrated_s
             log(f"taut: {standing(view)}")
 
     yield tell

@@ -8,13 +8,13 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from tautline import effects, figures, reports
+from tautline import effects, figures, reports, trajectory
 from tautline.effects import Kind
 from tautline.explain.collect import topics
 from tautline.explain.topic import KINDS, Topic
 from tautline.model import Model
 from tautline.recording import Motor
-from tautline.simulated import instrument, trajectory
+from tautline.simulated import instrument
 
 INDEX = "index.html"
 _TIMES = 4.0  # of the change that a user would notice, so that it is seen in a picture

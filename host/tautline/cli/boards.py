@@ -21,25 +21,25 @@ def command(board: str | None, as_json: bool) -> None:
     """
     from tautline.device.board import find
 
-    rows = [_describe(found) for found in find(board)]
+    rows = [_describe(description) for description in find(board)]
     if board is not None and not rows:
         raise TautError(f"no board '{board}' was found: 'taut boards' lists those that are attached")
     emit({"boards": rows}, as_json, "\n".join(map(_text, rows)) or "no board is attached")
 
 
-def _describe(found: Any) -> dict[str, Any]:
+def _describe(description: Any) -> dict[str, Any]:
     from tautline.device.board import Board
 
     row: dict[str, Any] = {
-        "board": found.where,
-        "serial": found.serial,
-        "protocol": f"{found.protocol[0]}.{found.protocol[1]}",
-        "busy": found.busy,
+        "board": description.where,
+        "serial": description.serial,
+        "protocol": f"{description.protocol[0]}.{description.protocol[1]}",
+        "busy": description.busy,
     }
-    if found.busy:
+    if description.busy:
         return row
     try:
-        with Board(found) as board:
+        with Board(description) as board:
             identity = board.identity
             row |= {
                 "firmware": ".".join(str(part) for part in identity.firmware),

@@ -95,20 +95,20 @@ def command(
     check_replaceable(out, MODEL_FILE)
     options = Options(knots=knots, remaining=remaining)
     if recording_paths:
-        found, said = _from_recordings(recording_paths, rig_path, out, options)
+        calibration, lines = _from_recordings(recording_paths, rig_path, out, options)
     else:
         if live["live"].camera is None and live["live"].simulate is None:
             raise click.UsageError("name a RECORDING, or for a live calibration --camera SOURCE or --simulate")
         kept = kept or _free(out.absolute())
-        found, said, made = _live(kept, rig_path, out, options, as_json=as_json, **live)
-    quality = found.model.quality
+        calibration, lines, made = _live(kept, rig_path, out, options, as_json=as_json, **live)
+    quality = calibration.model.quality
     show_quality(quality)
-    for note in found.notes:
+    for note in calibration.notes:
         log(f"taut: {note}")
-    result = {**found.to_json(), "model": out, "report": out / reports.FILE}
+    result = {**calibration.to_json(), "model": out, "report": out / reports.FILE}
     if not recording_paths:
         result |= {"recording": kept, "motion": made}
-    emit(result, as_json, "\n".join([*said, f"{out / reports.FILE} shows it."]))
+    emit(result, as_json, "\n".join([*lines, f"{out / reports.FILE} shows it."]))
     if not quality.usable:
         raise UnusableError(f"{out}: written, but unusable: {quality.reasons[0]}")
 
@@ -125,8 +125,8 @@ def _from_recordings(
     recordings, rig = read_recordings(paths, rig_path)
     with progress_bar("calibrating") as progress:
         recordings = [with_marker(recording, rig, progress) for recording in recordings]
-        found = calibrate(recordings, rig, options, progress)
-        return found, reports.save_model(found.model, shifted(recordings, found.offsets), out)
+        calibration = calibrate(recordings, rig, options, progress)
+        return calibration, reports.save_model(calibration.model, shifted(recordings, calibration.offsets), out)
 
 
 def _live(
@@ -157,24 +157,26 @@ def _live(
     with opened(live, rig_path, seed) as setup, calibration_picture(as_json) as show:
         unit = setup.rig.actuator.unit
         if thorough:
-            found, motion = calibrate_live(setup, kept, MotionOptions(speeds=speeds or None), options, video, show=show)
+            calibration, motion = calibrate_live(
+                setup, kept, MotionOptions(speeds=speeds or None), options, video, show=show
+            )
             made: dict[str, Any] = {}
         else:
             goal = Goal(None if until is None else sigma_of(until, unit), at_most_s, speeds or None)
-            found, reached = calibrate_until(setup, kept, goal, options, video, show)
+            calibration, reached = calibrate_until(setup, kept, goal, options, video, show)
             motion = reached.motion
             made = {"until": reached.until, "sigma": reached.standing.worst, "reached": reached.reached}
             if reached.why:
                 made["why"] = reached.why
                 warn(f"B(q) is not known to {in_words(reached.until, unit)} everywhere: {reached.why}")
             else:
-                low, high = found.model.measured
+                low, high = calibration.model.measured
                 worst = in_words(reached.standing.worst, unit)
                 goal_said.append(f"From {low:.3g} to {high:.3g} {unit} its sigma is {worst} at most.")
     made |= {"seconds": motion.seconds, "reversals": motion.reversals, "frames": motion.frames}
     log(f"taut: {motion.reversals} reversals in {motion.seconds:.0f} s, recorded in {kept}")
-    recordings = shifted([load(kept, found.model.rig)], found.offsets)
-    return found, [*reports.save_model(found.model, recordings, out), *goal_said], made
+    recordings = shifted([load(kept, calibration.model.rig)], calibration.offsets)
+    return calibration, [*reports.save_model(calibration.model, recordings, out), *goal_said], made
 
 
 def sigma_of(text: str, unit: str) -> float:

@@ -47,11 +47,11 @@ def _clear(board: Any, axis: int) -> dict[str, Any]:
 
 
 def _text(row: dict[str, Any]) -> str:
-    said = f"axis {row['axis']}: {row['fault'] or 'no fault'}"
-    said += f" ('taut explain {row['code']}' says more)" if row["code"] else ""
+    text = f"axis {row['axis']}: {row['fault'] or 'no fault'}"
+    text += f" ('taut explain {row['code']}' says more)" if row["code"] else ""
     if row["left"]:
-        return f"{said}\n  not cleared: {row['left']}"
+        return f"{text}\n  not cleared: {row['left']}"
     if row["fault"]:
-        said += "\n  cleared"
-        said += "" if row["referenced"] else "; its position is not known: run 'taut home'"
-    return said
+        text += "\n  cleared"
+        text += "" if row["referenced"] else "; its position is not known: run 'taut home'"
+    return text

@@ -55,7 +55,7 @@ def command(
     with opened(LiveOptions(board, axis, None, Path(), simulate, None), rig_path) as live:
         if live.plant is not None:
             live.plant.end_at(*live.rig.actuator.range)
-        found = commission(
+        commissioned = commission(
             live,
             (lambda question: True) if yes else (lambda question: click.confirm(question, err=True)),
             log,
@@ -65,28 +65,28 @@ def command(
         )
         serial = live.board.identity.serial
     try:
-        figures.save(figures.servo_steps(found.steps, found.factor), out)
+        figures.save(figures.servo_steps(commissioned.steps, commissioned.factor), out)
     except OSError as error:
         raise TautError(f"{out}: cannot be written ({error.strerror}): all is stored on the board") from error
-    step = found.steps[found.factor]
-    changed = {name: value for name, value in found.settings.items() if found.before[name] != value}
+    step = commissioned.steps[commissioned.factor]
+    changed = {name: value for name, value in commissioned.settings.items() if commissioned.before[name] != value}
     result = {
         "board": serial,
         "axis": axis,
-        "q": found.q,
-        "friction": found.friction,
-        "speed_s": found.speed_s,
-        "current_ma": found.current_ma,
-        "factor": found.factor,
+        "q": commissioned.q,
+        "friction": commissioned.friction,
+        "speed_s": commissioned.speed_s,
+        "current_ma": commissioned.current_ma,
+        "factor": commissioned.factor,
         "error_rms": step.rms,
         "overshoot": step.overshoot,
         "settling_s": step.settling_s,
-        "settings": found.settings,
+        "settings": commissioned.settings,
         "changed": sorted(changed),
         "picture": out,
     }
     shown = [
         f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}" for name, value in changed.items()
     ]
-    said = f"stored {', '.join(shown)}" if shown else "the settings stay as they were"
-    emit(result, as_json, f"{serial} axis {axis}: {said}\n{out} shows the steps.")
+    text = f"stored {', '.join(shown)}" if shown else "the settings stay as they were"
+    emit(result, as_json, f"{serial} axis {axis}: {text}\n{out} shows the steps.")

@@ -8,9 +8,8 @@ import click
 
 from tautline.cli._common import emit, json_option, progress_bar, warn, warn_unusable
 from tautline.compensation import MODES, RATES_HZ, compensate, read_trajectory, write_csv
-from tautline.effects import BY_ID
 from tautline.model import Model
-from tautline.undone import COUPLED
+from tautline.undone import left
 
 
 @click.command("compensate")
@@ -58,10 +57,8 @@ def command(
     """
     model = Model.load(model_path)
     warn_unusable(model, model_path)
-    # a trajectory says nothing of other axes
-    left = [effect.id for effect in model.effects if not BY_ID[effect.id].on_board or effect.id == COUPLED]
-    if left:
-        warn(f"{model_path}: no table can undo {', '.join(left)}: these are not undone")
+    if remains := left(model):  # a trajectory says nothing of other axes
+        warn(f"{model_path}: no table can undo {', '.join(remains)}: these are not undone")
     warnings: list[str] = []
     t_s, c_deg = read_trajectory(trajectory_path, warnings)
     for warning in warnings:

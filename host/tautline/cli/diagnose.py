@@ -20,7 +20,7 @@ from tautline.cli._common import (
     warn_unusable,
 )
 from tautline.cli._live import LiveOptions, live_options, opened
-from tautline.diagnosis import words
+from tautline.diagnosis import narration
 from tautline.diagnosis.diagnose import diagnose
 from tautline.diagnosis.folder import DOCUMENT, save
 from tautline.diagnosis.recorded import calibrated
@@ -78,7 +78,7 @@ def command(
                      live, most, seed)  # fmt: skip
         save(asked.diagnosis, out)
         more = {"recordings": asked.recordings, "why": asked.why, "sure": asked.sure}
-        said = f"{words.text(asked.diagnosis.document, str(out))}\n\nStopped: {asked.why}."
+        said = f"{narration.text(asked.diagnosis.document, str(out))}\n\nStopped: {asked.why}."
         emit({**asked.diagnosis.document, "live": more}, as_json, said)
         _lead(asked.diagnosis.document)
         return
@@ -86,13 +86,16 @@ def command(
         raise click.UsageError("name CALIBRATION and at least one TEST, or record them with --live")
     recordings, rig = read_recordings([calibration_path, *test_paths], rig_path)
     with progress_bar("diagnosing") as progress:
-        found, recordings = _calibrated(recordings, rig, calibration_path, progress)
+        calibration, recordings = _calibrated(recordings, rig, calibration_path, progress)
         diagnosis = diagnose(
-            found.model, recordings[0], recordings[1:], lambda fraction, text: progress(0.3 + 0.65 * fraction, text)
+            calibration.model,
+            recordings[0],
+            recordings[1:],
+            lambda fraction, text: progress(0.3 + 0.65 * fraction, text),
         )
         progress(0.96, "writing the report")
         save(diagnosis, out)
-    emit(diagnosis.document, as_json, words.text(diagnosis.document, str(out)))
+    emit(diagnosis.document, as_json, narration.text(diagnosis.document, str(out)))
     _lead(diagnosis.document)
 
 
@@ -106,9 +109,9 @@ def _calibrated(
     recordings: list[Recording], rig: Rig, path: Path, progress: Progress
 ) -> tuple[Calibration, list[Recording]]:
     """On the first of them; all on the motor's clock."""
-    found, recordings = calibrated(recordings, rig, lambda fraction, text: progress(0.3 * fraction, text))
-    warn_unusable(found.model, path)
-    return found, recordings
+    calibration, recordings = calibrated(recordings, rig, lambda fraction, text: progress(0.3 * fraction, text))
+    warn_unusable(calibration.model, path)
+    return calibration, recordings
 
 
 def _ask(
@@ -127,5 +130,5 @@ def _ask(
             calibrate_until(setup, calibration_path, progress=progress)
             given, rig = [load(calibration_path, setup.rig)], setup.rig
         assert rig is not None
-        found, recordings = _calibrated(given, rig, calibration_path, progress)
-        return diagnose_live(setup, found, recordings[0], recordings[1:], kept, most, progress, log)
+        calibration, recordings = _calibrated(given, rig, calibration_path, progress)
+        return diagnose_live(setup, calibration, recordings[0], recordings[1:], kept, most, progress, log)

@@ -48,22 +48,19 @@ def command(
     from tautline import tables
     from tautline.device import wire
     from tautline.device.board import open_board
-    from tautline.effects import BY_ID
     from tautline.errors import TautError
     from tautline.model import Model
+    from tautline.undone import COUPLED, Joint, left
 
     model = Model.load(model_path)
     refuse_unusable(model, model_path, force)
-    from tautline.undone import COUPLED, Joint, undone
-
     known = {column: Joint(number, resolution) for column, number, resolution in map(_joint, joints)}
-    left = [effect.id for effect in model.effects if not BY_ID[effect.id].on_board]
-    if any(effect.id == COUPLED for effect in model.effects) and "joints" not in undone(model, known)[1]:
-        left.append(COUPLED)
-    if left and not without_effects:
+    remains = left(model, known)
+    if remains and not without_effects:
+        told = ", ".join(f"{name} (without --joint)" if name == COUPLED else name for name in remains)
         raise TautError(
-            f"{model_path}: no table can undo {', '.join(left)}{_and_joint(left)}: load what they can with "
-            "--without-effects, or the model that was calibrated"
+            f"{model_path}: no table can undo {told}: load what they can with --without-effects, or the model that was "
+            "calibrated"
         )
     blob = tables.encode(model, axis=axis, joints=known)
     with open_board(board) as opened, progress_bar("flash") as progress:
@@ -83,7 +80,7 @@ def command(
             "instrument": table.instrument or None,
             "table_crc": status.table_crc,
             "verified": True,
-            "without_effects": left,
+            "without_effects": remains,
         },
         as_json,
         f"{serial} axis {axis}: model {table.model_id.hex()}, {len(table.q)} nodes, {len(blob)} bytes, read back equal",
@@ -97,9 +94,3 @@ def _joint(text: str) -> tuple[str, int, float]:
         return column, int(axis), float(resolution)
     except ValueError:
         raise click.UsageError(f"--joint {text}: say it as translation_mm=1:0.001") from None
-
-
-def _and_joint(left: list[str]) -> str:
-    from tautline.undone import COUPLED
-
-    return " (without --joint)" if COUPLED in left else ""

@@ -124,9 +124,9 @@ def _report(result: Any, compensation: str, out: Path | None) -> dict[str, Any]:
 
 
 def _text(result: Any, compensation: str, out: Path | None) -> str:
-    said = f"followed {result.t_s[-1] - result.t_s[0]:.1f} s, compensation {compensation}"
+    text = f"followed {result.t_s[-1] - result.t_s[0]:.1f} s, compensation {compensation}"
     if result.scored_by:
-        said += f": tip off by {result.rms_deg:.3f} deg rms, {result.max_deg:.3f} at most (by {result.scored_by})"
+        text += f": tip off by {result.rms_deg:.3f} deg rms, {result.max_deg:.3f} at most (by {result.scored_by})"
     else:
-        said += " (no camera: how far off the tip was is not known)"
-    return said + (f"; recorded in {out}" if out else "")
+        text += " (no camera: how far off the tip was is not known)"
+    return text + (f"; recorded in {out}" if out else "")

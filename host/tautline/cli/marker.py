@@ -14,7 +14,7 @@ from tautline.cli._common import emit, json_option, progress_bar
 from tautline.errors import TautError
 from tautline.vision.camera import VideoCamera, sample_video
 from tautline.vision.colour import COLOUR_FILE, LARGEST_PX, MarkerColour, pick
-from tautline.vision.marker import Sighting, Tracker, find_colour
+from tautline.vision.marker import MarkerTracker, Sighting, find_colour
 
 _STILL_FRAMES = 60  # that are tracked to say how well the marker can be seen
 _SPREAD = 12  # frames from all over a video in which the marker is looked for
@@ -58,7 +58,7 @@ def command(source: str, at: tuple[float, float] | None, out: Path | None, as_js
         raise TautError(
             f"{source}: no marker stands out by its colour: show where it is in the first picture with --at U,V"
         )
-    tracker = Tracker(colour)
+    tracker = MarkerTracker(colour)
     with progress_bar("tracking") as progress:
         seen = []
         for k, picture in enumerate(pictures):
@@ -133,7 +133,7 @@ def _found(pictures: list[np.ndarray]) -> MarkerColour | None:
     coarse = find_colour(small)
     if coarse is None:
         return find_colour(pictures)  # a marker of a few pixels
-    tracker = Tracker(replace(coarse, diameter_px=min(coarse.diameter_px * shrink, LARGEST_PX)))
+    tracker = MarkerTracker(replace(coarse, diameter_px=min(coarse.diameter_px * shrink, LARGEST_PX)))
     for picture in pictures:
         tracker.reset()
         seen = tracker.track(picture)

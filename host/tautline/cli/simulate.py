@@ -15,7 +15,7 @@ from tautline.rig import Actuator, Rig
 from tautline.simulated.endoscope import Endoscope, load_background
 from tautline.simulated.instrument import PRESETS, Instrument, of_name
 from tautline.simulated.simulate import run
-from tautline.simulated.trajectory import Trajectory, back_and_forth, random_smooth, sines, trapezoids
+from tautline.trajectory import Trajectory, back_and_forth, random_smooth, sines, trapezoids
 from tautline.vision.timing import FrameTiming
 
 _WAY_BACK = 0.105  # of the range

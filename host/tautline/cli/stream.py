@@ -56,7 +56,7 @@ def command(
     While stdin says nothing new for longer than --silence, nothing is sent, and the board brings the axis to rest.
     """
     from tautline.device.board import open_board
-    from tautline.device.stream import SetPoints
+    from tautline.device.stream import SetPointStream
 
     model = None if model_path is None else Model.load(model_path)
     if model is not None and model_path is not None:
@@ -69,7 +69,7 @@ def command(
 
     before = signal.signal(signal.SIGINT, stop)
     try:
-        with open_board(board) as opened, SetPoints(_loaded(opened, axis, model), axis, silence) as points:
+        with open_board(board) as opened, SetPointStream(_loaded(opened, axis, model), axis, silence) as points:
             began = time.monotonic()
             newest, fresh = points.start_deg, 0.0
             lines = _Lines() if sine is None else None
@@ -113,13 +113,13 @@ class _Lines:
 
     def newest(self) -> str | None:
         """The last whole line that came since, None where there is none."""
-        found = None
+        last = None
         while not self.ended and self._inputs.select(0):
             data = os.read(sys.stdin.fileno(), 1 << 16)
             self.ended = not data
             *whole, self._rest = (self._rest + data).split(b"\n")
-            found = next((line for line in reversed(whole) if line.strip()), found)
-        return found.decode("utf-8", "replace") if found is not None else None
+            last = next((line for line in reversed(whole) if line.strip()), last)
+        return last.decode("utf-8", "replace") if last is not None else None
 
 
 def _number(line: str) -> float:

@@ -9,14 +9,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from tautline.device import holder, wire
-from tautline.device.clock import Clock
+from tautline.device.clock import BoardClock
 from tautline.device.dfu import DfuError
-from tautline.device.link import BoardGone, Found, Link
+from tautline.device.link import BoardAddress, BoardGone, Link
 from tautline.device.serial_link import find_serial
 from tautline.device.usb_link import find_usb, find_usbip, named
 from tautline.errors import TautError
 
-__all__ = ["Board", "BoardGone", "BoardRefused", "Found", "check_protocol", "find", "open_board"]
+__all__ = ["Board", "BoardAddress", "BoardGone", "BoardRefused", "check_protocol", "find", "open_board"]
 
 _ANSWER_S, _SIMULATED_S = 2.0, 10.0  # a simulated board answers when this machine lets it
 _STORE_S = 10.0  # a table: an erase and ten pages
@@ -40,50 +40,50 @@ class BoardRefused(TautError):
         self.reason = next((name for name, (value, _) in wire.wire.REASONS.items() if value == code), str(code))
 
 
-def find(where: str | None = None) -> list[Found]:
+def find(where: str | None = None) -> list[BoardAddress]:
     """`where`: usbip:HOST:PORT, serial:DEVICE, a serial number, usb:SERIAL, or None for every board on USB and the one
     that the environment variable TAUTLINE_BOARD names."""
     if where is not None and where.startswith(("usbip:", "serial:")):
         return _find_named(where)
-    found = find_usb()
+    boards = find_usb()
     if where is not None:
         serial = where.removeprefix("usb:")
-        return [board for board in found if board.serial == serial]
+        return [board for board in boards if board.serial == serial]
     other = named()
     if other and other.startswith(("usbip:", "serial:")):
-        found += _find_named(other)
-    return found
+        boards += _find_named(other)
+    return boards
 
 
-def _find_named(where: str) -> list[Found]:
+def _find_named(where: str) -> list[BoardAddress]:
     return find_usbip(where) if where.startswith("usbip:") else find_serial(where)
 
 
 def open_board(where: str | None = None, otherwise: str = "") -> Board:
     """The one board that `where` names (see `find`), checked to speak this protocol and to be free. `otherwise`: what
     else the caller could use where there is none, for the error."""
-    found = find(where)
-    if not found:
+    boards = find(where)
+    if not boards:
         looked = f"no board '{where}' was found" if where else "no board was found"
         raise TautError(
             f"{looked}: plug it in{',' if otherwise else ' or'} name one with --board usbip:HOST:PORT or serial:DEVICE"
             f"{f', or {otherwise}' if otherwise else ''}"
         )
-    if len(found) > 1:
-        choices = " or ".join(f"--board {board.where}" for board in found)
-        raise TautError(f"{len(found)} boards were found: say which with {choices}")
-    return Board(found[0])
+    if len(boards) > 1:
+        choices = " or ".join(f"--board {board.where}" for board in boards)
+        raise TautError(f"{len(boards)} boards were found: say which with {choices}")
+    return Board(boards[0])
 
 
-def check_protocol(found: Found) -> None:
+def check_protocol(description: BoardAddress) -> None:
     """Before anything is opened: a board of another protocol generation is left alone."""
-    ours, theirs = wire.wire.MAJOR, found.protocol[0]
+    ours, theirs = wire.wire.MAJOR, description.protocol[0]
     if theirs == ours:
         return
-    speaks = f"{found.where} speaks protocol {theirs}, this tautline speaks {ours}"
+    speaks = f"{description.where} speaks protocol {theirs}, this tautline speaks {ours}"
     if theirs > ours:
         raise TautError(f"{speaks}: run 'pip install --upgrade tautline'")
-    if found.where.startswith(("usbip:", "serial:tcp:")):
+    if description.where.startswith(("usbip:", "serial:tcp:")):
         raise TautError(f"{speaks}: run 'cmake --build --preset gcc' and start the board again")
     mend = "cp build/rp2040/tautline.uf2 /media/$USER/RPI-RP2/"
     raise TautError(f"{speaks}: hold BOOTSEL while plugging the board in, then run '{mend}'")
@@ -96,15 +96,15 @@ class Board:
     are then called on that thread.
     """
 
-    def __init__(self, found: Found) -> None:
-        check_protocol(found)
-        self.where = found.where
-        self.clock = Clock()
+    def __init__(self, description: BoardAddress) -> None:
+        check_protocol(description)
+        self.where = description.where
+        self.clock = BoardClock()
         self.missed = 0  # unasked messages that never came
         self.refused: list[BoardRefused] = []  # of messages that have no answer
-        simulated = found.where.startswith(("usbip:", "serial:tcp:"))
+        simulated = description.where.startswith(("usbip:", "serial:tcp:"))
         self._answer_s = _SIMULATED_S if simulated else _ANSWER_S
-        self._link: Link = found.open()
+        self._link: Link = description.open()
         self._listeners: dict[str, list[Listener]] = {name: [] for name in _UNASKED}
         self._decoder = wire.Decoder()
         self._arrived = threading.Condition()

@@ -11,7 +11,7 @@ _KEPT = 512
 _LINE_S = 5.0  # round trips over so long show the drift better than STEADY bounds it
 
 
-class Clock:
+class BoardClock:
     """board time = host time + offset(host time); in a round trip the board's stamp fell between its two ends."""
 
     def __init__(self) -> None:

@@ -30,7 +30,7 @@ class Link(Protocol):
 
 
 @dataclass(frozen=True)
-class Found:
+class BoardAddress:
     """A board that was found, not opened."""
 
     where: str  # usb:SERIAL, usbip:HOST:PORT or serial:DEVICE

@@ -19,7 +19,7 @@ import serial
 
 from tautline.device import wire
 from tautline.device.holder import busy
-from tautline.device.link import BoardGone, Found
+from tautline.device.link import BoardAddress, BoardGone
 from tautline.errors import TautError
 
 _WRITE_S = 1.0
@@ -97,19 +97,19 @@ def _busy(where: str) -> TautError:
 
 def _open(where: str) -> Any:
     name = where.removeprefix("serial:")
-    if found := re.fullmatch(r"tcp:(.+):(\d+)", name):
-        if not _is_here(found[1]):
+    if match := re.fullmatch(r"tcp:(.+):(\d+)", name):
+        if not _is_here(match[1]):
             raise TautError(f"--board {where}: a line over a socket is for simulated boards on this machine: 127.0.0.1")
         try:
-            return _Socket(found[1], int(found[2]))
+            return _Socket(match[1], int(match[2]))
         except (OSError, OverflowError) as error:
             raise TautError(f"{where}: no board answers there: start it, or name another with --board") from error
-    found = re.fullmatch(r"([^@]+)(?:@(\d+))?", name)
-    if not found:
+    match = re.fullmatch(r"([^@]+)(?:@(\d+))?", name)
+    if not match:
         raise TautError(f"--board {where}: {_EXPECTED}")
-    baud = int(found[2] or wire.wire.SERIAL_BAUD)
+    baud = int(match[2] or wire.wire.SERIAL_BAUD)
     try:
-        return serial.Serial(found[1], baud, timeout=0.0, write_timeout=_WRITE_S, exclusive=True)
+        return serial.Serial(match[1], baud, timeout=0.0, write_timeout=_WRITE_S, exclusive=True)
     except ValueError as error:
         raise TautError(f"--board {where}: {error}: {_EXPECTED}") from error
     except OSError as error:  # pyserial's own is one
@@ -130,9 +130,9 @@ def _is_here(host: str) -> bool:
         return False
 
 
-def find_serial(where: str) -> list[Found]:
+def find_serial(where: str) -> list[BoardAddress]:
     """Says hello to ask who is there: without an answer nobody is."""
-    busy = Found(where, None, True, (wire.wire.MAJOR, wire.wire.MINOR), lambda: _refuse(where))
+    busy = BoardAddress(where, None, True, (wire.wire.MAJOR, wire.wire.MINOR), lambda: _refuse(where))
     try:
         link = SerialLink(where)
     except TautError as error:
@@ -145,7 +145,7 @@ def find_serial(where: str) -> list[Found]:
                 link.write(wire.encode("hello", 0, protocol_major=wire.wire.MAJOR, protocol_minor=wire.wire.MINOR))
                 if identity := _identity(link):
                     protocol = (identity.protocol_major, identity.protocol_minor)
-                    return [Found(where, identity.serial, False, protocol, lambda: SerialLink(where))]
+                    return [BoardAddress(where, identity.serial, False, protocol, lambda: SerialLink(where))]
         except BoardGone:
             if where.startswith("serial:tcp:"):  # a simulated board closes a second connection at once
                 return [busy]

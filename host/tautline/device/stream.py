@@ -15,7 +15,7 @@ _ALIGN_S = 0.25
 _DEG = 65536.0
 
 
-class SetPoints:
+class SetPointStream:
     """Sends c*, deg, to one axis through its tables. After the block the axis is at rest and off."""
 
     def __init__(self, board: Board, axis: int, silence_s: float = 0.1) -> None:
@@ -30,7 +30,7 @@ class SetPoints:
         self.silences = 0  # after which the axis was made to follow again
         self._next = self._began = self._ended = self._last = self._aligned = 0.0
 
-    def __enter__(self) -> SetPoints:
+    def __enter__(self) -> SetPointStream:
         self._board.align(16)
         self._board.refused.clear()
         self._board.switch_on(self._axis)

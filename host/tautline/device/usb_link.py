@@ -15,7 +15,7 @@ import usb.util
 from tautline.device import usbip_backend, wire
 from tautline.device.dfu import Dfu
 from tautline.device.holder import busy
-from tautline.device.link import BoardGone, Found
+from tautline.device.link import BoardAddress, BoardGone
 from tautline.errors import TautError
 
 ENVIRONMENT = "TAUTLINE_BOARD"
@@ -75,16 +75,16 @@ class UsbLink:
         return TautError(f"{self._where}: USB failed ({error}): unplug the board and plug it in again")
 
 
-def _found(device: usb.core.Device, where: str, serial: str | None, busy: bool) -> Found:
+def _found(device: usb.core.Device, where: str, serial: str | None, busy: bool) -> BoardAddress:
     protocol = (device.bcdDevice >> 8, device.bcdDevice & 0xFF)
-    return Found(where, serial, busy, protocol, lambda: UsbLink(device, where))
+    return BoardAddress(where, serial, busy, protocol, lambda: UsbLink(device, where))
 
 
-def find_usb() -> list[Found]:
+def find_usb() -> list[BoardAddress]:
     backend = libusb_package.get_libusb1_backend()
     if backend is None:
         return []
-    found = []
+    boards = []
     for device in _ours(backend):
         try:
             serial, busy = device.serial_number, False
@@ -92,11 +92,11 @@ def find_usb() -> list[Found]:
             serial, busy = None, True
         finally:
             usb.util.dispose_resources(device)
-        found.append(_found(device, f"usb:{serial or f'{device.bus}-{device.address}'}", serial, busy))
-    return found
+        boards.append(_found(device, f"usb:{serial or f'{device.bus}-{device.address}'}", serial, busy))
+    return boards
 
 
-def find_usbip(where: str) -> list[Found]:
+def find_usbip(where: str) -> list[BoardAddress]:
     address = where.split(":")
     if len(address) != 3 or not address[2].isdigit():
         raise TautError(f"--board {where}: expected usbip:HOST:PORT, such as usbip:127.0.0.1:3240")
@@ -104,12 +104,12 @@ def find_usbip(where: str) -> list[Found]:
         devices = list(_ours(usbip_backend.Backend(address[1], int(address[2]))))
     except usb.core.USBError as error:
         raise TautError(f"{where}: {error.strerror}: start the board, or name another with --board") from error
-    found = []
+    boards = []
     for device in devices:
         busy = device.iSerialNumber == 0
-        found.append(_found(device, where, None if busy else device.serial_number, busy))
+        boards.append(_found(device, where, None if busy else device.serial_number, busy))
         usb.util.dispose_resources(device)
-    return found
+    return boards
 
 
 def named() -> str | None:
@@ -118,10 +118,10 @@ def named() -> str | None:
 
 
 def _ours(backend: Any) -> Iterator[usb.core.Device]:
-    found = usb.core.find(
+    devices = usb.core.find(
         find_all=True, backend=backend, idVendor=wire.wire.USB_VENDOR, idProduct=wire.wire.USB_PRODUCT
     )
-    for device in found:
+    for device in devices:
         with contextlib.suppress(usb.core.USBError, ValueError):  # the pair of numbers may be shared: ask for the name
             if device.iManufacturer and device.manufacturer != wire.wire.USB_MANUFACTURER:
                 continue

@@ -84,12 +84,12 @@ def devices(host: str, port: int) -> list[Exported]:
             version, code, status = _OP.unpack(_receive(sock, _OP.size))
             if code != _OP_DEVLIST & 0x7FFF or status != 0:
                 raise OSError(errno.EPROTO, f"{host}:{port} does not speak USB/IP (version {version:#06x})")
-            found = []
+            exported = []
             for _ in range(struct.unpack(">I", _receive(sock, 4))[0]):
                 entry, interfaces = Exported.unpack(host, port, _receive(sock, _DEVICE.size))
                 _receive(sock, 4 * interfaces)
-                found.append(entry)
-            return found
+                exported.append(entry)
+            return exported
         except TimeoutError as error:
             raise OSError(errno.EPROTO, f"{host}:{port} does not speak USB/IP") from error
 

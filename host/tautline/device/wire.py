@@ -28,9 +28,9 @@ class _Field:
 
     @classmethod
     def of(cls, raw: str, kind: str, count: int) -> _Field:
-        found = _SCALE.search(raw)
+        match = _SCALE.search(raw)
         zero: Any = "" if kind == "text" else 0 if count == 1 else (0,) * count
-        return cls(raw, _SCALE.sub("", raw), 1 << int(found[1]) if found else 0, zero)
+        return cls(raw, _SCALE.sub("", raw), 1 << int(match[1]) if match else 0, zero)
 
 
 _FIELDS = {name: tuple(_Field.of(*field[:3]) for field in message["fields"]) for name, message in wire.MESSAGES.items()}

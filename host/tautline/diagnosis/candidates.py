@@ -28,7 +28,7 @@ _NOISE = 4.0  # floors: what is more is no noise, and a lost marker counts no mo
 
 
 @dataclass(frozen=True)
-class Found:
+class Candidate:
     """A hypothesis fitted to everything, and what it leaves of each block when it has not seen it."""
 
     fit: Fit
@@ -59,7 +59,7 @@ class Found:
         events = [kind.event for kind in self.fit.hypothesis.kinds if kind.event]
         return all(event.mean in self.fit.state.values for event in events)
 
-    def reported(self) -> Found:
+    def reported(self) -> Candidate:
         """With the parameters of its scatter in the fit, where no residual is asked for any more."""
         values = {**self.fit.state.values, **self.scatters}
         return replace(self, fit=replace(self.fit, state=replace(self.fit.state, values=values)))
@@ -75,9 +75,9 @@ class Search:
         self.limits = outlier_limits(fitter, base)
         self.base = self.judged(base)
 
-    def judged(self, fit: Fit) -> Found:
+    def judged(self, fit: Fit) -> Candidate:
         left = heldout.residuals(self.fitter, fit, self.labels, self.limits)
-        return Found(fit, left, self.power(left), self.beyond(fit))
+        return Candidate(fit, left, self.power(left), self.beyond(fit))
 
     def beyond(self, fit: Fit, further: Sequence[Kind] = ()) -> Beyond | None:
         """What no law of the stages of the fit's effects and of `further` could leave of each block."""
@@ -98,13 +98,13 @@ class Search:
             parts.append(np.bincount(label, squares) / np.bincount(label))
         return np.concatenate(parts)
 
-    def on_top_of(self, below: Found, refits: int, both_scopes: int) -> list[Found]:
+    def on_top_of(self, below: Candidate, refits: int, both_scopes: int) -> list[Candidate]:
         """The `refits` effects that screen best, each in the scope that screens
         best; the best `both_scopes` of them in their other scopes too. Best first."""
         seen: dict[str, dict[Scope, Screened]] = {}
         for entry in screen(self.fitter, below.fit, self._with_path, self.limits):
             seen.setdefault(entry.kind.id, {}).setdefault(entry.scope, entry)
-        found: list[Found] = []
+        candidates: list[Candidate] = []
 
         def refit(entry: Screened) -> None:
             self._progress(f"fitting {' and '.join((*below.ids, entry.kind.id))}")
@@ -114,7 +114,7 @@ class Search:
             if not fit.finite:
                 return
             if (entry.kind.scan != "moment" or self._seen_to_happen(fit)) and self._seen_to_change(fit):
-                found.append(self.judged(fit))
+                candidates.append(self.judged(fit))
 
         leading = list(seen)[:refits]
         for name, scopes in seen.items():
@@ -124,15 +124,15 @@ class Search:
                 refit(best)
             for other in rest if both_scopes and best.kind.each else []:
                 refit(other)
-        found.sort(key=_loss)
-        for one in found[:both_scopes]:
+        candidates.sort(key=_loss)
+        for one in candidates[:both_scopes]:
             kind, tried = one.fit.hypothesis.kinds[-1], one.fit.hypothesis.scopes[-1]
             for scope, other in seen[kind.id].items():
                 if scope != tried and not kind.each:
                     refit(other)
-        return sorted(found, key=_loss)
+        return sorted(candidates, key=_loss)
 
-    def posture(self, below: Found, only: Collection[str] | None = None) -> Found | None:
+    def posture(self, below: Candidate, only: Collection[str] | None = None) -> Candidate | None:
         """All that another posture, tension or homing changes at once on top of a hypothesis, in each recording another
         where there are several; or these ids of it only. `below` may have some of it already."""
         kinds = [kind for kind in self.kinds if kind.posture and not below.fit.hypothesis.find(kind.id)]
@@ -147,7 +147,7 @@ class Search:
         fit = self.fitter.fit(hypothesis, values, below.fit.state)
         return self.judged(fit) if kinds and fit.finite else None
 
-    def in_the_mean(self, below: Found, kind: Kind, amount: float) -> Found | None:
+    def in_the_mean(self, below: Candidate, kind: Kind, amount: float) -> Candidate | None:
         """An event after the calibration on top of a hypothesis, as it is in the mean: with sticking the play is wider
         by about the length that the tip sticks for (while calibrating it is B's own)."""
         assert kind.event
@@ -198,8 +198,8 @@ def _curve(kind: Kind) -> set[str]:
     return {p.name for p in kind.amplitudes if kind.nominal and p.name.rsplit("_", 1)[-1].isdigit()}
 
 
-def _loss(found: Found) -> float:
-    return float(np.mean(np.log(found.power)))
+def _loss(candidate: Candidate) -> float:
+    return float(np.mean(np.log(candidate.power)))
 
 
 def applicable(fitter: Fitter, left_out: Collection[str] = ()) -> list[Kind]:

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import _native
-from tautline.diagnosis.fit import STATIC_COLUMNS, Fit, Fitter, Seen
+from tautline.diagnosis.fit import STATIC_COLUMNS, Fit, Fitter, ScoredRows
 from tautline.diagnosis.segment import Segment
 from tautline.effects import Kind
 
@@ -54,8 +54,8 @@ def residuals(fitter: Fitter, fit: Fit, further: Sequence[Kind] = ()) -> list[Ar
             ]
     if not (along or timed):
         return fitter.left(rows) if rows[0].columns.shape[2] <= _native.NORMAL_COLUMNS else None
-    ways = [row.by_c for row in rows] if along else [_velocity(s) for s in fitter.segments]
-    parts = [_across(row, way) for row, way in zip(rows, ways, strict=True)]
+    velocities = [row.by_c for row in rows] if along else [_velocity(s) for s in fitter.segments]
+    parts = [_across(row, way) for row, way in zip(rows, velocities, strict=True)]
     columns = np.concatenate([part[1] for part in parts])
     size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     seen = np.concatenate([part[0] for part in parts])
@@ -63,7 +63,7 @@ def residuals(fitter: Fitter, fit: Fit, further: Sequence[Kind] = ()) -> list[Ar
     return [(left - moved @ step)[:, None] for left, moved in parts]
 
 
-def _across(row: Seen, way: Array) -> tuple[Array, Array]:
+def _across(row: ScoredRows, way: Array) -> tuple[Array, Array]:
     """Of residual (n,) and of columns (n, m): what is normal to `way` (n, 2)."""
     unit = way / np.maximum(np.linalg.norm(way, axis=1), 1e-12)[:, None]
     normal = np.column_stack([-unit[:, 1], unit[:, 0]])
@@ -76,37 +76,37 @@ def _velocity(segment: Segment) -> Array:
     return velocity[segment.scored]
 
 
-def _lens(fitter: Fitter, rows: Sequence[Seen]) -> list[Array]:
+def _lens(fitter: Fitter, rows: Sequence[ScoredRows]) -> list[Array]:
     """Polynomials of where the image should be (where it is has the noise in it), for either coordinate."""
     seen = [s.observed[s.scored] - row.residual for s, row in zip(fitter.segments, rows, strict=True)]
     low, high = (f([f(x, axis=0) for x in seen], axis=0) for f in (np.min, np.max))
-    found = []
+    columns = []
     for x in seen:
         u, v = (2.0 * (x - low) / np.maximum(high - low, 1e-9) - 1.0).T
         of_u, of_v = (np.polynomial.chebyshev.chebvander(c, _LENS_ORDER) for c in (u, v))
         terms = [of_u[:, i] * of_v[:, j] for i in range(_LENS_ORDER + 1) for j in range(_LENS_ORDER + 1 - i)]
-        found.append(np.einsum("nm,kl->nkml", np.column_stack(terms), np.eye(2)).reshape(len(x), 2, -1))
-    return found
+        columns.append(np.einsum("nm,kl->nkml", np.column_stack(terms), np.eye(2)).reshape(len(x), 2, -1))
+    return columns
 
 
-def _plane(fitter: Fitter, rows: Sequence[Seen]) -> list[Array]:
+def _plane(fitter: Fitter, rows: Sequence[ScoredRows]) -> list[Array]:
     """The bending plane's two directions in the image, times polynomials of the angle."""
     angles = [row.path.c_deg[s.scored] for s, row in zip(fitter.segments, rows, strict=True)]
     low, high = min(float(c.min()) for c in angles), max(float(c.max()) for c in angles)
-    found = []
+    columns = []
     for segment, row, c in zip(fitter.segments, rows, angles, strict=True):
         x, y, z = np.moveaxis(row.columns[:, :, STATIC_COLUMNS], 2, 0)[3:6]
         roll = row.path.rotation_deg
         turned = np.zeros(len(c)) if roll is None else np.radians(roll[segment.scored])
         sideways = np.cos(turned)[:, None] * x + np.sin(turned)[:, None] * y
         of_c = np.polynomial.chebyshev.chebvander(2.0 * (c - low) / max(high - low, 1e-9) - 1.0, _PLANE_ORDER)
-        found.append(np.concatenate([sideways[:, :, None] * of_c[:, None], z[:, :, None] * of_c[:, None]], axis=2))
-    return found
+        columns.append(np.concatenate([sideways[:, :, None] * of_c[:, None], z[:, :, None] * of_c[:, None]], axis=2))
+    return columns
 
 
-def _channel(fitter: Fitter, rows: Sequence[Seen]) -> list[Array]:
+def _channel(fitter: Fitter, rows: Sequence[ScoredRows]) -> list[Array]:
     """Rigid motions of the instrument that depend on the direction and die away after it changes."""
-    found = []
+    columns = []
     for segment, row in zip(fitter.segments, rows, strict=True):
         step = np.diff(row.path.p, prepend=row.path.p[0])
         way = np.sign(step)
@@ -117,8 +117,8 @@ def _channel(fitter: Fitter, rows: Sequence[Seen]) -> list[Array]:
         settles = [np.exp(-travel / reach) for reach in _TRAVELS]
         law = np.column_stack([np.ones(len(way)), way, *(way * s for s in settles)])[segment.scored]
         motions = row.columns[:, :, STATIC_COLUMNS]
-        found.append(np.einsum("nki,nj->nkij", motions, law).reshape(len(law), motions.shape[1], -1))
-    return found
+        columns.append(np.einsum("nki,nj->nkij", motions, law).reshape(len(law), motions.shape[1], -1))
+    return columns
 
 
 _FREEDOM = {"lens": _lens, "plane": _plane, "channel": _channel}

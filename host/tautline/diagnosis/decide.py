@@ -14,7 +14,7 @@ import numpy.typing as npt
 from scipy.special import logsumexp
 
 from tautline.diagnosis.hyperparameters import Learnt, learnt
-from tautline.diagnosis.hypotheses import Evidence
+from tautline.diagnosis.hypotheses import CaseEvidence
 from tautline.diagnosis.likelihoods import Likelihoods
 from tautline.effects import EVENTS
 
@@ -26,7 +26,7 @@ HELPS = 0.7  # standard errors of the mean over blocks; one block alone that sho
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Decision:
     none: float
     unknown: float
     leading: Mapping[str, float]  # of each effect weighed: that it is the leading one; with the two above they sum to 1
@@ -58,7 +58,7 @@ class Verdict:
         return names
 
 
-def decide(evidence: Evidence, by: Learnt | None = None) -> Verdict:
+def decide(evidence: CaseEvidence, by: Learnt | None = None) -> Decision:
     """by: what is learnt unless told; over what instruments may have of it probabilities are averaged."""
     by = by or learnt()
     hypotheses = evidence.hypotheses
@@ -93,7 +93,7 @@ def decide(evidence: Evidence, by: Learnt | None = None) -> Verdict:
             break
         named.append(likeliest)
         probability.append(more[likeliest] / total)
-    return Verdict(
+    return Decision(
         float(p[0]),
         float(p[-1]),
         leading,
@@ -115,7 +115,7 @@ def _posterior(weights: Likelihoods, same: Mapping[frozenset[str], Sequence[int]
     return np.asarray(np.exp(log - logsumexp(log)))
 
 
-def with_moved(verdict: Verdict, parts: Sequence[tuple[str, float]]) -> Verdict:
+def with_moved(verdict: Decision, parts: Sequence[tuple[str, float]]) -> Decision:
     """Recalibrating closed the gap, so what these parts of the nominal model did (ids with shares) is what was there;
     it may yet stand in for an unknown effect. They are named as the nominal hypothesis has them."""
     told = (1.0 - learnt().center.mimics) * verdict.unknown
@@ -133,7 +133,7 @@ def with_moved(verdict: Verdict, parts: Sequence[tuple[str, float]]) -> Verdict:
     )
 
 
-def that_help(evidence: Evidence, verdict: Verdict) -> Verdict:
+def that_help(evidence: CaseEvidence, verdict: Decision) -> Decision:
     """Only effects without which the model leaves more on blocks that the fits did not see, by more than the blocks
     scatter; unknown where none does. Events have no path to be judged by."""
     ids = [h.ids for h in evidence.hypotheses]
@@ -164,6 +164,6 @@ def that_help(evidence: Evidence, verdict: Verdict) -> Verdict:
     return replace(verdict, unknown=verdict.unknown + told, leading=nothing, named=(), probability=(), chosen=0)
 
 
-def is_open(evidence: Evidence, power: Array | float) -> bool:
+def is_open(evidence: CaseEvidence, power: Array | float) -> bool:
     """Whether a fit leaves more than the noise and what a nominal model may leave of it."""
     return float(np.mean(power)) > (1.0 + learnt().center.calibration_excess) * evidence.floor**2

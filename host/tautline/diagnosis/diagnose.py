@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -12,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import effects
-from tautline.diagnosis import confounded, decide, flexible, gap, motion, moved, repeated, tip, where
-from tautline.diagnosis.candidates import Found, applicable
+from tautline.diagnosis import confounded, decide, flexible, gap, motion, moved, repeated, shapley, tip, where
+from tautline.diagnosis.candidates import Candidate, applicable
 from tautline.diagnosis.fit import Fit, Fitter, Scope, key
 from tautline.diagnosis.gather import Gathered, gather
-from tautline.diagnosis.hypotheses import Evidence
+from tautline.diagnosis.hypotheses import CaseEvidence
 from tautline.diagnosis.segment import Segment, load_reference, prepare
 from tautline.effects.library.registration import with_registration
 from tautline.model import Effect, Model, monotone
@@ -40,7 +38,7 @@ class Diagnosis:
     before: list[Array]  # residuals of each test, (scored, k)
     after: list[Array]
     conditions: list[where.Condition]
-    evidence: Evidence
+    evidence: CaseEvidence
 
 
 def diagnose(
@@ -76,7 +74,7 @@ def diagnose(
     parts = moved.from_the_start(fitter, frozen, base) if swallowed and verdict.name == "unknown" else []
     if parts:
         verdict = decide.with_moved(verdict, [(part.id, part.share) for part in parts])
-    chosen = gathered.found[verdict.chosen]
+    chosen = gathered.candidates[verdict.chosen]
     named = verdict.named if verdict.name == "effect" else ()
     after = chosen.left[1:] if named else before  # without an effect nothing is added
     after_rms = gap.rms(after)
@@ -160,18 +158,18 @@ def diagnose(
     )
 
 
-def _best_of_each(gathered: Gathered) -> dict[str, Found]:
+def _best_of_each(gathered: Gathered) -> dict[str, Candidate]:
     """The hypothesis of each effect alone that leaves least."""
-    best: dict[str, Found] = {}
-    for found in gathered.found:
-        if len(found.ids) == 1:
-            name = found.ids[0]
-            if name not in best or found.power.mean() < best[name].power.mean():
-                best[name] = found
+    best: dict[str, Candidate] = {}
+    for candidate in gathered.candidates:
+        if len(candidate.ids) == 1:
+            name = candidate.ids[0]
+            if name not in best or candidate.power.mean() < best[name].power.mean():
+                best[name] = candidate
     return best
 
 
-def _leading(gathered: Gathered, verdict: decide.Verdict) -> list[Fit]:
+def _leading(gathered: Gathered, verdict: decide.Decision) -> list[Fit]:
     """Of the three likeliest effects that have a path, those that cannot be told apart or else the best two."""
     best = _best_of_each(gathered)
     names = [name for name in verdict.ranked if name in best and name not in effects.EVENTS]
@@ -179,7 +177,7 @@ def _leading(gathered: Gathered, verdict: decide.Verdict) -> list[Fit]:
     return [best[name].fit for i, name in enumerate(names[:3]) if i < 2 or name in unsure]
 
 
-def _stage(verdict: decide.Verdict) -> str | None:
+def _stage(verdict: decide.Decision) -> str | None:
     """The likeliest: every effect counts for its own."""
     if verdict.name == "none" or not verdict.leading:
         return None
@@ -190,44 +188,31 @@ def _stage(verdict: decide.Verdict) -> str | None:
     return max(stages, key=lambda stage: stages[stage])
 
 
-def _shapley(gathered: Gathered, fitter: Fitter, named: Sequence[str], chosen: Found, before: float) -> list[float]:
+def _shapley(gathered: Gathered, fitter: Fitter, named: Sequence[str], chosen: Candidate, before: float) -> list[float]:
     """Each named effect's exact Shapley share of the shrinkage. A set of effects is worth what its own fit shrinks,
     or, where it was not tried, what the chosen fit does with the others at zero; no effect is worth nothing."""
-    n = len(named)
     known: dict[frozenset[str], float] = {frozenset(): 0.0}
-    for found in gathered.found:
-        if found.ids:
-            key, value = frozenset(found.ids), 1.0 - gap.rms(found.left[1:]) / before
+    for candidate in gathered.candidates:
+        if candidate.ids:
+            key, value = frozenset(candidate.ids), 1.0 - gap.rms(candidate.left[1:]) / before
             known[key] = max(known.get(key, -np.inf), value)
     known[frozenset(named)] = 1.0 - gap.rms(chosen.left[1:]) / before
 
-    def worth(names: tuple[str, ...]) -> float:
-        key = frozenset(names)
-        if key not in known:
-            off = {
-                p.name for name in named if name not in key for p in effects.BY_ID[name].amplitudes
-            } | effects.SCATTERS
-            values = {k: (0.0 if k.split("@")[0] in off else v) for k, v in chosen.fit.state.values.items()}
-            residuals = fitter.residuals(replace(chosen.fit.state, values=values), chosen.fit.hypothesis)
-            known[key] = 1.0 - gap.rms(residuals[1:]) / before
-        return known[key]
+    def worth(names: frozenset[str]) -> float:
+        if names in known:
+            return known[names]
+        off = {p.name for name in named if name not in names for p in effects.BY_ID[name].amplitudes} | effects.SCATTERS
+        values = {k: (0.0 if k.split("@")[0] in off else v) for k, v in chosen.fit.state.values.items()}
+        residuals = fitter.residuals(replace(chosen.fit.state, values=values), chosen.fit.hypothesis)
+        return 1.0 - gap.rms(residuals[1:]) / before
 
-    shares = []
-    for name in named:
-        rest = [other for other in named if other != name]
-        share = 0.0
-        for k in range(n):
-            weight = math.factorial(k) * math.factorial(n - k - 1) / math.factorial(n)
-            for subset in itertools.combinations(rest, k):
-                share += weight * (worth((*subset, name)) - worth(subset))
-        shares.append(share)
-    return shares
+    return shapley.shares(named, worth)
 
 
 def _since(fit: Fit, name: str) -> Scope:
     """A part of the nominal that no effect stands for moved in all recordings."""
-    found = fit.hypothesis.find(name)
-    return found[1] if found else Scope.START
+    placed = fit.hypothesis.find(name)
+    return placed[1] if placed else Scope.START
 
 
 def _changes(fit: Fit, named: Sequence[str]) -> bool:
@@ -242,9 +227,9 @@ def _reported(fit: Fit, name: str) -> dict[str, Any]:
     values = fit.state.values if fit.hypothesis.find(name) else fit.state.static
     last = fit.hypothesis.tests
     keys = {p.name: key(p.name, last) if scope == Scope.EACH and not p.searched else p.name for p in kind.parameters}
-    found = {parameter: float(values[at]) for parameter, at in keys.items() if at in values}
+    reported = {parameter: float(values[at]) for parameter, at in keys.items() if at in values}
     column = {"column": kind.column} if kind.column else {}
-    return {**found, **column, "since_calibration": float(bool(scope))}
+    return {**reported, **column, "since_calibration": float(bool(scope))}
 
 
 def _of_each(fit: Fit, name: str, segments: Sequence[Segment]) -> dict[str, Any]:

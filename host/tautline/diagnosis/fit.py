@@ -98,18 +98,18 @@ class Hypothesis:
     @property
     def slots(self) -> list[Slot]:
         """Amplitudes and continuous shapes."""
-        found = []
+        collected = []
         for kind, scope in zip(self.kinds, self.scopes, strict=True):
             for p in (p for p in kind.parameters if not p.searched):
                 if scope == Scope.EACH:
-                    found += [Slot(p, key(p.name, i), scope, i) for i in range(1, self.tests + 1)]
+                    collected += [Slot(p, key(p.name, i), scope, i) for i in range(1, self.tests + 1)]
                 else:
-                    found.append(Slot(p, p.name, scope))
-        return found
+                    collected.append(Slot(p, p.name, scope))
+        return collected
 
 
 @dataclass(frozen=True)
-class State:
+class ParameterState:
     """A point of the parameter space."""
 
     model: Model  # the nominal with its corrections
@@ -133,7 +133,7 @@ class State:
 
 
 @dataclass(frozen=True)
-class Seen(Rows):
+class ScoredRows(Rows):
     """One recording's scored observations. Unknowns beside B and f_remain: factors on their details and, with a camera,
     static registration and delay."""
 
@@ -143,7 +143,7 @@ class Seen(Rows):
 @dataclass(frozen=True)
 class Fit:
     hypothesis: Hypothesis
-    state: State
+    state: ParameterState
     residuals: list[Array]  # of each segment, (scored, k)
 
     @property
@@ -194,9 +194,9 @@ class Fitter:
     def nominal(self, free: Collection[str] = PARTS) -> Fit:
         """The recalibrated model without any effect; of PARTS only those that are free."""
         held = self._columns_of(set(PARTS) - set(free))
-        found = self.descend(self.nothing, self.start(), _NOMINAL_STEPS, held=held)
+        minimum = self.descend(self.nothing, self.start(), _NOMINAL_STEPS, held=held)
         # Beside an effect as large as an obstacle a descent may stall for once.
-        return self.descend(self.nothing, found.state, _NOMINAL_STEPS, held=held)
+        return self.descend(self.nothing, minimum.state, _NOMINAL_STEPS, held=held)
 
     def _columns_of(self, parts: Collection[str]) -> npt.NDArray[np.int64]:
         """The nominal's unknowns that belong to these of PARTS."""
@@ -214,24 +214,26 @@ class Fitter:
         """A parameter's natural step in its own unit."""
         return parameter.scale * (self.model.rig.actuator.span if parameter.unit.startswith("unit") else 1.0)
 
-    def start(self) -> State:
-        return State(self.model, dict.fromkeys(_STATIC, 0.0) if self.px else {})
+    def start(self) -> ParameterState:
+        return ParameterState(self.model, dict.fromkeys(_STATIC, 0.0) if self.px else {})
 
-    def residuals(self, state: State, hypothesis: Hypothesis) -> list[Array]:
+    def residuals(self, state: ParameterState, hypothesis: Hypothesis) -> list[Array]:
         """Of each recording, (scored, k)."""
-        found = []
+        per_segment = []
         for segment in self.segments:
             _, predicted = segment.predict(state.model, state.at(segment, hypothesis), self.load_reference)
-            found.append((segment.observed - predicted)[segment.scored])
-        return found
+            per_segment.append((segment.observed - predicted)[segment.scored])
+        return per_segment
 
-    def rows(self, state: State, hypothesis: Hypothesis) -> list[Seen]:
+    def rows(self, state: ParameterState, hypothesis: Hypothesis) -> list[ScoredRows]:
         """Of each recording."""
         slope_b = np.gradient(state.model.width, state.model.q)
         slope_f = np.gradient(state.model.c_deg, state.model.q)
         return [self._rows(segment, state, hypothesis, slope_b, slope_f) for segment in self.segments]
 
-    def _rows(self, segment: Segment, state: State, hypothesis: Hypothesis, slope_b: Array, slope_f: Array) -> Seen:
+    def _rows(
+        self, segment: Segment, state: ParameterState, hypothesis: Hypothesis, slope_b: Array, slope_f: Array
+    ) -> ScoredRows:
         parameters, keep = state.at(segment, hypothesis), segment.scored
         path = segment.follow(state.model, parameters, self.load_reference)
         model = effects.tabled(state.model, parameters)
@@ -255,7 +257,7 @@ class Fitter:
         columns = np.concatenate(
             [by_c[keep][:, :, None] * details[:, None, :], by_static[keep], by_delay[keep][:, :, None]], axis=2
         )
-        return Seen(p, tip, by_b, gain, by_c[keep], columns, (segment.observed - seen)[keep], path)
+        return ScoredRows(p, tip, by_b, gain, by_c[keep], columns, (segment.observed - seen)[keep], path)
 
     def normal(
         self, rows: Rows, extra: Array | None = None, weight: Array | None = None, known: Normal | None = None
@@ -266,11 +268,11 @@ class Fitter:
         before = self.nominal_curves.size + first
         if extra is not None:
             columns = np.concatenate([columns, extra], axis=2)
-        found = Normal.zeros(before - first + columns.shape[2])
+        total = Normal.zeros(before - first + columns.shape[2])
         if known is not None:
-            found.matrix[:before, :before], found.gradient[:before] = known.matrix, known.gradient
-        self.nominal_curves.add(rows, found, columns, weight, first=0 if known is None else first)
-        return found
+            total.matrix[:before, :before], total.gradient[:before] = known.matrix, known.gradient
+        self.nominal_curves.add(rows, total, columns, weight, first=0 if known is None else first)
+        return total
 
     def left(self, rows: Sequence[Rows]) -> list[Array]:
         """What a step of the nominal, as far as it likes, leaves of each recording's residual: least squares of the
@@ -298,9 +300,9 @@ class Fitter:
         stiff[:n, :n] += self._bending
         return stiff
 
-    def effect_columns(self, state: State, hypothesis: Hypothesis, rows: Sequence[Seen]) -> list[Array]:
+    def effect_columns(self, state: ParameterState, hypothesis: Hypothesis, rows: Sequence[ScoredRows]) -> list[Array]:
         """Of each recording (n, k, m) by difference quotients, one column for each of the hypothesis' slots."""
-        found = []
+        per_segment = []
         for segment, row in zip(self.segments, rows, strict=True):
             slots = hypothesis.slots
             columns = np.zeros((*row.residual.shape, len(slots)))
@@ -310,11 +312,17 @@ class Fitter:
                     there = replace(state, values={**state.values, slot.key: state.values[slot.key] + step})
                     moved = self.moved_by(segment, there, hypothesis, slot.parameter, row, row.residual)
                     columns[:, :, i] = moved / step
-            found.append(columns)
-        return found
+            per_segment.append(columns)
+        return per_segment
 
     def moved_by(
-        self, segment: Segment, state: State, hypothesis: Hypothesis, parameter: Parameter, row: Seen, residual: Array
+        self,
+        segment: Segment,
+        state: ParameterState,
+        hypothesis: Hypothesis,
+        parameter: Parameter,
+        row: ScoredRows,
+        residual: Array,
     ) -> Array:
         """(scored, k): by how much the prediction is another than where `residual` is left, `state` differing from
         where `row` is by `parameter` alone. An observation that it would take behind the camera is not moved."""
@@ -327,18 +335,18 @@ class Fitter:
         self,
         hypothesis: Hypothesis,
         values: Mapping[str, float],
-        start: State,
+        start: ParameterState,
         others: Sequence[Mapping[str, float]] = (),
     ) -> Fit:
         """From `values` and `others` of the effects' parameters; the nominal from `start`, and of a first effect as it
         was calibrated too (a recalibration bends towards an effect and finds back slowly). A few observations say which
         of these is best and how it goes on; all of them end it."""
-        coarse, found = self.coarse, []
+        coarse, fits = self.coarse, []
         for nominal in [start, self.start()][: 2 if len(hypothesis.kinds) == 1 else 1]:
             states = [replace(nominal, values={**values, **each}) for each in ({}, *others)]
             best = _best([coarse.descend(hypothesis, state, _ROUGH_STEPS) for state in states])
-            found.append(coarse.descend(hypothesis, best.state, _COARSE_STEPS, _COARSE_GAIN))
-        return self.descend(hypothesis, _best(found).state, _FULL_STEPS)
+            fits.append(coarse.descend(hypothesis, best.state, _COARSE_STEPS, _COARSE_GAIN))
+        return self.descend(hypothesis, _best(fits).state, _FULL_STEPS)
 
     @property
     def coarse(self) -> Fitter:
@@ -356,7 +364,7 @@ class Fitter:
     def descend(
         self,
         hypothesis: Hypothesis,
-        state: State,
+        state: ParameterState,
         most: int,
         enough: float = _SMALL_GAIN,
         held: npt.NDArray[np.int64] | None = None,
@@ -364,10 +372,10 @@ class Fitter:
         """At most so many steps, and no more where one gains less than `enough` of the cost. held: unknowns of the
         nominal that stay."""
         held = np.zeros(0, dtype=np.int64) if held is None else held
-        found = descend(_Descent(self, hypothesis, enough, held), _Point(state, self.rows(state, hypothesis)), most)
-        return Fit(hypothesis, found.state, [row.residual for row in found.rows])
+        minimum = descend(_Descent(self, hypothesis, enough, held), _Point(state, self.rows(state, hypothesis)), most)
+        return Fit(hypothesis, minimum.state, [row.residual for row in minimum.rows])
 
-    def stepped(self, state: State, hypothesis: Hypothesis, step: Array) -> State:
+    def stepped(self, state: ParameterState, hypothesis: Hypothesis, step: Array) -> ParameterState:
         """The state a step of all unknowns further."""
         model, curves = state.model, self.nominal_curves
         b, both = curves.width.size, curves.size
@@ -381,13 +389,13 @@ class Fitter:
             value = inside(slot.parameter, values[slot.key] + float(step[i]))
             values[slot.key] = float(np.clip(value, *self._reached)) if slot.parameter.reached else value
         model = replace(model, width=width, c_deg=c_deg, delay_s=model.delay_s + float(step[at - 1]))
-        return State(model, static, values)
+        return ParameterState(model, static, values)
 
 
 @dataclass(frozen=True)
 class _Point:
-    state: State
-    rows: list[Seen]
+    state: ParameterState
+    rows: list[ScoredRows]
 
 
 class _Descent:
@@ -414,14 +422,14 @@ class _Descent:
         matrix[held, held] = 1.0
         return matrix, gradient, self.cost(point)
 
-    def _at_their_ends(self, state: State, gradient: Array) -> npt.NDArray[np.int64]:
-        found = []
+    def _at_their_ends(self, state: ParameterState, gradient: Array) -> npt.NDArray[np.int64]:
+        ends = []
         for i, slot in enumerate(self.hypothesis.slots, len(gradient) - len(self.hypothesis.slots)):
             value = state.values[slot.key]
             onward = value + float(np.sign(gradient[i])) * 1e-6 * self.fitter.scale(slot.parameter)
             if inside(slot.parameter, onward) == value:
-                found.append(i)
-        return np.array(found, dtype=np.int64)
+                ends.append(i)
+        return np.array(ends, dtype=np.int64)
 
     def moved(self, point: _Point, step: Array) -> _Point:
         state = self.fitter.stepped(point.state, self.hypothesis, step)

@@ -74,9 +74,9 @@ def close(segments: Sequence[Segment], residuals: Sequence[Array], floor: float)
         for trained in (0, 1):
             known = _some(np.flatnonzero(half == trained), _TRAINED_ON)
             asked = _some(np.flatnonzero(half != trained), _SCORED_ON // 2)
-            said = _process(inputs[known], seen[known], floor, inputs[asked])
+            predicted = _process(inputs[known], seen[known], floor, inputs[asked])
             before += float(np.sum(seen[asked] ** 2))
-            after += float(np.sum((seen[asked] - said) ** 2))
+            after += float(np.sum((seen[asked] - predicted) ** 2))
             count += seen[asked].size
     return Flexible(float(np.sqrt(before / count)), float(np.sqrt(after / count)), floor, swing_s)
 
@@ -92,15 +92,15 @@ def _process(inputs: Array, seen: Array, floor: float, asked: Array) -> Array:
     bounds = [_SIZES, *[(_SHORTEST, _LONGEST)] * d, (0.5 * noise, 10.0)]
     apart, shown = (inputs[few, None] - inputs[few]) ** 2, seen[few] / scale
     limits = Bounds(*np.log(bounds).T)
-    found = minimize(  # type: ignore[call-overload]  # the stubs' jac=True takes no array of any shape
+    minimum = minimize(  # type: ignore[call-overload]  # the stubs' jac=True takes no array of any shape
         lambda at: _surprise(at, apart, shown), start, jac=True, method="L-BFGS-B", bounds=limits
     )
-    size, lengths, white = _hyper(found.x)
+    size, lengths, white = _hyper(minimum.x)
     near = size * np.exp(-0.5 * cdist(inputs / lengths, inputs / lengths, "sqeuclidean"))
     factor = cho_factor(near + (white + _JITTER) * np.eye(len(inputs)), lower=True)
     across = size * np.exp(-0.5 * cdist(asked / lengths, inputs / lengths, "sqeuclidean"))
-    said: Array = scale * (across @ cho_solve(factor, seen / scale))
-    return said
+    predicted: Array = scale * (across @ cho_solve(factor, seen / scale))
+    return predicted
 
 
 def _surprise(logs: Array, squares: Array, seen: Array) -> tuple[float, Array]:

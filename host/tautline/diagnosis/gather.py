@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.diagnosis import decide, scatter
-from tautline.diagnosis.candidates import Found, Search
+from tautline.diagnosis.candidates import Candidate, Search
 from tautline.diagnosis.fit import DELAY, WIDTH, Fit, Fitter, Scope
 from tautline.diagnosis.hyperparameters import learnt
-from tautline.diagnosis.hypotheses import Evidence, Weighed
+from tautline.diagnosis.hypotheses import CaseEvidence, Weighed
 from tautline.diagnosis.scatter import Scatter
 from tautline.effects import EVENTS, Kind
 
@@ -27,8 +27,8 @@ _EXTENDED = (2, 1)  # hypotheses of one and of two effects that a further one is
 
 @dataclass(frozen=True)
 class Gathered:
-    evidence: Evidence
-    found: list[Found]  # of each of the evidence's hypotheses
+    evidence: CaseEvidence
+    candidates: list[Candidate]  # of each of the evidence's hypotheses
 
 
 def gather(fitter: Fitter, frozen: Sequence[Array], base: Fit, kinds: Sequence[Kind], progress: Progress) -> Gathered:
@@ -52,113 +52,117 @@ def gather(fitter: Fitter, frozen: Sequence[Array], base: Fit, kinds: Sequence[K
             if size == 1:
                 weighing.add_changed(below)
     if not fitter.px:  # nothing else than its fit tells a delay from a width at one speed
-        late = next((found for found in weighing.found if found.ids == (DELAY,)), None)
+        late = next((candidate for candidate in weighing.candidates if candidate.ids == (DELAY,)), None)
         if late is not None and weighing.open():
             weighing.add_changed(late)
-    return Gathered(weighing.evidence(), [found.reported() for found in weighing.found])
+    return Gathered(weighing.evidence(), [candidate.reported() for candidate in weighing.candidates])
 
 
 class _Weighing:
     def __init__(self, search: Search, frozen: Array, calibrated: float) -> None:
         self.search, self._frozen, self._calibrated = search, frozen, calibrated
-        self.found: list[Found] = []
+        self.candidates: list[Candidate] = []
         self._weighed: list[Weighed] = []
         self._extended: set[tuple[str, ...]] = set()
 
-    def add(self, found: Found, events: bool = False) -> None:
+    def add(self, candidate: Candidate, events: bool = False) -> None:
         """events: with the effects without a path on top of it."""
-        nothing = np.zeros_like(found.power)
-        self.found.append(found)
-        self._weighed.append(Weighed(found.ids, found.power, nothing, nothing, found.parameters, beyond=found.beyond))
+        nothing = np.zeros_like(candidate.power)
+        self.candidates.append(candidate)
+        self._weighed.append(
+            Weighed(candidate.ids, candidate.power, nothing, nothing, candidate.parameters, beyond=candidate.beyond)
+        )
         if not events:
             return
         kinds = [kind for kind in self.search.kinds if kind.event]
-        beyond = {kind.id: self.search.beyond(found.fit, [kind]) for kind in kinds}
+        beyond = {kind.id: self.search.beyond(candidate.fit, [kind]) for kind in kinds}
         for scope in (Scope.START, Scope.TESTS):
-            said = self._said(found, bool(scope))
+            left = self._scatter_left(candidate, bool(scope))
             for kind in kinds:
-                fit = replace(found.fit, hypothesis=found.fit.hypothesis.plus(kind, scope))
-                self._add_scatter(replace(found, fit=fit, beyond=beyond[kind.id]), kind, said)
+                fit = replace(candidate.fit, hypothesis=candidate.fit.hypothesis.plus(kind, scope))
+                self._add_scatter(replace(candidate, fit=fit, beyond=beyond[kind.id]), kind, left)
 
-    def add_posture(self, found: Sequence[Found]) -> None:
+    def add_posture(self, candidates: Sequence[Candidate]) -> None:
         """On top of the best of its parts."""
-        part = next((one for one in found if one.fit.hypothesis.kinds[0].posture), self.search.base)
+        part = next((one for one in candidates if one.fit.hypothesis.kinds[0].posture), self.search.base)
         posture = self.search.posture(part)
         if posture is not None:
             self.add(posture)
 
-    def add_changed(self, below: Found) -> None:
+    def add_changed(self, below: Candidate) -> None:
         """Beside an effect since the calibration another width, and where that leaves more than noise all that another
         posture changes: where another machine was calibrated, such as a simulator, its nominal is not this one's."""
         hypothesis = below.fit.hypothesis
         if hypothesis.scopes[0] == Scope.START or hypothesis.kinds[0].posture:
             return
         for only in ((WIDTH,), None):
-            found = self.search.posture(below, only)
-            if found is not None:
-                self.add(found)
-                below = found
-                if not self._open(found):
+            candidate = self.search.posture(below, only)
+            if candidate is not None:
+                self.add(candidate)
+                below = candidate
+                if not self._open(candidate):
                     return
 
-    def add_in_the_mean(self, below: Found) -> None:
+    def add_in_the_mean(self, below: Candidate) -> None:
         """Events after the calibration, as they are in the mean, on top of what is weighed already."""
-        said = self._said(below, True)
+        left = self._scatter_left(below, True)
         for kind in self.search.kinds:
-            if kind.event and kind.event.mean and said.beats_noise(kind.id):
-                held = self.search.in_the_mean(below, kind, said.amount[kind.id])
+            if kind.event and kind.event.mean and left.beats_noise(kind.id):
+                held = self.search.in_the_mean(below, kind, left.amount[kind.id])
                 if held is not None:
                     self._add_with_scatter(held)
 
-    def _add_with_scatter(self, found: Found) -> None:
+    def _add_with_scatter(self, candidate: Candidate) -> None:
         """A fit that has an event after the calibration among its effects, as it is in the mean."""
-        kind = next(kind for kind in found.fit.hypothesis.kinds if kind.event and kind.event.mean)
-        self._add_scatter(found, kind, self._said(found, True))
+        kind = next(kind for kind in candidate.fit.hypothesis.kinds if kind.event and kind.event.mean)
+        self._add_scatter(candidate, kind, self._scatter_left(candidate, True))
 
-    def _said(self, found: Found, only_tests: bool) -> Scatter:
-        return scatter.of_fit(self.search.fitter, found.fit, self.search.labels, only_tests)
+    def _scatter_left(self, candidate: Candidate, only_tests: bool) -> Scatter:
+        return scatter.of_fit(self.search.fitter, candidate.fit, self.search.labels, only_tests)
 
-    def _add_scatter(self, found: Found, kind: Kind, said: Scatter) -> None:
-        """`found` with what the scatter that it leaves says of one of its effects."""
-        plain, level = said.loss["as it is"], said.loss["level"]
+    def _add_scatter(self, candidate: Candidate, kind: Kind, left: Scatter) -> None:
+        """`candidate` with what the scatter that it leaves says of one of its effects."""
+        plain, level = left.loss["as it is"], left.loss["level"]
         rival = min(
-            (said.loss[name] for name in scatter.RIVALS if name != kind.id), key=lambda loss: float(np.mean(loss))
+            (left.loss[name] for name in scatter.RIVALS if name != kind.id), key=lambda loss: float(np.mean(loss))
         )
         assert kind.event
-        found = replace(found, scatters={kind.event.amount: said.amount[kind.id]})
-        self.found.append(found)
+        candidate = replace(candidate, scatters={kind.event.amount: left.amount[kind.id]})
+        self.candidates.append(candidate)
         self._weighed.append(
             Weighed(
-                found.ids,
-                found.power,
-                scatter=said.loss[kind.id] - plain,
+                candidate.ids,
+                candidate.power,
+                scatter=left.loss[kind.id] - plain,
                 rival=rival - plain,
-                parameters=found.parameters,
-                white=float(np.exp(min(0.0, float(np.mean((said.loss["memory"] - level)[level != 0.0]))))),
-                beyond=found.beyond,
+                parameters=candidate.parameters,
+                white=float(np.exp(min(0.0, float(np.mean((left.loss["memory"] - level)[level != 0.0]))))),
+                beyond=candidate.beyond,
             )
         )
 
-    def add_single(self, found: Sequence[Found]) -> None:
+    def add_single(self, candidates: Sequence[Candidate]) -> None:
         """Best first. Where none of them leaves little an event may be there, which hides what it is beside."""
         floor2 = self.search.fitter.floor**2
         before = float(np.mean(self.search.base.power)) - floor2
-        hidden = bool(found) and float(np.mean(found[0].power)) - floor2 > learnt().center.unexplained * before
-        hidden = hidden and self._open(found[0])
-        for i, one in enumerate(found):
+        hidden = (
+            bool(candidates) and float(np.mean(candidates[0].power)) - floor2 > learnt().center.unexplained * before
+        )
+        hidden = hidden and self._open(candidates[0])
+        for i, one in enumerate(candidates):
             self.add(one, events=i == 0 or hidden)
-        if hidden or (found and found[0].fit.hypothesis.kinds[0].posture and self._open(found[0])):
-            self.add_posture(found)
+        if hidden or (candidates and candidates[0].fit.hypothesis.kinds[0].posture and self._open(candidates[0])):
+            self.add_posture(candidates)
         if hidden:
             self.add_in_the_mean(self.search.base)
             # Another width is what sticking does in the mean: beside it nothing of that would be seen.
-            best = next((one for one in found if not one.fit.hypothesis.kinds[0].posture), None)
+            best = next((one for one in candidates if not one.fit.hypothesis.kinds[0].posture), None)
             if best is not None:
                 self.add_in_the_mean(best)
 
-    def add_further(self, found: Sequence[Found]) -> None:
+    def add_further(self, candidates: Sequence[Candidate]) -> None:
         """Of more than one effect, best first."""
-        for i, one in enumerate(found):
+        for i, one in enumerate(candidates):
             if set(one.ids) & EVENTS:
                 self._add_with_scatter(one)
             else:
@@ -166,29 +170,36 @@ class _Weighing:
 
     def open(self) -> bool:
         """Whether the best single effect leaves more than noise."""
-        singles = [found for found in self.found if len(found.ids) == 1]
-        return bool(singles) and self._open(min(singles, key=lambda found: float(np.mean(found.power))))
+        singles = [candidate for candidate in self.candidates if len(candidate.ids) == 1]
+        return bool(singles) and self._open(min(singles, key=lambda candidate: float(np.mean(candidate.power))))
 
-    def _open(self, found: Found) -> bool:
-        return decide.is_open(self.evidence(), found.power)
+    def _open(self, candidate: Candidate) -> bool:
+        return decide.is_open(self.evidence(), candidate.power)
 
-    def next_to_extend(self, size: int) -> Found | None:
+    def next_to_extend(self, size: int) -> Candidate | None:
         """The most probable hypothesis of so many effects with a path that has room for a further one, which may well
         account for what their own stages cannot."""
         evidence = self.evidence()
         anyhow = replace(evidence, hypotheses=tuple(replace(h, beyond=None) for h in evidence.hypotheses))
         verdict = decide.decide(anyhow, learnt().typical)
         for i in np.argsort(-verdict.posterior):
-            ids = self.found[i].ids
+            ids = self.candidates[i].ids
             if len(ids) != size or ids in self._extended:
                 continue
             # Sticking may be likeliest without a path: with one a further effect is seen beside it.
-            one = next((found for found in (self.found[i], *self.found) if found.ids == ids and found.has_path), None)
+            one = next(
+                (
+                    candidate
+                    for candidate in (self.candidates[i], *self.candidates)
+                    if candidate.ids == ids and candidate.has_path
+                ),
+                None,
+            )
             if one is not None:
                 self._extended.add(ids)
                 return one if self._open(one) else None
         return None
 
-    def evidence(self) -> Evidence:
+    def evidence(self) -> CaseEvidence:
         floor, weighed = self.search.fitter.floor, tuple(self._weighed)
-        return Evidence(floor, self._frozen, weighed, len(self.search.kinds), self._calibrated)
+        return CaseEvidence(floor, self._frozen, weighed, len(self.search.kinds), self._calibrated)

@@ -48,8 +48,8 @@ class Hyperparameters:
     @classmethod
     def of_logarithms(cls, values: Array) -> Hyperparameters:
         """Probabilities stay below 1."""
-        found = {f.name: math.exp(v) for f, v in zip(fields(cls), values, strict=True)}
-        return cls(**{name: min(value, 0.99) if name in _SHARES else value for name, value in found.items()})
+        by_name = {f.name: math.exp(v) for f, v in zip(fields(cls), values, strict=True)}
+        return cls(**{name: min(value, 0.99) if name in _SHARES else value for name, value in by_name.items()})
 
 
 _SHARES = frozenset(("unexplained", "unexplained_by_law", "unexplained_by_wrong", "mimics", "disturbed"))

@@ -41,7 +41,7 @@ class Weighed:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class CaseEvidence:
     floor: float  # px or deg
     frozen: Array  # (blocks,) mean squares that the calibrated model leaves as it is
     hypotheses: tuple[Weighed, ...]  # the first without any effect
@@ -53,6 +53,6 @@ class Evidence:
         return asdict(self)
 
     @classmethod
-    def from_json(cls, document: Mapping[str, Any]) -> Evidence:
+    def from_json(cls, document: Mapping[str, Any]) -> CaseEvidence:
         hypotheses = tuple(Weighed.from_json(h) for h in document["hypotheses"])
         return cls(**{**document, "frozen": np.array(document["frozen"]), "hypotheses": hypotheses})

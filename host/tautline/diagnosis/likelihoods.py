@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.special import gammaln, log_expit, log_ndtr
 
 from tautline.diagnosis.hyperparameters import Hyperparameters
-from tautline.diagnosis.hypotheses import Beyond, Evidence, Weighed
+from tautline.diagnosis.hypotheses import Beyond, CaseEvidence, Weighed
 from tautline.effects import BY_ID, EVENTS, LIBRARY
 
 Array = npt.NDArray[np.float64]
@@ -24,7 +24,7 @@ COINCIDES = 0.1  # probability that an unknown effect goes with a column that wa
 MEASURED = frozenset(kind.id for kind in LIBRARY if kind.needs == "load")  # effects that follow such a column
 CONSTANT = frozenset(kind.id for kind in LIBRARY if kind.nominal)  # parts of the nominal model
 LAWS = frozenset(kind.id for kind in LIBRARY if kind.law)
-AHEAD = 5.0  # of every rival, as a logarithm: an event beside another effect that is told for sure
+LOG_ODDS_MARGIN = 5.0  # of every rival, as a logarithm: an event beside another effect that is told for sure
 INEXACT = 4.0  # times the floor's power that a nominal model may leave of its own calibration
 CONFINED = 0.5  # probability that what a wrong effect leaves is confined to its stage as well
 _SHARES = np.geomspace(1e-5, 1.0, 41)
@@ -50,7 +50,7 @@ class Likelihoods:
     """Logarithms: `of` each hypothesis, of `unknown`, and of scatter of another origin (`elsewhere`) than a hypothesis
     says. A block's residual is Student's t in as many dimensions as it tells: blocks differ from what is predicted."""
 
-    def __init__(self, evidence: Evidence, by: Hyperparameters) -> None:
+    def __init__(self, evidence: CaseEvidence, by: Hyperparameters) -> None:
         self.by = by
         self._floor2 = evidence.floor**2
         self._applicable = evidence.applicable
@@ -79,7 +79,8 @@ class Likelihoods:
         lost = [b if len(h.ids) > 1 else a for h, a, b in zip(hypotheses, single, beside, strict=True)]
         own = list(np.array(own) - lost)
         far = [
-            b if len(h.ids) > 1 and more < -AHEAD else 0.0 for h, b, more in zip(hypotheses, beside, other, strict=True)
+            b if len(h.ids) > 1 and more < -LOG_ODDS_MARGIN else 0.0
+            for h, b, more in zip(hypotheses, beside, other, strict=True)
         ]
         memo: dict[bytes, float] = {}  # hypotheses of one stage leave the same beyond it
         confined = np.zeros(len(hypotheses))

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from tautline import trajectory
 from tautline.diagnosis.fit import Fit, Fitter
 from tautline.effects import simulate
 from tautline.recording import Motor
-from tautline.simulated import trajectory
-from tautline.simulated.trajectory import Trajectory
+from tautline.trajectory import Trajectory
 
 
 @dataclass(frozen=True)

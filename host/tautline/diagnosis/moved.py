@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
@@ -12,6 +10,7 @@ import numpy.typing as npt
 
 from tautline.diagnosis import gap
 from tautline.diagnosis.fit import DELAY, PARTS, REMAINING, STATIC, WIDTH, Fit, Fitter
+from tautline.diagnosis.shapley import shares
 
 Array = npt.NDArray[np.float64]
 
@@ -50,22 +49,8 @@ def from_the_start(fitter: Fitter, frozen: Sequence[Array], base: Fit) -> list[M
 
     others = (WIDTH, REMAINING, DELAY) if fitter.delayed else (WIDTH, REMAINING)
     if fitter.px and not closes(before, left(coarse.nominal(others)), floor):
-        known = {frozenset[str](): 0.0}
-
-        def following(parts: frozenset[str]) -> float:
-            if parts not in known:
-                known[parts] = closed({*parts, REMAINING} if STATIC in parts else parts)
-            return known[parts]
-
-        return _shares((STATIC, REMAINING), following)
-    known = {}
-
-    def alone(parts: frozenset[str]) -> float:
-        if parts not in known:
-            known[parts] = closed(parts)
-        return known[parts]
-
-    return _shares(others, alone)
+        return _shares((STATIC, REMAINING), lambda parts: closed({*parts, REMAINING} if STATIC in parts else parts))
+    return _shares(others, closed)
 
 
 def of_named(shrinks: Sequence[tuple[str, float]]) -> list[Moved]:
@@ -77,15 +62,6 @@ def of_named(shrinks: Sequence[tuple[str, float]]) -> list[Moved]:
 
 def _shares(parts: Sequence[str], worth: Callable[[frozenset[str]], float]) -> list[Moved]:
     """Shapley's, of those that count."""
-    n = len(parts)
-    found = []
-    for part in parts:
-        rest = [other for other in parts if other != part]
-        share = 0.0
-        for k in range(n):
-            weight = math.factorial(k) * math.factorial(n - k - 1) / math.factorial(n)
-            for subset in itertools.combinations(rest, k):
-                share += weight * (worth(frozenset((*subset, part))) - worth(frozenset(subset)))
-        found.append((part, max(share, 0.0)))
-    most = max(share for _, share in found)
-    return sorted(of_named([(name, s) for name, s in found if s > _COUNTS * most]), key=lambda m: -m.share)
+    added = [max(share, 0.0) for share in shares(parts, worth)]
+    counting = [(part, share) for part, share in zip(parts, added, strict=True) if share > _COUNTS * max(added)]
+    return sorted(of_named(counting), key=lambda m: -m.share)

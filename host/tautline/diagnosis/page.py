@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tautline import figures, reports
-from tautline.diagnosis import where, words
+from tautline.diagnosis import narration, where
 from tautline.diagnosis.diagnose import Diagnosis
 from tautline.diagnosis.where import Condition
 from tautline.effects import BY_ID, STAGES, Parameter
@@ -46,13 +46,13 @@ def write(diagnosis: Diagnosis, folder: Path, known_as: str = "") -> Path:
     page = {
         "title": "Where model and robot part",
         "source": _source(diagnosis),
-        "sentence": words.sentence(document),
+        "sentence": narration.sentence(document),
         "document": document,
         "named": named,
-        "digits": words.digits,
-        "percent": words.percent,
-        "steps": words.steps(document, known_as or str(folder)),
-        "flexible": words.flexible(document),
+        "digits": narration.digits,
+        "percent": narration.percent,
+        "steps": narration.steps(document, known_as or str(folder)),
+        "flexible": narration.flexible(document),
         "chain": _chain(document),
         "residuals": reports.picture(
             residuals(diagnosis),
@@ -64,16 +64,16 @@ def write(diagnosis: Diagnosis, folder: Path, known_as: str = "") -> Path:
             {
                 "name": name,
                 "says": BY_ID[name].says if name in BY_ID else "",
-                "percent": words.percent(p),
+                "percent": narration.percent(p),
                 "width": f"{100 * p:.1f}",
                 "closes": closes,
             }
-            for name, p, closes in words.rows(document, _CANDIDATES)
-            if p >= words.SHOWN
+            for name, p, closes in narration.rows(document, _CANDIDATES)
+            if p >= narration.SHOWN
         ],
         "parameters": [row for effect in document["effects"] for row in _parameters(effect, unit)],
-        "moved": words.moved(document),
-        "tip": words.tip(document),
+        "moved": narration.moved(document),
+        "tip": narration.tip(document),
         "conditions": _conditions(diagnosis, unit),
         "colours": "Blue: mean residual across the image; orange: down."
         if document["unit"] == "px"
@@ -87,7 +87,7 @@ def write(diagnosis: Diagnosis, folder: Path, known_as: str = "") -> Path:
 def _source(diagnosis: Diagnosis) -> str:
     names = [segment.name for segment in diagnosis.segments]
     seconds = sum(float(np.ptp(segment.motor.t_s)) for segment in diagnosis.segments)
-    return f"calibrated on {names[0]}, tested on {words.listed(names[1:])}; {seconds:.0f} s in all"
+    return f"calibrated on {names[0]}, tested on {narration.listed(names[1:])}; {seconds:.0f} s in all"
 
 
 def _chain(document: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -96,12 +96,12 @@ def _chain(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     marked = document["where"]["stage"]
     stages = []
     for stage in STAGES:
-        found = [c for c in document["candidates"] if c["id"].startswith(stage + ".")]
-        closes = max((c["shrink"] for c in found), default=0.0)
+        of_stage = [c for c in document["candidates"] if c["id"].startswith(stage + ".")]
+        closes = max((c["shrink"] for c in of_stage), default=0.0)
         share = sum(e["shrink"] for e in document["effects"] if e["id"].startswith(stage + "."))
-        says = f"{words.percent(share)} of the gap" if stage in named and share > 0.005 else ""
-        if not says and closes > words.told(document):
-            says = f"could close {words.percent(closes)}"
+        says = f"{narration.percent(share)} of the gap" if stage in named and share > 0.005 else ""
+        if not says and closes > narration.told(document):
+            says = f"could close {narration.percent(closes)}"
         certain = document["verdict"] == "effect"
         mark = "named" if certain and (stage == marked or stage in named) else ""
         if not certain and stage == marked and closes > _GUESS:
@@ -124,7 +124,7 @@ def _parameters(effect: Mapping[str, Any], unit: str) -> list[dict[str, Any]]:
         _row(
             effect,
             name.replace("_", " "),
-            f"{words.digits(value)} {_unit(known[name], unit)}".strip() if name in known else value,
+            f"{narration.digits(value)} {_unit(known[name], unit)}".strip() if name in known else value,
             name == next(iter(shown)),
         )
         for name, value in shown.items()
@@ -136,8 +136,8 @@ def _row(effect: Mapping[str, Any], name: str, value: str, first: bool) -> dict[
         "effect": effect["id"],
         "name": name,
         "value": value,
-        "since": words.SINCE[effect["since"]].strip(" ,"),
-        "share": words.percent(effect["shrink"]),
+        "since": narration.SINCE[effect["since"]].strip(" ,"),
+        "share": narration.percent(effect["shrink"]),
         "with": ", ".join(effect["ambiguous_with"]),
         "first": first,
     }
@@ -164,7 +164,7 @@ def _conditions(diagnosis: Diagnosis, unit: str) -> list[dict[str, Any]]:
     for condition in shown:
         title = _TITLES.get(condition.axis, condition.axis)
         drawn = _condition(diagnosis, condition, after.get(condition.axis), unit, top)
-        caption = f"{words.percent(condition.share)} of the gap's power goes with it; largest {condition.says}."
+        caption = f"{narration.percent(condition.share)} of the gap's power goes with it; largest {condition.says}."
         pictures.append({"title": title, "picture": reports.picture(drawn, title, caption)})
     return pictures
 

@@ -19,5 +19,5 @@ def calibrated(
     """On the first of them; all with their marker's track, on the motor's clock. Raises TautError where nothing can be
     measured."""
     seen = [with_marker(recording, rig, progress) for recording in recordings]
-    found = calibrate(seen[:1], rig, progress=progress)
-    return found, [*shifted(seen[:1], found.offsets), *on_motor_clock(seen[1:], rig)]
+    calibration = calibrate(seen[:1], rig, progress=progress)
+    return calibration, [*shifted(seen[:1], calibration.offsets), *on_motor_clock(seen[1:], rig)]

@@ -55,7 +55,7 @@ def told(document: dict[str, Any], model: Model, segments: Sequence[Segment], lo
         document["effects"] = []
     for effect in document["effects"]:
         effect["shrink"] *= 1.0 - closed
-    found = {
+    candidates = {
         "id": HELD,
         "probability": _SURE,
         "since": (Scope.START if repeats[0] > 0.5 * max(repeats[1:]) else Scope.TESTS).since,
@@ -66,7 +66,7 @@ def told(document: dict[str, Any], model: Model, segments: Sequence[Segment], lo
         "ambiguous_with": [],
     }
     rest = [effect for effect in document["effects"] if effect["id"] != HELD]
-    document["effects"] = [found, *rest] if leads else [*rest, found]
+    document["effects"] = [candidates, *rest] if leads else [*rest, candidates]
     document["verdict"] = "effect"
     if leads:
         document["where"]["stage"] = BY_ID[HELD].stage

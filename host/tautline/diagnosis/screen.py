@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve
 
-from tautline.diagnosis.fit import STATIC_COLUMNS, Fit, Fitter, Scope, Seen, inside, key
+from tautline.diagnosis.fit import STATIC_COLUMNS, Fit, Fitter, Scope, ScoredRows, inside, key
 from tautline.effects import Kind, Parameter
 from tautline.nominal import Normal
 
@@ -43,7 +43,7 @@ def screen(fitter: Fitter, base: Fit, kinds: Iterable[Kind], limits: Sequence[fl
     """Every kind, in all recordings and in the tests only, best first. limits: of each recording, what residuals are
     cut to. Effects that the nominal absorbs are left out."""
     scan = _Scan(fitter.coarse, base, limits)
-    found: list[Screened] = []
+    screened: list[Screened] = []
     for kind in kinds:
         if base.hypothesis.find(kind.id) is None:
             starts = sorted(scan.kind(kind), key=lambda entry: -entry.gain)
@@ -52,8 +52,8 @@ def screen(fitter: Fitter, base: Fit, kinds: Iterable[Kind], limits: Sequence[fl
             for scope in (Scope.TESTS, Scope.EACH, Scope.START):
                 best = [entry for entry in starts if entry.scope == scope][: 1 + _OTHERS]
                 if best:
-                    found.append(replace(best[0], others=tuple(entry.values for entry in best[1:])))
-    return sorted(found, key=lambda entry: -entry.gain)
+                    screened.append(replace(best[0], others=tuple(entry.values for entry in best[1:])))
+    return sorted(screened, key=lambda entry: -entry.gain)
 
 
 class _Scan:
@@ -93,14 +93,14 @@ class _Scan:
         """d prediction / d amplitude of each recording, (n, k, m), the effect in every recording."""
         fitter, base = self.fitter, self.base
         hypothesis = base.hypothesis.plus(kind, Scope.START)
-        found = [np.empty((*here.shape, len(kind.amplitudes))) for here in self.here]
+        per_segment = [np.empty((*here.shape, len(kind.amplitudes))) for here in self.here]
         for i, parameter in enumerate(kind.amplitudes):
             step = sign * parameter.probe * fitter.scale(parameter)
             values = {**base.state.values, **shapes, **{p.name: 0.0 for p in kind.amplitudes}, parameter.name: step}
             state = replace(base.state, values=values)
-            for segment, row, here, columns in zip(fitter.segments, self.rows, self.here, found, strict=True):
+            for segment, row, here, columns in zip(fitter.segments, self.rows, self.here, per_segment, strict=True):
                 columns[:, :, i] = fitter.moved_by(segment, state, hypothesis, parameter, row, here) / step
-        return found
+        return per_segment
 
     def _score(self, kind: Kind, shapes: Mapping[str, float], columns: Sequence[Array], sign: float) -> list[Screened]:
         parts = [
@@ -134,10 +134,10 @@ class _Scan:
         cut = len(self.gradient)
         size = cut + of * count
         at = np.concatenate([np.arange(cut), cut + which * count + np.arange(count)])
-        found = Normal(np.zeros((size, size)), np.zeros(size))
-        found.matrix[np.ix_(at, at)] = part.matrix
-        found.gradient[at] = part.gradient
-        return found
+        normal = Normal(np.zeros((size, size)), np.zeros(size))
+        normal.matrix[np.ix_(at, at)] = part.matrix
+        normal.gradient[at] = part.gradient
+        return normal
 
     def gain(self, parts: Sequence[Normal]) -> tuple[Array | None, float]:
         """Amplitudes and the share of the squares that they take, from the normal equations of the recordings that the
@@ -172,15 +172,15 @@ class _Scan:
             steep = np.maximum(1.0 + 0.5 * side * np.interp(row.p, model.q, slope_b), 0.1)
             by_q.append((row.by_follow * np.interp(row.tip, model.q, slope_f) / steep)[:, None] * row.by_c)
         rates = np.arange(reach / high, reach / low, _PERIODS_PER_RANGE) / reach
-        found = []
+        per_segment = []
         for rate in rates:
             columns = []
             for q, slope in zip(carried, by_q, strict=True):
                 angle = 2 * np.pi * rate * q
                 waves = [np.sin(angle), np.cos(angle), np.sin(2 * angle), np.cos(2 * angle)]
                 columns.append(slope[:, :, None] * np.stack(waves, axis=1)[:, None, :])
-            found += self._score(kind, {"encoder_period": 1.0 / rate}, columns, 1.0)
-        return found
+            per_segment += self._score(kind, {"encoder_period": 1.0 / rate}, columns, 1.0)
+        return per_segment
 
     def shift(self, kind: Kind, near: float | None = None) -> list[Screened]:
         """The static registration's columns from a time on: found roughly, or to a frame `near` a rough one."""
@@ -226,7 +226,7 @@ class _Scan:
         return best
 
 
-def _cut(row: Seen, part: slice) -> Seen:
+def _cut(row: ScoredRows, part: slice) -> ScoredRows:
     return replace(
         row,
         **{

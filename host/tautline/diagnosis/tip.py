@@ -7,13 +7,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tautline import effects
+from tautline import effects, trajectory
 from tautline.compensation import compensate
 from tautline.errors import TautError
 from tautline.model import Model
 from tautline.recording import Motor
 from tautline.rig import Actuator
-from tautline.simulated import trajectory
 
 Array = npt.NDArray[np.float64]
 

@@ -63,17 +63,17 @@ def conditions(segments: Sequence[Segment], paths: Sequence[Path], residuals: Se
     return sorted(_timeless(result, columns, residual), key=lambda c: -c.share)
 
 
-def _timeless(found: Sequence[Condition], columns: Mapping[str, list[Array]], residual: Array) -> list[Condition]:
+def _timeless(conditions: Sequence[Condition], columns: Mapping[str, list[Array]], residual: Array) -> list[Condition]:
     """Motions differ between recordings: what goes with the session's time only because something else does, such as
     the speed, does not go with time."""
-    others = [c for c in found if c.axis != "time"]
+    others = [c for c in conditions if c.axis != "time"]
     if not others:
-        return list(found)
+        return list(conditions)
     best = max(others, key=lambda c: c.share)
     usual = np.sqrt(np.interp(np.concatenate(columns[best.axis]), best.centres, best.power))
     even = residual / np.maximum(usual, 1e-12)[:, None]
     result = []
-    for condition in found:
+    for condition in conditions:
         if condition.axis == "time":
             apart = _condition("time", np.concatenate(columns["time"]), even).share
             condition = replace(condition, share=min(condition.share, apart))

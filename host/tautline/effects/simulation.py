@@ -1,5 +1,5 @@
 """The simulation of a model with effects: what moves the tip in C (host/native/effects.h), and so where the marker is
-seen (sight.h)."""
+seen (projection.h)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tautline.rig import Rig
 Array = npt.NDArray[np.float64]
 
 NATIVE = frozenset(name for name, *_ in _native.effect_parameters)  # what moves the tip
-SIGHT = frozenset(name for name, *_ in _native.sight_parameters)  # what changes where it is seen
+SIGHT = frozenset(name for name, *_ in _native.projection_parameters)  # what changes where it is seen
 _TABLED = tuple(kind for kind in LIBRARY if kind.in_tables)
 _MEANS = frozenset(kind.event.mean for kind in LIBRARY if kind.event)
 
@@ -41,7 +41,7 @@ class Path:
 
 
 @dataclass(frozen=True)
-class Seen(Path):
+class ImagePath(Path):
     image_px: Array  # (n, 2), NaN without a camera
 
 
@@ -65,7 +65,7 @@ def simulate(
     start_deg: float | None = None,
     load_reference: float = 0.0,
     clock_offset_s: float = 0.0,
-) -> Seen:
+) -> ImagePath:
     """The model with effects of these parameters (names of LIBRARY, values absolute) at scene times (n,), in any order.
     `motor` is used as it is: tautline.encoder takes an encoder's steps out. clock_offset_s is added to its times where
     an effect depends on the time of the session (drift, shift). load_reference, mNm, is the load at which
@@ -73,7 +73,7 @@ def simulate(
     nothing of the latter."""
     path = follow(model, motor, scene_s, parameters, start_deg, load_reference, clock_offset_s)
     px = image(model, path, parameters, clock_offset_s) if model.rig.has_camera else np.full((len(path.p), 2), np.nan)
-    return Seen(**{f.name: getattr(path, f.name) for f in fields(Path)}, image_px=px)
+    return ImagePath(**{f.name: getattr(path, f.name) for f in fields(Path)}, image_px=px)
 
 
 def follow(
@@ -110,11 +110,11 @@ def follow(
         clock_offset_s,
         np.nan if start_deg is None else float(model.remaining_inverse(start_deg)),
     )
-    found = (rising, translation, rotation, *moved)
+    columns = (rising, translation, rotation, *moved)
     if order is None:
-        return Path(*found)
+        return Path(*columns)
     back = np.argsort(order, kind="stable")
-    return Path(*(None if values is None else values[back] for values in found))  # type: ignore[arg-type]
+    return Path(*(None if values is None else values[back] for values in columns))  # type: ignore[arg-type]
 
 
 def tabled(model: Model, parameters: Mapping[str, Any]) -> Model:
@@ -142,7 +142,7 @@ def see(
     """As `image`, of tips whose c and way (n,) are known and whose registration does not change."""
     n = np.ones(len(c_deg))
     known = {name: value for name, value in parameters.items() if name in SIGHT}
-    rig = sight_rig(model.rig)
+    rig = projection_rig(model.rig)
     translation, rotation = n * np.asarray(translation_mm), n * np.asarray(rotation_deg)
     return _native.see(known, rig, c_deg, translation, rotation, way, None, False)  # type: ignore[no-any-return]
 
@@ -160,7 +160,7 @@ def _see(model: Model, path: Path, parameters: Mapping[str, Any], clock_offset_s
         shifted = (path.scene_s + clock_offset_s >= parameters["shift_time"]).view(np.uint8)
     return _native.see(
         {name: value for name, value in parameters.items() if name in SIGHT},
-        sight_rig(model.rig),
+        projection_rig(model.rig),
         path.c_deg,
         path.translation_mm,
         path.rotation_deg,
@@ -170,8 +170,8 @@ def _see(model: Model, path: Path, parameters: Mapping[str, Any], clock_offset_s
     )
 
 
-def sight_rig(rig: Rig) -> Array:
-    """The numbers of struct sight_rig (host/native/sight.h)."""
+def projection_rig(rig: Rig) -> Array:
+    """The numbers of struct projection_rig (host/native/projection.h)."""
     assert rig.kinematics and rig.camera and rig.hand_eye
     camera = rig.camera
     return np.array(

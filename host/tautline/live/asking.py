@@ -13,7 +13,7 @@ from tautline.calibration.clock import on_motor_clock
 from tautline.diagnosis import motion
 from tautline.diagnosis.diagnose import Diagnosis, diagnose
 from tautline.diagnosis.motion import NextMotion
-from tautline.diagnosis.words import percent
+from tautline.diagnosis.narration import percent
 from tautline.errors import TautError
 from tautline.live.following import record
 from tautline.live.setup import Live
@@ -29,14 +29,14 @@ Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True)
-class Answer:
+class Leading:
     """The likeliest of all: an effect's id, "none" or "unknown"."""
 
     name: str
     probability: float
 
     @classmethod
-    def of(cls, document: Mapping[str, Any]) -> Answer:
+    def of(cls, document: Mapping[str, Any]) -> Leading:
         choices = {c["id"]: float(c["probability"]) for c in document["candidates"]}
         choices |= {"none": document["probability_none"], "unknown": document["probability_unknown"]}
         name = max(choices, key=lambda name: choices[name])
@@ -52,7 +52,7 @@ class Asked:
 
     diagnosis: Diagnosis
     recordings: tuple[Path, ...]  # that were made
-    answers: tuple[Answer, ...]  # after each
+    answers: tuple[Leading, ...]  # after each
     why: str  # it ended
 
     @property
@@ -61,7 +61,7 @@ class Asked:
 
 
 def why_stop(
-    answers: Sequence[Answer], asked: Sequence[str], following: NextMotion | None, noise: float, most: int
+    answers: Sequence[Leading], asked: Sequence[str], following: NextMotion | None, noise: float, most: int
 ) -> str:
     """Why nothing more is recorded; empty where `following` is worth it. answers: after each recording, `asked` the
     motions' names. noise: of what `following` separates, px or deg."""
@@ -82,14 +82,14 @@ def why_stop(
     return ""
 
 
-def _no_news(answers: Sequence[Answer]) -> bool:
+def _no_news(answers: Sequence[Leading]) -> bool:
     before, last = answers[-2:]
     return before.name == last.name and abs(last.probability - before.probability) < _NO_NEWS
 
 
 def diagnose_live(
     live: Live,
-    found: Calibration,
+    calibrated_on: Calibration,
     calibration: Recording,
     tests: Sequence[Recording],
     folder: Path,
@@ -103,15 +103,15 @@ def diagnose_live(
         raise TautError(f"{folder}: is not empty: name another folder for the recordings with --recordings")
     folder.mkdir(parents=True, exist_ok=True)
     known = list(tests)
-    answers: list[Answer] = []
+    answers: list[Leading] = []
     asked: list[str] = []
     made: list[Path] = []
     following: NextMotion | None = None
     while True:
         if known or made:
-            diagnosis = diagnose(found.model, calibration, known, progress)
+            diagnosis = diagnose(calibrated_on.model, calibration, known, progress)
             following = diagnosis.next_motion
-            answers.append(Answer.of(diagnosis.document))
+            answers.append(Leading.of(diagnosis.document))
             noise = float(diagnosis.document["noise_floor"])
             why = why_stop(answers, asked, following, noise, most + bool(tests))
             told(f"{_what(made, asked)}: {answers[-1]}" + (f"; next {following.why}" if following and not why else ""))

@@ -31,7 +31,7 @@ _SETTLE_S, _AFTER_S = 0.3, 0.1  # after a step; of that, what is drawn and count
 
 
 @dataclass(frozen=True)
-class Step:
+class StepResponse:
     """A step of the target at the axis' limits. Times s, positions counts from where it began."""
 
     t_s: Array
@@ -50,7 +50,7 @@ class Commissioned:
     speed_s: float = 0.0  # counts/s at full drive, without load
     current_ma: int = 0  # the most that was seen
     q: float = 0.0  # after homing, the rig's unit
-    steps: dict[float, Step] = field(default_factory=dict)  # by factor of the gains
+    steps: dict[float, StepResponse] = field(default_factory=dict)  # by factor of the gains
     factor: float = 1.0
 
 
@@ -92,9 +92,11 @@ def commission(
     board.check_fault(axis)
     before = dict(board.ask("get_settings", axis=axis).values)
     low, high = (q / live.resolution for q in live.rig.actuator.range)
-    found = Commissioned(before, before | {"q_low": low, "q_high": high, "instrument": serial or before["instrument"]})
+    commissioned = Commissioned(
+        before, before | {"q_low": low, "q_high": high, "instrument": serial or before["instrument"]}
+    )
     if current_ma is not None:
-        found.settings["current_ma"] = current_ma
+        commissioned.settings["current_ma"] = current_ma
 
     _agreed(agree, "The motor turns a little either way. Is the instrument free to move?")
     _check(live)
@@ -103,29 +105,29 @@ def commission(
     _store(live, before | {"q_low": low, "q_high": high})
     homing = homing or Homing()
     _agreed(agree, f"The motor goes to the {'low' if homing.direction < 0 else 'high'} end, weakly. May it?")
-    found.q = home(live, homing)
+    commissioned.q = home(live, homing)
     ends = ", ".join(f"{q:g}" for q in live.rig.actuator.range)
-    say(f"ends: found, now at {found.q:.4g} {unit}; range [{ends}] {unit}")
+    say(f"ends: found, now at {commissioned.q:.4g} {unit}; range [{ends}] {unit}")
 
     _agreed(agree, "The motor moves over a third of its range, then in quick steps. May it?")
     tape = _Tape(live)
     try:
-        _friction(live, tape, found, homing.direction)
+        _friction(live, tape, commissioned, homing.direction)
         say(
-            f"drive: friction {100 * found.friction:.1f} %, {found.speed_s:.0f} counts/s at full drive; "
-            f"current up to {found.current_ma} mA, limit {found.settings['current_ma']} mA"
+            f"drive: friction {100 * commissioned.friction:.1f} %, {commissioned.speed_s:.0f} counts/s at full drive; "
+            f"current up to {commissioned.current_ma} mA, limit {commissioned.settings['current_ma']} mA"
         )
-        _tune(live, tape, found, homing.direction, say)
+        _tune(live, tape, commissioned, homing.direction, say)
     finally:
         with contextlib.suppress(TautError):  # gone: what is stored holds at its next start
             board.ask("telemetry", axis=axis, divider=0)
             board.ask("servo", **_servo(before))
 
-    _agreed(agree, f"Store gains x {found.factor:g}, range, current limit and instrument on the board?")
-    _store(live, found.settings)
+    _agreed(agree, f"Store gains x {commissioned.factor:g}, range, current limit and instrument on the board?")
+    _store(live, commissioned.settings)
     _check(live)
     say("stored, and checked again")
-    return found
+    return commissioned
 
 
 def _agreed(agree: Agree, question: str) -> None:
@@ -154,9 +156,9 @@ def _servo(settings: dict[str, Any]) -> dict[str, Any]:
 # -- friction and speed -----------------------------------------------------------------------------------------------
 
 
-def _friction(live: Live, tape: _Tape, found: Commissioned, direction: int) -> None:
+def _friction(live: Live, tape: _Tape, commissioned: Commissioned, direction: int) -> None:
     """Drive at two speeds either way: duty = friction + speed / free speed."""
-    span, start = live.rig.actuator.span, found.q
+    span, start = live.rig.actuator.span, commissioned.q
     rows = []
     with driving(live):
         for share in _SPEEDS:
@@ -164,7 +166,7 @@ def _friction(live: Live, tape: _Tape, found: Commissioned, direction: int) -> N
             for q in (start - direction * _WAY * span, start):
                 tape.rewind()
                 move_to(live, q, speed)
-                found.current_ma = max(found.current_ma, abs(live.board.status(live.axis).current_ma))
+                commissioned.current_ma = max(commissioned.current_ma, abs(live.board.status(live.axis).current_ma))
                 t, _, q_ref, duty = tape.read()
                 rate = np.gradient(q_ref, t)
                 even = np.abs(np.abs(rate) - speed / live.resolution) < 0.02 * speed / live.resolution
@@ -175,41 +177,43 @@ def _friction(live: Live, tape: _Tape, found: Commissioned, direction: int) -> N
     slope, friction = np.polyfit(speeds, drive, 1)
     if slope <= 0:
         raise TautError("more speed took less drive: look for what rubs, and for a supply that sags")
-    found.friction, found.speed_s = max(float(friction), 0.0), float(1.0 / slope)
-    found.settings["friction"] = found.friction
-    found.settings["feed_forward"] = min(round(1000.0 * 32768.0 * float(slope)), _GAIN_MAX)
+    commissioned.friction, commissioned.speed_s = max(float(friction), 0.0), float(1.0 / slope)
+    commissioned.settings["friction"] = commissioned.friction
+    commissioned.settings["feed_forward"] = min(round(1000.0 * 32768.0 * float(slope)), _GAIN_MAX)
 
 
 # -- servo gains ------------------------------------------------------------------------------------------------------
 
 
-def _tune(live: Live, tape: _Tape, found: Commissioned, direction: int, say: Say) -> None:
+def _tune(live: Live, tape: _Tape, commissioned: Commissioned, direction: int, say: Say) -> None:
     """The gains that follow best of those that are sound with a margin."""
     for factor in FACTORS:
-        tried = found.settings | _scaled(found.settings, factor)
-        step = _try(live, tape, tried, found.q, direction)
+        tried = commissioned.settings | _scaled(commissioned.settings, factor)
+        step = _try(live, tape, tried, commissioned.q, direction)
         if step is None:
             say(f"gains x {factor:g}: not sound")
             break
-        found.steps[factor] = step
+        commissioned.steps[factor] = step
         say(
             f"gains x {factor:g}: off by {step.rms:.1f} counts rms, {step.overshoot:.1f} beyond the target, "
             f"settled in {1e3 * step.settling_s:.0f} ms"
         )
-    fit = [factor for factor in found.steps if factor * _MARGIN in found.steps]
+    fit = [factor for factor in commissioned.steps if factor * _MARGIN in commissioned.steps]
     if not fit:
         raise TautError(
             "no gains are sound with a margin of 2: look for play between motor and encoder, and the supply"
         )
-    found.factor = min(fit, key=lambda factor: found.steps[factor].rms + found.steps[factor].overshoot)
-    found.settings |= _scaled(found.settings, found.factor)
+    commissioned.factor = min(
+        fit, key=lambda factor: commissioned.steps[factor].rms + commissioned.steps[factor].overshoot
+    )
+    commissioned.settings |= _scaled(commissioned.settings, commissioned.factor)
 
 
 def _scaled(settings: dict[str, Any], factor: float) -> dict[str, Any]:
     return {name: min(round(settings[name] * factor), _GAIN_MAX) for name in _GAINS}
 
 
-def _try(live: Live, tape: _Tape, settings: dict[str, Any], start: float, direction: int) -> Step | None:
+def _try(live: Live, tape: _Tape, settings: dict[str, Any], start: float, direction: int) -> StepResponse | None:
     """A step either way; None where the gains are not sound. The worse of the two counts."""
     live.board.ask("servo", **_servo(settings))
     span = live.rig.actuator.span
@@ -232,7 +236,7 @@ def _try(live: Live, tape: _Tape, settings: dict[str, Any], start: float, direct
     )
 
 
-def _step(live: Live, tape: _Tape, q_to: float, arrive: float) -> Step:
+def _step(live: Live, tape: _Tape, q_to: float, arrive: float) -> StepResponse:
     live.wait(_SETTLE_S)
     tape.rewind()
     move_to(live, q_to, live.top_speed)
@@ -244,7 +248,7 @@ def _step(live: Live, tape: _Tape, q_to: float, arrive: float) -> Step:
     way = 1.0 if target > origin else -1.0
     first = np.flatnonzero(q_ref != origin)
     shown = slice(max(int(first[0]) - 20, 0) if len(first) else 0, int(np.searchsorted(t, arrived + _AFTER_S)))
-    return Step(
+    return StepResponse(
         t[shown] - t[shown][0],
         q[shown] - origin,
         q_ref[shown] - origin,

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from tautline import trajectory
 from tautline.columns import read_columns
 from tautline.device import wire
 from tautline.errors import TautError
@@ -19,7 +20,6 @@ from tautline.live.setup import Frame, Live, Recorder
 from tautline.model import Model
 from tautline.recording import read_motor
 from tautline.rig import Actuator
-from tautline.simulated import trajectory
 
 Array = np.ndarray
 Progress = Callable[[float, str], None] | None

@@ -138,9 +138,9 @@ class Standing:
     doubt: str  # the calibration's first, empty where it has none
 
     @classmethod
-    def of(cls, found: Calibration, low: float, high: float, until: float) -> Standing:
-        model = found.model
-        bounds = max((onset.low for onset in found.onsets if onset.used and onset.kind == BOUND), default=0.0)
+    def of(cls, calibration: Calibration, low: float, high: float, until: float) -> Standing:
+        model = calibration.model
+        bounds = max((onset.low for onset in calibration.onsets if onset.used and onset.kind == BOUND), default=0.0)
         doubt = next((str(reason) for reason in model.quality.reasons if not reason.mild), "")
         inside = (model.q >= model.measured[0]) & (model.q <= model.measured[1])
         if not inside.any() or model.measured[0] >= model.measured[1]:
@@ -150,7 +150,8 @@ class Standing:
         worst = int(np.argmax(sigma))
         return cls(
             float(sigma[worst]), float(q[worst]), _places(q, sigma, until, widest), (float(q[0]), float(q[-1])),
-            _missing(found, low, high), widest, bounds, float(np.mean(np.maximum(sigma / until, 1.0) ** 2)), doubt,
+            _missing(calibration, low, high), widest, bounds, float(np.mean(np.maximum(sigma / until, 1.0) ** 2)),
+            doubt,
         )  # fmt: skip
 
     @property
@@ -172,9 +173,9 @@ def _places(q: Array, sigma: Array, until: float, apart: float) -> tuple[Place, 
     return tuple(Place(float(q[run[0]]), float(q[run[-1]]), float(sigma[run].max())) for run in runs)
 
 
-def _missing(found: Calibration, low: float, high: float) -> Span:
+def _missing(calibration: Calibration, low: float, high: float) -> Span:
     """What is not measured of the positions where B can be seen: all but B/2 at either end."""
-    model = found.model
+    model = calibration.model
     free = _EDGE * (high - low)
     first, last = low + 0.5 * model.width[0] + free, high - 0.5 * model.width[-1] - free
     below, above = model.measured[0] > first, model.measured[1] < last
@@ -267,7 +268,7 @@ def _round(means: Means, low: float, high: float, speeds: tuple[float, ...], cyc
 
 
 @dataclass(frozen=True)
-class Sight:
+class CameraView:
     """What the camera made of it."""
 
     noise_px: float  # from frame to frame at rest; NaN where it never rested
@@ -275,33 +276,33 @@ class Sight:
 
 
 def why_not(
-    standing: Standing, until: float, unit: str, sight: Sight, seconds: float, at_most_s: float, rounds: int
+    standing: Standing, until: float, unit: str, camera: CameraView, seconds: float, at_most_s: float, rounds: int
 ) -> str:
     """Why the goal is out of reach, empty where it may be reached yet: one sentence with its remedy."""
     out_of_time = seconds >= at_most_s
     if standing.reached(until) or (rounds < FEWEST and not out_of_time):
         return ""
     if not standing.covered:
-        return _uncovered(standing, unit, sight)
+        return _uncovered(standing, unit, camera)
     needed = seconds * standing.work
     if not out_of_time and needed <= _HOPELESS * at_most_s:
         return ""
     here = f"sigma is {in_words(standing.worst, unit)} at {standing.where:.3g} {unit}"
-    low, high = sight.unseen
+    low, high = camera.unseen
     if low - standing.widest < standing.where < high + standing.widest and low < high:
-        return f"{here}: {_unseen(sight, unit)}"
+        return f"{here}: {_unseen(camera, unit)}"
     if standing.doubt:
         return f"{here}, and more frames of the same do not help: {standing.doubt}"
     return (
-        f"{here} with {sight.noise_px:.2g} px of noise in the marker, and {needed:.0f} s would be needed: steady the "
+        f"{here} with {camera.noise_px:.2g} px of noise in the marker, and {needed:.0f} s would be needed: steady the "
         "camera, light or enlarge the marker, name a larger --until, or give it time with --at-most"
     )
 
 
-def _uncovered(standing: Standing, unit: str, sight: Sight) -> str:
+def _uncovered(standing: Standing, unit: str, camera: CameraView) -> str:
     low, high = standing.missing
-    if sight.unseen[0] < sight.unseen[1]:
-        return _unseen(sight, unit)
+    if camera.unseen[0] < camera.unseen[1]:
+        return _unseen(camera, unit)
     if standing.strokes > 0:
         return (
             f"strokes of {standing.strokes:.3g} {unit} moved nothing: the range leaves no room to cross the backlash: "
@@ -310,8 +311,8 @@ def _uncovered(standing: Standing, unit: str, sight: Sight) -> str:
     return f"no reversal from {low:.3g} to {high:.3g} {unit} gave a width: is the tip free to move there?"
 
 
-def _unseen(sight: Sight, unit: str) -> str:
-    low, high = sight.unseen
+def _unseen(camera: CameraView, unit: str) -> str:
+    low, high = camera.unseen
     return (
         f"the marker is not seen from {low:.3g} to {high:.3g} {unit}: bring it into view there, or take these "
         "positions out of actuator.range in rig.toml"

@@ -114,18 +114,18 @@ def probe(live: Live, seen: Callable[[Frame], object], speed: float) -> None:
 
     def marker(frames: int) -> tuple[Array, float]:
         """Mean position and its error, px."""
-        found = []
+        places = []
         for _ in range(frames + round(rig.delay_s * (rig.camera.frame_rate_hz if rig.camera else 25.0)) + 1):
             frame = live.look()
             seen(frame)
             if frame.sighting.valid:
-                found.append((frame.sighting.u_px, frame.sighting.v_px))
-        found = found[-frames:]
-        if len(found) < frames / 2:
+                places.append((frame.sighting.u_px, frame.sighting.v_px))
+        places = places[-frames:]
+        if len(places) < frames / 2:
             raise TautError(
                 "the marker is not seen while all is at rest: check the camera, or pick its colour: taut marker"
             )
-        return np.mean(found, axis=0), float(np.std(found, axis=0).mean() / np.sqrt(len(found)) + 0.02)
+        return np.mean(places, axis=0), float(np.std(places, axis=0).mean() / np.sqrt(len(places)) + 0.02)
 
     start = float(live.board.status(live.axis).q) * live.resolution
     if not low <= start <= high:
@@ -190,9 +190,9 @@ class Motions:
         self.made.reversals = self._before + message.reversals
 
     def _onset(self, message: wire.Message) -> None:
-        found = {key: message.values[key] * self.live.resolution for key in ("q1", "q2", "width", "sigma")}
-        found |= {"direction": message.direction, "t_s": message.start_us * 1e-6, "used": message.reason == 0}
-        self.made.onsets.append(found)
+        onset = {key: message.values[key] * self.live.resolution for key in ("q1", "q2", "width", "sigma")}
+        onset |= {"direction": message.direction, "t_s": message.start_us * 1e-6, "used": message.reason == 0}
+        self.made.onsets.append(onset)
 
     def run(self, wanted: Round, enough: Callable[[Frame], bool]) -> None:
         """Until the round is complete or `enough` says so; then the axis is at rest."""

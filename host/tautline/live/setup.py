@@ -26,10 +26,10 @@ from tautline.recording import FRAME_COLUMNS, PICTURE_NAME, Marker, Motor, Recor
 from tautline.rig import Rig
 from tautline.simulated.endoscope import Endoscope
 from tautline.simulated.instrument import of_name
-from tautline.simulated.simlink import DesktopBoard, Plant, SimLink
-from tautline.vision.camera import Camera, SimulatedCamera, VideoCamera
+from tautline.simulated.simlink import DesktopBoard, SimLink, SimulatedAxis
+from tautline.vision.camera import FrameSource, SimulatedCamera, VideoCamera
 from tautline.vision.colour import MarkerColour, pick
-from tautline.vision.marker import Sighting, Tracker
+from tautline.vision.marker import MarkerTracker, Sighting
 from tautline.vision.timing import FrameTiming
 
 Array = np.ndarray
@@ -57,7 +57,9 @@ class Eye(Protocol):
 class CameraEye:
     """A real camera. Arrival times are of the host's monotonic clock and become board time by round trips."""
 
-    def __init__(self, board: Board, camera: Camera, tracker: Tracker, size: tuple[int, int] | None = None) -> None:
+    def __init__(
+        self, board: Board, camera: FrameSource, tracker: MarkerTracker, size: tuple[int, int] | None = None
+    ) -> None:
         """size (width, height): what the rig says that frames measure; any other is an error."""
         self._board, self._camera, self._tracker, self._size = board, camera, tracker, size
 
@@ -82,7 +84,7 @@ class CameraEye:
 class LockstepEye:
     """The simulated endoscope: looking advances board and instrument to the frame's arrival."""
 
-    def __init__(self, plant: Plant, camera: SimulatedCamera, tracker: Tracker) -> None:
+    def __init__(self, plant: SimulatedAxis, camera: SimulatedCamera, tracker: MarkerTracker) -> None:
         self._plant, self._camera, self._tracker = plant, camera, tracker
 
     def look(self) -> Frame:
@@ -99,7 +101,7 @@ class LockstepEye:
 class PointEye:
     """As LockstepEye without pictures: the marker's projection with white noise of `noise_px`. For long runs."""
 
-    def __init__(self, plant: Plant, noise_px: float = 0.05, seed: int = 0) -> None:
+    def __init__(self, plant: SimulatedAxis, noise_px: float = 0.05, seed: int = 0) -> None:
         self._plant, self._noise = plant, noise_px
         self._frames = FrameTiming.of(plant.instrument.rig, jitter_s=plant.instrument.jitter_s).frames()
         self._rng = np.random.default_rng([seed, 0xE1E])
@@ -124,7 +126,7 @@ class Live:
     rig: Rig
     axis: int = 0
     eye: Eye | None = None
-    plant: Plant | None = None
+    plant: SimulatedAxis | None = None
     stopping: bool = False  # Ctrl-C came
     feeding: bool = False  # frames go on to the board: during its calibration motion
 
@@ -375,14 +377,14 @@ def open_live(
             place = (at or 0.0) / instrument.rig.actuator.encoder_resolution
             link.ask(f"place {axis} {round(place * 256)}")
             opened.ask("set_position", axis=axis, q=place)
-            plant = Plant(link, instrument, axis)
+            plant = SimulatedAxis(link, instrument, axis)
             live = Live(opened, instrument.rig, axis, None, plant)
             if pictures and instrument.drawn and instrument.rig.has_camera:
                 endoscope = Endoscope(instrument.rig, seed=seed)
                 middle = 0.5 * sum(coarse_range_deg(instrument.rig))
                 spot = project(instrument.rig, middle)[0]
                 seen_as = pick(endoscope.frame(middle, 0.0, 0.0), (float(spot[0]), float(spot[1])))
-                eye: Eye = LockstepEye(plant, SimulatedCamera(endoscope, plant.scene), Tracker(seen_as))
+                eye: Eye = LockstepEye(plant, SimulatedCamera(endoscope, plant.scene), MarkerTracker(seen_as))
             elif instrument.rig.has_camera:
                 eye = PointEye(plant, seed=seed)
             else:
@@ -407,6 +409,6 @@ def open_live(
             source = int(camera) if isinstance(camera, str) and camera.isdigit() else camera
             size = None if rig.camera is None else (rig.camera.width_px, rig.camera.height_px)
             rate_hz = None if rig.camera is None else rig.camera.frame_rate_hz
-            live.eye = CameraEye(opened, VideoCamera(source, size=size, rate_hz=rate_hz), Tracker(colour), size)
+            live.eye = CameraEye(opened, VideoCamera(source, size=size, rate_hz=rate_hz), MarkerTracker(colour), size)
             stack.callback(live.eye.close)
         yield live

@@ -14,7 +14,7 @@ from tautline.live.following import follow, motor_trajectory, step
 from tautline.live.setup import Frame, Live
 from tautline.model import Model
 from tautline.rig import MARKER
-from tautline.tracking import Row, Tracker
+from tautline.tracking import LawTracker, Row
 
 Progress = Callable[[float, str], None] | None
 
@@ -26,7 +26,7 @@ class Following:
     live: Live
     model: Model
     told: Callable[[Row, float], None] = lambda row, t_s: None
-    tracker: Tracker = field(init=False)
+    tracker: LawTracker = field(init=False)
     row: Row | None = field(init=False, default=None)
     frames: int = field(init=False, default=0)
     unseen: int = field(init=False, default=0)
@@ -39,7 +39,7 @@ class Following:
             raise TautError(
                 f"the model is in {unit}, the rig in {own}: name the rig that the model was calibrated with"
             )
-        self.tracker = Tracker(self.model, MARKER)
+        self.tracker = LawTracker(self.model, MARKER)
         self.tracker.begin()
         self._delay_s = self.model.delay_of(MARKER)
         self._waiting: list[Frame] = []  # for the telemetry of their scene

@@ -103,9 +103,9 @@ def calibrate_until(
 
             probe(live, seen, means.speeds[0])
             rounds, why = _rounds(motions, watch, means, until, goal.at_most_s)
-        found, standing = view.found, view.standing
-    assert found is not None and standing is not None
-    return found, Reached(motions.made, tuple(rounds), standing, until, why)
+        calibration, standing = view.calibration, view.standing
+    assert calibration is not None and standing is not None
+    return calibration, Reached(motions.made, tuple(rounds), standing, until, why)
 
 
 def _rounds(
@@ -148,6 +148,6 @@ def _rounds(
         assert view.standing is not None
         if view.standing.reached(until) and both_made(rounds):
             return rounds, ""
-        why = why_not(view.standing, until, view.unit, watch.sight(), view.seconds, at_most_s, len(rounds))
+        why = why_not(view.standing, until, view.unit, watch.camera_view(), view.seconds, at_most_s, len(rounds))
         if why:
             return rounds, why

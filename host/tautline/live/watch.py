@@ -11,7 +11,7 @@ import numpy as np
 
 from tautline.calibration.calibrate import Calibration, Options, calibrate
 from tautline.errors import TautError
-from tautline.live.rounds import Sight, Standing
+from tautline.live.rounds import CameraView, Standing
 from tautline.live.setup import Frame, Live, Recorder
 
 Array = np.ndarray
@@ -37,9 +37,9 @@ class View:
     reversals: int = 0
     rising: Array = field(default_factory=lambda: np.zeros((BINS, 2), dtype=np.int64))  # frames: seen, lost
     falling: Array = field(default_factory=lambda: np.zeros((BINS, 2), dtype=np.int64))
-    found: Calibration | None = None  # from a recording of `found_s`
+    calibration: Calibration | None = None  # from a recording of `calibrated_s`
     standing: Standing | None = None
-    found_s: float = 0.0
+    calibrated_s: float = 0.0
 
     @property
     def coverage(self) -> float:
@@ -117,11 +117,11 @@ class Watch:
         if self._show is not None:
             self._show(self.view)
 
-    def sight(self) -> Sight:
+    def camera_view(self) -> CameraView:
         """What the camera made of it so far."""
         steps = np.abs(self._steps)
         noise = float(np.median(steps)) / _MEDIAN / np.sqrt(2.0) if steps.size else float("nan")
-        return Sight(noise, self.view.unseen)
+        return CameraView(noise, self.view.unseen)
 
     def _idle(self) -> None:
         """One frame more, so that none is stale after the wait."""
@@ -147,11 +147,11 @@ class Watch:
             return False
         fit, self._fit = self._fit, None
         with suppress(*(() if strict else (TautError,))):  # too early to tell anything
-            found, seconds = fit.result()
+            calibration, seconds = fit.result()
             view = self.view
-            view.found, view.found_s = found, seconds
+            view.calibration, view.calibrated_s = calibration, seconds
             if view.until is not None:
-                view.standing = Standing.of(found, view.low, view.high, view.until)
+                view.standing = Standing.of(calibration, view.low, view.high, view.until)
             return True
         return False
 

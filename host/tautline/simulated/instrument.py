@@ -24,7 +24,7 @@ _BEYOND = 0.05  # share of the range that the true laws go on for beyond either 
 
 
 @dataclass(frozen=True)
-class Course:
+class InstrumentPath:
     """Where an instrument went, (n,) each."""
 
     p: Array  # unit of q
@@ -95,10 +95,10 @@ class Instrument:
         """c in deg at the motor positions q (see `centre`)."""
         return self.bend(self.centre(t_s, q))
 
-    def course(self, t_s: Array, q: Array, translation_mm: Array | None, rotation_deg: Array | None) -> Course:
+    def course(self, t_s: Array, q: Array, translation_mm: Array | None, rotation_deg: Array | None) -> InstrumentPath:
         """As `centre`, with the other degrees of freedom at the same times (None: at rest at 0)."""
         p = self.centre(t_s, q)
-        return Course(p, self.bend(p), np.zeros_like(p))
+        return InstrumentPath(p, self.bend(p), np.zeros_like(p))
 
     def see(self, c_deg: Array, way: Array, translation_mm: Array | float, rotation_deg: Array | float) -> Array:
         """Where the marker is seen (n, 2), px; `way` as in Course."""
@@ -140,10 +140,10 @@ class Corrected(Instrument):
     def move(self, t_s: Array, q: Array) -> Array:
         return self.course(t_s, q, None, None).c_deg
 
-    def course(self, t_s: Array, q: Array, translation_mm: Array | None, rotation_deg: Array | None) -> Course:
+    def course(self, t_s: Array, q: Array, translation_mm: Array | None, rotation_deg: Array | None) -> InstrumentPath:
         new = np.array([np.atleast_1d(t_s), np.atleast_1d(q)], dtype=np.float64)
         if not new.size:
-            return Course(*np.empty((3, 0)))
+            return InstrumentPath(*np.empty((3, 0)))
         t, moved = past = np.concatenate([self._past, new], axis=1)
         # What is past is kept as the corners of straight lines: a call costs what is new.
         self._past = past[:, _native.thin(t, moved, np.array([1e-9 * self.rig.actuator.span]), 0.05).view(bool)]
@@ -154,7 +154,7 @@ class Corrected(Instrument):
         motor = Motor(t, moved, None, whole(translation_mm), whole(rotation_deg))
         path = effects.follow(self._model, motor, new[0], self._effects, self._start_deg)
         self.p = float(path.p[-1])
-        return Course(path.p, path.c_deg, path.way)
+        return InstrumentPath(path.p, path.c_deg, path.way)
 
     def see(self, c_deg: Array, way: Array, translation_mm: Array | float, rotation_deg: Array | float) -> Array:
         return effects.see(self._model, c_deg, way, translation_mm, rotation_deg, self._effects)

@@ -132,7 +132,7 @@ class DesktopBoard:
         self.close()
 
 
-class Plant:
+class SimulatedAxis:
     """A simulated instrument on one axis of a simulated board: q, p and c at each millisecond of board time."""
 
     def __init__(self, link: SimLink, instrument: Instrument, axis: int = 0) -> None:
@@ -206,5 +206,5 @@ class Plant:
         recent = 1
         while recent < len(self._t) and self._t[-recent][0] > t_s.min():
             recent += 1
-        found: Array = np.interp(t_s, np.concatenate(self._t[-recent:]), np.concatenate(values[-recent:]))
-        return found
+        past: Array = np.interp(t_s, np.concatenate(self._t[-recent:]), np.concatenate(values[-recent:]))
+        return past

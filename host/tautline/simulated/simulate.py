@@ -19,7 +19,7 @@ from tautline.recording import Angle, Marker, Motor, Recording
 from tautline.rig import Rig
 from tautline.simulated.endoscope import Endoscope
 from tautline.simulated.instrument import Instrument
-from tautline.simulated.trajectory import Trajectory
+from tautline.trajectory import Trajectory
 from tautline.vision.camera import SimulatedCamera, VideoFile
 from tautline.vision.colour import COLOUR_FILE, pick
 from tautline.vision.timing import FrameTiming

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import _native
-from tautline.tracking.law import OFFSET, PARAMETERS, PLACES, SCALE, SHAPE, SKEW, SPREAD, TIP, Law, Nominal
-from tautline.tracking.window import Evidence
+from tautline.tracking.law import OFFSET, PARAMETERS, PLACES, SCALE, SHAPE, SKEW, SPREAD, TIP, Law, LawFamily
+from tautline.tracking.window import WindowKnots
 
 Array = npt.NDArray[np.float64]
 Marks = npt.NDArray[np.bool_]
@@ -32,7 +32,7 @@ class Envelopes:
     at: npt.NDArray[np.intp]  # among those seen
     way: Array  # +1 rising q, -1 falling
 
-    def both(self, evidence: Evidence, law: Law) -> tuple[float, float] | None:
+    def both(self, evidence: WindowKnots, law: Law) -> tuple[float, float] | None:
         """The centre coordinates that were passed both ways. None where there are none."""
         y = law.place(evidence.c_deg[self.at])
         up, down = y[self.way > 0], y[self.way < 0]
@@ -42,7 +42,7 @@ class Envelopes:
         return (float(low), float(high)) if high > low else None
 
 
-def envelopes(evidence: Evidence, law: Law) -> Envelopes:
+def envelopes(evidence: WindowKnots, law: Law) -> Envelopes:
     q, y = evidence.q[evidence.seen], law.place(evidence.c_deg)
     sigma = evidence.sigma / np.abs(law.slope(y))
     by_q, by_y = np.diff(q), np.diff(y)
@@ -57,8 +57,8 @@ def envelopes(evidence: Evidence, law: Law) -> Envelopes:
 
 
 @dataclass(frozen=True)
-class Fit:
-    evidence: Evidence
+class LawFit:
+    evidence: WindowKnots
     theta: Array
     free: tuple[int, ...]
     z: Array  # residuals over sigma of the frames seen
@@ -112,7 +112,7 @@ class Prior:
         return part
 
 
-def simulated(nominal: Nominal, evidence: Evidence, theta: Array) -> tuple[Array, Array]:
+def simulated(nominal: LawFamily, evidence: WindowKnots, theta: Array) -> tuple[Array, Array]:
     """Residuals (seen,) over sigma, and their slopes (seen, PARAMETERS)."""
     law = nominal.law(theta)
     y = law.place(evidence.c_deg)
@@ -126,8 +126,8 @@ def simulated(nominal: Nominal, evidence: Evidence, theta: Array) -> tuple[Array
 
 
 def fitted(
-    nominal: Nominal, evidence: Evidence, start: Array, free: tuple[int, ...], prior: Prior
-) -> Generator[None, None, Fit]:
+    nominal: LawFamily, evidence: WindowKnots, start: Array, free: tuple[int, ...], prior: Prior
+) -> Generator[None, None, LawFit]:
     """Levenberg and Marquardt's method on Huber's cost; a simulation between two yields."""
     picked = list(free)
     information = prior.information(picked)
@@ -161,7 +161,7 @@ def fitted(
             damping *= 10.0
             if damping > 1e4:
                 break
-    return Fit(evidence, theta, free, z, cost, _covariance(evidence, z, by[:, picked], information))
+    return LawFit(evidence, theta, free, z, cost, _covariance(evidence, z, by[:, picked], information))
 
 
 def _cost(z: Array, theta: Array, prior: Prior, free: list[int], information: Array) -> float:
@@ -171,7 +171,7 @@ def _cost(z: Array, theta: Array, prior: Prior, free: list[int], information: Ar
     return float(np.sum(robust) + 0.5 * away @ information @ away)
 
 
-def _covariance(evidence: Evidence, z: Array, slopes: Array, information: Array) -> Array:
+def _covariance(evidence: WindowKnots, z: Array, slopes: Array, information: Array) -> Array:
     """The larger of the fit's own, at the level of what it leaves, and the sandwich by stroke."""
     if slopes.shape[1] == 0:
         return np.zeros((0, 0))
@@ -187,20 +187,20 @@ def _covariance(evidence: Evidence, z: Array, slopes: Array, information: Array)
     return np.asarray(sandwich if wider else plain)
 
 
-def guess(nominal: Nominal, evidence: Evidence, theta: Array, found: Envelopes, both: bool) -> Array:
+def guess(nominal: LawFamily, evidence: WindowKnots, theta: Array, envelope: Envelopes, both: bool) -> Array:
     """theta with the offset, and where both ways were seen the scale, that the envelopes ask for: on them
     way (q - y) = scale B(q)/2 - way offset."""
     theta = theta.copy()
-    if len(found.at) == 0:
+    if len(envelope.at) == 0:
         return theta
     law = nominal.law(theta)
-    q, y = evidence.q[evidence.seen][found.at], law.place(evidence.c_deg[found.at])
+    q, y = evidence.q[evidence.seen][envelope.at], law.place(evidence.c_deg[envelope.at])
     half = 0.5 * np.interp(y + float(np.median(q - y)), nominal.model.q, nominal.model.width)
     if not both:
-        theta[OFFSET] = float(np.median(y - q + found.way * theta[SCALE] * half))
+        theta[OFFSET] = float(np.median(y - q + envelope.way * theta[SCALE] * half))
         return theta
-    slopes = np.column_stack([half, -found.way])
-    right = found.way * (q - y)
+    slopes = np.column_stack([half, -envelope.way])
+    right = envelope.way * (q - y)
     weight = np.ones(len(y))
     for _ in range(4):
         solution = np.linalg.lstsq(slopes * weight[:, None], right * weight, rcond=None)[0]
@@ -210,7 +210,7 @@ def guess(nominal: Nominal, evidence: Evidence, theta: Array, found: Envelopes, 
     return nominal.lawful(theta)
 
 
-def at_tip(nominal: Nominal, theta: Array) -> Array:
+def at_tip(nominal: LawFamily, theta: Array) -> Array:
     """theta with its offset behind the play instead of before it."""
     theta = theta.copy()
     theta[TIP.start] += theta[OFFSET] * nominal.tip_slope

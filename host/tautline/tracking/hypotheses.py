@@ -16,7 +16,7 @@ from tautline.tracking.fit import (
     REMAINING,
     SHAPED,
     Envelopes,
-    Fit,
+    LawFit,
     Prior,
     at_tip,
     envelopes,
@@ -25,8 +25,8 @@ from tautline.tracking.fit import (
     simulated,
     trimmed,
 )
-from tautline.tracking.law import OFFSET, SCALE, SHAPE, SKEW, SPREAD, TIP, Nominal, unchanged
-from tautline.tracking.window import Evidence
+from tautline.tracking.law import OFFSET, SCALE, SHAPE, SKEW, SPREAD, TIP, LawFamily, unchanged
+from tautline.tracking.window import WindowKnots
 
 Array = npt.NDArray[np.float64]
 
@@ -53,11 +53,11 @@ _ONE_WAY = "the tip was not yet seen to move both ways since the model stopped h
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Inference:
     """`theta`: the law to use, None: as before. `proposal` is looked at again with the frames to come."""
 
     says: str
-    evidence: Evidence
+    evidence: WindowKnots
     theta: Array | None = None
     offset_sigma: float = 0.0
     scale_sigma: float = 0.0
@@ -70,7 +70,7 @@ class Verdict:
     early: bool = False  # too little was seen to judge
 
     @property
-    def proposal(self) -> Verdict | None:
+    def proposal(self) -> Inference | None:
         return self if self.proposed is not None else None
 
 
@@ -78,26 +78,26 @@ class Verdict:
 class _Case:
     """One stretch of evidence, looked at with the law in use."""
 
-    nominal: Nominal
-    evidence: Evidence
+    nominal: LawFamily
+    evidence: WindowKnots
     theta: Array
     level: float
-    found: Envelopes
+    envelopes: Envelopes
     passed: tuple[float, float] | None
     turns: int  # reversals after which the tip was seen to move
     z: Array  # residuals by the law in use
     z_calibrated: Array
 
     @classmethod
-    def of(cls, nominal: Nominal, evidence: Evidence, theta: Array, level: float) -> _Case:
+    def of(cls, nominal: LawFamily, evidence: WindowKnots, theta: Array, level: float) -> _Case:
         law = nominal.law(theta)
-        found = envelopes(evidence, law)
-        strokes, frames = np.unique(evidence.stroke[found.at], return_counts=True)
+        envelope = envelopes(evidence, law)
+        strokes, frames = np.unique(evidence.stroke[envelope.at], return_counts=True)
         turns = max(int(np.sum(frames >= 2)) - 1, 0) if len(strokes) else 0
         z = simulated(nominal, evidence, theta)[0]
         first = unchanged()
         calibrated = z if np.array_equal(theta, first) else simulated(nominal, evidence, first)[0]
-        return cls(nominal, evidence, theta, level, found, found.both(evidence, law), turns, z, calibrated)
+        return cls(nominal, evidence, theta, level, envelope, envelope.both(evidence, law), turns, z, calibrated)
 
     @property
     def before(self) -> float:
@@ -107,7 +107,7 @@ class _Case:
         """rms over the last strokes."""
         return trimmed(z[self.evidence.stroke > self.evidence.stroke[-1] - _LATELY])
 
-    def explained(self, fit: Fit, of_before: float | None = None) -> bool:
+    def explained(self, fit: LawFit, of_before: float | None = None) -> bool:
         """Whether it leaves no more than is known to be left, or so much less than the laws at hand, lately too."""
         if fit.level <= _EXPLAINED * self.level:
             return True
@@ -127,14 +127,14 @@ class _Case:
 
 
 def judge(
-    nominal: Nominal,
-    stretches: Sequence[Evidence],
+    nominal: LawFamily,
+    stretches: Sequence[WindowKnots],
     theta: Array,
     adapting: bool,
     posture: float | None,
     level: float,
-    proposal: Verdict | None,
-) -> Generator[None, None, Verdict]:
+    proposal: Inference | None,
+) -> Generator[None, None, Inference]:
     """The first stretch that a law explains, else what stands in the way. A simulation between two yields. `posture`:
     a recording has just begun; an offset of more than that may be told from one way alone."""
     verdict = None
@@ -149,17 +149,17 @@ def judge(
 
 
 def _judged(
-    case: _Case, adapting: bool, posture: float | None, proposal: Verdict | None
-) -> Generator[None, None, Verdict]:
+    case: _Case, adapting: bool, posture: float | None, proposal: Inference | None
+) -> Generator[None, None, Inference]:
     disturbed = _disturbance(case)
     if disturbed:
-        return Verdict(disturbed, case.evidence, disturbed=True)
+        return Inference(disturbed, case.evidence, disturbed=True)
     if case.passed is None:
         if posture is not None:
             return (yield from _posture(case, posture))
-        return Verdict(_ONE_WAY, case.evidence, early=True)
+        return Inference(_ONE_WAY, case.evidence, early=True)
     if not adapting and case.lately(case.z) < _HOLDS * case.level:
-        return Verdict("the model holds for now", case.evidence, early=True)
+        return Inference("the model holds for now", case.evidence, early=True)
     fit = yield from _best(case)
     if case.turns and not np.array_equal(case.theta, unchanged()):
         lately = case.lately(case.z_calibrated)
@@ -180,7 +180,7 @@ def _judged(
         if SCALE in fit.free and sure and 1.0 - share > max(_NARROWER * learnt.scale_sigma, 0.01):
             only = case.theta.copy()
             only[SCALE] *= share
-            return Verdict(
+            return Inference(
                 f"transmission.backlash: {100 * share:.0f} % of the width as it was: less is taken up at once",
                 case.evidence,
                 only,
@@ -193,16 +193,16 @@ def _judged(
             )
         if posture is not None:
             return _learnt(case, fit)
-        return Verdict(f"{_name(case, fit.theta)}, if more reversals agree", case.evidence, proposed=fit.theta)
+        return Inference(f"{_name(case, fit.theta)}, if more reversals agree", case.evidence, proposed=fit.theta)
     says = _unexplained(case)
-    return Verdict(says, case.evidence, proposed=fit.theta if case.explained(fit, _OF_BEFORE[1]) else None)
+    return Inference(says, case.evidence, proposed=fit.theta if case.explained(fit, _OF_BEFORE[1]) else None)
 
 
-def _best(case: _Case) -> Generator[None, None, Fit]:
+def _best(case: _Case) -> Generator[None, None, LawFit]:
     """The simplest law that does not leave more than a richer one would."""
     prior = case.prior()
     nominal, evidence = case.nominal, case.evidence
-    start = guess(nominal, evidence, unchanged(), case.found, True)
+    start = guess(nominal, evidence, unchanged(), case.envelopes, True)
     before = yield from fitted(nominal, evidence, start, BOTH[0], prior)
     behind = yield from fitted(nominal, evidence, at_tip(nominal, before.theta), BOTH[1], prior)
     both, side = (before, 0) if before.cost <= behind.cost + _GAIN else (behind, 1)
@@ -229,10 +229,10 @@ def _best(case: _Case) -> Generator[None, None, Fit]:
     if case.turns < _RICHER_TURNS:  # enough for a narrower place, which is not waited for
         shaped = yield from _richer(case, both, SHAPED, prior)
         return shaped if _gain(both, shaped) > _GAIN_MORE else both
-    found = [both]
+    fits = [both]
     for more in (GRADUAL, SHAPED, REMAINING):
-        found.append((yield from _richer(case, both, more, prior)))
-    best = min(found, key=lambda fit: fit.cost)
+        fits.append((yield from _richer(case, both, more, prior)))
+    best = min(fits, key=lambda fit: fit.cost)
     if best.level > _GOOD * case.level and len(evidence.strokes) > 3:
         for more in (GRADUAL, SHAPED, REMAINING):
             if not set(more) <= set(best.free):
@@ -241,7 +241,7 @@ def _best(case: _Case) -> Generator[None, None, Fit]:
     return best if _gain(both, best) > _GAIN_MORE else both
 
 
-def _richer(case: _Case, fit: Fit, more: tuple[int, ...], prior: Prior) -> Generator[None, None, Fit]:
+def _richer(case: _Case, fit: LawFit, more: tuple[int, ...], prior: Prior) -> Generator[None, None, LawFit]:
     begin = fit.theta
     if SPREAD in more:
         begin = case.nominal.gradual_start(begin)
@@ -249,28 +249,28 @@ def _richer(case: _Case, fit: Fit, more: tuple[int, ...], prior: Prior) -> Gener
     return (yield from fitted(case.nominal, case.evidence, begin, free, prior))
 
 
-def _gain(fit: Fit, richer: Fit) -> float:
+def _gain(fit: LawFit, richer: LawFit) -> float:
     """Of cost, beyond what its further parameters would bring by chance."""
     return (fit.cost - richer.cost) / max(1.0, richer.level) ** 2 - 2.0 * (len(richer.free) - len(fit.free))
 
 
-def _posture(case: _Case, least: float) -> Generator[None, None, Verdict]:
+def _posture(case: _Case, least: float) -> Generator[None, None, Inference]:
     """The first stroke of a recording: the offset alone, from a tip that follows the motor."""
-    at = case.found.at
+    at = case.envelopes.at
     nominal = case.nominal
     y = case.places(case.theta, at)
     if len(at) < _SHORT or np.ptp(y) < _ALONG * float(np.interp(y[0], nominal.model.q, nominal.model.width)):
-        return Verdict(_ONE_WAY, case.evidence, early=True)
-    start = guess(nominal, case.evidence, case.theta, case.found, False)
+        return Inference(_ONE_WAY, case.evidence, early=True)
+    start = guess(nominal, case.evidence, case.theta, case.envelopes, False)
     fit = yield from fitted(nominal, case.evidence, start, ONLY_OFFSET[0], case.prior())
     other = yield from fitted(nominal, case.evidence, at_tip(nominal, start), ONLY_OFFSET[1], case.prior())
     fit = fit if fit.cost <= other.cost + _GAIN else other
     if case.explained(fit, _OF_BEFORE[0]) and abs(nominal.offset(fit.theta) - nominal.offset(case.theta)) > least:
         return _learnt(case, fit)
-    return Verdict(_ONE_WAY, case.evidence, early=True)
+    return Inference(_ONE_WAY, case.evidence, early=True)
 
 
-def _foretold(case: _Case, proposal: Verdict) -> bool:
+def _foretold(case: _Case, proposal: Inference) -> bool:
     """Whether what was proposed before foretells the strokes that came since."""
     evidence = case.evidence
     new = evidence.t_s > proposal.evidence.t_s[-1]
@@ -281,8 +281,8 @@ def _foretold(case: _Case, proposal: Verdict) -> bool:
     return off <= max(_EXPLAINED * case.level, _OF_BEFORE[1] * before)
 
 
-def _again(case: _Case, level: float) -> Verdict:
-    return Verdict(
+def _again(case: _Case, level: float) -> Inference:
+    return Inference(
         "the calibrated law holds again",
         case.evidence,
         unchanged(),
@@ -293,11 +293,11 @@ def _again(case: _Case, level: float) -> Verdict:
     )
 
 
-def _learnt(case: _Case, fit: Fit) -> Verdict:
+def _learnt(case: _Case, fit: LawFit) -> Inference:
     assert case.evidence is fit.evidence
-    y = case.places(fit.theta, case.found.at)
-    passed = case.found.both(case.evidence, case.nominal.law(fit.theta)) or (float(y.min()), float(y.max()))
-    return Verdict(
+    y = case.places(fit.theta, case.envelopes.at)
+    passed = case.envelopes.both(case.evidence, case.nominal.law(fit.theta)) or (float(y.min()), float(y.max()))
+    return Inference(
         _name(case, fit.theta),
         case.evidence,
         fit.theta,
@@ -311,7 +311,7 @@ def _learnt(case: _Case, fit: Fit) -> Verdict:
     )
 
 
-def _scale_sigma(case: _Case, fit: Fit, passed: tuple[float, float]) -> float:
+def _scale_sigma(case: _Case, fit: LawFit, passed: tuple[float, float]) -> float:
     """Of B over the calibrated one, in the mean of the places that were passed."""
     places = np.linspace(*passed, 9)
     return fit.spread_of(np.mean([case.nominal.ratio_slopes(fit.theta, p) for p in places.tolist()], axis=0))
@@ -320,19 +320,19 @@ def _scale_sigma(case: _Case, fit: Fit, passed: tuple[float, float]) -> float:
 def _name(case: _Case, theta: Array) -> str:
     """The effects by which theta differs from the calibration."""
     unit = case.nominal.model.rig.actuator.unit
-    said = []
+    changes = []
     if np.any(theta[SHAPE]):
-        said.append("transmission.backlash: B has another shape")
+        changes.append("transmission.backlash: B has another shape")
     elif theta[SCALE] != 1.0:
-        said.append(f"transmission.backlash: {100 * theta[SCALE]:.0f} % of the calibrated width")
+        changes.append(f"transmission.backlash: {100 * theta[SCALE]:.0f} % of the calibrated width")
     if theta[SPREAD] or theta[SKEW]:
-        said.append("transmission.smooth_onset: the tip starts gradually")
+        changes.append("transmission.smooth_onset: the tip starts gradually")
     offset = case.nominal.offset(theta)
     if offset != 0.0:
-        said.append(f"transmission.offset: {offset:+.4g} {unit}")
+        changes.append(f"transmission.offset: {offset:+.4g} {unit}")
     if np.any(theta[TIP][1:]):
-        said.append("configuration.remaining: the static law bends otherwise")
-    return "; ".join(said) or "the calibrated law"
+        changes.append("configuration.remaining: the static law bends otherwise")
+    return "; ".join(changes) or "the calibrated law"
 
 
 def _disturbance(case: _Case) -> str:

@@ -60,7 +60,7 @@ class Law:
 
 
 @dataclass(frozen=True)
-class Nominal:
+class LawFamily:
     """The calibrated play, of which others are made."""
 
     model: Model

@@ -17,7 +17,7 @@ def _none() -> Array:
 
 
 @dataclass
-class Path:
+class MotorPath:
     """Samples after `done_s` and a few before. Others (translation, rotation, load) ride along as columns."""
 
     t_s: Array = field(default_factory=_none)

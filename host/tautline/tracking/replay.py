@@ -16,7 +16,7 @@ from tautline.folders import write_file
 from tautline.model import Model
 from tautline.recording import Angle, Marker, Motor, Recording
 from tautline.rig import ANGLE, MARKER, Sensor
-from tautline.tracking.tracker import Change, Row, State, Tracker
+from tautline.tracking.tracker import Change, LawTracker, Row, State
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -44,7 +44,7 @@ def replay(model: Model, recordings: Sequence[Recording], progress: Progress = l
     """The tracker's rows for recordings in the order given; what it learnt carries over. Each row is predicted from the
     motor up to that row's scene time and the rows before it."""
     sensor = _sensor(recordings)
-    tracker = Tracker(model, sensor)
+    tracker = LawTracker(model, sensor)
     delay_s = model.delay_of(sensor)
     number, times, rows = [], [], []
     whole = sum(len(_frames(recording, sensor).t_s) for recording in recordings)
@@ -92,12 +92,12 @@ def off_by(tracked: Tracked, recordings: Sequence[Recording]) -> Array:
 def residuals(tracked: Tracked, recordings: Sequence[Recording]) -> list[float | None]:
     """The rms of `off_by` for each recording; None where nothing was seen."""
     off = off_by(tracked, recordings)
-    found: list[float | None] = []
+    rms: list[float | None] = []
     for i in range(len(recordings)):
         mine = off[tracked.recording == i]
         mine = mine[np.isfinite(mine)]
-        found.append(float(np.sqrt(np.mean(mine**2))) if len(mine) else None)
-    return found
+        rms.append(float(np.sqrt(np.mean(mine**2))) if len(mine) else None)
+    return rms
 
 
 def _sensor(recordings: Sequence[Recording]) -> Sensor:

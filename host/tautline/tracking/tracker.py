@@ -18,10 +18,10 @@ from tautline import _native
 from tautline.errors import TautError
 from tautline.model import Model
 from tautline.rig import MARKER, Sensor
-from tautline.tracking.hypotheses import Verdict, judge
-from tautline.tracking.law import OFFSET, SCALE, SHAPE, TIP, Nominal, unchanged
-from tautline.tracking.path import Path, knots
-from tautline.tracking.sight import Seen, Sight
+from tautline.tracking.hypotheses import Inference, judge
+from tautline.tracking.law import OFFSET, SCALE, SHAPE, TIP, LawFamily, unchanged
+from tautline.tracking.path import MotorPath, knots
+from tautline.tracking.projection import AngleEstimate, Projection
 from tautline.tracking.window import Window
 
 Array = npt.NDArray[np.float64]
@@ -76,7 +76,7 @@ class Change:
     says: str
 
 
-class Tracker:
+class LawTracker:
     """One instrument in use. `begin` at each recording, then for each frame in order of time: `motor` with the samples
     that came, `predict`, and `see` or `read` where the frame shows the tip. At most 1 ms a frame."""
 
@@ -84,7 +84,7 @@ class Tracker:
         if sensor == MARKER and not model.rig.has_camera:
             raise TautError("the model's rig has no camera: track an angle sensor's recordings, or calibrate with one")
         self.model, self.sensor = model, sensor
-        self.nominal, self.sight = Nominal(model), Sight(model, sensor)
+        self.nominal, self.projection = LawFamily(model), Projection(model, sensor)
         low, high = model.measured
         inside = (model.q >= low) & (model.q <= high)
         width = model.width[inside] if inside.any() else model.width
@@ -94,7 +94,7 @@ class Tracker:
         count = model.rig.actuator.encoder_resolution
         self._turn = max(_TURN_COUNTS * count, _TURN_SHARE * self._width)
         self._window = Window(max(_APART * self._width, _APART_SIGMAS * self._noise(), count))
-        self._path = Path()
+        self._path = MotorPath()
         self.recording = -1
         self.state, self.reason = State.TRUSTED, ""
         self.changes: list[Change] = []
@@ -118,8 +118,8 @@ class Tracker:
         self._anchor: int | None = None  # since when the law in use was learnt
         self._news = 0
         self._fresh_until = -1  # stroke up to which a recording may turn out to be another posture
-        self._work: Generator[None, None, Verdict] | None = None
-        self._proposal: Verdict | None = None
+        self._work: Generator[None, None, Inference] | None = None
+        self._proposal: Inference | None = None
         self._stuck = 0
         self._strange = 0  # frames at a recording's begin in which the tip was far off
         self._quiet_s = -np.inf
@@ -127,7 +127,7 @@ class Tracker:
     def begin(self) -> None:
         """A new recording: its clock, where the tip is and the posture may be others; what was learnt stays."""
         self.recording += 1
-        self._path, self._started, self._pending = Path(), False, None
+        self._path, self._started, self._pending = MotorPath(), False, None
         self._way, self._far = 0, np.nan
         self._next_stroke()
         self._next_stroke()  # nothing joins the motion before
@@ -145,10 +145,10 @@ class Tracker:
         c = float(self.model.remaining(middle))
         slope = max(abs(self.nominal.tip_slope), 1e-9)
         if self.sensor == MARKER:
-            u, v = self.sight.image(c, 0.0, 0.0)
-            seen = self.sight.from_image(u, v, 0.0, 0.0, c)
+            u, v = self.projection.image(c, 0.0, 0.0)
+            seen = self.projection.from_image(u, v, 0.0, 0.0, c)
             return seen.sigma / slope if seen is not None else 0.0
-        return self.sight.noise / slope
+        return self.projection.noise / slope
 
     def motor(self, t_s: Array, q: Array, others: Array | None = None) -> None:
         """Samples that came, in order of time. others (n, 3): translation (mm), rotation (deg), load (mNm)."""
@@ -170,7 +170,7 @@ class Tracker:
         u = v = np.nan
         if self.model.rig.has_camera:
             translation, rotation, _ = path.others_at(scene_s)
-            u, v = self.sight.image(c, translation, rotation)
+            u, v = self.projection.image(c, translation, rotation)
         self._pending = (scene_s, None)
         offset_sigma, scale_sigma = self._sigma
         if self.state is State.STALE:
@@ -216,13 +216,13 @@ class Tracker:
         if seen is not None:
             self._weigh(scene_s, seen, p)
 
-    def _seen(self, scene_s: float, reading: tuple[float, ...], p: float) -> Seen | None:
+    def _seen(self, scene_s: float, reading: tuple[float, ...], p: float) -> AngleEstimate | None:
         if len(reading) == 1:
-            seen: Seen | None = self.sight.from_angle(reading[0])
+            seen: AngleEstimate | None = self.projection.from_angle(reading[0])
         else:
             translation, rotation, _ = self._path.others_at(scene_s)
             near = float(self._law.angle(p))
-            seen = self.sight.from_image(reading[0], reading[1], translation, rotation, near, reading[2])
+            seen = self.projection.from_image(reading[0], reading[1], translation, rotation, near, reading[2])
         return None if seen is None or not np.isfinite(seen.c_deg) else seen
 
     def _turned(self, q: float) -> None:
@@ -258,7 +258,7 @@ class Tracker:
     def _begin_of(self, stroke: int) -> int:
         return next((entry for number, entry in self._begins if number >= stroke), self._window.end)
 
-    def _weigh(self, scene_s: float, seen: Seen, p: float) -> None:
+    def _weigh(self, scene_s: float, seen: AngleEstimate, p: float) -> None:
         """How well the law in use foresaw a frame."""
         law = self._law
         y = float(law.place(seen.c_deg))
@@ -350,7 +350,7 @@ class Tracker:
             self._work = None
             self._decide(end.value)
 
-    def _decide(self, verdict: Verdict) -> None:
+    def _decide(self, verdict: Inference) -> None:
         self._proposal = verdict.proposal
         if verdict.disturbed:
             self._quiet_s = self._arrival_s + _QUIET_S
@@ -374,7 +374,7 @@ class Tracker:
         else:
             self._say(State.ADAPTING, verdict.says)
 
-    def _adopt(self, verdict: Verdict) -> None:
+    def _adopt(self, verdict: Inference) -> None:
         """The law in use from now on, with the tip where it would be by it."""
         assert verdict.theta is not None
         self._use(verdict.theta)

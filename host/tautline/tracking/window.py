@@ -20,7 +20,7 @@ _Q, _C, _SIGMA, _T, _STROKE, _OFF = range(6)
 
 
 @dataclass(frozen=True)
-class Evidence:
+class WindowKnots:
     """Knots of the motor's path in order; `seen` are those at which a frame saw the tip. All (n,) or (seen,)."""
 
     q: Array
@@ -108,7 +108,7 @@ class Window:
         self._rows[self._count] = row
         self._count += 1
 
-    def since(self, number: int) -> Evidence | None:
+    def since(self, number: int) -> WindowKnots | None:
         """From an entry on, or as much of it as is still kept and can be looked at. None where too little was seen."""
         first = max(number - self._first, 0, self._count - LONGEST)
         rows = self._rows[first : self._count]
@@ -119,6 +119,6 @@ class Window:
             return None
         rows, seen = rows[seen[0] :].copy(), seen - seen[0]
         at = rows[seen]
-        return Evidence(
+        return WindowKnots(
             rows[:, _Q], seen, at[:, _C], at[:, _SIGMA], at[:, _T], at[:, _STROKE].astype(np.intp), at[:, _OFF]
         )

@@ -23,7 +23,7 @@ Scene = Callable[[Array], tuple[Array | float, Array | float, Array | float]]
 _EXPOSURE_SAMPLES = 5
 
 
-class Camera(Protocol):
+class FrameSource(Protocol):
     clock: str  # what the arrival times count, in words
 
     def read(self) -> tuple[Array, float] | None:

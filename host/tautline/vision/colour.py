@@ -100,13 +100,13 @@ def pick(picture: Array, at: tuple[float, float] | None = None) -> MarkerColour:
     height, width = picture.shape[:2]
     if not (0 <= at[0] < width and 0 <= at[1] < height):
         raise TautError(f"({at[0]:g}, {at[1]:g}) is outside of the picture of {width} x {height} px")
-    found = _pick_at(picture, at, _surroundings(picture))
-    if found is None:
+    blob = _pick_at(picture, at, _surroundings(picture))
+    if blob is None:
         raise TautError(
             f"no blob of one colour stands out at ({at[0]:g}, {at[1]:g}): point at the middle of a marker "
             f"of {SMALLEST_PX:g} to {LARGEST_PX:g} px whose colour nothing else has"
         )
-    return found[0]
+    return blob[0]
 
 
 def candidates(picture: Array, places: int = 12) -> list[MarkerColour]:
@@ -119,17 +119,17 @@ def candidates(picture: Array, places: int = 12) -> list[MarkerColour]:
     row = np.column_stack([root, -root @ mean]).astype(np.float32)
     smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), 2.5)
     distance = np.linalg.norm(cv2.transform(smooth, row), axis=2)
-    found = []
+    blobs = []
     for _ in range(places):
         _, _, _, place = cv2.minMaxLoc(distance)
         blob = _pick_at(picture, (float(place[0]), float(place[1])), around)
         cv2.circle(distance, place, 12, 0.0, -1)
         if blob is not None:
-            found.append(blob)
+            blobs.append(blob)
             u, v = blob[0].at
             cv2.circle(distance, (round(u), round(v)), round(0.7 * blob[0].diameter_px) + 3, 0.0, -1)
-    found.sort(key=lambda blob: -blob[1])
-    return [colour for colour, _ in found]
+    blobs.sort(key=lambda blob: -blob[1])
+    return [colour for colour, _ in blobs]
 
 
 def _check(picture: Array) -> None:
@@ -152,7 +152,7 @@ def _pick_at(picture: Array, at: tuple[float, float], around: tuple[Array, Array
     patch = picture[max(0, row - 2) : row + 3, max(0, column - 2) : column + 3].reshape(-1, 3)
     colour = np.median(patch, axis=0)
     mean, covariance = around
-    found = None
+    largest = None
     for _ in range(3):
         weights = np.linalg.solve(covariance, colour - mean)
         separation = float(weights @ (colour - mean))
@@ -177,7 +177,7 @@ def _pick_at(picture: Array, at: tuple[float, float], around: tuple[Array, Array
         compact = min(1.0, 1.3 * area / (0.785 * box * box))
         alone = area / np.count_nonzero(inside)
         score = np.sqrt(separation) * compact * alone * min(1.0, diameter / 15.0)
-        found = (
+        largest = (
             MarkerColour(
                 _triple(weights),
                 float(-weights @ mean),
@@ -187,4 +187,4 @@ def _pick_at(picture: Array, at: tuple[float, float], around: tuple[Array, Array
             ),
             float(score),
         )
-    return found
+    return largest

@@ -68,7 +68,7 @@ class _Blob:
     cut: float  # membership half-way between it and what is around it
 
 
-class Tracker:
+class MarkerTracker:
     """Follows one marker from frame to frame. It looks around where the marker should be now, and over the whole frame
     when it is not there. About 25 us a frame while it follows a marker of 20 px, 1 ms to search 720 x 576 px.
     """
@@ -95,28 +95,28 @@ class Tracker:
         """The marker in the next frame, BGR (height, width, 3) uint8."""
         last = self._last
         if last is not None:
-            found = self._follow(picture, last)
-            if found.valid and not self._at_another(found):
-                self._step = (found.u_px - last.u_px, found.v_px - last.v_px)
-                self._last = self._left = found
-                return found
-        found = self._search(picture)
+            sighting = self._follow(picture, last)
+            if sighting.valid and not self._at_another(sighting):
+                self._step = (sighting.u_px - last.u_px, sighting.v_px - last.v_px)
+                self._last = self._left = sighting
+                return sighting
+        sighting = self._search(picture)
         self._step = (0.0, 0.0)
-        self._last = found if found.valid else None
+        self._last = sighting if sighting.valid else None
         self._left = self._last or self._left
-        return found
+        return sighting
 
-    def _at_another(self, found: Sighting) -> bool:
-        away = np.hypot(*(self._alike - (found.u_px, found.v_px)).T)
-        return bool((away < _SAME_PLACE * found.diameter_px).any())
+    def _at_another(self, sighting: Sighting) -> bool:
+        away = np.hypot(*(self._alike - (sighting.u_px, sighting.v_px)).T)
+        return bool((away < _SAME_PLACE * sighting.diameter_px).any())
 
     def _follow(self, picture: Array, last: Sighting) -> Sighting:
         speed = max(abs(self._step[0]), abs(self._step[1]))
         u, v = last.u_px + self._step[0], last.v_px + self._step[1]
-        found = self._measure(picture, u, v, last.diameter_px, 0.5 * speed)
-        if found.valid and not _SHRUNK < found.diameter_px / last.diameter_px < _GROWN:
+        sighting = self._measure(picture, u, v, last.diameter_px, 0.5 * speed)
+        if sighting.valid and not _SHRUNK < sighting.diameter_px / last.diameter_px < _GROWN:
             return _lost("its size jumped")
-        return found
+        return sighting
 
     def _measure(self, picture: Array, u: float, v: float, diameter: float, slack: float) -> Sighting:
         half = int(0.6 * diameter + _MARGIN_PX + slack)
@@ -144,11 +144,11 @@ class Tracker:
     def _search(self, picture: Array) -> Sighting:
         """Over the whole frame: the most marker-like blob, of several the one nearest to where the marker was."""
         blobs = self.blobs(picture)
-        found = [blob for blob in blobs if not self._at_another(blob.seen)]
-        if not found:
+        others = [blob for blob in blobs if not self._at_another(blob.seen)]
+        if not others:
             self._cut = 0.5
             return _lost("what is there is alike but never moves") if blobs else self._nothing
-        best = max(found, key=self._likeness)
+        best = max(others, key=self._likeness)
         self._cut = best.cut
         return best.seen
 
@@ -167,8 +167,8 @@ class Tracker:
         y = self.colour.membership(small)
         # Fainter only when there is none: what is around a marker may come near it where the light is poor.
         for level in (0.5, _FAINT):
-            if found := self._blobs_above(picture, y, level, shrink):
-                return found
+            if above := self._blobs_above(picture, y, level, shrink):
+                return above
         return []
 
     def _blobs_above(self, picture: Array, y: Array, level: float, shrink: int) -> list[_Blob]:
@@ -185,14 +185,14 @@ class Tracker:
             u, v = (centroids[i] + 0.5) * shrink - 0.5
             self._cut = max(level, float(np.percentile(y[y0 : y0 + height, x0 : x0 + width], 90))) / 2
             diameter = self.colour.diameter_px * float(np.sqrt(area / expected))
-            found = self._measure(picture, float(u), float(v), diameter, 2.0 * shrink)
-            if found.valid:  # again, now that its own level is known
-                found = self._measure(picture, found.u_px, found.v_px, found.diameter_px, 0.0)
-            if found.valid:
-                ratio = found.diameter_px / self.colour.diameter_px
-                blobs.append(_Blob(found, min(ratio, 1.0 / ratio) * self._cut, self._cut))
+            sighting = self._measure(picture, float(u), float(v), diameter, 2.0 * shrink)
+            if sighting.valid:  # again, now that its own level is known
+                sighting = self._measure(picture, sighting.u_px, sighting.v_px, sighting.diameter_px, 0.0)
+            if sighting.valid:
+                ratio = sighting.diameter_px / self.colour.diameter_px
+                blobs.append(_Blob(sighting, min(ratio, 1.0 / ratio) * self._cut, self._cut))
             else:
-                self._nothing = found
+                self._nothing = sighting
         return blobs
 
 
@@ -218,22 +218,22 @@ def _purity(colour: MarkerColour) -> float:
 def _as_usual(colour: MarkerColour, pictures: Sequence[Array]) -> MarkerColour:
     """The marker's colour picked again in all pictures, where its purity is the middle one: in the first it may have
     been pale with light, and like other things."""
-    tracker = Tracker(colour)
-    found = []
+    tracker = MarkerTracker(colour)
+    usual = []
     for picture in pictures:
         tracker.reset()
         seen = tracker.track(picture)
         if seen.valid:
             with suppress(TautError):
-                found.append(pick(picture, (seen.u_px, seen.v_px)))
-    found.sort(key=_purity)
-    return found[len(found) // 2] if found else colour
+                usual.append(pick(picture, (seen.u_px, seen.v_px)))
+    usual.sort(key=_purity)
+    return usual[len(usual) // 2] if usual else colour
 
 
 def alike_but_still(colour: MarkerColour, pictures: Sequence[Array]) -> list[tuple[float, float]]:
     """Where things of the marker's colour and size stay in pictures of one scene, some time apart, while another one
     moves: that is the marker. Empty where all of them move, or none does."""
-    tracker = Tracker(colour)
+    tracker = MarkerTracker(colour)
     seen = [[(b.seen.u_px, b.seen.v_px) for b in tracker.blobs(picture)] for picture in pictures]
     places = np.array([place for one in seen for place in one]).reshape(-1, 2)
     owner = np.array([k for k, one in enumerate(seen) for _ in one], dtype=int)
@@ -264,7 +264,7 @@ def _alike(one: MarkerColour, other: MarkerColour) -> bool:
 def _moving_share(colour: MarkerColour, pictures: Sequence[Array]) -> float:
     """How much of a moving marker `colour` finds: 1 where it is seen in every picture and never where it was; a tenth
     of the share of pictures that it is seen in, where what it finds stays where it is."""
-    tracker = Tracker(colour)
+    tracker = MarkerTracker(colour)
     places = []
     for picture in pictures:
         tracker.reset()
@@ -300,7 +300,7 @@ def track_video(video: Video, colour: MarkerColour | None = None, progress: Prog
         colour = MarkerColour.load(beside) if beside.is_file() else find_colour(samples)
     if colour is None:
         raise TautError(f"{video.path}: no marker stands out: pick its colour with 'taut marker {video.path} --at U,V'")
-    tracker = Tracker(colour, alike_but_still(colour, samples))
+    tracker = MarkerTracker(colour, alike_but_still(colour, samples))
     size: tuple[int, int] | None = None
     t_s: list[float] = []
     seen: list[Sighting] = []

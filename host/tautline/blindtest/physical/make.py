@@ -12,15 +12,15 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import expit
 
+from tautline import trajectory
 from tautline.blindtest.cases import VISIBLE, Case, Label
 from tautline.blindtest.physical.draws import KNOWN, SIGHT, UNKNOWN
-from tautline.blindtest.physical.mechanism import STEP_S, Course, Topology, Values, drive
+from tautline.blindtest.physical.mechanism import STEP_S, MechanismPath, Topology, Values, drive
 from tautline.geometry import rotation
 from tautline.recording import Angle, Marker, Motor, Recording
 from tautline.rig import Actuator, AngleSensor, Coarse, Kinematics, Rig
-from tautline.simulated import trajectory
 from tautline.simulated.instrument import reference_rig
-from tautline.simulated.trajectory import Trajectory
+from tautline.trajectory import Trajectory
 
 Array = npt.NDArray[np.float64]
 
@@ -38,7 +38,7 @@ def known(topology: Topology) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class _Session:
+class _Recorded:
     topology: Topology
     rig: Rig
     noise: float  # px, or deg of an angle sensor
@@ -87,7 +87,7 @@ def _drawn(rng: np.random.Generator, topology: Topology, kind: str) -> tuple[str
 
 
 def _visible(
-    rng: np.random.Generator, session: _Session, chosen: tuple[str, ...]
+    rng: np.random.Generator, session: _Recorded, chosen: tuple[str, ...]
 ) -> tuple[dict[str, float], tuple[float, ...]]:
     """Amplitudes, and what each effect by itself moves on the tests: the strongest of up to _DRAWS draws that end with
     the first that is identifiable."""
@@ -129,7 +129,7 @@ def _seen(recording: Recording) -> tuple[Array, Array]:
 
 
 def _recorded(
-    session: _Session, values: Values, course: Course, which: int, load: Array | None, noisy: bool
+    session: _Recorded, values: Values, course: MechanismPath, which: int, load: Array | None, noisy: bool
 ) -> Recording:
     rig, motion, start = session.rig, session.motions[which], session.starts_s[which]
     own = start if session.one_clock else 0.0
@@ -184,7 +184,7 @@ def _image(rig: Rig, values: Values, tip_mm: Array, when: Array) -> Array:
     return np.stack([camera.cx_px + camera.fx_px * x / z, camera.cy_px + camera.fy_px * y / z], axis=1)
 
 
-def _session(rng: np.random.Generator, topology: Topology, loaded: bool) -> _Session:
+def _session(rng: np.random.Generator, topology: Topology, loaded: bool) -> _Recorded:
     rig = _rig(rng, topology)
     noise = float(np.exp(rng.uniform(np.log(0.03), np.log(0.1))))
     if not topology.seen:
@@ -193,7 +193,7 @@ def _session(rng: np.random.Generator, topology: Topology, loaded: bool) -> _Ses
     loaded = loaded or rng.random() < 0.15
     loads = [_load(rng, m, i) if loaded else None for i, m in enumerate(motions)]
     starts = list(np.concatenate([[0.0], np.cumsum([m.duration_s + 5.0 for m in motions])[:-1]]))
-    return _Session(
+    return _Recorded(
         topology,
         rig,
         noise,

@@ -60,7 +60,7 @@ class Values:
 
 
 @dataclass(frozen=True)
-class Course:
+class MechanismPath:
     """What happened, every STEP_S."""
 
     q: Array  # motor, own unit
@@ -69,7 +69,7 @@ class Course:
     other: Array  # the other joint, rad
 
 
-def drive(topology: Topology, values: Values, q: Array, other: Array, load: Array, anchor: Array) -> Course:
+def drive(topology: Topology, values: Values, q: Array, other: Array, load: Array, anchor: Array) -> MechanismPath:
     """`q` is what the motor is told; `other` what the other joint is, rad; `load` pulls at s; `anchor` is where the
     tendon's far end sits, unit of q. All sampled every STEP_S."""
     import mujoco  # the package is optional
@@ -86,7 +86,7 @@ def drive(topology: Topology, values: Values, q: Array, other: Array, load: Arra
     mujoco.mj_getState(model, data, start, mujoco.mjtState.mjSTATE_FULLPHYSICS)
     _, felt = rollout.rollout(model, data, start[None], told[None])
     felt = felt[0, lead:]
-    return Course(felt[:, 0], felt[:, 1], felt[:, 2:5], felt[:, 5])
+    return MechanismPath(felt[:, 0], felt[:, 1], felt[:, 2:5], felt[:, 5])
 
 
 def backlash(topology: Topology, values: Values, at: float = 0.0) -> float:

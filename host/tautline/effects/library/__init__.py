@@ -1,5 +1,5 @@
 """The library: every module here offers `EFFECTS`, a tuple of descriptors. Its parts in C, if it has any, are in
-host/native/effects/, where the parameters that move the tip are explained, or in sight.h."""
+host/native/effects/, where the parameters that move the tip are explained, or in projection.h."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from tautline import _native
-from tautline.effects.simulation import sight_rig
+from tautline.effects.simulation import projection_rig
 from tautline.model import Model
 from tautline.rig import MARKER, Sensor
 
@@ -19,7 +19,7 @@ _NOTHING = {"px": 0.05, "deg": 0.02}  # noise of a model that was not calibrated
 
 
 @dataclass(frozen=True)
-class Seen:
+class AngleEstimate:
     """The bending angle and its standard deviation, deg; `off`: how far the image is from where the marker can be at
     all, in standard deviations."""
 
@@ -29,7 +29,7 @@ class Seen:
 
 
 @dataclass(frozen=True)
-class Sight:
+class Projection:
     """From the bending angle to the image and back."""
 
     model: Model
@@ -40,25 +40,25 @@ class Sight:
         """Of one row, px or deg: what the calibration left, its sensor's noise."""
         evidence = self.model.extra.get("evidence", {})
         known = [evidence.get(name) for name in ("residual", "error")]
-        found = [float(value) for value in known if value is not None and np.isfinite(value) and value > 0.0]
-        if found and self.sensor == self.model.sensor:
-            return max(found)
+        finite = [float(value) for value in known if value is not None and np.isfinite(value) and value > 0.0]
+        if finite and self.sensor == self.model.sensor:
+            return max(finite)
         return _NOTHING["px" if self.sensor == MARKER else "deg"]
 
     @cached_property
     def _rig(self) -> np.ndarray:
-        return sight_rig(self.model.rig)
+        return projection_rig(self.model.rig)
 
     def image(self, c_deg: float, translation: float, rotation: float) -> tuple[float, float]:
         px = _native.see({}, self._rig, np.array([c_deg]), np.array([translation]), np.array([rotation]))
         return float(px[0, 0]), float(px[0, 1])
 
-    def from_angle(self, c_deg: float) -> Seen:
-        return Seen(c_deg, self.noise, 0.0)
+    def from_angle(self, c_deg: float) -> AngleEstimate:
+        return AngleEstimate(c_deg, self.noise, 0.0)
 
     def from_image(
         self, u: float, v: float, translation: float, rotation: float, near: float, sigma: float = 0.0
-    ) -> Seen | None:
+    ) -> AngleEstimate | None:
         """Looked for from the angle `near` on. None where no tip is seen there."""
         sigma = max(sigma, self.noise)
         c, off_u, off_v, by_u, by_v, squares = near, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -77,4 +77,4 @@ class Sight:
         if abs(c - near) > _FARTHEST:
             return None
         length = float(np.sqrt(squares))
-        return Seen(c, sigma / length, abs(off_u * by_v - off_v * by_u) / length / sigma)
+        return AngleEstimate(c, sigma / length, abs(off_u * by_v - off_v * by_u) / length / sigma)

@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from tautline.diagnosis import page, words
+from tautline.diagnosis import narration, page
 
 NAMES = ("transmission.lag", "acquisition.delay", "configuration.contact")
 UNEXPLAINED = "no known effect explains"
@@ -42,7 +42,7 @@ CASES = list(itertools.product(("unknown", "none"), (0.0, 0.06, 0.3, 0.98), (0.0
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_nothing_closes_what_no_effect_explains(case):
     made = document(*case)
-    said = words.text(made, "out")
+    said = narration.text(made, "out")
     stages = " ".join(stage["says"] for stage in page._chain(made))
     shares = [int(share) for share in CLOSES.findall(f"{said} {stages}")]
     if UNEXPLAINED in said or made["verdict"] == "none":
@@ -52,6 +52,6 @@ def test_nothing_closes_what_no_effect_explains(case):
 
 
 def test_every_case_of_the_contradiction_is_met():
-    said = [words.text(document(*case), "out") for case in CASES]
+    said = [narration.text(document(*case), "out") for case in CASES]
     assert any(UNEXPLAINED in text for text in said) and any("comes nearest" in text for text in said)
     assert any("refitting B" in text for text in said) and any("Nothing large" in text for text in said)

@@ -1,4 +1,4 @@
-#include "sight.h"
+#include "projection.h"
 
 #include <math.h>
 
@@ -46,7 +46,7 @@ static void turned(const double *m, const double *x, double *out) {
 }
 
 // The marker in the section's frame (x, z) mm at c rad, and its derivative per rad.
-static void bend(const struct sight_rig *rig, double gradient, double c, double *point, double *slope) {
+static void bend(const struct projection_rig *rig, double gradient, double c, double *point, double *slope) {
     const double length = rig->bending_length, tip = rig->tip_length;
     const double sine = sin(c), cosine = cos(c);
     double across, along, d_across, d_along; // of the section, per length
@@ -82,7 +82,7 @@ static void bend(const struct sight_rig *rig, double gradient, double c, double 
 }
 
 // du/dX and dv/dX, (2, 3) px per mm, at the same time as the image.
-static int projected(const struct sight_rig *rig, const double *k, const double *x, double *image, double *by_point) {
+static int projected(const struct projection_rig *rig, const double *k, const double *x, double *image, double *by_point) {
     if (!(x[2] > NEAREST)) {
         return 0;
     }
@@ -107,7 +107,7 @@ static double along(const double *by_point, const double *direction) {
     return by_point[0] * direction[0] + by_point[1] * direction[1] + by_point[2] * direction[2];
 }
 
-void sight_image(const struct sight_parameters *e, const struct sight_rig *rig, const struct sight_pose *pose,
+void projection_image(const struct projection_parameters *e, const struct projection_rig *rig, const struct projection_pose *pose,
                  double *image, double *by_c, double *by_static) {
     const struct turn fixed = turn_of(e->static_rx, e->static_ry, e->static_rz);
     const struct turn late = turn_of(e->shift_rx, e->shift_ry, e->shift_rz);

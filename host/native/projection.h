@@ -33,14 +33,14 @@ extern "C" {
     X(p2, "", "camera.distortion")                                                                                     \
     X(k3, "", "camera.distortion")
 
-struct sight_parameters {
+struct projection_parameters {
 #define X(name, unit, meaning) double name;
     SIGHT_PARAMETERS(X)
 #undef X
 };
 
 // What the rig says; arrays of doubles alone, so that it can be filled in one go.
-struct sight_rig {
+struct projection_rig {
     double bending_length, tip_length;  // mm
     double hand_eye[9], translation[3]; // X_cam = R X_base + t, R row by row
     double fx, fy, cx, cy;              // px
@@ -48,7 +48,7 @@ struct sight_rig {
 };
 
 // (count) each, or NULL for zeros.
-struct sight_pose {
+struct projection_pose {
     const double *c_deg; // not NULL
     const double *translation, *rotation, *way;
     const unsigned char *shifted; // whether the registration's shift has happened
@@ -60,7 +60,7 @@ enum { SIGHT_STATIC = 6 };
 // image (count, 2) px, NaN where a point is not in front of the camera. by_c (count, 2) px per deg of c and by_static
 // (count, 2, 6) px per deg or mm of a further static registration (turn x y z, move x y z), or both NULL.
 // About 0.15 us a point, 0.3 us with the derivatives.
-void sight_image(const struct sight_parameters *e, const struct sight_rig *rig, const struct sight_pose *pose,
+void projection_image(const struct projection_parameters *e, const struct projection_rig *rig, const struct projection_pose *pose,
                  double *image, double *by_c, double *by_static);
 
 #ifdef __cplusplus

@@ -114,8 +114,8 @@ def percent(share: float) -> str:
 
 def flexible(document: Mapping[str, Any]) -> str:
     """What a model without any physics would close; "" where it was not asked."""
-    found = document.get("flexible")
-    if not found:
+    closed = document.get("flexible")
+    if not closed:
         return ""
     swing = _swing(document)
     if swing:
@@ -126,7 +126,7 @@ def flexible(document: Mapping[str, Any]) -> str:
     else:
         text = ""
     what = "what is left" if document["verdict"] == "effect" else "the gap"
-    share = found["closable_shrink"]
+    share = closed["closable_shrink"]
     asked = "a flexible model of motor position, travel since the reversal, speed, time and the other axes"
     if share < 0.15:
         return text + (
@@ -135,41 +135,41 @@ def flexible(document: Mapping[str, Any]) -> str:
         )
     return text + (
         f"{_capital(asked)} would follow {percent(share)} of {what} above the noise "
-        f"({digits(found['before'])} to {digits(found['after'])} {document['unit']} rms): so much of it repeats."
+        f"({digits(closed['before'])} to {digits(closed['after'])} {document['unit']} rms): so much of it repeats."
     )
 
 
 @dataclass(frozen=True)
-class Step:
+class NextStep:
     says: str
     command: str = ""
 
 
-def steps(document: Mapping[str, Any], folder: str) -> list[Step]:
+def steps(document: Mapping[str, Any], folder: str) -> list[NextStep]:
     """What to do next, most useful first; `folder` is the diagnosis' own."""
     verdict, following = document["verdict"], document["next_motion"]
     effects = document["effects"]
     event = bool(effects) and effects[0]["id"] in EVENTS
     if verdict == "none" or _is_small(document):
-        return [Step("Use the model as it is: these motions show nothing large that it lacks.")]
+        return [NextStep("Use the model as it is: these motions show nothing large that it lacks.")]
     told = []
     swing = _swing(document)
     if swing and not effects:
-        told.append(Step(f"Look for what moves every {swing:.2g} s: breathing, a heartbeat, a loose mount, a fan."))
+        told.append(NextStep(f"Look for what moves every {swing:.2g} s: breathing, a heartbeat, a loose mount, a fan."))
     elif verdict == "unknown":
         where = listed([f"{c['says']} ({c['axis']})" for c in document["where"]["conditions"][:3]])
-        told.append(Step(f"Look at the instrument where the gap is largest: {where}."))
+        told.append(NextStep(f"Look at the instrument where the gap is largest: {where}."))
     ambiguous = {name for e in effects for name in (e["id"], *e["ambiguous_with"])}
     if {LOAD, DRIFT} <= ambiguous:
         told.append(
-            Step(
+            NextStep(
                 "Record the first load once more, or a third one, and diagnose with it too: no drift comes back, "
                 "and one slope serves all loads."
             )
         )
     elif following and (verdict == "unknown" or any(e["ambiguous_with"] for e in effects)):
         told.append(
-            Step(
+            NextStep(
                 f"Record the motion that tells the leading candidates apart ({following['why']}), and diagnose with it "
                 "too.",
                 f"taut record --motion {folder}/{following['file']} --rig {folder}/nominal/rig.toml --out more",
@@ -178,21 +178,21 @@ def steps(document: Mapping[str, Any], folder: str) -> list[Step]:
     if event:
         kind = BY_ID[effects[0]["id"]].event
         assert kind
-        told.append(Step(f"Mend the cause, {kind.cause}: no table and no model takes its {kind.what} away."))
+        told.append(NextStep(f"Mend the cause, {kind.cause}: no table and no model takes its {kind.what} away."))
     if effects and (not event or document["gap"]["shrink"] > _SHRINKS):
         told.append(
-            Step("Predict with the corrected model.", f"taut predict {folder}/corrected RECORDING --csv OUT.csv")
+            NextStep("Predict with the corrected model.", f"taut predict {folder}/corrected RECORDING --csv OUT.csv")
         )
     if any(p["since"] == "start" and p["id"] == "registration.static" for p in document["moved"]):
         told.append(
-            Step(
+            NextStep(
                 "Put the corrected hand-eye transform into the rig, and calibrate with it again: f_remain was bent "
                 f"by the wrong one ([hand_eye] of {folder}/corrected/rig.toml)."
             )
         )
     if effects and not event:
         told.append(
-            Step(
+            NextStep(
                 "Try the tables against an instrument that has this effect.",
                 f"taut follow {folder}/corrected --simulate {folder}/corrected",
             )
@@ -200,7 +200,7 @@ def steps(document: Mapping[str, Any], folder: str) -> list[Step]:
         told.append(board(effects, folder))
         if effects[0]["swallowed_by_recalibration"]:
             told.append(
-                Step(
+                NextStep(
                     "Or calibrate on all these recordings: that closes the gap as well, without knowing why.",
                     "taut calibrate CALIBRATION TEST... --out MODEL",
                 )
@@ -208,29 +208,29 @@ def steps(document: Mapping[str, Any], folder: str) -> list[Step]:
     return told
 
 
-def board(effects: Sequence[Mapping[str, Any]], folder: str) -> Step:
+def board(effects: Sequence[Mapping[str, Any]], folder: str) -> NextStep:
     """What `taut flash` can do about it."""
     left = [e["id"] for e in effects if not e["loads_on_board"]]
     if left:
         why = [f"{name} ({_REMAINS[name]})" if name in _REMAINS else name for name in left]
-        return Step(
+        return NextStep(
             f"No table can undo {listed(why)}; the rest of what was named they do.",
             f"taut flash {folder}/corrected --without-effects",
         )
     if any(e["id"] == COUPLED for e in effects):
-        return Step(
+        return NextStep(
             "Load the corrected tables into the board, and say which of its axes moves the column that couples in.",
             f"taut flash {folder}/corrected --joint COLUMN=AXIS:RESOLUTION",
         )
-    return Step("Load the corrected tables into the board.", f"taut flash {folder}/corrected")
+    return NextStep("Load the corrected tables into the board.", f"taut flash {folder}/corrected")
 
 
 def tip(document: Mapping[str, Any]) -> str:
     """What the tip will do with the new tables."""
-    found = document.get("tip")
-    if not found:
+    errors = document.get("tip")
+    if not errors:
         return ""
-    before, after = digits(found["before_deg"]), digits(found["after_deg"])
+    before, after = digits(errors["before_deg"]), digits(errors["after_deg"])
     return (
         f"On the instrument that this diagnosis says, the calibrated tables leave the tip off by {before} deg rms, the "
         f"corrected ones by {after} (simulated on a smooth trajectory)."
@@ -255,9 +255,9 @@ def text(document: Mapping[str, Any], folder: str) -> str:
         if probability < SHOWN:
             continue
         lines.append(f"  {name:<40} {percent(probability):>6}  {closes}".rstrip())
-    said = flexible(document)
-    if said:
-        lines += ["", said]
+    closed = flexible(document)
+    if closed:
+        lines += ["", closed]
     if tip(document):
         lines += ["", tip(document)]
     lines.append("")
@@ -271,7 +271,7 @@ def rows(document: Mapping[str, Any], most: int) -> list[tuple[str, float, str]]
     """Candidate, its probability to be the leading one, and what it closes: the likeliest, unknown and none. Where
     nothing is explained, what closes next to nothing says nothing."""
     least = told(document)
-    found = [
+    candidates = [
         (c["id"], c["probability"], f"closes {percent(c['shrink'])}" if c["shrink"] > least else "")
         for c in document["candidates"][:most]
     ]
@@ -280,8 +280,8 @@ def rows(document: Mapping[str, Any], most: int) -> list[tuple[str, float, str]]
         ("no gap", document["probability_none"]),
     ):
         if probability >= SHOWN:
-            found.append((name, probability, ""))
-    return sorted(found, key=lambda row: -row[1])
+            candidates.append((name, probability, ""))
+    return sorted(candidates, key=lambda row: -row[1])
 
 
 def told(document: Mapping[str, Any]) -> float:
@@ -297,13 +297,13 @@ def _seen(document: Mapping[str, Any]) -> str:
 
 
 def _swing(document: Mapping[str, Any]) -> float | None:
-    found = document.get("flexible")
-    return found.get("swing_s") if found else None
+    closed = document.get("flexible")
+    return closed.get("swing_s") if closed else None
 
 
 def _is_small(document: Mapping[str, Any]) -> bool:
     return document["verdict"] == "unknown" and bool(document["gap"]["before"] < _SMALL * document["noise_floor"])
 
 
-def _capital(said: str) -> str:
-    return said[:1].upper() + said[1:]
+def _capital(sentence: str) -> str:
+    return sentence[:1].upper() + sentence[1:]
