@@ -1,8 +1,8 @@
 """python -m tools.undone: how much of what an instrument's effect costs do the tables take away, open loop?
 
-Neither instrument shares an equation with the package. What is found of the effect becomes tables; the board's own code
-then leads the tip along another trajectory at 1 kHz. `effects` has one effect at a time, at three strengths; `plays` has
-hysteresis that is no play, or several, undone by several plays and by one.
+Neither instrument shares an equation with the package. What is found of the effect becomes tables; the board's own
+code then leads the tip along another trajectory at 1 kHz. `effects` has one effect at a time, at three strengths;
+`plays` has hysteresis that is no play, or several, undone by several plays and by one.
 """
 
 from __future__ import annotations

@@ -100,7 +100,7 @@ def second() -> Instrument:
     return Instrument("second", model, "translation_mm", {"translation_mm": Joint(1, _COUNTS)}, _SECOND, answer)
 
 
-# -- tendons over idlers, simulated by MuJoCo ---------------------------------------------------------------------------
+# -- tendons over idlers, simulated by MuJoCo -------------------------------------------------------------------------
 
 _MECHANISM = mechanism.PULLEYS
 _SPAN = 2.0 * _MECHANISM.half
