@@ -2,7 +2,8 @@
 
 Neither instrument shares an equation with the package. What is found of the effect becomes tables; the board's own
 code then leads the tip along another trajectory at 1 kHz. `effects` has one effect at a time, at three strengths;
-`plays` has hysteresis that is no play, or several, undone by several plays and by one.
+`plays` has hysteresis that is no play, or several, undone by several plays and by one; `real` predicts runs of a real
+tool with both.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import time
 import click
 import numpy as np
 import numpy.typing as npt
-from tools.undone import hysteresis
+from tools.undone import hysteresis, real
 from tools.undone.learn import beside, diagnosed, fitted
 from tools.undone.plants import INSTRUMENTS, Instrument, Values
 
@@ -81,7 +82,7 @@ def of_effects(which: str, learnt: str, only: tuple[str, ...], seconds: float) -
             old, new = (tip_off(instrument, model, values, t, c_deg) for model in (found.old, found.new))
             true = tip_off(instrument, found.old, {}, t, c_deg)
             says = ", ".join(f"{key} {value:.4g}" for key, value in values.items())
-            gained = 100.0 * (old - new) / (old - true)
+            gained = 100.0 * (old - new) / (old - true) if old > true else np.nan
             print(
                 f"| {name} | {says} | {found.named} | {old:.4f} | {new:.4f} | {true:.4f} | {gained:.0f} % |", flush=True
             )
@@ -89,6 +90,7 @@ def of_effects(which: str, learnt: str, only: tuple[str, ...], seconds: float) -
 
 
 main.add_command(hysteresis.main, "plays")
+main.add_command(real.main, "real")
 
 if __name__ == "__main__":
     main()
