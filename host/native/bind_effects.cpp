@@ -30,7 +30,7 @@ struct Field {
 };
 const Field SIGHTS[] = {
 #define X(name, unit, meaning) {#name, &projection_parameters::name},
-    SIGHT_PARAMETERS(X)
+    PROJECTION_PARAMETERS(X)
 #undef X
 };
 
@@ -153,7 +153,7 @@ nb::object see(const nb::dict &parameters, Values rig, Values c_deg, std::option
         column(way, n, "way"), column(shifted, n, "shifted"),         n};
     auto *image = new double[2 * n];
     auto *by_c = slopes ? new double[2 * n] : nullptr;
-    auto *by_static = slopes ? new double[2 * n * SIGHT_STATIC] : nullptr;
+    auto *by_static = slopes ? new double[2 * n * PROJECTION_STATIC] : nullptr;
     {
         nb::gil_scoped_release unlocked;
         projection_image(&e, &r, &pose, image, by_c, by_static);
@@ -161,7 +161,7 @@ nb::object see(const nb::dict &parameters, Values rig, Values c_deg, std::option
     if (!slopes) {
         return nb::cast(table(image, {n, 2}));
     }
-    return nb::make_tuple(table(image, {n, 2}), table(by_c, {n, 2}), table(by_static, {n, 2, SIGHT_STATIC}));
+    return nb::make_tuple(table(image, {n, 2}), table(by_c, {n, 2}), table(by_static, {n, 2, PROJECTION_STATIC}));
 }
 
 } // namespace
@@ -173,9 +173,9 @@ void bind_effects(nb::module_ &m) {
         path.append(nb::make_tuple(p->name, p->absent, p->unit, std::string(effects_owner(i)) + ": " + p->meaning));
     }
 #define X(name, unit, meaning) projection.append(nb::make_tuple(#name, 0.0, unit, meaning));
-    SIGHT_PARAMETERS(X)
+    PROJECTION_PARAMETERS(X)
 #undef X
-    m.attr("effect_parameters") = path; // (name, value when absent, unit, meaning): what moves the tip
+    m.attr("effect_parameters") = path;           // (name, value when absent, unit, meaning): what moves the tip
     m.attr("projection_parameters") = projection; // and what changes where it is seen
     m.def("onset_lots", &lots, nb::arg("values"),
           "(spread, share) of the lots of a play's thresholds, as these effects' parameters spread them");

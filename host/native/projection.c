@@ -82,7 +82,8 @@ static void bend(const struct projection_rig *rig, double gradient, double c, do
 }
 
 // du/dX and dv/dX, (2, 3) px per mm, at the same time as the image.
-static int projected(const struct projection_rig *rig, const double *k, const double *x, double *image, double *by_point) {
+static int projected(const struct projection_rig *rig, const double *k, const double *x, double *image,
+                     double *by_point) {
     if (!(x[2] > NEAREST)) {
         return 0;
     }
@@ -107,8 +108,8 @@ static double along(const double *by_point, const double *direction) {
     return by_point[0] * direction[0] + by_point[1] * direction[1] + by_point[2] * direction[2];
 }
 
-void projection_image(const struct projection_parameters *e, const struct projection_rig *rig, const struct projection_pose *pose,
-                 double *image, double *by_c, double *by_static) {
+void projection_image(const struct projection_parameters *e, const struct projection_rig *rig,
+                      const struct projection_pose *pose, double *image, double *by_c, double *by_static) {
     const struct turn fixed = turn_of(e->static_rx, e->static_ry, e->static_rz);
     const struct turn late = turn_of(e->shift_rx, e->shift_ry, e->shift_rz);
     const struct turn up = turn_of(e->tilt_x, e->tilt_y, e->tilt_z);
@@ -171,7 +172,7 @@ void projection_image(const struct projection_parameters *e, const struct projec
         turned(rig->hand_eye, slope, slope);
         by_c[2 * n] = RADIANS * along(by_point, slope);
         by_c[2 * n + 1] = RADIANS * along(by_point + 3, slope);
-        for (int i = 0; i < SIGHT_STATIC; i++) {
+        for (int i = 0; i < PROJECTION_STATIC; i++) {
             double way[3] = {0}; // where the point goes: a turn moves it by axis x point
             if (i < 3) {
                 way[(i + 1) % 3] = -RADIANS * before[(i + 2) % 3];
@@ -183,8 +184,8 @@ void projection_image(const struct projection_parameters *e, const struct projec
                 turned(late.m, way, way);
             }
             turned(rig->hand_eye, way, way);
-            by_static[(2 * n) * SIGHT_STATIC + (size_t)i] = along(by_point, way);
-            by_static[(2 * n + 1) * SIGHT_STATIC + (size_t)i] = along(by_point + 3, way);
+            by_static[(2 * n) * PROJECTION_STATIC + (size_t)i] = along(by_point, way);
+            by_static[(2 * n + 1) * PROJECTION_STATIC + (size_t)i] = along(by_point + 3, way);
         }
     }
 }

@@ -1,6 +1,6 @@
 // From the bending angle to the image, with the effects of kinematics, registration and camera, and its derivatives.
-#ifndef TAUTLINE_SIGHT_H
-#define TAUTLINE_SIGHT_H
+#ifndef TAUTLINE_PROJECTION_H
+#define TAUTLINE_PROJECTION_H
 
 #include <stddef.h>
 
@@ -9,7 +9,7 @@ extern "C" {
 #endif
 
 // NAME(unit, meaning). Zero means absent. Turns are rotation vectors.
-#define SIGHT_PARAMETERS(X)                                                                                            \
+#define PROJECTION_PARAMETERS(X)                                                                                       \
     X(curvature_gradient, "", "kinematics.nonconstant_curvature: curvature from (1 - g) at the base to (1 + g)")       \
     X(tilt_x, "deg", "registration.direction_dependent: turn times `way`")                                             \
     X(tilt_y, "deg", "registration.direction_dependent")                                                               \
@@ -35,7 +35,7 @@ extern "C" {
 
 struct projection_parameters {
 #define X(name, unit, meaning) double name;
-    SIGHT_PARAMETERS(X)
+    PROJECTION_PARAMETERS(X)
 #undef X
 };
 
@@ -55,13 +55,13 @@ struct projection_pose {
     size_t count;
 };
 
-enum { SIGHT_STATIC = 6 };
+enum { PROJECTION_STATIC = 6 };
 
 // image (count, 2) px, NaN where a point is not in front of the camera. by_c (count, 2) px per deg of c and by_static
 // (count, 2, 6) px per deg or mm of a further static registration (turn x y z, move x y z), or both NULL.
 // About 0.15 us a point, 0.3 us with the derivatives.
-void projection_image(const struct projection_parameters *e, const struct projection_rig *rig, const struct projection_pose *pose,
-                 double *image, double *by_c, double *by_static);
+void projection_image(const struct projection_parameters *e, const struct projection_rig *rig,
+                      const struct projection_pose *pose, double *image, double *by_c, double *by_static);
 
 #ifdef __cplusplus
 }

@@ -1,10 +1,13 @@
-"""From the bending angle to the image and back: g, h, their Jacobian (eq. 7) and the pose (eq. 8)."""
+"""From the bending angle to the image and back: g, h, their Jacobian (eq. 7; host/native/projection.h) and the pose
+(eq. 8)."""
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
+from tautline import _native
 from tautline.errors import TautError
 from tautline.rig import Camera, HandEye, Kinematics, Rig
 
@@ -12,23 +15,16 @@ Array = npt.NDArray[np.float64]
 _SMALL = 1e-3  # rad: below it the constant-curvature quotients are taken from their series (error < 1e-16)
 
 
-def tip_bend(kinematics: Kinematics, c_deg: npt.ArrayLike) -> tuple[Array, Array]:
-    """g: the marker (n, 3) mm in the section's own frame, and its derivative (n, 3) mm per deg of c."""
+def tip_bend(kinematics: Kinematics, c_deg: npt.ArrayLike) -> Array:
+    """g: the marker (n, 3) mm in the section's own frame."""
     c = np.radians(np.atleast_1d(np.asarray(c_deg, dtype=float)))
     length, tip = kinematics.bending_length_mm, kinematics.tip_length_mm
     sin, cos = np.sin(c), np.cos(c)
     small = np.abs(c) < _SMALL
     safe = np.where(small, 1.0, c)
-    square = c * c
-    # sin(c)/c and (1 - cos(c))/c with their derivatives
-    sinc = np.where(small, 1 - square / 6, sin / safe)
-    versc = np.where(small, c / 2 - c * square / 24, (1 - cos) / safe)
-    d_sinc = np.where(small, -c / 3 + c * square / 30, (cos - sinc) / safe)
-    d_versc = np.where(small, 0.5 - square / 8, (sin - versc) / safe)
-    zero = np.zeros_like(c)
-    point = np.stack([length * versc + tip * sin, zero, length * sinc + tip * cos], axis=1)
-    slope = np.stack([length * d_versc + tip * cos, zero, length * d_sinc - tip * sin], axis=1)
-    return point, slope * (np.pi / 180)
+    sinc = np.where(small, 1 - c * c / 6, sin / safe)
+    versc = np.where(small, c / 2 - c * c * c / 24, (1 - cos) / safe)  # (1 - cos(c)) / c
+    return np.stack([length * versc + tip * sin, np.zeros_like(c), length * sinc + tip * cos], axis=1)
 
 
 def rotation(angles_deg: tuple[float, float, float]) -> Array:
@@ -55,58 +51,53 @@ def to_camera(hand_eye: HandEye, base: Array) -> Array:
     return product
 
 
-def to_image(camera: Camera, point: Array, velocity: Array | None = None) -> tuple[Array, Array]:
-    """h: pinhole with OpenCV's k1 k2 p1 p2 k3. Image positions (n, 2) px of camera points (n, 3) mm, and their
-    derivative (n, 2) along `velocity` (n, 3) (zeros without it). NaN where a point is not in front of the camera."""
-    z = np.where(point[:, 2] > 1e-6, point[:, 2], np.nan)
-    x, y = point[:, 0] / z, point[:, 1] / z
-    k1, k2, p1, p2, k3 = camera.distortion
-    r2 = x * x + y * y
-    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    focal = np.array([camera.fx_px, camera.fy_px])
-    distorted = np.stack(
+def to_image(camera: Camera, point: Array) -> Array:
+    """h: pinhole with OpenCV's k1 k2 p1 p2 k3. Image positions (n, 2) px of camera points (n, 3) mm; NaN where a point
+    is not in front of the camera."""
+    seen = point[:, 2:] > 1e-6
+    ahead = np.where(seen, point, [0.0, 0.0, 1.0])
+    image, _ = cv2.projectPoints(ahead, np.zeros(3), np.zeros(3), camera.matrix, np.array(camera.distortion))
+    return np.where(seen, image[:, 0], np.nan)
+
+
+def projection_rig(rig: Rig) -> Array:
+    """The numbers of struct projection_rig (host/native/projection.h)."""
+    if rig.kinematics is None or rig.camera is None or rig.hand_eye is None:
+        raise TautError("the rig needs [kinematics], [camera] and [hand_eye] to project a marker: add them to rig.toml")
+    camera = rig.camera
+    return np.array(
         [
-            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-        ],
-        axis=1,
+            rig.kinematics.bending_length_mm,
+            rig.kinematics.tip_length_mm,
+            *rotation(rig.hand_eye.rotation_deg).ravel(),
+            *rig.hand_eye.translation_mm,
+            *(camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px),
+            *camera.distortion,
+        ]
     )
-    image = distorted * focal + np.array([camera.cx_px, camera.cy_px])
-    if velocity is None:
-        return image, np.zeros_like(image)
-    dx = (velocity[:, 0] - x * velocity[:, 2]) / z
-    dy = (velocity[:, 1] - y * velocity[:, 2]) / z
-    d_radial = (2 * x * dx + 2 * y * dy) * (k1 + r2 * (2 * k2 + 3 * r2 * k3))
-    d_r2 = 2 * (x * dx + y * dy)
-    d_xy = dx * y + x * dy
-    slope = np.stack(
-        [
-            dx * radial + x * d_radial + 2 * p1 * d_xy + p2 * (d_r2 + 4 * x * dx),
-            dy * radial + y * d_radial + p1 * (d_r2 + 4 * y * dy) + 2 * p2 * d_xy,
-        ],
-        axis=1,
-    )
-    return image, slope * focal
 
 
 def project_with_slope(
     rig: Rig, c_deg: npt.ArrayLike, translation_mm: npt.ArrayLike = 0.0, rotation_deg: npt.ArrayLike = 0.0
 ) -> tuple[Array, Array]:
     """h(g(c)) (n, 2) px and J = d(h g)/dc (n, 2) px per deg (eq. 6, 7). The other two degrees of freedom are (n,) or
-    scalar: P_base = Rz(rotation) (P_bend(c) + [0, 0, translation])."""
-    if rig.kinematics is None or rig.camera is None or rig.hand_eye is None:
-        raise TautError("the rig needs [kinematics], [camera] and [hand_eye] to project a marker: add them to rig.toml")
-    bend, slope = tip_bend(rig.kinematics, c_deg)
-    bend[:, 2] += np.asarray(translation_mm, dtype=float)
-    base, base_slope = about_base_z(rotation_deg, bend), about_base_z(rotation_deg, slope)
-    return to_image(rig.camera, to_camera(rig.hand_eye, base), base_slope @ rotation(rig.hand_eye.rotation_deg).T)
+    scalar: P_base = Rz(rotation) (P_bend(c) + [0, 0, translation]). NaN where the marker is not in front of the
+    camera."""
+    image, slope, _ = _native.see({}, projection_rig(rig), *_poses(c_deg, translation_mm, rotation_deg), slopes=True)
+    return image, slope
 
 
 def project(
     rig: Rig, c_deg: npt.ArrayLike, translation_mm: npt.ArrayLike = 0.0, rotation_deg: npt.ArrayLike = 0.0
 ) -> Array:
     """The marker's image position (n, 2) px at bending angles c (n,) deg (eq. 6)."""
-    return project_with_slope(rig, c_deg, translation_mm, rotation_deg)[0]
+    image: Array = _native.see({}, projection_rig(rig), *_poses(c_deg, translation_mm, rotation_deg))
+    return image
+
+
+def _poses(*columns: npt.ArrayLike) -> list[Array]:
+    flat = np.broadcast_arrays(*(np.atleast_1d(np.asarray(column, dtype=float)) for column in columns))
+    return [np.ascontiguousarray(column) for column in flat]
 
 
 def pose(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -55,6 +55,11 @@ class Limits:
             slope_min=0.02 * abs(rig.coarse.gain),
             flat_speed=actuator.span,
         )
+
+    @classmethod
+    def in_use(cls, rig: Rig) -> Limits:
+        """Moderate ones for tables that may be moved in use: by a tenth of the range, and to twice B."""
+        return replace(cls.of(rig), adapt=(0.1 * rig.actuator.span, 0.0, 2.0))
 
 
 @dataclass(frozen=True)

@@ -231,8 +231,8 @@ def test_curvature_against_a_fine_chain(c, gradient):
     angle = np.radians(c) * (s + gradient * (s * s - s))
     x = kinematics.bending_length_mm * np.mean(np.sin(angle)) + kinematics.tip_length_mm * np.sin(np.radians(c))
     z = kinematics.bending_length_mm * np.mean(np.cos(angle)) + kinematics.tip_length_mm * np.cos(np.radians(c))
-    expected = geometry.to_image(RIG.camera, geometry.to_camera(RIG.hand_eye, np.array([[x, 0.0, z]])))[0]
-    seen = _native.see({"curvature_gradient": gradient}, effects.projection_rig(RIG), np.array([c]))
+    expected = geometry.to_image(RIG.camera, geometry.to_camera(RIG.hand_eye, np.array([[x, 0.0, z]])))
+    seen = _native.see({"curvature_gradient": gradient}, geometry.projection_rig(RIG), np.array([c]))
     np.testing.assert_allclose(seen, expected, atol=1e-4)
 
 
@@ -265,15 +265,15 @@ def test_the_image_and_its_slopes(seed):
 
     def see(c_deg, changed=values):
         return _native.see(
-            changed, effects.projection_rig(RIG), c_deg, translation, turn, way, shifted.view(np.uint8), slopes=True
+            changed, geometry.projection_rig(RIG), c_deg, translation, turn, way, shifted.view(np.uint8), slopes=True
         )
 
     image, by_c, _ = see(c)
     if values["curvature_gradient"] == 0.0:
-        bend = geometry.tip_bend(RIG.kinematics, c)[0] + np.outer(translation, [0, 0, 1])
+        bend = geometry.tip_bend(RIG.kinematics, c) + np.outer(translation, [0, 0, 1])
         base = registered(geometry.about_base_z(turn, bend), way, shifted, values)
         camera = distorted(RIG.camera, values)
-        expected = geometry.to_image(camera, geometry.to_camera(RIG.hand_eye, base))[0]
+        expected = geometry.to_image(camera, geometry.to_camera(RIG.hand_eye, base))
         np.testing.assert_allclose(image, expected, atol=1e-8)
     step = 1e-4
     np.testing.assert_allclose(by_c, (see(c + step)[0] - see(c - step)[0]) / (2 * step), atol=1e-4, rtol=1e-5)

@@ -92,3 +92,29 @@ def test_every_list_of_codes_refuses_to_compile_with_one_twice() -> None:
     text = (ROOT / "common/include/tautline/tl_wire.h").read_text()
     lists = set(re.findall(r"^#define TL_WIRE_(\w+)\(C\)", text, re.MULTILINE))
     assert len(lists) > 8 and lists == set(re.findall(r"^TL_WIRE_IS_\((\w+),", text, re.MULTILINE))
+
+
+HEADERS = sorted(path for room in ("common", "firmware/estimator") for path in (ROOT / room / "include").rglob("*.h"))
+DECLARATION = re.compile(r"(?:\w+[ *]+)+(tl_\w+)\(")
+
+
+def undocumented(header: str) -> list[str]:
+    """Functions of a header without a /// comment. One stands for those that follow it without an empty line."""
+    silent, told = [], False
+    for line in header.splitlines():
+        if not line.strip():
+            told = False
+        elif line.startswith("///"):
+            told = True
+        elif (match := DECLARATION.match(line)) and not told:
+            silent.append(match[1])
+    return silent
+
+
+@pytest.mark.parametrize("path", HEADERS, ids=lambda path: path.name)
+def test_every_function_of_a_header_is_told(path: Path) -> None:
+    assert undocumented(path.read_text()) == []
+
+
+def test_a_function_that_is_not_told_is_found() -> None:
+    assert undocumented("/// Adds.\nint tl_add(int a);\nint tl_sub(int a);\n\nint tl_mul(int a);\n") == ["tl_mul"]

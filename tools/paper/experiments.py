@@ -273,7 +273,7 @@ def ellipse(rig: Rig, rate_hz: float, rounds: int = 2, period_s: float = 20.0) -
     """Semi-axes of 3.8 and 2.6 mm about a point 6.5 mm off the axis, in the plane of the straight instrument's tip."""
     assert rig.kinematics is not None
     bends = np.linspace(0.0, 80.0, 4001)
-    reach = geometry.tip_bend(rig.kinematics, bends)[0]  # x: off the axis, z: along it
+    reach = geometry.tip_bend(rig.kinematics, bends)  # x: off the axis, z: along it
     t = np.arange(round(rounds * period_s * rate_hz)) / rate_hz
     phase = 2 * np.pi * t / period_s
     x, y = 6.5 + 3.8 * np.cos(phase), 2.6 * np.sin(phase)
@@ -292,7 +292,7 @@ def ellipse(rig: Rig, rate_hz: float, rounds: int = 2, period_s: float = 20.0) -
 def realised(rig: Rig, goal: Ellipse, c_deg: Array) -> Array:
     """(n, 3) mm: where the tip goes when its bending is c_deg and the other two degrees of freedom are as commanded."""
     assert rig.kinematics is not None
-    bent = geometry.tip_bend(rig.kinematics, c_deg)[0]
+    bent = geometry.tip_bend(rig.kinematics, c_deg)
     bent[:, 2] += goal.translation_mm
     return geometry.about_base_z(goal.rotation_deg, bent)
 

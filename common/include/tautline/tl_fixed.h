@@ -27,6 +27,7 @@ typedef uint64_t tl_us_t;       ///< time since the board's start, microseconds
 #define TL_PX_ONE    ((tl_px_q12_t)1 << 12)
 #define TL_RATIO_ONE ((tl_ratio_q15_t)1 << 15)
 
+/// a + b, held at the ends of int32_t where it would leave them.
 static inline TL_FAST int32_t tl_add_sat(int32_t a, int32_t b) {
     const uint32_t sum = (uint32_t)a + (uint32_t)b;
     const uint32_t overflow = ~((uint32_t)a ^ (uint32_t)b) & ((uint32_t)a ^ sum);
@@ -36,6 +37,7 @@ static inline TL_FAST int32_t tl_add_sat(int32_t a, int32_t b) {
     return (int32_t)sum;
 }
 
+/// a - b, held likewise.
 static inline TL_FAST int32_t tl_sub_sat(int32_t a, int32_t b) {
     const uint32_t difference = (uint32_t)a - (uint32_t)b;
     const uint32_t overflow = ((uint32_t)a ^ (uint32_t)b) & ((uint32_t)a ^ difference);
@@ -45,10 +47,12 @@ static inline TL_FAST int32_t tl_sub_sat(int32_t a, int32_t b) {
     return (int32_t)difference;
 }
 
+/// x within [low, high]; low must not be above high.
 static inline TL_FAST int32_t tl_clamp(int32_t x, int32_t low, int32_t high) {
     return x < low ? low : (x > high ? high : x);
 }
 
+/// |x|; INT32_MAX for INT32_MIN.
 static inline int32_t tl_abs_sat(int32_t x) {
     return x == INT32_MIN ? INT32_MAX : (x < 0 ? -x : x);
 }

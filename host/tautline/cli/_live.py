@@ -128,3 +128,18 @@ def opened(live: LiveOptions, rig_path: Path | None, seed: int = 0, model: Model
         seed=seed,
     ) as setup:
         yield setup
+
+
+def tracking_text(tracking: dict[str, Any]) -> str:
+    """What a tracker learnt while the instrument was used, and what the board was told of it."""
+    if tracking["state"] is None:
+        return "not tracked: no frame came"
+    moves = tracking["moves"]
+    if tracking["moves_within"] is None:
+        moved = "the board's tables may not be moved"
+    elif not moves:
+        moved = "the tables stayed as they are"
+    else:
+        moved = f"the tables were moved {len(moves)} times, to offset {moves[-1]['offset']:+.4g}, "
+        moved += f"{100 * moves[-1]['scale']:.1f} % of B"
+    return f"model {tracking['state']}{': ' + tracking['reason'] if tracking['reason'] else ''}; {moved}"

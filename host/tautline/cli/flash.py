@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import click
 
 from tautline.cli._common import emit, json_option, progress_bar, refuse_unusable, warn
 from tautline.cli._live import axis_option, board_option
+
+_FIXED = (0.0, 1.0, 1.0)  # of --adapt
 
 
 @click.command("flash")
@@ -27,6 +30,13 @@ from tautline.cli._live import axis_option, board_option
     help="Which axis of the board moves a column that couples in, and its unit per encoder count: "
     "translation_mm=1:0.001.",
 )
+@click.option(
+    "--adapt",
+    type=(float, float, float),
+    metavar="OFFSET LEAST MOST",
+    help="How far a host may move the tables in use: the offset, the rig's unit, and the least and the most of B. "
+    "Default: a tenth of the range, 0 and 2. 0 1 1: not at all.",
+)
 @click.option("--force", is_flag=True, help="Load an unusable model, or one for another instrument, all the same.")
 @json_option
 def command(
@@ -35,6 +45,7 @@ def command(
     axis: int,
     without_effects: bool,
     joints: tuple[str, ...],
+    adapt: tuple[float, float, float] | None,
     force: bool,
     as_json: bool,
 ) -> None:
@@ -62,7 +73,10 @@ def command(
             f"{model_path}: no table can undo {told}: load what they can with --without-effects, or the model that was "
             "calibrated"
         )
-    blob = tables.encode(model, axis=axis, joints=known)
+    limits = tables.Limits.in_use(model.rig)
+    if adapt is not None:
+        limits = replace(limits, adapt=adapt if adapt != _FIXED else None)
+    blob = tables.encode(model, axis=axis, limits=limits, joints=known)
     with open_board(board) as opened, progress_bar("flash") as progress:
         opened.load_table(axis, blob, progress, any_instrument=force)
         status = opened.status(axis)
@@ -78,6 +92,7 @@ def command(
             "nodes": len(table.q),
             "model_id": table.model_id.hex(),
             "instrument": table.instrument or None,
+            "adapt": None if table.limits.adapt is None else list(table.limits.adapt),
             "table_crc": status.table_crc,
             "verified": True,
             "without_effects": remains,

@@ -18,7 +18,7 @@ from tautline.cli._common import (
     rig_option,
     warn,
 )
-from tautline.cli._live import LiveOptions, live_options, opened
+from tautline.cli._live import LiveOptions, live_options, opened, tracking_text
 
 
 @click.command("follow")
@@ -44,6 +44,13 @@ from tautline.cli._live import LiveOptions, live_options, opened
 )
 @click.option("--speed", type=click.FloatRange(min=0.1), default=15.0, show_default=True, help="deg/s of a shape.")
 @click.option("--seed", type=int, default=0, help="Of the shape 'smooth', and of the simulation.")
+@click.option(
+    "--track/--no-track",
+    "track",
+    default=None,
+    help="Keep MODEL calibrated by the camera meanwhile, and move the board's tables with it. Default: where MODEL and "
+    "--camera are named.",
+)
 @folder_option("--out", "Folder for the recording of the run.", required=False)
 @force_option
 @json_option
@@ -56,6 +63,7 @@ def command(
     trajectory: str,
     speed: float,
     seed: int,
+    track: bool | None,
     out: Path | None,
     force: bool,
     as_json: bool,
@@ -63,6 +71,8 @@ def command(
     """Follow a trajectory of the tip's bending angle with a board, open loop, and say how far off the tip was.
 
     With MODEL, its tables are loaded first (and its rig is used); without, those in the board are used as they are.
+    With MODEL and a camera the model is kept calibrated while it runs: offset and width of the tables follow what is
+    learnt, as far as the tables allow, and are the calibrated ones again after the run.
     """
     from tautline.live.following import follow_run
     from tautline.model import Model
@@ -85,6 +95,7 @@ def command(
             speed_deg_s=speed,
             seed=seed,
             folder=out,
+            track=track if track is not None else model is not None and live.camera is not None,
             progress=progress,
         )
     if model is not None and model_path is not None and result.scored_by:
@@ -96,6 +107,8 @@ def command(
             f"{trajectory}: {100 * max(result.clipped, 0.01):.0f} % of it is beyond what the tip can reach with these "
             f"tables, {low:.1f} to {high:.1f} deg: it was held at the end there (clipped)"
         )
+    if result.tracking is not None and result.tracking["beyond"]:
+        warn(result.tracking["beyond"])
     if result.counters["telemetry_dropped"]:
         log(f"taut: {result.counters['telemetry_dropped']} telemetry samples were dropped")
 
@@ -120,6 +133,7 @@ def _report(result: Any, compensation: str, out: Path | None) -> dict[str, Any]:
         "reach_deg": list(result.reach_deg),
         "recording": out,
         "counters": result.counters,
+        "tracking": result.tracking,
     }
 
 
@@ -129,4 +143,6 @@ def _text(result: Any, compensation: str, out: Path | None) -> str:
         text += f": tip off by {result.rms_deg:.3f} deg rms, {result.max_deg:.3f} at most (by {result.scored_by})"
     else:
         text += " (no camera: how far off the tip was is not known)"
+    if result.tracking is not None:
+        text += f"; {tracking_text(result.tracking)}"
     return text + (f"; recorded in {out}" if out else "")

@@ -8,24 +8,30 @@ import selectors
 import signal
 import sys
 import time
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from tautline.cli._common import emit, force_option, json_option, refuse_unusable
-from tautline.cli._live import axis_option, board_option
+from tautline.cli._common import emit, force_option, json_option, refuse_unusable, rig_option, warn
+from tautline.cli._live import axis_option, board_option, camera_option, colour_option, tracking_text
 from tautline.errors import TautError
 from tautline.model import Model
+from tautline.rig import Rig
 
 if TYPE_CHECKING:
     from tautline.device.board import Board
+    from tautline.live.in_use import Following
 
 
 @click.command("stream")
 @click.argument("model_path", metavar="[MODEL]", required=False, type=click.Path(path_type=Path))
 @board_option
 @axis_option
+@camera_option
+@colour_option
+@rig_option
 @click.option(
     "--rate", type=click.FloatRange(50.0, 1000.0), default=250.0, show_default=True, help="Set-points per second."
 )
@@ -42,6 +48,9 @@ def command(
     model_path: Path | None,
     board: str | None,
     axis: int,
+    camera: str | None,
+    colour: Path,
+    rig_path: Path | None,
     rate: float,
     silence: float,
     sine: tuple[float, float] | None,
@@ -51,16 +60,18 @@ def command(
 ) -> None:
     """Send tip set-points, deg, to one axis through its tables: one number a line on stdin, the newest counts.
 
-    With MODEL, its tables are loaded first; without, those in the board are used as they are.
+    With MODEL, its tables are loaded first; without, those in the board are used as they are. With MODEL and --camera
+    the model is kept calibrated meanwhile: the tables' offset and width follow what is learnt, as far as they allow.
 
     While stdin says nothing new for longer than --silence, nothing is sent, and the board brings the axis to rest.
     """
-    from tautline.device.board import open_board
     from tautline.device.stream import SetPointStream
 
     model = None if model_path is None else Model.load(model_path)
     if model is not None and model_path is not None:
         refuse_unusable(model, model_path, force)
+    if camera is not None and model is None:
+        raise click.UsageError("--camera keeps a model calibrated: name MODEL")
     ended = False
 
     def stop(number: int, frame: object) -> None:
@@ -69,7 +80,9 @@ def command(
 
     before = signal.signal(signal.SIGINT, stop)
     try:
-        with open_board(board) as opened, SetPointStream(_loaded(opened, axis, model), axis, silence) as points:
+        with ExitStack() as stack:
+            opened, following = _opened(stack, board, axis, model, camera, colour, rig_path)
+            points = stack.enter_context(SetPointStream(opened, axis, silence))
             began = time.monotonic()
             newest, fresh = points.start_deg, 0.0
             lines = _Lines() if sine is None else None
@@ -85,21 +98,47 @@ def command(
                 ended = ended or (lines is not None and lines.ended)
     finally:
         signal.signal(signal.SIGINT, before)
-    emit(
-        points.summary(),
-        as_json,
+    tracking = None if following is None else following.summary()
+    if following is not None and (following.lost or following.beyond):
+        warn(following.lost or following.beyond)
+    text = (
         f"{points.sent} set-points in {points.seconds:.1f} s ({points.rate_hz:.0f} Hz), {points.late} late, "
-        f"{points.refused} refused",
+        f"{points.refused} refused"
+    )
+    emit(
+        points.summary() | {"tracking": tracking},
+        as_json,
+        text if tracking is None else f"{text}; {tracking_text(tracking)}",
     )
 
 
-def _loaded(board: Board, axis: int, model: Model | None) -> Board:
-    """The board with the model's tables in the axis."""
-    if model is not None:
-        from tautline import tables
+def _opened(
+    stack: ExitStack,
+    where: str | None,
+    axis: int,
+    model: Model | None,
+    camera: str | None,
+    colour: Path,
+    rig_path: Path | None,
+) -> tuple[Board, Following | None]:
+    """The board with the model's tables in the axis; with a camera, what keeps the model calibrated."""
+    from tautline.device.board import open_board
+    from tautline.live.in_use import Following, TableMover, beside, load_tables
 
-        board.load_table(axis, tables.encode(model, axis=axis))
-    return board
+    if camera is None or model is None:
+        board = stack.enter_context(open_board(where))
+        if model is not None:
+            load_tables(board, axis, model)
+        return board, None
+    from tautline.live.setup import open_live
+    from tautline.vision.colour import MarkerColour
+
+    rig = model.rig if rig_path is None else Rig.load(rig_path)
+    seen_as = MarkerColour.load(colour)
+    live = stack.enter_context(open_live(board=where, camera=camera, rig=rig, axis=axis, colour=seen_as))
+    load_tables(live.board, axis, model)
+    following = Following(live, model, mover=TableMover(live))
+    return live.board, stack.enter_context(beside(following))
 
 
 class _Lines:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections import deque
 
 import numpy as np
@@ -16,15 +17,21 @@ class BoardClock:
 
     def __init__(self) -> None:
         self._trips: deque[tuple[float, float, float]] = deque(maxlen=_KEPT)  # middle, offset, half the round trip; s
+        self._using = threading.Lock()  # a camera's thread and a sender's
 
     def add(self, sent_s: float, received_s: float, board_us: int) -> None:
         """One round trip: host times before and after, and the board's time in between."""
         middle = 0.5 * (sent_s + received_s)
-        self._trips.append((middle, board_us * 1e-6 - middle, 0.5 * (received_s - sent_s)))
+        with self._using:
+            self._trips.append((middle, board_us * 1e-6 - middle, 0.5 * (received_s - sent_s)))
+
+    def _all(self) -> np.ndarray:
+        with self._using:
+            return np.array(self._trips)
 
     def _line(self) -> tuple[float, float, float, np.ndarray, np.ndarray] | None:
         """Through the shortest round trips: mean time, offset there, drift; and their times and half lengths."""
-        trips = np.array(self._trips)
+        trips = self._all()
         if len(trips) < 8:
             return None
         trips = trips[trips[:, 2] <= 1.5 * trips[:, 2].min()]
@@ -39,7 +46,7 @@ class BoardClock:
         """Board time minus host time at `host_s`, and what its error cannot exceed while both clocks run evenly; s."""
         if not self._trips:
             return 0.0, float("inf")
-        trips = np.array(self._trips)
+        trips = self._all()
         bound = trips[:, 2] + STEADY * np.abs(host_s - trips[:, 0])
         best = int(np.argmin(bound))
         answer = float(trips[best, 1]), float(bound[best])

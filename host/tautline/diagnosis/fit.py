@@ -453,7 +453,7 @@ def _beyond(basis: Basis, grid: Array, values: Array) -> Array:
 
 def moves_tip(parameter: Parameter) -> bool:
     """Whether the tip's path depends on it, and not only what is seen of it."""
-    return parameter.name not in effects.SIGHT
+    return parameter.name not in effects.PROJECTION
 
 
 def inside(parameter: Parameter, value: float) -> float:

@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tautline import _native, geometry
+from tautline import _native
 from tautline.effects.library import BY_ID, LIBRARY, SCATTERS
+from tautline.geometry import projection_rig
 from tautline.model import Model
 from tautline.recording import Motor
-from tautline.rig import Rig
 
 Array = npt.NDArray[np.float64]
 
 NATIVE = frozenset(name for name, *_ in _native.effect_parameters)  # what moves the tip
-SIGHT = frozenset(name for name, *_ in _native.projection_parameters)  # what changes where it is seen
+PROJECTION = frozenset(name for name, *_ in _native.projection_parameters)  # what changes where it is seen
 _TABLED = tuple(kind for kind in LIBRARY if kind.in_tables)
 _MEANS = frozenset(kind.event.mean for kind in LIBRARY if kind.event)
 
@@ -141,7 +141,7 @@ def see(
 ) -> Array:
     """As `image`, of tips whose c and way (n,) are known and whose registration does not change."""
     n = np.ones(len(c_deg))
-    known = {name: value for name, value in parameters.items() if name in SIGHT}
+    known = {name: value for name, value in parameters.items() if name in PROJECTION}
     rig = projection_rig(model.rig)
     translation, rotation = n * np.asarray(translation_mm), n * np.asarray(rotation_deg)
     return _native.see(known, rig, c_deg, translation, rotation, way, None, False)  # type: ignore[no-any-return]
@@ -159,7 +159,7 @@ def _see(model: Model, path: Path, parameters: Mapping[str, Any], clock_offset_s
     if "shift_time" in parameters:
         shifted = (path.scene_s + clock_offset_s >= parameters["shift_time"]).view(np.uint8)
     return _native.see(
-        {name: value for name, value in parameters.items() if name in SIGHT},
+        {name: value for name, value in parameters.items() if name in PROJECTION},
         projection_rig(model.rig),
         path.c_deg,
         path.translation_mm,
@@ -167,20 +167,4 @@ def _see(model: Model, path: Path, parameters: Mapping[str, Any], clock_offset_s
         path.way,
         shifted,
         slopes,
-    )
-
-
-def projection_rig(rig: Rig) -> Array:
-    """The numbers of struct projection_rig (host/native/projection.h)."""
-    assert rig.kinematics and rig.camera and rig.hand_eye
-    camera = rig.camera
-    return np.array(
-        [
-            rig.kinematics.bending_length_mm,
-            rig.kinematics.tip_length_mm,
-            *geometry.rotation(rig.hand_eye.rotation_deg).ravel(),
-            *rig.hand_eye.translation_mm,
-            *(camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px),
-            *camera.distortion,
-        ]
     )

@@ -15,6 +15,7 @@ from tautline.device import wire
 from tautline.errors import TautError
 from tautline.geometry import coarse_range_deg, pose
 from tautline.layouts import TRAJECTORY
+from tautline.live.in_use import Following, TableMover, load_tables
 from tautline.live.session import driving, set_range
 from tautline.live.setup import Frame, Live, Recorder
 from tautline.model import Model
@@ -49,6 +50,7 @@ class Followed:
     counters: dict[str, Any] = field(default_factory=dict)
     clipped: float = 0.0  # share of the trajectory's time that is beyond `reach_deg`: the tip is held at its end there
     reach_deg: tuple[float, float] = (float("-inf"), float("inf"))  # that the tables, or f_coarse without any, can give
+    tracking: dict[str, Any] | None = None  # what was learnt meanwhile, and how the tables were moved
 
     @property
     def error_deg(self) -> Array:
@@ -177,17 +179,20 @@ def follow_run(
     speed_deg_s: float = 15.0,
     seed: int = 0,
     folder: Path | None = None,
+    track: bool = False,
     progress: Progress = None,
 ) -> Followed:
     """One run of `taut follow`: tables, trajectory, recording, score.
 
     compensation: off (the motor follows f_coarse's inverse), backlash (f_coarse and B), full (f_remain and B).
+    track: the model is kept calibrated by the camera meanwhile, and the board's tables are moved with it.
     """
-    from tautline import tables
+    if track and model is None:
+        raise TautError("nothing to track: name the MODEL whose tables are in the board")
 
     board, axis, coarse = live.board, live.axis, live.rig.coarse
     if model is not None:
-        board.load_table(axis, tables.encode(model, axis=axis))
+        load_tables(board, axis, model)
     has_tables = bool(board.read_table(axis))
     if not has_tables and compensation != "off":
         raise TautError(f"axis {axis} has no tables: flash a model first, or use --compensation off")
@@ -195,6 +200,7 @@ def follow_run(
     low, high = _reach(live)
     asked = np.interp(np.linspace(t_s[0], t_s[-1], _LOOKS), t_s, c_deg)
     clipped = float(np.mean((asked < low - _COUNTS_AS_BEYOND) | (asked > high + _COUNTS_AS_BEYOND)))
+    following = Following(live, model, mover=TableMover(live)) if track and model is not None else None
     recorder = Recorder(live, folder) if folder is not None else None
     frames: list[Frame] = []
 
@@ -202,6 +208,8 @@ def follow_run(
         frames.append(frame)
         if recorder is not None:
             recorder.add(frame)
+        if following is not None:
+            following.seen(frame)
 
     counters = board.counters(clear=True)
     try:
@@ -214,7 +222,7 @@ def follow_run(
             tip=has_tables,
             compensation=COMPENSATIONS[compensation],
             strength=strength,
-            seen=seen if recorder is not None or live.plant is None else None,
+            seen=seen if recorder is not None or following is not None or live.plant is None else None,
             progress=progress,
         )
         plan = sent if has_tables else coarse.gain * sent + coarse.offset
@@ -229,7 +237,8 @@ def follow_run(
         )
     scored = _score(live, begin_s, sent_s, plan, frames)
     counted = {name: int(v) for name, v in counters.values.items() if name != "t_us"}
-    return replace(scored, counters=counted, clipped=clipped, reach_deg=(low, high))
+    learnt = None if following is None else following.summary()
+    return replace(scored, counters=counted, clipped=clipped, reach_deg=(low, high), tracking=learnt)
 
 
 def _score(live: Live, begin_s: float, t_s: Array, plan: Array, frames: list[Frame]) -> Followed:

@@ -93,9 +93,9 @@ class Endoscope:
     ) -> tuple[tuple[int, int], Array] | None:
         """The patch of `picture` with the marker in it, float levels, and its corner; None where it is not in view."""
         look = self.look
-        base = about_base_z(turn, tip_bend(self._kinematics, c)[0] + np.column_stack([0 * c, 0 * c, translation]))
+        base = about_base_z(turn, tip_bend(self._kinematics, c) + np.column_stack([0 * c, 0 * c, translation]))
         point = to_camera(self._hand_eye, base)
-        image = to_image(self._camera, point)[0]
+        image = to_image(self._camera, point)
         if not np.isfinite(image).all():
             return None
         radius = self._camera.fx_px * look.marker_radius_mm / float(np.mean(point[:, 2]))
@@ -133,8 +133,8 @@ class Endoscope:
         """The straight shaft from behind the camera, the constant-curvature section and the rigid tip."""
         share = np.linspace(0.0, 1.0, 14)
         length = self._kinematics.bending_length_mm
-        arc = length * share[:, None] * tip_bend(Kinematics(1.0, 0.0), c_deg * share)[0]
-        end = tip_bend(self._kinematics, c_deg)[0]
+        arc = length * share[:, None] * tip_bend(Kinematics(1.0, 0.0), c_deg * share)
+        end = tip_bend(self._kinematics, c_deg)
         shaft = np.array([[0.0, 0.0, z] for z in np.linspace(-60.0, -1.0, 30)])
         base = np.vstack([shaft, arc, 0.5 * (arc[-1:] + end), end])
         base[:, 2] += translation_mm
@@ -142,7 +142,7 @@ class Endoscope:
         point = point[point[:, 2] > 3.0]
         if len(point) < 2:
             return
-        line = to_image(self._camera, point)[0]
+        line = to_image(self._camera, point)
         height, width = picture.shape[:2]
         half = self._camera.fx_px * self.look.tube_radius_mm / point[:, 2]
         along = np.gradient(line, axis=0)

@@ -126,7 +126,7 @@ class Corrected(Instrument):
         self.jitter_s = self._effects.pop("jitter", 0.0)
         for name in ("held_share", "clock_rate"):  # its camera repeats nothing and has the motor's clock
             self._effects.pop(name, None)
-        self.drawn = not any(name in effects.SIGHT for name in self._effects)
+        self.drawn = not any(name in effects.PROJECTION for name in self._effects)
         self.reset()
 
     def reset(self, p: float = float("nan")) -> None:

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from tautline import _native
-from tautline.effects.simulation import projection_rig
+from tautline.geometry import projection_rig
 from tautline.model import Model
 from tautline.rig import MARKER, Sensor
 

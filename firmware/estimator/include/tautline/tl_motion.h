@@ -120,6 +120,7 @@ void tl_motion_frame(tl_motion_t *motion);
 /// Comes to rest within the limits, then TL_MOTION_STOPPED. Ignored unless running.
 void tl_motion_stop(tl_motion_t *motion);
 
+/// Where the motion is; TL_MOTION_IDLE before the first start.
 tl_motion_state_t tl_motion_state(const tl_motion_t *motion);
 
 /// 0 to 1000, never falls between two starts; 1000 only when complete.

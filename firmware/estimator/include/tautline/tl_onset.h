@@ -168,6 +168,7 @@ typedef struct {
     tl_onset_sample_t window[TL_ONSET_WINDOW];
 } tl_onset_detector_t;
 
+/// A configuration that tl_onset_init() takes: the reference rig's.
 tl_onset_config_t tl_onset_defaults(void);
 
 /// Forgets everything; false, and the detector is unusable, if a field of `config` is out of its range.

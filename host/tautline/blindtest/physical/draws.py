@@ -53,7 +53,7 @@ KNOWN: Mapping[str, Draw] = {
     "acquisition.delay": lambda g, t: {"late": around(g, 0.015, 0.05)},
     "acquisition.held_samples": lambda g, t: {"stalls": float(g.uniform(0.1, 0.3)), "stall_s": size(g, 0.25, 0.8)},
 }
-SIGHT = frozenset({"registration.static", "registration.shift"})  # only a camera has them
+PROJECTION = frozenset({"registration.static", "registration.shift"})  # only a camera has them
 # Outside of the library: the patient breathes, and what the tip lies against pushes it.
 UNKNOWN: Mapping[str, Draw] = {
     "breathing": lambda g, t: {

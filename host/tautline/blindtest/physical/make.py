@@ -14,7 +14,7 @@ from scipy.special import expit
 
 from tautline import trajectory
 from tautline.blindtest.cases import VISIBLE, Case, Label
-from tautline.blindtest.physical.draws import KNOWN, SIGHT, UNKNOWN
+from tautline.blindtest.physical.draws import KNOWN, PROJECTION, UNKNOWN
 from tautline.blindtest.physical.mechanism import STEP_S, MechanismPath, Topology, Values, drive
 from tautline.geometry import rotation
 from tautline.recording import Angle, Marker, Motor, Recording
@@ -34,7 +34,7 @@ _OTHER = "wrist_deg"  # column of the joint beside it
 
 
 def known(topology: Topology) -> tuple[str, ...]:
-    return tuple(name for name in KNOWN if topology.seen or name not in SIGHT)
+    return tuple(name for name in KNOWN if topology.seen or name not in PROJECTION)
 
 
 @dataclass(frozen=True)
