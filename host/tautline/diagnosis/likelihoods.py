@@ -26,6 +26,7 @@ CONSTANT = frozenset(kind.id for kind in LIBRARY if kind.nominal)  # parts of th
 LAWS = frozenset(kind.id for kind in LIBRARY if kind.law)
 BROUGHT = {kind.id: frozenset(kind.brings) for kind in LIBRARY if kind.brings}
 LOG_ODDS_MARGIN = 5.0  # of every rival, as a logarithm: an event beside another effect that is told for sure
+OWN_EXCESS = 0.5  # of the floor's power: what its own calibration may leave above it and nothing be wrong
 INEXACT = 4.0  # times the floor's power that a nominal model may leave of its own calibration
 CONFINED = 0.5  # probability that what a wrong effect leaves is confined to its stage as well
 _SHARES = np.geomspace(1e-5, 1.0, 41)
@@ -201,7 +202,8 @@ class Likelihoods:
         freedom = self.by.block_freedom
         usual = (freedom + n) * np.log1p(n / freedom)  # where the power is as predicted both agree
         quantiles = -np.log1p(-(np.arange(15) + 0.5) / 15.0)  # of an exponential prior
-        above = self.by.calibration_excess * quantiles
+        own = min(self._nominal2 / self._floor2 - 1.0, OWN_EXCESS)
+        above = own + self.by.calibration_excess * quantiles
         predicted = (1.0 + above[:, None]) * self._floor2
         loss = usual + n * (np.log(predicted) + frozen / predicted - 1.0)
         return float(_log_sum(-0.5 * np.sum(loss, axis=1)) - np.log(len(above)))
