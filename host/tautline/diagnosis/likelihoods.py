@@ -196,8 +196,8 @@ class Likelihoods:
         return float(right - np.logaddexp(np.log(CONFINED) + right, np.log1p(-CONFINED) + wrong))
 
     def _nothing(self, frozen: Array) -> float:
-        """The calibrated model as it is leaves noise and little more: a gap that recalibrating closes is a gap, and one
-        in a single block too."""
+        """The calibrated model as it is leaves noise and little more: what a recalibration takes of it is what the
+        calibration did not know, and a gap that it closes is a gap, one in a single block too."""
         n = self._tells
         freedom = self.by.block_freedom
         usual = (freedom + n) * np.log1p(n / freedom)  # where the power is as predicted both agree
@@ -205,8 +205,11 @@ class Likelihoods:
         own = min(self._nominal2 / self._floor2 - 1.0, OWN_EXCESS)
         above = own + self.by.calibration_excess * quantiles
         predicted = (1.0 + above[:, None]) * self._floor2
-        loss = usual + n * (np.log(predicted) + frozen / predicted - 1.0)
-        return float(_log_sum(-0.5 * np.sum(loss, axis=1)) - np.log(len(above)))
+        recalibrated = self._hypotheses[0].power
+        taken = max(float(np.mean(frozen - recalibrated)), 0.0) / self._floor2
+        loss = usual + n * (np.log(predicted) + np.minimum(frozen, recalibrated) / predicted - 1.0)
+        said = float(_log_sum(-0.5 * np.sum(loss, axis=1)) - np.log(len(above)))
+        return said - taken / (own + self.by.calibration_excess)
 
     def _by_chance(self, h: Weighed, left: float, after: float) -> float:
         """Logarithm of the probability that what a further effect closes is what a right one leaves: that this is so
