@@ -42,9 +42,9 @@ START = Hyperparameters(
 )  # fmt: skip  # docs/diagnosis.md says why
 _PRIOR = 0.7  # spread of a logarithm about START
 _UNLIKE, _UNLIKE_WORTH = 0.3, 2.0  # spread between generators expected, and of how many generators that is worth
-_ROUNDS, _STEPS, _STEP = 2, 6, 0.05
+_ROUNDS, _STEPS, _STEP = 1, 4, 0.05
 _LEAST = 0.01  # of a truth's probability: no case says more than that all is wrong
-_KEPT = 16  # hypotheses of a case that weigh anything
+_KEPT = 12  # hypotheses of a case that weigh anything
 _MIX = {NONE: 0.25, UNEXPLAINED: 0.25}  # of a generator's weight; the rest is of effects
 _COVERS = 0.95
 

@@ -49,6 +49,13 @@ def test_noise_alone_is_nothing():
     assert verdict.name == "none" and verdict.none > 0.9
 
 
+def test_what_the_calibration_leaves_of_itself_is_no_gap():
+    """Tests that are no worse than the recording that was calibrated on."""
+    gap = evidence({(LAG,): 1.0, (CREEP,): 1.0}, before=0.8)
+    assert decide(gap).name != "none"
+    assert decide(replace(gap, calibrated=1.25 * FLOOR**2)).name == "none"
+
+
 def test_a_small_gap_that_an_effect_closes_is_no_noise():
     """1.2 times the noise: less than any factor on the floor would find without crying wolf."""
     verdict = decide(evidence({(LAG,): 0.02, (CREEP,): 0.9, (DRIFT,): 1.0}, before=0.45))

@@ -26,6 +26,7 @@ CONSTANT = frozenset(kind.id for kind in LIBRARY if kind.nominal)  # parts of th
 LAWS = frozenset(kind.id for kind in LIBRARY if kind.law)
 BROUGHT = {kind.id: frozenset(kind.brings) for kind in LIBRARY if kind.brings}
 LOG_ODDS_MARGIN = 5.0  # of every rival, as a logarithm: an event beside another effect that is told for sure
+OWN_EXCESS = 0.5  # of the floor's power: what its own calibration may leave above it and nothing be wrong
 INEXACT = 4.0  # times the floor's power that a nominal model may leave of its own calibration
 CONFINED = 0.5  # probability that what a wrong effect leaves is confined to its stage as well
 _SHARES = np.geomspace(1e-5, 1.0, 41)
@@ -195,16 +196,20 @@ class Likelihoods:
         return float(right - np.logaddexp(np.log(CONFINED) + right, np.log1p(-CONFINED) + wrong))
 
     def _nothing(self, frozen: Array) -> float:
-        """The calibrated model as it is leaves noise and little more: a gap that recalibrating closes is a gap, and one
-        in a single block too."""
+        """The calibrated model as it is leaves noise and little more: what a recalibration takes of it is what the
+        calibration did not know, and a gap that it closes is a gap, one in a single block too."""
         n = self._tells
         freedom = self.by.block_freedom
         usual = (freedom + n) * np.log1p(n / freedom)  # where the power is as predicted both agree
         quantiles = -np.log1p(-(np.arange(15) + 0.5) / 15.0)  # of an exponential prior
-        above = self.by.calibration_excess * quantiles
+        own = min(self._nominal2 / self._floor2 - 1.0, OWN_EXCESS)
+        above = own + self.by.calibration_excess * quantiles
         predicted = (1.0 + above[:, None]) * self._floor2
-        loss = usual + n * (np.log(predicted) + frozen / predicted - 1.0)
-        return float(_log_sum(-0.5 * np.sum(loss, axis=1)) - np.log(len(above)))
+        recalibrated = self._hypotheses[0].power
+        taken = max(float(np.mean(frozen - recalibrated)), 0.0) / self._floor2
+        loss = usual + n * (np.log(predicted) + np.minimum(frozen, recalibrated) / predicted - 1.0)
+        said = float(_log_sum(-0.5 * np.sum(loss, axis=1)) - np.log(len(above)))
+        return said - taken / (own + self.by.calibration_excess)
 
     def _by_chance(self, h: Weighed, left: float, after: float) -> float:
         """Logarithm of the probability that what a further effect closes is what a right one leaves: that this is so
