@@ -39,7 +39,7 @@ axes = figure.subplots()
 axes.plot(model.q[inside], model.width[inside], color="#b3202c", label="B(q)")
 low, high = model.width - 2 * model.width_sigma, model.width + 2 * model.width_sigma
 axes.fill_between(model.q[inside], low[inside], high[inside], color="#f3c9cc", label="± 2 sigma")
-used = [onset for onset in found.onsets if onset.used]
+used = [onset for onset in calibration.onsets if onset.used]
 axes.plot([0.5 * (o.q1 + o.q2) for o in used], [o.width for o in used], ".", color="#22303c", label="reversals")
 axes.set(xlabel="motor q (deg)", ylabel="backlash (deg)", title="A cable-driven joint, measured with an angle sensor")
 axes.legend()

@@ -38,13 +38,13 @@ Array = npt.NDArray[np.float64]
 START = Hyperparameters(
     misfit_tells=1.0, noise_tells=10.0, block_freedom=3.0, unexplained=0.05, unexplained_by_law=1e-4,
     unexplained_by_wrong=0.2, mimics=0.06, share_spread=1.5, calibration_excess=0.1, odds_none=30.0, odds_unknown=0.9,
-    odds_further=0.05, parameter_price=0.5, floor_known=0.2, floor_steady=0.07, disturbed=0.03,
+    odds_further=0.05, odds_brought=0.3, parameter_price=0.5, floor_known=0.2, floor_steady=0.07, disturbed=0.03,
 )  # fmt: skip  # docs/diagnosis.md says why
 _PRIOR = 0.7  # spread of a logarithm about START
 _UNLIKE, _UNLIKE_WORTH = 0.3, 2.0  # spread between generators expected, and of how many generators that is worth
-_ROUNDS, _STEPS, _STEP = 3, 8, 0.05
+_ROUNDS, _STEPS, _STEP = 1, 4, 0.05
 _LEAST = 0.01  # of a truth's probability: no case says more than that all is wrong
-_KEPT = 24  # hypotheses of a case that weigh anything
+_KEPT = 12  # hypotheses of a case that weigh anything
 _MIX = {NONE: 0.25, UNEXPLAINED: 0.25}  # of a generator's weight; the rest is of effects
 _COVERS = 0.95
 
@@ -71,20 +71,21 @@ def _loss(case: Case, logarithms: Array) -> float:
 
 
 def _slopes(case: Case, logarithms: Array) -> Array:
-    """Loss, and its derivatives by central differences."""
-    steps = _STEP * np.eye(len(logarithms))
-    ahead = [(_loss(case, logarithms + step) - _loss(case, logarithms - step)) / (2.0 * _STEP) for step in steps]
-    return np.array([_loss(case, logarithms), *ahead])
+    """Loss, and its derivatives by differences."""
+    here = _loss(case, logarithms)
+    ahead = [(_loss(case, logarithms + step) - here) / _STEP for step in _STEP * np.eye(len(logarithms))]
+    return np.array([here, *ahead])
 
 
-def load(folders: Sequence[Path]) -> list[Case]:
+def load(folders: Sequence[Path], scored: bool = False) -> list[Case]:
+    """scored: seeds that only a report may be made of."""
     cases = []
     for folder in folders:
         for diagnosis in sorted((folder / sealed.DIAGNOSES).iterdir()):
             label = Label.from_json(
                 json.loads((folder / sealed.SEALED / diagnosis.name / sealed.LABEL).read_text())["label"]
             )
-            if label.seed >= SCORED_FROM:
+            if label.seed >= SCORED_FROM and not scored:
                 raise click.ClickException(
                     f"{folder}: seed {label.seed} is scored, not learnt from: name one of --seed 1 to {SCORED_FROM - 1}"
                 )
@@ -119,15 +120,16 @@ def weights_of(cases: Sequence[Case]) -> Array:
 def learn(cases: Sequence[Case], pool: ProcessPoolExecutor) -> Learnt:
     """`covers` as it would be were all known."""
     generators = sorted({case.generator for case in cases})
-    center = start = START.logarithms()
-    own = dict.fromkeys(generators, start)
-    variance = np.full(len(NAMES), _UNLIKE**2)
+    center: Array = START.logarithms()
+    start, own = center, dict.fromkeys(generators, center)
+    variance: Array = np.full(len(NAMES), _UNLIKE**2)
     for _ in range(_ROUNDS):
         for name in generators:
             mine = [case for case in cases if case.generator == name]
             own[name] = _likeliest(mine, own[name], center, variance, pool)
-        center = (start / _PRIOR**2 + sum(own.values()) / variance) / (1.0 / _PRIOR**2 + len(own) / variance)
-        squares = sum(np.square(at - center) for at in own.values())
+        together = np.sum(list(own.values()), axis=0)
+        center = (start / _PRIOR**2 + together / variance) / (1.0 / _PRIOR**2 + len(own) / variance)
+        squares = np.sum([np.square(at - center) for at in own.values()], axis=0)
         variance = (_UNLIKE_WORTH * _UNLIKE**2 + squares) / (_UNLIKE_WORTH + len(own))
     return Learnt(Hyperparameters.of_logarithms(center), np.sqrt(variance), _COVERS)
 
@@ -189,9 +191,17 @@ def row(name: str, verdicts: Sequence[tuple[Case, Decision]], covers: float) -> 
 @click.command()
 @click.argument("campaigns", nargs=-1, required=True, type=click.Path(exists=True, file_okay=False, path_type=Path))
 @click.option("--leave-out", multiple=True, help="Families that nothing is learnt from: they are reported alone.")
+@click.option(
+    "--report",
+    multiple=True,
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    help="Campaigns of scored seeds that nothing is learnt from.",
+)
 @click.option("--write", is_flag=True, help="Put what is learnt into the package.")
 @click.option("--jobs", type=click.IntRange(1), default=os.cpu_count() or 1, help="Processes.")
-def main(campaigns: tuple[Path, ...], leave_out: tuple[str, ...], write: bool, jobs: int) -> None:
+def main(
+    campaigns: tuple[Path, ...], leave_out: tuple[str, ...], report: tuple[Path, ...], write: bool, jobs: int
+) -> None:
     """Learns from blind CAMPAIGNS, and tells what that says of generators that were left out."""
     cases = load(campaigns)
     learnable = [case for case in cases if case.family not in leave_out]
@@ -209,14 +219,21 @@ def main(campaigns: tuple[Path, ...], leave_out: tuple[str, ...], write: bool, j
     everything = replace(everything, covers=conformal(unseen) if unseen else _COVERS)
     started = Learnt(START, np.zeros(len(NAMES)), _COVERS)
     for family in families:
-        mine = [(case, verdict) for case, verdict in unseen if case.family == family]
-        if mine:
-            told.append(row(f"{family}, left out", mine, everything.covers))
+        said = [(case, verdict) for case, verdict in unseen if case.family == family]
+        if said:
+            told.append(row(f"{family}, left out", said, everything.covers))
     for family in sorted({case.family for case in cases}):
         mine = [case for case in cases if case.family == family]
         told.append(row(f"{family}, as it started", [(c, decide(c.evidence, started)) for c in mine], _COVERS))
         name = f"{family}, {'left out' if family in leave_out else 'learnt on'}"
         told.append(row(name, [(c, decide(c.evidence, everything)) for c in mine], everything.covers))
+    reported = load(report, scored=True)
+    for family in sorted({case.family for case in reported}):
+        mine = [case for case in reported if case.family == family]
+        ways = [("as it started", started), ("learnt", everything)]
+        ways += [("learnt without it", by[family])] if family in by else []
+        for name, way in ways:
+            told.append(row(f"{family}, report, {name}", [(c, decide(c.evidence, way)) for c in mine], way.covers))
     table = Table(
         "generators", "-log p of the truth", "right name leads", "in its set", "unknown", "none", "calibration error"
     )

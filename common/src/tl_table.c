@@ -10,7 +10,7 @@ static const uint8_t magic[4] = {'T', 'L', 'T', 'B'};
 
 // The header's fields in their order (offset, bytes, type, name) serve writing and reading alike.
 #define HEADER_FIELDS(X)                                                                                               \
-    X(8, 1, uint8_t, axis)                                                                                             \
+    X(AXIS_AT, 1, uint8_t, axis)                                                                                       \
     X(9, 1, uint8_t, kind)                                                                                             \
     X(10, 1, uint8_t, unit)                                                                                            \
     X(11, 1, uint8_t, step_log2)                                                                                       \
@@ -31,7 +31,7 @@ static const uint8_t magic[4] = {'T', 'L', 'T', 'B'};
     X(64, 4, uint32_t, delay_us)                                                                                       \
     X(68, 4, uint32_t, created_s)
 
-enum { MODEL_ID_AT = 72, INSTRUMENT_AT = 80 };
+enum { AXIS_AT = 8, MODEL_ID_AT = 72, INSTRUMENT_AT = 80 };
 
 // Printable ASCII, then zeros.
 static bool is_text(const char *text, size_t size) {
@@ -68,7 +68,7 @@ size_t tl_table_encode(const tl_table_t *table, uint8_t *blob, size_t capacity) 
     return size;
 }
 
-tl_table_reason_t tl_table_decode(const uint8_t *blob, size_t size, uint8_t axis, tl_table_t *table) {
+tl_table_reason_t tl_table_check_blob(const uint8_t *blob, size_t size, uint8_t axis) {
     if (size < TL_TABLE_SIZE(0U)) {
         return TL_TABLE_BAD_SHORT;
     }
@@ -85,6 +85,15 @@ tl_table_reason_t tl_table_decode(const uint8_t *blob, size_t size, uint8_t axis
     if (tl_get(blob + size - 4, 4) != tl_crc32(0, blob, size - 4)) {
         return TL_TABLE_BAD_CRC;
     }
+    const uint8_t own = blob[AXIS_AT];
+    return own >= TL_TABLE_AXES || (axis != TL_TABLE_ANY_AXIS && axis != own) ? TL_TABLE_BAD_AXIS : TL_TABLE_OK;
+}
+
+tl_table_reason_t tl_table_decode(const uint8_t *blob, size_t size, uint8_t axis, tl_table_t *table) {
+    tl_table_reason_t reason = tl_table_check_blob(blob, size, axis);
+    if (reason != TL_TABLE_OK) {
+        return reason;
+    }
 #define GET(offset, bytes, type, name) table->name = (type)tl_get(blob + (offset), bytes);
     HEADER_FIELDS(GET)
 #undef GET
@@ -97,12 +106,12 @@ tl_table_reason_t tl_table_decode(const uint8_t *blob, size_t size, uint8_t axis
         return TL_TABLE_BAD_RESERVED;
     }
     const size_t plain = TL_TABLE_SIZE(table->nodes);
-    if (format == TL_TABLE_FORMAT_PLAIN ? plain != size : plain > size) {
+    if (tl_get(blob + 4, 2) == TL_TABLE_FORMAT_PLAIN ? plain != size : plain > size) {
         return TL_TABLE_BAD_SIZE;
     }
     const uint8_t *at = tl_get_column(blob + TL_TABLE_HEADER_SIZE, table->width, table->nodes);
     at = tl_get_column(at, table->angle, table->nodes);
-    const tl_table_reason_t reason = tl_sections_get(at, blob + size - 4, table);
+    reason = tl_sections_get(at, blob + size - 4, table);
     return reason == TL_TABLE_OK ? tl_table_check(table, axis) : reason;
 }
 

@@ -183,6 +183,13 @@ void bind_wire(nb::module_ &m) {
     TL_WIRE_MESSAGES(MESSAGE)
     wire.attr("MESSAGES") = messages;
 
+    // SINCE: name -> the minor version that added it
+    nb::dict since;
+#define ADDED(name, minor) since[#name] = minor;
+    TL_WIRE_SINCE(ADDED)
+#undef ADDED
+    wire.attr("SINCE") = since;
+
     // Each code list: NAME -> (code, text)
     nb::dict codes;
 #define CODE(code, NAME, text) codes[#NAME] = nb::make_tuple(code, text);

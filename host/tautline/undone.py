@@ -141,7 +141,7 @@ def _late(v: Mapping[str, float]) -> Section:
             filtered = max(_LEAD[0], _LEAD[1] * stage, _APART * filtered)
             above, below = above * np.poly1d([stage + filtered, 1.0]), below * np.poly1d([filtered, 1.0])
     share, slow = min(v.get("creep_share", 0.0), _CREEP_MOST), v.get("creep_slow", 0.0)
-    if share > 0.0:
+    if share != 0.0:
         fast = np.poly1d([v["creep_time"], 1.0])
         slowly = np.poly1d([5.0 * v["creep_time"], 1.0]) if slow > 0.0 else np.poly1d([1.0])
         above = above * fast * slowly

@@ -40,6 +40,18 @@ def test_another_protocol_generation_is_refused_with_the_command_that_mends_it(b
         check_protocol(replace(found, protocol=(wire.wire.MAJOR - 1, 0)))
 
 
+def test_firmware_older_than_a_message_is_named_before_it_is_sent(board: Board) -> None:
+    board.identity = replace(board.identity, values={**board.identity.values, "protocol_minor": 0})
+    major = wire.wire.MAJOR
+    for send in (board.ask, board.tell):
+        for name, since in wire.wire.SINCE.items():
+            with pytest.raises(
+                TautError, match=rf"protocol {major}\.0, '{name}' came with {major}\.{since}: (run|hold)"
+            ):
+                send(name, axis=0)
+    assert board.sync() >= 0  # it did not hear of it
+
+
 def test_two_hosts(bench: Bench) -> None:
     with bench.open() as board:
         with pytest.raises(TautError, match="another program uses the board"):

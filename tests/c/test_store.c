@@ -204,6 +204,62 @@ static void test_uploads_that_cannot_be_are_refused_and_change_nothing(void) {
     TEST_ASSERT_EQUAL(1, in_use());
 }
 
+// The newer slot holds a whole blob that this firmware refuses: the older one is in use, and stays until the next is
+// whole, wherever the power goes.
+static void test_the_table_in_use_stays_where_the_newer_one_was_refused(void) {
+    make_tables();
+    static uint8_t foreign[TL_TABLE_SIZE_MAX];
+    for (uint32_t cut = 1;; cut++) {
+        fake_new(1);
+        TEST_ASSERT_EQUAL(TL_UPLOAD_OK, fake_upload(0, blob[0], size));
+        const uint16_t other = fake_table(foreign, 1, 9);
+        TEST_ASSERT_TRUE(tl_store_write(&fake_port, 0, 0U, foreign, other));
+        restart();
+        TEST_ASSERT_EQUAL(1, in_use());
+        TEST_ASSERT_EQUAL(TL_WIRE_TABLE_OLDER, fake_status(0).table);
+        fake.operations = 0;
+        fake.cut_at = cut;
+        fake.cut_pattern = 2;
+        const tl_upload_t result = fake_upload(0, blob[1], size);
+        TEST_ASSERT_EQUAL(fake.dead ? TL_UPLOAD_FLASH : TL_UPLOAD_OK, result);
+        const bool whole = !fake.dead;
+        restart();
+        TEST_ASSERT_EQUAL(whole ? 2 : 1, in_use());
+        TEST_ASSERT_EQUAL(TL_WIRE_FAULT_NONE, fake_status(0).fault);
+        if (whole) {
+            TEST_ASSERT_EQUAL(TL_WIRE_TABLE_NEWEST, fake_status(0).table);
+            break;
+        }
+    }
+}
+
+// Flash that has lost the table in use: what comes damaged, or for another axis, leaves it at work; what is refused for
+// its content cannot, and the status says so.
+static void test_a_damaged_upload_leaves_the_table_in_use_though_flash_has_lost_it(void) {
+    make_tables();
+    TEST_ASSERT_EQUAL(TL_UPLOAD_OK, fake_upload(0, blob[0], size));
+    fake.flash[app.tables.in_use[0].blob + 100U] ^= 1U;
+    static uint8_t bad[TL_TABLE_SIZE_MAX];
+    memcpy(bad, blob[1], size);
+    bad[200] ^= 1U;
+    TEST_ASSERT_EQUAL(TL_UPLOAD_REFUSED, fake_upload(0, bad, size));
+    TEST_ASSERT_EQUAL(TL_TABLE_BAD_CRC, fake_status(0).table_reason);
+    fake_table(bad, 1, 2);
+    TEST_ASSERT_EQUAL(TL_UPLOAD_REFUSED, fake_upload(0, bad, size));
+    TEST_ASSERT_EQUAL(TL_TABLE_BAD_AXIS, fake_status(0).table_reason);
+    TEST_ASSERT_TRUE(app.axes[0].has_table);
+    TEST_ASSERT_EQUAL(1, app.axes[0].tip.lookup.table.created_s);
+    static tl_table_t steep;
+    TEST_ASSERT_EQUAL(TL_TABLE_OK, tl_table_decode(blob[1], size, 0, &steep));
+    steep.width[5] = steep.width[4] + 4 * 16384;
+    tl_table_encode(&steep, bad, sizeof(bad));
+    TEST_ASSERT_EQUAL(TL_UPLOAD_REFUSED, fake_upload(0, bad, size));
+    TEST_ASSERT_FALSE(app.axes[0].has_table);
+    TEST_ASSERT_EQUAL(TL_WIRE_TABLE_BAD, fake_status(0).table);
+    TEST_ASSERT_EQUAL(TL_UPLOAD_OK, fake_upload(0, blob[2], size));
+    TEST_ASSERT_EQUAL(3, in_use());
+}
+
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_the_newest_table_is_used_and_survives_a_restart);
@@ -213,5 +269,7 @@ int main(void) {
     RUN_TEST(test_both_damaged_is_a_fault_that_can_be_cleared);
     RUN_TEST(test_sequence_numbers_may_wrap);
     RUN_TEST(test_uploads_that_cannot_be_are_refused_and_change_nothing);
+    RUN_TEST(test_the_table_in_use_stays_where_the_newer_one_was_refused);
+    RUN_TEST(test_a_damaged_upload_leaves_the_table_in_use_though_flash_has_lost_it);
     return UNITY_END();
 }

@@ -49,6 +49,13 @@ def test_noise_alone_is_nothing():
     assert verdict.name == "none" and verdict.none > 0.9
 
 
+def test_what_the_calibration_leaves_of_itself_is_no_gap():
+    """Tests that are no worse than the recording that was calibrated on."""
+    gap = evidence({(LAG,): 1.0, (CREEP,): 1.0}, before=0.8)
+    assert decide(gap).name != "none"
+    assert decide(replace(gap, calibrated=1.25 * FLOOR**2)).name == "none"
+
+
 def test_a_small_gap_that_an_effect_closes_is_no_noise():
     """1.2 times the noise: less than any factor on the floor would find without crying wolf."""
     verdict = decide(evidence({(LAG,): 0.02, (CREEP,): 0.9, (DRIFT,): 1.0}, before=0.45))
@@ -70,6 +77,30 @@ def test_a_second_effect_is_named_when_it_closes_more_than_a_right_one_leaves():
     verdict = decide(evidence({(LAG,): 0.4, (DRIFT,): 0.7, (LAG, DRIFT): 0.002}))
     assert verdict.named == (LAG, DRIFT) and min(verdict.probability) > 0.5
     assert verdict.leading[LAG] > verdict.leading[DRIFT]
+
+
+def test_what_a_path_follows_on_unseen_blocks_is_no_scatter():
+    """A smooth misfit is foretold by the frame before, too: with scatter of another origin it would be unknown."""
+    remembered, path = (
+        np.full(BLOCKS, -3.0),
+        Weighed(("transmission.backlash",), power(0.001, 100.0), NOTHING, NOTHING, 4),
+    )
+    found = evidence({(LAG,): 0.9})
+    scattered = Weighed((STICK,), power(1.0, 100.0), 0.7 * remembered, remembered, 1, white=0.8)
+    without = replace(found, hypotheses=(*found.hypotheses, scattered))
+    assert decide(without).name == "unknown"
+    there = decide(replace(without, hypotheses=(*without.hypotheses, path)))
+    assert there.name == "effect" and there.named == ("transmission.backlash",)
+
+
+def test_an_effect_that_brings_a_width_with_it_leads():
+    """Friction elements that came later widen the play and round its corners: one cause, whatever explains more."""
+    onset, width = "transmission.smooth_onset", "transmission.backlash"
+    verdict = decide(evidence({(width,): 0.08, (onset,): 0.9, (width, onset): 0.003}))
+    assert verdict.named == (onset, width) and verdict.leading[onset] > 0.8
+    # Alone it is a width where nothing is left to round.
+    verdict = decide(evidence({(width,): 0.003, (onset,): 0.9, (width, onset): 0.0028}))
+    assert verdict.named == (width,) and verdict.leading[width] > 0.5
 
 
 def test_what_a_right_effect_leaves_is_no_second_one():

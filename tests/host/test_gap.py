@@ -54,3 +54,14 @@ def test_what_is_left_of_a_straight_line_is_what_theory_says():
     squares, neighbours = gap._of_first_order(n)[:, at]
     assert np.mean(np.sum(left**2, axis=1)) == pytest.approx(squares, rel=0.02)
     assert np.mean(np.sum(left[:, 1:] * left[:, :-1], axis=1)) == pytest.approx(neighbours, rel=0.02)
+
+
+@pytest.mark.parametrize(("rho", "strays"), [(0.0, 0.0), (0.7, 0.0), (0.0, 0.02)])
+def test_numbers_that_tell_the_same_are_told_by_how_much_their_power_scatters(rho, strays):
+    """Of blocks of 200: the variance of their mean squares, in that of white Gaussian noise."""
+    rng = np.random.default_rng(8)
+    noise = remembering(rho, 8, 40_000)
+    noise = noise + (rng.random((40_000, 2)) < strays) * rng.normal(0.0, 6.0, (40_000, 2))
+    power = np.mean(np.minimum(np.abs(noise), 5.0).reshape(200, -1) ** 2, axis=1)
+    scatters = float(np.var(power) / np.mean(power) ** 2) / (2.0 / 400)
+    assert gap.alike([still(noise[:8000])], 5.0) == pytest.approx(scatters, rel=0.3)

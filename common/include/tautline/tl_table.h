@@ -239,6 +239,9 @@ tl_table_reason_t tl_table_check(const tl_table_t *table, uint8_t axis);
 /// Content is not checked, so that tests can make bad blobs. `blob` may have any alignment.
 size_t tl_table_encode(const tl_table_t *table, uint8_t *blob, size_t capacity);
 
+/// Whether a blob has come as it was made, and for that axis: format, size, CRC. Its content is not looked at.
+tl_table_reason_t tl_table_check_blob(const uint8_t *blob, size_t size, uint8_t axis);
+
 /// Reads and checks a blob of `size` bytes from anywhere (flash included). On any reason but TL_TABLE_OK the
 /// content of `table` is unspecified and must not be used. Safe on any bytes.
 tl_table_reason_t tl_table_decode(const uint8_t *blob, size_t size, uint8_t axis, tl_table_t *table);

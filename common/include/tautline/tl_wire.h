@@ -29,7 +29,7 @@ extern "C" {
 #endif
 
 #define TL_WIRE_MAJOR            2
-#define TL_WIRE_MINOR            0
+#define TL_WIRE_MINOR            1
 #define TL_WIRE_USB_VENDOR       0x1209U ///< pid.codes
 #define TL_WIRE_USB_PRODUCT      0x0001U ///< its test product: for development, never to be sold under
 #define TL_WIRE_USB_MANUFACTURER "tautline"
@@ -396,6 +396,11 @@ extern "C" {
     M(0x91, ONSET, onset, "unasked: one reversal, during a calibration motion")                                        \
     M(0x92, PROGRESS, progress, "unasked: after each reversal and at the end of the motion")                           \
     M(0x93, EVENT, event, "unasked")
+
+/// Those that a later minor version added: S(name, minor).
+#define TL_WIRE_SINCE(S)                                                                                               \
+    S(adapt, 1)                                                                                                        \
+    S(load, 1)
 
 // -- codes: C(code, NAME, text) ---------------------------------------------------------------------------------
 

@@ -64,7 +64,7 @@ uint8_t tl_settings_store(const tl_port_t *port, tl_axis_t *axes, const tl_wire_
         of.key = 0;
         tl_wire_frame(scratch + i * FRAME_SIZE, TL_WIRE_SETTINGS, 0, &of);
     }
-    if (!tl_store_write(port, TL_STORE_SETTINGS, scratch, TL_WIRE_AXES_MAX * FRAME_SIZE)) {
+    if (!tl_store_write(port, TL_STORE_SETTINGS, 0U, scratch, TL_WIRE_AXES_MAX * FRAME_SIZE)) {
         return TL_WIRE_REASON_FLASH;
     }
     tl_wire_settings_t now = *settings;

@@ -114,10 +114,11 @@ static bool erase(const tl_port_t *port, uint32_t offset) {
     return port->flash_erase(port->context, offset) && is_blank(port, offset, TL_PORT_FLASH_SECTOR);
 }
 
-bool tl_store_write(const tl_port_t *port, uint8_t axis, const uint8_t *blob, uint16_t size) {
+bool tl_store_write(const tl_port_t *port, uint8_t axis, uint32_t kept, const uint8_t *blob, uint16_t size) {
     const tl_slot_t a = tl_store_slot(port, axis, 0);
     const tl_slot_t b = tl_store_slot(port, axis, 1);
-    const uint8_t target = a.whole && (!b.whole || newer(&a, &b)) ? 1U : 0U;
+    const uint8_t older = a.whole && (!b.whole || newer(&a, &b)) ? 1U : 0U;
+    const uint8_t target = kept == 0U ? older : kept < offset_of(axis, 1U) ? 1U : 0U;
     const tl_slot_t *before = target == 1U ? &a : &b;
     const uint32_t offset = offset_of(axis, target);
     if (size > TL_TABLE_SIZE_MAX || !erase(port, offset)) {

@@ -148,13 +148,20 @@ tl_upload_t tl_tables_end(tl_tables_t *tables, uint8_t axis) {
         return TL_UPLOAD_SIZE;
     }
     const uint8_t *blob = tables->upload;
+    tl_table_reason_t reason = tl_table_check_blob(blob, size, axis);
+    if (reason != TL_TABLE_OK) {
+        table->reason = (uint8_t)reason;
+        table->any = false;
+        return TL_UPLOAD_REFUSED; // the one in use was not touched
+    }
     tl_lookup_t *lookup = leave(tables, axis);
-    tl_table_reason_t reason = tl_lookup_load(lookup, blob, size, axis);
+    reason = tl_lookup_load(lookup, blob, size, axis);
     if (reason == TL_TABLE_OK && !table->any && !is_for(&lookup->table, &tables->axes[axis].settings)) {
         reason = TL_TABLE_BAD_INSTRUMENT;
     }
     table->any = false;
-    if (reason != TL_TABLE_OK || !tl_store_write(tables->port, axis, blob, size)) {
+    const uint32_t kept = table->readable ? table->blob : 0U; // not the newest one where that was refused
+    if (reason != TL_TABLE_OK || !tl_store_write(tables->port, axis, kept, blob, size)) {
         load(tables, axis); // what flash has: the one that was in use
         table->reason = (uint8_t)reason;
         return reason != TL_TABLE_OK ? TL_UPLOAD_REFUSED : TL_UPLOAD_FLASH;

@@ -2,7 +2,7 @@
 
 enum { SHARE, TIME, SLOW, COUNT };
 static const struct effect_parameter PARAMETERS[COUNT] = {
-    {"creep_share", 0, "", "share of the motion that comes late; 0 to 1"},
+    {"creep_share", 0, "", "share of the motion that comes late; -1 to 1, below 0 it comes back"},
     {"creep_time", 1, "s", "its time constant"},
     {"creep_slow", 0, "", "share of it that is five times slower; 0 to 1"},
 };

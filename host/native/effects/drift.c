@@ -2,11 +2,12 @@
 
 #include <math.h>
 
-enum { OFFSET, WIDTH, DECAY, COUNT };
+enum { OFFSET, WIDTH, DECAY, FROM, COUNT };
 static const struct effect_parameter PARAMETERS[COUNT] = {
     {"offset_drift", 0, "unit/s", "of the centre coordinate, at first"},
     {"width_drift", 0, "1/s", "of the width, relative, at first"},
     {"drift_decay", 0, "1/s", "1 / the time in which it ends; 0 if it goes on"},
+    {"drift_from", 0, "s", "of the session, when it began"},
 };
 
 static int present(const double *v) {
@@ -15,7 +16,8 @@ static int present(const double *v) {
 
 static void drive(const double *v, double *state, const struct effect_moment *now, struct effect_drive *to) {
     (void)state;
-    const double gone = v[DECAY] > 0.0 ? (1.0 - exp(-v[DECAY] * now->session_s)) / v[DECAY] : now->session_s;
+    const double since = fmax(0.0, now->session_s - v[FROM]);
+    const double gone = v[DECAY] > 0.0 ? (1.0 - exp(-v[DECAY] * since)) / v[DECAY] : since;
     to->q += v[OFFSET] * gone;
     to->scale = fmax(0.0, to->scale * (1.0 + v[WIDTH] * gone));
 }

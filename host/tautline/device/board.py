@@ -83,10 +83,14 @@ def check_protocol(description: BoardAddress) -> None:
     speaks = f"{description.where} speaks protocol {theirs}, this tautline speaks {ours}"
     if theirs > ours:
         raise TautError(f"{speaks}: run 'pip install --upgrade tautline'")
-    if description.where.startswith(("usbip:", "serial:tcp:")):
-        raise TautError(f"{speaks}: run 'cmake --build --preset gcc' and start the board again")
-    mend = "cp build/rp2040/tautline.uf2 /media/$USER/RPI-RP2/"
-    raise TautError(f"{speaks}: hold BOOTSEL while plugging the board in, then run '{mend}'")
+    raise TautError(f"{speaks}: {newer_firmware(description.where)}")
+
+
+def newer_firmware(where: str) -> str:
+    """How a board gets it."""
+    if where.startswith(("usbip:", "serial:tcp:")):
+        return "run 'cmake --build --preset gcc' and start the board again"
+    return "hold BOOTSEL while plugging the board in, then run 'cp build/rp2040/tautline.uf2 /media/$USER/RPI-RP2/'"
 
 
 class Board:
@@ -185,6 +189,7 @@ class Board:
 
     def tell_all(self, name: str, rows: Sequence[Mapping[str, Any]]) -> None:
         """Several such messages in one transfer."""
+        self._check_known(name)
         frames = []
         for values in rows:
             sequence = self._next()
@@ -196,6 +201,7 @@ class Board:
 
     def ask(self, name: str, timeout_s: float | None = None, **values: Any) -> wire.Message:
         """Sends a request and gives its answer; BoardRefused where that is an error."""
+        self._check_known(name)
         timeout_s = self._answer_s if timeout_s is None else timeout_s
         sequence = self._next()
         frame = wire.encode(name, sequence, **values)
@@ -221,6 +227,16 @@ class Board:
                 fault = self._fault(values["axis"])
             raise BoardRefused(name, answer.reason, fault)
         return answer
+
+    def _check_known(self, name: str) -> None:
+        """TautError where the board's firmware is older than the message."""
+        since = wire.wire.SINCE.get(name, 0)
+        if since and self.identity.protocol_minor < since:
+            major, minor = self.identity.protocol_major, self.identity.protocol_minor
+            raise TautError(
+                f"{self.where} speaks protocol {major}.{minor}, '{name}' came with {major}.{since}: "
+                f"{newer_firmware(self.where)}"
+            )
 
     def poll(self, timeout_s: float) -> int:
         """Takes in what the board sends next, waiting up to the time; the number of messages."""
@@ -374,12 +390,12 @@ class Board:
                     progress(min((offset + part) / len(blob), 1.0), "loading")
             self.ask("table_store", _STORE_S, axis=axis, size=len(blob))
         except BoardRefused as error:
-            reason = self.status(axis).table_reason
-            if error.reason == "TABLE_REFUSED" and reason:
-                says = f"the board refused the table of axis {axis}: {wire.table_reason(reason)}"
+            status = self.status(axis)
+            if error.reason == "TABLE_REFUSED" and status.table_reason:
+                says = f"the board refused the table of axis {axis}: {wire.table_reason(status.table_reason)}"
             else:
                 says = f"the board refused the table: {_TABLE_REFUSED.get(error.reason, str(error))}"
-            raise TautError(says) from error
+            raise TautError(says + _left_without(status)) from error
 
     def read_table_by_messages(self, axis: int) -> bytes:
         blob = bytearray()
@@ -391,7 +407,14 @@ class Board:
 
     def _refusal(self, axis: int, error: DfuError) -> TautError:
         """DFU has one byte for the reason; the status message has the table's own."""
-        reason = self.status(axis).table_reason
-        if error.status == 0x02 and reason:
-            return TautError(f"the board refused the table of axis {axis}: {wire.table_reason(reason)}")
-        return error
+        status = self.status(axis)
+        if error.status == 0x02 and status.table_reason:
+            says = f"the board refused the table of axis {axis}: {wire.table_reason(status.table_reason)}"
+            return TautError(says + _left_without(status))
+        return TautError(f"{error}{_left_without(status)}") if _left_without(status) else error
+
+
+def _left_without(status: wire.Message) -> str:
+    """That no table is in use any more, where the one that was is damaged in flash."""
+    lost = status.table == wire.code("TABLES", "BAD")
+    return "; the one that was in use is damaged in flash: flash a table that is whole" if lost else ""

@@ -73,6 +73,7 @@ class Search:
         self._with_path = [kind for kind in kinds if not kind.event]
         self.labels = [np.unique(gap.blocks(s), return_inverse=True)[1] for s in fitter.segments]
         self.limits = outlier_limits(fitter, base)
+        self._alike = gap.alike(fitter.segments, _NOISE * fitter.floor)  # of the noise's numbers
         self.base = self.judged(base)
 
     def judged(self, fit: Fit) -> Candidate:
@@ -84,7 +85,7 @@ class Search:
         left = confined.residuals(self.fitter, fit, further)
         if left is None:
             return None
-        count = [np.bincount(label) * r.shape[1] for label, r in zip(self.labels, left, strict=True)]
+        count = [np.bincount(label) * r.shape[1] / self._alike for label, r in zip(self.labels, left, strict=True)]
         return Beyond(self._power(left, [_NOISE * self.fitter.floor] * len(left)), np.concatenate(count).astype(float))
 
     def power(self, residuals: Sequence[Array]) -> Array:
@@ -146,6 +147,26 @@ class Search:
         values = {slot.key: 0.0 for slot in hypothesis.slots} | dict(below.fit.state.values)
         fit = self.fitter.fit(hypothesis, values, below.fit.state)
         return self.judged(fit) if kinds and fit.finite else None
+
+    def with_brought(self) -> list[Candidate]:
+        """Effects that came after the calibration and moved parts of the nominal model with them, on top of it."""
+        judged = []
+        for kind in self.kinds:
+            parts = [part for part in self.kinds if part.id in kind.brings]
+            if not parts:
+                continue
+            self._progress(f"fitting {kind.id} with what it brings")
+            hypothesis = self.base.fit.hypothesis
+            for one in (*parts, kind):
+                hypothesis = hypothesis.plus(one, Scope.TESTS)
+            values = {slot.key: 0.0 for slot in hypothesis.slots}
+            values |= {p.name: self.fitter.scale(p) for p in kind.amplitudes} | {
+                p.name: p.shape[0] for p in kind.shapes
+            }
+            fit = self.fitter.fit(hypothesis, values, self.base.fit.state)
+            if fit.finite:
+                judged.append(self.judged(fit))
+        return judged
 
     def in_the_mean(self, below: Candidate, kind: Kind, amount: float) -> Candidate | None:
         """An event after the calibration on top of a hypothesis, as it is in the mean: with sticking the play is wider

@@ -15,7 +15,7 @@ from scipy.special import logsumexp
 
 from tautline.diagnosis.hyperparameters import Learnt, learnt
 from tautline.diagnosis.hypotheses import CaseEvidence
-from tautline.diagnosis.likelihoods import Likelihoods
+from tautline.diagnosis.likelihoods import Likelihoods, brought
 from tautline.effects import EVENTS
 
 Array = npt.NDArray[np.float64]
@@ -66,7 +66,8 @@ def decide(evidence: CaseEvidence, by: Learnt | None = None) -> Decision:
     for i, h in enumerate(hypotheses):
         same.setdefault(frozenset(h.ids), []).append(i)
     weights = Likelihoods(evidence, by.center)
-    p = np.mean([_posterior(Likelihoods(evidence, drawn), same) for drawn in by.draws()], axis=0)
+    of_draws = [Likelihoods(evidence, drawn) for drawn in by.draws()] if by.spread.any() else [weights]
+    p = np.mean([_posterior(drawn, same) for drawn in of_draws], axis=0)
     best = {key: max(of, key=lambda i: (p[i], weights.of[i])) for key, of in same.items()}
     for key, of in same.items():
         p[best[key]], p[[i for i in of if i != best[key]]] = p[of].sum(), 0.0
@@ -75,7 +76,7 @@ def decide(evidence: CaseEvidence, by: Learnt | None = None) -> Decision:
     first: dict[int, str] = {}
     for key, i in best.items():
         if key:
-            alone = [(weights.alone(best.get(frozenset({n})), key), n) for n in key]
+            alone = [(weights.alone(best.get(frozenset({n})), key), n) for n in key - brought(key)]
             first[i] = max(alone)[1]
             leading[first[i]] += float(p[i])
 

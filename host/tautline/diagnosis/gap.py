@@ -19,6 +19,7 @@ Array = npt.NDArray[np.float64]
 _STILL_S = 0.6  # a motor at rest for so long has left its own transients behind
 _UNLIKE = 4.0  # times the median rest's power: no noise any more
 _OUTLIER, _MEDIAN = 8.0, 0.455  # deviations that a frame counts at most; median square of noise of unit variance
+_SURE = 2.0  # standard errors
 _MEMORIES = np.linspace(0.0, 0.9, 37)  # from one frame to the next
 BLOCK_S = 8.0  # of a manoeuvre: longer than a residual remembers
 _CUT_INTO = (12, 9)  # blocks, tried in turn where the motor's turns make none
@@ -38,6 +39,29 @@ def noise_floor(segments: Sequence[Segment], residuals: Sequence[Array]) -> floa
     residual's second differences, which a smooth misfit does not reach. Never below what the sensor's own step
     scatters: one that rests within a step shows no noise at all."""
     least = counted(segments)
+    steady = _rests(segments)
+    if steady is None:
+        return max(jitters(residuals), least)
+    squares = sum(float(np.sum(rest**2)) for rest in steady)
+    remembers, expected = _remembers(steady)
+    return max(float(np.sqrt(squares / np.interp(remembers, _MEMORIES, expected))), least)
+
+
+def alike(segments: Sequence[Segment], most: float) -> float:
+    """How many numbers of the noise, cut to `most`, tell as much of its power as one of white Gaussian noise does: more
+    where it remembers, or where single frames are elsewhere."""
+    steady = _rests(segments)
+    if steady is None:
+        return 1.0
+    values = np.clip(np.concatenate([rest.ravel() for rest in steady]), -most, most)
+    memory, _ = _remembers(steady)
+    tailed = float(np.mean(values**4)) / max(float(np.mean(values**2)) ** 2, 1e-300)
+    tailed = max(tailed - _SURE * np.sqrt(24.0 / len(values)), 3.0)  # of a Gaussian: 3
+    return float(0.5 * (tailed - 1.0) * (1.0 + memory**2) / (1.0 - memory**2))
+
+
+def _rests(segments: Sequence[Segment]) -> list[Array] | None:
+    """What was observed in each rest about a straight line; None where there is too little."""
     rests: list[Array] = []
     for segment in segments:
         for stretch in still_stretches(segment):
@@ -48,18 +72,18 @@ def noise_floor(segments: Sequence[Segment], residuals: Sequence[Array]) -> floa
             line = np.column_stack([np.ones_like(t), t - t[0]])
             rests.append(seen - line @ np.linalg.lstsq(line, seen, rcond=None)[0])
     if sum(rest.size - 2 * rest.shape[1] for rest in rests) < 60:
-        return max(jitters(residuals), least)
+        return None
     # A rest in which something happened, such as a shift, tells nothing of noise; a frame that is elsewhere is noise.
     power = [float(np.median(np.square(rest))) for rest in rests]
     usual = float(np.median(power))
     most = _OUTLIER * np.sqrt(usual / _MEDIAN)
-    steady = [np.clip(rest, -most, most) for rest, p in zip(rests, power, strict=True) if p <= _UNLIKE * usual]
-    return max(_deviation(steady), least)
+    return [np.clip(rest, -most, most) for rest, p in zip(rests, power, strict=True) if p <= _UNLIKE * usual]
 
 
-def _deviation(rests: Sequence[Array]) -> float:
-    """Of first-order noise of which each rest's (n, k) own line was taken. What it remembers looks like a line: so much
-    less is left than of white noise."""
+def _remembers(rests: Sequence[Array]) -> tuple[float, Array]:
+    """Memory of the first order from one frame to the next, and the sum of squares that noise of unit variance would
+    leave at each of _MEMORIES. Of each rest (n, k) its own line was taken: what noise remembers looks like a line, so
+    much less is left than of white noise."""
     count: Counter[int] = Counter()
     for rest in rests:
         count[len(rest)] += rest.shape[1]
@@ -67,8 +91,8 @@ def _deviation(rests: Sequence[Array]) -> float:
     follows = sum(float(np.sum(rest[1:] * rest[:-1])) for rest in rests) / max(squares, 1e-300)
     expected = np.sum([many * _of_first_order(n) for n, many in count.items()], axis=0)  # (2, memories)
     unsure = 1.0 / np.sqrt(expected[0, 0])  # of `follows`: no more memory is believed in than it shows
-    remembers = np.interp(follows - unsure, np.maximum.accumulate(expected[1] / expected[0]), _MEMORIES)
-    return float(np.sqrt(squares / np.interp(remembers, _MEMORIES, expected[0])))
+    memory = float(np.interp(follows - unsure, np.maximum.accumulate(expected[1] / expected[0]), _MEMORIES))
+    return memory, expected[0]
 
 
 @cache

@@ -153,6 +153,8 @@ class _Weighing:
             self.add(one, events=i == 0 or hidden)
         if hidden or (candidates and candidates[0].fit.hypothesis.kinds[0].posture and self._open(candidates[0])):
             self.add_posture(candidates)
+        for one in self.search.with_brought() if candidates and self._open(candidates[0]) else []:
+            self.add(one)
         if hidden:
             self.add_in_the_mean(self.search.base)
             # Another width is what sticking does in the mean: beside it nothing of that would be seen.

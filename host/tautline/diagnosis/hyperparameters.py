@@ -37,6 +37,7 @@ class Hyperparameters:
     odds_none: float  # prior, to one effect
     odds_unknown: float
     odds_further: float  # of a further effect to none
+    odds_brought: float  # that an effect which may bring a part of the nominal model with it does
     parameter_price: float  # of the Bayesian information criterion's: held-out blocks have charged for most of it
     floor_known: float  # of the noise power's logarithm: how well a case's is known
     floor_steady: float  # and how unlike blocks are
@@ -52,7 +53,9 @@ class Hyperparameters:
         return cls(**{name: min(value, 0.99) if name in _SHARES else value for name, value in by_name.items()})
 
 
-_SHARES = frozenset(("unexplained", "unexplained_by_law", "unexplained_by_wrong", "mimics", "disturbed"))
+_SHARES = frozenset(
+    ("unexplained", "unexplained_by_law", "unexplained_by_wrong", "mimics", "odds_brought", "disturbed")
+)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ class Beyond:
     """What no law of a hypothesis' stages could leave (confined.py)."""
 
     power: Array  # (blocks,) mean squares
-    count: Array  # (blocks,) of how many numbers
+    count: Array  # (blocks,) of how many independent numbers
 
 
 @dataclass(frozen=True)

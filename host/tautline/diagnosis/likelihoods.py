@@ -24,7 +24,9 @@ COINCIDES = 0.1  # probability that an unknown effect goes with a column that wa
 MEASURED = frozenset(kind.id for kind in LIBRARY if kind.needs == "load")  # effects that follow such a column
 CONSTANT = frozenset(kind.id for kind in LIBRARY if kind.nominal)  # parts of the nominal model
 LAWS = frozenset(kind.id for kind in LIBRARY if kind.law)
+BROUGHT = {kind.id: frozenset(kind.brings) for kind in LIBRARY if kind.brings}
 LOG_ODDS_MARGIN = 5.0  # of every rival, as a logarithm: an event beside another effect that is told for sure
+OWN_EXCESS = 0.5  # of the floor's power: what its own calibration may leave above it and nothing be wrong
 INEXACT = 4.0  # times the floor's power that a nominal model may leave of its own calibration
 CONFINED = 0.5  # probability that what a wrong effect leaves is confined to its stage as well
 _SHARES = np.geomspace(1e-5, 1.0, 41)
@@ -46,6 +48,11 @@ def _student(x: Array) -> Array:
     return np.asarray(constant - 0.5 * (n + 1.0) * np.log1p(np.square(x) / n))
 
 
+def brought(ids: Collection[str]) -> frozenset[str]:
+    """The parts of the nominal model among these that another of them brings with it."""
+    return frozenset().union(*(BROUGHT.get(name, frozenset()) for name in ids)) & set(ids)
+
+
 class Likelihoods:
     """Logarithms: `of` each hypothesis, of `unknown`, and of scatter of another origin (`elsewhere`) than a hypothesis
     says. A block's residual is Student's t in as many dimensions as it tells: blocks differ from what is predicted."""
@@ -59,6 +66,9 @@ class Likelihoods:
         self._tells = self.by.misfit_tells + self.by.noise_tells * np.square(
             self._floor2 / (self._floor2 + self._before)
         )
+        # What a path follows on blocks that its fit did not see is no scatter, of whatever origin.
+        paths = [float(np.mean(h.power)) for h in evidence.hypotheses if not h.scatter.any()]
+        self._followed = min(paths, default=np.inf)
         self._price = 0.5 * self.by.parameter_price * np.log1p(float(np.sum(self._tells)))
         hypotheses = self._hypotheses = evidence.hypotheses
         tables = [self._by_share(h) for h in hypotheses]
@@ -70,7 +80,7 @@ class Likelihoods:
         ]
         # Scatter of an event or of another origin: as their likelihoods are.
         other = [self._gain(h, h.rival) - self._gain(h, h.scatter) if h.scatter.any() else -np.inf for h in hypotheses]
-        alone = np.array([0.0 if len(h.ids) == 1 else -np.inf for h in hypotheses])
+        alone = np.array([0.0 if len(h.ids) == 1 and not self._is_a_path(h) else -np.inf for h in hypotheses])
         self.elsewhere = np.array(own) + log_expit(other) + alone
         # Beside another effect an event has to say more than what that one leaves of itself, which remembers too: so
         # much is no sign of either, unless the event is far ahead of it.
@@ -133,11 +143,14 @@ class Likelihoods:
         return float(chance + np.logaddexp(follows, np.log1p(-self.by.mimics) + _log_sum(table + self._wrong)))
 
     def prior(self, ids: Collection[str]) -> float:
-        """Of one hypothesis. Parts of the nominal model move together."""
-        effects = len(set(ids) - CONSTANT) + bool(CONSTANT & set(ids))
+        """Of one hypothesis. Parts of the nominal model move together; what brings one with it is one cause."""
+        moved = CONSTANT & set(ids)
+        own = moved - brought(ids)
+        effects = len(set(ids) - CONSTANT) + bool(own)
         if effects == 0:
             return float(np.log(self.by.odds_none))
-        return float((effects - 1) * np.log(self.by.odds_further) - np.log(self._applicable))
+        with_it = np.log(self.by.odds_brought) if own != moved else 0.0
+        return float((effects - 1) * np.log(self.by.odds_further) - np.log(self._applicable) + with_it)
 
     def _by_share(self, h: Weighed) -> Array:
         """Of what is left of each block, at every one of _SHARES. Other parts in the nominal model make it no more
@@ -152,7 +165,13 @@ class Likelihoods:
         return np.asarray(-0.5 * np.sum(loss, axis=1) - self._price * freedom)
 
     def _gain(self, h: Weighed, scatter: Array) -> float:
-        return -0.5 * (self.by.misfit_tells + self.by.noise_tells * h.white**2) * float(np.sum(scatter))
+        forgets = 0.0 if self._is_a_path(h) else h.white**2
+        return -0.5 * (self.by.misfit_tells + self.by.noise_tells * forgets) * float(np.sum(scatter))
+
+    def _is_a_path(self, h: Weighed) -> bool:
+        """Whether a path leaves less than scatter on top of this hypothesis would."""
+        scattered = float(np.mean(h.power * np.exp(np.minimum(h.scatter, h.rival))))
+        return bool(h.scatter.any()) and self._followed < scattered
 
     def _confined(self, beyond: Beyond) -> float:
         """Logarithm of how much likelier what is left beyond the effects' stages is as noise, in all blocks but a few,
@@ -177,16 +196,20 @@ class Likelihoods:
         return float(right - np.logaddexp(np.log(CONFINED) + right, np.log1p(-CONFINED) + wrong))
 
     def _nothing(self, frozen: Array) -> float:
-        """The calibrated model as it is leaves noise and little more: a gap that recalibrating closes is a gap, and one
-        in a single block too."""
+        """The calibrated model as it is leaves noise and little more: what a recalibration takes of it is what the
+        calibration did not know, and a gap that it closes is a gap, one in a single block too."""
         n = self._tells
         freedom = self.by.block_freedom
         usual = (freedom + n) * np.log1p(n / freedom)  # where the power is as predicted both agree
         quantiles = -np.log1p(-(np.arange(15) + 0.5) / 15.0)  # of an exponential prior
-        above = self.by.calibration_excess * quantiles
+        own = min(self._nominal2 / self._floor2 - 1.0, OWN_EXCESS)
+        above = own + self.by.calibration_excess * quantiles
         predicted = (1.0 + above[:, None]) * self._floor2
-        loss = usual + n * (np.log(predicted) + frozen / predicted - 1.0)
-        return float(_log_sum(-0.5 * np.sum(loss, axis=1)) - np.log(len(above)))
+        recalibrated = self._hypotheses[0].power
+        taken = max(float(np.mean(frozen - recalibrated)), 0.0) / self._floor2
+        loss = usual + n * (np.log(predicted) + np.minimum(frozen, recalibrated) / predicted - 1.0)
+        said = float(_log_sum(-0.5 * np.sum(loss, axis=1)) - np.log(len(above)))
+        return said - taken / (own + self.by.calibration_excess)
 
     def _by_chance(self, h: Weighed, left: float, after: float) -> float:
         """Logarithm of the probability that what a further effect closes is what a right one leaves: that this is so

@@ -67,6 +67,7 @@ class Kind:
     nominal: bool = False  # a recalibration has it already where it holds in all recordings
     posture: bool = False  # another posture, tension or homing changes it, together with others of the kind
     contains: tuple[str, ...] = ()  # effects that it can do too
+    brings: tuple[str, ...] = ()  # parts of the nominal model that it may well move too, where it came later
     each: bool = False  # it alone may be another in every recording
     scan: Literal["probe", "period", "moment"] = "probe"  # how its shapes are screened
     # What it could do whatever its equations are, beside moving the tip through the angle (diagnosis/confined.py).

@@ -30,9 +30,10 @@ tl_slot_t tl_store_slot(const tl_port_t *port, uint8_t axis, uint8_t slot);
 /// Both slots, the one to be tried first in `order[0]`: whole before damaged, newer before older.
 void tl_store_order(const tl_port_t *port, uint8_t axis, tl_slot_t order[TL_STORE_SLOTS]);
 
-/// Writes a blob of at most TL_TABLE_SIZE_MAX bytes as the newest one and reads it back. False: flash failed, the one
-/// before is still there. One erase and up to ten programs.
-bool tl_store_write(const tl_port_t *port, uint8_t axis, const uint8_t *blob, uint16_t size);
+/// Writes a blob of at most TL_TABLE_SIZE_MAX bytes as the newest one and reads it back. `kept`: the blob in flash
+/// that stays, whatever the other slot holds; 0: the newest whole one. False: flash failed, what was kept is still
+/// there. One erase and up to ten programs.
+bool tl_store_write(const tl_port_t *port, uint8_t axis, uint32_t kept, const uint8_t *blob, uint16_t size);
 
 /// Erases both slots, the older first.
 bool tl_store_clear(const tl_port_t *port, uint8_t axis);

@@ -35,10 +35,9 @@ KNOWN: Mapping[str, Draw] = {
     },
     "transmission.lag": lambda g, t: {"damper": size(g, 0.03, 0.12)},
     "transmission.creep": lambda g, t: {"kelvin_s": size(g, 0.7, 2.5)},
-    "transmission.stick_slip": lambda g, t: _sticking(g, t),
     "transmission.drift": lambda g, t: {"anchor": around(g, 0.01, 0.04) * _span(t), "anchor_s": size(g, 60.0, 200.0)},
     "transmission.load_dependence": _load,
-    "transmission.backlash": lambda g, t: {"widened": math.exp(around(g, 0.25, 0.7))},
+    "transmission.backlash": lambda g, t: _wider(g, t),
     "transmission.offset": lambda g, t: {"homing": around(g, 0.005, 0.03) * _span(t)},
     "configuration.axis_coupling": lambda g, t: {"pull": around(g, 0.02, 0.1) * _span(t)},
     "configuration.contact": lambda g, t: {
@@ -63,14 +62,11 @@ UNKNOWN: Mapping[str, Draw] = {
 }
 
 
-def _sticking(rng: np.random.Generator, topology: Topology) -> dict[str, float]:
-    """Dry friction of which motion takes away a part."""
-    rubbing = size(rng, 0.006, 0.02) * _span(topology) * TENDON
-    return {
-        "rubbing": rubbing,
-        "grip": float(rng.uniform(0.5, 0.8)) * rubbing,
-        "grip_speed": 0.01 * _span(topology),
-    }
+def _wider(rng: np.random.Generator, topology: Topology) -> dict[str, float]:
+    """Another play; or dry friction against the tendon's spring, which is one. (MuJoCo's friction does not stick.)"""
+    if rng.random() < 0.5:
+        return {"widened": math.exp(around(rng, 0.25, 0.7))}
+    return {"rubbing": size(rng, 0.006, 0.02) * _span(topology) * TENDON}
 
 
 def _ringing(rng: np.random.Generator) -> dict[str, float]:

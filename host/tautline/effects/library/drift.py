@@ -9,7 +9,8 @@ from tautline.model import Model, allowed_width
 def _gone(values: Mapping[str, float], session_s: float) -> float:
     """For how long it would have taken at its first rate, s."""
     decay = values.get("drift_decay", 0.0)
-    return -math.expm1(-decay * session_s) / decay if decay > 0.0 else session_s
+    since = max(0.0, session_s - values.get("drift_from", 0.0))
+    return -math.expm1(-decay * since) / decay if decay > 0.0 else since
 
 
 def _so_far(model: Model, values: Mapping[str, float], session_s: float) -> Model:
@@ -23,7 +24,10 @@ EFFECTS = (
     Kind(
         "transmission.drift",
         (Parameter("offset_drift", "unit/s", 5e-5), Parameter("width_drift", "1/s", 5e-4)),
-        (Parameter("drift_decay", "1/s", 5e-3, (0.0, 0.01), low=0.0),),
+        (
+            Parameter("drift_decay", "1/s", 5e-3, (0.0, 0.01), low=0.0),
+            Parameter("drift_from", "s", 20.0, (0.0,), low=0.0),
+        ),
         says="width or offset changes with time",
         tell="The gap grows with time, whatever the motion is, also with the motor at one place again.",
         mend="Warm the instrument up, check the tendon's clamps, calibrate again; taut track follows it while in use.",

@@ -32,6 +32,6 @@ EFFECTS = (
         in_tables=True,
         nominal=True,
         posture=True,
-        contains=("transmission.offset",),
+        contains=("transmission.offset", "configuration.contact"),
     ),
 )

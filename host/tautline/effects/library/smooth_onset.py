@@ -8,6 +8,7 @@ EFFECTS = (
         (Parameter("onset_tail", "", 0.5, (0.0, 1.0), low=0.0, high=1.3),),
         says="motion starts gradually instead of at a corner",
         undone=True,
+        brings=("transmission.backlash",),
         tell="After a reversal the tip starts slowly and reaches its slope over a way comparable to B: 'Some onsets "
         "closely' in a report shows no corner.",
         mend="Nothing is broken: several play elements hold it, and calibration fits them by itself.",
