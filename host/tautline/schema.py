@@ -41,32 +41,32 @@ class Key:
             return f"{what} above {self.above:g}"
         return f"{self.at_least:g} or more" if self.at_least is not None else f"a finite {what.removeprefix('a ')}"
 
-    def read(self, value: Any, name: str, where: str) -> Any:
-        """The value as its dataclass has it. `name`: section.key; `where`: the file."""
+    def read(self, value: Any, name: str, where: str, file: str = "rig") -> Any:
+        """The value as its dataclass has it. `name`: section.key; `where`: the file; `file`: as a Section's."""
         if self.kind == "text":
             good = isinstance(value, str) and (not self.choices or value in self.choices)
             if not good or (self.pattern and not re.fullmatch(self.pattern, value)):
-                raise self.refuse(value, name, where)
+                raise self.refuse(value, name, where, file)
             return value
         if self.kind == "numbers":
             if not isinstance(value, list) or len(value) != self.count:
-                raise self.refuse(value, name, where)
+                raise self.refuse(value, name, where, file)
             if not all(_is_number(item) for item in value):
                 bad = next(item for item in value if not _is_number(item))
-                raise _error(where, f"{name} holds {bad!r}, expected finite numbers", name)
+                raise _error(where, f"{name} holds {bad!r}, expected finite numbers", f"{file}.{name}")
             return tuple(float(item) for item in value)
         if not _is_number(value):
-            raise _error(where, f"{name} is {value!r}, expected a finite number", name)
+            raise _error(where, f"{name} is {value!r}, expected a finite number", f"{file}.{name}")
         too_low = (self.above is not None and not value > self.above) or (
             self.at_least is not None and not value >= self.at_least
         )
         if too_low or (self.kind == "whole" and value != int(value)):
-            raise self.refuse(value, name, where)
+            raise self.refuse(value, name, where, file)
         return int(value) if self.kind == "whole" else float(value)
 
-    def refuse(self, value: Any, name: str, where: str) -> TautError:
+    def refuse(self, value: Any, name: str, where: str, file: str) -> TautError:
         shown = f"{value:g}" if _is_number(value) else repr(value)
-        return _error(where, f"{name} is {shown}, expected {self.expected}", name)
+        return _error(where, f"{name} is {shown}, expected {self.expected}", f"{file}.{name}")
 
 
 @dataclass(frozen=True)
@@ -74,20 +74,21 @@ class Section:
     name: str
     says: str
     keys: tuple[Key, ...]
+    file: str = "rig"  # of its topics: 'taut explain FILE.SECTION.KEY'
 
     def read(self, document: Mapping[str, Any], where: str) -> dict[str, Any]:
         """Its keys that are there, checked, by name."""
         table = document.get(self.name)
         if not isinstance(table, Mapping):
             names = ", ".join(key.name for key in self.keys)
-            raise _error(where, f"section [{self.name}] is missing: it holds {names}", self.name)
+            raise _error(where, f"section [{self.name}] is missing: it holds {names}", f"{self.file}.{self.name}")
         values = {}
         for key in self.keys:
             name = f"{self.name}.{key.name}"
             if key.name in table:
-                values[key.name] = key.read(table[key.name], name, where)
+                values[key.name] = key.read(table[key.name], name, where, self.file)
             elif key.needed:
-                raise _error(where, f"{name} is missing, expected {key.expected}", name)
+                raise _error(where, f"{name} is missing, expected {key.expected}", f"{self.file}.{name}")
         return values
 
 
@@ -124,5 +125,5 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
 
 
-def _error(where: str, says: str, name: str) -> TautError:
-    return TautError(f"{where}: {says} (taut explain rig.{name})")
+def _error(where: str, says: str, topic: str) -> TautError:
+    return TautError(f"{where}: {says} (taut explain {topic})")

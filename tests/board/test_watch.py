@@ -7,6 +7,7 @@ import pytest
 from tautline.live.setup import open_live
 from tautline.live.tracking import watch
 from tautline.model import Model
+from tautline.shapes import Library
 from tautline.simulated.instrument import preset, reference_rig
 
 
@@ -38,3 +39,17 @@ def test_watch_tells_whether_the_model_still_holds(tmp_path, scale):
         assert result["scale"] == pytest.approx(0.7, abs=0.02)
         assert result["offset"] == pytest.approx(0.0, abs=0.005)
         assert "transmission.backlash" in result["reason"]
+
+
+def test_watch_proposes_the_shape_that_the_shaft_has(tmp_path):
+    """The instrument is that of another model of the library; `taut watch` with the first one says so."""
+    model = model_of_the_reference()
+    other = replace(model, width=0.7 * model.width)
+    library = Library(tmp_path / "shapes").add("straight", model).add("looped", other)
+    for name, mine in (("looped", model), ("straight", other)):
+        with open_live(simulate=str(library.folder / name), pictures=False) as live:
+            result = watch(live, mine, "smooth", speed=4.0, duration_s=20.0, library=library)
+        assert result["shape"] == name
+    with open_live(simulate=str(library.folder / "looped"), pictures=False) as live:
+        result = watch(live, other, "smooth", speed=4.0, duration_s=10.0, library=library)
+    assert result["shape"] is None and result["state"] == "trusted"

@@ -53,9 +53,11 @@ def score(session: Session, model: Model, tracked: Tracked) -> Scores:
     at = np.array(turns_of(motor.q))
     at = at[motor.t_s[at] > session.change_s]
     turns = motor.t_s[at]
-    stale_s = [c.t_s for c in tracked.changes if c.state is not State.TRUSTED and c.t_s > session.change_s]
+    doubted = np.array([row.state is not State.TRUSTED for row in tracked.rows])
+    doubts = tracked.t_s[doubted & (tracked.t_s > session.change_s)]
     result["reversals"] = len(turns)
-    result["stale_after"] = int(np.searchsorted(turns, stale_s[0])) if stale_s else math.inf
+    result["stale_after"] = int(np.searchsorted(turns, doubts[0])) if len(doubts) else math.inf
+    result["stale_before"] = float(np.mean(doubted[tracked.t_s < session.change_s]))
     result["over"] = _over_compensated(session, model, tracked, turns)
     late = tracked.t_s > (turns[9] if len(turns) > 9 else math.inf)
     if session.recording.name in ("shape", "gradual"):

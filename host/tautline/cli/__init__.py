@@ -28,6 +28,7 @@ COMMANDS = {
     "record": "record motor, marker and video from a board and a camera",
     "monitor": "watch a board's axes live",
     "watch": "keep a model calibrated while the instrument is used, live",
+    "shapes": "remember a model for each shape of the shaft, and recall it",
     "marker": "pick the marker's colour, once",
     "simulate": "make a recording with a simulated instrument and endoscope",
     "compare": "how B and f_remain changed between models",

@@ -30,6 +30,12 @@ _FRAME_S = 0.2  # between two pictures, wall clock
 @speed_option
 @click.option("--duration", type=click.FloatRange(min=0.1), help="s. Default: until Ctrl-C, or the motion's end.")
 @seed_option
+@click.option(
+    "--shapes",
+    "library_path",
+    type=click.Path(path_type=Path),
+    help="A library (taut shapes): says so when the shaft has the shape of another of its models.",
+)
 @json_option
 def command(
     model_path: Path,
@@ -39,6 +45,7 @@ def command(
     speed: float | None,
     duration: float | None,
     seed: int,
+    library_path: Path | None,
     as_json: bool,
 ) -> None:
     """Keep a model calibrated while the instrument is used, and say when it no longer holds and why.
@@ -47,14 +54,20 @@ def command(
     'taut track' would find in a recording of it; the board's tables stay as they are.
     """
     from tautline.live.tracking import watch
+    from tautline.shapes import Library
 
     model = Model.load(model_path)
     warn_unusable(model, model_path)
+    library = None if library_path is None else Library.load(library_path)
     if live.simulate is not None and motion == "none" and duration is None:
         raise click.UsageError("a simulated instrument that nothing moves: name --motion or --duration")
     with opened(live, rig_path, seed, model=model) as setup, _shown(model.rig.actuator.unit, as_json) as told:
-        result = watch(setup, model, motion, speed=speed, duration_s=duration, seed=seed, told=told)
-    emit(result, as_json, _text(result, model.rig.actuator.unit))
+        result = watch(setup, model, motion, speed=speed, duration_s=duration, seed=seed, library=library, told=told)
+    text = _text(result, model.rig.actuator.unit)
+    if library_path is not None and result["shape"] is not None:
+        folder = library_path / result["shape"]
+        text += f"; the shaft has the shape {result['shape']!r}: 'taut flash {folder}' loads its tables"
+    emit(result, as_json, text)
 
 
 @contextmanager

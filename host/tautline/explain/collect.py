@@ -106,20 +106,22 @@ def _refusals() -> Iterator[Topic]:
 
 def _keys() -> Iterator[Topic]:
     from tautline.rig import SECTIONS
+    from tautline.shapes import SHAPE
 
-    for section in SECTIONS.values():
-        rows = tuple((f"rig.{section.name}.{key.name}", key.says) for key in section.keys)
-        yield Topic(f"rig.{section.name}", "rig", section.says, rows=rows, aliases=(section.name,))
+    for section in (*SECTIONS.values(), SHAPE):
+        file = section.file
+        rows = tuple((f"{file}.{section.name}.{key.name}", key.says) for key in section.keys)
+        yield Topic(f"{file}.{section.name}", file, section.says, rows=rows, aliases=(section.name,))
         for key in section.keys:
             needed = "It has to be there." if key.needed else "It may be left out."
             example = str(key.example).replace("'", '"') if key.kind != "text" else f'"{key.example}"'
             yield Topic(
-                f"rig.{section.name}.{key.name}",
-                "rig",
+                f"{file}.{section.name}.{key.name}",
+                file,
                 f"{key.says[:1].upper()}{key.says[1:]}. Expected: {key.expected}. {needed}",
                 f"A wrong one shows itself: {key.wrong}." if key.wrong else "",
                 rows=((f"[{section.name}]", f"{key.name} = {example}"),),
-                see=(f"rig.{section.name}",),
+                see=(f"{file}.{section.name}",),
                 aliases=(f"{section.name}.{key.name}",),
             )
 

@@ -10,6 +10,7 @@ KINDS = {
     "fault": "Faults of an axis",
     "refusal": "What a board refuses",
     "rig": "rig.toml, key by key",
+    "shapes": "shapes.toml, the index of a library of shapes, key by key",
     "file": "Files of a recording",
     "term": "Terms",
 }

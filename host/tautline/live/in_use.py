@@ -18,6 +18,7 @@ from tautline.errors import TautError
 from tautline.live.setup import Frame, Live
 from tautline.model import Model
 from tautline.rig import MARKER
+from tautline.shapes import Library, Seen, Shape
 from tautline.tracking import LawTracker, Row, State
 
 BLEND_S = 0.5  # over which the board moves its tables
@@ -93,6 +94,8 @@ class Following:
     model: Model
     told: Callable[[Row, float], None] = lambda row, t_s: None
     mover: TableMover | None = None
+    library: Library | None = None  # whose shapes are looked for
+    known: Shape | None = field(init=False, default=None)  # the shape that the shaft has now, where that is another
     tracker: LawTracker = field(init=False)
     row: Row | None = field(init=False, default=None)
     frames: int = field(init=False, default=0)
@@ -109,11 +112,15 @@ class Following:
             )
         self.tracker = LawTracker(self.model, MARKER)
         self.tracker.begin()
+        self._own = None if self.library is None else self.library.own(self.model)
+        if self.library is not None and self._own is None:
+            raise TautError(f"{self.library.folder}: the model is none of its shapes: 'taut shapes add' makes it one")
         self._delay_s = self.model.delay_of(MARKER)
         self._waiting: list[Frame] = []  # for the telemetry of their scene
         self._batches: deque[wire.Message] = deque()  # a board's reader is another thread
         self._newest_s = -np.inf
         self._squares, self._counted = 0.0, 0
+        self._looked_at: tuple[float, ...] = ()
         self.live.board.listen("batch", self._batches.append)
         self.live.board.ask("telemetry", axis=self.live.axis, divider=1)
 
@@ -150,7 +157,19 @@ class Following:
                 self.mover.use(arrival_s, self.row.offset, self.tracker.compensation)
         else:
             self.unseen += 1
+        self._recognise(self.row)
         self.told(self.row, arrival_s)
+
+    def _recognise(self, row: Row) -> None:
+        """Another shape of the library, where what was learnt is its."""
+        if self.library is None or self._own is None or row.state is State.STALE:
+            return
+        law = (row.offset, row.offset_sigma, row.scale, row.scale_sigma)
+        if law == self._looked_at:
+            return
+        self._looked_at = law
+        near = self.library.nearest(Seen(*law), self._own, float(np.mean(self.model.width)))
+        self.known = near if near is not None and near.name != self._own.name else None
 
     @property
     def beyond(self) -> str:
@@ -178,6 +197,8 @@ class Following:
             "compensation": self.tracker.compensation,
             "changes": changes,
         }
+        if self.library is not None:
+            said["shape"] = None if self.known is None else self.known.name
         if self.mover is not None:
             said |= {
                 "moves": [asdict(move) for move in self.mover.moves],

@@ -9,6 +9,7 @@ from tautline.live.following import follow, motor_trajectory, step
 from tautline.live.in_use import Following
 from tautline.live.setup import Live
 from tautline.model import Model
+from tautline.shapes import Library
 from tautline.tracking import Row
 
 Progress = Callable[[float, str], None] | None
@@ -22,12 +23,13 @@ def watch(
     speed: float | None = None,
     duration_s: float | None = None,
     seed: int = 0,
+    library: Library | None = None,
     told: Callable[[Row, float], None] = lambda row, t_s: None,
     progress: Progress = None,
 ) -> dict[str, Any]:
     """Tracks while the motor follows `motion` (as in `record`), or whatever drives it. Ctrl-C ends it, and is no
-    failure; so does duration_s."""
-    following = Following(live, model, told)
+    failure; so does duration_s. `library`: its shapes are looked for."""
+    following = Following(live, model, told, library=library)
     plan = None if motion == "none" else motor_trajectory(live, motion, speed, duration_s or 60.0, seed)
     began = live.now_us()
     with live.interruptible():

@@ -266,7 +266,7 @@ class LawTracker:
             self._usual += _USUAL_PACE * (squares - self._usual * frames) / max(frames, _TOGETHER_FRAMES)
         self._afters.append((self._after_sum, self._after_count))
         squares, frames = (sum(column) for column in zip(*self._afters, strict=True))
-        return frames >= _TOGETHER_FRAMES and squares > _TOGETHER_AMISS * max(self._usual, 1.0) * frames
+        return bool(frames >= _TOGETHER_FRAMES and squares > _TOGETHER_AMISS * max(self._usual, 1.0) * frames)
 
     def _begin_of(self, stroke: int) -> int:
         return next((entry for number, entry in self._begins if number >= stroke), self._window.end)

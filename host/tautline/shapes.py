@@ -1,0 +1,191 @@
+"""A library of shapes: models that were calibrated with the shaft in different shapes, and what tells them apart.
+
+A folder with an index, shapes.toml (format shapes/1), and a model's folder for each shape. Offset and scale are those
+that a tracker of the first shape's model finds in another shape."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from tautline import tables
+from tautline.errors import TautError
+from tautline.folders import write_file
+from tautline.model import Model
+from tautline.prediction import predict
+from tautline.recording import Recording
+from tautline.rig import ANGLE, MARKER
+from tautline.schema import Key, Section
+
+INDEX = "shapes.toml"
+FORMAT = "shapes/1"
+SHAPE = Section(
+    "shape",
+    "One shape of the shaft, with its model in the folder of its name.",
+    (
+        Key("name", "the shape's name, and its model's folder", "straight", "text", pattern=r"[\w-]{1,40}"),
+        Key("offset", "of the transmission beside the first shape's, unit of q", 0.0),
+        Key("scale", "of B beside the first shape's", 1.0, above=0.0),
+        Key("current_mA", "mean motor current in use; without it current does not count", 150.0, needed=False),
+    ),
+    "shapes",
+)
+_SIGMAS = 3.0  # within which what is seen is a shape's
+_LEAST = 0.1, 0.05, 0.2  # and at least so much of B (offset), of the scale, of the current
+
+
+@dataclass(frozen=True)
+class Shape:
+    name: str
+    offset: float = 0.0  # unit of q
+    scale: float = 1.0
+    current_mA: float | None = None
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a tracker finds, beside the model that it tracks with."""
+
+    offset: float
+    offset_sigma: float
+    scale: float
+    scale_sigma: float
+    current_mA: float | None = None
+
+
+@dataclass(frozen=True)
+class Library:
+    folder: Path
+    shapes: tuple[Shape, ...] = ()
+
+    @classmethod
+    def load(cls, folder: str | Path) -> Library:
+        """TautError where there is none, or its index is damaged."""
+        folder = Path(folder)
+        index = folder / INDEX
+        try:
+            document = tomllib.loads(index.read_text(encoding="utf-8"))
+        except OSError:
+            raise TautError(f"{folder}: no library of shapes: begin one with 'taut shapes add'") from None
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise TautError(f"{index}: is no TOML ({error}): mend it, or add the shapes again") from error
+        if document.get("format") != FORMAT:
+            raise TautError(f'{index}: format is {document.get("format")!r}, expected "{FORMAT}"')
+        listed = document.get("shape", [])
+        if not isinstance(listed, list):
+            raise TautError(f"{index}: shape is expected as [[shape]] tables")
+        return cls(folder, tuple(Shape(**SHAPE.read({"shape": one}, str(index))) for one in listed))
+
+    def model(self, name: str) -> Model:
+        return Model.load(self.folder / self.of(name).name)
+
+    def of(self, name: str) -> Shape:
+        for shape in self.shapes:
+            if shape.name == name:
+                return shape
+        raise TautError(
+            f"{self.folder}: no shape {name!r}: it holds {', '.join(s.name for s in self.shapes) or 'none'}"
+        )
+
+    def add(self, name: str, model: Model, current_mA: float | None = None) -> Library:
+        """The library with a model's shape, in the place of one of that name, written to its folder."""
+        SHAPE.keys[0].read(name, "shape.name", str(self.folder / INDEX), SHAPE.file)
+        others = tuple(shape for shape in self.shapes if shape.name != name)
+        first = next((shape for shape in self.shapes[:1] if shape.name != name), None)
+        if first is None and others:
+            raise TautError(f"{self.folder}: {name} is the shape that the others are told by: begin another library")
+        offset, scale = (0.0, 1.0) if first is None else apart(self.model(first.name), model)
+        model.save(self.folder / name)
+        made = Library(self.folder, (*others, Shape(name, offset, scale, current_mA)))
+        listed = [{k: v for k, v in asdict(shape).items() if v is not None} for shape in made.shapes]
+        document: dict[str, Any] = {"format": FORMAT, "shape": listed}
+        write_file(self.folder / INDEX, tomli_w.dumps(document))
+        return made
+
+    def own(self, model: Model) -> Shape | None:
+        """The shape whose model this is."""
+        wanted = tables.model_id(model)
+        return next((s for s in self.shapes if tables.model_id(self.model(s.name)) == wanted), None)
+
+    def nearest(self, seen: Seen, own: Shape, width: float) -> Shape | None:
+        """The one shape that what was seen, beside `own` whose mean B is `width`, can be; None: none of them, or
+        more than one."""
+        fits = []
+        for shape in self.shapes:
+            by = (seen.offset - (shape.offset - own.offset), seen.scale - shape.scale / own.scale)
+            most = (
+                max(_SIGMAS * seen.offset_sigma, _LEAST[0] * width),
+                max(_SIGMAS * seen.scale_sigma, _LEAST[1]),
+            )
+            near = all(abs(b) <= m for b, m in zip(by, most, strict=True))
+            if near and seen.current_mA is not None and shape.current_mA is not None:
+                near = abs(seen.current_mA - shape.current_mA) <= _LEAST[2] * abs(shape.current_mA)
+            if near:
+                fits.append(shape)
+        return fits[0] if len(fits) == 1 else None
+
+
+def apart(first: Model, other: Model) -> tuple[float, float]:
+    """The offset (unit of q) and the scale of B that a tracker of `first` finds where `other` holds."""
+    if first.rig.actuator.unit != other.rig.actuator.unit:
+        raise TautError(f"one model is in {first.rig.actuator.unit}, the other in {other.rig.actuator.unit}")
+    low, high = (pick(a, b) for pick, a, b in zip((max, min), first.measured, other.measured, strict=True))
+    if not high > low:
+        raise TautError("the two models were measured in ranges that do not overlap: calibrate in the same range")
+    q = np.linspace(low, high, 201)
+    order = np.argsort(first.c_deg)
+    c = np.asarray(other.remaining(q))
+    inside = (c >= first.c_deg.min()) & (c <= first.c_deg.max())
+    if not inside.any():
+        raise TautError("the two models have no bending angle in common: they are not of one instrument")
+    offset = float(np.median(np.interp(c[inside], first.c_deg[order], first.q[order]) - q[inside]))
+    mean = [float(np.mean(np.interp(q, m.q, m.width))) for m in (first, other)]
+    if not min(mean) > 0.0:
+        raise TautError("a model without backlash cannot be told apart by its width: leave it out")
+    return offset, mean[1] / mean[0]
+
+
+def foretold(model: Model, recording: Recording) -> float:
+    """rms of what the model says of a recording, px a coordinate or deg, from where the tip was driven both ways on."""
+    motor = recording.motor
+    q = motor.q
+    rise, fall = q - np.minimum.accumulate(q), np.maximum.accumulate(q) - q
+    width = float(model.width.max())
+    both = np.logical_or.accumulate(rise > width) & np.logical_or.accumulate(fall > width)
+    if not both.any():
+        raise TautError(
+            f"{recording.name}: the motor does not go through the backlash both ways: record a longer motion"
+        )
+    begin_s = float(motor.t_s[int(np.argmax(both))])
+    if recording.marker is not None and model.rig.has_camera:
+        marker = recording.marker
+        scene = marker.t_s - model.delay_of(MARKER)
+        late = marker.valid & (scene > begin_s)
+        px = predict(model, motor, scene[late]).image_px
+        assert px is not None
+        off = (px - np.column_stack([marker.u_px, marker.v_px])[late]).ravel()
+    elif recording.angle is not None:
+        angle = recording.angle
+        scene = angle.t_s - model.delay_of(ANGLE)
+        late = angle.seen & (scene > begin_s)
+        off = predict(model, motor, scene[late]).c_deg - angle.c_deg[late]
+    else:
+        raise TautError(f"{recording.name}: has neither marker.csv (or a video) nor angle.csv")
+    if len(off) == 0:
+        raise TautError(f"{recording.name}: nothing was seen after the tip was driven both ways")
+    return float(np.sqrt(np.mean(off**2)))
+
+
+def recalled(library: Library, rms: dict[str, float]) -> Shape:
+    """The shape whose model foretells a recording best: by its rms in each. TautError where two do so alike."""
+    if not rms:
+        raise TautError(f"{library.folder}: no shapes in it: add them with 'taut shapes add'")
+    order = sorted(rms, key=lambda name: rms[name])
+    if len(order) > 1 and rms[order[1]] < 1.3 * rms[order[0]]:
+        raise TautError(f"{order[0]} and {order[1]} foretell it alike: record a longer motion, both ways")
+    return library.of(order[0])
