@@ -72,6 +72,14 @@ def test_marker_positions_outside_of_the_frame_are_refused(made: Recording) -> N
     assert reason(quality(made, small), "frame_size").fatal
 
 
+def test_a_false_sighting_outside_of_the_frame_is_no_frame_size(made: Recording) -> None:
+    u_px = made.marker.u_px.copy()
+    u_px[100:4000:50] = -40.0
+    u_px[101:4000:50] = 900.0
+    found = quality(replace(made, marker=replace(made.marker, u_px=u_px)))
+    assert "frame_size" not in {r.code for r in found.reasons} and found.verdict is not Verdict.UNUSABLE
+
+
 def test_recordings_of_two_sizes_are_not_taken_together(made: Recording) -> None:
     fits = replace(made, name="one", marker=replace(made.marker, frame_px=(720, 576)))
     other = replace(scaled(made, 0.5, (360, 288)), name="two")

@@ -121,6 +121,20 @@ def test_what_a_codec_holds_back_is_the_trackers_error():
     assert um < 10e-3 and 0.3 < z < 2.0
 
 
+@pytest.mark.parametrize("codec_px", [0.0, 6.0])
+def test_a_clock_that_was_off_is_refused_where_a_codec_leaves_its_offset_unknown(codec_px):
+    plant = Plant()
+    if codec_px:
+        seen = project(plant.rig, bend(np.interp(plant.scene, plant.t, plant.p)), 0.0, 0.0)
+        plant.shown += 3.0 * dragged(seen, plant.rng, codec_px)
+    plant.arrival += 3.7
+    found = plant.calibrated()
+    late_s = found.delay.delay_s + found.model.offset_s - DELAY_S - 3.7
+    told = [reason.fatal for reason in found.model.quality.reasons if reason.code == "clock.offset"]
+    assert abs(late_s) < 3.0 * found.delay.sigma_s
+    assert any(told) == (codec_px > 0.0) and (codec_px > 0.0 or abs(late_s) < 1e-3)
+
+
 def test_an_image_that_is_moved_on_every_stroke_is_no_error_of_the_tracker():
     plant = Plant()
     step = np.diff(np.interp(plant.scene, plant.t, plant.p), prepend=0.0)
@@ -145,6 +159,23 @@ def test_widths_that_grow_are_those_of_the_end():
     um, z = error_of(found, 1.05 * width_at(found.model.q))
     assert "transmission.drift" in codes(found)
     assert um < 2e-3 and z < 2.0
+
+
+@pytest.mark.parametrize("usual_mm_s", [0.1, 1.0])
+@pytest.mark.parametrize("share", [False, True])
+def test_a_width_that_speed_adds_to_is_that_of_slow_strokes(usual_mm_s, share):
+    """It is less the slower the motor is, most of it below `usual_mm_s`: a motor that stops lets the tip go on."""
+    plant = Plant()
+    table, state, made = width_at(np.clip(GRID, -5.5, 5.5)), plant.q[0], np.empty_like(plant.q)
+    speed = np.abs(np.gradient(plant.q, plant.t))
+    more = 0.1 * -np.expm1(-speed / usual_mm_s)
+    for k, q in enumerate(plant.q):
+        wide = np.interp(state, GRID, table)
+        half = 0.5 * (wide * (1.0 + more[k]) if share else wide + 0.5 * more[k])
+        state = min(max(state, q - half), q + half)
+        made[k] = state
+    plant.p = made
+    assert error_of(plant.calibrated())[1] < 2.0
 
 
 @pytest.mark.parametrize(("until", "verdict"), [(0.6, Verdict.GOOD), (1.0, Verdict.DOUBTFUL)])

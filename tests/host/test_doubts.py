@@ -72,13 +72,15 @@ def test_a_verdict_is_that_of_the_worst_reason(kinds: str, verdict: str) -> None
     assert Quality.from_json(quality.to_json()) == quality
 
 
-def components(rms: float, shift_um: float, noise: float = 1.0, effective: float = 1.0) -> Components:
-    """One departure, of a B of 500 um known to 1 um."""
+def components(
+    rms: float, shift_um: float, noise: float = 1.0, effective: float = 1.0, sigma_um: float = 1.0
+) -> Components:
+    """One departure, of a B of 500 um."""
     flat, one = np.full(50, 0.5), np.ones(50)
-    part = Component("offset.time", rms, 1e3 * rms**2, 1e-3 * shift_um * one, np.ones(3))
+    part = Component("offset.time", rms, 1e3 * rms**2, 1e-3 * shift_um * one, 0.0, np.ones(3))
     curves = Curves(np.zeros(3), np.zeros((3, 2)), 0.1)
     return Components(
-        curves, curves, flat, 1e-3 * one, 1e-4, noise, 1.0, effective, (part,), np.zeros(2), rough=False
+        curves, curves, flat, 1e-3 * sigma_um * one, 1e-4, 0.0, noise, 1.0, effective, (part,), np.zeros(2), rough=False
     )  # fmt: skip
 
 
@@ -127,6 +129,31 @@ def test_frames_that_are_elsewhere_are_outliers_and_scatter_of_all_is_noise() ->
     assert [(r.code, r.mild) for r in few] == [("outliers", True)]
     assert [(r.code, r.mild) for r in every] == [("noise", True)]
     assert [(r.code, r.mild) for r in alike] == [("residual", False)]
+
+
+@pytest.mark.parametrize(("sigma_um", "mild"), [(1.0, True), (10.0, False)])
+def test_scatter_of_single_frames_is_a_doubt_where_b_is_not_sure_beside_it(sigma_um: float, mild: bool) -> None:
+    found = replace(components(0.1, 0.1, noise=4.0, sigma_um=sigma_um), parts=())
+    (reason,) = doubts(found, np.ones(50, bool), "mm", 3.0, rough=False)
+    assert (reason.code, reason.mild) == ("noise", mild)
+
+
+@pytest.mark.parametrize(
+    ("name", "added_um", "told"),
+    [
+        ("width.speed.10", 5.0, None),
+        ("width.speed.0.3", 30.0, "mild"),  # half of 6 % is in sigma
+        ("width.speed.0.3", 60.0, "doubt"),
+        ("width.speed.1.0%", 30.0, "mild"),
+    ],
+)
+def test_what_speed_adds_to_b_is_told_by_how_much_it_is(name: str, added_um: float, told: str | None) -> None:
+    found = components(0.5, 0.1)
+    added = 1e-3 * added_um / (0.5 if name.endswith("%") else 1.0)
+    found = replace(found, parts=(replace(found.parts[0], name=name, values=np.array([added])),))
+    reasons = doubts(found, np.ones(50, bool), "mm", 1.1, rough=False)
+    assert [reason.code for reason in reasons] == ([] if told is None else ["transmission.rate_dependent_backlash"])
+    assert all(reason.mild == (told == "mild") for reason in reasons)
 
 
 # ---- what is noticed

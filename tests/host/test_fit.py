@@ -25,13 +25,13 @@ MODEL = Model(RIG, GRID, INSTRUMENT.backlash(GRID), np.full(401, 0.003), INSTRUM
 NOISE = 0.03
 
 
-def recordings(parameters, throughout=False) -> list[Recording]:
-    """A calibration and a test; the effect in the test, or in both."""
+def recordings(parameters, throughout=False, turned_deg=20.0) -> list[Recording]:
+    """A calibration and a test, in which the other axes move; the effect in the test, or in both."""
     rng = np.random.default_rng(5)
     actuator = RIG.actuator
     motions = [
         trajectory.back_and_forth(actuator, [0.8, 1.6], 2.0, 12, 8.0, 0.3),
-        trajectory.trapezoids(actuator, 2.4, 3.0, 6, 20.0, 1.0).with_sway(2.0, 20.0, 17.0),
+        trajectory.trapezoids(actuator, 2.4, 3.0, 6, 20.0, 1.0).with_sway(2.0, turned_deg, 17.0),
     ]
     made, clock = [], 0.0
     for i, motion in enumerate(motions):
@@ -142,6 +142,16 @@ def test_the_right_effect_is_fitted_down_to_the_noise(parameters, throughout):
     assert rms(found.residuals) < 1.1 * NOISE, (rms(base.residuals), found.state.values)
     if "shift_time" in parameters:
         assert found.state.values["shift_time"] == pytest.approx(parameters["shift_time"], abs=0.05)
+
+
+def test_an_axis_that_never_moved_hides_no_other():
+    fitter = fitter_of(recordings({"c_per_translation": 0.3}, turned_deg=0.0))
+    base = fitter.nominal()
+    limits = [10.0 * float(np.abs(r).max()) for r in base.residuals]
+    best = max(screen(fitter, base, [BY_ID["configuration.axis_coupling"]], limits), key=lambda entry: entry.gain)
+    assert best.gain > 0.0 and best.values["c_per_translation"] == pytest.approx(0.3, rel=0.1)
+    found = fitter.fit(Hypothesis().plus(best.kind, best.scope), best.values, base.state)
+    assert rms(found.residuals) < 1.1 * NOISE
 
 
 def angles(late_s: tuple[float, float]) -> Fitter:

@@ -35,7 +35,15 @@ def test_turns_are_where_the_motor_goes_back_by_more():
 
 
 def test_the_table_counts_only_what_costs_enough():
-    base = {"kind": "scale", "stale_after": 1, "over": -1, "rms": 0.06, "reference": 0.05, "untracked": 1.0}
+    base = {
+        "kind": "scale",
+        "stale_after": 1,
+        "stale_before": 0.0,
+        "over": -1,
+        "rms": 0.06,
+        "reference": 0.05,
+        "untracked": 1.0,
+    }
     base |= {"offset_z": 1.0, "scale_z": 1.0}
     late = {**base, "cost": 9.0, "stale_after": math.inf, "rms": 0.08}
     rows = table([{**base, "cost": 9.0}, {**base, "cost": 1.0}, late], 3.0)

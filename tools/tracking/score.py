@@ -144,6 +144,7 @@ def table(results: Sequence[Mapping[str, Any]], least_cost: float) -> list[dict[
                 "kind": kind,
                 "sessions": len(group),
                 "stale within 3": _share(r["stale_after"] <= _STEADY for r in group),
+                "of the time before": float(np.mean([r["stale_before"] for r in group])) if group else None,
                 "ratio median": float(np.median(ratios)) if len(ratios) else None,
                 "ratio 95 %": float(np.quantile(ratios, 0.95)) if len(ratios) else None,
                 "within": _share(ratios <= most),

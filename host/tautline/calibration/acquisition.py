@@ -10,6 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
+from numpy.lib.stride_tricks import sliding_window_view
 
 from tautline.calibration.observations import Track
 from tautline.geometry import coarse_range_deg, pose
@@ -24,7 +25,7 @@ _SCALES = (1 / 4, 1 / 3, 3 / 8, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2.0, 8 / 3, 3
 _EVEN = 0.01  # by which the two sides may be scaled differently: a rounded number of pixels
 _OFF = 0.02  # of the picture's width: farther from the tip's path the marker is not where the rig puts it
 _FITS = 0.1  # of that distance is left where another scale is right
-_MARGIN_PX = 2.0
+_MARGIN_PX, _IN_A_ROW = 2.0, 3  # a marker outside of the picture, and frames in a row that show it there
 _LEAST_REACH, _MOST_REACH = 0.02, 5.0  # of the range: beyond, the two are in different units
 _MOST_BEND_DEG = 1000.0  # three turns: no bending section's
 _LOST_ENDS_S, _LOST_ENDS = 3.0, 0.05  # of motion without frames, by which a camera may start late or stop early
@@ -128,9 +129,10 @@ def _told_by_places(track: Track, rig: Rig, camera: Camera) -> Reason | None:
     """Marker positions alone: outside of the frame, or on the tip's path only if they are scaled."""
     if not len(track.t_s):
         return None
-    low, high = track.y.min(axis=0), track.y.max(axis=0)
     size = np.array([camera.width_px, camera.height_px])
-    outside = (low < -_MARGIN_PX).any() or (high > size - 1 + _MARGIN_PX).any()
+    away = np.any((track.y < -_MARGIN_PX) | (track.y > size - 1 + _MARGIN_PX), axis=1)
+    # The tip's path leaves for many frames in a row, a false sighting for one.
+    outside = len(track.y) >= _IN_A_ROW and bool(sliding_window_view(away, _IN_A_ROW).all(axis=1).any())
     some = np.linspace(0, len(track.t_s) - 1, min(60, len(track.t_s))).astype(int)
     others = [x[some] for x in track.others_at(track.scene_s(rig.delay_s))]
 
@@ -156,6 +158,7 @@ def _told_by_places(track: Track, rig: Rig, camera: Camera) -> Reason | None:
             fatal=True,
         )
     if outside:
+        low, high = track.y[away].min(axis=0), track.y[away].max(axis=0)
         return Reason(
             "frame_size",
             f"{track.name}: marker positions from ({low[0]:.4g}, {low[1]:.4g}) to ({high[0]:.4g}, {high[1]:.4g}) px "

@@ -16,6 +16,7 @@ from tautline.calibration.acquisition import in_another_unit
 from tautline.calibration.backlash import WidthCurve, fit_widths
 from tautline.calibration.choice import JOINT, ONSETS, Choice, jumping, measuring
 from tautline.calibration.components import Components, separate
+from tautline.calibration.departures import SPEED
 from tautline.calibration.doubts import PREDICTS, doubts, floor_of
 from tautline.calibration.findings import Findings
 from tautline.calibration.holding import released
@@ -44,6 +45,7 @@ Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 _LEAST_FRAMES = 10
+_TOLD_S = 0.001  # standard deviation to which a clock that was off is found
 _LATER = 0.05  # of a frame's period, by which onsets are moved and not looked for again
 _GRADUAL = 0.4  # noise: what a gradual start must leave for several elements to be tried
 _HELD = 0.5  # of the square of what one element leaves beyond noise: several may leave so much
@@ -199,7 +201,9 @@ class _Session:
             elif abs(later) > 1e-4:
                 onsets = delayed(onsets, self.tracks, later)
                 curve = fit_widths(onsets, self.grid)
-        gradual = self.components is not None and any(part.name.startswith("phase") for part in self.components.parts)
+        gradual = self.components is not None and any(
+            part.name.startswith(("phase", SPEED)) for part in self.components.parts
+        )
         like_paper = self.options.knots == "paper"
         width, sigma, source = self.choice.choose(onsets, curve, joint, passes, like_paper=like_paper, gradual=gradual)
         if source == JOINT:
@@ -485,7 +489,16 @@ class _Session:
             sigma = np.hypot(sigma, self.choice.bridged(joint, width, inside))
         pass_width, pass_sigma = self.choice.second_opinion(onsets, curve, passes)
         characteristic = self._characteristic(delay.delay_s)
+        if self.components is not None:
+            delay = replace(delay, sigma_s=float(np.hypot(delay.sigma_s, self.components.held_back_s)))
         aligned, delay = self.clock.with_delay(delay, self.nominal_s)
+        if any(aligned.offsets_s) and delay.sigma_s > _TOLD_S:
+            self.findings.doubt(
+                "clock.offset",
+                f"the sensor's clock was off, and its offset is known to {2e3 * delay.sigma_s:.2g} ms only (2 sigma)",
+                "put both on one clock: what a codec or glare holds back of the marker looks like a delay",
+                fatal=True,
+            )
         if not np.isfinite(delay.sigma_s):
             self.findings.notes.append(
                 f"no stop of the tip told the delay: the nominal {delay.delay_s * 1e3:.0f} ms is used"

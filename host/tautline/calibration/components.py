@@ -17,6 +17,8 @@ from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve, eigh
 
 from tautline.calibration.departures import (
+    SHARE,
+    SPEED,
     STATES,
     Design,
     Part,
@@ -49,7 +51,9 @@ _STILL = 0.05  # a change of B, in its sigma, that is none
 _COUNT = 0.29  # of an encoder's step: the standard deviation of a place within it
 _SHOWS = 0.3  # of the noise: an encoder's count that moves the image by more shows
 _FEW = 30  # frames that tell no scatter
+LAW = 0.5  # of what speed adds to B: slower than what was seen it may follow another law
 CORRECTS = 0.3  # of a component's correction of B: what it may be off by
+_SHORT = 0.1  # of a frame's period
 _LAGS = 60  # frames of autocorrelation
 _LATE = 0.25  # of the session, which goes from -1/2 to 1/2: its last quarter
 
@@ -62,6 +66,7 @@ class Component:
     rms: float  # of what is lost without it, in the stated noise
     chi2: float  # what is lost without it, over the noise's variance
     shift: Array  # (grid,) by how much B would be another without it
+    later_s: float  # by how much the delay would be another without it
     values: Array
 
 
@@ -83,6 +88,7 @@ class Components:
     width: Array
     sigma: Array  # of B, model error included
     delay_sigma: float
+    held_back_s: float  # by how much a tracker may show a moving tip late
     noise: float  # rms over the stated noise of what no component explains
     moving: float  # the same of frames at which the tip moves, over that of the others
     effective: float  # frames for each independent one
@@ -384,16 +390,21 @@ class _Solved:
         corrected = sum((np.mean(part.shift**2) for part in parts), 0.0)
         sigma = np.sqrt(np.maximum(own**2 - plain**2, 0.0) + number * plain**2 + CORRECTS**2 * corrected)
         moved = self.moved
+        moved = replace(moved, delay_s=moved.delay_s + self._as_a_delay())
         curves = replace(moved, backlash=self._at_the_end(moved.backlash))
         changed = float(np.mean((curves.backlash - moved.backlash) ** 2))
-        sigma = np.sqrt(sigma**2 + CORRECTS**2 * changed + (self._between_recordings() * self.fit.width(curves)) ** 2)
-        delay = self.noise * float(np.sqrt(number * self.inverse[self.head - 1, self.head - 1]))
+        width = self.fit.width(curves)
+        between, slower = self._between_recordings() * width, LAW * self._by_speed(width)
+        sigma = np.sqrt(sigma**2 + CORRECTS**2 * changed + between**2 + slower**2)
+        own_delay = self.noise * float(np.sqrt(number * self.inverse[self.head - 1, self.head - 1]))
+        later = CORRECTS * float(np.sqrt(sum(part.later_s**2 for part in parts)))
+        delay = float(np.hypot(own_delay, later))
         power = np.mean(left**2, axis=1)
         moves = self.scene.moving
         rests = np.mean(power[~moves]) if (~moves).sum() > _FEW else np.mean(power)
         moving = np.sqrt(np.mean(power[moves]) / max(float(rests), 1e-30)) if moves.any() else 1.0
         return Components(
-            curves, moved, self.fit.width(curves), sigma, delay, self.noise, float(moving), number,
+            curves, moved, width, sigma, delay, self._held_back_s(parts), self.noise, float(moving), number,
             tuple(parts), self.clock + self.clock_step, self.owner.rough, self._since(),
         )  # fmt: skip
 
@@ -434,8 +445,26 @@ class _Solved:
         if "width.recording" in values:
             each = values["width.recording"]
             grown += float(contrasts(len(each) + 1)[-1] @ each)
-        faster = float(values["width.speed"][0]) if "width.speed" in values else 0.0
-        return np.maximum(backlash * grown - faster, 0.0)
+        return np.maximum(backlash * grown - self._by_speed(backlash), 0.0)
+
+    def _as_a_delay(self) -> float:
+        """s, of a lag that is so short that frames do not tell it from a delay."""
+        lags = sum(float(self.values[at][0]) for name, at in self._blocks() if name.startswith("lag"))
+        return lags if lags < _SHORT * float(np.median(np.diff(self.scene.time_s))) else 0.0
+
+    def _held_back_s(self, parts: Sequence[Component]) -> float:
+        """By how much a tracker shows a moving tip late that holds back what begins: what all strokes share of that is
+        as much as what they do not."""
+        rms = {part.name: part.rms for part in parts if part.name in ("tracker", "phase.even")}
+        speed = (np.linalg.norm(self.scene.slope, axis=1) * np.abs(self.scene.speed))[self.scene.moving]
+        if "tracker" not in rms or not len(speed):
+            return 0.0
+        return sum(rms.values()) / max(float(np.median(speed)), 1e-12)
+
+    def _by_speed(self, width: Array) -> Array:
+        """By how much a width at the usual speed is more than that of slow strokes."""
+        found = [(name, float(self.values[at][0])) for name, at in self._blocks() if name.startswith(SPEED)]
+        return np.asarray(sum((v * (width if name.endswith(SHARE) else 1.0) for name, v in found), 0.0 * width))
 
     def _between_recordings(self) -> float:
         """Standard deviation of B, as a share of it, from one recording to the next: no B is known better."""
@@ -448,7 +477,8 @@ class _Solved:
         pulled = np.linalg.solve(own + 1e-12 * float(np.trace(own)) / len(at) * np.eye(len(at)), values)
         chi2 = float(values @ pulled) / max(self.noise**2, 1e-30)
         rms = self.noise * float(np.sqrt(max(chi2, 0.0) / max(float(self.weight.sum()), 1.0)))
-        return Component(name, rms, chi2, self._width_step(-self.inverse[:, at] @ pulled), values)
+        without = -self.inverse[:, at] @ pulled
+        return Component(name, rms, chi2, self._width_step(without), float(without[self.head - 1]), values)
 
 
 def effective(left: Array) -> float:

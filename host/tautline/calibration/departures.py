@@ -31,6 +31,7 @@ Sparse = Any  # a scipy.sparse matrix, or an array
 _PHASES = np.array([0.0, 0.12, 0.25, 0.4, 0.55, 0.7, 0.85, 0.95, 1.05, 1.15, 1.3, 1.5, 1.75, 2.0])
 _TIMES, _STROKES_A_SPAN = 10, 3  # spans of slow drifts, at most, and strokes in each, at least
 _LAGS_S, _CREEPS_S = (0.02, 0.05, 0.1, 0.2), (0.6, 2.0)
+_SATURATES = (0.1, 0.3, 1.0, 10.0)  # of the usual speed, at which a width has grown by most of what speed adds
 _FINE_S = 0.005  # of the path that lags
 _BREATHS_HZ = 0.08, 1.0
 _SCAN = 12.0  # what looking for a moment or a rhythm costs, of twice the log likelihood
@@ -38,6 +39,7 @@ _LASTS, _CONSTANT = 0.2, 0.5  # of the misfit, that neighbours share; of that, b
 _ACROSS, _SWAYS = 0.25, 0.5  # of what lies along the path, across it; of the misfit, that one rhythm explains
 _PIECES, _LAGS = 100, 60  # of all strokes, at most; frames over which neighbours share something
 
+SPEED, SHARE = "width.speed", "%"  # of departures that add to B, of those that add a share of it
 # What changes during a session and then is what it is: a model holds what it came to.
 STATES = frozenset(
     {"offset.time", "width.time", "image.time", "image.shift", "offset.recording", "width.recording"}
@@ -163,11 +165,20 @@ def departures(scene: Scene, looked_for: Design, *, apart: bool | None = None) -
     each = sparse.csr_matrix((np.ones(n), (np.arange(n), scene.stroke)), shape=(n, strokes))
     held = sparse.csr_matrix(each.multiply((~scene.moving)[:, None]))
     speeds = np.abs(scene.speed)
-    usual = float(np.mean(speeds[scene.moving])) if scene.moving.any() else 0.0
-    faster = np.where(scene.moving, speeds / max(usual, 1e-12) - 1.0, 0.0)
+    usual = max(float(np.mean(speeds[scene.moving])) if scene.moving.any() else 0.0, 1e-12)
 
     def column(name: str, values: Array, *not_beside: str) -> Part:
         return Part(name, scene.along(values[:, None]), one, False, frozenset(not_beside))
+
+    def speed_parts() -> list[Part]:
+        """One of several laws of a width that is less at rest. A motor that stops passes every speed on the
+        way: a tip that rests was left there by a slow one, unless the width holds."""
+        laws = {f"{SPEED}.{at:g}": -np.expm1(-speeds / (at * usual)) / -np.expm1(-1.0 / at) for at in _SATURATES}
+        laws |= {f"{name}.0": np.where(scene.moving, law, 1.0) for name, law in laws.items()}
+        columns = {name: scene.by_width * (law - 1.0) for name, law in laws.items()}
+        columns |= {name + SHARE: column * scene.width for name, column in columns.items()}
+        beside = frozenset(columns) | {"phase.even"}
+        return [Part(name, scene.along(values[:, None]), one, False, beside) for name, values in columns.items()]
 
     def slow_parts(name: str, times_s: tuple[float, ...], columns: Array) -> list[Part]:
         """One of several time constants."""
@@ -176,14 +187,21 @@ def departures(scene: Scene, looked_for: Design, *, apart: bool | None = None) -
             Part(f"{name}.{tau:g}", scene.along(columns[:, [i]]), one, True, names) for i, tau in enumerate(times_s)
         ]
 
+    by_speed = speed_parts()
     parts = [
-        Part("phase.even", scene.along(hats.multiply(scene.way[:, None])), smooth, False, frozenset({"width.speed"})),
+        Part(
+            "phase.even",
+            scene.along(hats.multiply(scene.way[:, None])),
+            smooth,
+            False,
+            frozenset(p.name for p in by_speed),
+        ),
         Part("phase.odd", scene.along(hats), smooth),
         Part("stroke", scene.along(each), np.eye(strokes)),
         Part("turn", scene.along(held), np.eye(strokes)),
         *([] if slow is None else [Part("offset.time", scene.along(slow), _smooth(slow.shape[1]))]),
         column("width.time", scene.by_width * scene.width * scene.t),
-        column("width.speed", scene.by_width * faster, "phase.even"),
+        *by_speed,
         column("clock.rate", scene.by_delay * scene.t),
         column("clock.drift", scene.by_delay * (scene.t**2 - 1 / 12)),
         *slow_parts("lag", _LAGS_S, scene.lagging),

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tautline.calibration.components import CORRECTS, Component, Components
-from tautline.calibration.departures import STATES
+from tautline.calibration.components import CORRECTS, LAW, Component, Components
+from tautline.calibration.departures import SHARE, SPEED, STATES
 from tautline.calibration.observations import Track
 from tautline.encoder import between_samples
 from tautline.quality import Reason
@@ -24,6 +24,7 @@ _STRONG = 1.2  # of the noise: a departure that is a doubt whatever else is
 _MOSTLY = 0.5  # of the strongest: one that has its part in what is left
 _SHIFTED = 0.03  # of B: what leaving a component out would change, from which it is told
 _STILL_MOVES = 0.83  # of the noise, in the last quarter: with the noise itself 1.3 times it
+_SURE = 0.01  # of B, in sigma
 _WHITE = 1.5  # frames for each independent one up to which scatter is of single frames
 _SPEEDS = 1.5  # scatter of moving frames over that of resting ones, from which times are unsteady
 
@@ -162,12 +163,17 @@ def doubts(
         moves = shift > max(_SHIFTED * usual, 3.0 * sigma)
         # What is uncertain of it is in sigma.
         doubted = moves and not (alone < PREDICTS and CORRECTS * shift < _SHIFTED * usual)
+        if part.name.startswith(SPEED):
+            shift = abs(float(part.values[0])) * (usual if part.name.endswith(SHARE) else 1.0)
+            moves = shift > _SHIFTED * usual
+            doubted = moves and not (alone < PREDICTS and LAW * shift < _MUCH * usual)
         if moves or strong or not predicts:
             kind = "turn.itself" if part.name == "turn" and not rough else part.name
-            reasons.append((part.chi2, _reason(kind, part, shift, unit, predicts and held and not doubted)))
+            late = f", {components.late:.1f} in its last quarter: it goes on" if _goes_on(part.name, components) else ""
+            reasons.append((part.chi2, _reason(kind, part, shift, unit, late, predicts and held and not doubted)))
     told = [reason for _, reason in sorted(reasons, key=lambda each: -each[0])]
     if components.noise > PREDICTS:
-        told.append(_scatter(components, alone))
+        told.append(_scatter(components, alone, sure=sigma < _SURE * usual))
     first: dict[str, Reason] = {}
     for reason in sorted(told, key=lambda each: each.mild):
         first.setdefault(reason.code, reason)
@@ -179,15 +185,20 @@ def _holds(state: str, components: Components, ended: float) -> bool:
     happened once, or between recordings, is over."""
     if ended > PREDICTS * max(components.noise, 1.0):
         return False
-    return not state.endswith("time") or components.late < _STILL_MOVES
+    return not _goes_on(state, components)
 
 
-def _reason(kind: str, part: Component, shift: float, unit: str, mild: bool) -> Reason:
-    code, says, remedy = _MEANS[kind.rstrip("0123456789.")]
-    return Reason(code, f"{says} ({part.rms:.1f} times the noise, {shift:.2g} {unit} of B)", remedy, mild=mild)
+def _goes_on(state: str, components: Components) -> bool:
+    return state in STATES and state.endswith("time") and components.late > _STILL_MOVES
 
 
-def _scatter(components: Components, alone: float) -> Reason:
+def _reason(kind: str, part: Component, shift: float, unit: str, late: str, mild: bool) -> Reason:
+    code, says, remedy = _MEANS[kind.rstrip("0123456789.%")]
+    return Reason(code, f"{says} ({part.rms:.1f} times the noise, {shift:.2g} {unit} of B{late})", remedy, mild=mild)
+
+
+def _scatter(components: Components, alone: float, sure: bool) -> Reason:
+    """sure: B is as well known as one would ask for with all that scatters in its sigma."""
     if alone < _MOST:  # of most frames
         says = f"some frames are far off ({components.noise:.1f} times the noise with them, {alone:.1f} without)"
         return Reason("outliers", says, "look for a second blob of the marker's colour", mild=True)
@@ -200,7 +211,10 @@ def _scatter(components: Components, alone: float) -> Reason:
         )
     if components.effective < _WHITE:
         return Reason(
-            "noise", f"{times}, from frame to frame", "check light, focus and the marker's colour", mild=alone < _LEFT
+            "noise",
+            f"{times}, from frame to frame",
+            "check light, focus and the marker's colour",
+            mild=alone < _LEFT or sure,
         )
     return Reason("residual", f"{times}, which no known departure explains", "taut diagnose says where it is")
 

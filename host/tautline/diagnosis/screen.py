@@ -123,7 +123,8 @@ class _Scan:
                 parameter = kind.amplitudes[i % count]
                 reach = 10.0 * self.fitter.scale(parameter)
                 value = inside(parameter, float(np.clip(a, -reach, reach)))
-                if value == 0.0 or (parameter.one_way and value * sign < 0.0):
+                unfelt = a == 0.0 and bool(np.any(amplitude))  # as of an axis that never moved: the others count
+                if not unfelt and (value == 0.0 or (parameter.one_way and value * sign < 0.0)):
                     gain, value = 0.0, 0.2 * sign * self.fitter.scale(parameter)  # the other way than it can be
                 start[key(parameter.name, 1 + i // count) if scope == Scope.EACH else parameter.name] = value
             scored.append(Screened(gain, kind, scope, start))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -49,6 +49,10 @@ _OFF_SHARE = 0.3  # of the residual along it: then it is no motion of the play
 _WANDERS = 4.0  # standard deviations of the tip's motion while the motor rests
 
 
+_WORTH = 0.5  # times the level known so far, in quadrature: what a new law must take away
+_STAYS = 0.02  # of B
+_TOLD_APART = 0.6  # of what a law changes in B: so much must have been passed before another law replaces it
+_HOLDS_FOR_NOW = "the model holds for now"
 _ONE_WAY = "the tip was not yet seen to move both ways since the model stopped holding"
 
 
@@ -109,7 +113,7 @@ class _Case:
 
     def explained(self, fit: LawFit, of_before: float | None = None) -> bool:
         """Whether it leaves no more than is known to be left, or so much less than the laws at hand, lately too."""
-        if fit.level <= _EXPLAINED * self.level:
+        if max(fit.level, self.lately(fit.z)) <= _EXPLAINED * self.level:
             return True
         if of_before is None or fit.level > of_before * max(self.before, trimmed(self.z_calibrated)):
             return False
@@ -120,6 +124,23 @@ class _Case:
         mean[OFFSET], mean[SHAPE] = self.theta[OFFSET], self.theta[SHAPE]  # places not seen again stay as they are
         span = self.nominal.model.rig.actuator.span
         return Prior.of(mean, span, span * abs(self.nominal.tip_slope))
+
+    def beside(self, prior: Prior) -> Prior:
+        """Of a shape: what was not seen since stays as the law in use has it."""
+        mean, sigma = prior.mean.copy(), prior.sigma.copy()
+        mean[SCALE], sigma[SCALE] = self.theta[SCALE], _STAYS
+        sigma[SHAPE] = np.where(self.known, sigma[SHAPE], _STAYS)
+        return replace(prior, mean=mean, sigma=sigma)
+
+    @property
+    def known(self) -> npt.NDArray[np.bool_]:
+        """(PLACES,) at which, or half way to which, the tip was passed both ways."""
+        places = self.nominal.places
+        if self.passed is None:
+            return np.zeros(len(places), dtype=bool)
+        half = 0.5 * (places[1] - places[0])
+        found: npt.NDArray[np.bool_] = (places > self.passed[0] - half) & (places < self.passed[1] + half)
+        return found
 
     def places(self, theta: Array, at: npt.NDArray[np.intp] | slice = slice(None)) -> Array:
         """The centre coordinates of frames by a law."""
@@ -159,13 +180,15 @@ def _judged(
             return (yield from _posture(case, posture))
         return Inference(_ONE_WAY, case.evidence, early=True)
     if not adapting and case.lately(case.z) < _HOLDS * case.level:
-        return Inference("the model holds for now", case.evidence, early=True)
+        return Inference(_HOLDS_FOR_NOW, case.evidence, early=True)
     fit = yield from _best(case)
-    if case.turns and not np.array_equal(case.theta, unchanged()):
+    if case.turns and not np.array_equal(case.theta, unchanged()) and _tells_apart(case, lately=True):
         lately = case.lately(case.z_calibrated)
         good = max(_EXPLAINED, _AGAIN[0] * case.lately(fit.z))
         if lately <= good and case.lately(case.z) > _AGAIN[1] * lately:
             return _again(case, lately)
+    if not adapting and case.before**2 - fit.level**2 < (_WORTH * case.level) ** 2:
+        return Inference(_HOLDS_FOR_NOW, case.evidence, early=True)
     foretold = proposal is not None and _foretold(case, proposal)
     least = _RICHER_TURNS if len(fit.free) > len(BOTH[0]) else _TURNS
     enough = case.turns >= least and case.explained(fit)
@@ -202,7 +225,8 @@ def _best(case: _Case) -> Generator[None, None, LawFit]:
     """The simplest law that does not leave more than a richer one would."""
     prior = case.prior()
     nominal, evidence = case.nominal, case.evidence
-    start = guess(nominal, evidence, unchanged(), case.envelopes, True)
+    base = unchanged() if _tells_apart(case) else nominal.lawful(_shape_of(case.theta))
+    start = base if np.any(base[SHAPE]) else guess(nominal, evidence, base, case.envelopes, True)
     before = yield from fitted(nominal, evidence, start, BOTH[0], prior)
     behind = yield from fitted(nominal, evidence, at_tip(nominal, before.theta), BOTH[1], prior)
     both, side = (before, 0) if before.cost <= behind.cost + _GAIN else (behind, 1)
@@ -216,11 +240,11 @@ def _best(case: _Case) -> Generator[None, None, LawFit]:
             if _gain(both, gradual) > _GAIN_MORE:
                 return gradual
         simple = both.theta.copy()
-        simple[SCALE] = 1.0
+        simple[SCALE] = base[SCALE]
         offset = yield from fitted(nominal, evidence, simple, ONLY_OFFSET[side], prior)
         if offset.cost < both.cost + _GAIN:
             return offset
-        simple = unchanged()
+        simple = base.copy()
         simple[SCALE] = both.theta[SCALE]
         scale = yield from fitted(nominal, evidence, simple, ONLY_SCALE, prior)
         return scale if scale.cost < both.cost + _GAIN else both
@@ -246,6 +270,8 @@ def _richer(case: _Case, fit: LawFit, more: tuple[int, ...], prior: Prior) -> Ge
     if SPREAD in more:
         begin = case.nominal.gradual_start(begin)
     free = tuple(sorted({*fit.free, *more}))
+    if SHAPE.start in free:
+        prior = case.beside(prior)
     return (yield from fitted(case.nominal, case.evidence, begin, free, prior))
 
 
@@ -279,6 +305,29 @@ def _foretold(case: _Case, proposal: Inference) -> bool:
     off = trimmed(simulated(case.nominal, evidence, proposal.proposed)[0][new])
     before = trimmed(simulated(case.nominal, evidence, case.theta)[0][new])
     return off <= max(_EXPLAINED * case.level, _OF_BEFORE[1] * before)
+
+
+def _shape_of(theta: Array) -> Array:
+    """B of a law alone."""
+    kept = unchanged()
+    kept[SCALE], kept[SHAPE] = theta[SCALE], theta[SHAPE]
+    return kept
+
+
+def _tells_apart(case: _Case, lately: bool = False) -> bool:
+    """Whether the tip was passed where the law in use has another B than the calibrated one: elsewhere either holds."""
+    if not np.any(case.theta[SHAPE]):
+        return True
+    at = case.envelopes.at
+    if lately:
+        at = at[case.evidence.stroke[at] > case.evidence.stroke[-1] - _LATELY]
+    if len(at) == 0:
+        return False
+    model, y = case.nominal.model, case.places(case.theta, at)
+    low, high = case.nominal.places[0], case.nominal.places[-1]
+    off = np.abs(case.nominal.law(case.theta).width - model.width) * ((model.q >= low) & (model.q <= high))
+    inside = (model.q >= y.min()) & (model.q <= y.max())
+    return bool(off[inside].sum() >= _TOLD_APART * off.sum())
 
 
 def _again(case: _Case, level: float) -> Inference:

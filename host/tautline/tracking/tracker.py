@@ -35,6 +35,8 @@ _WELL = 2.2  # and below which it still held
 _STROKE_AMISS, _STROKE_FRAMES = 1.8, 8  # of a stroke, with so many frames; two of three make the model stale
 _STROKE_WELL = 1.6
 _AFTER_TURN, _AFTER_AMISS, _AFTER_CLIP, _AFTER_FRAMES = 2.0, 4.0, 36.0, 5  # within so many B of a turn: the same there
+_USUAL_PACE = 0.5
+_TOGETHER_AMISS, _TOGETHER_FRAMES = 2.8, 15  # of three strokes together
 _QUIET_S = 15.0  # without a disturbance, before anything is learnt after one
 _STALE_STROKES = 5  # that a change is looked for in by themselves
 _POSTURE = 1.0  # of B: an offset that one stroke alone may tell at the beginning, more than a width can be
@@ -112,6 +114,8 @@ class LawTracker:
         self._stroke_sum, self._stroke_count = 0.0, 0
         self._after_sum, self._after_count, self._turned_at = 0.0, 0, np.inf  # shortly after the last turn
         self._amiss: deque[bool] = deque(maxlen=3)
+        self._afters: deque[tuple[float, int]] = deque()  # of three strokes, shortly after their turns: squares, frames
+        self._usual = 1.0  # mean square there
         self._well = 0  # the entry up to which the law in use held
         self._recording_entry = 0  # the recording's first
         self._since = 0  # from which on the evidence is judged
@@ -248,12 +252,21 @@ class LawTracker:
             mean = self._stroke_sum / self._stroke_count
             after = self._after_sum / max(self._after_count, _AFTER_FRAMES)
             self._amiss.append(mean > _STROKE_AMISS or after > _AFTER_AMISS)
-            if self.state is State.TRUSTED and sum(self._amiss) >= 2:
+            if self.state is State.TRUSTED and (sum(self._amiss) >= 2 or self._turns_amiss()):
                 self._doubt(self._begin_of(self._stroke - 2))
             elif self.state is State.STALE and mean < _STROKE_WELL and not any(self._amiss):
                 self._settle("the model holds again as it was")
         self._stroke_sum, self._stroke_count = 0.0, 0
         self._after_sum, self._after_count = 0.0, 0
+
+    def _turns_amiss(self) -> bool:
+        """Whether the last three strokes leave more after their turns than those before did: a gradual onset."""
+        if len(self._afters) == 3:
+            squares, frames = self._afters.popleft()
+            self._usual += _USUAL_PACE * (squares - self._usual * frames) / max(frames, _TOGETHER_FRAMES)
+        self._afters.append((self._after_sum, self._after_count))
+        squares, frames = (sum(column) for column in zip(*self._afters, strict=True))
+        return frames >= _TOGETHER_FRAMES and squares > _TOGETHER_AMISS * max(self._usual, 1.0) * frames
 
     def _begin_of(self, stroke: int) -> int:
         return next((entry for number, entry in self._begins if number >= stroke), self._window.end)
@@ -320,6 +333,7 @@ class LawTracker:
     def _settle(self, why: str) -> None:
         self._work, self._proposal = None, None
         self._amiss.clear()
+        self._afters.clear()
         self._running = 1.0
         self._say(State.TRUSTED, why)
 
@@ -394,4 +408,5 @@ class LawTracker:
         self._law.native.run(self._play, path + self._theta[OFFSET])
         self._running = min(self._running, 1.0)
         self._amiss.clear()
+        self._afters.clear()
         self._stroke_sum, self._stroke_count = 0.0, 0
