@@ -100,11 +100,14 @@ def load(folders: Sequence[Path], scored: bool = False) -> list[Case]:
 
 
 def _thinned(evidence: CaseEvidence) -> CaseEvidence:
-    """Without the hypotheses that weigh nothing."""
+    """Without the hypotheses that weigh nothing. A single effect of a set says which of it leads, however little it
+    weighs."""
     weights = Likelihoods(evidence, START)
     likely = [weights.of[i] + weights.prior(h.ids) for i, h in enumerate(evidence.hypotheses)]
     power = [float(np.mean(h.power)) for h in evidence.hypotheses]
     kept = {0, *np.argsort(likely)[-_KEPT:].tolist(), *np.argsort(power)[:4].tolist()}
+    parts = {name for i in kept for name in evidence.hypotheses[i].ids}
+    kept |= {i for i, h in enumerate(evidence.hypotheses) if len(h.ids) == 1 and h.ids[0] in parts}
     return replace(evidence, hypotheses=tuple(evidence.hypotheses[i] for i in sorted(kept)))
 
 

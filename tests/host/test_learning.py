@@ -85,3 +85,17 @@ def test_draws_are_of_the_spread_and_the_same_each_time():
         pytest.approx(learnt().center.logarithms())
     ]
     assert Hyperparameters.of_logarithms(wide.center.logarithms() + 50.0).mimics < 1.0
+
+
+def test_a_single_effect_that_says_which_of_a_set_leads_is_not_thinned_out(monkeypatch):
+    """A law leads by what it leaves, however unlikely it is alone."""
+    monkeypatch.setattr(learning, "_KEPT", 1)
+    law, other = "acquisition.clock_rate", "transmission.asymmetric_backlash"
+    none = np.zeros(BLOCKS)
+    less = {CREEP: 0.05, "transmission.drift": 0.06, "transmission.offset": 0.07, "configuration.swing": 0.08}
+    shares = {(): 1.0, (other,): 0.9, (law,): 0.2, (law, other): 1e-4, (LAG,): 0.95}
+    shares |= {(name,): share for name, share in less.items()}
+    weighed = [Weighed(ids, 1.0 + s * 100.0 * np.ones(BLOCKS), none, none, len(ids)) for ids, s in shares.items()]
+    evidence = CaseEvidence(1.0, weighed[0].power, tuple(weighed), 18)
+    kept = {h.ids for h in learning._thinned(evidence).hypotheses}
+    assert {(law, other), (law,), (other,)} <= kept and (LAG,) not in kept
