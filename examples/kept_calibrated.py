@@ -12,8 +12,8 @@ import tautline as tl
 from tautline import figures
 from tautline.simulated.instrument import Instrument, preset
 from tautline.simulated.simulate import simulate
-from tautline.trajectory import back_and_forth, random_smooth
 from tautline.tracking.picture import draw
+from tautline.trajectory import back_and_forth, random_smooth
 
 TIGHTENED_S = 40.0
 rig = tl.Rig.from_document(

@@ -115,6 +115,24 @@ static void test_an_encoder_lost_just_before_switching_off_leaves_no_position(vo
     }
 }
 
+// Two counts away the drive grows for most of a second before it is a stall: so long the motor runs.
+static void test_an_encoder_lost_next_to_its_target_leaves_no_position_when_switched_off(void) {
+    for (uint32_t ms = 100; ms <= 300; ms += 50) {
+        for (int sound = 0; sound < 2; sound++) {
+            fake_new(1);
+            fake.position[0] = 0.5;
+            hold();
+            fake.wiring[0] = sound != 0 ? 1.0 : 0.0;
+            TEST_ASSERT_EQUAL(0, move(2));
+            fake_run_ms(ms);
+            TEST_ASSERT_EQUAL(0, fake_enable(0, 0));
+            fake_run_ms(100);
+            TEST_ASSERT_EQUAL(TL_WIRE_FAULT_NONE, fake_status(0).fault);
+            TEST_ASSERT_EQUAL(sound != 0, (fake_status(0).flags & TL_WIRE_FLAG_REFERENCED) != 0);
+        }
+    }
+}
+
 static void test_an_encoder_lost_at_full_speed_leaves_no_position(void) {
     hold();
     TEST_ASSERT_EQUAL(0, move(10000));
@@ -611,6 +629,7 @@ int main(void) {
     RUN_TEST(test_a_motor_blocked_near_its_target_faults_within_the_stall_time);
     RUN_TEST(test_an_encoder_lost_next_to_its_target_is_noticed_and_its_position_not_trusted);
     RUN_TEST(test_an_encoder_lost_just_before_switching_off_leaves_no_position);
+    RUN_TEST(test_an_encoder_lost_next_to_its_target_leaves_no_position_when_switched_off);
     RUN_TEST(test_an_encoder_lost_at_full_speed_leaves_no_position);
     RUN_TEST(test_an_encoder_lost_while_its_path_goes_to_and_fro_is_noticed);
     RUN_TEST(test_a_sound_motor_that_sticks_at_every_count_is_no_stall);
