@@ -16,7 +16,7 @@ from tautline.device import wire
 from tautline.device.board import Board
 from tautline.errors import TautError
 from tautline.live.session import MotionOptions, calibrate_live, record_calibration
-from tautline.live.setup import Frame, Live, LockstepEye, PointEye, open_live
+from tautline.live.setup import Frame, Live, LockstepSource, PointSource, open_live
 from tautline.recording import load
 from tautline.rig import Rig
 from tautline.simulated.instrument import Instrument, preset
@@ -31,7 +31,7 @@ def live_on(bench: Bench, instrument: Instrument, rig: Rig | None = None, axis: 
     """`rig` is what the host believes, where that is not the instrument's."""
     with bench.open() as board:
         plant = SimulatedAxis(bench.sim, instrument, axis)
-        yield Live(board, rig or instrument.rig, axis, PointEye(plant), plant)
+        yield Live(board, rig or instrument.rig, axis, PointSource(plant), plant)
 
 
 def off(board: Board, axis: int = 0) -> bool:
@@ -41,7 +41,7 @@ def off(board: Board, axis: int = 0) -> bool:
 def test_a_calibration_from_frames_finds_the_truth(tmp_path: Path) -> None:
     """The whole way: rendered frames, tracker, USB, the board's onset detector, recording, calibration."""
     with open_live(simulate="reference") as live:
-        assert isinstance(live.eye, LockstepEye) and live.plant is not None
+        assert isinstance(live.marker_source, LockstepSource) and live.plant is not None
         found, motion = calibrate_live(live, tmp_path / "rec", MotionOptions(cycles=4, speeds=(0.7,)), video=False)
         truth = live.plant.instrument
         assert off(live.board) and live.board.counters().telemetry_dropped == 0
@@ -107,7 +107,7 @@ def test_unplugged_during_the_motion_it_rests_and_keeps_what_there_is(bench: Ben
 def test_a_host_that_hangs_during_the_motion(bench: Bench, tmp_path: Path) -> None:
     """No more frames: the board brings the axis to rest by itself and says why."""
 
-    class Hanging(PointEye):
+    class Hanging(PointSource):
         def look(self) -> Frame:
             if hung:
                 live.wait(1.5)
@@ -122,7 +122,7 @@ def test_a_host_that_hangs_during_the_motion(bench: Bench, tmp_path: Path) -> No
 
     with live_on(bench, preset("reference")) as live:
         assert live.plant is not None
-        live.eye = Hanging(live.plant)
+        live.marker_source = Hanging(live.plant)
         with pytest.raises(TautError, match="host was lost"):
             record_calibration(live, tmp_path / "rec", SHORT, progress=hang)
         assert live.board.status(0).flags & wire.code("FLAGS", "AT_REST")
@@ -157,12 +157,12 @@ def test_wrong_scale_and_sign_are_said_before_the_motion(bench: Bench, tmp_path:
 
 
 def test_another_instrument_in_view_and_a_covered_camera(bench: Bench, tmp_path: Path) -> None:
-    class Still(PointEye):
+    class Still(PointSource):
         def look(self) -> Frame:
             frame = super().look()
             return replace(frame, sighting=Sighting(300.0, 200.0, 0.05, 15.0))
 
-    class Covered(PointEye):
+    class Covered(PointSource):
         def look(self) -> Frame:
             return replace(
                 super().look(), sighting=Sighting(np.nan, np.nan, np.nan, np.nan, "no marker of this colour")
@@ -170,10 +170,10 @@ def test_another_instrument_in_view_and_a_covered_camera(bench: Bench, tmp_path:
 
     with live_on(bench, preset("reference")) as live:
         assert live.plant is not None
-        for number, (eye, says) in enumerate(
+        for number, (marker_source, says) in enumerate(
             ((Still, "is this camera looking at"), (Covered, "the marker is not seen"))
         ):
-            live.eye = eye(live.plant)
+            live.marker_source = marker_source(live.plant)
             with pytest.raises(TautError, match=says):
                 record_calibration(live, tmp_path / f"rec{number}", SHORT)
             assert off(live.board)

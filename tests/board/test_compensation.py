@@ -16,7 +16,7 @@ from conftest import Bench
 from tautline.device import wire
 from tautline.live.following import follow_run, record
 from tautline.live.session import MotionOptions, calibrate_live
-from tautline.live.setup import Live, PointEye
+from tautline.live.setup import Live, PointSource
 from tautline.model import Model
 from tautline.rig import Coarse
 from tautline.simulated.instrument import Instrument, preset, reference_rig
@@ -91,9 +91,9 @@ def test_ten_times_smaller_with_what_a_live_calibration_measured(bench: Bench, t
     instrument = preset("reference")
     with bench.open() as board:
         plant = SimulatedAxis(bench.sim, instrument)
-        live = Live(board, instrument.rig, 0, PointEye(plant), plant)
+        live = Live(board, instrument.rig, 0, PointSource(plant), plant)
         found, _ = calibrate_live(live, tmp_path / "rec", MotionOptions(cycles=6, speeds=(1.0,)))
-        live.eye = None
+        live.marker_source = None
         runs = {
             how: follow_run(live, "trapezoids", compensation=how, model=found.model)
             for how in ("off", "backlash", "full")

@@ -31,7 +31,7 @@ from tautline.device import wire
 from tautline.device.board import Board
 from tautline.device.usb_link import UsbLink
 from tautline.live.session import MotionOptions, record_calibration
-from tautline.live.setup import Live, PointEye
+from tautline.live.setup import Live, PointSource
 from tautline.simulated.instrument import preset
 from tautline.simulated.simlink import SimulatedAxis
 
@@ -167,7 +167,7 @@ def set_up(bench: Bench) -> Iterator[None]:
         with bench.open() as board:
             instrument = preset("constant")
             plant = SimulatedAxis(bench.sim, instrument)
-            yield Live(board, instrument.rig, 0, PointEye(plant), plant)
+            yield Live(board, instrument.rig, 0, PointSource(plant), plant)
 
     with (
         patch("tautline.live.setup.open_live", open_live),

@@ -20,7 +20,7 @@ from tautline.geometry import project
 from tautline.live import setup
 from tautline.live.following import Followed, follow_run
 from tautline.live.in_use import TableMover, load_tables
-from tautline.live.setup import Frame, Live, PointEye
+from tautline.live.setup import Frame, Live, PointSource
 from tautline.model import Model
 from tautline.simulated.instrument import Instrument, reference_rig
 from tautline.simulated.simlink import DesktopBoard, SimLink, SimulatedAxis
@@ -74,7 +74,7 @@ def path(folder: Path) -> str:
     return str(file)
 
 
-class Blind(PointEye):
+class Blind(PointSource):
     """From a time on it sees nothing."""
 
     def __init__(self, plant: SimulatedAxis, from_s: float) -> None:
@@ -93,8 +93,8 @@ def run(bench: Bench, folder: Path, instrument: Changing, track: bool = True, bl
     with bench.open() as board:
         plant = SimulatedAxis(bench.sim, instrument)
         instrument.at_s = plant.now_s + CHANGE_S
-        eye = Blind(plant, instrument.at_s - 1.0) if blind else PointEye(plant)
-        live = Live(board, RIG, 0, eye, plant)
+        marker_source = Blind(plant, instrument.at_s - 1.0) if blind else PointSource(plant)
+        live = Live(board, RIG, 0, marker_source, plant)
         return follow_run(live, path(folder), model=model_of(instrument), track=track)
 
 

@@ -11,7 +11,7 @@ from conftest import Bench
 from tautline import trajectory
 from tautline.calibration.calibrate import calibrate
 from tautline.live.asking import MOTION, SURE, diagnose_live
-from tautline.live.setup import Live, PointEye
+from tautline.live.setup import Live, PointSource
 from tautline.model import Effect
 from tautline.simulated import simulate
 from tautline.simulated.instrument import Corrected, preset, reference_rig
@@ -28,7 +28,7 @@ def test_a_lag_that_came_after_the_calibration_is_asked_for_until_it_is_sure(ben
     told: list[str] = []
     with bench.open() as board:
         plant = SimulatedAxis(bench.sim, lagging, 0)
-        live = Live(board, rig, 0, PointEye(plant), plant)
+        live = Live(board, rig, 0, PointSource(plant), plant)
         asked = diagnose_live(live, found, calibration, [], tmp_path / "made", most=3, told=told.append)
     print(asked.why, told)
     document = asked.diagnosis.document

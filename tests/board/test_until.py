@@ -19,7 +19,7 @@ from tautline.device import wire
 from tautline.errors import TautError
 from tautline.live.rounds import Strokes
 from tautline.live.session import record_calibration
-from tautline.live.setup import Frame, Live, PointEye
+from tautline.live.setup import Frame, Live, PointSource
 from tautline.live.until import Goal, calibrate_until
 from tautline.live.watch import View
 from tautline.recording import load
@@ -31,7 +31,7 @@ LOST = Sighting(np.nan, np.nan, np.nan, np.nan, "no marker of this colour")
 SECONDS = 30.0  # of board time, for 3 um
 
 
-class Veiled(PointEye):
+class Veiled(PointSource):
     """The marker is not found while `hidden` says so of (seconds, q)."""
 
     def __init__(self, live: Live, hidden: Callable[[float, float], bool], noise_px: float = 0.05) -> None:
@@ -100,7 +100,7 @@ def test_a_coarser_goal_still_makes_both_rounds_and_a_finer_one_more_work(bench:
 
 def test_noise_that_is_too_high_is_said_at_once(bench: Bench, tmp_path: Path) -> None:
     with live_on(bench, preset("reference")) as live:
-        live.eye = Veiled(live, lambda t, q: False, noise_px=2.0)
+        live.marker_source = Veiled(live, lambda t, q: False, noise_px=2.0)
         found, made = calibrate_until(live, tmp_path / "rec", Goal(at_most_s=40.0))
         assert off(live.board)
     assert not made.reached and "px of noise in the marker" in made.why and "--until" in made.why
@@ -117,7 +117,7 @@ def test_time_that_is_up_ends_a_round(bench: Bench, tmp_path: Path) -> None:
 
 def test_a_marker_that_leaves_the_view_is_named_with_its_place(bench: Bench, tmp_path: Path) -> None:
     with live_on(bench, preset("reference")) as live:
-        live.eye = Veiled(live, lambda t, q: q > 2.5)
+        live.marker_source = Veiled(live, lambda t, q: q > 2.5)
         _, made = calibrate_until(live, tmp_path / "rec")
     assert not made.reached and "the marker is not seen from" in made.why and "to 5 mm" in made.why
 
@@ -125,7 +125,7 @@ def test_a_marker_that_leaves_the_view_is_named_with_its_place(bench: Bench, tmp
 def test_a_marker_that_is_lost_ends_it(bench: Bench, tmp_path: Path) -> None:
     with live_on(bench, preset("reference")) as live:
         assert live.plant is not None
-        live.eye = Veiled(live, lambda t, q: t > 8.0)
+        live.marker_source = Veiled(live, lambda t, q: t > 8.0)
         with pytest.raises(TautError, match=r"the marker was last seen 3 s ago.*taut marker"):
             calibrate_until(live, tmp_path / "rec")
         assert off(live.board) and live.plant.now_s < 14.0

@@ -14,7 +14,7 @@ from tautline.device.board import open_board
 from tautline.geometry import project
 from tautline.live.following import follow_run
 from tautline.live.session import MotionOptions, record_calibration
-from tautline.live.setup import CameraEye, Live
+from tautline.live.setup import CameraSource, Live
 from tautline.recording import load
 from tautline.simulated.instrument import Instrument, preset
 from tautline.simulated.simlink import DesktopBoard, SimLink
@@ -99,7 +99,7 @@ def test_a_calibration_by_the_wall_clock(tmp_path: Path) -> None:
         clock = WallClock(link)
         time.sleep(1.0)
         clock.need()
-        live = Live(board, instrument.rig, 0, CameraEye(board, WallCamera(link, instrument), Reader()))  # type: ignore[arg-type]
+        live = Live(board, instrument.rig, 0, CameraSource(board, WallCamera(link, instrument), Reader()))  # type: ignore[arg-type]
         made = record_calibration(live, tmp_path / "rec", MotionOptions(cycles=2, speeds=(1.0,), low=-2.0, high=2.0))
         found = calibrate([load(tmp_path / "rec")], instrument.rig)
         t = np.arange(0.0, 8.0, 0.01)

@@ -12,7 +12,7 @@ from tautline import tables
 from tautline.device import wire
 from tautline.device.board import Board, open_board
 from tautline.live.session import MotionOptions, calibrate_live
-from tautline.live.setup import Live, PointEye
+from tautline.live.setup import Live, PointSource
 from tautline.model import Model
 from tautline.simulated.instrument import preset
 from tautline.simulated.simlink import PROGRAM, DesktopBoard, SimLink, SimulatedAxis
@@ -45,8 +45,8 @@ def calibrated() -> tuple[Model, float]:
         made_ready(board, link)
         instrument = preset("reference")
         plant = SimulatedAxis(link, instrument)
-        eye = PointEye(plant, noise_px=0.005)  # so that two boards are compared, not two samples of noise
-        live = Live(board, instrument.rig, 0, eye, plant)
+        marker_source = PointSource(plant, noise_px=0.005)  # so that two boards are compared, not two samples of noise
+        live = Live(board, instrument.rig, 0, marker_source, plant)
         options = MotionOptions(cycles=3, speeds=(0.7,))
         found, motion = calibrate_live(live, Path(folder) / "recording", options, video=False)
         link.close()

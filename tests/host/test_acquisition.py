@@ -14,7 +14,7 @@ from tautline.calibration.acquisition import doubts
 from tautline.calibration.calibrate import calibrate
 from tautline.calibration.observations import observe
 from tautline.errors import TautError
-from tautline.live.setup import CameraEye
+from tautline.live.setup import CameraSource
 from tautline.quality import Quality, Reason, Verdict
 from tautline.recording import Recording
 from tautline.rig import Actuator, Rig
@@ -175,4 +175,4 @@ def test_a_live_camera_of_another_size_is_an_error_at_its_first_frame() -> None:
         def close(self) -> None: ...
 
     with pytest.raises(TautError, match="360 x 288 px, the rig's 720 x 576"):
-        CameraEye(None, Half(), None, (720, 576)).look()
+        CameraSource(None, Half(), None, (720, 576)).look()

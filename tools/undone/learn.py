@@ -44,12 +44,12 @@ def diagnosed(instrument: Instrument, values: Values, seed: int = 1) -> Learnt:
     then all is `taut diagnose`'s."""
     rng = np.random.default_rng([seed, 0x07D0])
     calibration, *tests = _motions(instrument)
-    found = tl.diagnose(
+    diagnosis = tl.diagnose(
         _recorded(instrument, {}, calibration, "calibration", rng),
         [_recorded(instrument, values, motion, f"test-{i + 1}", rng) for i, motion in enumerate(tests)],
     )
-    named = [f"{effect['id']} {effect['probability']:.2f}" for effect in found.document["effects"]]
-    return Learnt(found.nominal, found.corrected, ", ".join(named) or str(found.document["verdict"]))
+    named = [f"{effect['id']} {effect['probability']:.2f}" for effect in diagnosis.document["effects"]]
+    return Learnt(diagnosis.nominal, diagnosis.corrected, ", ".join(named) or str(diagnosis.document["verdict"]))
 
 
 def _motions(instrument: Instrument) -> list[Trajectory]:
@@ -140,7 +140,7 @@ def _nearest(instrument: Instrument, name: str, values: Values) -> Effect:
             begin = np.array(first)
             begin[0] += way * own[0].probe * unit[0]
             x0 = np.clip(begin, low + 1e-9, high - 1e-9) / unit
-            found = least_squares(off, x0, bounds=(low / unit, high / unit), diff_step=1e-3, max_nfev=25)
-            best = found if best is None or found.cost < best.cost else best
+            minimum = least_squares(off, x0, bounds=(low / unit, high / unit), diff_step=1e-3, max_nfev=25)
+            best = minimum if best is None or minimum.cost < best.cost else best
     assert best is not None
     return Effect(name, dict(zip((p.name for p in own), (best.x * unit).tolist(), strict=True)) | fixed)

@@ -463,8 +463,8 @@ class _Solved:
 
     def _by_speed(self, width: Array) -> Array:
         """By how much a width at the usual speed is more than that of slow strokes."""
-        found = [(name, float(self.values[at][0])) for name, at in self._blocks() if name.startswith(SPEED)]
-        return np.asarray(sum((v * (width if name.endswith(SHARE) else 1.0) for name, v in found), 0.0 * width))
+        added = [(name, float(self.values[at][0])) for name, at in self._blocks() if name.startswith(SPEED)]
+        return np.asarray(sum((v * (width if name.endswith(SHARE) else 1.0) for name, v in added), 0.0 * width))
 
     def _between_recordings(self) -> float:
         """Standard deviation of B, as a share of it, from one recording to the next: no B is known better."""

@@ -68,8 +68,10 @@ def recall(library: Path, recording_path: Path, as_json: bool) -> None:
         model = known.model(shape.name)
         rms[shape.name] = foretold(model, with_marker(load(recording_path, model.rig), model.rig))
         log(f"taut: {shape.name}: off by {rms[shape.name]:.3g} rms")
-    found = recalled(known, rms)
-    folder = library / found.name
+    nearest = recalled(known, rms)
+    folder = library / nearest.name
     emit(
-        {"name": found.name, "model": folder, "rms": rms}, as_json, f"{found.name}: load it with 'taut flash {folder}'"
+        {"name": nearest.name, "model": folder, "rms": rms},
+        as_json,
+        f"{nearest.name}: load it with 'taut flash {folder}'",
     )

@@ -150,7 +150,7 @@ def follow(
 
 def step(live: Live, seen: Callable[[Frame], None] | None) -> None:
     """Until the next frame, which goes to `seen`, or for a while where there is no camera."""
-    if live.eye is not None and seen is not None:
+    if live.marker_source is not None and seen is not None:
         seen(live.look())
     else:
         live.wait(_STEP_S)

@@ -34,7 +34,7 @@ def load_tables(board: Board, axis: int, model: Model) -> None:
 
 
 @dataclass(frozen=True)
-class Moved:
+class TablesMoved:
     """How far the board's tables were moved, from a frame that arrived at t_s on."""
 
     t_s: float
@@ -49,18 +49,18 @@ class TableMover:
         self._live = live
         blob = live.board.read_table(live.axis)
         self.most = tables.decode(blob).limits.adapt if blob else None
-        self.moves: list[Moved] = []
+        self.moves: list[TablesMoved] = []
         self.beyond = ""  # what was learnt beyond that
         self._told_s = -np.inf
         if self.most is not None:
-            self._tell(Moved(-np.inf, 0.0, 1.0), 0.0)
+            self._tell(TablesMoved(-np.inf, 0.0, 1.0), 0.0)
 
     def use(self, t_s: float, offset: float, scale: float) -> None:
         """What was learnt by a frame that arrived at t_s: offset (unit of q) and the share of B to take up."""
         if self.most is None:
             return
         farthest, least, most = self.most
-        within = Moved(t_s, float(np.clip(offset, -farthest, farthest)), float(np.clip(scale, least, most)))
+        within = TablesMoved(t_s, float(np.clip(offset, -farthest, farthest)), float(np.clip(scale, least, most)))
         self.beyond = ""
         if (within.offset, within.scale) != (offset, scale):
             unit = self._live.rig.actuator.unit
@@ -75,7 +75,7 @@ class TableMover:
         if news or (self.moves and t_s > self._told_s + _AGAIN_S):
             self._tell(within if news else self._now, t_s)
 
-    def _tell(self, move: Moved, t_s: float) -> None:
+    def _tell(self, move: TablesMoved, t_s: float) -> None:
         offset = move.offset / self._live.resolution
         scale = {"offset": offset, "scale": move.scale, "within_ms": round(1e3 * BLEND_S)}
         try:
@@ -103,7 +103,7 @@ class Following:
     lost: str = field(init=False, default="")  # why frames no longer come
 
     def __post_init__(self) -> None:
-        if self.live.eye is None:
+        if self.live.marker_source is None:
             raise TautError("no camera: name one with --camera, or use --simulate")
         if self.live.rig.actuator.unit != self.model.rig.actuator.unit:
             unit, own = self.model.rig.actuator.unit, self.live.rig.actuator.unit

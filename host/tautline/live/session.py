@@ -91,7 +91,7 @@ def move_to(live: Live, q: float, speed: float, seen: Callable[[Frame], object] 
     late = False
     while not late:
         late = live.now_us() >= deadline  # before the look at what became of it: this process may have been held up
-        if seen is not None and live.eye is not None:
+        if seen is not None and live.marker_source is not None:
             seen(live.look())
         else:
             live.wait(0.02)

@@ -47,14 +47,14 @@ class Frame:
     picture: Array | None
 
 
-class Eye(Protocol):
+class MarkerSource(Protocol):
     def look(self) -> Frame:
         """Waits for the next frame. TautError at the end of the source."""
 
     def close(self) -> None: ...
 
 
-class CameraEye:
+class CameraSource:
     """A real camera. Arrival times are of the host's monotonic clock and become board time by round trips."""
 
     def __init__(
@@ -81,7 +81,7 @@ class CameraEye:
         self._camera.close()
 
 
-class LockstepEye:
+class LockstepSource:
     """The simulated endoscope: looking advances board and instrument to the frame's arrival."""
 
     def __init__(self, plant: SimulatedAxis, camera: SimulatedCamera, tracker: MarkerTracker) -> None:
@@ -98,8 +98,8 @@ class LockstepEye:
         self._camera.close()
 
 
-class PointEye:
-    """As LockstepEye without pictures: the marker's projection with white noise of `noise_px`. For long runs."""
+class PointSource:
+    """As LockstepSource without pictures: the marker's projection with white noise of `noise_px`. For long runs."""
 
     def __init__(self, plant: SimulatedAxis, noise_px: float = 0.05, seed: int = 0) -> None:
         self._plant, self._noise = plant, noise_px
@@ -120,12 +120,12 @@ class PointEye:
 
 @dataclass
 class Live:
-    """Board, axis and rig of one session; `eye` where there is a camera, `plant` where all is simulated."""
+    """Board, axis and rig of one session; `marker_source` where there is a camera, `plant` where all is simulated."""
 
     board: Board
     rig: Rig
     axis: int = 0
-    eye: Eye | None = None
+    marker_source: MarkerSource | None = None
     plant: SimulatedAxis | None = None
     stopping: bool = False  # Ctrl-C came
     feeding: bool = False  # frames go on to the board: during its calibration motion
@@ -177,9 +177,9 @@ class Live:
     def look(self) -> Frame:
         """The next frame. What the board said until then has been taken in."""
         self._check_stop()
-        if self.eye is None:
+        if self.marker_source is None:
             raise TautError("no camera: name one with --camera, or use --simulate")
-        frame = self.eye.look()
+        frame = self.marker_source.look()
         if self.feeding:
             seen = frame.sighting
             place = {"u": seen.u_px, "v": seen.v_px, "sigma": seen.sigma_px} if seen.valid else {}
@@ -384,14 +384,16 @@ def open_live(
                 middle = 0.5 * sum(coarse_range_deg(instrument.rig))
                 spot = project(instrument.rig, middle)[0]
                 seen_as = pick(endoscope.frame(middle, 0.0, 0.0), (float(spot[0]), float(spot[1])))
-                eye: Eye = LockstepEye(plant, SimulatedCamera(endoscope, plant.scene), MarkerTracker(seen_as))
+                marker_source: MarkerSource = LockstepSource(
+                    plant, SimulatedCamera(endoscope, plant.scene), MarkerTracker(seen_as)
+                )
             elif instrument.rig.has_camera:
-                eye = PointEye(plant, seed=seed)
+                marker_source = PointSource(plant, seed=seed)
             else:
                 yield live
                 return
-            live.eye = eye
-            stack.callback(eye.close)
+            live.marker_source = marker_source
+            stack.callback(marker_source.close)
             yield live
             return
         if rig is None:
@@ -409,6 +411,8 @@ def open_live(
             source = int(camera) if isinstance(camera, str) and camera.isdigit() else camera
             size = None if rig.camera is None else (rig.camera.width_px, rig.camera.height_px)
             rate_hz = None if rig.camera is None else rig.camera.frame_rate_hz
-            live.eye = CameraEye(opened, VideoCamera(source, size=size, rate_hz=rate_hz), MarkerTracker(colour), size)
-            stack.callback(live.eye.close)
+            live.marker_source = CameraSource(
+                opened, VideoCamera(source, size=size, rate_hz=rate_hz), MarkerTracker(colour), size
+            )
+            stack.callback(live.marker_source.close)
         yield live

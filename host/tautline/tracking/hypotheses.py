@@ -139,8 +139,8 @@ class _Case:
         if self.passed is None:
             return np.zeros(len(places), dtype=bool)
         half = 0.5 * (places[1] - places[0])
-        found: npt.NDArray[np.bool_] = (places > self.passed[0] - half) & (places < self.passed[1] + half)
-        return found
+        passed: npt.NDArray[np.bool_] = (places > self.passed[0] - half) & (places < self.passed[1] + half)
+        return passed
 
     def places(self, theta: Array, at: npt.NDArray[np.intp] | slice = slice(None)) -> Array:
         """The centre coordinates of frames by a law."""
