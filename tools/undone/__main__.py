@@ -78,15 +78,16 @@ def of_effects(which: str, learnt: str, only: tuple[str, ...], seconds: float) -
             continue
         for values in strengths:
             begun = time.monotonic()
-            found = diagnosed(instrument, values) if learnt == "diagnosed" else fitted(instrument, name, values)
-            old, new = (tip_off(instrument, model, values, t, c_deg) for model in (found.old, found.new))
-            true = tip_off(instrument, found.old, {}, t, c_deg)
+            outcome = diagnosed(instrument, values) if learnt == "diagnosed" else fitted(instrument, name, values)
+            old, new = (tip_off(instrument, model, values, t, c_deg) for model in (outcome.old, outcome.new))
+            true = tip_off(instrument, outcome.old, {}, t, c_deg)
             says = ", ".join(f"{key} {value:.4g}" for key, value in values.items())
             gained = 100.0 * (old - new) / (old - true) if old > true else np.nan
             print(
-                f"| {name} | {says} | {found.named} | {old:.4f} | {new:.4f} | {true:.4f} | {gained:.0f} % |", flush=True
+                f"| {name} | {says} | {outcome.named} | {old:.4f} | {new:.4f} | {true:.4f} | {gained:.0f} % |",
+                flush=True,
             )
-            click.echo(f"{name}: {time.monotonic() - begun:.0f} s, {found.new.effects}", err=True)
+            click.echo(f"{name}: {time.monotonic() - begun:.0f} s, {outcome.new.effects}", err=True)
 
 
 main.add_command(hysteresis.main, "plays")

@@ -40,9 +40,9 @@ def main(data: Path | None) -> None:
             model = tool.model((rate, load))
             single = one_play(model, tool.run((rate, load)))
             others = [tool.run((other, load)) for other in davinci.RATES if other != rate]
-            found = [off(model, run) / off(single, run) for run in others]
-            ratios += found
-            told = ", ".join(f"{ratio:.3f}" for ratio in found)
+            of_run = [off(model, run) / off(single, run) for run in others]
+            ratios += of_run
+            told = ", ".join(f"{ratio:.3f}" for ratio in of_run)
             print(f"load {load} rate {rate}: {len(model.elements.width)} plays, {told}", flush=True)
     worst, median = max(ratios), float(np.median(ratios))
     print(f"{len(ratios)} pairs: median {median:.3f} (goal 0.95), worst {worst:.3f} (goal 1.02)")

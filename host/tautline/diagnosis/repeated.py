@@ -44,6 +44,7 @@ def told(document: dict[str, Any], model: Model, segments: Sequence[Segment], lo
         candidate["probability"] *= 1.0 - probability
     document["probability_none"] *= 1.0 - probability
     document["probability_unknown"] *= 1.0 - probability
+    probability += sum(candidate["probability"] for candidate in document["candidates"] if candidate["id"] == HELD)
     closed = 1.0 - float(np.sqrt(without / power))
     entry = {"id": HELD, "probability": probability, "shrink": closed, "identifiable": True}
     others = [candidate for candidate in document["candidates"] if candidate["id"] != HELD]
@@ -55,7 +56,7 @@ def told(document: dict[str, Any], model: Model, segments: Sequence[Segment], lo
         document["effects"] = []
     for effect in document["effects"]:
         effect["shrink"] *= 1.0 - closed
-    candidates = {
+    held = {
         "id": HELD,
         "probability": _SURE,
         "since": (Scope.START if repeats[0] > 0.5 * max(repeats[1:]) else Scope.TESTS).since,
@@ -66,7 +67,7 @@ def told(document: dict[str, Any], model: Model, segments: Sequence[Segment], lo
         "ambiguous_with": [],
     }
     rest = [effect for effect in document["effects"] if effect["id"] != HELD]
-    document["effects"] = [candidates, *rest] if leads else [*rest, candidates]
+    document["effects"] = [held, *rest] if leads else [*rest, held]
     document["verdict"] = "effect"
     if leads:
         document["where"]["stage"] = BY_ID[HELD].stage
