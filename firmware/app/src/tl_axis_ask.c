@@ -303,6 +303,7 @@ static void switch_on(tl_axis_t *axis) {
     axis->guard.seen_q = axis->q;
     axis->guard.seen_duty = 0;
     axis->guard.unseen_ms = 0;
+    axis->guard.blind = false;
     axis->guard.pushed = axis->guard.swing_way = 0;
     begin(axis, axis->referenced ? axis->limits.duty_q15 : low_duty(axis));
 }

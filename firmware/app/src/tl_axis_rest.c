@@ -9,32 +9,13 @@
 // nor after these where the encoder showed nothing for so long: it may have been lost, and the motor have run on.
 #define OF_MOTION (BIT(FOLLOWING) | BIT(CURRENT) | BIT(STALL))
 #define UNSEEN_MS 5U
-// Who switches off before it is a fault: nothing seen for so long, and pushed, or a count away from the path and driven
-// by that much more since: at rest within a count nothing more is asked of a motor (tl_servo.h).
-#define BLIND_MS 20U
-#define NUDGE    328 // beyond half the friction: 1 %
 // After these somebody may have changed its wires.
 #define OF_WIRING (OF_POSITION | OF_MOTION | BIT(DRIVER) | BIT(SUPPLY))
 
-static int32_t size_of(int32_t value) {
-    return value < 0 ? -value : value;
-}
-
-// Whether the motor may have moved without its encoder.
-static bool is_blind(const tl_axis_t *axis) {
-    const tl_axis_guarded_t *guard = &axis->guard;
-    if (!axis->closed || guard->unseen_ms < BLIND_MS) {
-        return false;
-    }
-    const bool off = size_of(axis->path.q - axis->q) >= TL_COUNT_ONE;
-    const int32_t more = size_of(axis->motor.duty - guard->seen_duty);
-    return guard->pushed_ms >= BLIND_MS || (off && more > axis->motor.servo.gains.friction / 2 + NUDGE);
-}
-
 TL_FAST void tl_axis_off(tl_axis_t *axis) {
-    const bool blind = is_blind(axis);
     tl_actuator_release(&axis->motor);
-    axis->referenced = axis->referenced && !blind;
+    axis->referenced = axis->referenced && !axis->guard.blind;
+    axis->guard.blind = false;
     tl_axis_enter(axis, TL_WIRE_MODE_OFF);
     axis->plan.stream.used = 0;
     axis->plan.motion = NULL;

@@ -71,6 +71,7 @@ typedef struct {
     uint8_t still_ms;        ///< a move is at its target
     uint8_t pushed;          ///< limits of the last millisecond, likewise
     uint8_t unseen_ms;       ///< that it has shown nothing new, in closed loop; up to 20
+    bool blind;              ///< the motor may have moved without its encoder: off, its position is not known
     bool lapsed;             ///< the host is lost: a fault as soon as the axis rests
     bool homing;             ///< the move under way is the retreat from an end
     bool homed;              ///< the play does not know yet
