@@ -105,7 +105,7 @@ _APP = (
          REST, "axis->referenced = axis->referenced && !axis->guard.blind;", ""),
     _one("a drive that grew in the dark takes the reference",
          SAFETY + "an_encoder_lost_next_to_its_target_leaves_no_position_when_switched_off",
-         GUARD, "(off && !within(grown", "(off && false && !within(grown"),
+         GUARD, "blind = pushes || more > STICKS;", "blind = pushes;"),
     _one("growth counts from rest", SAFETY + "a_sound_motor_that_sticks_at_every_count_is_no_stall",
          GUARD, "        guard->seen_duty = axis->motor.duty;\n        guard->unseen_ms = (",
          "        guard->unseen_ms = ("),

@@ -5,8 +5,7 @@
 
 #define STALL_WAY     (8 * TL_COUNT_ONE) // within it for the stall time, a pushing motor stands still
 #define SETTLES_MS    20U                // without a count after which it brakes no more
-#define BLIND_MS      20U                // without a count, of pushing, after which nobody knows where it is
-#define STICKS        1311               // beyond sliding friction, both ways: 4 %
+#define STICKS        1311               // of drive beyond sliding friction, both ways: 4 %
 #define DRIVER_MS     5U                 // a fault line that is low for as long is no glitch
 #define SUPPLY_MS     20U                // a dip as long is more than a motor's start
 #define SWING_STEP    160U               // a change from limit to limit, forgotten in 40 ms, and in
@@ -71,23 +70,17 @@ static bool electrical(tl_axis_t *axis, tl_us_t now_us) {
                  guard->current_mean_q8 >> 8, now_us);
 }
 
-// Whether the motor may have moved without its encoder, which has shown nothing for SETTLES_MS: it pushed, or is a
-// count away from the path (within it nothing more is asked of a motor, tl_servo.h) and driven by so much more since as
-// a sound one would have moved of, that stuck against the other way.
-static bool is_blind(const tl_axis_t *axis, int32_t grown) {
-    const bool off = !within(axis->path.q - axis->q, TL_COUNT_ONE - 1);
-    return axis->closed && (axis->guard.pushed_ms >= BLIND_MS ||
-                            (off && !within(grown, 2 * axis->motor.servo.gains.friction + STICKS)));
-}
-
 // How long it has been pushing without a motion, less how long it has not. A driver at its own current limit pushes as
 // hard as it can, too; and so does a drive that has grown, since the encoder last showed anything, by more than twice
-// what the check has shown to overcome friction: whatever load it holds, it would have moved.
+// what the check has shown to overcome friction: whatever load it holds, it would have moved. In the dark is one that
+// shows nothing and pushes, or whose drive has grown by more than would free one that stuck against the other way:
+// within a count of its path nothing more is asked of it (tl_servo.h).
 static void feel(tl_axis_t *axis, int32_t size_ma) {
     tl_axis_guarded_t *guard = &axis->guard;
     const tl_count_q8_t q = axis->q;
     const int32_t chops_ma = axis->port->driver_ma * 15 >> 4; // with the noise of its measurement
     bool pushes = (chops_ma > 0 && size_ma >= chops_ma) || guard->pushed != 0;
+    bool blind = false;
     if (q != guard->seen_q) {
         guard->seen_q = q;
         guard->seen_duty = axis->motor.duty;
@@ -96,16 +89,18 @@ static void feel(tl_axis_t *axis, int32_t size_ma) {
         guard->seen_duty = axis->motor.duty;
         guard->unseen_ms = (uint8_t)(guard->unseen_ms + 1U);
     } else {
-        pushes =
-            pushes || !within(axis->motor.duty - guard->seen_duty, 2 * (axis->motor.servo.gains.friction + CHECK_PUSH));
+        const int32_t grown = axis->motor.duty - guard->seen_duty;
+        const int32_t more = (grown < 0 ? -grown : grown) - 2 * axis->motor.servo.gains.friction;
+        pushes = pushes || more > 2 * CHECK_PUSH;
+        blind = pushes || more > STICKS;
     }
+    guard->blind = blind;
     int32_t pushed_ms = pushes ? guard->pushed_ms + 1 : guard->pushed_ms - 1;
     if (pushed_ms < 0 || !within(q - guard->still_q, STALL_WAY)) { // a stall, or an end, comes before it overflows
         guard->still_q = q;
         pushed_ms = 0;
     }
     guard->pushed_ms = (uint16_t)pushed_ms;
-    guard->blind = guard->unseen_ms >= SETTLES_MS && is_blind(axis, axis->motor.duty - guard->seen_duty);
 }
 
 static bool oscillates(tl_axis_t *axis) {
