@@ -94,8 +94,7 @@ _LIVED = (
 _APP = (
     _one("an encoder that shows nothing",
          SAFETY + "an_encoder_lost_next_to_its_target_is_noticed_and_its_position_not_trusted",
-         GUARD, "pushes || !within(axis->motor.duty - guard->seen_duty, 2 *",
-         "pushes || !within(axis->motor.duty - guard->seen_duty, 99 *"),
+         GUARD, "pushes || more > 2 * CHECK_PUSH", "pushes || more > 99 * CHECK_PUSH"),
     _one("a stall adds up", SAFETY + "an_encoder_lost_while_its_path_goes_to_and_fro_is_noticed", GUARD,
          "pushes ? guard->pushed_ms + 1 : guard->pushed_ms - 1;", "pushes ? guard->pushed_ms + 1 : 0;"),
     _one("an unseen motion takes the reference", SAFETY + "an_encoder_lost_at_full_speed_leaves_no_position",
