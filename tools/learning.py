@@ -141,9 +141,9 @@ def _likeliest(cases: Sequence[Case], at: Array, center: Array, variance: Array,
     weight = weights_of(cases)
 
     def loss(at: Array) -> tuple[float, Array]:
-        loss_ = weight @ np.array(list(pool.map(_slopes, cases, [at] * len(cases), chunksize=4)))
+        summed = weight @ np.array(list(pool.map(_slopes, cases, [at] * len(cases), chunksize=4)))
         off = at - center
-        return float(loss_[0] + 0.5 * np.sum(off**2 / variance)), loss_[1:] + off / variance
+        return float(summed[0] + 0.5 * np.sum(off**2 / variance)), summed[1:] + off / variance
 
     return np.asarray(minimize(loss, at, jac=True, method="L-BFGS-B", options={"maxiter": _STEPS}).x)
 

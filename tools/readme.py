@@ -27,13 +27,13 @@ class Block:
 
 def blocks(readme: str) -> list[Block]:
     """In the order of the page; blocks that are not sh or python are pictures of something else."""
-    blocks_ = []
+    fenced = []
     for language, where, text in _FENCE.findall(readme):
         if language == "sh":
-            blocks_.append(Block(where or "anywhere", text))
+            fenced.append(Block(where or "anywhere", text))
         elif language == "python":
-            blocks_.append(Block("python", text))
-    return blocks_
+            fenced.append(Block("python", text))
+    return fenced
 
 
 def unfenced(readme: str) -> list[str]:

@@ -67,8 +67,8 @@ def calibrated(folder: Path, out: Path) -> tuple[int, dict[str, Any]]:
 def backgrounds() -> list[Array]:
     """Real endoscopy frames, where they lie beside the repository; each third seed is drawn over tissue of our own."""
     for folder in Path(__file__).resolve().parents:
-        if (pictures_ := folder / "shared" / "data" / "backgrounds").is_dir():
-            pictures = sorted(path for path in pictures_.iterdir() if path.suffix in (".jpg", ".png"))
+        if (shared := folder / "shared" / "data" / "backgrounds").is_dir():
+            pictures = sorted(path for path in shared.iterdir() if path.suffix in (".jpg", ".png"))
             return [np.asarray(cv2.imread(str(path))) for path in pictures]
     return []
 

@@ -42,15 +42,15 @@ def doubts(
 ) -> list[Reason]:
     """What contradicts the rig, and what of the motion was not seen. tracks: what the recordings show, on the motor's
     clock, from which their own differ by offsets_s."""
-    wrong_range = _range(tracks, rig)
+    reasons = _range(tracks, rig)
     if rig.camera is not None and tracks[0].unit == "px":
-        wrong_range += _frame_size(recordings, tracks, rig, rig.camera)
-        wrong_range += _rate(recordings, rig.camera)
+        reasons += _frame_size(recordings, tracks, rig, rig.camera)
+        reasons += _rate(recordings, rig.camera)
     for recording, track, offset_s in zip(recordings, tracks, offsets_s, strict=True):
-        wrong_range += _duration(recording, track, rig.nominal_delay_s(track.sensor), offset_s)
+        reasons += _duration(recording, track, rig.nominal_delay_s(track.sensor), offset_s)
         if recording.marker is not None and track.unit == "px":
-            wrong_range += _lost(recording, recording.marker, rig)
-    return wrong_range
+            reasons += _lost(recording, recording.marker, rig)
+    return reasons
 
 
 def in_another_unit(reached: tuple[float, float], rig: Rig) -> bool:

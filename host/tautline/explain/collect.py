@@ -17,9 +17,9 @@ from tautline.explain.topic import KINDS, Topic
 @cache
 def topics() -> Mapping[str, Topic]:
     """By code, in the order of KINDS."""
-    topics_ = list(chain(_effects(), REASONS, _faults(), _refusals(), _keys(), _files(), TERMS))
-    topics_.sort(key=lambda topic: list(KINDS).index(topic.kind))
-    return {topic.code: topic for topic in topics_}
+    listed = list(chain(_effects(), REASONS, _faults(), _refusals(), _keys(), _files(), TERMS))
+    listed.sort(key=lambda topic: list(KINDS).index(topic.kind))
+    return {topic.code: topic for topic in listed}
 
 
 def find(name: str) -> Topic:

@@ -184,7 +184,7 @@ class Following:
     def summary(self) -> dict[str, Any]:
         row = self.row
         changes = [{"t_s": c.t_s, "state": c.state.value, "says": c.says} for c in self.tracker.changes]
-        said: dict[str, Any] = {
+        document: dict[str, Any] = {
             "frames": self.frames,
             "lost_frames": self.unseen,
             "rms_px": self.rms_px,
@@ -198,14 +198,14 @@ class Following:
             "changes": changes,
         }
         if self.library is not None:
-            said["shape"] = None if self.known is None else self.known.name
+            document["shape"] = None if self.known is None else self.known.name
         if self.mover is not None:
-            said |= {
+            document |= {
                 "moves": [asdict(move) for move in self.mover.moves],
                 "moves_within": None if self.mover.most is None else list(self.mover.most),
                 "beyond": self.beyond,
             }
-        return said
+        return document
 
 
 @contextmanager
