@@ -68,7 +68,7 @@ class Stacked:
         self.mean = np.mean(self.power, axis=1)
         scatter, rival = np.array([h.scatter for h in hypotheses]), np.array([h.rival for h in hypotheses])
         self.scatter, self.rival = np.sum(scatter, axis=1), np.sum(rival, axis=1)
-        self.scatters: Flags = scatter.any(axis=1)
+        self.scatters: Flags = np.asarray(scatter.any(axis=1))
         # What a path follows on blocks that its fit did not see is no scatter, of whatever origin.
         followed = np.min(self.mean[~self.scatters], initial=np.inf)
         self.path = self.scatters & (followed < np.mean(self.power * np.exp(np.minimum(scatter, rival)), axis=1))
