@@ -45,8 +45,9 @@ START = Hyperparameters(
 )  # fmt: skip  # docs/diagnosis.md says why
 _PRIOR = 0.7  # spread of a logarithm about START
 _UNLIKE, _UNLIKE_WORTH = 0.3, 2.0  # spread between generators expected, and of how many generators that is worth
-_ROUNDS, _STEPS, _STEP = 6, 8, 0.02
+_ROUNDS, _STEPS, _MOST, _STEP = 5, 8, 12, 0.02  # most: slopes in a round, where a kink stops a search
 _SETTLED = 0.02  # of a logarithm: the center moves less in the last round
+_FLAT = 1e-4  # of a loss: a further step gains less
 _LEAST = 0.01  # of a truth's probability: no case says more than that all is wrong
 _MIX = {NONE: 0.25, UNEXPLAINED: 0.25}  # of a generator's weight; the rest is of effects
 _COVERS = 0.95
@@ -160,7 +161,8 @@ def _likeliest(
         off = at - center
         return float(summed[0] + 0.5 * np.sum(off**2 / variance)), summed[1:] + off / variance
 
-    found = np.asarray(minimize(loss, at, jac=True, method="L-BFGS-B", options={"maxiter": _STEPS}).x)
+    until = {"maxiter": _STEPS, "maxfun": _MOST, "ftol": _FLAT}
+    found = np.asarray(minimize(loss, at, jac=True, method="L-BFGS-B", options=until).x)
     each = slopes(found)[:, 1:]
     return found, np.diag(np.linalg.inv((weight * each.T) @ each + np.diag(1.0 / variance)))
 
