@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,11 +11,11 @@ import numpy.typing as npt
 
 from tautline import effects
 from tautline.columns import read_times
-from tautline.encoder import straight_lines
+from tautline.encoder import between_counts, straight_lines
 from tautline.errors import TautError
 from tautline.folders import write_file
 from tautline.model import Model
-from tautline.recording import Motor
+from tautline.recording import Motor, Recording
 from tautline.rig import ANGLE, MARKER
 
 Array = npt.NDArray[np.float64]
@@ -49,6 +50,56 @@ def predict(model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float
     lines = straight_lines(motor, model.rig.actuator.encoder_resolution)
     path = effects.simulate(model, lines, scene, effects.of_model(model), start_deg, reference)
     return Prediction(path.c_deg, path.image_px if model.rig.has_camera else None)
+
+
+def settled_from(model: Model, motor: Motor) -> float:
+    """The scene time from which the start inside the backlash no longer matters: both envelopes were reached."""
+    widest = 1.1 * float(model.width.max()) + 2 * model.rig.actuator.encoder_resolution
+    motor = between_counts(motor, model.rig.actuator.encoder_resolution)  # at every sample
+    low, high = np.minimum.accumulate(motor.q), np.maximum.accumulate(motor.q)
+    up = np.flatnonzero(motor.q - low > widest)
+    down = np.flatnonzero(high - motor.q > widest)
+    if len(up) == 0 or len(down) == 0:
+        return float("inf")
+    return float(motor.t_s[max(up[0], down[0])])
+
+
+def misses(model: Model, motor: Motor, scene_s: npt.ArrayLike, seen: Array) -> Array:
+    """What was seen at scene times less what the model says: seen is (n, 2) px, or (n,) or (n, 1) deg; so is that."""
+    told = predict(model, motor, scene_s)
+    if seen.ndim == 2 and seen.shape[1] == 2:
+        assert told.image_px is not None  # the model has a camera
+        return np.asarray(seen - told.image_px)
+    return np.asarray(seen - told.c_deg.reshape(seen.shape))
+
+
+def foretold(model: Model, recording: Recording, settled_by: Model | None = None) -> float:
+    """rms of what the model says of a recording, px a coordinate, deg without a marker or a camera, from when the tip
+    was driven through the backlash (of settled_by, if given) both ways. TautError where it was not."""
+    usual, motor = settled_by or model, recording.motor
+    begin_s = settled_from(usual, motor)
+    if not np.isfinite(begin_s):
+        raise TautError(
+            f"{recording.name}: the motor does not go through the backlash both ways: record a longer motion"
+        )
+    marker, angle = recording.marker, recording.angle
+    if marker is not None and model.rig.has_camera:
+        sensor, arrival_s, valid = MARKER, marker.t_s, marker.valid
+        seen = np.column_stack([marker.u_px, marker.v_px])
+    elif angle is not None:
+        sensor, arrival_s, valid, seen = ANGLE, angle.t_s, angle.seen, angle.c_deg
+    else:
+        raise TautError(f"{recording.name}: has neither marker.csv (or a video) nor angle.csv")
+    counted = valid & (arrival_s - usual.delay_of(sensor) >= begin_s)
+    if not counted.any():
+        raise TautError(f"{recording.name}: nothing was seen after the tip was driven both ways")
+    return rms([misses(model, motor, (arrival_s - model.delay_of(sensor))[counted], seen[counted])])
+
+
+def rms(off: Sequence[Array]) -> float:
+    """Of all together; infinite where a place cannot be in the image at all."""
+    value = float(np.sqrt(np.mean(np.concatenate(off) ** 2)))
+    return value if np.isfinite(value) else float("inf")
 
 
 def times_of(

@@ -17,9 +17,8 @@ from tautline import tables
 from tautline.errors import TautError
 from tautline.folders import write_file
 from tautline.model import Model
-from tautline.prediction import predict
+from tautline.prediction import foretold
 from tautline.recording import Recording
-from tautline.rig import ANGLE, MARKER
 from tautline.schema import Key, Section
 
 INDEX = "shapes.toml"
@@ -36,6 +35,7 @@ SHAPE = Section(
     "shapes",
 )
 _SIGMAS = 3.0  # within which what is seen is a shape's
+_ALIKE = 1.3  # times the error of the best, up to which another might be it
 _LEAST = 0.1, 0.05, 0.2  # and at least so much of B (offset), of the scale, of the current
 
 
@@ -83,6 +83,12 @@ class Library:
 
     def model(self, name: str) -> Model:
         return Model.load(self.folder / self.of(name).name)
+
+    def first(self) -> Model:
+        """The model that the others' offset and scale are told by."""
+        if not self.shapes:
+            raise TautError(f"{self.folder}: no shapes in it: add them with 'taut shapes add'")
+        return self.model(self.shapes[0].name)
 
     def of(self, name: str) -> Shape:
         for shape in self.shapes:
@@ -150,42 +156,13 @@ def apart(first: Model, other: Model) -> tuple[float, float]:
     return offset, mean[1] / mean[0]
 
 
-def foretold(model: Model, recording: Recording) -> float:
-    """rms of what the model says of a recording, px a coordinate or deg, from where the tip was driven both ways on."""
-    motor = recording.motor
-    q = motor.q
-    rise, fall = q - np.minimum.accumulate(q), np.maximum.accumulate(q) - q
-    width = float(model.width.max())
-    both = np.logical_or.accumulate(rise > width) & np.logical_or.accumulate(fall > width)
-    if not both.any():
-        raise TautError(
-            f"{recording.name}: the motor does not go through the backlash both ways: record a longer motion"
-        )
-    begin_s = float(motor.t_s[int(np.argmax(both))])
-    if recording.marker is not None and model.rig.has_camera:
-        marker = recording.marker
-        scene = marker.t_s - model.delay_of(MARKER)
-        late = marker.valid & (scene > begin_s)
-        px = predict(model, motor, scene[late]).image_px
-        assert px is not None
-        off = (px - np.column_stack([marker.u_px, marker.v_px])[late]).ravel()
-    elif recording.angle is not None:
-        angle = recording.angle
-        scene = angle.t_s - model.delay_of(ANGLE)
-        late = angle.seen & (scene > begin_s)
-        off = predict(model, motor, scene[late]).c_deg - angle.c_deg[late]
-    else:
-        raise TautError(f"{recording.name}: has neither marker.csv (or a video) nor angle.csv")
-    if len(off) == 0:
-        raise TautError(f"{recording.name}: nothing was seen after the tip was driven both ways")
-    return float(np.sqrt(np.mean(off**2)))
-
-
-def recalled(library: Library, rms: dict[str, float]) -> Shape:
-    """The shape whose model foretells a recording best: by its rms in each. TautError where two do so alike."""
+def recalled(library: Library, recording: Recording) -> tuple[Shape, dict[str, float]]:
+    """The shape whose model foretells a recording best, and by name how far off each was (rms). TautError where two
+    are alike."""
+    rms = {shape.name: foretold(library.model(shape.name), recording) for shape in library.shapes}
     if not rms:
         raise TautError(f"{library.folder}: no shapes in it: add them with 'taut shapes add'")
     order = sorted(rms, key=lambda name: rms[name])
-    if len(order) > 1 and rms[order[1]] < 1.3 * rms[order[0]]:
+    if len(order) > 1 and rms[order[1]] < _ALIKE * rms[order[0]]:
         raise TautError(f"{order[0]} and {order[1]} foretell it alike: record a longer motion, both ways")
-    return library.of(order[0])
+    return library.of(order[0]), rms

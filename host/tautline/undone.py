@@ -117,12 +117,14 @@ def _sides(v: Mapping[str, float], count: float) -> Section:
 
 
 def _speed(v: Mapping[str, float], model: Model, count: float) -> Section:
-    """width_per_speed is of a speed of a tenth of the table's grid a second; the board's table ends at twice the
-    range a second."""
+    """width_per_speed is of a speed of a tenth of the table's grid a second, the law host/native/effects' own; the
+    board's table ends at twice the range a second."""
     usual = 0.1 * float(model.q[-1] - model.q[0])
     step_log2 = _step_log2(2.0 * model.rig.actuator.span / count)
     speed = _NODES * 2.0**step_log2 * count
-    extra = np.maximum(v["width_per_speed"] * usual * (speed / usual) ** v.get("speed_exponent", 1.0), 0.0)
+    relative, k = speed / usual, v.get("speed_saturation", 0.0)
+    share = np.expm1(-k * relative) / np.expm1(-k) if k > 0.0 else relative
+    extra = np.maximum(v["width_per_speed"] * usual * share, 0.0)
     return {
         "step_log2": step_log2,
         "time_us": round(1e6 * v.get("speed_time", 0.02)),

@@ -1,9 +1,15 @@
 """taut watch: the tracker on a board and its camera, while the motor moves."""
 
+import json
 from dataclasses import replace
 
 import pytest
+from click.testing import CliRunner
 
+from tautline.cli import taut
+from tautline.errors import TautError
+from tautline.live.following import follow_run
+from tautline.live.recalling import recall
 from tautline.live.setup import open_live
 from tautline.live.tracking import watch
 from tautline.model import Model
@@ -53,3 +59,34 @@ def test_watch_proposes_the_shape_that_the_shaft_has(tmp_path):
     with open_live(simulate=str(library.folder / "looped"), pictures=False) as live:
         result = watch(live, other, "smooth", speed=4.0, duration_s=10.0, library=library)
     assert result["shape"] is None and result["state"] == "trusted"
+
+
+def test_a_short_motion_tells_which_shape_the_shaft_has_and_follow_names_another(tmp_path):
+    model = model_of_the_reference()
+    library = Library(tmp_path / "shapes").add("straight", model)
+    library = library.add("looped", replace(model, width=0.7 * model.width))
+    with open_live(simulate=str(library.folder / "looped"), pictures=False, at=3.5) as live:
+        shape, rms = recall(live, library)
+        assert shape.name == "looped" and rms["looped"] < 0.1 < 1.0 < rms["straight"]
+        followed = follow_run(live, "smooth", model=library.model("looped"), track=True, library=library)
+        assert followed.tracking is not None and followed.tracking["shape"] is None
+    with open_live(simulate=str(library.folder / "looped"), pictures=False) as live:
+        followed = follow_run(live, "smooth", model=model, track=True, library=library)
+        assert followed.tracking is not None and followed.tracking["shape"] == "looped"
+    with open_live(simulate=str(library.folder / "looped"), pictures=False) as live:
+        live.marker_source = None
+        with pytest.raises(TautError, match="--camera"):
+            recall(live, library)
+
+
+def test_follow_without_a_model_recalls_the_shape_first(tmp_path):
+    model = model_of_the_reference()
+    library = Library(tmp_path / "shapes").add("straight", model)
+    folder = str(library.add("looped", replace(model, width=0.7 * model.width)).folder)
+    ran = CliRunner().invoke(taut, ["follow", "--shapes", folder, "--simulate", f"{folder}/looped"])
+    assert ran.exit_code == 0, ran.stderr
+    assert "the shaft has the shape 'looped'" in ran.stderr and "model trusted" in ran.stdout
+    told = CliRunner().invoke(taut, ["shapes", "recall", folder, "--simulate", f"{folder}/straight", "--json"])
+    assert told.exit_code == 0 and json.loads(told.stdout)["name"] == "straight"
+    blind = CliRunner().invoke(taut, ["follow", f"{folder}/looped", "--shapes", folder])
+    assert blind.exit_code == 2 and "--camera" in blind.stderr

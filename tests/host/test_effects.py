@@ -382,8 +382,9 @@ def test_late_catching_up_has_the_form_that_is_asked_for():
 
 def test_speed_drift_contact_and_rocking_have_their_shapes():
     model = made(1.0)
-    fast = width_seen({"width_per_speed": 0.3, "speed_exponent": 0.5}, model=model) - 1.0
-    assert fast == pytest.approx(0.3 * np.sqrt(8 / 6), abs=2e-2)  # a tenth of the grid's span is 1 mm/s
+    # A tenth of the grid's span is 1 mm/s.
+    ended = width_seen({"width_per_speed": 0.3, "speed_saturation": 4.0}, model=model) - 1.0
+    assert ended == pytest.approx(0.3 * (1 - np.exp(-4 * 8 / 6)) / (1 - np.exp(-4)), abs=2e-3)
     t = np.array([4.0])
     away = (
         simulate(model, STROKES, t, {"offset_drift": 0.1, "drift_decay": 0.5}, clock_offset_s=10.0).p

@@ -114,7 +114,7 @@ FITTED = [
     {"encoder_sin": 0.03, "encoder_cos2": 0.005, "encoder_period": 0.47},
     {"onset_spread": 0.6, "onset_tail": 1.0},
     {"asymmetry": -0.15, "asymmetry_travel": 0.6, "asymmetry_form": 2.0},
-    {"width_per_speed": 0.08, "speed_exponent": 0.7, "speed_time": 0.05, "width_held": 0.0},
+    {"width_per_speed": 0.08, "speed_saturation": 0.7, "speed_time": 0.05, "width_held": 0.0},
     {"lag": 0.08},
     {"creep_share": 0.15, "creep_time": 2.0},
     {"offset_drift": 0.002, "drift_decay": 0.01},

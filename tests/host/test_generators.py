@@ -12,6 +12,7 @@ from tautline.blindtest.cases import Case
 from tautline.blindtest.generators import GENERATORS, SECOND
 from tautline.calibration.calibrate import calibrate
 from tautline.errors import TautError
+from tautline.prediction import foretold
 from tautline.recording import Recording
 
 LAG = "transmission.lag"
@@ -105,7 +106,7 @@ def test_a_case_of_angles_goes_through_sealing_and_scoring():
         found = calibrate(recordings[:1], rig).model
         noise = json.loads(opened["label.json"])["label"]["noise_px"]
         assert found.quality.verdict == "good"
-        assert noise < 1.05 * work.gap_on(found, recordings[1], found) < 1.3 * noise
+        assert noise < 1.05 * foretold(found, recordings[1]) < 1.3 * noise
 
 
 def test_the_library_makes_cases_of_its_own_effects_under_a_noise_that_remembers():

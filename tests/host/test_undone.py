@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -70,15 +71,21 @@ def test_a_side_that_starts_later_and_catches_up(side: int, late: float, travel:
 
 
 @few
-@given(st.floats(0.02, 0.05), st.floats(0.03, 0.1))
-def test_a_width_that_grows_with_the_speed(per_speed: float, time: float) -> None:
-    """The plant's width knows the motor's speed, the section's that of p: apart while the backlash is crossed."""
-    v = {"width_per_speed": per_speed, "speed_exponent": 1.0, "speed_time": time, "width_held": 1.0}
+@given(st.floats(0.02, 0.05), st.floats(0.03, 0.1), st.sampled_from([math.inf, 3.0, 0.6]))
+def test_a_width_that_grows_with_the_speed(per_speed: float, time: float, end: float) -> None:
+    """The plant's width knows the motor's speed, the section's that of p: apart while the backlash is crossed. Whether
+    it grows without end or saturates, all it adds at the path's speed, 5 mm/s and more, is much alike."""
+    usual = 0.1 * float(np.ptp(model(0.4).q))
+    saturation = usual / end
+    slow = -math.expm1(-saturation) / saturation if saturation else 1.0  # of what it adds at usual, of the straight law
+    per_speed *= 1.0 if math.isinf(end) else 6.0 / end
+    v = {"width_per_speed": per_speed * slow, "speed_time": time, "width_held": 1.0}
+    v["speed_saturation"] = saturation
     t = np.arange(0.0, 9.0, 0.002)
     c = 20.0 * (np.abs((0.11 * t) % 1.0 * 4.0 - 2.0) - 1.0)
     own = model(0.4, "transmission.rate_dependent_backlash", **v)
-    off = np.abs(errors(own, Plant(0.4, per_speed=per_speed, per_speed_time=time), (t, c)))
-    old = np.abs(errors(model(0.4), Plant(0.4, per_speed=per_speed, per_speed_time=time), (t, c)))
+    off = np.abs(errors(own, Plant(0.4, per_speed=per_speed, per_speed_time=time, per_speed_end=end), (t, c)))
+    old = np.abs(errors(model(0.4), Plant(0.4, per_speed=per_speed, per_speed_time=time, per_speed_end=end), (t, c)))
     assert np.median(off) < 1.0 < 5.0 < np.median(old)
     assert np.sqrt(np.mean(off**2)) < 0.5 * np.sqrt(np.mean(old**2))
 

@@ -22,6 +22,7 @@ class Plant:
     travel: float = 1.0
     per_speed: float = 0.0  # s: width for each mm/s
     per_speed_time: float = 0.02
+    per_speed_end: float = math.inf  # mm/s, at which the width has grown by 63 % of all that speed can add
     lag: tuple[float, ...] = ()  # s, of each stage
     creep: tuple[tuple[float, float], ...] = ()  # share and time of each element
     offset: float = 0.0
@@ -62,7 +63,9 @@ class Plant:
         self._before = q
         if moved:
             self._speed += (moved / dt - self._speed) * -math.expm1(-dt / self.per_speed_time)
-        half = 0.5 * (self.scale * self.width + self.per_speed * abs(self._speed))
+        speed, end = abs(self._speed), self.per_speed_end
+        added = self.per_speed * (speed if math.isinf(end) else end * (1.0 - math.exp(-speed / end)))
+        half = 0.5 * (self.scale * self.width + added)
         for s in (1, -1):
             if s * moved > 0.0:
                 self._push(q, s, half)

@@ -2,15 +2,22 @@
 
 #include <math.h>
 
-enum { WIDTH_PER_SPEED, EXPONENT, TIME, HELD, COUNT };
+enum { WIDTH_PER_SPEED, SATURATION, TIME, HELD, COUNT };
 static const struct effect_parameter PARAMETERS[COUNT] = {
     {"width_per_speed", 0, "s", "width added per speed, at a tenth of the grid"},
-    {"speed_exponent", 1, "", "of the speed that the width grows with"},
+    {"speed_saturation", 0, "",
+     "0: the width grows without end; k: all but exp(-k) of it is there at a tenth of the grid"},
     {"speed_time", 0.02, "s", "time in which the width follows the speed"},
     {"width_held", 0, "", "1 if a motor that rests or turns moves nothing, 0 if closing"},
 };
 enum { SPEED, UNSETTLED };             // state
 static const double SHORTEST_S = 2e-3; // least step while the width follows the speed
+
+// Of the width that a tenth of the grid a second adds: (1 - exp(-k r)) / (1 - exp(-k)), which is r for k = 0.
+static double share(const double *v, double relative) {
+    const double k = v[SATURATION];
+    return k > 1e-9 ? expm1(-k * relative) / expm1(-k) : relative;
+}
 
 static int present(const double *v) {
     return v[WIDTH_PER_SPEED] != 0.0;
@@ -28,7 +35,7 @@ static void drive(const double *v, double *state, const struct effect_moment *no
     }
     const double relative = fabs(state[SPEED]) / usual;
     if (relative > 0.0) {
-        to->extra += fmax(0.0, v[WIDTH_PER_SPEED] * usual * pow(relative, v[EXPONENT]));
+        to->extra += fmax(0.0, v[WIDTH_PER_SPEED] * usual * share(v, relative));
     }
     if (v[HELD] != 0.0) {
         to->way = now->moved > 0.0 ? 1.0 : -1.0;

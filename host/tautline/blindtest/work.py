@@ -21,11 +21,10 @@ from tautline.blindtest.generators import GENERATORS, SECOND
 from tautline.blindtest.scores import FAILED, Answer
 from tautline.calibration.calibrate import calibrate
 from tautline.diagnosis.diagnose import diagnose
-from tautline.diagnosis.segment import settled_from
 from tautline.errors import TautError
 from tautline.model import Model
 from tautline.plain import plain
-from tautline.prediction import predict
+from tautline.prediction import foretold
 from tautline.recording import Recording, load, save
 from tautline.rig import Rig
 
@@ -86,13 +85,15 @@ def score_case(visible: Files, opened: Files, diagnosis: Files) -> dict[str, Any
         with unpacked({**visible, **opened, **diagnosis}) as folder:
             nominal = Model.load(folder / "nominal")
             tests = recordings_of(folder)[1][1:]
-            gap = float(np.sqrt(np.mean([gap_on(nominal, test, nominal) ** 2 for test in tests])))
+            gap = float(np.sqrt(np.mean([foretold(nominal, test, nominal) ** 2 for test in tests])))
             visible_px = float(np.sqrt(max(gap**2 - label.noise_px**2, 0.0)))
             label = replace(label, left=tuple(min(left, visible_px) for left in label.left))
             further = load(folder / sealed.FURTHER, nominal.rig)
             try:
-                after = gap_on(Model.load(folder / "corrected"), further, nominal)
-                realised = {"before": gap_on(nominal, further, nominal), "after": after, "floor": label.noise_px}
+                after = foretold(Model.load(folder / "corrected"), further, nominal)
+                realised = {"before": foretold(nominal, further, nominal), "after": after, "floor": label.noise_px}
+                if not np.isfinite(after):
+                    raise TautError("the corrected model predicts no place in the image")
             except Exception as error:  # a corrected model that cannot be used
                 document = {"verdict": FAILED, "error": _told(error)}
     return {"label": label.to_json(), "document": document, "realised": realised, **cost}
@@ -152,23 +153,6 @@ def baseline_case(visible: Files, opened: Files, diagnosis: Files, methods: Sequ
 
 def _told(error: Exception) -> str:
     return str(error) if isinstance(error, TautError) else f"{type(error).__name__}: {error}"
-
-
-def gap_on(model: Model, recording: Recording, nominal: Model) -> float:
-    """px rms per coordinate, deg without a marker; from when `nominal` was driven through a full backlash both ways."""
-    marker, angle = recording.marker, recording.angle
-    sensor = marker or angle
-    assert sensor is not None
-    arrival_s = sensor.t_s
-    predicted = predict(model, recording.motor, arrival_s - model.delay_s)
-    if marker is not None:
-        assert predicted.image_px is not None
-        apart, valid = np.column_stack([marker.u_px, marker.v_px]) - predicted.image_px, marker.valid
-    else:
-        assert angle is not None
-        apart, valid = angle.c_deg - predicted.c_deg, angle.seen
-    scored = valid & (arrival_s - nominal.delay_s >= settled_from(nominal, recording.motor))
-    return float(np.sqrt(np.nanmean(apart[scored] ** 2)))
 
 
 def recordings_of(folder: Path) -> tuple[Rig, list[Recording]]:

@@ -12,7 +12,7 @@ from tautline.calibration.observations import Track
 from tautline.calibration.playfit import Frozen
 from tautline.geometry import project
 from tautline.model import Model
-from tautline.prediction import predict
+from tautline.prediction import misses, rms
 from tautline.quality import Reason
 from tautline.rig import Rig
 
@@ -58,13 +58,8 @@ def worth(model: Model, tracks: Sequence[Track], rig: Rig) -> Worth | None:
             continue
         scene = track.scene_s(model.delay_s)
         coarse = rig.coarse.gain * track.motor_at(scene) + rig.coarse.offset
-        told = predict(model, track.reading, scene)
-        if track.unit == "px":
-            assert told.image_px is not None  # the rig has a camera
-            by_model, by_coarse = told.image_px, project(rig, coarse, *track.others_at(scene))
-        else:
-            by_model, by_coarse = told.c_deg[:, None], coarse[:, None]
-        model_error.append((track.y - by_model)[settled])
+        by_coarse = project(rig, coarse, *track.others_at(scene)) if track.unit == "px" else coarse[:, None]
+        model_error.append(misses(model, track.reading, scene, track.y)[settled])
         coarse_error.append((track.y - by_coarse)[settled])
         seen.append(track.y[settled])
         sigma.append(track.sigma[settled])
@@ -72,10 +67,4 @@ def worth(model: Model, tracks: Sequence[Track], rig: Rig) -> Worth | None:
         return None
     y = np.concatenate(seen)
     noise, unit = float(np.median(np.concatenate(sigma))), tracks[0].unit
-    return Worth(_rms(model_error), _rms(coarse_error), _rms([y - y.mean(axis=0)]), noise, unit)
-
-
-def _rms(errors: Sequence[Array]) -> float:
-    """Infinite where a place cannot be in the image at all."""
-    value = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
-    return value if np.isfinite(value) else float("inf")
+    return Worth(rms(model_error), rms(coarse_error), rms([y - y.mean(axis=0)]), noise, unit)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from tautline.cli._common import log, progress_bar
 from tautline.errors import TautError
 from tautline.model import MODEL_FILE, Model
 from tautline.rig import Rig
@@ -18,6 +19,7 @@ from tautline.simulated.instrument import PRESETS
 
 if TYPE_CHECKING:
     from tautline.live.setup import Live
+    from tautline.shapes import Library
 
 board_option = click.option(
     "--board",
@@ -68,6 +70,18 @@ def motion_option(none: str) -> Callable[..., Any]:
     )
 
 
+def shapes_option(without_model: str = "") -> Callable[..., Any]:
+    """--shapes, given as library_path; without_model: what it does where no MODEL is named."""
+    return click.option(
+        "--shapes",
+        "library_path",
+        metavar="LIBRARY",
+        type=click.Path(path_type=Path),
+        help=f"A library (taut shapes): says so when the shaft has the shape of another of its models.{without_model}",
+    )
+
+
+RECALLS = " Without MODEL the motor first goes out and back twice, and the shape whose model foretells that is used."
 at_option = click.option(
     "--at",
     type=float,
@@ -128,6 +142,24 @@ def opened(live: LiveOptions, rig_path: Path | None, seed: int = 0, model: Model
         seed=seed,
     ) as setup:
         yield setup
+
+
+def recalled(setup: Live, library: Library) -> tuple[Model, Path]:
+    """The model of the shape that the shaft has, found by a short motion, and its folder."""
+    from tautline.live.recalling import recall
+
+    with progress_bar("recall") as progress:
+        shape, _ = recall(setup, library, progress)
+    log(f"taut: the shaft has the shape {shape.name!r} of {library.folder}")
+    return library.model(shape.name), library.folder / shape.name
+
+
+def shape_text(tracking: dict[str, Any], library: Library | None) -> str:
+    """What follows the result where another shape was recognised."""
+    if library is None or tracking["shape"] is None:
+        return ""
+    folder = library.folder / tracking["shape"]
+    return f"; the shaft has the shape {tracking['shape']!r}: 'taut flash {folder}' loads its tables"
 
 
 def tracking_text(tracking: dict[str, Any]) -> str:

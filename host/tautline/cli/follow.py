@@ -18,7 +18,16 @@ from tautline.cli._common import (
     rig_option,
     warn,
 )
-from tautline.cli._live import LiveOptions, live_options, opened, tracking_text
+from tautline.cli._live import (
+    RECALLS,
+    LiveOptions,
+    live_options,
+    opened,
+    recalled,
+    shape_text,
+    shapes_option,
+    tracking_text,
+)
 
 
 @click.command("follow")
@@ -51,6 +60,7 @@ from tautline.cli._live import LiveOptions, live_options, opened, tracking_text
     help="Keep MODEL calibrated by the camera meanwhile, and move the board's tables with it. Default: where MODEL and "
     "--camera are named.",
 )
+@shapes_option(RECALLS)
 @folder_option("--out", "Folder for the recording of the run.", required=False)
 @force_option
 @json_option
@@ -64,6 +74,7 @@ def command(
     speed: float,
     seed: int,
     track: bool | None,
+    library_path: Path | None,
     out: Path | None,
     force: bool,
     as_json: bool,
@@ -72,35 +83,42 @@ def command(
 
     With MODEL, its tables are loaded first (and its rig is used); without, those in the board are used as they are.
     With MODEL and a camera the model is kept calibrated while it runs: offset and width of the tables follow what is
-    learnt, as far as the tables allow, and are the calibrated ones again after the run.
+    learnt, as far as the tables allow, and are the calibrated ones again after the run. With --shapes a library's model
+    is used, and another shape that the shaft takes is named.
     """
     from tautline.live.following import follow_run
     from tautline.model import Model
+    from tautline.shapes import Library
 
     model = Model.load(model_path) if model_path is not None else None
-    if model is not None and model_path is not None:
-        refuse_unusable(model, model_path, force)
-    if model is None and live.simulate is not None and compensation != "off":
+    library = None if library_path is None else Library.load(library_path)
+    if library is not None and (track is False or (live.camera is None and live.simulate is None)):
+        raise click.UsageError("a shape is told by what the camera sees: name --camera, and leave --no-track out")
+    if model is None and library is None and live.simulate is not None and compensation != "off":
         raise click.UsageError("a simulated board starts without tables: name MODEL, or --compensation off")
-    with (
-        opened(live, rig_path, seed, model=model) as setup,
-        progress_bar("follow") as progress,
-    ):
-        result = follow_run(
-            setup,
-            trajectory,
-            compensation=compensation,
-            model=model,
-            strength=strength,
-            speed_deg_s=speed,
-            seed=seed,
-            folder=out,
-            track=track if track is not None else model is not None and live.camera is not None,
-            progress=progress,
-        )
+    of_rig = model if model is not None or library is None else library.first()
+    with opened(live, rig_path, seed, model=of_rig) as setup:
+        if model is None and library is not None:
+            model, model_path = recalled(setup, library)
+        if model is not None and model_path is not None:
+            refuse_unusable(model, model_path, force)
+        with progress_bar("follow") as progress:
+            result = follow_run(
+                setup,
+                trajectory,
+                compensation=compensation,
+                model=model,
+                strength=strength,
+                speed_deg_s=speed,
+                seed=seed,
+                folder=out,
+                track=track or library is not None or (track is None and model is not None and live.camera is not None),
+                library=library,
+                progress=progress,
+            )
     if model is not None and model_path is not None and result.scored_by:
         _into_report(model, model_path, result, compensation)
-    emit(_report(result, compensation, out), as_json, _text(result, compensation, out))
+    emit(_report(result, compensation, out), as_json, _text(result, compensation, out, library))
     if result.clipped:
         low, high = result.reach_deg
         warn(
@@ -137,12 +155,12 @@ def _report(result: Any, compensation: str, out: Path | None) -> dict[str, Any]:
     }
 
 
-def _text(result: Any, compensation: str, out: Path | None) -> str:
+def _text(result: Any, compensation: str, out: Path | None, library: Any) -> str:
     text = f"followed {result.t_s[-1] - result.t_s[0]:.1f} s, compensation {compensation}"
     if result.scored_by:
         text += f": tip off by {result.rms_deg:.3f} deg rms, {result.max_deg:.3f} at most (by {result.scored_by})"
     else:
         text += " (no camera: how far off the tip was is not known)"
     if result.tracking is not None:
-        text += f"; {tracking_text(result.tracking)}"
+        text += f"; {tracking_text(result.tracking)}{shape_text(result.tracking, library)}"
     return text + (f"; recorded in {out}" if out else "")

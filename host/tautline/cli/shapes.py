@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from tautline.cli._common import emit, json_option, log, refuse_unusable
+from tautline.cli._common import emit, json_option, log, progress_bar, refuse_unusable, rig_option
+from tautline.cli._live import LiveOptions, live_options, opened, seed_option
+
+if TYPE_CHECKING:
+    from tautline.shapes import Library, Shape
 
 
 @click.group("shapes")
 def command() -> None:
     """A library of shapes: a model for each shape of the shaft, and what tells them apart.
 
-    LIBRARY is a folder. The first shape added is the one that the others' offset and scale of B are told by. 'taut
-    watch --shapes LIBRARY' proposes a shape when the shaft returns to it.
+    LIBRARY is a folder. The first shape added is the one that the others' offset and scale of B are told by. --shapes
+    LIBRARY of 'taut watch', 'taut follow' and 'taut stream' proposes a shape when the shaft returns to it.
     """
 
 
@@ -54,24 +59,47 @@ def listed(library: Path, as_json: bool) -> None:
 
 @command.command("recall")
 @click.argument("library", type=click.Path(path_type=Path))
-@click.argument("recording_path", metavar="RECORDING", type=click.Path(path_type=Path))
+@click.argument("recording_path", metavar="[RECORDING]", required=False, type=click.Path(path_type=Path))
+@live_options
+@rig_option
+@seed_option
 @json_option
-def recall(library: Path, recording_path: Path, as_json: bool) -> None:
-    """Which shape of LIBRARY the shaft has in RECORDING: the one whose model foretells it best."""
-    from tautline.recording import load
-    from tautline.shapes import Library, foretold, recalled
-    from tautline.vision.marker import with_marker
+def recall(
+    library: Path,
+    recording_path: Path | None,
+    live: LiveOptions,
+    rig_path: Path | None,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Which shape of LIBRARY the shaft has: the one whose model foretells RECORDING best.
+
+    Without RECORDING a board and a camera are asked: the motor goes out and back twice where it stands, by three
+    backlashes.
+    """
+    from tautline.live.recalling import recall as of_live
+    from tautline.shapes import Library
 
     known = Library.load(library)
-    rms = {}
-    for shape in known.shapes:
-        model = known.model(shape.name)
-        rms[shape.name] = foretold(model, with_marker(load(recording_path, model.rig), model.rig))
-        log(f"taut: {shape.name}: off by {rms[shape.name]:.3g} rms")
-    nearest = recalled(known, rms)
+    if recording_path is None:
+        with opened(live, rig_path, seed, model=known.first()) as setup, progress_bar("recall") as progress:
+            nearest, rms = of_live(setup, known, progress)
+    else:
+        nearest, rms = _of_recording(known, recording_path)
+    for name, off in rms.items():
+        log(f"taut: {name}: off by {off:.3g} rms")
     folder = library / nearest.name
     emit(
         {"name": nearest.name, "model": folder, "rms": rms},
         as_json,
         f"{nearest.name}: load it with 'taut flash {folder}'",
     )
+
+
+def _of_recording(known: Library, path: Path) -> tuple[Shape, dict[str, float]]:
+    from tautline.recording import load
+    from tautline.shapes import recalled
+    from tautline.vision.marker import with_marker
+
+    rig = known.first().rig
+    return recalled(known, with_marker(load(path, rig), rig))

@@ -15,7 +15,17 @@ from typing import TYPE_CHECKING
 import click
 
 from tautline.cli._common import emit, force_option, json_option, refuse_unusable, rig_option, warn
-from tautline.cli._live import axis_option, board_option, camera_option, colour_option, tracking_text
+from tautline.cli._live import (
+    RECALLS,
+    axis_option,
+    board_option,
+    camera_option,
+    colour_option,
+    recalled,
+    shape_text,
+    shapes_option,
+    tracking_text,
+)
 from tautline.errors import TautError
 from tautline.model import Model
 from tautline.rig import Rig
@@ -23,6 +33,7 @@ from tautline.rig import Rig
 if TYPE_CHECKING:
     from tautline.device.board import Board
     from tautline.live.in_use import Following
+    from tautline.shapes import Library
 
 
 @click.command("stream")
@@ -32,6 +43,7 @@ if TYPE_CHECKING:
 @camera_option
 @colour_option
 @rig_option
+@shapes_option(RECALLS)
 @click.option(
     "--rate", type=click.FloatRange(50.0, 1000.0), default=250.0, show_default=True, help="Set-points per second."
 )
@@ -51,6 +63,7 @@ def command(
     camera: str | None,
     colour: Path,
     rig_path: Path | None,
+    library_path: Path | None,
     rate: float,
     silence: float,
     sine: tuple[float, float] | None,
@@ -63,14 +76,20 @@ def command(
     With MODEL, its tables are loaded first; without, those in the board are used as they are. With MODEL and --camera
     the model is kept calibrated meanwhile: the tables' offset and width follow what is learnt, as far as they allow.
 
+    With --shapes as well the model is one of a library's, and another shape that the shaft takes is named.
+
     While stdin says nothing new for longer than --silence, nothing is sent, and the board brings the axis to rest.
     """
     from tautline.device.stream import SetPointStream
+    from tautline.shapes import Library
 
     model = None if model_path is None else Model.load(model_path)
+    library = None if library_path is None else Library.load(library_path)
     if model is not None and model_path is not None:
         refuse_unusable(model, model_path, force)
-    if camera is not None and model is None:
+    if library is not None and camera is None:
+        raise click.UsageError("a shape is told by what the camera sees: name --camera")
+    if camera is not None and model is None and library is None:
         raise click.UsageError("--camera keeps a model calibrated: name MODEL")
     ended = False
 
@@ -81,7 +100,7 @@ def command(
     before = signal.signal(signal.SIGINT, stop)
     try:
         with ExitStack() as stack:
-            opened, following = _opened(stack, board, axis, model, camera, colour, rig_path)
+            opened, following = _opened(stack, board, axis, model, camera, colour, rig_path, library, force)
             points = stack.enter_context(SetPointStream(opened, axis, silence))
             began = time.monotonic()
             newest, fresh = points.start_deg, 0.0
@@ -108,7 +127,7 @@ def command(
     emit(
         points.summary() | {"tracking": tracking},
         as_json,
-        text if tracking is None else f"{text}; {tracking_text(tracking)}",
+        text if tracking is None else f"{text}; {tracking_text(tracking)}{shape_text(tracking, library)}",
     )
 
 
@@ -120,12 +139,15 @@ def _opened(
     camera: str | None,
     colour: Path,
     rig_path: Path | None,
+    library: Library | None,
+    force: bool,
 ) -> tuple[Board, Following | None]:
     """The board with the model's tables in the axis; with a camera, what keeps the model calibrated."""
     from tautline.device.board import open_board
     from tautline.live.in_use import Following, TableMover, beside, load_tables
 
-    if camera is None or model is None:
+    of_rig = model if model is not None or library is None else library.first()
+    if camera is None or of_rig is None:
         board = stack.enter_context(open_board(where))
         if model is not None:
             load_tables(board, axis, model)
@@ -133,11 +155,15 @@ def _opened(
     from tautline.live.setup import open_live
     from tautline.vision.colour import MarkerColour
 
-    rig = model.rig if rig_path is None else Rig.load(rig_path)
+    rig = of_rig.rig if rig_path is None else Rig.load(rig_path)
     seen_as = MarkerColour.load(colour)
     live = stack.enter_context(open_live(board=where, camera=camera, rig=rig, axis=axis, colour=seen_as))
+    if model is None and library is not None:
+        model, folder = recalled(live, library)
+        refuse_unusable(model, folder, force)
+    assert model is not None  # named, or a library's
     load_tables(live.board, axis, model)
-    following = Following(live, model, mover=TableMover(live))
+    following = Following(live, model, mover=TableMover(live), library=library)
     return live.board, stack.enter_context(beside(following))
 
 

@@ -12,7 +12,16 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tautline.cli._common import emit, json_option, log, rig_option, warn_unusable
-from tautline.cli._live import LiveOptions, live_options, motion_option, opened, seed_option, speed_option
+from tautline.cli._live import (
+    LiveOptions,
+    live_options,
+    motion_option,
+    opened,
+    seed_option,
+    shape_text,
+    shapes_option,
+    speed_option,
+)
 from tautline.model import Model
 
 if TYPE_CHECKING:
@@ -30,12 +39,7 @@ _FRAME_S = 0.2  # between two pictures, wall clock
 @speed_option
 @click.option("--duration", type=click.FloatRange(min=0.1), help="s. Default: until Ctrl-C, or the motion's end.")
 @seed_option
-@click.option(
-    "--shapes",
-    "library_path",
-    type=click.Path(path_type=Path),
-    help="A library (taut shapes): says so when the shaft has the shape of another of its models.",
-)
+@shapes_option()
 @json_option
 def command(
     model_path: Path,
@@ -63,11 +67,7 @@ def command(
         raise click.UsageError("a simulated instrument that nothing moves: name --motion or --duration")
     with opened(live, rig_path, seed, model=model) as setup, _shown(model.rig.actuator.unit, as_json) as told:
         result = watch(setup, model, motion, speed=speed, duration_s=duration, seed=seed, library=library, told=told)
-    text = _text(result, model.rig.actuator.unit)
-    if library_path is not None and result["shape"] is not None:
-        folder = library_path / result["shape"]
-        text += f"; the shaft has the shape {result['shape']!r}: 'taut flash {folder}' loads its tables"
-    emit(result, as_json, text)
+    emit(result, as_json, _text(result, model.rig.actuator.unit) + shape_text(result, library))
 
 
 @contextmanager

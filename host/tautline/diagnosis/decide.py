@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import logsumexp
 
 from tautline.diagnosis.hyperparameters import Learnt, learnt
 from tautline.diagnosis.hypotheses import CaseEvidence
-from tautline.diagnosis.likelihoods import Likelihoods, brought
+from tautline.diagnosis.likelihoods import Likelihoods
+from tautline.diagnosis.stacked import Stacked, log_sum
 from tautline.effects import EVENTS
 
 Array = npt.NDArray[np.float64]
@@ -60,23 +60,25 @@ class Decision:
 
 def decide(evidence: CaseEvidence, by: Learnt | None = None) -> Decision:
     """by: what is learnt unless told; over what instruments may have of it probabilities are averaged."""
-    by = by or learnt()
-    hypotheses = evidence.hypotheses
-    same: dict[frozenset[str], list[int]] = {}
-    for i, h in enumerate(hypotheses):
-        same.setdefault(frozenset(h.ids), []).append(i)
-    weights = Likelihoods(evidence, by.center)
-    of_draws = [Likelihoods(evidence, drawn) for drawn in by.draws()] if by.spread.any() else [weights]
-    p = np.mean([_posterior(drawn, same) for drawn in of_draws], axis=0)
-    best = {key: max(of, key=lambda i: (p[i], weights.of[i])) for key, of in same.items()}
-    for key, of in same.items():
-        p[best[key]], p[[i for i in of if i != best[key]]] = p[of].sum(), 0.0
+    return of_stacked(Stacked(evidence), by or learnt())
 
-    leading = dict.fromkeys((name for h in hypotheses for name in h.ids), 0.0)
+
+def of_stacked(case: Stacked, by: Learnt) -> Decision:
+    """The same, for who decides on one case by many."""
+    weights = Likelihoods(case, by.center)
+    of_draws = [Likelihoods(case, drawn) for drawn in by.draws()] if by.spread.any() else [weights]
+    p = np.mean([_posterior(drawn, case) for drawn in of_draws], axis=0)
+    best: dict[frozenset[str], int] = {}
+    for key, of in case.same.items():
+        best[key] = max(of, key=lambda i: (p[i], weights.of[i]))
+        if len(of) > 1:
+            p[best[key]], p[[i for i in of if i != best[key]]] = p[of].sum(), 0.0
+
+    leading = dict.fromkeys((name for ids in case.ids for name in ids), 0.0)
     first: dict[int, str] = {}
     for key, i in best.items():
         if key:
-            alone = [(weights.alone(best.get(frozenset({n})), key), n) for n in key - brought(key)]
+            alone = [(weights.alone(best.get(frozenset({n})), key), n) for n in case.leaders[key]]
             first[i] = max(alone)[1]
             leading[first[i]] += float(p[i])
 
@@ -105,21 +107,21 @@ def decide(evidence: CaseEvidence, by: Learnt | None = None) -> Decision:
     )
 
 
-def _posterior(weights: Likelihoods, same: Mapping[frozenset[str], Sequence[int]]) -> Array:
-    """Of each hypothesis, the best of `same` effects, and at the end of none that was tried: (hypotheses + 1,)."""
+def _posterior(weights: Likelihoods, case: Stacked) -> Array:
+    """Of each hypothesis, the best of the same effects, and at the end of none that was tried: (hypotheses + 1,)."""
+    best = [max(of, key=weights.of.__getitem__) for of in case.same.values()]
     log = np.full(len(weights.of) + 1, -np.inf)
-    log[-1] = weights.unknown + np.log(weights.by.odds_unknown)
-    for key, of in same.items():
-        best = max(of, key=lambda i: float(weights.of[i]))
-        log[best] = weights.of[best] + weights.prior(key)
-        log[-1] = np.logaddexp(log[-1], weights.elsewhere[best] + weights.prior(key))
-    return np.asarray(np.exp(log - logsumexp(log)))
+    log[best] = weights.of[best] + weights.prior[best]
+    elsewhere = weights.elsewhere[best] + weights.prior[best]
+    log[-1] = log_sum(np.append(elsewhere, weights.unknown + np.log(weights.by.odds_unknown)))
+    return np.asarray(np.exp(log - log_sum(log)))
 
 
-def with_moved(verdict: Decision, parts: Sequence[tuple[str, float]]) -> Decision:
+def with_moved(verdict: Decision, parts: Sequence[tuple[str, float]], by: Learnt | None = None) -> Decision:
     """Recalibrating closed the gap, so what these parts of the nominal model did (ids with shares) is what was there;
     it may yet stand in for an unknown effect. They are named as the nominal hypothesis has them."""
-    told = (1.0 - learnt().center.mimics) * verdict.unknown
+    certain = 1.0 - (by or learnt()).center.mimics
+    told = certain * verdict.unknown
     leading = dict(verdict.leading)
     for name, share in parts:
         leading[name] = leading.get(name, 0.0) + share * told
@@ -129,7 +131,7 @@ def with_moved(verdict: Decision, parts: Sequence[tuple[str, float]]) -> Decisio
         unknown=verdict.unknown - told,
         leading=leading,
         named=named,
-        probability=tuple(1.0 - learnt().center.mimics for _ in named),
+        probability=tuple(certain for _ in named),
         chosen=0,
     )
 

@@ -11,9 +11,10 @@ import numpy.typing as npt
 
 from tautline import effects
 from tautline.effects import Path
-from tautline.encoder import between_counts, straight_lines
+from tautline.encoder import straight_lines
 from tautline.errors import TautError
 from tautline.model import Model
+from tautline.prediction import settled_from
 from tautline.recording import Motor, Recording
 from tautline.rig import ANGLE, MARKER, Sensor
 
@@ -138,15 +139,3 @@ def repeated(observed: Array) -> npt.NDArray[np.bool_]:
     fresh = observed[~again]
     continuous = all(len(np.unique(column)) > _CONTINUOUS * len(fresh) for column in fresh.T)
     return again if continuous else np.zeros_like(again)
-
-
-def settled_from(model: Model, motor: Motor) -> float:
-    """The scene time from which the start inside the backlash no longer matters: both envelopes were reached."""
-    widest = 1.1 * float(model.width.max()) + 2 * model.rig.actuator.encoder_resolution
-    motor = between_counts(motor, model.rig.actuator.encoder_resolution)  # at every sample
-    low, high = np.minimum.accumulate(motor.q), np.maximum.accumulate(motor.q)
-    up = np.flatnonzero(motor.q - low > widest)
-    down = np.flatnonzero(high - motor.q > widest)
-    if len(up) == 0 or len(down) == 0:
-        return float("inf")
-    return float(motor.t_s[max(up[0], down[0])])

@@ -21,6 +21,7 @@ from tautline.live.setup import Frame, Live, Recorder
 from tautline.model import Model
 from tautline.recording import read_motor
 from tautline.rig import Actuator
+from tautline.shapes import Library
 
 Array = np.ndarray
 Progress = Callable[[float, str], None] | None
@@ -180,12 +181,14 @@ def follow_run(
     seed: int = 0,
     folder: Path | None = None,
     track: bool = False,
+    library: Library | None = None,
     progress: Progress = None,
 ) -> Followed:
     """One run of `taut follow`: tables, trajectory, recording, score.
 
     compensation: off (the motor follows f_coarse's inverse), backlash (f_coarse and B), full (f_remain and B).
-    track: the model is kept calibrated by the camera meanwhile, and the board's tables are moved with it.
+    track: the model is kept calibrated by the camera meanwhile, and the board's tables are moved with it; the shapes of
+    `library` are looked for then.
     """
     if track and model is None:
         raise TautError("nothing to track: name the MODEL whose tables are in the board")
@@ -200,7 +203,9 @@ def follow_run(
     low, high = _reach(live)
     asked = np.interp(np.linspace(t_s[0], t_s[-1], _LOOKS), t_s, c_deg)
     clipped = float(np.mean((asked < low - _COUNTS_AS_BEYOND) | (asked > high + _COUNTS_AS_BEYOND)))
-    following = Following(live, model, mover=TableMover(live)) if track and model is not None else None
+    following = None
+    if track and model is not None:
+        following = Following(live, model, mover=TableMover(live), library=library)
     recorder = Recorder(live, folder) if folder is not None else None
     frames: list[Frame] = []
 

@@ -1,0 +1,51 @@
+"""Which shape of a library the shaft has: told by a short motion through the backlash, both ways."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline import trajectory
+from tautline.errors import TautError
+from tautline.live.following import follow
+from tautline.live.setup import Live, Recorder
+from tautline.model import Model
+from tautline.shapes import Library, Shape, recalled
+
+Array = npt.NDArray[np.float64]
+Progress = Callable[[float, str], None] | None
+
+_STROKE = 3.0  # of the widest backlash, and so much of the range at least
+_LEAST_STROKE, _MOST_STROKE = 0.15, 0.8
+_SHORTER = 0.7  # the second time
+_SPEED_DEG_S = 15.0
+
+
+def recall(live: Live, library: Library, progress: Progress = None) -> tuple[Shape, dict[str, float]]:
+    """Moves the motor out and back twice, where it stands, and says whose model foretells that best and how far off
+    each is. TautError where two do so alike."""
+    if live.marker_source is None:
+        raise TautError("no camera: a shape is told by what it sees; name one with --camera, or use --simulate")
+    t_s, q = _motion(live, [library.model(shape.name) for shape in library.shapes])
+    with tempfile.TemporaryDirectory() as folder, Recorder(live, Path(folder) / "recall") as recorder:
+        follow(live, t_s, q, tip=False, seen=recorder.add, progress=progress)
+        recording = recorder.so_far()
+    return recalled(library, recording)
+
+
+def _motion(live: Live, models: Sequence[Model]) -> tuple[Array, Array]:
+    """t_s and q, from where the motor is towards the end of the range that is further."""
+    actuator = live.rig.actuator
+    low, high = actuator.range
+    here = float(np.clip(live.board.status(live.axis).q * live.resolution, low, high))
+    widest = max((float(model.width.max()) for model in models), default=0.0)
+    stroke = min(max(_STROKE * widest, _LEAST_STROKE * actuator.span), _MOST_STROKE * max(high - here, here - low))
+    stroke *= 1.0 if high - here > here - low else -1.0
+    points = [here, here + stroke, here + (1.0 - _SHORTER) * stroke, here + stroke, here]
+    speed = min(_SPEED_DEG_S / abs(live.rig.coarse.gain), 0.5 * live.top_speed)
+    planned = trajectory.through(points, speed, 8.0 * speed)
+    return planned.t_s, planned.q
