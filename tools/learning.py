@@ -202,11 +202,11 @@ def before_truth(case: Case, verdict: Decision) -> float:
 
 
 def conformal(verdicts: Sequence[tuple[Case, Decision]]) -> float:
-    """Share that a set must hold; generators weigh the same."""
+    """Share that a set must hold, where effects are named for one; generators weigh the same."""
     sets = [
         (before_truth(case, verdict), case.generator)
         for case, verdict in verdicts
-        if case.truth not in (NONE, UNEXPLAINED)
+        if case.truth not in (NONE, UNEXPLAINED) and verdict.name == "effect"
     ]
     count = Counter(generator for _, generator in sets)
     sets.sort()
