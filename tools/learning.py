@@ -292,7 +292,7 @@ def main(
     console = Console()
     console.print(table)
     text = everything.to_toml(Counter(case.generator for case in learnable))
-    console.print(text, highlight=False)
+    console.print(text, highlight=False, markup=False)
     if write:
         (Path(hyperparameters.__file__).parent / hyperparameters.FILE).write_text(text, "utf-8")
 
