@@ -28,6 +28,7 @@ class Reason:
 
 _HIGH = "64-bit compare: the high words of two near times differ once in 71 minutes"
 _LOW = "64-bit compare: the low words decide only where the high ones are equal"
+_NEAR = "64-bit compare: the high words of squared distances say nothing within 256 px"
 _SIGN = "the sign of a real number is in its high word"
 _LEVEL = "sums of squares: 0 only where the image, or the motor, stands still to the last bit"
 _FAR = "positions within 4 M counts and images within 4096 px: no difference saturates"
@@ -119,6 +120,8 @@ REASONS = (
            "the tip was on an envelope and yet hardly seen before the turn: seldom"),
     Reason("tl_onset.c", "d->approach.n < 3 || level->n", 2, "an end whose line or level has hardly a frame: seldom"),
     Reason("tl_onset.c", "return off > OUTLIER * OUTLIER * variance", 1, _LOW),
+    Reason("tl_onset.c", "if (cleared) {", 1, _NEAR),
+    Reason("tl_onset.c", "!cleared && is_outlier", 1, _NEAR),
     Reason("tl_onset.c", "const bool fitted = ", 1, "after a glance that passed the fit has its samples"),
     Reason("tl_onset.c", "if (seen > 0)", 2, _SIGN),
     Reason("tl_onset.c", "first > 0 ? first - 1 : 0);", 1, "beyond a knot lie at most all samples but one"),

@@ -11,10 +11,13 @@ from __future__ import annotations
 import json
 import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
@@ -27,11 +30,11 @@ from scipy.optimize import minimize
 from tautline.blindtest import sealed, work
 from tautline.blindtest.cases import SCORED_FROM, Label
 from tautline.blindtest.scores import NONE, UNEXPLAINED, counts, truth
-from tautline.diagnosis import hyperparameters
-from tautline.diagnosis.decide import Decision, decide
+from tautline.diagnosis import hyperparameters, moved
+from tautline.diagnosis.decide import Decision, decide, is_open, probabilities, that_help, with_moved
 from tautline.diagnosis.hyperparameters import NAMES, Hyperparameters, Learnt
 from tautline.diagnosis.hypotheses import CaseEvidence
-from tautline.diagnosis.likelihoods import Likelihoods
+from tautline.diagnosis.stacked import Stacked
 
 Array = npt.NDArray[np.float64]
 
@@ -42,9 +45,10 @@ START = Hyperparameters(
 )  # fmt: skip  # docs/diagnosis.md says why
 _PRIOR = 0.7  # spread of a logarithm about START
 _UNLIKE, _UNLIKE_WORTH = 0.3, 2.0  # spread between generators expected, and of how many generators that is worth
-_ROUNDS, _STEPS, _STEP = 1, 4, 0.05
+_ROUNDS, _STEPS, _MOST, _STEP = 5, 8, 12, 0.02  # most: slopes in a round, where a kink stops a search
+_SETTLED = 0.02  # of a logarithm: the center moves less in the last round
+_FLAT = 1e-4  # of a loss: a further step gains less
 _LEAST = 0.01  # of a truth's probability: no case says more than that all is wrong
-_KEPT = 12  # hypotheses of a case that weigh anything
 _MIX = {NONE: 0.25, UNEXPLAINED: 0.25}  # of a generator's weight; the rest is of effects
 _COVERS = 0.95
 
@@ -54,10 +58,17 @@ class Case:
     generator: str
     truth: str
     evidence: CaseEvidence
+    moved: tuple[tuple[str, float], ...] = ()  # where recalibrating closes the gap: the parts that did, with shares
 
     @property
     def family(self) -> str:
         return self.generator.split(".")[0]
+
+
+def verdict_of(case: Case, by: Learnt) -> Decision:
+    """As `taut diagnose` would say it."""
+    verdict = that_help(case.evidence, decide(case.evidence, by))
+    return with_moved(verdict, case.moved, by) if case.moved and verdict.name == UNEXPLAINED else verdict
 
 
 def probability(case: Case, verdict: Decision) -> float:
@@ -65,15 +76,19 @@ def probability(case: Case, verdict: Decision) -> float:
     return fixed.get(case.truth, verdict.leading.get(case.truth, 0.0))
 
 
-def _loss(case: Case, logarithms: Array) -> float:
-    known = Learnt(Hyperparameters.of_logarithms(logarithms), np.zeros(len(NAMES)), _COVERS)
-    return -float(np.log((1.0 - _LEAST) * probability(case, decide(case.evidence, known)) + _LEAST))
+def _slopes(case: Case, stacked: Stacked, logarithms: Array) -> Array:
+    """Loss, and its derivatives by differences. Without what a verdict does from a threshold on."""
 
+    def loss(at: Array) -> float:
+        by = Hyperparameters.of_logarithms(at)
+        none, unknown, effect = probabilities(stacked, case.truth, by)
+        told = (1.0 - by.mimics) * unknown if case.moved else 0.0  # of what a recalibration moved
+        effect += told * dict(case.moved).get(case.truth, 0.0)
+        p = {NONE: none, UNEXPLAINED: unknown - told}.get(case.truth, effect)
+        return -float(np.log((1.0 - _LEAST) * p + _LEAST))
 
-def _slopes(case: Case, logarithms: Array) -> Array:
-    """Loss, and its derivatives by differences."""
-    here = _loss(case, logarithms)
-    ahead = [(_loss(case, logarithms + step) - here) / _STEP for step in _STEP * np.eye(len(logarithms))]
+    here = loss(logarithms)
+    ahead = [(loss(logarithms + step) - here) / _STEP for step in _STEP * np.eye(len(logarithms))]
     return np.array([here, *ahead])
 
 
@@ -95,20 +110,15 @@ def load(folders: Sequence[Path], scored: bool = False) -> list[Case]:
             seen = float(np.sqrt(max(document["gap"]["before"] ** 2 - label.noise_px**2, 0.0)))
             if counts(replace(label, left=tuple(min(left, seen) for left in label.left))):
                 evidence = CaseEvidence.from_json(json.loads((diagnosis / work.EVIDENCE).read_text()))
-                cases.append(Case(label.generator, truth(label), _thinned(evidence)))
+                cases.append(Case(label.generator, truth(label), evidence, _moved(document, evidence)))
     return cases
 
 
-def _thinned(evidence: CaseEvidence) -> CaseEvidence:
-    """Without the hypotheses that weigh nothing. A single effect of a set says which of it leads, however little it
-    weighs."""
-    weights = Likelihoods(evidence, START)
-    likely = [weights.of[i] + weights.prior(h.ids) for i, h in enumerate(evidence.hypotheses)]
-    power = [float(np.mean(h.power)) for h in evidence.hypotheses]
-    kept = {0, *np.argsort(likely)[-_KEPT:].tolist(), *np.argsort(power)[:4].tolist()}
-    parts = {name for i in kept for name in evidence.hypotheses[i].ids}
-    kept |= {i for i, h in enumerate(evidence.hypotheses) if len(h.ids) == 1 and h.ids[0] in parts}
-    return replace(evidence, hypotheses=tuple(evidence.hypotheses[i] for i in sorted(kept)))
+def _moved(document: Mapping[str, Any], evidence: CaseEvidence) -> tuple[tuple[str, float], ...]:
+    before, after = document["gap"]["before"], document["gap_recalibrated"]["before"]
+    if not moved.closes(before, after, document["noise_floor"]) or is_open(evidence, after**2):
+        return ()
+    return tuple((part["id"], part["share"]) for part in document["moved"])
 
 
 def weights_of(cases: Sequence[Case]) -> Array:
@@ -120,32 +130,67 @@ def weights_of(cases: Sequence[Case]) -> Array:
     return np.array([len(cases) * share[sort] / total / count[sort] for sort in sorts])
 
 
-def learn(cases: Sequence[Case], pool: ProcessPoolExecutor) -> Learnt:
-    """`covers` as it would be were all known."""
+def learn(cases: Sequence[Case], jobs: int = 1) -> Learnt:
+    """`covers` as it would be were all known. By expectation maximisation: what each generator has is known as far as
+    its cases tell (Laplace's approximation, by their slopes)."""
     generators = sorted({case.generator for case in cases})
     center: Array = START.logarithms()
     start, own = center, dict.fromkeys(generators, center)
     variance: Array = np.full(len(NAMES), _UNLIKE**2)
-    for _ in range(_ROUNDS):
-        for name in generators:
-            mine = [case for case in cases if case.generator == name]
-            own[name] = _likeliest(mine, own[name], center, variance, pool)
-        together = np.sum(list(own.values()), axis=0)
-        center = (start / _PRIOR**2 + together / variance) / (1.0 / _PRIOR**2 + len(own) / variance)
-        squares = np.sum([np.square(at - center) for at in own.values()], axis=0)
-        variance = (_UNLIKE_WORTH * _UNLIKE**2 + squares) / (_UNLIKE_WORTH + len(own))
+    with _sloping(cases, jobs) as slopes:
+        for _ in range(_ROUNDS):
+            unsure = np.zeros(len(NAMES))
+            for name in generators:
+                mine = [i for i, case in enumerate(cases) if case.generator == name]
+                weight = weights_of([cases[i] for i in mine])
+                own[name], known_to = _likeliest(partial(slopes, mine), weight, own[name], center, variance)
+                unsure += known_to
+            last, together = center, np.sum(list(own.values()), axis=0)
+            center = (start / _PRIOR**2 + together / variance) / (1.0 / _PRIOR**2 + len(own) / variance)
+            squares = np.sum([np.square(at - center) for at in own.values()], axis=0) + unsure
+            variance = (_UNLIKE_WORTH * _UNLIKE**2 + squares) / (_UNLIKE_WORTH + len(own))
+            if np.max(np.abs(center - last)) < _SETTLED:
+                break
     return Learnt(Hyperparameters.of_logarithms(center), np.sqrt(variance), _COVERS)
 
 
-def _likeliest(cases: Sequence[Case], at: Array, center: Array, variance: Array, pool: ProcessPoolExecutor) -> Array:
-    weight = weights_of(cases)
+def _likeliest(
+    slopes: Callable[[Array], Array], weight: Array, at: Array, center: Array, variance: Array
+) -> tuple[Array, Array]:
+    """A generator's logarithms, and the variance that they are known to."""
 
     def loss(at: Array) -> tuple[float, Array]:
-        summed = weight @ np.array(list(pool.map(_slopes, cases, [at] * len(cases), chunksize=4)))
+        summed = weight @ slopes(at)
         off = at - center
         return float(summed[0] + 0.5 * np.sum(off**2 / variance)), summed[1:] + off / variance
 
-    return np.asarray(minimize(loss, at, jac=True, method="L-BFGS-B", options={"maxiter": _STEPS}).x)
+    found = minimize(
+        loss, at, jac=True, method="L-BFGS-B", options={"maxiter": _STEPS, "maxfun": _MOST, "ftol": _FLAT}
+    ).x
+    each = slopes(found)[:, 1:]
+    return found, np.diag(np.linalg.inv((weight * each.T) @ each + np.diag(1.0 / variance)))
+
+
+@contextmanager
+def _sloping(cases: Sequence[Case], jobs: int) -> Iterator[Callable[[Sequence[int], Array], Array]]:
+    """Loss and derivatives of cases by their numbers, a row each; every process keeps what it has stacked."""
+    if jobs == 1:
+        stacked = [Stacked(case.evidence) for case in cases]
+        yield lambda which, at: np.array([_slopes(cases[i], stacked[i], at) for i in which])
+        return
+    with ProcessPoolExecutor(jobs, initializer=_take, initargs=(cases,)) as pool:
+        yield lambda which, at: np.array(list(pool.map(_slopes_of_taken, which, [at] * len(which), chunksize=4)))
+
+
+_taken: list[tuple[Case, Stacked]] = []  # by a worker
+
+
+def _take(cases: Sequence[Case]) -> None:
+    _taken[:] = [(case, Stacked(case.evidence)) for case in cases]
+
+
+def _slopes_of_taken(which: int, at: Array) -> Array:
+    return _slopes(*_taken[which], at)
 
 
 def before_truth(case: Case, verdict: Decision) -> float:
@@ -157,11 +202,11 @@ def before_truth(case: Case, verdict: Decision) -> float:
 
 
 def conformal(verdicts: Sequence[tuple[Case, Decision]]) -> float:
-    """Share that a set must hold; generators weigh the same."""
+    """Share that a set must hold, where effects are named for one; generators weigh the same."""
     sets = [
         (before_truth(case, verdict), case.generator)
         for case, verdict in verdicts
-        if case.truth not in (NONE, UNEXPLAINED)
+        if case.truth not in (NONE, UNEXPLAINED) and verdict.name == "effect"
     ]
     count = Counter(generator for _, generator in sets)
     sets.sort()
@@ -175,7 +220,7 @@ def row(name: str, verdicts: Sequence[tuple[Case, Decision]], covers: float) -> 
         return f"{100.0 * np.mean(hits):.0f} % of {len(hits)}" if hits else "-"
 
     def lead(verdict: Decision) -> str:
-        return max(verdict.leading, key=lambda n: verdict.leading[n]) if verdict.name == "effect" else verdict.name
+        return next(iter(verdict.named or verdict.ranked)) if verdict.name == "effect" else verdict.name
 
     singles = [(c, v) for c, v in verdicts if c.truth not in (NONE, UNEXPLAINED)]
     log = -np.mean([np.log((1.0 - _LEAST) * probability(c, v) + _LEAST) for c, v in verdicts])
@@ -213,30 +258,32 @@ def main(
     families = sorted({case.family for case in learnable})
     told: list[list[str]] = []
     unseen: list[tuple[Case, Decision]] = []
-    with ProcessPoolExecutor(jobs) as pool:
-        by: dict[str, Learnt] = {}
-        for family in track(families if len(families) > 1 else [], "leaving out"):
-            by[family] = learn([case for case in learnable if case.family != family], pool)
-            unseen += [(case, decide(case.evidence, by[family])) for case in learnable if case.family == family]
-        everything = learn(learnable, pool)
+    by: dict[str, Learnt] = {}
+    for family in track(families if len(families) > 1 else [], "leaving out"):
+        by[family] = learn([case for case in learnable if case.family != family], jobs)
+        unseen += [(case, verdict_of(case, by[family])) for case in learnable if case.family == family]
+    everything = learn(learnable, jobs)
     everything = replace(everything, covers=conformal(unseen) if unseen else _COVERS)
     started = Learnt(START, np.zeros(len(NAMES)), _COVERS)
-    for family in families:
-        said = [(case, verdict) for case, verdict in unseen if case.family == family]
-        if said:
-            told.append(row(f"{family}, left out", said, everything.covers))
+
+    def tell(name: str, cases: Sequence[Case], ways: Mapping[str, Learnt]) -> None:
+        for way, learnt in ways.items():
+            said = [(case, verdict_of(case, learnt)) for case in cases]
+            told.append(row(f"{name}, {way}", said, learnt.covers))
+
     for family in sorted({case.family for case in cases}):
         mine = [case for case in cases if case.family == family]
-        told.append(row(f"{family}, as it started", [(c, decide(c.evidence, started)) for c in mine], _COVERS))
-        name = f"{family}, {'left out' if family in leave_out else 'learnt on'}"
-        told.append(row(name, [(c, decide(c.evidence, everything)) for c in mine], everything.covers))
+        ways = {"as it started": started}
+        ways |= {"left out": replace(by[family], covers=everything.covers)} if family in by else {}
+        tell(family, mine, {**ways, "left out" if family in leave_out else "learnt on": everything})
+    if unseen:
+        tell("together", learnable, {"as it started": started})
+        told.append(row("together, each left out", unseen, everything.covers))
     reported = load(report, scored=True)
     for family in sorted({case.family for case in reported}):
         mine = [case for case in reported if case.family == family]
-        ways = [("as it started", started), ("learnt", everything)]
-        ways += [("learnt without it", by[family])] if family in by else []
-        for name, way in ways:
-            told.append(row(f"{family}, report, {name}", [(c, decide(c.evidence, way)) for c in mine], way.covers))
+        ways = {"as it started": started, "learnt": everything}
+        tell(f"{family}, report", mine, ways | ({"learnt without it": by[family]} if family in by else {}))
     table = Table(
         "generators", "-log p of the truth", "right name leads", "in its set", "unknown", "none", "calibration error"
     )
@@ -245,7 +292,7 @@ def main(
     console = Console()
     console.print(table)
     text = everything.to_toml(Counter(case.generator for case in learnable))
-    console.print(text, highlight=False)
+    console.print(text, highlight=False, markup=False)
     if write:
         (Path(hyperparameters.__file__).parent / hyperparameters.FILE).write_text(text, "utf-8")
 

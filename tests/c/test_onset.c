@@ -272,6 +272,7 @@ static void test_a_marker_elsewhere_for_one_frame_is_left_out(void) {
     jump = 400 * TL_PX_ONE;
     wait_ms(FRAME_US / 1000, true);
     jump = 0;
+    wait_ms(2 * FRAME_US / 1000, true); // the second frame after it decides
     go(790);
     TEST_ASSERT_EQUAL_UINT32(1, detector.lost);
     TEST_ASSERT_INT32_WITHIN(TL_PX_ONE, before.u, detector.believed.u);

@@ -446,7 +446,7 @@ def test_another_joint_moves_c_through_its_own_play():
 
 
 @pytest.mark.parametrize("at_tip", [0.0, 1.0])
-@pytest.mark.parametrize("name", ["offset", "width_scale", "remaining_3"])
+@pytest.mark.parametrize("name", ["offset", "width_scale", "width_everywhere", "remaining_3"])
 def test_a_nominal_part_is_simulated_as_the_model_that_holds_it(name, at_tip):
     """As far as the tables of both reach."""
     values = {name: 0.3, "offset_at_tip": at_tip} if name == "offset" else {name: 0.3}
@@ -456,6 +456,14 @@ def test_a_nominal_part_is_simulated_as_the_model_that_holds_it(name, at_tip):
     told = simulate(MODEL, STROKES, t, values, start_deg=3.0)
     np.testing.assert_allclose(told.c_deg, held.c_deg, atol=1e-6)
     assert np.ptp(told.c_deg - simulate(MODEL, STROKES, t, {}).c_deg) + abs(told.c_deg[0]) > 0.05
+
+
+def test_a_width_in_its_simple_form_is_wider_everywhere_by_as_much():
+    simple = effects.BY_ID["transmission.backlash"].simple
+    assert simple is not None and simple.id == "transmission.backlash"
+    (parameter,) = simple.parameters
+    held = simple.holds(MODEL, {parameter.name: 0.25}, 0.0)
+    np.testing.assert_allclose(held.width, MODEL.width + 0.25, atol=1e-12)
 
 
 def test_a_clock_of_another_rate_is_late_the_longer_it_runs():

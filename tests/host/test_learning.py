@@ -1,6 +1,5 @@
 """Learning how hypotheses behave: from evidence alone, in the direction that the evidence says."""
 
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +8,8 @@ from tools import learning
 
 from tautline.diagnosis.decide import Decision, decide
 from tautline.diagnosis.hyperparameters import NAMES, Hyperparameters, Learnt, learnt
-from tautline.diagnosis.hypotheses import CaseEvidence, Weighed
+from tautline.diagnosis.hypotheses import Beyond, CaseEvidence, Weighed
+from tautline.diagnosis.stacked import Stacked
 
 BLOCKS = 20
 LAG, CREEP = "transmission.lag", "transmission.creep"
@@ -39,8 +39,7 @@ def test_a_generator_whose_right_effects_leave_more_teaches_so():
     """Right effects that leave 25 % are unknown to what it starts from."""
     cases = [case("a", LAG, i, left=0.25) for i in range(6)] + [case("a", "none", 10 + i, excess=0.5) for i in range(6)]
     before = Learnt(learning.START, np.zeros(len(NAMES)), 0.95)
-    with ProcessPoolExecutor(1) as pool:
-        found = learning.learn(cases, pool)
+    found = learning.learn(cases)
     assert found.center.unexplained > learning.START.unexplained
     assert found.center.calibration_excess > learning.START.calibration_excess
     assert loss(cases, found.typical) < 0.8 * loss(cases, before)
@@ -65,6 +64,8 @@ def test_a_set_holds_what_it_must_to_be_right_in_95_of_100():
     held = [truth.truth in verdict.ambiguous(covers) for truth, verdict in said]
     assert np.mean(held) >= 0.95
     assert learning.conformal(said[8:]) < 0.1
+    unknown = Decision(0.0, 0.9, {LAG: 0.02, CREEP: 0.08}, np.zeros(3), (CREEP,), (0.8,), 1)
+    assert learning.conformal([*said[8:], *[(case("a", LAG, 0), unknown)] * 50]) < 0.1  # no set is told
 
 
 def test_what_is_learnt_survives_its_file():
@@ -87,15 +88,42 @@ def test_draws_are_of_the_spread_and_the_same_each_time():
     assert Hyperparameters.of_logarithms(wide.center.logarithms() + 50.0).mimics < 1.0
 
 
-def test_a_single_effect_that_says_which_of_a_set_leads_is_not_thinned_out(monkeypatch):
-    """A law leads by what it leaves, however unlikely it is alone."""
-    monkeypatch.setattr(learning, "_KEPT", 1)
-    law, other = "acquisition.clock_rate", "transmission.asymmetric_backlash"
-    none = np.zeros(BLOCKS)
-    less = {CREEP: 0.05, "transmission.drift": 0.06, "transmission.offset": 0.07, "configuration.swing": 0.08}
-    shares = {(): 1.0, (other,): 0.9, (law,): 0.2, (law, other): 1e-4, (LAG,): 0.95}
-    shares |= {(name,): share for name, share in less.items()}
-    weighed = [Weighed(ids, 1.0 + s * 100.0 * np.ones(BLOCKS), none, none, len(ids)) for ids, s in shares.items()]
-    evidence = CaseEvidence(1.0, weighed[0].power, tuple(weighed), 18)
-    kept = {h.ids for h in learning._thinned(evidence).hypotheses}
-    assert {(law, other), (law,), (other,)} <= kept and (LAG,) not in kept
+def test_slopes_are_those_of_what_is_decided_afresh():
+    """What is remembered from one setting of hyperparameters must not answer for another."""
+    one = case("a", LAG, 3, left=0.2)
+    beyond = Beyond(1.4 * one.evidence.hypotheses[0].power / 101.0, np.full(BLOCKS, 50.0))
+    weighed = tuple(replace(h, beyond=beyond if h.ids else None) for h in one.evidence.hypotheses)
+    one = replace(one, evidence=replace(one.evidence, hypotheses=weighed))
+    at = learning.START.logarithms() + 0.2
+    stacked = Stacked(one.evidence)
+    told = learning._slopes(one, stacked, at)
+    learning._slopes(one, stacked, at - 0.4)
+    np.testing.assert_array_equal(learning._slopes(one, stacked, at), told)
+
+    def afresh(logarithms: np.ndarray) -> float:
+        known = Learnt(Hyperparameters.of_logarithms(logarithms), np.zeros(len(NAMES)), 0.95)
+        said = learning.probability(one, decide(one.evidence, known))
+        return -float(np.log(0.99 * said + 0.01))
+
+    assert told[0] == pytest.approx(afresh(at), abs=1e-9)
+    by_step = [(afresh(at + 0.02 * step) - afresh(at)) / 0.02 for step in np.eye(len(NAMES))]
+    np.testing.assert_allclose(told[1:], by_step, atol=1e-9)
+    assert np.count_nonzero(np.abs(told[1:]) > 1e-6) > 8
+
+
+def test_several_processes_learn_what_one_does():
+    cases = [case(name, LAG, i, left=0.2) for i in range(2) for name in "ab"]
+    one, two = learning.learn(cases), learning.learn(cases, jobs=2)
+    assert one.center == two.center
+    np.testing.assert_array_equal(one.spread, two.spread)
+
+
+def test_what_a_recalibration_moved_is_the_answer_where_nothing_known_explains():
+    unknown = replace(case("a", "transmission.backlash", 1), moved=(("transmission.backlash", 1.0),))
+    worse = tuple(replace(h, power=unknown.evidence.hypotheses[0].power) for h in unknown.evidence.hypotheses)
+    unknown = replace(unknown, evidence=replace(unknown.evidence, hypotheses=worse))
+    assert decide(unknown.evidence).name == "unknown"
+    started = Learnt(learning.START, np.zeros(len(NAMES)), 0.95)
+    verdict = learning.verdict_of(unknown, started)
+    assert verdict.named == ("transmission.backlash",)
+    assert learning.probability(unknown, verdict) == pytest.approx(1.0 - learning.START.mimics, abs=0.02)

@@ -52,3 +52,16 @@ def test_what_a_rigid_simulator_lacks_is_a_servos_delay():
     assert late_s(found.document) == pytest.approx(own, abs=0.01)
     assert found.document["gap"]["shrink"] > 0.9
     assert found.document["noise_floor"] > 0.02  # the sensor counts in 0.088 deg; a simulator's 0 is no floor
+
+
+def test_motions_of_several_sizes_lead_to_a_lag_or_delay():
+    """At one size a width that differs from place to place is as good as a delay; together they tell."""
+    folder = data()
+    rig = Rig.load(folder / "rig.toml")
+    robot = [load(folder / name, rig) for name in JOINT]
+    simulated = rigid(robot[0], rig)
+    document = diagnose(calibrate([simulated], rig).model, simulated, robot).document
+    assert document["effects"], document["candidates"][:3]
+    first = document["effects"][0]
+    assert {first["id"], *first["ambiguous_with"]} <= {LAG, DELAY}
+    assert 0.06 < late_s(document) < 0.16

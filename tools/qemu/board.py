@@ -338,15 +338,11 @@ def serve(world: World, line: socket.socket, sim: socket.socket, parent: int) ->
         sockets.register(world.machine.line, selectors.EVENT_READ)
         watched: socket.socket | None = None
         while not world.quit and (parent == 0 or os.getppid() == parent):
-            if watched is not world.client:  # the host has come, or gone
-                if watched is not None:
-                    sockets.unregister(watched)
-                watched = world.client
-                if watched is not None:
-                    sockets.register(watched, selectors.EVENT_READ)
+            watched = _watched(sockets, watched, world.client)
             ready = [key.fileobj for key, _ in sockets.select(0.001 if world.realtime else IDLE_S)]
             world.machine.receive()
             world.listen()
+            watched = _watched(sockets, watched, world.client)  # before another socket gets its number
             if line in ready:
                 world.attach(line.accept()[0])
             if sim in ready:
@@ -361,6 +357,20 @@ def serve(world: World, line: socket.socket, sim: socket.socket, parent: int) ->
                     del texts[client]
             if world.realtime:
                 world.keep_pace()
+    for client in texts:
+        client.close()
+
+
+def _watched(
+    sockets: selectors.BaseSelector, watched: socket.socket | None, client: socket.socket | None
+) -> socket.socket | None:
+    """The host's socket: it has come, or gone."""
+    if watched is not client:
+        if watched is not None:
+            sockets.unregister(watched)
+        if client is not None:
+            sockets.register(client, selectors.EVENT_READ)
+    return client
 
 
 def answer(world: World, client: socket.socket, texts: dict[socket.socket, bytes]) -> bool:

@@ -12,6 +12,7 @@
 #define JITTER_TURNS 8      ///< hardly seen strokes shorter than this many turn thresholds are no reversals
 
 enum { FOLLOWING, CROSSING }; // phase: no reversal under way, or one
+enum { DOUBTED = 3 };         // known: `believed` holds a frame that may be an outlier
 
 tl_onset_config_t tl_onset_defaults(void) {
     return (tl_onset_config_t){
@@ -420,15 +421,31 @@ static TL_FAST bool is_outlier(const tl_onset_detector_t *d, const tl_onset_samp
     return off > OUTLIER * OUTLIER * variance && 2 * off > apart;
 }
 
-/// A frame with its marker waits for the next one, which tells whether to believe it.
+/// A frame with its marker waits for the next one, which tells whether to believe it. A frame that the next one makes
+/// an outlier may be right and that one wrong: it stands in `believed` until a third came. Right is then what lies
+/// nearer to the middle of the third and the last that was believed (the window's newest, dropped or not) by half.
 static TL_FAST void take_frame(tl_onset_detector_t *d, const tl_onset_sample_t *sample, tl_us_t scene_us,
                                tl_onset_t *onset) {
-    const tl_onset_sample_t waiting = d->waiting;
-    const tl_us_t waiting_us = d->seen_us;
+    tl_onset_sample_t waiting = d->waiting;
+    tl_us_t waiting_us = d->seen_us;
+    bool cleared = false;
     d->waiting = *sample;
     d->seen_us = scene_us;
-    if (d->known > 1 && is_outlier(d, &d->believed, &waiting, sample)) {
+    if (d->known == DOUBTED) {
+        const tl_onset_sample_t *before = tl_hinge_sample(d, d->held - 1);
+        cleared = 4 * squared_distance(&d->believed, before, sample) < squared_distance(&waiting, before, sample);
+        if (cleared) {
+            waiting = d->believed;
+            waiting_us -= (uint32_t)waiting_us - waiting.t_us;
+        } else {
+            d->believed = *before;
+        }
+        d->known = 2;
         d->lost++;
+    }
+    if (d->known > 1 && !cleared && is_outlier(d, &d->believed, &waiting, sample)) {
+        d->believed = waiting;
+        d->known = DOUBTED;
         return;
     }
     if (d->known > 0) {

@@ -84,7 +84,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class _Course:
+class Course:
     """One set-up and its motions: calibration, two tests, a further motion."""
 
     plant: Plant
@@ -106,25 +106,35 @@ def make(seed: int, kind: str, effects: tuple[str, ...] = ()) -> Case:
     """The case of a seed. `effects` fixes what is switched on; else it is drawn. What is too weak to be seen is drawn
     again, up to _DRAWS times."""
     rng = np.random.default_rng([seed, 0xCA5E, zlib.crc32(" ".join((kind, *effects)).encode())])
+    plant = plant_of(rng)
+    chosen = effects or _drawn(rng, kind)
+    session = course_of(rng, plant, "transmission.load_dependence" in chosen)
+    throughout, values, left = _visible(rng, session, chosen)
+    recordings = [session.record(plant, Truth(values), throughout, i) for i in range(4)]
+    label = Label(kind, chosen, seed, throughout, values, plant.noise_px, left)
+    return Case(plant.rig, recordings[0], recordings[1:3], recordings[3], label)
+
+
+def plant_of(rng: np.random.Generator) -> Plant:
+    """An instrument in front of a camera."""
     rig = rig_of(rng)
     instrument = preset("random" if rng.random() < 0.7 else "reference", rig, int(rng.integers(1 << 30)))
     noise = float(np.exp(rng.uniform(np.log(0.02), np.log(0.1))))
-    plant = Plant(rig, instrument.grid, instrument.width, instrument.c_deg, noise)
-    chosen = effects or _drawn(rng, kind)
-    loaded = "transmission.load_dependence" in chosen or rng.random() < 0.15
-    motions = motions_of(rng, rig)
+    return Plant(rig, instrument.grid, instrument.width, instrument.c_deg, noise)
+
+
+def course_of(rng: np.random.Generator, plant: Plant, loaded: bool = False, speeds: int = 2) -> Course:
+    """loaded: a load varies; now and then it does anyhow. speeds: of the calibration, 1 or 2."""
+    loaded = loaded or rng.random() < 0.15
+    motions = motions_of(rng, plant.rig, speeds)
     starts = list(np.concatenate([[0.0], np.cumsum([m.duration_s + 5.0 for m in motions])[:-1]]))
     seeds = [int(s) for s in rng.integers(1 << 30, size=4)]
     loads = [_load(rng, motion, i) if loaded else None for i, motion in enumerate(motions)]
-    session = _Course(plant, motions, starts, seeds, loads, bool(rng.random() < 0.5))
-    throughout, values, left = _visible(rng, session, chosen)
-    recordings = [session.record(plant, Truth(values), throughout, i) for i in range(4)]
-    label = Label(kind, chosen, seed, throughout, values, noise, left)
-    return Case(rig, recordings[0], recordings[1:3], recordings[3], label)
+    return Course(plant, motions, starts, seeds, loads, bool(rng.random() < 0.5))
 
 
 def _visible(
-    rng: np.random.Generator, session: _Course, chosen: tuple[str, ...]
+    rng: np.random.Generator, session: Course, chosen: tuple[str, ...]
 ) -> tuple[bool, dict[str, float], tuple[float, ...]]:
     """Whether the effects are there throughout, their amplitudes, and what of each one's gap on the tests a
     recalibration leaves (px rms per coordinate): the strongest of up to _DRAWS draws that end with the first that is
@@ -140,7 +150,7 @@ def _visible(
                 within = float(rng.uniform(0.25, 0.75)) * session.motions[1].duration_s
                 values["slip_time"] = session.starts_s[1] + within
         left = tuple(
-            _left(session, Truth(values), throughout, name in UNKNOWN)
+            left_by(session, Truth(values), throughout, name in UNKNOWN)
             for name, values in zip(chosen, drawn, strict=True)
         )
         if not best[2] or min(left) > min(best[2]):
@@ -150,11 +160,24 @@ def _visible(
     return best
 
 
-def _left(session: _Course, truth: Truth, throughout: bool, outside: bool) -> float:
+def left_by(session: Course, truth: Truth, throughout: bool, outside: bool) -> float:
     """What the true nominal model with B, f_remain, registration and delay free, one for all recordings, cannot follow
     of the tests, were there no noise: the least-squares residual of its linearisation, px rms per coordinate. Of an
     effect `outside` the library, what no single effect of the library on top of it can follow either. 0 where the
     marker is hardly seen."""
+    fitter = fitter_of(session, truth, throughout)
+    if fitter is None:
+        return 0.0
+    noise = session.plant.noise_px
+    left = rms(fitter.left(fitter.rows(fitter.start(), fitter.nothing))[1:])
+    if not outside or left < VISIBLE * noise:
+        return left
+    return min(left, *(rms(fit.residuals[1:]) for fit in _imitations(fitter)))
+
+
+def fitter_of(session: Course, truth: Truth, throughout: bool) -> Fitter | None:
+    """Of the true nominal model and the recordings as they would be without noise; None where the marker is hardly
+    seen."""
     plant = session.plant
     model = Model(
         plant.rig,
@@ -168,14 +191,10 @@ def _left(session: _Course, truth: Truth, throughout: bool, outside: bool) -> fl
     silent = Plant(plant.rig, plant.grid, plant.width, plant.c_deg, 0.0)
     recordings = [session.record(silent, truth, throughout, i) for i in range(3)]
     if any(r.marker is None or r.marker.valid.mean() < _SEEN for r in recordings):
-        return 0.0
-    segments = prepare(model, recordings[0], recordings[1:])
-    fitter = Fitter(model, segments, load_reference(recordings[0]))
+        return None
+    fitter = Fitter(model, prepare(model, recordings[0], recordings[1:]), load_reference(recordings[0]))
     fitter.floor = plant.noise_px
-    left = rms(fitter.left(fitter.rows(fitter.start(), fitter.nothing))[1:])
-    if not outside or left < VISIBLE * plant.noise_px:
-        return left
-    return min(left, *(rms(fit.residuals[1:]) for fit in _imitations(fitter)))
+    return fitter
 
 
 def _imitations(fitter: Fitter) -> list[Fit]:
@@ -207,11 +226,14 @@ def rig_of(rng: np.random.Generator) -> Rig:
     return Rig.from_document(document, "case")
 
 
-def motions_of(rng: np.random.Generator, rig: Rig) -> list[Trajectory]:
-    """A calibration (two speeds, rests), two tests at several speeds with rests and the other axes moving, one more."""
+def motions_of(rng: np.random.Generator, rig: Rig, speeds: int = 2) -> list[Trajectory]:
+    """A calibration (at two speeds or the slower one, with rests), two tests at several speeds with rests and the other
+    axes moving, one more."""
     span = rig.actuator.span
     speed = float(rng.uniform(0.07, 0.11)) * span
-    calibration = trajectory.back_and_forth(rig.actuator, [speed, 2.2 * speed], 0.22 * span, 20, 10 * speed, 0.4)
+    calibration = trajectory.back_and_forth(
+        rig.actuator, [speed, 2.2 * speed][:speeds], 0.22 * span, 20, 10 * speed, 0.4
+    )
 
     def steps(rate: float, share: float, cycles: int, dwell: float) -> Trajectory:
         return trajectory.trapezoids(rig.actuator, rate, share * span, cycles, 12 * rate, dwell)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 
-from tautline.blindtest import cases, draws, own
+from tautline.blindtest import cases, draws, own, setup
 from tautline.blindtest.cases import Case
 from tautline.blindtest.physical import draws as physical
 from tautline.blindtest.physical import make as mechanical
@@ -23,6 +23,7 @@ class Generator:
     unknown: tuple[str, ...]  # effects outside of it
     make: Callable[[int, str, tuple[str, ...]], Case]  # seed, kind, effects (none: drawn)
     needs: str | None = None  # a package beyond tautline's own
+    apart: bool = False  # made only where it is asked for by its name
 
     @property
     def installed(self) -> bool:
@@ -35,6 +36,7 @@ GENERATORS: Mapping[str, Generator] = {
     for generator in (
         Generator(SECOND, tuple(draws.KNOWN), tuple(draws.UNKNOWN), cases.make),
         Generator(own.NAME, own.KNOWN, (), own.make),
+        Generator(setup.NAME, setup.KNOWN, (), setup.make, apart=True),
         *(
             Generator(t.name, mechanical.known(t), tuple(physical.UNKNOWN), partial(mechanical.make, t), PACKAGE)
             for t in TOPOLOGIES
@@ -48,7 +50,7 @@ CHOICES = (*GENERATORS, MUJOCO, ALL)
 def chosen(wanted: Sequence[str], left_out: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Generators to take, and those that would be but whose package is missing. `wanted` and `left_out` are of CHOICES;
     nothing wanted: the second instrument, or all where something is left out. Raises TautError where none remains."""
-    names = _several(wanted) if wanted else list(GENERATORS) if left_out else [SECOND]
+    names = _several(wanted) if wanted else _several([ALL]) if left_out else [SECOND]
     names = [name for name in names if name not in _several(left_out)]
     there = tuple(name for name in names if GENERATORS[name].installed)
     missing = tuple(name for name in names if not GENERATORS[name].installed)
@@ -66,6 +68,8 @@ def _several(names: Sequence[str]) -> list[str]:
     makers = [
         generator
         for generator in GENERATORS
-        if generator in names or ALL in names or (MUJOCO in names and generator.startswith(f"{MUJOCO}."))
+        if generator in names
+        or (ALL in names and not GENERATORS[generator].apart)
+        or (MUJOCO in names and generator.startswith(f"{MUJOCO}."))
     ]
     return makers

@@ -130,7 +130,7 @@ def driven(
     if rate := truth("lost_counts"):  # fast moves lose counts now and then
         lost = scatter.random(len(q)) < rate * np.abs(np.gradient(q, t)) / span * 1e-3
         q = q + np.cumsum(lost * scatter.choice([-1.0, 1.0], len(q))) * truth("lost_size")
-    warm = 1.0 - np.exp(-when / truth("warm_up", 300.0))
+    warm = 1.0 - np.exp(-np.maximum(when - truth("warms_from"), 0.0) / truth("warm_up", 300.0))
     q = q + truth("creeping_offset") * warm
     factor = 1.0 + truth("widening") * warm
     if load is not None:

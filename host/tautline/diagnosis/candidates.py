@@ -133,10 +133,12 @@ class Search:
                     refit(other)
         return sorted(candidates, key=_loss)
 
-    def posture(self, below: Candidate, only: Collection[str] | None = None) -> Candidate | None:
+    def posture(self, below: Candidate, only: Collection[str] | None = None, simple: bool = False) -> Candidate | None:
         """All that another posture, tension or homing changes at once on top of a hypothesis, in each recording another
-        where there are several; or these ids of it only. `below` may have some of it already."""
+        where there are several; or these ids of it only, in their simple forms where they have one. `below` may have
+        some of it already."""
         kinds = [kind for kind in self.kinds if kind.posture and not below.fit.hypothesis.find(kind.id)]
+        kinds = [(simple and kind.simple) or kind for kind in kinds]
         if only is not None:
             kinds = [kind for kind in kinds if kind.id in only]
         scope = Scope.EACH if below.fit.hypothesis.tests > 1 else Scope.TESTS

@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import logsumexp
 
-from tautline.diagnosis.hyperparameters import Learnt, learnt
+from tautline.diagnosis.hyperparameters import Hyperparameters, Learnt, learnt
 from tautline.diagnosis.hypotheses import CaseEvidence
-from tautline.diagnosis.likelihoods import Likelihoods, brought
+from tautline.diagnosis.likelihoods import Likelihoods
+from tautline.diagnosis.stacked import Stacked, log_sum
 from tautline.effects import EVENTS
 
 Array = npt.NDArray[np.float64]
@@ -61,24 +61,18 @@ class Decision:
 def decide(evidence: CaseEvidence, by: Learnt | None = None) -> Decision:
     """by: what is learnt unless told; over what instruments may have of it probabilities are averaged."""
     by = by or learnt()
-    hypotheses = evidence.hypotheses
-    same: dict[frozenset[str], list[int]] = {}
-    for i, h in enumerate(hypotheses):
-        same.setdefault(frozenset(h.ids), []).append(i)
-    weights = Likelihoods(evidence, by.center)
-    of_draws = [Likelihoods(evidence, drawn) for drawn in by.draws()] if by.spread.any() else [weights]
-    p = np.mean([_posterior(drawn, same) for drawn in of_draws], axis=0)
-    best = {key: max(of, key=lambda i: (p[i], weights.of[i])) for key, of in same.items()}
-    for key, of in same.items():
+    case = Stacked(evidence)
+    weights = Likelihoods(case, by.center)
+    of_draws = [Likelihoods(case, drawn) for drawn in by.draws()] if by.spread.any() else [weights]
+    p = np.mean([_posterior(drawn) for drawn in of_draws], axis=0)
+    best = {key: max(of, key=lambda i: (p[i], weights.of[i])) for key, of in case.same.items()}
+    for key, of in case.same.items():
         p[best[key]], p[[i for i in of if i != best[key]]] = p[of].sum(), 0.0
 
-    leading = dict.fromkeys((name for h in hypotheses for name in h.ids), 0.0)
-    first: dict[int, str] = {}
+    leading = dict.fromkeys((name for ids in case.ids for name in ids), 0.0)
     for key, i in best.items():
         if key:
-            alone = [(weights.alone(best.get(frozenset({n})), key), n) for n in key - brought(key)]
-            first[i] = max(alone)[1]
-            leading[first[i]] += float(p[i])
+            leading[weights.leader(key, best)] += float(p[i])
 
     named: list[str] = []
     probability: list[float] = []
@@ -105,21 +99,29 @@ def decide(evidence: CaseEvidence, by: Learnt | None = None) -> Decision:
     )
 
 
-def _posterior(weights: Likelihoods, same: Mapping[frozenset[str], Sequence[int]]) -> Array:
-    """Of each hypothesis, the best of `same` effects, and at the end of none that was tried: (hypotheses + 1,)."""
+def probabilities(case: Stacked, effect: str, by: Hyperparameters) -> tuple[float, float, float]:
+    """Of none, of unknown, and of `effect` to lead, as `decide` has them of one instrument."""
+    weights = Likelihoods(case, by)
+    p, best = _posterior(weights), weights.best
+    leads = (float(p[i]) for key, i in best.items() if effect in key and weights.leader(key, best) == effect)
+    return float(p[0]), float(p[-1]), sum(leads)
+
+
+def _posterior(weights: Likelihoods) -> Array:
+    """Of each hypothesis, the best of the same effects, and at the end of none that was tried: (hypotheses + 1,)."""
+    best = list(weights.best.values())
     log = np.full(len(weights.of) + 1, -np.inf)
-    log[-1] = weights.unknown + np.log(weights.by.odds_unknown)
-    for key, of in same.items():
-        best = max(of, key=lambda i: float(weights.of[i]))
-        log[best] = weights.of[best] + weights.prior(key)
-        log[-1] = np.logaddexp(log[-1], weights.elsewhere[best] + weights.prior(key))
-    return np.asarray(np.exp(log - logsumexp(log)))
+    log[best] = weights.of[best] + weights.prior[best]
+    elsewhere = weights.elsewhere[best] + weights.prior[best]
+    log[-1] = log_sum(np.append(elsewhere, weights.unknown + np.log(weights.by.odds_unknown)))
+    return np.asarray(np.exp(log - log_sum(log)))
 
 
-def with_moved(verdict: Decision, parts: Sequence[tuple[str, float]]) -> Decision:
+def with_moved(verdict: Decision, parts: Sequence[tuple[str, float]], by: Learnt | None = None) -> Decision:
     """Recalibrating closed the gap, so what these parts of the nominal model did (ids with shares) is what was there;
     it may yet stand in for an unknown effect. They are named as the nominal hypothesis has them."""
-    told = (1.0 - learnt().center.mimics) * verdict.unknown
+    certain = 1.0 - (by or learnt()).center.mimics
+    told = certain * verdict.unknown
     leading = dict(verdict.leading)
     for name, share in parts:
         leading[name] = leading.get(name, 0.0) + share * told
@@ -129,7 +131,7 @@ def with_moved(verdict: Decision, parts: Sequence[tuple[str, float]]) -> Decisio
         unknown=verdict.unknown - told,
         leading=leading,
         named=named,
-        probability=tuple(1.0 - learnt().center.mimics for _ in named),
+        probability=tuple(certain for _ in named),
         chosen=0,
     )
 

@@ -91,17 +91,20 @@ class _Weighing:
 
     def add_changed(self, below: Candidate) -> None:
         """Beside an effect since the calibration another width, and where that leaves more than noise all that another
-        posture changes: where another machine was calibrated, such as a simulator, its nominal is not this one's."""
+        posture changes: where another machine was calibrated, such as a simulator, its nominal is not this one's. The
+        width everywhere by as much first: one that differs from place to place can be as wide as a lag is late."""
         hypothesis = below.fit.hypothesis
         if hypothesis.scopes[0] == Scope.START or hypothesis.kinds[0].posture:
             return
-        for only in ((WIDTH,), None):
-            candidate = self.search.posture(below, only)
-            if candidate is not None:
-                self.add(candidate)
-                below = candidate
-                if not self._open(candidate):
-                    return
+        for simple in (True, False):
+            beside = below
+            for only in ((WIDTH,), None):
+                candidate = self.search.posture(beside, only, simple)
+                if candidate is not None:
+                    self.add(candidate)
+                    beside = candidate
+                    if not self._open(candidate):
+                        return
 
     def add_in_the_mean(self, below: Candidate) -> None:
         """Events after the calibration, as they are in the mean, on top of what is weighed already."""

@@ -20,7 +20,7 @@ Array = npt.NDArray[np.float64]
 
 NATIVE = frozenset(name for name, *_ in _native.effect_parameters)  # what moves the tip
 PROJECTION = frozenset(name for name, *_ in _native.projection_parameters)  # what changes where it is seen
-_TABLED = tuple(kind for kind in LIBRARY if kind.in_tables)
+_TABLED = tuple(form for kind in LIBRARY if kind.in_tables for form in (kind, kind.simple) if form)
 _MEANS = frozenset(kind.event.mean for kind in LIBRARY if kind.event)
 
 

@@ -138,7 +138,7 @@ typedef struct {
     int8_t direction; ///< of the motor, 0 until it has moved
     uint8_t phase;
     uint8_t oldest, held; ///< ring of samples
-    uint8_t known;        ///< how many of `waiting` and `believed` are there
+    uint8_t known;        ///< how many of `waiting` and `believed` are there; 3: the latter may be an outlier itself
     bool placed;          ///< `extreme` and `opposite` hold a position
     bool on_envelope;     ///< an image start was seen since the last turn: the tip follows
     bool entered;         ///< the reversal under way began on an envelope
@@ -164,7 +164,7 @@ typedef struct {
     tl_onset_t reversal;      ///< the one under way: what the turn and the approach gave
     tl_onset_config_t config;
     tl_onset_sample_t waiting;  ///< the last one: the next tells whether it is an outlier
-    tl_onset_sample_t believed; ///< the one before it that was none
+    tl_onset_sample_t believed; ///< the one before it that was none, or may be one
     tl_onset_sample_t window[TL_ONSET_WINDOW];
 } tl_onset_detector_t;
 

@@ -12,26 +12,26 @@ from tautline.splines import Basis
 
 _PIECES = 6  # of a cubic spline over the motor's range
 _NAMES = tuple(f"width_{i}" for i in range(_PIECES + 3))
+_EVERYWHERE = "width_everywhere"
 _basis = lru_cache(maxsize=8)(Basis)
 
 
 def _in_the_table(model: Model, values: Mapping[str, float], session_s: float) -> Model:
     basis = _basis(*model.rig.actuator.range, _PIECES)
     added = basis.value(np.array([values.get(name, 0.0) for name in _NAMES]), np.clip(model.q, basis.low, basis.high))
-    width = model.width * max(0.0, 1.0 + values.get("width_scale", 0.0)) + added
+    width = model.width * max(0.0, 1.0 + values.get("width_scale", 0.0)) + added + values.get(_EVERYWHERE, 0.0)
     return replace(model, width=allowed_width(model.q, width))
 
 
-EFFECTS = (
-    Kind(
-        "transmission.backlash",
-        (Parameter("width_scale", "", 0.1), *(Parameter(name, "unit", 5e-3) for name in _NAMES)),
-        says="the backlash is not the model's",
-        tell="Every reversal at one place is wider or narrower than the model's B there, by the same amount each time.",
-        mend="Re-tension the tendon as it was, or calibrate again: that is all it takes.",
-        holds=_in_the_table,
-        in_tables=True,
-        nominal=True,
-        posture=True,
-    ),
+_KIND = Kind(
+    "transmission.backlash",
+    (Parameter("width_scale", "", 0.1), *(Parameter(name, "unit", 5e-3) for name in _NAMES)),
+    says="the backlash is not the model's",
+    tell="Every reversal at one place is wider or narrower than the model's B there, by the same amount each time.",
+    mend="Re-tension the tendon as it was, or calibrate again: that is all it takes.",
+    holds=_in_the_table,
+    in_tables=True,
+    nominal=True,
+    posture=True,
 )
+EFFECTS = (replace(_KIND, simple=replace(_KIND, amplitudes=(Parameter(_EVERYWHERE, "unit", 5e-3),))),)

@@ -1,0 +1,169 @@
+"""A case's evidence as arrays over its hypotheses, and what of their weighing only a few hyperparameters change: who
+weighs one case by many hyperparameters pays for it once for each of those few."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import gammaln
+
+from tautline.diagnosis.hypotheses import CaseEvidence
+from tautline.effects import BY_ID, LIBRARY
+
+Array = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+
+CONSTANT = frozenset(kind.id for kind in LIBRARY if kind.nominal)  # parts of the nominal model
+LAWS = frozenset(kind.id for kind in LIBRARY if kind.law)
+MEASURED = frozenset(kind.id for kind in LIBRARY if kind.needs == "load")  # effects that follow a measured column
+BROUGHT = {kind.id: frozenset(kind.brings) for kind in LIBRARY if kind.brings}
+INEXACT = 4.0  # times the floor's power that a nominal model may leave of its own calibration
+CONFINED = 0.5  # probability that what a wrong effect leaves is confined to its stage as well
+SHARES = np.geomspace(1e-5, 1.0, 41)
+_DEGREES = 8.0  # of freedom, of a block's noise
+_WRONG_SHARES = (np.arange(10) + 0.5) / 10.0  # of blocks that a wrong effect disturbs
+_WIDEST = 12.0  # of a disturbed block's logarithm
+_AT_ONCE = 8  # blocks whose product stays within a double
+_REMEMBERED = 4  # settings of a few hyperparameters
+
+
+def log_sum(logarithms: Array) -> Array:
+    """Of exponentials along the last axis, as a logarithm."""
+    most = np.max(logarithms, axis=-1)
+    return np.asarray(most + np.log(np.sum(np.exp(logarithms - most[..., None]), axis=-1)))
+
+
+def _student(x: Array) -> Array:
+    """Logarithm of the density of Student's t."""
+    n = _DEGREES
+    constant = gammaln(0.5 * (n + 1.0)) - gammaln(0.5 * n) - 0.5 * np.log(n * np.pi)
+    return np.asarray(constant - 0.5 * (n + 1.0) * np.log1p(np.square(x) / n))
+
+
+def brought(ids: Collection[str]) -> frozenset[str]:
+    """The parts of the nominal model among these that another of them brings with it."""
+    return frozenset().union(*(BROUGHT.get(name, frozenset()) for name in ids)) & set(ids)
+
+
+class Stacked:
+    """Rows are hypotheses, columns blocks; powers are mean squares."""
+
+    def __init__(self, evidence: CaseEvidence) -> None:
+        hypotheses = evidence.hypotheses
+        self.floor2 = evidence.floor**2
+        self.frozen = evidence.frozen
+        self.applicable = evidence.applicable
+        self.nominal2 = float(np.clip(evidence.calibrated, self.floor2, INEXACT * self.floor2))
+        self.ids = [h.ids for h in hypotheses]
+        self.sets = [frozenset(h.ids) for h in hypotheses]
+        self.same: dict[frozenset[str], list[int]] = {}  # of the same effects
+        for i, key in enumerate(self.sets):
+            self.same.setdefault(key, []).append(i)
+        self.leaders = {key: key - brought(key) for key in self.same}  # what may lead a set
+        self.power = np.array([h.power for h in hypotheses])
+        self.before = np.maximum(self.power[0] - self.floor2, 0.0)
+        self.mean = np.mean(self.power, axis=1)
+        scatter, rival = np.array([h.scatter for h in hypotheses]), np.array([h.rival for h in hypotheses])
+        self.scatters: Flags = np.asarray(scatter.any(axis=1))
+        # What a path follows on blocks that its fit did not see is no scatter, of whatever origin; nor is noise.
+        followed = np.min(self.mean[~self.scatters], initial=np.inf)
+        least = np.minimum(self.power, self.floor2)
+        scattered = np.maximum(self.power * np.exp(np.minimum(scatter, rival)), least)
+        self.path: Flags = self.scatters & (followed < np.mean(scattered, axis=1))
+        self.scatter, self.rival = self._taken_off(scatter), self._taken_off(rival)
+        self.forgets = np.where(self.path, 0.0, np.square([h.white for h in hypotheses]))
+        self.parameters = np.array([h.parameters for h in hypotheses], dtype=float)
+
+        self.size = np.array([len(key) for key in self.sets])
+        self.law: Flags = np.array([key <= LAWS for key in self.sets])
+        self.constant = np.array([bool(key) and key <= CONSTANT for key in self.sets])
+        self.measured = np.array([bool(key & MEASURED) for key in self.sets])
+        own = [self.leaders[key] & CONSTANT for key in self.sets]
+        # Parts of the nominal model move together; what brings one with it is one cause.
+        self.causes = np.array([len(key - CONSTANT) + bool(mine) for key, mine in zip(self.sets, own, strict=True)])
+        self.brings = np.array([mine != key & CONSTANT for key, mine in zip(self.sets, own, strict=True)])
+        self.does_as_well = np.array(
+            [[len(k) == len(m) == 1 and m <= {*BY_ID[min(k)].contains} for m in self.sets] for k in self.sets]
+        )
+        self.left = np.sum(self.power * np.exp(scatter) - self.floor2, axis=1)
+        pairs = [
+            (i, j)
+            for i, less in enumerate(self.sets)
+            for j, more in enumerate(self.sets)
+            if less and len(more) == len(less) + 1 and less < more
+        ]
+        self.fewer, self.further = np.array(pairs, dtype=int).reshape(-1, 2).T
+
+        self._beyond: list[int] = []  # of each hypothesis the row of what is left beyond its stages; none: -1
+        rows: dict[bytes, int] = {}  # hypotheses of one stage leave the same
+        power, count = [], []
+        for h in hypotheses:
+            if h.beyond is None:
+                self._beyond.append(-1)
+                continue
+            key_of = h.beyond.power.tobytes()
+            if key_of not in rows:
+                rows[key_of] = len(rows)
+                power.append(h.beyond.power)
+                count.append(h.beyond.count)
+            self._beyond.append(rows[key_of])
+        self._beyond_power, self._beyond_count = np.array(power), np.array(count)
+        self.by_share = lru_cache(_REMEMBERED)(self._by_share)
+        self.confined = lru_cache(_REMEMBERED)(self._confined)
+
+    def _taken_off(self, scatter: Array) -> Array:
+        """(hypotheses,) what scatter takes off in all blocks, as a logarithm: not what the hypothesis' own path has put
+        on, and where a path follows no more than that could, down to the noise."""
+        put_on = np.maximum(np.log(self.power / self.power[0]), 0.0)
+        off = scatter + np.minimum(put_on, np.maximum(-scatter, 0.0))
+        above = np.maximum(np.log(self.power / self.floor2), 0.0)
+        return np.asarray(np.sum(np.where(self.path[:, None], np.maximum(off, -above), off), axis=1))
+
+    def tells(self, misfit_tells: float, noise_tells: float) -> Array:
+        """(blocks,) independent observations."""
+        return np.asarray(misfit_tells + noise_tells * np.square(self.floor2 / (self.floor2 + self.before)))
+
+    def _by_share(
+        self, misfit_tells: float, noise_tells: float, block_freedom: float, calibration_excess: float
+    ) -> Array:
+        """(hypotheses, SHARES) logarithm of the likelihood of what is left of the blocks. Other parts in the nominal
+        model make it no more exact than it was where it was calibrated."""
+        n = self.tells(misfit_tells, noise_tells)
+        floor2 = np.array([self.floor2, self.nominal2])[:, None, None]
+        predicted = (1.0 + calibration_excess) * floor2 + SHARES[:, None] * self.before
+        expected = np.log(predicted) @ n
+        unlike = n / (block_freedom * predicted)
+        kind = self.constant.astype(int)
+        return np.asarray(
+            -0.5 * (expected[kind] + np.log1p(unlike[kind] * self.power[:, None, :]) @ (block_freedom + n))
+        )
+
+    def _confined(self, floor_known: float, floor_steady: float, disturbed: float) -> Array:
+        """(hypotheses,) logarithm of how much likelier what is left beyond the effects' stages is as noise, in all
+        blocks but a few, than as what a wrong effect leaves: noise as well, or noise in any share of the blocks
+        only."""
+        if not len(self._beyond_power):
+            return np.zeros(len(self._beyond))
+        x = np.log(np.maximum(self._beyond_power / self.floor2, 1e-6))[:, None]
+        spread = np.sqrt(2.0 / np.maximum(self._beyond_count, 1.0) + floor_steady**2)[:, None]
+        # Of the case's noise: less than the floor often, as what rests may well scatter more.
+        off = np.linspace(-20.0, 3.0, 116) * floor_known
+        prior = np.where(off > 0.0, -0.5 * np.square(off / floor_known), -np.abs(off))
+        away = x - off[:, None]
+        noise = _student(away / spread) - np.log(spread)
+        any_size = -np.log((np.maximum(away, 0.0) + spread) * np.log1p(_WIDEST / spread))
+        more = np.exp(any_size - noise) - 1.0
+        shares = np.array([disturbed, *_WRONG_SHARES])[:, None, None]
+        mixed = np.zeros((len(shares), *noise.shape[:2]))
+        for at in range(0, noise.shape[2], _AT_ONCE):
+            product = np.ones_like(mixed)
+            for block in range(at, min(at + _AT_ONCE, noise.shape[2])):
+                product *= 1.0 + shares * more[:, :, block]
+            mixed += np.log(product)
+        said = log_sum(prior + np.sum(noise, axis=2) + mixed) - log_sum(prior)
+        right, wrong = said[0], log_sum(said[1:].T) - np.log(len(_WRONG_SHARES))
+        ratio = right - np.logaddexp(np.log(CONFINED) + right, np.log1p(-CONFINED) + wrong)
+        return np.append(ratio, 0.0)[self._beyond]

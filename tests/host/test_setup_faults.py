@@ -1,0 +1,81 @@
+"""Blind cases whose fault the set-up hides: when it begins, and what the calibration saw of it."""
+
+import numpy as np
+import pytest
+
+from tautline.blindtest import cases, setup
+from tautline.blindtest.generators import GENERATORS, chosen
+from tautline.blindtest.reality import Truth
+from tautline.errors import TautError
+from tautline.recording import Recording
+
+SEED = 5
+
+
+def apart(monkeypatch: pytest.MonkeyPatch, effect: str) -> list[float]:
+    """px rms of each recording, first to last, between a case and the same one without its fault, at the same times."""
+    there = setup.make(SEED, "single", (effect,))
+    monkeypatch.setattr(setup, "Truth", lambda values: Truth({}))
+    without = setup.make(SEED, "single", (effect,))
+    monkeypatch.undo()
+    assert there.label.throughout == without.label.throughout
+
+    def rms(a: Recording, b: Recording) -> float:
+        assert a.marker is not None and b.marker is not None
+        there, t = a.marker, b.marker.t_s
+        difference = [
+            np.interp(t, there.t_s, there.u_px) - b.marker.u_px,
+            np.interp(t, there.t_s, there.v_px) - b.marker.v_px,
+        ]
+        return float(np.sqrt(np.nanmean(np.square(difference))))
+
+    pairs = zip((there.calibration, *there.tests), (without.calibration, *without.tests), strict=True)
+    return [rms(a, b) for a, b in pairs]
+
+
+def quicker(case: cases.Case) -> float:
+    """How many times the calibration's slow strokes its quick ones are."""
+    motor = case.calibration.motor
+    speed = np.abs(np.gradient(motor.q, motor.t_s))
+    slow, quick = np.quantile(speed[speed > 0.1 * speed.max()], [0.3, 0.97])
+    return float(quick / slow)
+
+
+@pytest.mark.parametrize("effect", setup.MISPLACED)
+def test_a_rig_that_is_wrong_is_wrong_while_calibrating_too(monkeypatch, effect):
+    assert min(apart(monkeypatch, effect)) > 1.0
+    case = setup.make(SEED, "single", (effect,))
+    assert case.label.identifiable and case.label.generator == setup.NAME
+
+
+@pytest.mark.parametrize("effect", setup.CHANGED)
+def test_what_changes_after_the_calibration_is_there_from_the_tests_on(monkeypatch, effect):
+    calibrated, *tests = apart(monkeypatch, effect)
+    assert calibrated == 0.0 and min(tests) > 0.1
+
+
+def test_a_drift_begins_when_the_calibration_ends(monkeypatch):
+    calibrated, first, second = apart(monkeypatch, setup.DRIFT)
+    assert calibrated == 0.0 and 0.0 < first < second
+
+
+@pytest.mark.parametrize("effect", setup.ONE_SPEED)
+def test_what_one_speed_hides_is_calibrated_at_one_speed(monkeypatch, effect):
+    assert quicker(setup.make(SEED, "single", (effect,))) < 1.2
+    assert min(apart(monkeypatch, effect)) > 0.05
+
+
+def test_other_faults_are_calibrated_at_two_speeds():
+    assert quicker(setup.make(SEED, "single", (setup.DRIFT,))) > 2.0
+
+
+def test_a_delay_that_calibration_mends_is_no_fault():
+    case = setup.make(SEED, "none")
+    assert case.label.effects == () and abs(case.label.values["late"]) >= 0.005
+
+
+def test_it_is_made_where_it_is_named_alone():
+    assert chosen((setup.NAME,), ()) == ((setup.NAME,), ())
+    assert setup.NAME not in chosen(("all",), ("mujoco",))[0]
+    with pytest.raises(TautError, match="--pairs 0"):
+        GENERATORS[setup.NAME].make(SEED, "pair", ())

@@ -1,0 +1,84 @@
+"""What is worked out for all hypotheses at once, against the same written out block by block."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.special import logsumexp
+from scipy.stats import t as student
+
+from tautline.diagnosis.hypotheses import Beyond, CaseEvidence, Weighed
+from tautline.diagnosis.stacked import CONFINED, SHARES, Stacked
+
+FLOOR = 0.05
+LAG, OFFSET = "transmission.lag", "transmission.offset"
+
+
+def case(seed: int, blocks: int, calibrated: float = 2.0) -> CaseEvidence:
+    rng = np.random.default_rng(seed)
+    none = np.zeros(blocks)
+
+    def powers(most: float) -> np.ndarray:
+        return FLOOR**2 * np.exp(rng.uniform(-1.0, most, blocks))
+
+    beyond = [Beyond(powers(most), rng.integers(2, 500, blocks).astype(float)) for most in (0.2, 9.0)]
+    hypotheses = [
+        Weighed((), powers(6.0), none, none, 0),
+        Weighed((LAG,), powers(2.0), none, none, 2, beyond=beyond[0]),
+        Weighed((OFFSET,), powers(3.0), none, none, 1, beyond=beyond[1]),
+        Weighed((LAG, OFFSET), powers(1.0), none, none, 3, beyond=beyond[0]),
+    ]
+    return CaseEvidence(FLOOR, powers(6.0), tuple(hypotheses), 18, calibrated * FLOOR**2)
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.integers(0, 10_000), st.integers(1, 40), st.floats(0.05, 0.6), st.floats(0.02, 0.3), st.floats(0.001, 0.5))
+def test_what_is_left_beyond_the_stages_is_noise_or_it_is_not(seed, blocks, known, steady, disturbed):
+    """Noise of a power that is known to `known`; in a share of the blocks anything from the noise up."""
+    evidence = case(seed, blocks)
+    told = Stacked(evidence).confined(known, steady, disturbed)
+    assert told[0] == 0.0
+    off = np.linspace(-20.0, 3.0, 116) * known
+    prior = np.array([-0.5 * (o / known) ** 2 if o > 0.0 else -abs(o) for o in off])
+    for h, ratio in zip(evidence.hypotheses[1:], told[1:], strict=True):
+        assert h.beyond is not None
+
+        power, count = h.beyond.power, h.beyond.count
+        spread = np.sqrt(2.0 / count + steady**2)
+        x = np.log(power / FLOOR**2) - off[:, None]
+        noise = student.logpdf(x, 8.0, scale=spread)
+        any_size = -np.log((np.maximum(x, 0.0) + spread) * np.log1p(12.0 / spread))
+
+        def of_share(share: float, noise: np.ndarray = noise, any_size: np.ndarray = any_size) -> float:
+            blocks = np.logaddexp(np.log1p(-share) + noise, np.log(share) + any_size)
+            return float(logsumexp(prior + blocks.sum(axis=1)) - logsumexp(prior))
+
+        right = of_share(disturbed)
+        wrong = logsumexp([of_share(share) for share in np.arange(0.05, 1.0, 0.1)]) - np.log(10.0)
+        expected = right - np.logaddexp(np.log(CONFINED) + right, np.log1p(-CONFINED) + wrong)
+        assert ratio == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+def test_far_too_much_is_left_in_very_many_blocks():
+    """Within what a double holds."""
+    evidence = case(1, 300)
+    assert np.isfinite(Stacked(evidence).confined(1.0, 0.02, 0.99)).all()
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.integers(0, 10_000), st.floats(0.3, 3.0), st.floats(1.0, 30.0), st.floats(1.0, 9.0), st.floats(0.01, 0.5))
+def test_a_block_is_student_distributed_about_what_is_predicted(seed, misfit, noise, freedom, excess):
+    evidence = case(seed, 12)
+    stacked = Stacked(evidence)
+    told = stacked.by_share(misfit, noise, freedom, excess)
+    before = np.maximum(evidence.hypotheses[0].power - FLOOR**2, 0.0)
+    for i, h in enumerate(evidence.hypotheses):
+        floor2 = 2.0 * FLOOR**2 if h.ids == (OFFSET,) else FLOOR**2  # no more exact than it was where it was calibrated
+        for share, value in zip(SHARES[::8], told[i, ::8], strict=True):
+            expected = 0.0
+            for power, gap in zip(h.power, before, strict=True):
+                tells = misfit + noise * (FLOOR**2 / (FLOOR**2 + gap)) ** 2
+                predicted = (1.0 + excess) * floor2 + share * gap
+                expected -= 0.5 * tells * np.log(predicted)
+                expected -= 0.5 * (freedom + tells) * np.log1p(tells * power / (freedom * predicted))
+            assert value == pytest.approx(expected, rel=1e-9, abs=1e-9)
