@@ -31,7 +31,7 @@ from tautline.blindtest import sealed, work
 from tautline.blindtest.cases import SCORED_FROM, Label
 from tautline.blindtest.scores import NONE, UNEXPLAINED, counts, truth
 from tautline.diagnosis import hyperparameters, moved
-from tautline.diagnosis.decide import Decision, decide, is_open, of_stacked, that_help, with_moved
+from tautline.diagnosis.decide import Decision, decide, is_open, probabilities, that_help, with_moved
 from tautline.diagnosis.hyperparameters import NAMES, Hyperparameters, Learnt
 from tautline.diagnosis.hypotheses import CaseEvidence
 from tautline.diagnosis.stacked import Stacked
@@ -80,9 +80,12 @@ def _slopes(case: Case, stacked: Stacked, logarithms: Array) -> Array:
     """Loss, and its derivatives by differences. Without what a verdict does from a threshold on."""
 
     def loss(at: Array) -> float:
-        known = Learnt(Hyperparameters.of_logarithms(at), np.zeros(len(NAMES)), _COVERS)
-        verdict = with_moved(of_stacked(stacked, known), case.moved, known)
-        return -float(np.log((1.0 - _LEAST) * probability(case, verdict) + _LEAST))
+        by = Hyperparameters.of_logarithms(at)
+        none, unknown, effect = probabilities(stacked, case.truth, by)
+        told = (1.0 - by.mimics) * unknown if case.moved else 0.0  # of what a recalibration moved
+        effect += told * dict(case.moved).get(case.truth, 0.0)
+        p = {NONE: none, UNEXPLAINED: unknown - told}.get(case.truth, effect)
+        return -float(np.log((1.0 - _LEAST) * p + _LEAST))
 
     here = loss(logarithms)
     ahead = [(loss(logarithms + step) - here) / _STEP for step in _STEP * np.eye(len(logarithms))]
@@ -161,8 +164,9 @@ def _likeliest(
         off = at - center
         return float(summed[0] + 0.5 * np.sum(off**2 / variance)), summed[1:] + off / variance
 
-    until = {"maxiter": _STEPS, "maxfun": _MOST, "ftol": _FLAT}
-    found = np.asarray(minimize(loss, at, jac=True, method="L-BFGS-B", options=until).x)
+    found = minimize(
+        loss, at, jac=True, method="L-BFGS-B", options={"maxiter": _STEPS, "maxfun": _MOST, "ftol": _FLAT}
+    ).x
     each = slopes(found)[:, 1:]
     return found, np.diag(np.linalg.inv((weight * each.T) @ each + np.diag(1.0 / variance)))
 
@@ -198,11 +202,11 @@ def before_truth(case: Case, verdict: Decision) -> float:
 
 
 def conformal(verdicts: Sequence[tuple[Case, Decision]]) -> float:
-    """Share that a set must hold; generators weigh the same."""
+    """Share that a set must hold, where effects are named for one; generators weigh the same."""
     sets = [
         (before_truth(case, verdict), case.generator)
         for case, verdict in verdicts
-        if case.truth not in (NONE, UNEXPLAINED)
+        if case.truth not in (NONE, UNEXPLAINED) and verdict.name == "effect"
     ]
     count = Counter(generator for _, generator in sets)
     sets.sort()
@@ -288,7 +292,7 @@ def main(
     console = Console()
     console.print(table)
     text = everything.to_toml(Counter(case.generator for case in learnable))
-    console.print(text, highlight=False)
+    console.print(text, highlight=False, markup=False)
     if write:
         (Path(hyperparameters.__file__).parent / hyperparameters.FILE).write_text(text, "utf-8")
 

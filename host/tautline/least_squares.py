@@ -53,7 +53,7 @@ def descend(problem: Problem[Point], point: Point, most: int) -> Point:
                 step = cho_solve(factor(matrix + damping * diagonal), gradient, check_finite=False)
             except LinAlgError:
                 step = None
-            if step is not None:
+            if step is not None and np.isfinite(step).all():  # not from a point that predicts nothing
                 trial = problem.moved(point, np.asarray(step))
                 then = problem.cost(trial)
                 if then < cost:

@@ -164,6 +164,35 @@ def test_probabilities_add_up_in_any_order(shares, pair, before, order):
     assert again.leading == pytest.approx(verdict.leading, abs=1e-12)
 
 
+def with_event(found: CaseEvidence, ids: tuple[str, ...], power: np.ndarray, scatter: np.ndarray) -> CaseEvidence:
+    """An event that forgets from frame to frame, far ahead of every rival."""
+    event = Weighed(ids, power, scatter, np.minimum(scatter + 5.0, 0.0), 2 * len(ids), white=1.0)
+    return replace(found, hypotheses=(*found.hypotheses, event))
+
+
+def test_scatter_beside_a_path_takes_nothing_off_the_noise():
+    """Noise that remembers from frame to frame is less than noise to a density that remembers too."""
+    found = evidence({(LAG,): 0.0, (CREEP,): 0.9})
+    some = np.arange(BLOCKS) < 6
+    powers = [np.where(some, h.power, power(0.0, 1.0)) for h in found.hypotheses]
+    weighed = [replace(h, power=own) for h, own in zip(found.hypotheses, powers, strict=True)]
+    found = replace(found, hypotheses=tuple(weighed))
+    scatter = np.where(some, -4.0, -2.5)  # a share of the gap is left
+    assert decide(with_event(found, (STICK,), found.hypotheses[0].power, scatter)).named == (LAG,)
+
+
+def test_scatter_takes_nothing_off_that_its_own_path_has_put_on():
+    """A fit that spoils what was predicted well is not the better for the scatter that it makes."""
+    found = evidence({(LAG,): 0.9, (CREEP,): 0.9})
+    some = np.arange(BLOCKS) < 6
+    powers = [np.where(some, h.power, power(1.0, 4.0)) for h in found.hypotheses]
+    weighed = [replace(h, power=own) for h, own in zip(found.hypotheses, powers, strict=True)]
+    found = replace(found, hypotheses=tuple(weighed))
+    spoilt = np.where(some, weighed[0].power, 30.0 * weighed[0].power)
+    verdict = decide(with_event(found, (CREEP, STICK), spoilt, np.where(some, -0.3, -np.log(30.0))))
+    assert verdict.name == "unknown"
+
+
 def within(found: CaseEvidence, beyond: dict[tuple[str, ...], np.ndarray]) -> CaseEvidence:
     """What no law of a hypothesis' stages could leave, times the noise."""
     count = np.full(BLOCKS, 400.0)

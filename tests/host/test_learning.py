@@ -64,6 +64,8 @@ def test_a_set_holds_what_it_must_to_be_right_in_95_of_100():
     held = [truth.truth in verdict.ambiguous(covers) for truth, verdict in said]
     assert np.mean(held) >= 0.95
     assert learning.conformal(said[8:]) < 0.1
+    unknown = Decision(0.0, 0.9, {LAG: 0.02, CREEP: 0.08}, np.zeros(3), (CREEP,), (0.8,), 1)
+    assert learning.conformal([*said[8:], *[(case("a", LAG, 0), unknown)] * 50]) < 0.1  # no set is told
 
 
 def test_what_is_learnt_survives_its_file():

@@ -114,3 +114,17 @@ def test_a_factor_s_ridge_is_not_noticed():
     lower, is_lower = factor(matrix)
     triangle = np.tril(lower) if is_lower else np.triu(lower).T
     np.testing.assert_allclose(triangle @ triangle.T, matrix, rtol=1e-6)
+
+
+def test_it_stays_where_nothing_is_predicted():
+    """As of a marker behind the camera: whoever asked sees that it is no number, and no model is made of no number."""
+
+    class Blind(Curve):
+        def moved(self, theta, step):
+            assert np.isfinite(step).all()
+            return super().moved(theta, step)
+
+    seen = decay()
+    problem = Blind(seen.x, np.where(seen.x > 2.0, np.nan, seen.y), seen.low, seen.high)
+    start = np.array([0.5, 3.0])
+    np.testing.assert_array_equal(descend(problem, start, 50), start)

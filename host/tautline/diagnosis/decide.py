@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnosis.hyperparameters import Learnt, learnt
+from tautline.diagnosis.hyperparameters import Hyperparameters, Learnt, learnt
 from tautline.diagnosis.hypotheses import CaseEvidence
 from tautline.diagnosis.likelihoods import Likelihoods
 from tautline.diagnosis.stacked import Stacked, log_sum
@@ -60,27 +60,19 @@ class Decision:
 
 def decide(evidence: CaseEvidence, by: Learnt | None = None) -> Decision:
     """by: what is learnt unless told; over what instruments may have of it probabilities are averaged."""
-    return of_stacked(Stacked(evidence), by or learnt())
-
-
-def of_stacked(case: Stacked, by: Learnt) -> Decision:
-    """The same, for who decides on one case by many."""
+    by = by or learnt()
+    case = Stacked(evidence)
     weights = Likelihoods(case, by.center)
     of_draws = [Likelihoods(case, drawn) for drawn in by.draws()] if by.spread.any() else [weights]
-    p = np.mean([_posterior(drawn, case) for drawn in of_draws], axis=0)
-    best: dict[frozenset[str], int] = {}
+    p = np.mean([_posterior(drawn) for drawn in of_draws], axis=0)
+    best = {key: max(of, key=lambda i: (p[i], weights.of[i])) for key, of in case.same.items()}
     for key, of in case.same.items():
-        best[key] = max(of, key=lambda i: (p[i], weights.of[i]))
-        if len(of) > 1:
-            p[best[key]], p[[i for i in of if i != best[key]]] = p[of].sum(), 0.0
+        p[best[key]], p[[i for i in of if i != best[key]]] = p[of].sum(), 0.0
 
     leading = dict.fromkeys((name for ids in case.ids for name in ids), 0.0)
-    first: dict[int, str] = {}
     for key, i in best.items():
         if key:
-            alone = [(weights.alone(best.get(frozenset({n})), key), n) for n in case.leaders[key]]
-            first[i] = max(alone)[1]
-            leading[first[i]] += float(p[i])
+            leading[weights.leader(key, best)] += float(p[i])
 
     named: list[str] = []
     probability: list[float] = []
@@ -107,9 +99,17 @@ def of_stacked(case: Stacked, by: Learnt) -> Decision:
     )
 
 
-def _posterior(weights: Likelihoods, case: Stacked) -> Array:
+def probabilities(case: Stacked, effect: str, by: Hyperparameters) -> tuple[float, float, float]:
+    """Of none, of unknown, and of `effect` to lead, as `decide` has them of one instrument."""
+    weights = Likelihoods(case, by)
+    p, best = _posterior(weights), weights.best
+    leads = (float(p[i]) for key, i in best.items() if effect in key and weights.leader(key, best) == effect)
+    return float(p[0]), float(p[-1]), sum(leads)
+
+
+def _posterior(weights: Likelihoods) -> Array:
     """Of each hypothesis, the best of the same effects, and at the end of none that was tried: (hypotheses + 1,)."""
-    best = [max(of, key=weights.of.__getitem__) for of in case.same.values()]
+    best = list(weights.best.values())
     log = np.full(len(weights.of) + 1, -np.inf)
     log[best] = weights.of[best] + weights.prior[best]
     elsewhere = weights.elsewhere[best] + weights.prior[best]

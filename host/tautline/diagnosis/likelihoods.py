@@ -7,7 +7,7 @@ observations, whatever its number of frames: what is left of it is one systemati
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Mapping
 from functools import cached_property
 
 import numpy as np
@@ -68,13 +68,24 @@ class Likelihoods:
         stands_in = stands_in + np.where(case.size > 0, self.prior, 0.0)
         self.unknown = float(np.max(stands_in[~case.scatters]))
 
-    def alone(self, i: int | None, key: Collection[str]) -> float:
-        """How much a single effect, if it was tried, says of a set that it is in. Of a law nothing may be left, but
-        what it leaves beside others is not its own: there the one leads that leaves least."""
-        if i is None:
-            return -np.inf
-        by_power = LAWS & set(key) and not EVENTS & set(key)
-        return -float(self._case.mean[i]) if by_power else float(self.of[i])
+    @cached_property
+    def best(self) -> dict[frozenset[str], int]:
+        """Of the hypotheses with the same effects."""
+        of = self.of.tolist()
+        return {key: max(same, key=of.__getitem__) for key, same in self._case.same.items()}
+
+    def leader(self, key: frozenset[str], best: Mapping[frozenset[str], int]) -> str:
+        """Which effect of a set leads: the one that says most alone. Of a law nothing may be left, but what it leaves
+        beside others is not its own: there the one leads that leaves least. best: the hypothesis of each set."""
+        by_power = LAWS & key and not EVENTS & key
+
+        def alone(name: str) -> float:
+            i = best.get(frozenset({name}))
+            if i is None:
+                return -np.inf
+            return -float(self._case.mean[i]) if by_power else float(self.of[i])
+
+        return max((alone(name), name) for name in self._case.leaders[key])[1]
 
     @cached_property
     def prior(self) -> Array:

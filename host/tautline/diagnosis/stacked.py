@@ -67,11 +67,13 @@ class Stacked:
         self.before = np.maximum(self.power[0] - self.floor2, 0.0)
         self.mean = np.mean(self.power, axis=1)
         scatter, rival = np.array([h.scatter for h in hypotheses]), np.array([h.rival for h in hypotheses])
-        self.scatter, self.rival = np.sum(scatter, axis=1), np.sum(rival, axis=1)
         self.scatters: Flags = np.asarray(scatter.any(axis=1))
-        # What a path follows on blocks that its fit did not see is no scatter, of whatever origin.
+        # What a path follows on blocks that its fit did not see is no scatter, of whatever origin; nor is noise.
         followed = np.min(self.mean[~self.scatters], initial=np.inf)
-        self.path = self.scatters & (followed < np.mean(self.power * np.exp(np.minimum(scatter, rival)), axis=1))
+        least = np.minimum(self.power, self.floor2)
+        scattered = np.maximum(self.power * np.exp(np.minimum(scatter, rival)), least)
+        self.path: Flags = self.scatters & (followed < np.mean(scattered, axis=1))
+        self.scatter, self.rival = self._taken_off(scatter), self._taken_off(rival)
         self.forgets = np.where(self.path, 0.0, np.square([h.white for h in hypotheses]))
         self.parameters = np.array([h.parameters for h in hypotheses], dtype=float)
 
@@ -111,6 +113,14 @@ class Stacked:
         self._beyond_power, self._beyond_count = np.array(power), np.array(count)
         self.by_share = lru_cache(_REMEMBERED)(self._by_share)
         self.confined = lru_cache(_REMEMBERED)(self._confined)
+
+    def _taken_off(self, scatter: Array) -> Array:
+        """(hypotheses,) what scatter takes off in all blocks, as a logarithm: not what the hypothesis' own path has put
+        on, and where a path follows no more than that could, down to the noise."""
+        put_on = np.maximum(np.log(self.power / self.power[0]), 0.0)
+        off = scatter + np.minimum(put_on, np.maximum(-scatter, 0.0))
+        above = np.maximum(np.log(self.power / self.floor2), 0.0)
+        return np.asarray(np.sum(np.where(self.path[:, None], np.maximum(off, -above), off), axis=1))
 
     def tells(self, misfit_tells: float, noise_tells: float) -> Array:
         """(blocks,) independent observations."""
