@@ -7,6 +7,7 @@ from tautline.blindtest import cases, setup
 from tautline.blindtest.generators import GENERATORS, chosen
 from tautline.blindtest.reality import Truth
 from tautline.calibration.calibrate import calibrate
+from tautline.diagnosis import moved
 from tautline.diagnosis.diagnose import diagnose
 from tautline.elements import SINGLE
 from tautline.errors import TautError
@@ -95,3 +96,11 @@ def test_a_lag_that_calibration_took_for_several_plays_is_found():
     assert first["parameters"]["lag"] == pytest.approx(case.label.values["dashpot"], rel=0.05)
     assert found.document["gap"]["closable_shrink"] > 0.97
     assert found.corrected.elements == SINGLE
+
+
+def test_a_gap_of_a_hundred_times_the_noise_that_recalibrating_closes_is_what_it_moved():
+    """A little more than the noise is left where a calibration is not exact, and nobody would look for another cause."""
+    assert moved.is_all(4.07, 0.0387, 0.0361, still_open=True, by_law=1e-4)
+    assert not moved.is_all(0.40, 0.0387, 0.0361, still_open=True, by_law=1e-4)  # that may be another effect
+    assert moved.is_all(0.40, 0.0362, 0.0361, still_open=False, by_law=1e-4)
+    assert not moved.is_all(0.40, 0.20, 0.0361, still_open=False, by_law=1e-4)

@@ -14,6 +14,7 @@ from tautline.diagnosis import confounded, decide, flexible, gap, motion, moved,
 from tautline.diagnosis.candidates import Candidate, applicable
 from tautline.diagnosis.fit import Fit, Fitter, Scope, key
 from tautline.diagnosis.gather import Gathered, gather
+from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.hypotheses import CaseEvidence
 from tautline.diagnosis.segment import Segment, load_reference, prepare
 from tautline.effects.library.registration import with_registration
@@ -70,7 +71,8 @@ def diagnose(
     progress(0.92, "attributing")
     before = frozen[1:]
     before_rms, recalibrated = gap.rms(before), gap.rms(base.residuals[1:])
-    swallowed = moved.closes(before_rms, recalibrated, floor) and not decide.is_open(gathered.evidence, recalibrated**2)
+    still_open = decide.is_open(gathered.evidence, recalibrated**2)
+    swallowed = moved.is_all(before_rms, recalibrated, floor, still_open, learnt().center.unexplained_by_law)
     parts = moved.from_the_start(fitter, frozen, base) if swallowed and verdict.name == "unknown" else []
     if parts:
         verdict = decide.with_moved(verdict, [(part.id, part.share) for part in parts])

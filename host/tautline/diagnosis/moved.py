@@ -24,10 +24,16 @@ class Moved:
     share: float  # of what the recalibration closes
 
 
-def closes(before: float, after: float, floor: float) -> bool:
-    """rms; whether there is a gap and what is left of it is little."""
+def closes(before: float, after: float, floor: float, most: float = CLOSES) -> bool:
+    """rms; whether there is a gap and what is left of its power is little: at most so much."""
     open_before = before**2 - floor**2
-    return open_before > 0.0 and after**2 - floor**2 < CLOSES * open_before
+    return open_before > 0.0 and after**2 - floor**2 < most * open_before
+
+
+def is_all(before: float, after: float, floor: float, still_open: bool, by_law: float) -> bool:
+    """rms; whether what a recalibration moved is all there is to a gap: it leaves little, and if that is more than
+    noise (`still_open`), then no larger a share than what has the same equations everywhere leaves."""
+    return closes(before, after, floor) and (not still_open or closes(before, after, floor, by_law))
 
 
 def from_the_start(fitter: Fitter, frozen: Sequence[Array], base: Fit) -> list[Moved]:
