@@ -34,6 +34,7 @@ _EXPLAINED = 1.5  # times the level known so far: a fit that explains its data
 _OF_BEFORE = 0.3, 0.5  # of what was left before: enough at once, enough where it also foretells
 _HOLDS = 1.3  # times the level known so far, over the last strokes: nothing is to be learnt
 _LATELY, _LATELY_OF = 3, 0.6  # strokes, on which a law must leave so much less than others do
+_NOW, _STROKE = 2, 8  # strokes on each of which a law must leave less, frames that one has at least
 _AGAIN = 1.1, 1.3  # of what the fit leaves at most, of what the law in use leaves at least: the calibrated one holds
 _TURNS = 2  # reversals that must agree before anything but a narrower B is learnt
 _FORETOLD_TURNS = 3
@@ -119,6 +120,18 @@ class _Case:
             return False
         return self.lately(fit.z) <= _LATELY_OF * min(self.lately(self.z), self.lately(self.z_calibrated))
 
+    def clear(self, fit: LawFit) -> bool:
+        """Whether a fit leaves next to nothing of what the law in use leaves."""
+        return fit.level <= _OF_BEFORE[0] * self.before
+
+    def worth(self, z: Array, now: int, fit: LawFit) -> bool:
+        """Whether a law that leaves these residuals takes enough away, in all and, where the best `fit` is not
+        clear, in each of the last `now` strokes: what was amiss once, as where a recording begins, need not be now."""
+        strokes, frames = np.unique(self.evidence.stroke, return_counts=True)
+        parts = [] if self.clear(fit) else [self.evidence.stroke == k for k in strokes[frames >= _STROKE][-now:]]
+        gains = [trimmed(self.z[part]) ** 2 - trimmed(z[part]) ** 2 for part in (slice(None), *parts)]
+        return min(gains) >= (_WORTH * self.level) ** 2
+
     def prior(self) -> Prior:
         mean = unchanged()
         mean[OFFSET], mean[SHAPE] = self.theta[OFFSET], self.theta[SHAPE]  # places not seen again stay as they are
@@ -187,7 +200,7 @@ def _judged(
         good = max(_EXPLAINED, _AGAIN[0] * case.lately(fit.z))
         if lately <= good and case.lately(case.z) > _AGAIN[1] * lately:
             return _again(case, lately)
-    if not adapting and case.before**2 - fit.level**2 < (_WORTH * case.level) ** 2:
+    if not adapting and not case.worth(fit.z, _NOW, fit):
         return Inference(_HOLDS_FOR_NOW, case.evidence, early=True)
     foretold = proposal is not None and _foretold(case, proposal)
     least = _RICHER_TURNS if len(fit.free) > len(BOTH[0]) else _TURNS
@@ -203,6 +216,8 @@ def _judged(
         if SCALE in fit.free and sure and 1.0 - share > max(_NARROWER * learnt.scale_sigma, 0.01):
             only = case.theta.copy()
             only[SCALE] *= share
+            if not case.clear(fit) and not case.worth(simulated(case.nominal, case.evidence, only)[0], 1, fit):
+                return Inference(_HOLDS_FOR_NOW, case.evidence, proposed=fit.theta)
             return Inference(
                 f"transmission.backlash: {100 * share:.0f} % of the width as it was: less is taken up at once",
                 case.evidence,
