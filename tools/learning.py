@@ -45,7 +45,7 @@ START = Hyperparameters(
 )  # fmt: skip  # docs/diagnosis.md says why
 _PRIOR = 0.7  # spread of a logarithm about START
 _UNLIKE, _UNLIKE_WORTH = 0.3, 2.0  # spread between generators expected, and of how many generators that is worth
-_ROUNDS, _STEPS, _MOST, _STEP = 5, 8, 12, 0.02  # most: slopes in a round, where a kink stops a search
+_ROUNDS, _STEPS, _MOST, _STEP = 4, 6, 9, 0.02  # most: slopes in a round, where a kink stops a search
 _SETTLED = 0.02  # of a logarithm: the center moves less in the last round
 _FLAT = 1e-4  # of a loss: a further step gains less
 _LEAST = 0.01  # of a truth's probability: no case says more than that all is wrong

@@ -6,6 +6,9 @@ import pytest
 from tautline.blindtest import cases, setup
 from tautline.blindtest.generators import GENERATORS, chosen
 from tautline.blindtest.reality import Truth
+from tautline.calibration.calibrate import calibrate
+from tautline.diagnosis.diagnose import diagnose
+from tautline.elements import SINGLE
 from tautline.errors import TautError
 from tautline.recording import Recording
 
@@ -79,3 +82,16 @@ def test_it_is_made_where_it_is_named_alone():
     assert setup.NAME not in chosen(("all",), ("mujoco",))[0]
     with pytest.raises(TautError, match="--pairs 0"):
         GENERATORS[setup.NAME].make(SEED, "pair", ())
+
+
+def test_a_lag_that_calibration_took_for_several_plays_is_found():
+    """At one speed a lag rounds each onset and is late: a delay and several plays hold all of it."""
+    case = setup.make(2000, "single", ("transmission.lag",))
+    model = calibrate([case.calibration], case.rig).model
+    assert model.elements != SINGLE
+    found = diagnose(model, case.calibration, case.tests)
+    first = found.document["effects"][0]
+    assert first["id"] == "transmission.lag", found.document["candidates"][:3]
+    assert first["parameters"]["lag"] == pytest.approx(case.label.values["dashpot"], rel=0.05)
+    assert found.document["gap"]["closable_shrink"] > 0.97
+    assert found.corrected.elements == SINGLE

@@ -20,6 +20,7 @@ from scipy.linalg import block_diag
 from tautline import effects
 from tautline.diagnosis.segment import Segment
 from tautline.effects import Kind, Parameter, Path
+from tautline.elements import SINGLE
 from tautline.least_squares import descend
 from tautline.model import Model, allowed_width
 from tautline.nominal import Nominal, Normal, Rows, by_width
@@ -339,10 +340,15 @@ class Fitter:
         others: Sequence[Mapping[str, float]] = (),
     ) -> Fit:
         """From `values` and `others` of the effects' parameters; the nominal from `start`, and of a first effect as it
-        was calibrated too (a recalibration bends towards an effect and finds back slowly). A few observations say which
+        was calibrated too (a recalibration bends towards an effect and finds back slowly). What was there from the
+        start may be what calibration took for several plays: then with one play too. A few observations say which
         of these is best and how it goes on; all of them end it."""
-        coarse, fits = self.coarse, []
-        for nominal in [start, self.start()][: 2 if len(hypothesis.kinds) == 1 else 1]:
+        coarse, fits, nominals = self.coarse, [], [start]
+        if len(hypothesis.kinds) == 1:
+            nominals.append(self.start())
+            if hypothesis.scopes[0] == Scope.START and self.model.elements != SINGLE:
+                nominals.append(replace(self.start(), model=replace(self.model, elements=SINGLE)))
+        for nominal in nominals:
             states = [replace(nominal, values={**values, **each}) for each in ({}, *others)]
             best = _best([coarse.descend(hypothesis, state, _ROUGH_STEPS) for state in states])
             fits.append(coarse.descend(hypothesis, best.state, _COARSE_STEPS, _COARSE_GAIN))
