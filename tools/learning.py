@@ -34,6 +34,7 @@ from tautline.diagnosis import hyperparameters, moved
 from tautline.diagnosis.decide import Decision, decide, is_open, probabilities, that_help, with_moved
 from tautline.diagnosis.hyperparameters import NAMES, Hyperparameters, Learnt
 from tautline.diagnosis.hypotheses import CaseEvidence
+from tautline.diagnosis.repeated import HELD
 from tautline.diagnosis.stacked import Stacked
 
 Array = npt.NDArray[np.float64]
@@ -45,7 +46,7 @@ START = Hyperparameters(
 )  # fmt: skip  # docs/diagnosis.md says why
 _PRIOR = 0.7  # spread of a logarithm about START
 _UNLIKE, _UNLIKE_WORTH = 0.3, 2.0  # spread between generators expected, and of how many generators that is worth
-_ROUNDS, _STEPS, _MOST, _STEP = 5, 8, 12, 0.02  # most: slopes in a round, where a kink stops a search
+_ROUNDS, _STEPS, _MOST, _STEP = 4, 6, 9, 0.02  # most: slopes in a round, where a kink stops a search
 _SETTLED = 0.02  # of a logarithm: the center moves less in the last round
 _FLAT = 1e-4  # of a loss: a further step gains less
 _LEAST = 0.01  # of a truth's probability: no case says more than that all is wrong
@@ -93,7 +94,7 @@ def _slopes(case: Case, stacked: Stacked, logarithms: Array) -> Array:
 
 
 def load(folders: Sequence[Path], scored: bool = False) -> list[Case]:
-    """scored: seeds that only a report may be made of."""
+    """scored: seeds that only a report may be made of. Without repeats that were counted: no evidence was weighed."""
     cases = []
     for folder in folders:
         for diagnosis in sorted((folder / sealed.DIAGNOSES).iterdir()):
@@ -105,7 +106,8 @@ def load(folders: Sequence[Path], scored: bool = False) -> list[Case]:
                     f"{folder}: seed {label.seed} is scored, not learnt from: name one of --seed 1 to {SCORED_FROM - 1}"
                 )
             document = json.loads((diagnosis / work.DOCUMENT).read_text())
-            if not (diagnosis / work.EVIDENCE).exists() or label.kind == "pair":
+            certain = any(effect["id"] == HELD for effect in document.get("effects", ())) and label.effects == (HELD,)
+            if not (diagnosis / work.EVIDENCE).exists() or label.kind == "pair" or certain:
                 continue
             seen = float(np.sqrt(max(document["gap"]["before"] ** 2 - label.noise_px**2, 0.0)))
             if counts(replace(label, left=tuple(min(left, seen) for left in label.left))):

@@ -9,7 +9,7 @@ import pytest
 
 from tautline import _native
 from tautline.calibration.calibrate import Calibration, calibrate
-from tautline.calibration.components import effective
+from tautline.calibration.components import effective, separate
 from tautline.encoder import between_counts
 from tautline.geometry import project
 from tautline.quality import Verdict
@@ -204,6 +204,26 @@ def test_a_gradual_start_is_several_elements_and_predicts_as_well_as_a_play():
     assert found.evidence["residual_before_components"] > 4.0  # what one element leaves, in noise
     assert found.evidence["joint_residual_over_noise"] < 1.3
     assert um < 4e-3 and z < 2.5
+
+
+def test_noise_that_is_thought_too_large_hides_no_elements(monkeypatch):
+    def noisier(*args, **options):
+        return replace(separate(*args, **options), noise=9.0)
+
+    monkeypatch.setattr("tautline.calibration.calibrate.separate", noisier)
+    plant = Plant()
+    plant.p = np.mean([plant.play(np.full_like(GRID, 0.46 * share)) for share in np.linspace(0.5, 1.5, 15)], axis=0)
+    assert len(plant.calibrated().model.elements.width) > 1
+
+
+def test_what_is_written_of_several_elements_predicts_as_their_fit_does():
+    """The widest of them turn at the ends of the range alone: B there, beyond where it is measured, moves them all."""
+    plant = Plant()
+    width = 0.46 + 0.2 * np.exp(-(((np.abs(GRID) - 5.0) / 0.3) ** 2))
+    shares = {0.15: 0.13, 0.45: 0.27, 0.75: 0.09, 0.95: 0.05, 1.1: 0.07, 1.4: 0.15, 1.9: 0.24}
+    plant.p = np.sum([weight * plant.play(width * share) for share, weight in shares.items()], axis=0)
+    found = plant.calibrated()
+    assert found.evidence["residual"] < 1.3 * NOISE_PX
 
 
 @pytest.mark.parametrize("zero", [0.0, 0.0034])

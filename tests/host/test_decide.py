@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tautline.diagnosis.decide import Decision, decide, that_help
+from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.hypotheses import Beyond, CaseEvidence, Weighed
 from tautline.plain import plain
 
@@ -34,9 +35,10 @@ def evidence(left: dict[tuple[str, ...], float], before: float = 100.0, frozen: 
 
 
 def test_the_effect_that_leaves_little_is_named():
-    verdict = decide(evidence({(LAG,): 0.005, (CREEP,): 0.6, (DRIFT,): 0.9}))
-    assert verdict.name == "effect" and verdict.named == (LAG,)
-    assert verdict.leading[LAG] > 0.9 and verdict.ambiguous() == [LAG]
+    found = evidence({(LAG,): 0.005, (CREEP,): 0.6, (DRIFT,): 0.9})
+    verdict = decide(found)
+    assert verdict.name == "effect" and verdict.named == (LAG,) and verdict.ambiguous() == [LAG]
+    assert decide(found, learnt().typical).leading[LAG] > 0.9
 
 
 def test_effects_that_all_leave_much_are_unknown():

@@ -1,15 +1,20 @@
 """Learning how hypotheses behave: from evidence alone, in the direction that the evidence says."""
 
+import json
 from dataclasses import replace
 
+import click
 import numpy as np
 import pytest
 from tools import learning
 
+from tautline.blindtest.cases import Label
 from tautline.diagnosis.decide import Decision, decide
 from tautline.diagnosis.hyperparameters import NAMES, Hyperparameters, Learnt, learnt
 from tautline.diagnosis.hypotheses import Beyond, CaseEvidence, Weighed
+from tautline.diagnosis.repeated import HELD
 from tautline.diagnosis.stacked import Stacked
+from tautline.plain import plain
 
 BLOCKS = 20
 LAG, CREEP = "transmission.lag", "transmission.creep"
@@ -127,3 +132,25 @@ def test_what_a_recalibration_moved_is_the_answer_where_nothing_known_explains()
     verdict = learning.verdict_of(unknown, started)
     assert verdict.named == ("transmission.backlash",)
     assert learning.probability(unknown, verdict) == pytest.approx(1.0 - learning.START.mimics, abs=0.02)
+
+
+def test_a_campaign_teaches_what_its_evidence_decided(tmp_path):
+    """Not a pair, nor repeats that were counted: those are known without any."""
+    held = {"id": HELD, "probability": 0.98, "parameters": {"held_share": 0.3}}
+    given = {"a": ("single", (LAG,), []), "b": ("pair", (LAG, CREEP), []), "c": ("single", (HELD,), [held])}
+    for name, (kind, ids, effects) in given.items():
+        label = Label(kind, ids, 7, False, {}, 1.0, (9.0,) * len(ids))
+        document = {"gap": {"before": 10.0}, "gap_recalibrated": {"before": 9.0}, "noise_floor": 1.0}
+        files = {
+            f"sealed/{name}/label.json": {"label": label.to_json()},
+            f"diagnoses/{name}/diagnosis.json": {**document, "effects": effects, "moved": []},
+            f"diagnoses/{name}/evidence.json": case("second", LAG, 1).evidence.to_json(),
+        }
+        for path, content in files.items():
+            (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / path).write_text(json.dumps(plain(content)))
+    assert [(c.generator, c.truth) for c in learning.load([tmp_path])] == [("second", LAG)]
+    scored = tmp_path / "sealed" / "a" / "label.json"
+    scored.write_text(scored.read_text().replace('"seed": 7', '"seed": 1000000'))
+    with pytest.raises(click.ClickException, match="scored"):
+        learning.load([tmp_path])

@@ -331,7 +331,9 @@ class _Session:
         if gradual is None or gradual.rms < max(_GRADUAL, 0.5 * max(part.rms for part in components.parts)):
             return None
         several = fit_elements(components.applied(joint), self.rig, fit_delay=self.options.delay_s is None)
-        before, after = (max(scale**2 - components.noise**2, 0.0) for scale in (left(joint), several.scale))
+        # What several leave is no noise: where that is less, it is at most that of a tip at rest.
+        noise = components.noise if several.scale > components.noise else min(components.noise, 1.0)
+        before, after = (max(scale**2 - noise**2, 0.0) for scale in (left(joint), several.scale))
         return several if after < _HELD * before and not several.fit.elements.single else None
 
     # ---- f_remain

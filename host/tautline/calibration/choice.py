@@ -254,7 +254,10 @@ class Choice:
 
     def _held(self, joint: Fitted, curve: WidthCurve | None) -> Array:
         """The joint fit's B, held beyond the positions that passes both ways or onsets reached: what lies there could
-        be f_remain as well."""
+        be f_remain as well. Not of several elements: some turn in no stroke but there, and are where B there puts
+        them."""
+        if not joint.fit.elements.single:
+            return joint.fit.width(joint.curves)
         low, high = overlap(joint)
         if curve is not None:
             low, high = (min(low, curve.measured[0]), max(high, curve.measured[1])) if low < high else curve.measured
