@@ -46,20 +46,16 @@ class Joint:
 
 def parameters_of(model: Model) -> dict[str, dict[str, Any]]:
     """Those of the model's effects that its own tables do not hold, by the effect's id."""
-    from tautline.effects import BY_ID
+    from tautline.effects import BY_ID, of_this_version
 
-    return {
-        effect.id: dict(effect.parameters)
-        for effect in model.effects
-        if effect.id in BY_ID and BY_ID[effect.id].holds is None
-    }
+    return {effect.id: dict(effect.parameters) for effect in of_this_version(model) if BY_ID[effect.id].holds is None}
 
 
 def left(model: Model, joints: Mapping[str, Joint] | None = None) -> list[str]:
     """Ids of the model's effects that its tables cannot undo; `joints` as in undone."""
-    from tautline.effects import BY_ID
+    from tautline.effects import BY_ID, of_this_version
 
-    ids = [effect.id for effect in model.effects if not BY_ID[effect.id].on_board]
+    ids = [effect.id for effect in of_this_version(model) if not BY_ID[effect.id].on_board]
     if any(effect.id == COUPLED for effect in model.effects) and "joints" not in undone(model, joints)[1]:
         ids.append(COUPLED)
     return ids

@@ -149,6 +149,24 @@ def test_flash_wants_to_be_told_before_it_leaves_an_effect_out(tmp_path, monkeyp
     assert "no table can undo configuration.contact" in done.err and "--without-effects" in done.err
 
 
+@pytest.mark.parametrize(
+    ("effect", "said"),
+    [
+        (Effect("transmission.rate_dependent_backlash", {"speed_exponent": 0.5}), "speed_exponent"),
+        (Effect("transmission.gremlins", {"many": 3.0}), "gremlins"),
+    ],
+)
+def test_an_effect_of_another_version_is_refused_not_ignored(tmp_path, monkeypatch, capsys, effect, said):
+    from tests.host.cli_runner import Taut
+
+    replace(MODEL, effects=(effect,)).save(tmp_path / "model")
+    (tmp_path / "motor.csv").write_text("t_s,q_mm\n" + "".join(f"{0.1 * i},{0.01 * i}\n" for i in range(50)))
+    for rest in (("predict", tmp_path, "--csv", tmp_path / "out.csv"), ("flash", "--board", "usbip:127.0.0.1:1")):
+        done = Taut(monkeypatch, capsys)(rest[0], tmp_path / "model", *rest[1:])
+        assert done.code == 1 and done.err.count("\n") == 1
+        assert said in done.err and "diagnose again" in done.err
+
+
 def test_flash_wants_to_know_which_axis_couples_in(tmp_path, monkeypatch, capsys):
     from tests.host.cli_runner import Taut
 

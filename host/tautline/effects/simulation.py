@@ -12,8 +12,9 @@ import numpy.typing as npt
 
 from tautline import _native
 from tautline.effects.library import BY_ID, LIBRARY, SCATTERS
+from tautline.errors import TautError
 from tautline.geometry import projection_rig
-from tautline.model import Model
+from tautline.model import Effect, Model
 from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
@@ -45,12 +46,25 @@ class ImagePath(Path):
     image_px: Array  # (n, 2), NaN without a camera
 
 
+def of_this_version(model: Model) -> tuple[Effect, ...]:
+    """The effects of a corrected model. TautError where the library does not hold one, or has another law of it."""
+    for effect in model.effects:
+        kind = BY_ID.get(effect.id)
+        if kind is None:
+            raise TautError(f"{effect.id} is no effect of this version: diagnose again")
+        forms = (kind, kind.simple or kind)
+        known = {"column", *(parameter.name for form in forms for parameter in form.parameters)}
+        if strange := [name for name in effect.parameters if name not in known]:
+            raise TautError(f"{effect.id} has no {', '.join(strange)} in this version: diagnose again")
+    return model.effects
+
+
 def of_model(model: Model, scatter: bool = False) -> dict[str, Any]:
     """The parameters of a corrected model's effects that its tables, rig and delay do not hold already. `scatter`: with
-    one course of stick-slip instead of what it is in the mean."""
+    one course of stick-slip instead of what it is in the mean. TautError as `of_this_version`."""
     return {
         name: value
-        for effect in model.effects
+        for effect in of_this_version(model)
         if BY_ID[effect.id].holds is None
         for name, value in effect.parameters.items()
         if name not in (_MEANS if scatter else SCATTERS)
