@@ -50,8 +50,9 @@ _OFF_SHARE = 0.3  # of the residual along it: then it is no motion of the play
 _WANDERS = 4.0  # standard deviations of the tip's motion while the motor rests
 
 
+_DEPARTS = 3.0  # standard deviations that each of three frames is off where a change shows
 _WORTH = 0.5  # times the level known so far, in quadrature: what a new law must take away
-_STAYS = 0.02  # of B
+_STAYS = 0.02
 _TOLD_APART = 0.6  # of what a law changes in B: so much must have been passed before another law replaces it
 _HOLDS_FOR_NOW = "the model holds for now"
 _ONE_WAY = "the tip was not yet seen to move both ways since the model stopped holding"
@@ -146,13 +147,24 @@ class _Case:
         return replace(prior, mean=mean, sigma=sigma)
 
     @property
+    def departs(self) -> int:
+        """The first frame of a run that the law in use does not foretell: what comes before it tells of the time before
+        the change, or of places where there is none. 0 where there is no such run."""
+        far = np.abs(self.z) > _DEPARTS * self.level
+        run = far[:-2] & far[1:-1] & far[2:]
+        first = int(run.argmax()) if run.any() else 0
+        return first if len(self.z) - first >= _STROKE else 0
+
+    @property
     def known(self) -> npt.NDArray[np.bool_]:
-        """(PLACES,) at which, or half way to which, the tip was passed both ways."""
+        """(PLACES,) at which, or half way to which, the tip was on an envelope. Both ways somewhere is enough: there
+        the offset is told from the width, and with it the width wherever either envelope was seen."""
         places = self.nominal.places
         if self.passed is None:
             return np.zeros(len(places), dtype=bool)
         half = 0.5 * (places[1] - places[0])
-        passed: npt.NDArray[np.bool_] = (places > self.passed[0] - half) & (places < self.passed[1] + half)
+        y = self.places(self.theta, self.envelopes.at)
+        passed: npt.NDArray[np.bool_] = (places > y.min() - half) & (places < y.max() + half)
         return passed
 
     def places(self, theta: Array, at: npt.NDArray[np.intp] | slice = slice(None)) -> Array:
@@ -175,6 +187,9 @@ def judge(
     for evidence in stretches:
         case = _Case.of(nominal, evidence, theta, level)
         yield
+        if not adapting and np.array_equal(theta, unchanged()) and (first := case.departs):
+            case = _Case.of(nominal, evidence.after(first), theta, level)
+            yield
         verdict = yield from _judged(case, adapting, posture, proposal)
         if verdict.theta is not None:
             return verdict
@@ -240,6 +255,10 @@ def _best(case: _Case) -> Generator[None, None, LawFit]:
     """The simplest law that does not leave more than a richer one would."""
     prior = case.prior()
     nominal, evidence = case.nominal, case.evidence
+    if np.any(case.theta[SHAPE]):  # a shape that was not seen everywhere: most likely it only goes on
+        refined = yield from fitted(nominal, evidence, case.theta, _freed(case.theta), case.beside(prior))
+        if max(refined.level, case.lately(refined.z)) <= _GOOD * case.level:
+            return refined
     base = unchanged() if _tells_apart(case) else nominal.lawful(_shape_of(case.theta))
     start = base if np.any(base[SHAPE]) else guess(nominal, evidence, base, case.envelopes, True)
     before = yield from fitted(nominal, evidence, start, BOTH[0], prior)
@@ -249,7 +268,7 @@ def _best(case: _Case) -> Generator[None, None, LawFit]:
         kept = nominal.lawful(case.theta)
         other = yield from fitted(nominal, evidence, kept, BOTH[side], prior)
         both = min(both, other, key=lambda fit: fit.cost)
-    if both.level <= _GOOD * case.level:
+    if max(both.level, case.lately(both.z)) <= _GOOD * case.level:
         if case.turns >= _RICHER_TURNS:  # an onset is short: it hardly shows in the rms
             gradual = yield from _richer(case, both, GRADUAL, prior)
             if _gain(both, gradual) > _GAIN_MORE:
@@ -278,6 +297,12 @@ def _best(case: _Case) -> Generator[None, None, LawFit]:
                 richer = yield from _richer(case, best, more, prior)
                 best = richer if _gain(best, richer) > _GAIN_MORE else best
     return best if _gain(both, best) > _GAIN_MORE else both
+
+
+def _freed(theta: Array) -> tuple[int, ...]:
+    """The parameters of a law in use whose shape is refined."""
+    others = [i for i in (OFFSET, *GRADUAL, *REMAINING) if theta[i]]
+    return tuple(sorted({SCALE, *SHAPED, *others}))
 
 
 def _richer(case: _Case, fit: LawFit, more: tuple[int, ...], prior: Prior) -> Generator[None, None, LawFit]:

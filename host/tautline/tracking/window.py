@@ -35,6 +35,12 @@ class WindowKnots:
     def strokes(self) -> npt.NDArray[np.intp]:
         return np.unique(self.stroke)
 
+    def after(self, first: int) -> WindowKnots:
+        """From one of those seen on."""
+        begin = int(self.seen[first])
+        columns = (self.c_deg, self.sigma, self.t_s, self.stroke, self.off)
+        return WindowKnots(self.q[begin:], self.seen[first:] - begin, *(column[first:] for column in columns))
+
 
 class Window:
     """A ring of entries. Their numbers count from the start of use and never change."""
