@@ -20,6 +20,7 @@ from tautline.model import Model
 from tautline.rig import MARKER, Sensor
 from tautline.tracking.hypotheses import Inference, judge
 from tautline.tracking.law import OFFSET, SCALE, SHAPE, TIP, LawFamily, unchanged
+from tautline.tracking.passes import Passes
 from tautline.tracking.path import MotorPath, knots
 from tautline.tracking.projection import AngleEstimate, Projection
 from tautline.tracking.window import Window
@@ -102,8 +103,10 @@ class LawTracker:
         self.changes: list[Change] = []
         self._arrival_s = 0.0
         self._theta, self._sigma = unchanged(), self._own
-        self._law = self.nominal.law(self._theta)
+        self._law = self._calibrated = self.nominal.law(self._theta)
+        self._passes = Passes(self.nominal, self._width)
         self._offset, self._scale = 0.0, 1.0
+        self._dialled = ""  # why less is taken up than the law in use has
         self._level = 1.0  # of what the law in use leaves, in sigmas of the calibration's
         self._play = _native.TrackState(0.0)
         self._started = False
@@ -137,6 +140,7 @@ class LawTracker:
         self._next_stroke()  # nothing joins the motion before
         self._fresh_until = self._stroke + 1
         self._window.cut()
+        self._passes.clear()
         self._well = self._since = self._recording_entry = self._window.end
         self._anchor, self._work, self._proposal = None, None, None
         self._running = 1.0
@@ -287,6 +291,10 @@ class LawTracker:
         kept = self._window.frame(scene_s, seen.c_deg, seen.sigma, seen.off, self._stroke)
         if not kept:
             return
+        place = self._calibrated.place(seen.c_deg)
+        self._passes.add(self._window.last_q, float(place), sigma, seen.off, self._stroke)
+        if self.state is not State.TRUSTED and self._arrival_s >= self._quiet_s:
+            self._dial_down()
         self._news += 1
         off = y - p
         square = min((off / (sigma * self._level)) ** 2, _CLIP)
@@ -332,6 +340,7 @@ class LawTracker:
 
     def _settle(self, why: str) -> None:
         self._work, self._proposal = None, None
+        self._scale = self._least_share()
         self._amiss.clear()
         self._afters.clear()
         self._running = 1.0
@@ -370,7 +379,7 @@ class LawTracker:
             self._quiet_s = self._arrival_s + _QUIET_S
         if verdict.theta is None or self._arrival_s < self._quiet_s:
             if self.state is State.STALE:
-                self.reason = verdict.says
+                self.reason = self._dialled or verdict.says
             elif not verdict.early:
                 self._stuck += 1
                 if self._stuck >= 3:  # what was learnt no longer explains what is seen
@@ -388,6 +397,24 @@ class LawTracker:
         else:
             self._say(State.ADAPTING, verdict.says)
 
+    def _least_share(self) -> float:
+        """Of the calibrated B, by the law in use."""
+        self._dialled = ""
+        if np.any(self._theta[SHAPE]):
+            return self.nominal.ratio(self._theta, *self.model.measured)
+        return float(self._theta[SCALE])
+
+    def _dial_down(self) -> None:
+        """Less is taken up at once; the law in use goes on foretelling, as that is not known to be it everywhere."""
+        narrow = self._passes.narrowing(self._law, self._theta, self._level)
+        if narrow is not None and narrow.share < self._scale:
+            self._scale = narrow.share
+            self._sigma = (self._sigma[0], float(np.hypot(self._own[1], narrow.sigma)))
+            self._dialled = (
+                f"transmission.backlash: {100 * narrow.share:.0f} % of the calibrated width "
+                f"where the tip passed both ways: no more is taken up"
+            )
+
     def _adopt(self, verdict: Inference) -> None:
         """The law in use from now on, with the tip where it would be by it."""
         assert verdict.theta is not None
@@ -396,10 +423,7 @@ class LawTracker:
             float(np.hypot(self._own[0], verdict.offset_sigma)),
             float(np.hypot(self._own[1], verdict.scale_sigma)),
         )
-        if np.any(self._theta[SHAPE]):
-            self._scale = self.nominal.ratio(self._theta, *self.model.measured)
-        else:
-            self._scale = float(self._theta[SCALE])
+        self._scale = self._least_share()
         self._anchor = self._since = self._window.number_of(verdict.evidence.t_s[0], self._recording_entry)
         now = self._window.since(self._anchor)
         assert now is not None

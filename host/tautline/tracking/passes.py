@@ -1,0 +1,109 @@
+"""B where the tip passed both ways: the distance between two passes, whatever the offset and B elsewhere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.tracking.law import OFFSET, Law, LawFamily
+
+Array = npt.NDArray[np.float64]
+
+_CELLS = 16  # in a mean B
+_WINDOW = 12  # cells that are judged together
+_FOLLOWS, _AHEAD = 0.5, 3.0  # of the motor's way: a tip that moves so far with it lies on an envelope
+_SURE = 2.5  # standard deviations that a motion between two frames must have, and the tip be ahead both ways
+_GAP = 1.0  # of B: frames of a pass that are farther apart leave a hole
+_OFF = 2.0  # standard deviations off the marker's track (rms): then it is no motion of the play
+_LEAST = 0.01  # of B, that is worth a message
+_AHEAD_OF, _SIGMA, _OFF_SQUARE, _SPACING = range(4)
+
+
+@dataclass(frozen=True)
+class Narrowing:
+    """The least share of the calibrated B that two passes leave, its standard deviation, and where."""
+
+    share: float
+    sigma: float
+    place: float
+
+
+class Passes:
+    """The last pass of each place, each way. O(1) a frame, O(places) a question."""
+
+    def __init__(self, nominal: LawFamily, width: float) -> None:
+        """width: the mean B."""
+        self._nominal, self._cell = nominal, width / _CELLS
+        grid = nominal.model.q
+        self._low = float(grid[0])
+        count = int((float(grid[-1]) - self._low) / self._cell) + 1
+        self.place = self._low + self._cell * np.arange(count)  # by the calibrated f_remain: where it is in the image
+        self._b = np.interp(self.place, grid, nominal.model.width)
+        self._of = np.full((2, 4, count), np.nan)  # way; way (q - place), its sigma, squares off the track, spacing
+        self._last: tuple[float, float, float, float, int] | None = None
+        self._moves = False
+
+    def clear(self) -> None:
+        self._of.fill(np.nan)
+        self.cut()
+
+    def cut(self) -> None:
+        """What comes does not continue the stroke."""
+        self._last, self._moves = None, False
+
+    def add(self, q: float, y: float, sigma: float, off: float, stroke: int) -> None:
+        """A frame: the motor, the tip by the calibrated f_remain, its standard deviation, the stroke."""
+        last, self._last = self._last, (q, y, sigma, off, stroke)
+        moved, self._moves = self._moves, False
+        if last is None or last[4] != stroke:
+            return
+        by_q, by_y = q - last[0], y - last[1]
+        if not abs(by_q) > _SURE * float(np.hypot(sigma, last[2])):
+            return
+        self._moves = _FOLLOWS < by_y / by_q < _AHEAD
+        if not (self._moves and moved):  # the first one may hold an onset
+            return
+        way = 1.0 if by_q > 0.0 else -1.0
+        first, end = (round((v - self._low) / self._cell) for v in (min(y, last[1]), max(y, last[1])))
+        cells = slice(max(first, 0), min(end + 1, len(self.place)))
+        if abs(by_y) > _GAP * self._cell * _CELLS or cells.stop <= cells.start:
+            return
+        share = (self.place[cells] - last[1]) / by_y
+        of = self._of[0 if way > 0.0 else 1]
+        of[_AHEAD_OF, cells] = way * (last[0] + share * by_q - self.place[cells])
+        of[_SIGMA, cells] = max(sigma, last[2])
+        of[_OFF_SQUARE, cells] = 0.5 * (off**2 + last[3] ** 2)
+        of[_SPACING, cells] = abs(by_y)
+
+    def narrowing(self, law: Law, theta: Array, level: float) -> Narrowing | None:
+        """Where the tip is ahead of the law in use both ways: an offset would put it behind on one of them. What was
+        seen before a change takes no part, as the law in use held there."""
+        p = law.place(self._nominal.model.remaining(self.place))  # where that is by the law in use
+        half = 0.5 * np.interp(p, law.grid, law.width)
+        shift = p - self.place - theta[OFFSET]
+        late = self._of[:, _AHEAD_OF] - np.array([[1.0], [-1.0]]) * shift - half
+        sigma = level * self._of[:, _SIGMA]
+        length = _WINDOW * self._cell
+        mean = _means(late)
+        off = _means(sigma) * np.minimum(np.sqrt(_means(self._of[:, _SPACING]) / length), 1.0)
+        ahead = np.all(mean < -_SURE * off, axis=0) & np.all(_means(self._of[:, _OFF_SQUARE]) < _OFF**2, axis=0)
+        first = np.flatnonzero(ahead)
+        if len(first) == 0:
+            return None
+        share = (late.sum(0) + 2.0 * half) / self._b
+        inside = np.zeros(len(share), dtype=bool)
+        for i in range(_WINDOW):
+            inside[first + i] = True
+        at = int(np.argmin(np.where(inside, share, np.inf)))
+        least = float(share[at])
+        if least > (1.0 - _LEAST) * 2.0 * half[at] / self._b[at]:
+            return None
+        return Narrowing(least, float(np.hypot(*sigma[:, at]) / self._b[at]), float(p[at]))
+
+
+def _means(rows: Array) -> Array:
+    """(2, n - window + 1) of neighbouring cells; NaN where one was not passed."""
+    windows = np.lib.stride_tricks.sliding_window_view(rows, _WINDOW, axis=1)
+    return np.asarray(windows.mean(axis=2))
