@@ -41,6 +41,7 @@ class Law:
     native: Any
     width: Array
     c_deg: Array
+    most: float = 1.0  # share of B that the widest of its elements has
 
     def angle(self, p: npt.ArrayLike) -> Array:
         return np.asarray(interpolate(p, self.grid, self.c_deg))
@@ -158,7 +159,7 @@ class LawFamily:
         spread = np.vstack([away, away**2 - weight @ away**2])
         shares = self.shares(theta)
         shares = shares / (weight @ shares)  # B stays the distance between full strokes
-        return Law(model.q, _native.TrackModel(model.q, width, shares, weight, basis, spread), width, c_deg)
+        return Law(model.q, _native.TrackModel(model.q, width, shares, weight, basis, spread), width, c_deg, shares.max())
 
     def gradual_start(self, theta: Array) -> Array:
         """theta with a little spread: derivatives by it exist only where there are several elements."""

@@ -16,9 +16,9 @@ _WINDOW = 12  # cells that are judged together
 _FOLLOWS, _AHEAD = 0.5, 3.0  # of the motor's way: a tip that moves so far with it lies on an envelope
 _SURE = 2.5  # standard deviations that a motion between two frames must have, and the tip be ahead both ways
 _GAP = 1.0  # of B: frames of a pass that are farther apart leave a hole
-_OFF = 2.0  # standard deviations off the marker's track (rms): then it is no motion of the play
-_LEAST = 0.01  # of B, that is worth a message
-_AHEAD_OF, _SIGMA, _OFF_SQUARE, _SPACING = range(4)
+_OFF = 1.5  # standard deviations off the marker's track (rms): then it is no motion of the play
+_LEAST = 0.02  # of B, that is worth a message
+_LATE, _SIGMA, _OFF_SQUARE, _SPACING, _ENTRY = range(5)
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Passes:
         count = int((float(grid[-1]) - self._low) / self._cell) + 1
         self.place = self._low + self._cell * np.arange(count)  # by the calibrated f_remain: where it is in the image
         self._b = np.interp(self.place, grid, nominal.model.width)
-        self._of = np.full((2, 4, count), np.nan)  # way; way (q - place), its sigma, squares off the track, spacing
+        self._of = np.full((2, 5, count), np.nan)  # way; way (q - place), sigma, squares off the track, ...
         self._last: tuple[float, float, float, float, int] | None = None
         self._moves = False
 
@@ -53,11 +53,12 @@ class Passes:
         """What comes does not continue the stroke."""
         self._last, self._moves = None, False
 
-    def add(self, q: float, y: float, sigma: float, off: float, stroke: int) -> None:
-        """A frame: the motor, the tip by the calibrated f_remain, its standard deviation, the stroke."""
+    def add(self, q: float, y: float, sigma: float, off: float, stroke: int, travel: float, entry: int) -> None:
+        """A frame: the motor, the tip by the calibrated f_remain, its standard deviation, the stroke and how much of it
+        is behind, in shares of where the law in use is on its envelope again, the number of its entry."""
         last, self._last = self._last, (q, y, sigma, off, stroke)
         moved, self._moves = self._moves, False
-        if last is None or last[4] != stroke:
+        if last is None or last[4] != stroke or travel < float(np.interp(y, self.place, self._b)):
             return
         by_q, by_y = q - last[0], y - last[1]
         if not abs(by_q) > _SURE * float(np.hypot(sigma, last[2])):
@@ -72,27 +73,29 @@ class Passes:
             return
         share = (self.place[cells] - last[1]) / by_y
         of = self._of[0 if way > 0.0 else 1]
-        of[_AHEAD_OF, cells] = way * (last[0] + share * by_q - self.place[cells])
+        of[_LATE, cells] = way * (last[0] + share * by_q - self.place[cells])
         of[_SIGMA, cells] = max(sigma, last[2])
         of[_OFF_SQUARE, cells] = 0.5 * (off**2 + last[3] ** 2)
         of[_SPACING, cells] = abs(by_y)
+        of[_ENTRY, cells] = entry
 
-    def narrowing(self, law: Law, theta: Array, level: float) -> Narrowing | None:
-        """Where the tip is ahead of the law in use both ways: an offset would put it behind on one of them. What was
-        seen before a change takes no part, as the law in use held there."""
+    def narrowing(self, law: Law, theta: Array, level: float, since: int) -> Narrowing | None:
+        """Where the tip is ahead of the law in use both ways, in passes since an entry: an offset would put it behind on
+        one of them. As much as it is ahead on both: what was seen before a change is where the law in use has it."""
         p = law.place(self._nominal.model.remaining(self.place))  # where that is by the law in use
         half = 0.5 * np.interp(p, law.grid, law.width)
         shift = p - self.place - theta[OFFSET]
-        late = self._of[:, _AHEAD_OF] - np.array([[1.0], [-1.0]]) * shift - half
+        late = self._of[:, _LATE] - np.array([[1.0], [-1.0]]) * shift - half
+        late[self._of[:, _ENTRY] < since] = np.nan
         sigma = level * self._of[:, _SIGMA]
         length = _WINDOW * self._cell
         mean = _means(late)
         off = _means(sigma) * np.minimum(np.sqrt(_means(self._of[:, _SPACING]) / length), 1.0)
-        ahead = np.all(mean < -_SURE * off, axis=0) & np.all(_means(self._of[:, _OFF_SQUARE]) < _OFF**2, axis=0)
+        ahead = np.all(mean < -_SURE * off, axis=0) & np.all(_means(self._of[:, _OFF_SQUARE]) < (_OFF * level) ** 2, axis=0)
         first = np.flatnonzero(ahead)
         if len(first) == 0:
             return None
-        share = (late.sum(0) + 2.0 * half) / self._b
+        share = 2.0 * (late.max(0) + half) / self._b
         inside = np.zeros(len(share), dtype=bool)
         for i in range(_WINDOW):
             inside[first + i] = True

@@ -292,7 +292,8 @@ class LawTracker:
         if not kept:
             return
         place = self._calibrated.place(seen.c_deg)
-        self._passes.add(self._window.last_q, float(place), sigma, seen.off, self._stroke)
+        q, travel = self._window.last_q, abs(self._window.last_q - self._turned_at) / self._law.most
+        self._passes.add(q, float(place), sigma, seen.off, self._stroke, travel, self._window.end - 1)
         if self.state is not State.TRUSTED and self._arrival_s >= self._quiet_s:
             self._dial_down()
         self._news += 1
@@ -327,8 +328,10 @@ class LawTracker:
         self._say(State.ADAPTING, f"transmission.offset: {self._offset:+.4g} or so, another posture")
 
     def _use(self, theta: Array) -> None:
-        self._theta = theta
+        self._theta, before = theta, self._law
         self._law = self.nominal.law(theta)
+        if self._law.most > before.most:  # what lay on its envelope need not any more
+            self._passes.clear()
         self._offset = self.nominal.offset(theta)
 
     def _doubt(self, since: int) -> None:
@@ -406,7 +409,7 @@ class LawTracker:
 
     def _dial_down(self) -> None:
         """Less is taken up at once; the law in use goes on foretelling, as that is not known to be it everywhere."""
-        narrow = self._passes.narrowing(self._law, self._theta, self._level)
+        narrow = self._passes.narrowing(self._law, self._theta, self._level, self._anchor or 0)
         if narrow is not None and narrow.share < self._scale:
             self._scale = narrow.share
             self._sigma = (self._sigma[0], float(np.hypot(self._own[1], narrow.sigma)))
