@@ -168,12 +168,10 @@ class LawFamily:
             theta[SPREAD] = 0.2
         return theta
 
-    def ratio(self, theta: Array, low: float, high: float) -> float:
-        """The least of B over the calibrated one, between the centre coordinates low and high."""
-        inside = (self.model.q >= low) & (self.model.q <= high) & (self.model.width > 0.0)
-        if not inside.any():
-            return float(theta[SCALE])
-        return float(np.min(self.law(theta).width[inside] / self.model.width[inside]))
+    def shares_of_width(self, law: Law) -> Array:
+        """(nodes,) of B by a law over the calibrated one, 1 where there is none."""
+        width = self.model.width
+        return np.asarray(np.divide(law.width, width, out=np.ones(len(width)), where=width > 0.0))
 
     def ratio_slopes(self, theta: Array, p: float) -> Array:
         """(PARAMETERS,) how B over the calibrated one changes with theta at p."""

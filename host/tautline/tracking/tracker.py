@@ -30,6 +30,8 @@ Array = npt.NDArray[np.float64]
 _APART, _APART_SIGMAS = 1 / 40, 4.0  # of B, of a frame's noise: frames that are nearer to each other tell the same
 _TURN_COUNTS, _TURN_SHARE = 8.0, 0.02  # of the encoder, of B: a motor that goes back by more has turned
 _PACE = 0.08  # of the running mean of squared residuals
+_OFF_PACE, _OFF_TRACK = 0.04, 2.0  # of the running mean of squares off the marker's track, where it is disturbed
+_WANDER_PACE, _WANDERS = 0.15, 5.0  # of that of squares of the tip's motion while the motor rests
 _CLIP = 16.0  # squares above it are taken as this: an outlier says no more
 _AMISS = 6.0  # running mean from which the model is stale
 _WELL = 2.2  # and below which it still held
@@ -106,6 +108,7 @@ class LawTracker:
         self._law = self._calibrated = self.nominal.law(self._theta)
         self._passes = Passes(self.nominal, self._width)
         self._offset, self._scale = 0.0, 1.0
+        self._allowed = np.ones(len(model.q))  # share of the calibrated B that may be taken up at each place
         self._dialled = ""  # why less is taken up than the law in use has
         self._level = 1.0  # of what the law in use leaves, in sigmas of the calibration's
         self._play = _native.TrackState(0.0)
@@ -114,6 +117,8 @@ class LawTracker:
         self._way, self._far, self._stroke = 0, np.nan, 0
         self._begins: deque[tuple[int, int]] = deque(maxlen=64)  # stroke, its first entry
         self._running, self._off = 1.0, 0.0
+        self._off_track, self._wanders = 1.0, 1.0  # running mean squares
+        self._rested = (np.nan, np.nan, np.nan)  # the frame before: motor, tip, its sigma
         self._stroke_sum, self._stroke_count = 0.0, 0
         self._after_sum, self._after_count, self._turned_at = 0.0, 0, np.inf  # shortly after the last turn
         self._amiss: deque[bool] = deque(maxlen=3)
@@ -294,7 +299,8 @@ class LawTracker:
         place = self._calibrated.place(seen.c_deg)
         q, travel = self._window.last_q, abs(self._window.last_q - self._turned_at) / self._law.most
         self._passes.add(q, float(place), sigma, seen.off, self._stroke, travel, self._window.end - 1)
-        if self.state is not State.TRUSTED and self._arrival_s >= self._quiet_s:
+        self._disturbed(seen)
+        if self.state is not State.TRUSTED:
             self._dial_down()
         self._news += 1
         off = y - p
@@ -310,6 +316,15 @@ class LawTracker:
             self._well = self._window.end
         if self.state is State.TRUSTED and self._running > _AMISS:
             self._doubt(self._well)
+
+    def _disturbed(self, seen: AngleEstimate) -> None:
+        """How much the tip leaves its track, and moves while the motor rests."""
+        self._off_track += _OFF_PACE * ((seen.off / self._level) ** 2 - self._off_track)
+        q, c_deg, sigma = self._rested
+        self._rested = (self._window.last_q, seen.c_deg, seen.sigma * self._level)
+        if abs(self._rested[0] - q) <= 2.0 * self.model.rig.actuator.encoder_resolution:
+            wander = (seen.c_deg - c_deg) / float(np.hypot(sigma, self._rested[2]))
+            self._wanders += _WANDER_PACE * (min(wander**2, _AFTER_CLIP) - self._wanders)
 
     def _within(self, y: float) -> float:
         """The nearest place at which a tip that nothing has carried yet can be."""
@@ -343,7 +358,7 @@ class LawTracker:
 
     def _settle(self, why: str) -> None:
         self._work, self._proposal = None, None
-        self._scale = self._least_share()
+        self._undial()
         self._amiss.clear()
         self._afters.clear()
         self._running = 1.0
@@ -400,15 +415,26 @@ class LawTracker:
         else:
             self._say(State.ADAPTING, verdict.says)
 
-    def _least_share(self) -> float:
-        """Of the calibrated B, by the law in use."""
-        self._dialled = ""
+    def _widen(self, passed: tuple[float, float]) -> None:
+        """What may be taken up by the law in use: no more than before at places that were not passed both ways."""
         if np.any(self._theta[SHAPE]):
-            return self.nominal.ratio(self._theta, *self.model.measured)
-        return float(self._theta[SCALE])
+            q, share = self.model.q, self.nominal.shares_of_width(self._law)
+            seen = (q >= passed[0]) & (q <= passed[1])
+            self._allowed = np.where(seen, share, np.minimum(share, self._allowed))
+        else:
+            self._allowed = np.full(len(self.model.q), self._theta[SCALE])
+        self._undial()
+
+    def _undial(self) -> None:
+        self._dialled = ""
+        low, high = self.model.measured
+        inside = (self.model.q >= low) & (self.model.q <= high)
+        self._scale = float(np.min(self._allowed[inside])) if inside.any() else float(self._theta[SCALE])
 
     def _dial_down(self) -> None:
         """Less is taken up at once; the law in use goes on foretelling, as that is not known to be it everywhere."""
+        if self._arrival_s < self._quiet_s or max(self._off_track / _OFF_TRACK, self._wanders / _WANDERS) > 1.0:
+            return
         narrow = self._passes.narrowing(self._law, self._theta, self._level, self._anchor or 0)
         if narrow is not None and narrow.share < self._scale:
             self._scale = narrow.share
@@ -426,7 +452,6 @@ class LawTracker:
             float(np.hypot(self._own[0], verdict.offset_sigma)),
             float(np.hypot(self._own[1], verdict.scale_sigma)),
         )
-        self._scale = self._least_share()
         self._anchor = self._since = self._window.number_of(verdict.evidence.t_s[0], self._recording_entry)
         now = self._window.since(self._anchor)
         assert now is not None
@@ -437,3 +462,5 @@ class LawTracker:
         self._amiss.clear()
         self._afters.clear()
         self._stroke_sum, self._stroke_count = 0.0, 0
+        self._widen(verdict.passed)
+        self._dial_down()
