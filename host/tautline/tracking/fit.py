@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +15,8 @@ from tautline.tracking.law import OFFSET, PARAMETERS, PLACES, SCALE, SHAPE, SKEW
 from tautline.tracking.window import WindowKnots
 
 Array = npt.NDArray[np.float64]
+Found = TypeVar("Found")
+Work = Generator[int, None, Found]  # at every simulation it yields the knots of that
 Marks = npt.NDArray[np.bool_]
 
 _TURNS = 8
@@ -127,8 +130,8 @@ def simulated(nominal: LawFamily, evidence: WindowKnots, theta: Array) -> tuple[
 
 def fitted(
     nominal: LawFamily, evidence: WindowKnots, start: Array, free: tuple[int, ...], prior: Prior
-) -> Generator[None, None, LawFit]:
-    """Levenberg and Marquardt's method on Huber's cost; a simulation between two yields."""
+) -> Work[LawFit]:
+    """Levenberg and Marquardt's method on Huber's cost."""
     picked = list(free)
     information = prior.information(picked)
     theta = nominal.lawful(start)
@@ -148,7 +151,7 @@ def fitted(
         trial = theta.copy()
         trial[picked] += step
         trial = nominal.lawful(trial)
-        yield
+        yield len(evidence.q)
         trial_z, trial_by = simulated(nominal, evidence, trial)
         trial_cost = _cost(trial_z, trial, prior, picked, information)
         if trial_cost < cost:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +18,7 @@ from tautline.tracking.fit import (
     Envelopes,
     LawFit,
     Prior,
+    Work,
     at_tip,
     envelopes,
     fitted,
@@ -179,16 +180,16 @@ def judge(
     posture: float | None,
     level: float,
     proposal: Inference | None,
-) -> Generator[None, None, Inference]:
-    """The first stretch that a law explains, else what stands in the way. A simulation between two yields. `posture`:
+) -> Work[Inference]:
+    """The first stretch that a law explains, else what stands in the way. `posture`:
     a recording has just begun; an offset of more than that may be told from one way alone."""
     verdict = None
     for evidence in stretches:
         case = _Case.of(nominal, evidence, theta, level)
-        yield
+        yield 2 * len(evidence.q)
         if not adapting and np.array_equal(theta, unchanged()) and (first := case.departs):
             case = _Case.of(nominal, evidence.after(first), theta, level)
-            yield
+            yield 2 * len(case.evidence.q)
         verdict = yield from _judged(case, adapting, posture, proposal)
         if verdict.theta is not None:
             return verdict
@@ -198,7 +199,7 @@ def judge(
 
 def _judged(
     case: _Case, adapting: bool, posture: float | None, proposal: Inference | None
-) -> Generator[None, None, Inference]:
+) -> Work[Inference]:
     disturbed = _disturbance(case)
     if disturbed:
         return Inference(disturbed, case.evidence, disturbed=True)
@@ -231,7 +232,7 @@ def _judged(
     return Inference(says, case.evidence, proposed=fit.theta if case.explained(fit, _OF_BEFORE[1]) else None)
 
 
-def _best(case: _Case) -> Generator[None, None, LawFit]:
+def _best(case: _Case) -> Work[LawFit]:
     """The simplest law that does not leave more than a richer one would."""
     prior = case.prior()
     nominal, evidence = case.nominal, case.evidence
@@ -285,7 +286,7 @@ def _freed(theta: Array) -> tuple[int, ...]:
     return tuple(sorted({SCALE, *SHAPED, *others}))
 
 
-def _richer(case: _Case, fit: LawFit, more: tuple[int, ...], prior: Prior) -> Generator[None, None, LawFit]:
+def _richer(case: _Case, fit: LawFit, more: tuple[int, ...], prior: Prior) -> Work[LawFit]:
     begin = fit.theta
     if SPREAD in more:
         begin = case.nominal.gradual_start(begin)
@@ -300,7 +301,7 @@ def _gain(fit: LawFit, richer: LawFit) -> float:
     return (fit.cost - richer.cost) / max(1.0, richer.level) ** 2 - 2.0 * (len(richer.free) - len(fit.free))
 
 
-def _posture(case: _Case, least: float) -> Generator[None, None, Inference]:
+def _posture(case: _Case, least: float) -> Work[Inference]:
     """The first stroke of a recording: the offset alone, from a tip that follows the motor."""
     at = case.envelopes.at
     nominal = case.nominal

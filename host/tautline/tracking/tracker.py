@@ -7,7 +7,6 @@ the law is, is decided by hypotheses that are fitted to the frames since it stop
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Generator
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -18,6 +17,7 @@ from tautline import _native
 from tautline.errors import TautError
 from tautline.model import Model
 from tautline.rig import MARKER, Sensor
+from tautline.tracking.fit import Work
 from tautline.tracking.hypotheses import Inference, judge
 from tautline.tracking.law import OFFSET, SCALE, SHAPE, TIP, LawFamily, unchanged
 from tautline.tracking.passes import Passes
@@ -44,6 +44,7 @@ _QUIET_S = 15.0  # without a disturbance, before anything is learnt after one
 _STALE_STROKES = 5  # that a change is looked for in by themselves
 _POSTURE = 1.0  # of B: an offset that one stroke alone may tell at the beginning, more than a width can be
 _ELSEWHERE, _STRANGE_FRAMES = 2.0, 5  # of B, that so many first frames are off: another posture
+_FRAME_WORK, _SIMULATION = 600, 200  # knots simulated in one frame, as many as take as long as what is beside them
 _NEWS = 10  # frames between two judgements
 _SETTLED_TURNS = 5  # reversals since the change after which the law is settled
 _MOST_LEVEL = 5.0
@@ -130,7 +131,7 @@ class LawTracker:
         self._anchor: int | None = None  # since when the law in use was learnt
         self._news = 0
         self._fresh_until = -1  # stroke up to which a recording may turn out to be another posture
-        self._work: Generator[None, None, Inference] | None = None
+        self._work: Work[Inference] | None = None
         self._proposal: Inference | None = None
         self._stuck = 0
         self._strange = 0  # frames at a recording's begin in which the tip was far off
@@ -370,7 +371,7 @@ class LawTracker:
         self.state, self.reason = state, why
 
     def _think(self) -> None:
-        """One step of work."""
+        """As much work as a frame has time for, and at least one simulation."""
         if self._work is None:
             if self.state is State.TRUSTED or self._news < _NEWS:
                 return
@@ -386,7 +387,9 @@ class LawTracker:
             adapting = self.state is State.ADAPTING
             self._work = judge(self.nominal, evidence, self._theta, adapting, least, self._level, self._proposal)
         try:
-            next(self._work)
+            spent = 0
+            while spent < _FRAME_WORK:
+                spent += next(self._work) + _SIMULATION
         except StopIteration as end:
             self._work = None
             self._decide(end.value)
