@@ -218,7 +218,7 @@ def _judged(
     if not adapting and not case.worth(fit.z, _NOW, fit):
         return Inference(_HOLDS_FOR_NOW, case.evidence, early=True)
     foretold = proposal is not None and _foretold(case, proposal)
-    least = _RICHER_TURNS if len(fit.free) > len(BOTH[0]) else _TURNS
+    least = max(_TURNS, _RICHER_TURNS * _richness(fit))
     enough = case.turns >= least and case.explained(fit)
     enough |= case.turns >= _FORETOLD_TURNS and foretold and case.explained(fit, _OF_BEFORE[1])
     enough |= adapting and case.explained(fit, _OF_BEFORE[1])
@@ -284,6 +284,11 @@ def _freed(theta: Array) -> tuple[int, ...]:
     """The parameters of a law in use whose shape is refined."""
     others = [i for i in (OFFSET, *GRADUAL, *REMAINING) if theta[i]]
     return tuple(sorted({SCALE, *SHAPED, *others}))
+
+
+def _richness(fit: LawFit) -> int:
+    """How much beyond an offset and a scale it holds: B's shape, a gradual onset, a bend."""
+    return sum(more[-1] in fit.free for more in (GRADUAL, SHAPED, REMAINING))
 
 
 def _richer(case: _Case, fit: LawFit, more: tuple[int, ...], prior: Prior) -> Work[LawFit]:
