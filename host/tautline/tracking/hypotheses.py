@@ -45,6 +45,7 @@ _GOOD = 1.15  # times the level known so far: nothing is left to explain
 _GAIN_MORE = 12.0  # and a richer law as a whole
 _SHORT = 10  # frames on an envelope from which a recording's posture is told
 _ALONG = 2.0  # of B, that they must cover
+_NARROWER = 3.0  # standard deviations
 _OFF_TRACK = 3.0  # standard deviations off the marker's track (rms), or
 _OFF_SHARE = 0.3  # of the residual along it: then it is no motion of the play
 _WANDERS = 4.0  # standard deviations of the tip's motion while the motor rests
@@ -74,6 +75,7 @@ class Inference:
     proposed: Array | None = None
     disturbed: bool = False  # by something that is no play
     early: bool = False  # too little was seen to judge
+    narrower: bool = False  # and nothing else: from one reversal
 
     @property
     def proposal(self) -> Inference | None:
@@ -225,6 +227,26 @@ def _judged(
     if enough:
         return _learnt(case, fit)
     if case.explained(fit, _OF_BEFORE[0]):
+        learnt = _learnt(case, fit)
+        share = _share(case, fit.theta, learnt.passed) / _share(case, case.theta, learnt.passed)
+        sure = SHAPE.start not in fit.free or case.explained(fit)
+        if SCALE in fit.free and sure and 1.0 - share > max(_NARROWER * learnt.scale_sigma, 0.01):
+            only = case.theta.copy()
+            only[SCALE] *= share
+            if not case.clear(fit) and not case.worth(simulated(case.nominal, case.evidence, only)[0], 1, fit):
+                return Inference(_HOLDS_FOR_NOW, case.evidence, proposed=fit.theta)
+            return Inference(
+                f"transmission.backlash: {100 * share:.0f} % of the width as it was: no more is taken up",
+                case.evidence,
+                only,
+                learnt.offset_sigma + abs(float(fit.theta[OFFSET] - case.theta[OFFSET])),
+                learnt.scale_sigma,
+                (0.0, 0.0),
+                case.turns,
+                fit.level,
+                proposed=fit.theta,
+                narrower=True,
+            )
         if posture is not None:
             return _learnt(case, fit)
         return Inference(f"{_name(case, fit.theta)}, if more reversals agree", case.evidence, proposed=fit.theta)
@@ -284,6 +306,13 @@ def _freed(theta: Array) -> tuple[int, ...]:
     """The parameters of a law in use whose shape is refined."""
     others = [i for i in (OFFSET, *GRADUAL, *REMAINING) if theta[i]]
     return tuple(sorted({SCALE, *SHAPED, *others}))
+
+
+def _share(case: _Case, theta: Array, passed: tuple[float, float]) -> float:
+    """The least share of the calibrated B between two places."""
+    inside = (case.nominal.model.q >= passed[0]) & (case.nominal.model.q <= passed[1])
+    shares = case.nominal.shares_of_width(case.nominal.law(theta))[inside]
+    return float(np.min(shares)) if len(shares) else float(theta[SCALE])
 
 
 def _richness(fit: LawFit) -> int:

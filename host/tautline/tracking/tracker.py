@@ -41,6 +41,7 @@ _AFTER_TURN, _AFTER_AMISS, _AFTER_CLIP, _AFTER_FRAMES = 2.0, 4.0, 36.0, 5  # wit
 _USUAL_PACE = 0.5
 _TOGETHER_AMISS, _TOGETHER_FRAMES = 2.8, 15  # of three strokes together
 _QUIET_S = 15.0  # without a disturbance, before anything is learnt after one
+_FORETELLS = 2  # strokes that a proposal is tried on before another replaces it
 _STALE_STROKES = 5  # that a change is looked for in by themselves
 _POSTURE = 1.0  # of B: an offset that one stroke alone may tell at the beginning, more than a width can be
 _ELSEWHERE, _STRANGE_FRAMES = 2.0, 5  # of B, that so many first frames are off: another posture
@@ -133,7 +134,7 @@ class LawTracker:
         self._fresh_until = -1  # stroke up to which a recording may turn out to be another posture
         self._work: Work[Inference] | None = None
         self._proposal: Inference | None = None
-        self._stuck = 0
+        self._stuck, self._stuck_in = 0, -1  # strokes without a law that explains them, and the last of them
         self._strange = 0  # frames at a recording's begin in which the tip was far off
         self._quiet_s = -np.inf
 
@@ -395,14 +396,16 @@ class LawTracker:
             self._decide(end.value)
 
     def _decide(self, verdict: Inference) -> None:
-        self._proposal = verdict.proposal
+        if self._proposal is None or self._stroke > self._proposal.evidence.stroke[-1] + _FORETELLS:
+            self._proposal = verdict.proposal
         if verdict.disturbed:
             self._quiet_s = self._arrival_s + _QUIET_S
         if verdict.theta is None or self._arrival_s < self._quiet_s:
             if self.state is State.STALE:
                 self.reason = self._dialled or verdict.says
             elif not verdict.early:
-                self._stuck += 1
+                self._stuck += self._stuck_in != self._stroke
+                self._stuck_in = self._stroke
                 if self._stuck >= 3:  # what was learnt no longer explains what is seen
                     self._anchor = None
                     self._since = self._begin_of(self._stroke - 1)
@@ -465,5 +468,9 @@ class LawTracker:
         self._amiss.clear()
         self._afters.clear()
         self._stroke_sum, self._stroke_count = 0.0, 0
-        self._widen(verdict.passed)
+        if verdict.narrower:
+            self._allowed = np.minimum(self._allowed, np.minimum(self._scale, self._theta[SCALE]))
+            self._undial()
+        else:
+            self._widen(verdict.passed)
         self._dial_down()
