@@ -153,7 +153,8 @@ class Following:
             if np.isfinite(off):
                 self._squares += off
                 self._counted += 1
-            if self.mover is not None and self.row.state is not State.STALE:
+            told = self.row.state is not State.STALE or self.tracker.dialled_down
+            if self.mover is not None and told:
                 self.mover.use(arrival_s, self.row.offset, self.tracker.compensation)
         else:
             self.unseen += 1

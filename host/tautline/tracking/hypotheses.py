@@ -199,9 +199,7 @@ def judge(
     return verdict
 
 
-def _judged(
-    case: _Case, adapting: bool, posture: float | None, proposal: Inference | None
-) -> Work[Inference]:
+def _judged(case: _Case, adapting: bool, posture: float | None, proposal: Inference | None) -> Work[Inference]:
     disturbed = _disturbance(case)
     if disturbed:
         return Inference(disturbed, case.evidence, disturbed=True)

@@ -159,7 +159,8 @@ class LawFamily:
         spread = np.vstack([away, away**2 - weight @ away**2])
         shares = self.shares(theta)
         shares = shares / (weight @ shares)  # B stays the distance between full strokes
-        return Law(model.q, _native.TrackModel(model.q, width, shares, weight, basis, spread), width, c_deg, shares.max())
+        native = _native.TrackModel(model.q, width, shares, weight, basis, spread)
+        return Law(model.q, native, width, c_deg, float(shares.max()))
 
     def gradual_start(self, theta: Array) -> Array:
         """theta with a little spread: derivatives by it exist only where there are several elements."""

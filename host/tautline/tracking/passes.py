@@ -80,8 +80,8 @@ class Passes:
         of[_ENTRY, cells] = entry
 
     def narrowing(self, law: Law, theta: Array, level: float, since: int) -> Narrowing | None:
-        """Where the tip is ahead of the law in use both ways, in passes since an entry: an offset would put it behind on
-        one of them. As much as it is ahead on both: what was seen before a change is where the law in use has it."""
+        """Where the tip is ahead of the law in use both ways, in passes since an entry: an offset would put it behind
+        on one of them. As much as it is ahead on both: what was seen before a change is where the law in use has it."""
         p = law.place(self._nominal.model.remaining(self.place))  # where that is by the law in use
         half = 0.5 * np.interp(p, law.grid, law.width)
         shift = p - self.place - theta[OFFSET]
@@ -91,8 +91,8 @@ class Passes:
         length = _WINDOW * self._cell
         mean = _means(late)
         off = _means(sigma) * np.minimum(np.sqrt(_means(self._of[:, _SPACING]) / length), 1.0)
-        ahead = np.all(mean < -_SURE * off, axis=0) & np.all(_means(self._of[:, _OFF_SQUARE]) < (_OFF * level) ** 2, axis=0)
-        first = np.flatnonzero(ahead)
+        on_track = np.all(_means(self._of[:, _OFF_SQUARE]) < (_OFF * level) ** 2, axis=0)
+        first = np.flatnonzero(on_track & np.all(mean < -_SURE * off, axis=0))
         if len(first) == 0:
             return None
         share = 2.0 * (late.max(0) + half) / self._b
@@ -100,7 +100,7 @@ class Passes:
         for i in range(_WINDOW):
             inside[first + i] = True
         at = int(np.argmin(np.where(inside, share, np.inf)))
-        least = float(share[at])
+        least = max(float(share[at]), 0.0)
         if least > (1.0 - _LEAST) * 2.0 * half[at] / self._b[at]:
             return None
         return Narrowing(least, float(np.hypot(*sigma[:, at]) / self._b[at]), float(p[at]))

@@ -68,7 +68,7 @@ class Row:
     v_px: float
     offset: float  # of the transmission, unit of q: added to q
     offset_sigma: float
-    scale: float  # of B; where its shape changed, the least share of B that was found
+    scale: float  # of B; where its shape changed, or two passes left less, the least share of B that was found
     scale_sigma: float
     reason: str
 
@@ -202,6 +202,11 @@ class LawTracker:
         """The angle sensor's reading that was predicted last."""
         assert self._pending is not None
         self._pending = (self._pending[0], (c_deg,))
+
+    @property
+    def dialled_down(self) -> bool:
+        """Whether less is taken up than by the law in use, as two passes of a place left less."""
+        return bool(self._dialled)
 
     @property
     def compensation(self) -> float:
@@ -449,6 +454,7 @@ class LawTracker:
                 f"transmission.backlash: {100 * narrow.share:.0f} % of the calibrated width "
                 f"where the tip passed both ways: no more is taken up"
             )
+            self.reason = self._dialled
 
     def _adopt(self, verdict: Inference) -> None:
         """The law in use from now on, with the tip where it would be by it."""

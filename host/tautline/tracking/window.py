@@ -38,8 +38,9 @@ class WindowKnots:
     def after(self, first: int) -> WindowKnots:
         """From one of those seen on."""
         begin = int(self.seen[first])
-        columns = (self.c_deg, self.sigma, self.t_s, self.stroke, self.off)
-        return WindowKnots(self.q[begin:], self.seen[first:] - begin, *(column[first:] for column in columns))
+        c_deg, sigma, t_s = self.c_deg[first:], self.sigma[first:], self.t_s[first:]
+        seen, stroke, off = self.seen[first:] - begin, self.stroke[first:], self.off[first:]
+        return WindowKnots(self.q[begin:], seen, c_deg, sigma, t_s, stroke, off)
 
 
 class Window:
