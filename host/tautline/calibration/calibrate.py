@@ -308,7 +308,7 @@ class _Session:
             self.findings.evidence[f"component_{part.name}"] = part.rms
         apart = self.components.applied(joint)
         alone = self.choice.alone(self.components, apart, joint)
-        if self.choice.predicts(alone, joint) or self.choice.nearer(onsets, curve, apart, joint):
+        if self.choice.predicts(alone, joint) or self.choice.nearer(onsets, curve, self.components, apart, joint):
             if self.components.since and apart.fit.tracks[0].track.unit == self.tracks[0].unit:
                 self.ended = [t for t in self.components.at_the_end(self.tracks) if len(t.t_s)]
                 alone = self.choice.ended(self.components, apart)
