@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from conftest import Bench, WallClock
+from conftest import Bench, ClockOf
 from tautline import tables
 from tautline.cli import taut
 from tautline.device import wire
@@ -205,7 +205,9 @@ class Reader:
 
 
 @pytest.mark.parametrize("until_s", [np.inf, 2.0], ids=["seen", "unplugged"])
-def test_a_stream_is_tracked_beside_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, until_s: float) -> None:
+def test_a_stream_is_tracked_beside_it(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, wall_clock: ClockOf, until_s: float
+) -> None:
     instrument = changing(0.3)
     instrument.at_s = 4.0
     model_of(instrument, residual_px=0.5).save(tmp_path / "model")  # times are as good as this machine keeps them
@@ -213,7 +215,7 @@ def test_a_stream_is_tracked_beside_it(monkeypatch: pytest.MonkeyPatch, tmp_path
         with open_board(desktop.where) as board:
             board.ask("set_position", axis=0, q=0.0)
         link, seen_by = desktop.link(), desktop.link()
-        clock = WallClock(link)
+        clock = wall_clock(link)
         monkeypatch.setattr(setup, "VideoCamera", lambda *_, **__: WallCamera(seen_by, instrument, until_s))
         monkeypatch.setattr(setup, "MarkerTracker", lambda _: Reader())
         monkeypatch.setattr(MarkerColour, "load", lambda _: object())
