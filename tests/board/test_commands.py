@@ -30,6 +30,8 @@ from tautline.recording import load
 from tautline.simulated.instrument import preset
 from tautline.simulated.simlink import DesktopBoard
 
+pytestmark = pytest.mark.minutes
+
 EXAMPLES = Path(__file__).parents[2] / "tools" / "examples"
 
 

@@ -105,7 +105,13 @@ def rms(followed: Followed, low_s: float, high_s: float = np.inf) -> float:
     return float(np.sqrt(np.mean((followed.c_deg - followed.c_ref_deg)[part] ** 2)))
 
 
-@pytest.mark.parametrize(("offset", "scale"), [(0.3, 1.0), (-0.2, 1.0), (0.0, 0.6), (0.15, 1.5)])
+@pytest.mark.parametrize(
+    ("offset", "scale"),
+    [
+        (0.3, 1.0),
+        *(pytest.param(*change, marks=pytest.mark.minutes) for change in ((-0.2, 1.0), (0.0, 0.6), (0.15, 1.5))),
+    ],
+)
 def test_the_tip_follows_again_after_the_instrument_changed(
     bench: Bench, tmp_path: Path, offset: float, scale: float
 ) -> None:
@@ -122,12 +128,14 @@ def test_the_tip_follows_again_after_the_instrument_changed(
     assert rms(followed, CHANGE_S + 1.0, CHANGE_S + 4.0) > 5.0 * after  # what was in the way
 
 
+@pytest.mark.minutes
 def test_without_tracking_it_does_not(bench: Bench, tmp_path: Path) -> None:
     followed = run(bench, tmp_path, changing(0.3), track=False)
     assert followed.tracking is None
     assert rms(followed, CHANGE_S + 25.0) > 2.5  # 0.3 mm of 12 deg each
 
 
+@pytest.mark.minutes
 def test_a_lost_marker_moves_nothing(bench: Bench, tmp_path: Path) -> None:
     followed = run(bench, tmp_path, changing(0.3), blind=True)
     learnt = followed.tracking
