@@ -29,6 +29,7 @@ _EXACT = 1e-12  # of the largest value: next to nothing
 _REST_S = 0.05  # a motor that stands still for longer rests
 _CHANGES = 24, 4  # of the count, most and least, that tell how a motor slows down
 _FITS = 0.3  # counts rms: an encoder's step scatters by 0.29
+_FEWEST, _CLEARLY = 100, 5.0  # readings that tell whether a motor trembles; standard errors of what they share
 _LAST = 2.0  # samples: within so many of a stop no knot tells a speed
 
 
@@ -44,7 +45,7 @@ def _between(motor: Motor, resolution: float) -> tuple[Motor, _Steps | None]:
     """`between_counts`, and the steps by which the readings tell stops and turns."""
     steps = _steps_of(motor, resolution)
     noise = reading_noise(motor) / (resolution if steps is None else steps.count)
-    if noise > _SCATTERS or _skips(motor, steps):
+    if (noise > _SCATTERS and not swings(motor)) or _skips(motor, steps):
         return replace(motor, q=_smoothed(motor.q)), steps if noise < _OWN_STEPS else None
     if steps is None:
         return motor, None
@@ -77,6 +78,18 @@ def reading_noise(motor: Motor) -> float:
     a count."""
     third = np.diff(motor.q, 3)
     return float(np.sqrt(np.median(third**2) / 0.455 / 20.0)) if len(third) else 0.0
+
+
+def swings(motor: Motor) -> bool:
+    """Whether the motor itself goes to and fro from sample to sample: neighbouring third differences of white readings
+    go together by -3/4, of a motor that trembles more."""
+    third = np.diff(motor.q, 3)
+    if len(third) < _FEWEST:
+        return False
+    usual = float(np.sqrt(np.median(third**2) / 0.455))
+    third = np.clip(third, -4.0 * usual, 4.0 * usual)
+    together = float(third[1:] @ third[:-1]) / max(float(third @ third), 1e-30)
+    return bool(together < -0.75 - _CLEARLY / np.sqrt(len(third)))
 
 
 def count_of(motor: Motor, resolution: float) -> float:

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import contextlib
 import os
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -110,20 +111,75 @@ class Bench:
         raise AssertionError(f"axis {axis} is {wire.text('MODES', status.mode)}, not {mode}: {status}")
 
 
-class WallClock:
-    """Whether a paced board keeps up with the wall clock: on a busy machine an emulated one cannot, and then neither
-    its answers nor its rates by that clock say anything about it."""
+class Stalled(Exception):
+    """This machine did not run what a test by the wall clock is about: the test is run again."""
 
-    def __init__(self, link: SimLink) -> None:
-        self._link = link
+
+class WallClock:
+    """Whether this machine keeps up with the wall clock: one that is busy cannot, and then neither a paced board's
+    answers nor its rates by that clock say anything about the board."""
+
+    _BEAT_S, _LATE_S, _BEATS = 0.005, 0.03, 0.85  # idle: 0.008, 0.96
+
+    def __init__(self, link: SimLink, last: bool) -> None:
+        """`last`: this test will not be run again."""
+        self._link, self._last = link, last
         self._board, self._wall = link.ask("state")["t_us"] * 1e-6, time.monotonic()
+        self._late_s, self._beats, self._done = 0.0, 0, threading.Event()
+        self._thread = threading.Thread(target=self._beat, daemon=True)
+        self._thread.start()
+
+    def _beat(self) -> None:
+        before = time.monotonic()
+        while not self._done.wait(self._BEAT_S):
+            now = time.monotonic()
+            self._late_s, before = max(self._late_s, now - before - self._BEAT_S), now
+            self._beats += 1
 
     def need(self) -> None:
-        """Skips the test where the board has fallen behind since this object was made."""
+        """Ends the test, to be run again, where the board has fallen behind or this machine has stood still since this
+        object was made."""
         board, wall = self._link.ask("state")["t_us"] * 1e-6 - self._board, time.monotonic() - self._wall
-        if board < 0.95 * wall - 0.05:
-            self._link.close()
-            pytest.skip(f"this machine is too slow: {board:.1f} s of the board took {wall:.1f} s")
+        beats = (self._beats * self._BEAT_S + 0.05) / wall
+        if board >= 0.95 * wall - 0.05 and self._late_s < self._LATE_S and beats > self._BEATS:
+            return
+        why = f"this machine is too slow: {board:.1f} s of the board took {wall:.1f} s, "
+        why += f"once {self._late_s:.3f} s late, {beats:.0%} of the beats"
+        if self._last:
+            pytest.skip(why)
+        raise Stalled(why)
+
+    def close(self) -> None:
+        self._done.set()
+        self._thread.join()
+        self._link.close()
+
+
+ClockOf = Callable[[SimLink], WallClock]
+
+
+@pytest.fixture
+def wall_clock(request: pytest.FixtureRequest) -> Iterator[ClockOf]:
+    """The clock of a board from now on."""
+    more = getattr(request.config.option, "reruns", None) or 0
+    made: list[WallClock] = []
+
+    def begin(link: SimLink) -> WallClock:
+        made.append(WallClock(link, last=getattr(request.node, "execution_count", 1) > more))
+        return made[-1]
+
+    try:
+        yield begin
+    finally:
+        for clock in made:
+            clock.close()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if "wall_clock" in getattr(item, "fixturenames", ()):
+            item.add_marker("wall_clock")
 
 
 @contextmanager

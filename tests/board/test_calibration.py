@@ -23,6 +23,8 @@ from tautline.simulated.instrument import Instrument, preset
 from tautline.simulated.simlink import SimulatedAxis
 from tautline.vision.marker import Sighting
 
+pytestmark = pytest.mark.minutes
+
 SHORT = MotionOptions(cycles=3, speeds=(0.7,))
 
 

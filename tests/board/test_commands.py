@@ -17,7 +17,7 @@ import pytest
 from click.testing import CliRunner
 from test_board_tables import model
 
-from conftest import Bench, WallClock
+from conftest import Bench, ClockOf
 from tautline import tables
 from tautline.cli import taut
 from tautline.device import wire
@@ -29,6 +29,8 @@ from tautline.prediction import predict
 from tautline.recording import load
 from tautline.simulated.instrument import preset
 from tautline.simulated.simlink import DesktopBoard
+
+pytestmark = pytest.mark.minutes
 
 EXAMPLES = Path(__file__).parents[2] / "tools" / "examples"
 
@@ -207,9 +209,9 @@ def paced() -> Any:
         yield desktop
 
 
-def test_stream_at_250_hz(paced: DesktopBoard) -> None:
+def test_stream_at_250_hz(paced: DesktopBoard, wall_clock: ClockOf) -> None:
     link = paced.link()
-    clock = WallClock(link)
+    clock = wall_clock(link)
     sent = run("stream", "--sine", "10", "2", "--duration", "1.5", board=paced.where)
     state = run("monitor", board=paced.where)
     assert state["axes"][0]["mode"] == wire.text("MODES", wire.code("MODES", "OFF"))
@@ -219,17 +221,19 @@ def test_stream_at_250_hz(paced: DesktopBoard) -> None:
     assert state["counters"]["set_points"] == sent["sent"] and state["counters"]["set_points_dropped"] == 0
 
 
-def test_stream_stops_with_its_sender(paced: DesktopBoard) -> None:
+def test_stream_stops_with_its_sender(paced: DesktopBoard, wall_clock: ClockOf) -> None:
     """One angle on stdin, then silence: the axis comes to rest, and the end of stdin switches it off."""
     command = [sys.executable, "-m", "tautline", "stream", "--json", "--silence", "0.2"]
     environment = os.environ | {"TAUTLINE_BOARD": paced.where}
     link = paced.link()
-    clock = WallClock(link)
+    clock = wall_clock(link)
 
     def until(mode: str) -> None:
         deadline = time.monotonic() + 20.0
         while link.ask("state")["axes"][0]["mode"] != wire.code("MODES", mode):
-            assert time.monotonic() < deadline
+            if time.monotonic() > deadline:
+                clock.need()
+                raise AssertionError(f"not {mode} in 20 s")
             time.sleep(0.02)
 
     with subprocess.Popen(command, env=environment, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as sender:
@@ -251,10 +255,10 @@ def test_stream_stops_with_its_sender(paced: DesktopBoard) -> None:
     assert 20 <= summary["sent"] <= 160 and summary["silences"] == 1
 
 
-def test_the_python_example_streams(paced: DesktopBoard) -> None:
+def test_the_python_example_streams(paced: DesktopBoard, wall_clock: ClockOf) -> None:
     command = [sys.executable, str(EXAMPLES / "stream.py"), "--board", paced.where, "--seconds", "1"]
     link = paced.link()
-    clock = WallClock(link)
+    clock = wall_clock(link)
     done = subprocess.run(command, capture_output=True, text=True, timeout=30)
     assert done.returncode == 0, done.stderr
     clock.need()

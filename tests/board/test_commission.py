@@ -23,6 +23,8 @@ from tautline.live.setup import Live
 from tautline.simulated.instrument import preset
 from tautline.simulated.simlink import LINE
 
+pytestmark = pytest.mark.minutes
+
 
 def test_home_finds_the_end_and_the_board_knows_its_position(bench: Bench) -> None:
     with live_on(bench, preset("reference")) as live:

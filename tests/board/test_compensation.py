@@ -22,6 +22,8 @@ from tautline.rig import Coarse
 from tautline.simulated.instrument import Instrument, preset, reference_rig
 from tautline.simulated.simlink import SimulatedAxis
 
+pytestmark = pytest.mark.minutes
+
 FALLING = replace(reference_rig(), coarse=Coarse(-12.0, 3.0))
 
 

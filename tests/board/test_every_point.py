@@ -35,6 +35,8 @@ from tautline.live.setup import Live, PointSource
 from tautline.simulated.instrument import preset
 from tautline.simulated.simlink import SimulatedAxis
 
+pytestmark = pytest.mark.minutes
+
 EVEN = 12  # points evenly spread over a run
 SHARES = 16  # of the points: the first is taken each time
 RUN_DOWN_S = 0.11  # a motor that is switched off at its full speed, by its friction

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from conftest import Bench, WallClock
+from conftest import Bench, ClockOf
 from tautline import tables
 from tautline.cli import taut
 from tautline.device import wire
@@ -105,7 +105,13 @@ def rms(followed: Followed, low_s: float, high_s: float = np.inf) -> float:
     return float(np.sqrt(np.mean((followed.c_deg - followed.c_ref_deg)[part] ** 2)))
 
 
-@pytest.mark.parametrize(("offset", "scale"), [(0.3, 1.0), (-0.2, 1.0), (0.0, 0.6), (0.15, 1.5)])
+@pytest.mark.parametrize(
+    ("offset", "scale"),
+    [
+        (0.3, 1.0),
+        *(pytest.param(*change, marks=pytest.mark.minutes) for change in ((-0.2, 1.0), (0.0, 0.6), (0.15, 1.5))),
+    ],
+)
 def test_the_tip_follows_again_after_the_instrument_changed(
     bench: Bench, tmp_path: Path, offset: float, scale: float
 ) -> None:
@@ -122,12 +128,14 @@ def test_the_tip_follows_again_after_the_instrument_changed(
     assert rms(followed, CHANGE_S + 1.0, CHANGE_S + 4.0) > 5.0 * after  # what was in the way
 
 
+@pytest.mark.minutes
 def test_without_tracking_it_does_not(bench: Bench, tmp_path: Path) -> None:
     followed = run(bench, tmp_path, changing(0.3), track=False)
     assert followed.tracking is None
     assert rms(followed, CHANGE_S + 25.0) > 2.5  # 0.3 mm of 12 deg each
 
 
+@pytest.mark.minutes
 def test_a_lost_marker_moves_nothing(bench: Bench, tmp_path: Path) -> None:
     followed = run(bench, tmp_path, changing(0.3), blind=True)
     learnt = followed.tracking
@@ -205,7 +213,9 @@ class Reader:
 
 
 @pytest.mark.parametrize("until_s", [np.inf, 2.0], ids=["seen", "unplugged"])
-def test_a_stream_is_tracked_beside_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, until_s: float) -> None:
+def test_a_stream_is_tracked_beside_it(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, wall_clock: ClockOf, until_s: float
+) -> None:
     instrument = changing(0.3)
     instrument.at_s = 4.0
     model_of(instrument, residual_px=0.5).save(tmp_path / "model")  # times are as good as this machine keeps them
@@ -213,7 +223,7 @@ def test_a_stream_is_tracked_beside_it(monkeypatch: pytest.MonkeyPatch, tmp_path
         with open_board(desktop.where) as board:
             board.ask("set_position", axis=0, q=0.0)
         link, seen_by = desktop.link(), desktop.link()
-        clock = WallClock(link)
+        clock = wall_clock(link)
         monkeypatch.setattr(setup, "VideoCamera", lambda *_, **__: WallCamera(seen_by, instrument, until_s))
         monkeypatch.setattr(setup, "MarkerTracker", lambda _: Reader())
         monkeypatch.setattr(MarkerColour, "load", lambda _: object())

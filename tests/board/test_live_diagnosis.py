@@ -17,6 +17,8 @@ from tautline.simulated import simulate
 from tautline.simulated.instrument import Corrected, preset, reference_rig
 from tautline.simulated.simlink import SimulatedAxis
 
+pytestmark = pytest.mark.minutes
+
 
 def test_a_lag_that_came_after_the_calibration_is_asked_for_until_it_is_sure(bench: Bench, tmp_path: Path) -> None:
     rig = reference_rig()

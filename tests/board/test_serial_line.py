@@ -99,21 +99,21 @@ def test_names_that_are_no_line() -> None:
             open_board(name)
 
 
-def _counted(board: Board) -> int:
+def _counted(board: Board, patience_s: float) -> int:
     answered = 0
     for number in range(40):
         with contextlib.suppress(TautError):
-            answered += board.ask("ping", 0.15, host_us=number).host_us == number
+            answered += board.ask("ping", patience_s, host_us=number).host_us == number
     return answered
 
 
 def test_a_noisy_line_loses_some_and_then_works_as_before(cable: Cable) -> None:
     with open_board(f"serial:{cable.name}") as board:
         cable.noise = random.Random(1)
-        assert 5 <= _counted(board) < 40
+        assert 5 <= _counted(board, 0.15) < 40
         cable.noise = None
         board.poll(0.1)
-        assert _counted(board) == 40
+        assert _counted(board, 2.0) == 40
         assert board.counters().bytes_bad > 0
         assert board.status(0).fault == 0
 

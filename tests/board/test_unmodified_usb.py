@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from test_board_tables import blob
 
-from conftest import Bench, WallClock
+from conftest import Bench, ClockOf
 from tautline.device import wire
 
 HERE = Path(__file__).parent
@@ -139,7 +139,7 @@ with open_board() as board:
     assert "gone:" in on_the_bus(bench, sys.executable, "-c", script).stdout
 
 
-def test_the_c_example_streams(bench: Bench) -> None:
+def test_the_c_example_streams(bench: Bench, wall_clock: ClockOf) -> None:
     """C, libusb and common/ alone: 250 set-points a second through the tables."""
     program = HERE.parents[1] / "build" / "gcc" / "tools" / "examples" / "example_stream"
     if not program.exists():
@@ -147,7 +147,7 @@ def test_the_c_example_streams(bench: Bench) -> None:
     with bench.open() as board:
         board.load_table(0, blob())
     bench.sim.ask("realtime on")
-    clock = WallClock(bench.sim)
+    clock = wall_clock(bench.sim)
     text = on_the_bus(bench, str(program), "0", "1").stdout
     clock.need()
     sent, taken, dropped = (int(text.split(word)[0].split()[-1]) for word in (" set-points", " and dropped", "\n"))

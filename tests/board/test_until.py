@@ -27,6 +27,8 @@ from tautline.rig import Coarse
 from tautline.simulated.instrument import Instrument, preset, reference_rig
 from tautline.vision.marker import Sighting
 
+pytestmark = pytest.mark.minutes
+
 LOST = Sighting(np.nan, np.nan, np.nan, np.nan, "no marker of this colour")
 SECONDS = 30.0  # of board time, for 3 um
 

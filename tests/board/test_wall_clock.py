@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conftest import WallClock
+from conftest import ClockOf
 from tautline.calibration.calibrate import calibrate
 from tautline.device.board import open_board
 from tautline.geometry import project
@@ -55,10 +55,10 @@ class Reader:
         return Sighting(float(picture[0]), float(picture[1]), 0.05, 15.0)
 
 
-def test_the_clock_of_a_paced_board() -> None:
+def test_the_clock_of_a_paced_board(wall_clock: ClockOf) -> None:
     with DesktopBoard(realtime=True) as desktop, open_board(desktop.where) as board, board.reading():
         link = desktop.link()
-        clock = WallClock(link)
+        clock = wall_clock(link)
         board.align(32)
         error = board.clock.offset(time.monotonic())[1]
         time.sleep(0.3)
@@ -73,11 +73,11 @@ def test_the_clock_of_a_paced_board() -> None:
         assert before + offset - error - 0.002 <= stamp * 1e-6 <= after + offset + error + 0.002
 
 
-def test_answers_come_at_once_while_a_thread_reads() -> None:
+def test_answers_come_at_once_while_a_thread_reads(wall_clock: ClockOf) -> None:
     """The reading thread never keeps an answer from the one who asked."""
     with DesktopBoard(realtime=True) as desktop, open_board(desktop.where) as board:
         link = desktop.link()
-        clock = WallClock(link)
+        clock = wall_clock(link)
         board.ask("telemetry", axis=0, divider=1)
         with board.reading():
             took = []
@@ -91,12 +91,12 @@ def test_answers_come_at_once_while_a_thread_reads() -> None:
 
 
 @pytest.mark.long
-def test_a_calibration_by_the_wall_clock(tmp_path: Path) -> None:
+def test_a_calibration_by_the_wall_clock(tmp_path: Path, wall_clock: ClockOf) -> None:
     instrument = preset("constant")
     with DesktopBoard(realtime=True) as desktop, open_board(desktop.where) as board, board.reading():
         board.align(32)
         link = desktop.link()
-        clock = WallClock(link)
+        clock = wall_clock(link)
         time.sleep(1.0)
         clock.need()
         live = Live(board, instrument.rig, 0, CameraSource(board, WallCamera(link, instrument), Reader()))  # type: ignore[arg-type]

@@ -29,7 +29,7 @@ def model_of_the_reference() -> Model:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("scale", [1.0, 0.7])
+@pytest.mark.parametrize("scale", [1.0, pytest.param(0.7, marks=pytest.mark.minutes)])
 def test_watch_tells_whether_the_model_still_holds(tmp_path, scale):
     model = model_of_the_reference()
     replace(model, width=scale * model.width).save(tmp_path / "instrument")
@@ -47,6 +47,7 @@ def test_watch_tells_whether_the_model_still_holds(tmp_path, scale):
         assert "transmission.backlash" in result["reason"]
 
 
+@pytest.mark.minutes
 def test_watch_proposes_the_shape_that_the_shaft_has(tmp_path):
     """The instrument is that of another model of the library; `taut watch` with the first one says so."""
     model = model_of_the_reference()
@@ -61,6 +62,7 @@ def test_watch_proposes_the_shape_that_the_shaft_has(tmp_path):
     assert result["shape"] is None and result["state"] == "trusted"
 
 
+@pytest.mark.minutes
 def test_a_short_motion_tells_which_shape_the_shaft_has_and_follow_names_another(tmp_path):
     model = model_of_the_reference()
     library = Library(tmp_path / "shapes").add("straight", model)
@@ -79,6 +81,7 @@ def test_a_short_motion_tells_which_shape_the_shaft_has_and_follow_names_another
             recall(live, library)
 
 
+@pytest.mark.minutes
 def test_follow_without_a_model_recalls_the_shape_first(tmp_path):
     model = model_of_the_reference()
     library = Library(tmp_path / "shapes").add("straight", model)

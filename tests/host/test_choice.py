@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any, cast
+
 import numpy as np
 import pytest
 
 from tautline.calibration.backlash import WidthCurve
 from tautline.calibration.choice import Choice
+from tautline.calibration.components import Components
 from tautline.calibration.findings import Findings
+from tautline.calibration.onset import HINGE
+from tautline.calibration.playfit import Fitted
 from tautline.calibration.smooth import Domain
 
 GRID = np.linspace(-5.0, 5.0, 101)
@@ -34,3 +40,28 @@ def test_onsets_that_are_clearly_surer_count_by_their_variance() -> None:
 def test_what_onsets_at_one_place_share_is_counted_once() -> None:
     assert weighed(0.3, 0.1, excess=0.5, places=2) == (1.0, 0.3)
     assert weighed(0.3, 0.1, excess=0.5, places=100)[0] == pytest.approx(1.0 + 0.09 / (0.09 + 0.0125), abs=1e-6)
+
+
+@pytest.mark.parametrize(("own", "other", "counts"), [(1.3, 2.0, False), (2.0, 5.0, True), (2.0, 6.5, False)])
+def test_where_the_joint_fit_predicts_well_onsets_do_not_count(own: float, other: float, counts: bool) -> None:
+    joint, both = np.ones_like(GRID), 2.0 * np.ones_like(GRID)
+    left = SimpleNamespace(_left_at=lambda _, width: own if width is joint else other)
+    assert Choice._bears(cast(Choice, left), cast(Fitted, None), joint, both) is counts
+
+
+@pytest.mark.parametrize("leads", ["phase.even", "creep.2"])
+def test_onsets_confirm_no_departure_that_is_a_gradual_start(leads: str) -> None:
+    def says(width: float) -> Any:
+        elements = SimpleNamespace(single=True)
+        fit = SimpleNamespace(elements=elements, width=lambda curves: width * np.ones_like(GRID))
+        return SimpleNamespace(fit=fit, curves=None, width_sigma=lambda grid: 0.01 * np.ones_like(GRID))
+
+    at = np.linspace(-4.0, 4.0, 8)
+    onsets: Any = [SimpleNamespace(used=True, kind=HINGE, q_mean=q, width=1.0, sigma=0.05, direction=1) for q in at]
+    curve = WidthCurve(GRID, np.ones_like(GRID), 0.05 * np.ones_like(GRID), (-4.0, 4.0), 0.0, places=8)
+    parts = tuple(SimpleNamespace(name=name) for name in (leads, "stroke"))
+    first = cast(property, Components.of_start).fget
+    assert first is not None
+    components = cast(Components, SimpleNamespace(of_start=first(SimpleNamespace(parts=parts))))
+    choice = Choice([], Domain(-5.0, 5.0), GRID, "deg", Findings())
+    assert choice.nearer(onsets, curve, components, says(1.0), says(2.0)) is (leads != "phase.even")

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tautline import trajectory
-from tautline.encoder import between_counts, count_of, straight_lines
+from tautline.encoder import between_counts, count_of, straight_lines, swings
 from tautline.recording import Motor
 
 COUNT = 0.001
@@ -134,3 +134,22 @@ def test_a_count_is_what_the_readings_show_of_it():
     assert count_of(Motor(t, np.rint(q / 0.033) * 0.033), 0.01) == pytest.approx(0.033)
     assert count_of(Motor(t, q), 0.01) < 1e-4  # a command
     assert count_of(Motor(t, q + np.random.default_rng(1).normal(0.0, 0.01, len(q))), 0.01) == 0.01
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(st.integers(0, 10_000), st.floats(0.003, 0.03), st.integers(200, 8000), st.floats(0.3, 0.9))
+def test_a_motor_that_swings_is_taken_at_its_word_and_noisy_readings_are_not(seed, rms, readings, remembers):
+    """White readings scatter about the motor's path; those that go to and fro are where it went."""
+    rng = np.random.default_rng(seed)
+    t = 0.01 * np.arange(readings)
+    path, white = 4.0 * np.sin(0.5 * t), rng.normal(size=readings)
+    swinging = np.zeros(readings)
+    for k in range(1, readings):
+        swinging[k] = -remembers * swinging[k - 1] + np.sqrt(1.0 - remembers**2) * white[k]
+    noisy, trembling = (Motor(t, np.round((path + rms * off) / COUNT) * COUNT) for off in (white, swinging))
+    assert not swings(noisy)
+    smooth = between_counts(noisy, COUNT)
+    assert np.sqrt(np.mean((smooth.q - path) ** 2)) < 0.5 * rms
+    if readings * remembers**2 > 1000:  # fewer, or weaker ones, could be chance
+        assert swings(trembling)
+        assert np.abs(between_counts(trembling, COUNT).q - trembling.q).max() < COUNT

@@ -1,6 +1,8 @@
 """Clocks and angle sensors: delays, offsets, held values, slow sensors and motors that step, found or refused."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -9,8 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tautline.calibration import clock
-from tautline.calibration.calibrate import calibrate
+from tautline.calibration.calibrate import _Session, calibrate
+from tautline.calibration.components import Components
 from tautline.calibration.observations import not_held, observe
+from tautline.calibration.smooth import Domain, fit_jointly, freeze
 from tautline.calibration.steps import jumps
 from tautline.encoder import between_counts
 from tautline.model import Model
@@ -246,3 +250,16 @@ def test_between_counts_a_step_stays_within_its_sample():
     q = np.where(t_s < 7.0, -3.0, np.where(t_s < 13.0, 4.0, -1.0))
     smooth = between_counts(Motor(t_s, q), 0.01)
     np.testing.assert_allclose(smooth.q, q, atol=1e-9)
+
+
+@pytest.mark.parametrize(("sigma_s", "own"), [(0.02, False), (0.0002, True)])
+def test_a_delay_that_departures_leave_uncertain_is_the_nominal_one(sigma_s: float, own: bool) -> None:
+    tracks = observe([record(Motion.through(), delay_s=0.003)], RIG)
+    joint = fit_jointly(freeze(tracks, 0.0), Domain(*RIG.actuator.range), 0.0, fit_delay=True)
+    assert joint is not None and joint.curves.delay_s == pytest.approx(0.003, abs=5e-4)
+    session = cast(_Session, SimpleNamespace(camera=False, nominal_s=0.0))
+    width = joint.fit.width(joint.curves)
+    departing = cast(Components, SimpleNamespace(delay_sigma=sigma_s, width=width, sigma=0.01 * width))
+    alone = _Session._as_one(session, joint, departing)
+    assert alone.delay_sigma == sigma_s
+    assert alone.curves.delay_s == (joint.curves.delay_s if own else 0.0)

@@ -172,7 +172,7 @@ def test_a_time_out_unlinks_and_the_device_goes_on(server: Server) -> None:
     with pytest.raises(usb.core.USBTimeoutError) as late:
         device.read(0x83, 64, timeout=30)
     assert late.value.errno == errno.ETIMEDOUT
-    assert 0.02 < time.monotonic() - start < 0.5
+    assert 0.02 < time.monotonic() - start < 5.0
     assert server.unlinked == 1
     device.write(0x01, b"still there")
     assert bytes(device.read(0x81, 64)) == b"still there"

@@ -308,7 +308,7 @@ class _Session:
             self.findings.evidence[f"component_{part.name}"] = part.rms
         apart = self.components.applied(joint)
         alone = self.choice.alone(self.components, apart, joint)
-        if self.choice.predicts(alone, joint) or self.choice.nearer(onsets, curve, apart, joint):
+        if self.choice.predicts(alone, joint) or self.choice.nearer(onsets, curve, self.components, apart, joint):
             if self.components.since and apart.fit.tracks[0].track.unit == self.tracks[0].unit:
                 self.ended = [t for t in self.components.at_the_end(self.tracks) if len(t.t_s)]
                 alone = self.choice.ended(self.components, apart)
@@ -317,13 +317,17 @@ class _Session:
         self.findings.evidence["residual_alone"] = joint.scale
         return self._as_one(joint, self.components)
 
-    @staticmethod
-    def _as_one(joint: Fitted, components: Components) -> Fitted:
-        """The joint fit as it is; how far the departures would take B from it is its uncertainty."""
+    def _as_one(self, joint: Fitted, components: Components) -> Fitted:
+        """The joint fit as it is; how far the departures would take B from it is its uncertainty. An angle sensor's
+        delay that they leave less certain than it is off the nominal one by is that."""
+        delay_sigma = max(components.delay_sigma, joint.delay_sigma)
+        if not self.camera and joint.fit.fit_delay and abs(joint.curves.delay_s - self.nominal_s) < delay_sigma:
+            fit = replace(joint.fit, fit_delay=False, delay_sigma_s=delay_sigma, smoothing=dict(joint.fit.smoothing))
+            joint = fit.solve(replace(joint.curves, delay_s=self.nominal_s))
         width = joint.fit.width(joint.curves)
         joint.fit.residuals(joint.curves)
         spread = np.hypot(components.sigma, components.width - width)
-        return replace(joint, spread=spread, delay_spread=max(components.delay_sigma, joint.delay_sigma))
+        return replace(joint, spread=spread, delay_spread=delay_sigma)
 
     def _several(self, joint: Fitted, components: Components) -> Fitted | None:
         """The joint fit with several elements, where the tip starts gradually and they hold most of it."""

@@ -13,7 +13,7 @@ from tautline.calibration.components import Components
 from tautline.calibration.findings import Findings
 from tautline.calibration.observations import Track
 from tautline.calibration.onset import BRACKET, HINGE, Onset
-from tautline.calibration.playfit import NODES, Curves, Fitted, Frozen
+from tautline.calibration.playfit import EXPLAINED, NODES, Curves, Fitted, Frozen
 from tautline.calibration.several import left
 from tautline.calibration.smooth import Domain, overlap
 from tautline.model import allowed_width
@@ -102,7 +102,7 @@ class Choice:
         jumps = jumping(widths) and not self._foretells(widths, joint, curve)
         if not jumps and (agreed or not self._contradicted(widths, curve, passes)):
             both, spread = (width, sigma) if gradual else self._weighed(curve, width, sigma)
-            if both is not width and self._left_at(joint, both) < _BEARABLE * max(self._left_at(joint, width), 1.0):
+            if both is not width and self._bears(joint, width, both):
                 width, sigma = both, spread
             return width, sigma, JOINT
         self.findings.notes.append("the passes contradict the onsets: B(q) is the onsets' alone")
@@ -119,10 +119,18 @@ class Choice:
         both = (own * width + other * curve.width) / (own + other)
         return allowed_width(self.grid, both), (own + other) ** -0.5
 
-    def nearer(self, onsets: Sequence[Onset], curve: WidthCurve | None, apart: Fitted, joint: Fitted) -> bool:
-        """Whether the onsets, which know no model, say the B beside the departures."""
+    def _bears(self, joint: Fitted, width: Array, both: Array) -> bool:
+        """Whether B may be another than what predicts best: where that predicts well, nothing says so."""
+        own = self._left_at(joint, width)
+        return own > EXPLAINED and self._left_at(joint, both) < _BEARABLE * own
+
+    def nearer(
+        self, onsets: Sequence[Onset], curve: WidthCurve | None, components: Components, apart: Fitted, joint: Fitted
+    ) -> bool:
+        """Whether the onsets, which know no model, say the B beside the departures. Where these are a gradual start
+        first of all, they show its first motion only."""
         widths = measuring(onsets)
-        if curve is None or len(widths) < _FEW_ONSETS or not joint.fit.elements.single:
+        if curve is None or len(widths) < _FEW_ONSETS or not joint.fit.elements.single or components.of_start:
             return False
         sigma = joint.width_sigma(self.grid)
         off = [self._against(widths, curve, fit.fit.width(fit.curves), sigma) for fit in (apart, joint)]

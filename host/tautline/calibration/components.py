@@ -118,6 +118,11 @@ class Components:
         """Whether what departs is the tracker's, not the tip's."""
         return any(part.name == "tracker" for part in self.parts)
 
+    @property
+    def of_start(self) -> bool:
+        """Whether what departs is how the tip starts after a reversal, more than anything else."""
+        return bool(self.parts) and self.parts[0].name.startswith("phase")
+
     def applied(self, fitted: Fitted) -> Fitted:
         """The joint fit as it is with the components taken into account."""
         fit = replace(fitted.fit, tracks=on_clock(fitted.fit.tracks, self.clock), smoothing=fitted.fit.smoothing)

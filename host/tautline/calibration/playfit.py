@@ -29,6 +29,7 @@ EXPLAINED = 1.5  # residual over noise up to which a model explains its data
 _STIFF = 1e4  # cost, in sigma^2, of a neighbour difference that is off its limit by the whole limit
 _GAIN = 0.2  # sigma^2: an iteration that gains less is the last but one
 NODES = 1025  # of the tables that fits and models use
+_SELDOM = 0.1  # of the positions, at which B may be less than what counts as driven through
 _SLOPE_S = 0.004  # least half interval over which the motor's speed is taken
 
 
@@ -118,6 +119,7 @@ class Frozen:
         other, other_side = plays.forward(positions, far)
         known = (np.abs(p - other) < 1e-9 * (grid[-1] - grid[0]))[at] & driven.within
         both = np.logical_or.accumulate(side == -1) & np.logical_or.accumulate(other_side == 1)
+        both &= _there_and_back(positions, _usual_least(grid, width, positions))
         return Simulated(p[at], known, known & both[at], side[at], lean[at], share[at], driven.speed)
 
 
@@ -418,6 +420,21 @@ class Fitted:
         if self.spread is not None:
             return self.delay_spread
         return float(np.sqrt(self.covariance[-1, -1])) if self.fit.fit_delay else 0.0
+
+
+def _usual_least(grid: Array, width: Array, positions: Array) -> float:
+    """What B is more than at most positions that the motor reached. At the first and last of them nothing but the start
+    tells it, and a B of 0 there would be driven through at once."""
+    first, last = np.searchsorted(grid, [positions.min(), positions.max()])
+    return float(np.quantile(width[first : max(last, first + 1)], _SELDOM))
+
+
+def _there_and_back(positions: Array, way: float) -> Mask:
+    """(n,) whether the motor had gone so far up and so far down."""
+    up = positions - np.minimum.accumulate(positions) >= way
+    down = np.maximum.accumulate(positions) - positions >= way
+    both: Mask = np.logical_or.accumulate(up) & np.logical_or.accumulate(down)
+    return both
 
 
 def _again(weights: list[Array], masks: list[Mask]) -> list[Array]:

@@ -20,6 +20,7 @@ _MOST_FRAMES = 12000  # of one fit; more are thinned out evenly
 _SCANNED = 3000  # frames, about, that tell where a fit begins
 _REPEATS = 1.6  # residual of the first approach over that of the rest up to which it counts
 _HARMLESS = 1.15  # what counting the first approach may do to the residuals of the rest
+_TURNS, _AGAIN = 5, 4  # in how many parts strokes are left out, each of both directions; steps of a fit without them
 _FEWEST = 40  # frames that a joint fit is tried with
 
 
@@ -75,7 +76,7 @@ def fit_jointly(
     if fine.settled_only and _reaches_further(fitted, domain):
         # Without the first approach B and the path are not apart everywhere: does it do harm?
         whole = replace(fine, settled_only=False, smoothing=dict(fine.smoothing)).solve(start)
-        if _late_scale(whole) < _HARMLESS * fitted.scale:
+        if _late_scale(whole) < _HARMLESS * fitted.scale and _foretells(whole, fitted):
             return whole
         fitted.fit.residuals(fitted.curves)
     return fitted
@@ -101,6 +102,36 @@ def _late_scale(fitted: Fitted) -> float:
     seen = zip(fitted.rows, fitted.masks, fitted.fit.simulated, strict=True)
     squares = np.concatenate([np.mean(r[m & s.settled] ** 2, axis=1) for r, m, s in seen])
     return float(np.sqrt(np.mean(np.minimum(squares, (4.0 * fitted.scale) ** 2)))) if len(squares) else np.inf
+
+
+def _foretells(whole: Fitted, alone: Fitted) -> bool:
+    """Whether strokes that were left out are foretold as well with the first approach as without it."""
+    fit = alone.fit
+    fit.residuals(alone.curves)
+    late, before = [], 0
+    for sim, mask in zip(fit.simulated, alone.masks, strict=True):
+        stroke = before + np.cumsum(np.diff(sim.side, prepend=sim.side[:1]) != 0)
+        before = int(stroke.max(initial=before)) + 1
+        late.append(np.where(mask, stroke, -1))
+    with_it, without = (_missed(fitted, late, alone.scale) for fitted in (whole, alone))
+    whole.fit.residuals(whole.curves)
+    return with_it <= without
+
+
+def _missed(fitted: Fitted, strokes: Sequence[npt.NDArray[np.intp]], scale: float) -> float:
+    """Mean square over the noise of strokes that the fit did not see, some at a time; strays count as four scales."""
+    total, frames = 0.0, 0
+    for turn in range(_TURNS):
+        out = [(each >= 0) & (each % _TURNS == turn) for each in strokes]
+        if not any(each.any() for each in out):
+            continue
+        kept = [replace(frozen, use=frozen.use & ~each) for frozen, each in zip(fitted.fit.tracks, out, strict=True)]
+        fit = replace(fitted.fit, tracks=kept, smoothing=dict(fitted.fit.smoothing))
+        curves = fit.solve(fitted.curves, iterations=_AGAIN, adapt=False).curves
+        for row, each in zip(fit.residuals(curves)[0], out, strict=True):
+            total += float(np.sum(np.minimum(np.mean(row[each] ** 2, axis=1), (4.0 * scale) ** 2)))
+            frames += int(each.sum())
+    return total / max(frames, 1)
 
 
 def overlap(fitted: Fitted) -> tuple[float, float]:

@@ -49,7 +49,7 @@ class Candidate:
         single = {p for kind in hypothesis.kinds if kind.each for p in kind.amplitudes}
         keys = {slot.key for slot in hypothesis.slots if slot.number <= 1 or slot.parameter in single}
         keys |= {p.name for kind in hypothesis.kinds for p in kind.parameters if p.searched} - SCATTERS
-        curves = [{k for k in keys & values.keys() if k.split("@")[0] in _curve(kind)} for kind in hypothesis.kinds]
+        curves = [{k for k in keys & values.keys() if k.split("@")[0] in kind.curve} for kind in hypothesis.kinds]
         spared = sum(max(0, len(curve) - _OF_A_CURVE) for curve in curves)
         return len(keys & values.keys()) - spared + len(self.scatters)
 
@@ -214,11 +214,6 @@ class Search:
         _, predicted = segment.predict(state.model, state.at(segment, fit.hypothesis), self.fitter.load_reference)
         left = (segment.observed - predicted)[segment.scored]
         return np.asarray(np.sum(np.minimum(np.abs(left), limit) ** 2, axis=1))
-
-
-def _curve(kind: Kind) -> set[str]:
-    """The coefficients of a spline of the nominal model."""
-    return {p.name for p in kind.amplitudes if kind.nominal and p.name.rsplit("_", 1)[-1].isdigit()}
 
 
 def _loss(candidate: Candidate) -> float:

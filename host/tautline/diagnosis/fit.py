@@ -45,7 +45,7 @@ _SMALL_GAIN, _COARSE_GAIN = 1e-4, 5e-4  # of the cost: next to nothing
 _COARSE_FRAMES = 2500  # that a fit begins with
 _ROUGH_STEPS, _COARSE_STEPS, _FULL_STEPS = 3, 12, 8  # of each start, of the best one, of all observations
 _NOMINAL_STEPS = 16
-_FAR = 30.0  # of a parameter's scale: its prior
+_FAR, _CURVES_FAR = 30.0, 2.0  # of a parameter's scale: its prior, and that of a curve's coefficients
 _RARE = 0.01  # a misfit that lasts longer than this share of a recording is no outlier
 
 
@@ -299,7 +299,29 @@ class Fitter:
         stiff = np.diag(1 / self.spread(hypothesis) ** 2)
         n = len(self._bending)
         stiff[:n, :n] += self._bending
+        at = len(self._prior)
+        stiff[at:, at:] += self.curves(hypothesis)
         return stiff
+
+    def curves(self, hypothesis: Hypothesis) -> Array:
+        """The inverse covariance of effects that are curves over the motor's range, of the slots: smooth, and back at
+        nothing where no motion was."""
+        slots = hypothesis.slots
+        stiff = np.zeros((len(slots), len(slots)))
+        for curve in {kind.curve for kind in hypothesis.kinds}:
+            for number in {slot.number for slot in slots}:
+                own = {slot.parameter.name: i for i, slot in enumerate(slots) if slot.number == number}
+                if here := [own[name] for name in curve if name in own]:
+                    coefficient = slots[here[0]].parameter
+                    stiff[here, here] += 1 / (_CURVES_FAR * self.scale(coefficient)) ** 2
+                    stiff[np.ix_(here, here)] += self._bending_of(coefficient, len(here))
+        return stiff
+
+    def _bending_of(self, coefficient: Parameter, size: int) -> Array:
+        actuator = self.model.rig.actuator
+        share = _ROUGH * actuator.span * ((_REMAINING_PIECES + 3) / size) ** 2
+        by_unit = 1.0 if coefficient.unit == "unit" else abs(self.model.rig.coarse.gain)
+        return np.asarray(Basis(*actuator.range, size - 3).bending / (share * by_unit) ** 2)
 
     def effect_columns(self, state: ParameterState, hypothesis: Hypothesis, rows: Sequence[ScoredRows]) -> list[Array]:
         """Of each recording (n, k, m) by difference quotients, one column for each of the hypothesis' slots."""
@@ -411,6 +433,7 @@ class _Descent:
     def __init__(self, fitter: Fitter, hypothesis: Hypothesis, enough: float, held: npt.NDArray[np.int64]) -> None:
         self.fitter, self.hypothesis, self.least, self.held = fitter, hypothesis, enough, held
         self.prior = fitter.floor**2 * fitter.stiffness(hypothesis)
+        self.curves = fitter.floor**2 * fitter.curves(hypothesis)
         self.limits: list[float] = []
 
     def linearised(self, point: _Point) -> tuple[Array, Array, float]:
@@ -423,6 +446,8 @@ class _Descent:
             part = fitter.normal(row, extra, weight)
             matrix += part.matrix
             gradient += part.gradient
+        values = self._values(point.state)
+        gradient[len(gradient) - len(values) :] -= self.curves @ values
         held = np.concatenate([self.held, self._at_their_ends(point.state, gradient)])
         matrix[held, :] = matrix[:, held] = gradient[held] = 0.0
         matrix[held, held] = 1.0
@@ -442,7 +467,11 @@ class _Descent:
         return _Point(state, self.fitter.rows(state, self.hypothesis))
 
     def cost(self, point: _Point) -> float:
-        return _cost([row.residual for row in point.rows], self.limits)
+        values = self._values(point.state)
+        return _cost([row.residual for row in point.rows], self.limits) + float(values @ self.curves @ values)
+
+    def _values(self, state: ParameterState) -> Array:
+        return np.array([state.values[slot.key] for slot in self.hypothesis.slots])
 
     def enough(self, gained: float, cost: float) -> bool:
         return gained < self.least * cost

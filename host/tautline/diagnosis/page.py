@@ -114,9 +114,8 @@ def _parameters(effect: Mapping[str, Any], unit: str) -> list[dict[str, Any]]:
     kind = BY_ID[effect["id"]]
     if kind.of_joint and "column" in effect["parameters"]:
         kind = kind.of_joint(effect["parameters"]["column"])
-    splines = {p.name for p in kind.parameters if p.name.rsplit("_", 1)[-1].isdigit()}  # say nothing to a reader
     known = {p.name: p for p in kind.parameters if p.name in effect["parameters"]}
-    known = dict([item for item in known.items() if item[0] not in splines][:_PARAMETERS])
+    known = dict([item for item in known.items() if item[0] not in kind.curve][:_PARAMETERS])
     if not known and "column" not in effect["parameters"]:
         return [_row(effect, "a curve", "", True)]
     shown = {name: value for name, value in effect["parameters"].items() if name in known or name == "column"}

@@ -68,6 +68,7 @@ class Kind:
     posture: bool = False  # another posture, tension or homing changes it, together with others of the kind
     contains: tuple[str, ...] = ()  # effects that it can do too
     brings: tuple[str, ...] = ()  # parts of the nominal model that it may well move too, where it came later
+    curve: tuple[str, ...] = ()  # amplitudes: coefficients of a cubic spline over the motor's range, in order
     simple: Kind | None = None  # the same with fewer parameters, where what is beside it could do the rest
     each: bool = False  # it alone may be another in every recording
     scan: Literal["probe", "period", "moment"] = "probe"  # how its shapes are screened

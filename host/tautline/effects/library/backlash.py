@@ -10,7 +10,7 @@ from tautline.effects.kind import Kind, Parameter
 from tautline.model import Model, allowed_width
 from tautline.splines import Basis
 
-_PIECES = 6  # of a cubic spline over the motor's range
+_PIECES = 20  # of a cubic spline over the motor's range: as fine as B itself is measured again
 _NAMES = tuple(f"width_{i}" for i in range(_PIECES + 3))
 _EVERYWHERE = "width_everywhere"
 _basis = lru_cache(maxsize=8)(Basis)
@@ -33,5 +33,6 @@ _KIND = Kind(
     in_tables=True,
     nominal=True,
     posture=True,
+    curve=_NAMES,
 )
-EFFECTS = (replace(_KIND, simple=replace(_KIND, amplitudes=(Parameter(_EVERYWHERE, "unit", 5e-3),))),)
+EFFECTS = (replace(_KIND, simple=replace(_KIND, amplitudes=(Parameter(_EVERYWHERE, "unit", 5e-3),), curve=())),)

@@ -10,7 +10,7 @@ from tautline.effects.kind import Kind, Parameter
 from tautline.model import Model, monotone
 from tautline.splines import Basis
 
-_PIECES = 5  # of a cubic spline over the motor's range
+_PIECES = 22  # of a cubic spline over the motor's range: as fine as the law itself is measured again
 _NAMES = tuple(f"remaining_{i}" for i in range(_PIECES + 3))
 _basis = lru_cache(maxsize=8)(Basis)
 
@@ -32,6 +32,7 @@ EFFECTS = (
         in_tables=True,
         nominal=True,
         posture=True,
+        curve=_NAMES,
         contains=("transmission.offset", "configuration.contact"),
     ),
 )
