@@ -236,8 +236,8 @@ def _reported(fit: Fit, name: str) -> dict[str, Any]:
 
 def _of_each(fit: Fit, name: str, segments: Sequence[Segment]) -> dict[str, Any]:
     """What each recording has, where they differ."""
-    kind = effects.BY_ID[name]
-    if _since(fit, name) != Scope.EACH:
+    kind, scope = fit.hypothesis.find(name) or (effects.BY_ID[name], Scope.START)
+    if scope != Scope.EACH:
         return {}
     values = fit.state.values
     return {

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import block_diag, cho_factor, cho_solve
 
-from tautline.diagnosis.fit import STATIC_COLUMNS, Fit, Fitter, Scope, ScoredRows, inside, key
+from tautline.diagnosis.fit import STATIC_COLUMNS, Fit, Fitter, Hypothesis, Scope, ScoredRows, inside, key
 from tautline.effects import Kind, Parameter
 from tautline.nominal import Normal
 
@@ -109,13 +109,15 @@ class _Scan:
         ]
         scored = []
         tests, count = len(parts) - 1, len(kind.amplitudes)
+        prior = self.fitter.floor**2 * self.fitter.curves(Hypothesis((kind,), (Scope.START,)))
         for scope in Scope:
             if (scope == Scope.START and kind.nominal) or (scope == Scope.EACH and not (kind.each and tests > 1)):
                 continue
             summed = parts if scope == Scope.START else parts[1:]
             if scope == Scope.EACH:
                 summed = [self._apart(part, i, tests, count) for i, part in enumerate(parts[1:])]
-            amplitude, gain = self.gain(summed)
+            own = block_diag(*[prior] * (tests if scope == Scope.EACH else 1)) if kind.curve else 0.0
+            amplitude, gain = self.gain(summed, own)
             if amplitude is None:
                 continue
             start = dict(shapes)
@@ -140,9 +142,9 @@ class _Scan:
         normal.gradient[at] = part.gradient
         return normal
 
-    def gain(self, parts: Sequence[Normal]) -> tuple[Array | None, float]:
+    def gain(self, parts: Sequence[Normal], prior: Array | float = 0.0) -> tuple[Array | None, float]:
         """Amplitudes and the share of the squares that they take, from the normal equations of the recordings that the
-        effect is in; None where the nominal absorbs it."""
+        effect is in and a prior's matrix; None where the nominal absorbs it."""
         cut = len(self.gradient)
         cross = np.asarray(sum(part.matrix[cut:, :cut] for part in parts))
         own = np.asarray(sum(part.matrix[cut:, cut:] for part in parts))
@@ -151,6 +153,7 @@ class _Scan:
         size = np.diag(own)
         if not (np.diag(free) > _FREE**2 * np.maximum(size, 1e-300)).any():
             return None, 0.0
+        free, size = free + prior, size + np.diag(np.zeros_like(own) + prior)
         scale = 1.0 / np.sqrt(np.maximum(size, 1e-12 * size.max()))
         value, vector = np.linalg.eigh(free * np.outer(scale, scale))
         inverse = np.where(value > _RANK, 1.0 / np.maximum(value, _RANK), 0.0)

@@ -48,6 +48,14 @@ def brought(ids: Collection[str]) -> frozenset[str]:
     return frozenset().union(*(BROUGHT.get(name, frozenset()) for name in ids)) & set(ids)
 
 
+def _does_as_well(key: frozenset[str], one: frozenset[str]) -> bool:
+    """Whether a set can do what one effect alone does, by what contains it: an effect, or what moves of the nominal
+    model, beside that one or not."""
+    if len(one) != 1 or key == one or not any(one <= {*BY_ID[name].contains} for name in key):
+        return False
+    return len(key) == 1 or (not one <= CONSTANT and key - one <= CONSTANT)
+
+
 class Stacked:
     """Rows are hypotheses, columns blocks; powers are mean squares."""
 
@@ -85,9 +93,7 @@ class Stacked:
         # Parts of the nominal model move together; what brings one with it is one cause.
         self.causes = np.array([len(key - CONSTANT) + bool(mine) for key, mine in zip(self.sets, own, strict=True)])
         self.brings = np.array([mine != key & CONSTANT for key, mine in zip(self.sets, own, strict=True)])
-        self.does_as_well = np.array(
-            [[len(k) == len(m) == 1 and m <= {*BY_ID[min(k)].contains} for m in self.sets] for k in self.sets]
-        )
+        self.does_as_well = np.array([[_does_as_well(k, m) for m in self.sets] for k in self.sets])
         self.left = np.sum(self.power * np.exp(scatter) - self.floor2, axis=1)
         pairs = [
             (i, j)
