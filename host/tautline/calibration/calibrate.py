@@ -337,7 +337,8 @@ class _Session:
         several = fit_elements(components.applied(joint), self.rig, fit_delay=self.options.delay_s is None)
         # What several leave is no noise: where that is less, it is at most that of a tip at rest.
         noise = components.noise if several.scale > components.noise else min(components.noise, 1.0)
-        before, after = (max(scale**2 - noise**2, 0.0) for scale in (left(joint), several.scale))
+        alike = replace(several, scale=joint.scale)  # strays count as much in both
+        before, after = (max(left(fitted) ** 2 - noise**2, 0.0) for fitted in (joint, alike))
         return several if after < _HELD * before and not several.fit.elements.single else None
 
     # ---- f_remain
