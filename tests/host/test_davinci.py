@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tools.davinci import Tool, find, times
 
-from tautline.calibration.calibrate import calibrate
+from tautline.calibration.calibrate import Options, calibrate
 from tautline.diagnosis import narration
 from tautline.prediction import predict
 from tautline.recording import Recording, load
@@ -126,3 +126,19 @@ def test_the_middle_comes_from_the_passes():
     found = calibrate([load(folder / "freq2-load0", rig)], rig)
     assert np.interp([22.0, 27.0], found.model.q, found.model.width) == pytest.approx([3.4, 3.3], abs=0.25)
     assert (np.diff(found.model.c_deg) < 0).all()
+
+
+@pytest.mark.parametrize("axis", ["roll", "pitch"])
+def test_several_plays_are_there_where_they_follow_the_run_better(axis):
+    folder = data().parent / "davinci-posture"
+    if not folder.is_dir():
+        pytest.skip("no shared/data/davinci-posture beside the repository")
+    rig = Rig.load(folder / f"rig-{axis}.toml")
+    for number in range(1, 6):
+        run = load(folder / f"{axis}-{number}", rig)
+        left = []
+        for elements in ("auto", "one"):
+            model = calibrate([run], rig, Options(elements=elements)).model
+            off = run.angle.c_deg - predict(model, run.motor, run.angle.t_s - model.delay_s).c_deg
+            left.append(float(np.sqrt(np.mean(off[run.angle.seen & (run.angle.t_s >= FROM_S)] ** 2))))
+        assert left[0] < 1.2 * left[1], (number, left)
