@@ -258,6 +258,12 @@ class World:
         q = [[row[axis] for row in rows] for axis in range(self.axes)]
         return {"t_us": self.ticks * self.tick_us, "from_us": first * 1000, "dt_us": 1000, "q": q}
 
+    def _arrived(self) -> None:
+        """Waits for bytes that are on their way to the image: a restart would lose them, and a run wait for them."""
+        until = time.monotonic() + 1.0  # one that hangs takes none in
+        while int(self.machine.ask("state")[8]) & 0xFFFFFFFF != self.machine.sent and time.monotonic() < until:
+            time.sleep(0.001)
+
     def _state(self) -> dict[str, Any]:
         values = [int(word) for word in self.machine.ask("state")[1:]]
         ticks, boot, powered, bootloader, hung, starts, operations = values[:7]
@@ -322,6 +328,7 @@ class World:
             case "plug" if not words:
                 self.plugged = True
             case "reset" | "hang" if not words:
+                self._arrived()
                 self.machine.ask(verb)
             case "quit" if not words:
                 self.quit = True
