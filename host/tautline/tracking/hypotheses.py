@@ -55,6 +55,8 @@ _DEPARTS = 3.0  # standard deviations that each of three frames is off where a c
 _WORTH = 0.5  # times the level known so far, in quadrature: what a new law must take away
 _STAYS = 0.02
 _TOLD_APART = 0.6  # of what a law changes in B: so much must have been passed before another law replaces it
+_EASY, _HARD = 60, 160  # us, at most, of looking at a case
+DECISION = 350  # and of taking a law into use
 _HOLDS_FOR_NOW = "the model holds for now"
 _ONE_WAY = "the tip was not yet seen to move both ways since the model stopped holding"
 
@@ -97,15 +99,18 @@ class _Case:
     z_calibrated: Array
 
     @classmethod
-    def of(cls, nominal: LawFamily, evidence: WindowKnots, theta: Array, level: float) -> _Case:
+    def of(cls, nominal: LawFamily, evidence: WindowKnots, theta: Array, level: float) -> Work[_Case]:
+        yield _EASY + len(evidence.seen) // 10
         law = nominal.law(theta)
         envelope = envelopes(evidence, law)
         strokes, frames = np.unique(evidence.stroke[envelope.at], return_counts=True)
         turns = max(int(np.sum(frames >= 2)) - 1, 0) if len(strokes) else 0
-        z = simulated(nominal, evidence, theta)[0]
+        passed = envelope.both(evidence, law)
+        z = calibrated = (yield from simulated(nominal, evidence, theta, False))[0]
         first = unchanged()
-        calibrated = z if np.array_equal(theta, first) else simulated(nominal, evidence, first)[0]
-        return cls(nominal, evidence, theta, level, envelope, envelope.both(evidence, law), turns, z, calibrated)
+        if not np.array_equal(theta, first):
+            calibrated = (yield from simulated(nominal, evidence, first, False))[0]
+        return cls(nominal, evidence, theta, level, envelope, passed, turns, z, calibrated)
 
     @property
     def before(self) -> float:
@@ -187,19 +192,19 @@ def judge(
     a recording has just begun; an offset of more than that may be told from one way alone."""
     verdict = None
     for evidence in stretches:
-        case = _Case.of(nominal, evidence, theta, level)
-        yield 2 * len(evidence.q)
+        case = yield from _Case.of(nominal, evidence, theta, level)
         if not adapting and np.array_equal(theta, unchanged()) and (first := case.departs):
-            case = _Case.of(nominal, evidence.after(first), theta, level)
-            yield 2 * len(case.evidence.q)
+            case = yield from _Case.of(nominal, evidence.after(first), theta, level)
         verdict = yield from _judged(case, adapting, posture, proposal)
         if verdict.theta is not None:
-            return verdict
+            break
     assert verdict is not None
+    yield DECISION
     return verdict
 
 
 def _judged(case: _Case, adapting: bool, posture: float | None, proposal: Inference | None) -> Work[Inference]:
+    yield _EASY + len(case.z) // 15
     disturbed = _disturbance(case)
     if disturbed:
         return Inference(disturbed, case.evidence, disturbed=True)
@@ -210,6 +215,7 @@ def _judged(case: _Case, adapting: bool, posture: float | None, proposal: Infere
     if not adapting and case.lately(case.z) < _HOLDS * case.level:
         return Inference(_HOLDS_FOR_NOW, case.evidence, early=True)
     fit = yield from _best(case)
+    yield _HARD
     if case.turns and not np.array_equal(case.theta, unchanged()) and _tells_apart(case, lately=True):
         lately = case.lately(case.z_calibrated)
         good = max(_EXPLAINED, _AGAIN[0] * case.lately(fit.z))
@@ -217,7 +223,8 @@ def _judged(case: _Case, adapting: bool, posture: float | None, proposal: Infere
             return _again(case, lately)
     if not adapting and not case.worth(fit.z, _NOW, fit):
         return Inference(_HOLDS_FOR_NOW, case.evidence, early=True)
-    foretold = proposal is not None and _foretold(case, proposal)
+    foretold = proposal is not None and (yield from _foretold(case, proposal))
+    yield _HARD + len(case.z) // 8
     least = max(_TURNS, _RICHER_TURNS * _richness(fit))
     enough = case.turns >= least and case.explained(fit)
     enough |= case.turns >= _FORETOLD_TURNS and foretold and case.explained(fit, _OF_BEFORE[1])
@@ -231,7 +238,8 @@ def _judged(case: _Case, adapting: bool, posture: float | None, proposal: Infere
         if SCALE in fit.free and sure and 1.0 - share > max(_NARROWER * learnt.scale_sigma, 0.01):
             only = case.theta.copy()
             only[SCALE] *= share
-            if not case.clear(fit) and not case.worth(simulated(case.nominal, case.evidence, only)[0], 1, fit):
+            left = (yield from simulated(case.nominal, case.evidence, only, False))[0]
+            if not case.clear(fit) and not case.worth(left, 1, fit):
                 return Inference(_HOLDS_FOR_NOW, case.evidence, proposed=fit.theta)
             return Inference(
                 f"transmission.backlash: {100 * share:.0f} % of the width as it was: no more is taken up",
@@ -260,6 +268,7 @@ def _best(case: _Case) -> Work[LawFit]:
         refined = yield from fitted(nominal, evidence, case.theta, _freed(case.theta), case.beside(prior))
         if max(refined.level, case.lately(refined.z)) <= _GOOD * case.level:
             return refined
+    yield 2 * _HARD
     base = unchanged() if _tells_apart(case) else nominal.lawful(_shape_of(case.theta))
     start = base if np.any(base[SHAPE]) else guess(nominal, evidence, base, case.envelopes, True)
     before = yield from fitted(nominal, evidence, start, BOTH[0], prior)
@@ -340,6 +349,7 @@ def _posture(case: _Case, least: float) -> Work[Inference]:
     y = case.places(case.theta, at)
     if len(at) < _SHORT or np.ptp(y) < _ALONG * float(np.interp(y[0], nominal.model.q, nominal.model.width)):
         return Inference(_ONE_WAY, case.evidence, early=True)
+    yield 2 * _HARD
     start = guess(nominal, case.evidence, case.theta, case.envelopes, False)
     fit = yield from fitted(nominal, case.evidence, start, ONLY_OFFSET[0], case.prior())
     other = yield from fitted(nominal, case.evidence, at_tip(nominal, start), ONLY_OFFSET[1], case.prior())
@@ -349,14 +359,14 @@ def _posture(case: _Case, least: float) -> Work[Inference]:
     return Inference(_ONE_WAY, case.evidence, early=True)
 
 
-def _foretold(case: _Case, proposal: Inference) -> bool:
+def _foretold(case: _Case, proposal: Inference) -> Work[bool]:
     """Whether what was proposed before foretells the strokes that came since."""
     evidence = case.evidence
     new = evidence.t_s > proposal.evidence.t_s[-1]
     if len(np.unique(evidence.stroke[new])) < 2 or proposal.proposed is None:
         return False
-    off = trimmed(simulated(case.nominal, evidence, proposal.proposed)[0][new])
-    before = trimmed(simulated(case.nominal, evidence, case.theta)[0][new])
+    z = (yield from simulated(case.nominal, evidence, proposal.proposed, False))[0]
+    off, before = trimmed(z[new]), trimmed(case.z[new])
     return off <= max(_EXPLAINED * case.level, _OF_BEFORE[1] * before)
 
 
@@ -415,8 +425,7 @@ def _learnt(case: _Case, fit: LawFit) -> Inference:
 
 def _scale_sigma(case: _Case, fit: LawFit, passed: tuple[float, float]) -> float:
     """Of B over the calibrated one, in the mean of the places that were passed."""
-    places = np.linspace(*passed, 9)
-    return fit.spread_of(np.mean([case.nominal.ratio_slopes(fit.theta, p) for p in places.tolist()], axis=0))
+    return fit.spread_of(case.nominal.ratio_slopes(fit.theta, np.linspace(*passed, 9)))
 
 
 def _name(case: _Case, theta: Array) -> str:
@@ -461,8 +470,7 @@ def _unexplained(case: _Case) -> str:
     width = float(np.interp(y[-1], case.nominal.model.q, case.nominal.model.width))
     if moved > 2.0 * width and float(np.ptp(y[late])) < 0.1 * moved:
         return "configuration.contact or a hand: the tip does not follow the motor"
-    z = simulated(case.nominal, evidence, case.theta)[0]
-    far = np.abs(z) > _EXPLAINED * 3.0 * case.level
+    far = np.abs(case.z) > _EXPLAINED * 3.0 * case.level
     if far.any() and not far.all():
         inner, outer = y[~far], y[far]
         if outer.min() > np.quantile(inner, 0.8) or outer.max() < np.quantile(inner, 0.2):

@@ -41,7 +41,8 @@ class Law:
     native: Any
     width: Array
     c_deg: Array
-    most: float = 1.0  # share of B that the widest of its elements has
+    elements: int = 1
+    most: float = 1.0  # share of B that the widest of them has
 
     def angle(self, p: npt.ArrayLike) -> Array:
         return np.asarray(interpolate(p, self.grid, self.c_deg))
@@ -160,7 +161,7 @@ class LawFamily:
         shares = self.shares(theta)
         shares = shares / (weight @ shares)  # B stays the distance between full strokes
         native = _native.TrackModel(model.q, width, shares, weight, basis, spread)
-        return Law(model.q, native, width, c_deg, float(shares.max()))
+        return Law(model.q, native, width, c_deg, len(shares), float(shares.max()))
 
     def gradual_start(self, theta: Array) -> Array:
         """theta with a little spread: derivatives by it exist only where there are several elements."""
@@ -174,9 +175,9 @@ class LawFamily:
         width = self.model.width
         return np.asarray(np.divide(law.width, width, out=np.ones(len(width)), where=width > 0.0))
 
-    def ratio_slopes(self, theta: Array, p: float) -> Array:
-        """(PARAMETERS,) how B over the calibrated one changes with theta at p."""
-        at = np.array([np.interp(p, self.model.q, wave) for wave in self.waves])
+    def ratio_slopes(self, theta: Array, p: Array) -> Array:
+        """(PARAMETERS,) how B over the calibrated one changes with theta, in the mean of places."""
+        at = np.array([np.interp(p, self.model.q, wave).mean() for wave in self.waves])
         slopes = np.zeros(PARAMETERS)
         slopes[SCALE] = 1.0 + theta[SHAPE] @ at
         slopes[SHAPE] = theta[SCALE] * at

@@ -45,7 +45,7 @@ _FORETELLS = 2  # strokes that a proposal is tried on before another replaces it
 _STALE_STROKES = 5  # that a change is looked for in by themselves
 _POSTURE = 1.5  # of the mean B: an offset that one stroke alone may tell at the beginning, more than a width can be
 _ELSEWHERE, _STRANGE_FRAMES = 2.0, 5  # of B, that so many first frames are off: another posture
-_FRAME_WORK, _SIMULATION = 600, 200  # knots simulated in one frame, as many as take as long as what is beside them
+_FRAME_WORK = 400  # us, about, of work in one frame; no piece of it costs more
 _NEWS = 10  # frames between two judgements
 _SETTLED_TURNS = 5  # reversals since the change after which the law is settled
 _MOST_LEVEL = 5.0
@@ -133,6 +133,7 @@ class LawTracker:
         self._news = 0
         self._fresh_until = -1  # stroke up to which a recording may turn out to be another posture
         self._work: Work[Inference] | None = None
+        self._due = 0  # what its next piece costs, us
         self._proposal: Inference | None = None
         self._stuck, self._stuck_in = 0, -1  # strokes without a law that explains them, and the last of them
         self._strange = 0  # frames at a recording's begin in which the tip was far off
@@ -377,7 +378,7 @@ class LawTracker:
         self.state, self.reason = state, why
 
     def _think(self) -> None:
-        """As much work as a frame has time for, and at least one simulation."""
+        """As much work as a frame has time for. What that is, is counted, not timed: a replay repeats bit for bit."""
         if self._work is None:
             if self.state is State.TRUSTED or self._news < _NEWS:
                 return
@@ -392,10 +393,12 @@ class LawTracker:
             least = _POSTURE * self._width if fresh else None
             adapting = self.state is State.ADAPTING
             self._work = judge(self.nominal, evidence, self._theta, adapting, least, self._level, self._proposal)
+            self._due = 0
         try:
             spent = 0
-            while spent < _FRAME_WORK:
-                spent += next(self._work) + _SIMULATION
+            while spent == 0 or spent + self._due <= _FRAME_WORK:
+                spent += self._due
+                self._due = next(self._work)
         except StopIteration as end:
             self._work = None
             self._decide(end.value)
