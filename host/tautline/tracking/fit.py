@@ -19,7 +19,7 @@ Found = TypeVar("Found")
 Work = Generator[int, None, Found]  # before each piece it yields what that piece costs at most: about so many us
 
 _TURNS = 8
-_NEIGHBOURS = 0.25  # of B: how far its share at one place is from that at the next
+_NEIGHBOURS = 0.21  # of B: how far its share at one place is from that at the next
 _OUTLYING = 4.0  # standard deviations from which a frame counts as an outlier
 _DONE = 1e-3  # of a standard deviation: steps below it
 _FOLLOWS = 0.5  # of the motor's way: a tip that moves so far with it lies on an envelope

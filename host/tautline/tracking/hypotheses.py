@@ -133,11 +133,12 @@ class _Case:
         return fit.level <= _OF_BEFORE[0] * self.before
 
     def worth(self, z: Array, now: int, fit: LawFit) -> bool:
-        """Whether a law that leaves these residuals takes enough away, in all and, where the best `fit` is not
-        clear, in each of the last `now` strokes: what was amiss once, as where a recording begins, need not be now."""
+        """Whether a law that leaves these residuals takes enough away, in all or lately and, where the best `fit` is
+        not clear, in each of the last `now` strokes: what was amiss once, as where a recording begins, need not be now."""
         strokes, frames = np.unique(self.evidence.stroke, return_counts=True)
         parts = [] if self.clear(fit) else [self.evidence.stroke == k for k in strokes[frames >= _STROKE][-now:]]
-        gains = [trimmed(self.z[part]) ** 2 - trimmed(z[part]) ** 2 for part in (slice(None), *parts)]
+        gains = [trimmed(self.z[part]) ** 2 - trimmed(z[part]) ** 2 for part in parts]
+        gains.append(max(trimmed(self.z) ** 2 - trimmed(z) ** 2, self.lately(self.z) ** 2 - self.lately(z) ** 2))
         return min(gains) >= (_WORTH * self.level) ** 2
 
     def prior(self) -> Prior:
@@ -147,11 +148,13 @@ class _Case:
         return Prior.of(mean, span, span * abs(self.nominal.tip_slope))
 
     def beside(self, prior: Prior) -> Prior:
-        """Of a shape: what was not seen since stays as the law in use has it."""
-        mean, sigma = prior.mean.copy(), prior.sigma.copy()
-        mean[SCALE], sigma[SCALE] = self.theta[SCALE], _STAYS
+        """Of a shape: what was not seen since stays as the law in use has it, and goes on with its neighbours where
+        that is the calibrated shape."""
+        if not np.any(self.theta[SHAPE]):
+            return prior
+        sigma = prior.sigma.copy()
         sigma[SHAPE] = np.where(self.known, sigma[SHAPE], _STAYS)
-        return replace(prior, mean=mean, sigma=sigma)
+        return replace(prior, sigma=sigma)
 
     @property
     def departs(self) -> int:
@@ -235,7 +238,7 @@ def _judged(case: _Case, adapting: bool, posture: float | None, proposal: Infere
         learnt = _learnt(case, fit)
         share = _share(case, fit.theta, learnt.passed) / _share(case, case.theta, learnt.passed)
         sure = SHAPE.start not in fit.free or case.explained(fit)
-        if SCALE in fit.free and sure and 1.0 - share > max(_NARROWER * learnt.scale_sigma, 0.01):
+        if (SCALE in fit.free or SHAPE.start in fit.free) and sure and 1.0 - share > max(_NARROWER * learnt.scale_sigma, 0.01):
             only = case.theta.copy()
             only[SCALE] *= share
             left = (yield from simulated(case.nominal, case.evidence, only, False))[0]
@@ -312,7 +315,7 @@ def _best(case: _Case) -> Work[LawFit]:
 def _freed(theta: Array) -> tuple[int, ...]:
     """The parameters of a law in use whose shape is refined."""
     others = [i for i in (OFFSET, *GRADUAL, *REMAINING) if theta[i]]
-    return tuple(sorted({SCALE, *SHAPED, *others}))
+    return tuple(sorted({*SHAPED, *others}))
 
 
 def _share(case: _Case, theta: Array, passed: tuple[float, float]) -> float:
@@ -328,13 +331,12 @@ def _richness(fit: LawFit) -> int:
 
 
 def _richer(case: _Case, fit: LawFit, more: tuple[int, ...], prior: Prior) -> Work[LawFit]:
-    begin = fit.theta
+    begin, free = fit.theta, {*fit.free, *more}
     if SPREAD in more:
         begin = case.nominal.gradual_start(begin)
-    free = tuple(sorted({*fit.free, *more}))
-    if SHAPE.start in free:
-        prior = case.beside(prior)
-    return (yield from fitted(case.nominal, case.evidence, begin, free, prior))
+    if SHAPE.start in free:  # it holds what a scale would, and what it leaves at places that were not seen is known
+        begin, free, prior = case.nominal.rescaled(begin, case.theta[SCALE]), free - {SCALE}, case.beside(prior)
+    return (yield from fitted(case.nominal, case.evidence, begin, tuple(sorted(free)), prior))
 
 
 def _gain(fit: LawFit, richer: LawFit) -> float:

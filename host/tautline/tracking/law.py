@@ -15,7 +15,7 @@ from tautline.model import Model, allowed_width, interpolate, monotone
 
 Array = npt.NDArray[np.float64]
 
-PLACES = 9  # of the measured range, at which B may have changed by itself
+PLACES = 12  # of the measured range, at which B may have changed by itself
 OFFSET, SCALE, SHAPE, SPREAD, SKEW = 0, 1, slice(2, 2 + PLACES), 2 + PLACES, 3 + PLACES
 TIP = slice(4 + PLACES, 7 + PLACES)  # deg: constant, slope and bend of the static law's change
 PARAMETERS = 7 + PLACES
@@ -169,6 +169,13 @@ class LawFamily:
         if self.model.elements.single and theta[SPREAD] < 0.1:
             theta[SPREAD] = 0.2
         return theta
+
+    def rescaled(self, theta: Array, scale: float) -> Array:
+        """theta with another scale and the same B."""
+        theta = theta.copy()
+        theta[SHAPE] = (1.0 + theta[SHAPE]) * theta[SCALE] / scale - 1.0
+        theta[SCALE] = scale
+        return self.lawful(theta)
 
     def shares_of_width(self, law: Law) -> Array:
         """(nodes,) of B by a law over the calibrated one, 1 where there is none."""
