@@ -20,11 +20,13 @@ Work = Generator[int, None, Found]  # before each piece it yields what that piec
 
 _TURNS = 8
 _NEIGHBOURS = 0.21  # of B: how far its share at one place is from that at the next
+_FADES, _FADED = 0.7, 0.06  # of what it has become at one place, beside it where it was not seen; and how surely
 _OUTLYING = 4.0  # standard deviations from which a frame counts as an outlier
 _DONE = 1e-3  # of a standard deviation: steps below it
 _FOLLOWS = 0.5  # of the motor's way: a tip that moves so far with it lies on an envelope
 _SURE = 2.5  # standard deviations that a motion between two frames must have
 _WITHOUT = 0.03  # of the frames: left out of a rms, as outliers
+_REACH, _UNSURE = 1.8, 0.3  # of B, that carries every element; until then none knows where they stand: it tells less
 _PIECE = 400  # knots simulated at once
 
 
@@ -95,21 +97,26 @@ def trimmed(z: Array) -> float:
 
 @dataclass(frozen=True)
 class Prior:
-    """Independent normal deviations from `mean`; the shape is smooth besides."""
+    """Independent normal deviations from `mean`; the shape's are smooth besides, and fade where it was not seen."""
 
     mean: Array
     sigma: Array
+    known: npt.NDArray[np.bool_]  # (PLACES,) of the shape
 
     @classmethod
-    def of(cls, mean: Array, span: float, span_deg: float) -> Prior:
+    def of(cls, mean: Array, span: float, span_deg: float, known: npt.NDArray[np.bool_]) -> Prior:
         sigma = np.full(PARAMETERS, 0.5)
         sigma[OFFSET], sigma[SCALE] = span, 2.0
         sigma[TIP] = span_deg, 0.1 * span_deg, 0.1 * span_deg
-        return cls(mean, sigma)
+        return cls(mean, sigma, known)
 
     def information(self, free: Sequence[int]) -> Array:
         whole = np.diag(1.0 / self.sigma**2)
         bend = np.diff(np.eye(PLACES), axis=0) / _NEIGHBOURS
+        for i in np.flatnonzero(~(self.known[1:] & self.known[:-1])):
+            near, far = (i, i + 1) if self.known[: i + 1].any() else (i + 1, i)
+            bend[i] = 0.0
+            bend[i, [near, far]] = -_FADES / _FADED, 1.0 / _FADED
         whole[SHAPE, SHAPE] += bend.T @ bend
         part: Array = whole[np.ix_(free, free)]
         return part
@@ -125,6 +132,9 @@ def simulated(
     y = law.place(evidence.c_deg)
     by_y = law.slope(y)
     scale = 1.0 / nominal.sigma(y, evidence.sigma / by_y)
+    reach = _REACH * float(np.interp(y[0], nominal.model.q, nominal.model.width))
+    carried = np.abs(evidence.q - evidence.q[0]) > reach
+    scale[: np.searchsorted(seen, carried.argmax() if carried.any() else len(carried))] *= _UNSURE
     state = _native.TrackState(float(y[0]))
     q = evidence.q + theta[OFFSET]
     parts = []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -53,7 +53,6 @@ _WANDERS = 4.0  # standard deviations of the tip's motion while the motor rests
 
 _DEPARTS = 3.0  # standard deviations that each of three frames is off where a change shows
 _WORTH = 0.5  # times the level known so far, in quadrature: what a new law must take away
-_STAYS = 0.02
 _TOLD_APART = 0.6  # of what a law changes in B: so much must have been passed before another law replaces it
 _EASY, _HARD = 60, 160  # us, at most, of looking at a case
 DECISION = 350  # and of taking a law into use
@@ -135,26 +134,21 @@ class _Case:
     def worth(self, z: Array, now: int, fit: LawFit) -> bool:
         """Whether a law that leaves these residuals takes enough away, in all or lately and, where the best `fit` is
         not clear, in each of the last `now` strokes: what was amiss once, as where a recording begins, need not be now."""
+        gain = max(trimmed(self.z) ** 2 - trimmed(z) ** 2, self.lately(self.z) ** 2 - self.lately(z) ** 2)
+        enough = (_WORTH * self.level) ** 2
+        return gain >= enough and (self.clear(fit) or self.on_each(z, now, enough))
+
+    def on_each(self, z: Array, count: int, least: float = 0.0) -> bool:
+        """Whether a law that leaves these residuals leaves less, in squares, on each of the last strokes."""
         strokes, frames = np.unique(self.evidence.stroke, return_counts=True)
-        parts = [] if self.clear(fit) else [self.evidence.stroke == k for k in strokes[frames >= _STROKE][-now:]]
-        gains = [trimmed(self.z[part]) ** 2 - trimmed(z[part]) ** 2 for part in parts]
-        gains.append(max(trimmed(self.z) ** 2 - trimmed(z) ** 2, self.lately(self.z) ** 2 - self.lately(z) ** 2))
-        return min(gains) >= (_WORTH * self.level) ** 2
+        parts = [self.evidence.stroke == k for k in strokes[frames >= _STROKE][-count:]]
+        return all(trimmed(self.z[part]) ** 2 - trimmed(z[part]) ** 2 >= least for part in parts)
 
     def prior(self) -> Prior:
         mean = unchanged()
         mean[OFFSET], mean[SHAPE] = self.theta[OFFSET], self.theta[SHAPE]  # places not seen again stay as they are
         span = self.nominal.model.rig.actuator.span
-        return Prior.of(mean, span, span * abs(self.nominal.tip_slope))
-
-    def beside(self, prior: Prior) -> Prior:
-        """Of a shape: what was not seen since stays as the law in use has it, and goes on with its neighbours where
-        that is the calibrated shape."""
-        if not np.any(self.theta[SHAPE]):
-            return prior
-        sigma = prior.sigma.copy()
-        sigma[SHAPE] = np.where(self.known, sigma[SHAPE], _STAYS)
-        return replace(prior, sigma=sigma)
+        return Prior.of(mean, span, span * abs(self.nominal.tip_slope), self.known)
 
     @property
     def departs(self) -> int:
@@ -167,14 +161,13 @@ class _Case:
 
     @property
     def known(self) -> npt.NDArray[np.bool_]:
-        """(PLACES,) at which, or half way to which, the tip was on an envelope. Both ways somewhere is enough: there
+        """(PLACES,) at which the tip was on an envelope. Both ways somewhere is enough: there
         the offset is told from the width, and with it the width wherever either envelope was seen."""
         places = self.nominal.places
         if self.passed is None:
             return np.zeros(len(places), dtype=bool)
-        half = 0.5 * (places[1] - places[0])
         y = self.places(self.theta, self.envelopes.at)
-        passed: npt.NDArray[np.bool_] = (places > y.min() - half) & (places < y.max() + half)
+        passed: npt.NDArray[np.bool_] = (places > y.min()) & (places < y.max())
         return passed
 
     def places(self, theta: Array, at: npt.NDArray[np.intp] | slice = slice(None)) -> Array:
@@ -222,7 +215,8 @@ def _judged(case: _Case, adapting: bool, posture: float | None, proposal: Infere
     if case.turns and not np.array_equal(case.theta, unchanged()) and _tells_apart(case, lately=True):
         lately = case.lately(case.z_calibrated)
         good = max(_EXPLAINED, _AGAIN[0] * case.lately(fit.z))
-        if lately <= good and case.lately(case.z) > _AGAIN[1] * lately:
+        better = case.lately(case.z) > _AGAIN[1] * lately and case.on_each(case.z_calibrated, _LATELY)
+        if lately <= good and better:
             return _again(case, lately)
     if not adapting and not case.worth(fit.z, _NOW, fit):
         return Inference(_HOLDS_FOR_NOW, case.evidence, early=True)
@@ -238,7 +232,11 @@ def _judged(case: _Case, adapting: bool, posture: float | None, proposal: Infere
         learnt = _learnt(case, fit)
         share = _share(case, fit.theta, learnt.passed) / _share(case, case.theta, learnt.passed)
         sure = SHAPE.start not in fit.free or case.explained(fit)
-        if (SCALE in fit.free or SHAPE.start in fit.free) and sure and 1.0 - share > max(_NARROWER * learnt.scale_sigma, 0.01):
+        if (
+            (SCALE in fit.free or SHAPE.start in fit.free)
+            and sure
+            and 1.0 - share > max(_NARROWER * learnt.scale_sigma, 0.01)
+        ):
             only = case.theta.copy()
             only[SCALE] *= share
             left = (yield from simulated(case.nominal, case.evidence, only, False))[0]
@@ -268,7 +266,7 @@ def _best(case: _Case) -> Work[LawFit]:
     prior = case.prior()
     nominal, evidence = case.nominal, case.evidence
     if np.any(case.theta[SHAPE]):  # a shape that was not seen everywhere: most likely it only goes on
-        refined = yield from fitted(nominal, evidence, case.theta, _freed(case.theta), case.beside(prior))
+        refined = yield from fitted(nominal, evidence, case.theta, _freed(case.theta), prior)
         if max(refined.level, case.lately(refined.z)) <= _GOOD * case.level:
             return refined
     yield 2 * _HARD
@@ -334,8 +332,8 @@ def _richer(case: _Case, fit: LawFit, more: tuple[int, ...], prior: Prior) -> Wo
     begin, free = fit.theta, {*fit.free, *more}
     if SPREAD in more:
         begin = case.nominal.gradual_start(begin)
-    if SHAPE.start in free:  # it holds what a scale would, and what it leaves at places that were not seen is known
-        begin, free, prior = case.nominal.rescaled(begin, case.theta[SCALE]), free - {SCALE}, case.beside(prior)
+    if SHAPE.start in free:  # it holds what a scale would
+        begin, free = case.nominal.rescaled(begin, case.theta[SCALE]), free - {SCALE}
     return (yield from fitted(case.nominal, case.evidence, begin, tuple(sorted(free)), prior))
 
 
@@ -459,7 +457,7 @@ def _disturbance(case: _Case) -> str:
     rests = np.abs(np.diff(q)) <= 2.0 * count
     if rests.sum() >= 5:
         wander = np.diff(evidence.c_deg)[rests] / np.hypot(evidence.sigma[1:], evidence.sigma[:-1])[rests]
-        if trimmed(wander) > _WANDERS * case.level:
+        if trimmed(np.sort(np.abs(wander))[:-1]) > _WANDERS * case.level:  # a change that comes at once is one of them
             return "the tip moves while the motor rests: breathing or a hand on the shaft"
     return ""
 

@@ -123,6 +123,7 @@ class LawTracker:
         self._rested = (np.nan, np.nan, np.nan)  # the frame before: motor, tip, its sigma
         self._stroke_sum, self._stroke_count = 0.0, 0
         self._after_sum, self._after_count, self._turned_at = 0.0, 0, np.inf  # shortly after the last turn
+        self._after_ended = self._after_amiss = False  # whether that was judged, and is amiss
         self._amiss: deque[bool] = deque(maxlen=3)
         self._afters: deque[tuple[float, int]] = deque()  # of three strokes, shortly after their turns: squares, frames
         self._usual = 1.0  # mean square there
@@ -267,14 +268,26 @@ class LawTracker:
     def _end_stroke(self) -> None:
         if self._stroke_count >= _STROKE_FRAMES:
             mean = self._stroke_sum / self._stroke_count
-            after = self._after_sum / max(self._after_count, _AFTER_FRAMES)
-            self._amiss.append(mean > _STROKE_AMISS or after > _AFTER_AMISS)
-            if self.state is State.TRUSTED and (sum(self._amiss) >= 2 or self._turns_amiss()):
+            self._end_after()
+            self._amiss.append(mean > _STROKE_AMISS or self._after_amiss)
+            if self.state is State.TRUSTED and sum(self._amiss) >= 2:
                 self._doubt(self._begin_of(self._stroke - 2))
             elif self.state is State.STALE and mean < _STROKE_WELL and not any(self._amiss):
                 self._settle("the model holds again as it was")
         self._stroke_sum, self._stroke_count = 0.0, 0
         self._after_sum, self._after_count = 0.0, 0
+        self._after_ended = self._after_amiss = False
+
+    def _end_after(self) -> None:
+        """The frames shortly after a turn are judged as soon as there are no more of them: a gradual onset is not
+        waited for until the stroke's end."""
+        if self._after_ended:
+            return
+        self._after_ended = True
+        self._after_amiss = self._after_sum > _AFTER_AMISS * max(self._after_count, _AFTER_FRAMES)
+        again = self._after_amiss and any(list(self._amiss)[-2:])
+        if self.state is State.TRUSTED and (self._turns_amiss() or again):
+            self._doubt(self._begin_of(self._stroke - 2))
 
     def _turns_amiss(self) -> bool:
         """Whether the last three strokes leave more after their turns than those before did: a gradual onset."""
@@ -320,6 +333,8 @@ class LawTracker:
         if abs(self._window.last_q - self._turned_at) < _AFTER_TURN * self._width:
             self._after_sum += min((off / (sigma * self._level)) ** 2, _AFTER_CLIP)
             self._after_count += 1
+        elif self._after_count >= _AFTER_FRAMES:
+            self._end_after()
         if self._running < _WELL:
             self._well = self._window.end
         if self.state is State.TRUSTED and self._running > _AMISS:
