@@ -90,6 +90,7 @@ class _Case:
     nominal: LawFamily
     evidence: WindowKnots
     theta: Array
+    origin: Array  # the law before anything was learnt of this evidence
     level: float
     envelopes: Envelopes
     passed: tuple[float, float] | None
@@ -98,7 +99,7 @@ class _Case:
     z_calibrated: Array
 
     @classmethod
-    def of(cls, nominal: LawFamily, evidence: WindowKnots, theta: Array, level: float) -> Work[_Case]:
+    def of(cls, nominal: LawFamily, evidence: WindowKnots, theta: Array, origin: Array, level: float) -> Work[_Case]:
         yield _EASY + len(evidence.seen) // 10
         law = nominal.law(theta)
         envelope = envelopes(evidence, law)
@@ -109,7 +110,7 @@ class _Case:
         first = unchanged()
         if not np.array_equal(theta, first):
             calibrated = (yield from simulated(nominal, evidence, first, False))[0]
-        return cls(nominal, evidence, theta, level, envelope, passed, turns, z, calibrated)
+        return cls(nominal, evidence, theta, origin, level, envelope, passed, turns, z, calibrated)
 
     @property
     def before(self) -> float:
@@ -133,7 +134,7 @@ class _Case:
 
     def worth(self, z: Array, now: int, fit: LawFit) -> bool:
         """Whether a law that leaves these residuals takes enough away, in all or lately and, where the best `fit` is
-        not clear, in each of the last `now` strokes: what was amiss once, as where a recording begins, need not be now."""
+        not clear, on each of the last `now` strokes: what was amiss once, as where a recording begins, need not be."""
         gain = max(trimmed(self.z) ** 2 - trimmed(z) ** 2, self.lately(self.z) ** 2 - self.lately(z) ** 2)
         enough = (_WORTH * self.level) ** 2
         return gain >= enough and (self.clear(fit) or self.on_each(z, now, enough))
@@ -146,7 +147,7 @@ class _Case:
 
     def prior(self) -> Prior:
         mean = unchanged()
-        mean[OFFSET], mean[SHAPE] = self.theta[OFFSET], self.theta[SHAPE]  # places not seen again stay as they are
+        mean[OFFSET], mean[SHAPE] = self.origin[OFFSET], self.origin[SHAPE]  # places not seen again stay as they are
         span = self.nominal.model.rig.actuator.span
         return Prior.of(mean, span, span * abs(self.nominal.tip_slope), self.known)
 
@@ -177,20 +178,21 @@ class _Case:
 
 def judge(
     nominal: LawFamily,
-    stretches: Sequence[WindowKnots],
+    stretches: Sequence[tuple[WindowKnots, Array]],
     theta: Array,
     adapting: bool,
     posture: float | None,
     level: float,
     proposal: Inference | None,
 ) -> Work[Inference]:
-    """The first stretch that a law explains, else what stands in the way. `posture`:
+    """The first stretch that a law explains, else what stands in the way. With each stretch comes the law before
+    anything was learnt of it: it is not to be counted twice. `posture`:
     a recording has just begun; an offset of more than that may be told from one way alone."""
     verdict = None
-    for evidence in stretches:
-        case = yield from _Case.of(nominal, evidence, theta, level)
+    for evidence, origin in stretches:
+        case = yield from _Case.of(nominal, evidence, theta, origin, level)
         if not adapting and np.array_equal(theta, unchanged()) and (first := case.departs):
-            case = yield from _Case.of(nominal, evidence.after(first), theta, level)
+            case = yield from _Case.of(nominal, evidence.after(first), theta, origin, level)
         verdict = yield from _judged(case, adapting, posture, proposal)
         if verdict.theta is not None:
             break
@@ -266,7 +268,8 @@ def _best(case: _Case) -> Work[LawFit]:
     prior = case.prior()
     nominal, evidence = case.nominal, case.evidence
     if np.any(case.theta[SHAPE]):  # a shape that was not seen everywhere: most likely it only goes on
-        refined = yield from fitted(nominal, evidence, case.theta, _freed(case.theta), prior)
+        start = nominal.rescaled(case.theta, case.origin[SCALE])
+        refined = yield from fitted(nominal, evidence, start, _freed(case.theta), prior)
         if max(refined.level, case.lately(refined.z)) <= _GOOD * case.level:
             return refined
     yield 2 * _HARD
@@ -333,7 +336,7 @@ def _richer(case: _Case, fit: LawFit, more: tuple[int, ...], prior: Prior) -> Wo
     if SPREAD in more:
         begin = case.nominal.gradual_start(begin)
     if SHAPE.start in free:  # it holds what a scale would
-        begin, free = case.nominal.rescaled(begin, case.theta[SCALE]), free - {SCALE}
+        begin, free = case.nominal.rescaled(begin, case.origin[SCALE]), free - {SCALE}
     return (yield from fitted(case.nominal, case.evidence, begin, tuple(sorted(free)), prior))
 
 

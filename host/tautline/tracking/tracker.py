@@ -131,6 +131,7 @@ class LawTracker:
         self._recording_entry = 0  # the recording's first
         self._since = 0  # from which on the evidence is judged
         self._anchor: int | None = None  # since when the law in use was learnt
+        self._origin = self._theta  # the law before that
         self._news = 0
         self._fresh_until = -1  # stroke up to which a recording may turn out to be another posture
         self._work: Work[Inference] | None = None
@@ -398,10 +399,11 @@ class LawTracker:
             if self.state is State.TRUSTED or self._news < _NEWS:
                 return
             self._news = 0
-            starts = [self._since] if self._anchor is None else [self._anchor, self._since]
+            starts = {} if self._anchor is None else {self._anchor: self._origin}
+            starts.setdefault(self._since, self._theta)
             if self.state is State.STALE:
-                starts.append(max(self._since, self._begin_of(self._stroke - _STALE_STROKES)))
-            evidence = [e for e in map(self._window.since, dict.fromkeys(starts)) if e is not None]
+                starts.setdefault(max(self._since, self._begin_of(self._stroke - _STALE_STROKES)), self._theta)
+            evidence = [(e, o) for since, o in starts.items() if (e := self._window.since(since)) is not None]
             if not evidence:
                 return
             fresh = self._stroke <= self._fresh_until
@@ -477,13 +479,16 @@ class LawTracker:
     def _adopt(self, verdict: Inference) -> None:
         """The law in use from now on, with the tip where it would be by it."""
         assert verdict.theta is not None
+        anchor = self._window.number_of(verdict.evidence.t_s[0], self._recording_entry)
+        if anchor != self._anchor:
+            self._anchor, self._origin = anchor, self._theta
+        self._since = anchor
         self._use(verdict.theta)
         self._sigma = (
             float(np.hypot(self._own[0], verdict.offset_sigma)),
             float(np.hypot(self._own[1], verdict.scale_sigma)),
         )
-        self._anchor = self._since = self._window.number_of(verdict.evidence.t_s[0], self._recording_entry)
-        now = self._window.since(self._anchor)
+        now = self._window.since(anchor)
         assert now is not None
         self._play = _native.TrackState(float(self._law.place(now.c_deg[0])))
         path = np.concatenate([now.q, self._window.skipped])
