@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -33,6 +33,7 @@ Array = npt.NDArray[np.float64]
 
 _EXPLAINED = 1.5  # times the level known so far: a fit that explains its data
 _OF_BEFORE = 0.3, 0.5  # of what was left before: enough at once, enough where it also foretells
+_REFINES = 0.9  # of what the law in use leaves: worth a step where one is being learnt
 _HOLDS = 1.3  # times the level known so far, over the last strokes: nothing is to be learnt
 _LATELY, _LATELY_OF = 3, 0.6  # strokes, on which a law must leave so much less than others do
 _NOW, _STROKE = 2, 8  # strokes on each of which a law must leave less, frames that one has at least
@@ -77,6 +78,7 @@ class Inference:
     disturbed: bool = False  # by something that is no play
     early: bool = False  # too little was seen to judge
     narrower: bool = False  # and nothing else: from one reversal
+    refines: bool = False  # the law in use, for as long as no other explains what was seen since that was learnt
 
     @property
     def proposal(self) -> Inference | None:
@@ -139,6 +141,10 @@ class _Case:
         enough = (_WORTH * self.level) ** 2
         return gain >= enough and (self.clear(fit) or self.on_each(z, now, enough))
 
+    def better(self, fit: LawFit) -> bool:
+        """Whether it leaves less than the law in use, in all and lately."""
+        return max(fit.level / self.before, self.lately(fit.z) / self.lately(self.z)) < _REFINES
+
     def on_each(self, z: Array, count: int, least: float = 0.0) -> bool:
         """Whether a law that leaves these residuals leaves less, in squares, on each of the last strokes."""
         strokes, frames = np.unique(self.evidence.stroke, return_counts=True)
@@ -195,6 +201,7 @@ def judge(
             case = yield from _Case.of(nominal, evidence.after(first), theta, origin, level)
         verdict = yield from _judged(case, adapting, posture, proposal)
         if verdict.theta is not None:
+            verdict = replace(verdict, refines=verdict.refines or (adapting and evidence is not stretches[0][0]))
             break
     assert verdict is not None
     yield DECISION
@@ -230,6 +237,8 @@ def _judged(case: _Case, adapting: bool, posture: float | None, proposal: Infere
     enough |= adapting and case.explained(fit, _OF_BEFORE[1])
     if enough:
         return _learnt(case, fit)
+    if adapting and not _richness(fit) and case.better(fit):
+        return replace(_learnt(case, fit), refines=True)
     if case.explained(fit, _OF_BEFORE[0]):
         learnt = _learnt(case, fit)
         share = _share(case, fit.theta, learnt.passed) / _share(case, case.theta, learnt.passed)

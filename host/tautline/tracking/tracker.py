@@ -43,11 +43,13 @@ _TOGETHER_AMISS, _TOGETHER_FRAMES = 2.8, 15  # of three strokes together
 _QUIET_S = 15.0  # without a disturbance, before anything is learnt after one
 _FORETELLS = 2  # strokes that a proposal is tried on before another replaces it
 _STALE_STROKES = 5  # that a change is looked for in by themselves
+_FEW_STROKES = 3  # since a law began to be learnt: the last two may refine it by themselves
 _POSTURE = 1.5  # of the mean B: an offset that one stroke alone may tell at the beginning, more than a width can be
 _ELSEWHERE, _STRANGE_FRAMES = 2.0, 5  # of B, that so many first frames are off: another posture
 _FRAME_WORK = 400  # us, about, of work in one frame; no piece of it costs more
 _NEWS = 10  # frames between two judgements
 _SETTLED_TURNS = 5  # reversals since the change after which the law is settled
+_LEAN_PACE, _LEANS = 0.1, 0.5  # of those means; the mean's share of the squares from which it is expected to go on
 _MOST_LEVEL = 5.0
 _UNKNOWN = 1.0  # of B: what a width's sigma is at most taken for
 
@@ -140,6 +142,7 @@ class LawTracker:
         self._stuck, self._stuck_in = 0, -1  # strokes without a law that explains them, and the last of them
         self._strange = 0  # frames at a recording's begin in which the tip was far off
         self._quiet_s = -np.inf
+        self._leans = [0.0, 0.0]  # running mean of what is left where a recording begins, and of its squares; deg
 
     def begin(self) -> None:
         """A new recording: its clock, where the tip is and the posture may be others; what was learnt stays."""
@@ -156,6 +159,7 @@ class LawTracker:
         self._running = 1.0
         self._strange = 0
         self._quiet_s = -np.inf
+        self._leans = [0.0, 0.0]
 
     def _noise(self) -> float:
         """Of a frame, unit of q, in the middle of what was measured."""
@@ -184,7 +188,7 @@ class LawTracker:
         ahead = knots(self._window.last_q, path.between(scene_s), q)
         law = self._law
         p = float(law.native.run(self._play.copy(), ahead + self._theta[OFFSET])[0][-1])
-        c = float(law.angle(p))
+        c = float(law.angle(p)) + self._expected()
         u = v = np.nan
         if self.model.rig.has_camera:
             translation, rotation, _ = path.others_at(scene_s)
@@ -326,6 +330,10 @@ class LawTracker:
             self._dial_down()
         self._news += 1
         off = y - p
+        if self._stroke <= self._fresh_until:
+            away = seen.c_deg - float(law.angle(p))
+            self._leans[0] += _LEAN_PACE * (away - self._leans[0])
+            self._leans[1] += _LEAN_PACE * (away**2 - self._leans[1])
         square = min((off / (sigma * self._level)) ** 2, _CLIP)
         self._running += _PACE * (square - self._running)
         self._off += _PACE * (abs(off) - self._off)
@@ -349,6 +357,14 @@ class LawTracker:
         if abs(self._rested[0] - q) <= 2.0 * self.model.rig.actuator.encoder_resolution:
             wander = (seen.c_deg - c_deg) / float(np.hypot(sigma, self._rested[2]))
             self._wanders += _WANDER_PACE * (min(wander**2, _AFTER_CLIP) - self._wanders)
+
+    def _expected(self) -> float:
+        """What of the tip is off where a recording has just begun, deg: it most likely goes on, whatever its cause,
+        until the other way of the motor tells a posture's offset from a width."""
+        if self.state is State.TRUSTED or self._stroke > self._fresh_until:
+            return 0.0
+        mean, square = self._leans
+        return mean if mean**2 > _LEANS * square else 0.0
 
     def _within(self, y: float) -> float:
         """The nearest place at which a tip that nothing has carried yet can be."""
@@ -403,6 +419,8 @@ class LawTracker:
             starts.setdefault(self._since, self._theta)
             if self.state is State.STALE:
                 starts.setdefault(max(self._since, self._begin_of(self._stroke - _STALE_STROKES)), self._theta)
+            elif self._begin_of(self._stroke - _FEW_STROKES) <= self._since:
+                starts.setdefault(self._begin_of(self._stroke - 1), self._theta)
             evidence = [(e, o) for since, o in starts.items() if (e := self._window.since(since)) is not None]
             if not evidence:
                 return
@@ -480,7 +498,9 @@ class LawTracker:
         """The law in use from now on, with the tip where it would be by it."""
         assert verdict.theta is not None
         anchor = self._window.number_of(verdict.evidence.t_s[0], self._recording_entry)
-        if anchor != self._anchor:
+        if verdict.refines and self._anchor is not None:
+            anchor = self._anchor
+        elif anchor != self._anchor:
             self._anchor, self._origin = anchor, self._theta
         self._since = anchor
         self._use(verdict.theta)
