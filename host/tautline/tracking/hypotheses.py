@@ -32,6 +32,7 @@ from tautline.tracking.window import WindowKnots
 Array = npt.NDArray[np.float64]
 
 _EXPLAINED = 1.5  # times the level known so far: a fit that explains its data
+_FAR = 10.0  # times the level known so far: it explains nothing, however little that is of what was left before
 _OF_BEFORE = 0.3, 0.5  # of what was left before: enough at once, enough where it also foretells
 _REFINES = 0.9  # of what the law in use leaves: worth a step where one is being learnt
 _HOLDS = 1.3  # times the level known so far, over the last strokes: nothing is to be learnt
@@ -126,7 +127,9 @@ class _Case:
         """Whether it leaves no more than is known to be left, or so much less than the laws at hand, lately too."""
         if max(fit.level, self.lately(fit.z)) <= _EXPLAINED * self.level:
             return True
-        if of_before is None or fit.level > of_before * max(self.before, trimmed(self.z_calibrated)):
+        if of_before is None or fit.level > _FAR * self.level:
+            return False
+        if fit.level > of_before * max(self.before, trimmed(self.z_calibrated)):
             return False
         return self.lately(fit.z) <= _LATELY_OF * min(self.lately(self.z), self.lately(self.z_calibrated))
 
@@ -188,27 +191,31 @@ def judge(
     theta: Array,
     adapting: bool,
     posture: float | None,
+    moved: bool,
     level: float,
     proposal: Inference | None,
 ) -> Work[Inference]:
     """The first stretch that a law explains, else what stands in the way. With each stretch comes the law before
     anything was learnt of it: it is not to be counted twice. `posture`:
-    a recording has just begun; an offset of more than that may be told from one way alone."""
+    a recording has just begun; an offset of more than that may be told from one way alone. `moved`: another posture
+    is being learnt; any simple law that leaves less refines it."""
     verdict = None
     for evidence, origin in stretches:
         case = yield from _Case.of(nominal, evidence, theta, origin, level)
         if not adapting and np.array_equal(theta, unchanged()) and (first := case.departs):
             case = yield from _Case.of(nominal, evidence.after(first), theta, origin, level)
-        verdict = yield from _judged(case, adapting, posture, proposal)
+        verdict = yield from _judged(case, adapting, posture, moved, proposal)
         if verdict.theta is not None:
-            verdict = replace(verdict, refines=verdict.refines or (adapting and evidence is not stretches[0][0]))
+            verdict = replace(verdict, refines=verdict.refines or (moved and evidence is not stretches[0][0]))
             break
     assert verdict is not None
     yield DECISION
     return verdict
 
 
-def _judged(case: _Case, adapting: bool, posture: float | None, proposal: Inference | None) -> Work[Inference]:
+def _judged(
+    case: _Case, adapting: bool, posture: float | None, moved: bool, proposal: Inference | None
+) -> Work[Inference]:
     yield _EASY + len(case.z) // 15
     disturbed = _disturbance(case)
     if disturbed:
@@ -237,7 +244,7 @@ def _judged(case: _Case, adapting: bool, posture: float | None, proposal: Infere
     enough |= adapting and case.explained(fit, _OF_BEFORE[1])
     if enough:
         return _learnt(case, fit)
-    if adapting and not _richness(fit) and case.better(fit):
+    if moved and not _richness(fit) and case.better(fit):
         return replace(_learnt(case, fit), refines=True)
     if case.explained(fit, _OF_BEFORE[0]):
         learnt = _learnt(case, fit)
@@ -265,7 +272,7 @@ def _judged(case: _Case, adapting: bool, posture: float | None, proposal: Infere
                 proposed=fit.theta,
                 narrower=True,
             )
-        if posture is not None:
+        if posture is not None and case.clear(fit):
             return _learnt(case, fit)
         return Inference(f"{_name(case, fit.theta)}, if more reversals agree", case.evidence, proposed=fit.theta)
     says = _unexplained(case)

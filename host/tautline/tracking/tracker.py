@@ -43,6 +43,7 @@ _TOGETHER_AMISS, _TOGETHER_FRAMES = 2.8, 15  # of three strokes together
 _QUIET_S = 15.0  # without a disturbance, before anything is learnt after one
 _FORETELLS = 2  # strokes that a proposal is tried on before another replaces it
 _STALE_STROKES = 5  # that a change is looked for in by themselves
+_MOVED = 0.25  # of B, by which the offset is another posture's
 _FEW_STROKES = 3  # since a law began to be learnt: the last two may refine it by themselves
 _POSTURE = 1.5  # of the mean B: an offset that one stroke alone may tell at the beginning, more than a width can be
 _ELSEWHERE, _STRANGE_FRAMES = 2.0, 5  # of B, that so many first frames are off: another posture
@@ -134,6 +135,7 @@ class LawTracker:
         self._since = 0  # from which on the evidence is judged
         self._anchor: int | None = None  # since when the law in use was learnt
         self._origin = self._theta  # the law before that
+        self._offset_before = 0.0  # where the recording began
         self._news = 0
         self._fresh_until = -1  # stroke up to which a recording may turn out to be another posture
         self._work: Work[Inference] | None = None
@@ -160,6 +162,7 @@ class LawTracker:
         self._strange = 0
         self._quiet_s = -np.inf
         self._leans = [0.0, 0.0]
+        self._offset_before = self._offset
 
     def _noise(self) -> float:
         """Of a frame, unit of q, in the middle of what was measured."""
@@ -415,19 +418,22 @@ class LawTracker:
             if self.state is State.TRUSTED or self._news < _NEWS:
                 return
             self._news = 0
+            adapting = self.state is State.ADAPTING
+            away = abs(self._offset - self._offset_before)
+            moved = adapting and self._anchor is not None and away > _MOVED * self._width
             starts = {} if self._anchor is None else {self._anchor: self._origin}
             starts.setdefault(self._since, self._theta)
             if self.state is State.STALE:
                 starts.setdefault(max(self._since, self._begin_of(self._stroke - _STALE_STROKES)), self._theta)
-            elif self._begin_of(self._stroke - _FEW_STROKES) <= self._since:
+            elif moved and self._begin_of(self._stroke - _FEW_STROKES) <= self._since:
                 starts.setdefault(self._begin_of(self._stroke - 1), self._theta)
             evidence = [(e, o) for since, o in starts.items() if (e := self._window.since(since)) is not None]
             if not evidence:
                 return
             fresh = self._stroke <= self._fresh_until
             least = _POSTURE * self._width if fresh else None
-            adapting = self.state is State.ADAPTING
-            self._work = judge(self.nominal, evidence, self._theta, adapting, least, self._level, self._proposal)
+            state = adapting, least, moved, self._level
+            self._work = judge(self.nominal, evidence, self._theta, *state, self._proposal)
             self._due = 0
         try:
             spent = 0
