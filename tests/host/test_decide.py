@@ -95,6 +95,17 @@ def test_what_a_path_follows_on_unseen_blocks_is_no_scatter():
     assert there.name == "effect" and there.named == ("transmission.backlash",)
 
 
+@pytest.mark.parametrize(("left", "says"), [(0.01, "effect"), (0.1, "unknown")])
+def test_a_path_that_leaves_next_to_nothing_is_one_though_frames_foretell_better(left, says):
+    """Of a fast sensor's smooth misfit the frame before leaves less than an effect whose law is not exact."""
+    contact = "configuration.contact"
+    remembered = np.full(BLOCKS, -8.0)
+    scattered = Weighed((STICK,), power(1.0, 10000.0), 0.9 * remembered, remembered, 1, white=0.2)
+    found = evidence({(contact,): left, (LAG,): 0.9}, before=10000.0)
+    verdict = decide(replace(found, hypotheses=(*found.hypotheses, scattered)))
+    assert verdict.name == says and (contact in verdict.named) == (says == "effect")
+
+
 def test_an_effect_that_brings_a_width_with_it_leads():
     """Friction elements that came later widen the play and round its corners: one cause, whatever explains more."""
     onset, width = "transmission.smooth_onset", "transmission.backlash"
