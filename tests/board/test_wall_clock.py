@@ -58,6 +58,7 @@ def test_a_calibration_by_the_wall_clock(tmp_path: Path, wall_clock: ClockOf) ->
     instrument = preset("constant")
     with DesktopBoard(realtime=True) as desktop, open_board(desktop.where) as board, board.reading():
         board.align(32)
+        board.ask("set_position", axis=0, q=0.0)
         link = desktop.link()
         clock = wall_clock(link)
         time.sleep(1.0)
