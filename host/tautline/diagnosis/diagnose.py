@@ -62,7 +62,7 @@ def diagnose(
     floor = gap.noise_floor(segments, base.residuals)
     left = max(gap.rms(frozen[:1]), gap.counted(segments), gap.jitters(base.residuals[1:]))
     floor = fitter.floor = left if left < _NO_NOISE * floor else floor
-    kinds = confounded.explained(applicable(fitter, left_out), segments)
+    kinds = applicable(fitter, left_out)
     hidden = confounded.hidden(kinds, segments)
     kinds = [kind for kind in kinds if kind.id not in hidden]
 
