@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tautline import effects, trajectory
-from tautline.diagnosis import tracker
+from tautline.diagnosis import narration, tracker
 from tautline.diagnosis.diagnose import diagnose
 from tautline.diagnosis.segment import prepare
 from tautline.geometry import project
@@ -105,7 +105,7 @@ def test_other_axes_move_the_path_and_nothing_is_said() -> None:
 def test_a_tracker_that_errs_by_the_place_is_no_effect() -> None:
     made = recordings()
     document = diagnose(model(), made[0], made[1:]).document
-    assert document["verdict"] == "none"
+    assert document["verdict"] == "none" and "left out" not in narration.text(document, "there")
     assert document["noise_floor"] == pytest.approx(NOISE, rel=0.1)
     others = [replace(recording, video=None) for recording in made]  # another's positions may err by no tracker
     assert diagnose(model(), others[0], others[1:]).document["verdict"] != "none"
@@ -115,3 +115,4 @@ def test_beside_such_a_tracker_an_effect_has_its_name() -> None:
     made = recordings(glare_px=3.0, effect={"lag": 0.05})
     document = diagnose(model(), made[0], made[1:]).document
     assert [effect["id"] for effect in document["effects"]] == ["transmission.lag"]
+    assert 0.05 < document["tracker"]["left_out"] < 0.3 and "left out" in narration.text(document, "there")

@@ -116,6 +116,7 @@ def diagnose(
             "closable_shrink": float(np.clip(1.0 - (after_rms**2 - floor**2) / excess, 0.0, 1.0)) if named else 0.0,
         },
         "gap_recalibrated": {"before": recalibrated},
+        "tracker": tracked.to_json() if tracked else None,  # of videos: the noise of a moving marker
         "flexible": rest.to_json() if rest else None,  # what a Gaussian process closes of the gap after
         "effects": [
             {

@@ -37,6 +37,9 @@ class TrackerError:
     noise: float  # px rms per coordinate of a moving marker
     left_out: float  # share of the frames, where the calibration does not hold
 
+    def to_json(self) -> dict[str, float]:
+        return {"noise": self.noise, "left_out": self.left_out}
+
 
 def without(model: Model, segments: Sequence[Segment], load_reference: float) -> TrackerError | None:
     """Recordings of videos, the calibration first. None where other axes move the path, or too little is seen of it."""
