@@ -79,10 +79,10 @@ def test_z_of_a_video_is_taken_where_b_was_measured() -> None:
     assert found.reasons == ("residual",)
 
 
-def _used(fault: endoscopy.Fault) -> endoscopy.World:
-    return endoscopy.World(
-        endoscopy.Condition("plain"), 3, np.zeros((1, 1, 3), np.uint8), endoscopy.Use(7, 70.0, 45.0, 1.6, fault)
-    )
+def _used(fault: endoscopy.Fault, rests: bool = False) -> endoscopy.World:
+    condition = endoscopy.Condition("plain")
+    before = endoscopy.World(condition, 3, np.zeros((8, 8, 3), np.uint8))
+    return endoscopy.World(condition, 3, use=endoscopy.Use(before, 7, 70.0, 45.0, 1.6, rests, fault))
 
 
 def test_a_fault_does_to_the_instrument_what_its_name_says() -> None:
@@ -116,6 +116,13 @@ def test_a_fault_does_to_the_instrument_what_its_name_says() -> None:
     moved, _ = _used(endoscopy.Fault(since, aside_mm=(0.2, 0.0, 0.0))).seen(np.array([since - 1.0, since + 1.0]))
     px_per_mm = radius[1] / endoscopy.MARKER_MM
     assert np.array_equal(moved[0], place[0]) and moved[1] - place[1] == pytest.approx([0.2 * px_per_mm, 0.0])
+
+
+def test_a_user_that_rests_goes_no_faster_and_stops() -> None:
+    world = _used(endoscopy.Fault(), rests=True)
+    speed = np.abs(np.gradient(world.q, world.t))
+    assert 1.4 < speed.max() < 1.65 and np.abs(world.q).max() < 4.0
+    assert 0.1 < np.mean(speed == 0.0) < 0.6 and np.sum(np.diff(np.sign(np.diff(world.q))) != 0) > 15
 
 
 def test_a_diagnosis_of_videos_is_right_where_the_fault_leads() -> None:

@@ -123,6 +123,18 @@ def test_identifiable_is_what_the_mechanism_itself_does_beyond_noise(lagging, mo
     assert not np.array_equal(seen(weak.tests[0]), seen(lagging.tests[0]))
 
 
+def test_what_pushes_from_outside_comes_after_the_calibration_and_is_seen():
+    mechanism()
+    from tautline.blindtest.physical.draws import UNKNOWN
+
+    made = {name: GENERATORS["mujoco.arm"].make(5, "unknown", (name,)) for name in UNKNOWN}
+    for name, case in made.items():
+        assert case.label.identifiable and case.label.effects == (name,)
+        assert np.abs(seen(case.tests[0])).max() < 2.0 * np.abs(seen(case.calibration)).max()  # pushed, not thrown
+        assert case.label.left[0] > 2.0 * case.label.noise_px
+    assert len({case.label.left for case in made.values()}) == len(UNKNOWN) == 3
+
+
 def test_what_happens_before_the_play_was_crossed_is_not_identifiable(monkeypatch):
     """The tests begin at one end of the range: what is met there only is never scored."""
     mechanism()

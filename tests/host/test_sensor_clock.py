@@ -14,6 +14,7 @@ from tautline.calibration import clock
 from tautline.calibration.calibrate import _Session, calibrate
 from tautline.calibration.components import Components
 from tautline.calibration.observations import not_held, observe
+from tautline.calibration.onset import Delay
 from tautline.calibration.smooth import Domain, fit_jointly, freeze
 from tautline.calibration.steps import jumps
 from tautline.encoder import between_counts
@@ -137,6 +138,15 @@ def test_a_clock_that_is_right_is_left_alone():
         tracks = observe([recording], rig)
         aligned = clock.align(tracks, rig)
         assert aligned.tracks[0] is tracks[0] and aligned.reasons == () and aligned.offset_s is None
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.17])
+def test_stops_move_a_clock_only_where_the_motion_agrees(monkeypatch, late_s):
+    """Behind a codec that holds back what moves little, a slow motion's stops are elsewhere, and seem certain."""
+    tracks = observe([endoscope(3), late(replace(endoscope(4), name="other"), late_s)], CAMERA_RIG)
+    said = {tracks[0].name: CAMERA_RIG.delay_s, "other": CAMERA_RIG.delay_s + 0.17}
+    monkeypatch.setattr(clock, "delay_of_stops", lambda few, rig: Delay(said[few[0].name], 1e-3, 9))
+    assert clock.align(tracks, CAMERA_RIG).offsets == ({"other": pytest.approx(0.17)} if late_s else {})
 
 
 def test_a_delay_out_of_find_delays_reach_is_found():

@@ -97,11 +97,16 @@ class World:
         self.fault = Fault() if use is None else use.fault
         if use is None:
             self.t, self.q = _strokes(self.rng)
-        else:  # another day's light and noise
+        else:
             self.rng = np.random.default_rng([seed, use.seed, 0xE5])
             self.t, self.q = use.motion()
         self.c = self._bent()
-        self.background = _tissue(condition, self.rng) if background is None else _filled(background, condition)
+        if use is not None:
+            self.background, self._veil, self._second = use.before.background, use.before._veil, use.before._second
+        elif background is None:
+            self.background = _tissue(condition, self.rng)
+        else:
+            self.background = _filled(background, condition)
 
     def width(self, p: Array) -> Array:
         """B(p), mm."""
@@ -272,23 +277,40 @@ class World:
 
 @dataclass(frozen=True)
 class Use:
-    """What a user's hand does, and what has become of the instrument meanwhile."""
+    """What a user's hand does before the same camera, and what has become of the instrument meanwhile."""
 
+    before: World
     seed: int
     begins_s: float  # on the session's clock
     lasts_s: float
     mm_s: float  # at most
+    rests: bool  # between one place and the next
     fault: Fault
 
     def motion(self) -> tuple[Array, Array]:
-        """Three sines, within 3.9 mm of the middle."""
+        """Three sines, or from place to place, within 3.9 mm of the middle."""
         rng = np.random.default_rng([self.seed, 0x05E])
+        if self.rests:
+            return self._from_place_to_place(rng)
         rates, phases = rng.uniform([0.25, 0.7, 1.5], [0.45, 1.2, 2.4]), rng.uniform(0.0, 2.0 * np.pi, 3)
         sizes = np.array([2.6, 0.9, 0.4])
         slow = np.linspace(0.0, 60.0, 6001)
         peak = np.max(np.abs((sizes * rates) @ np.cos(np.outer(rates, slow) + phases[:, None])))
         t = np.arange(int(self.lasts_s * MOTOR_HZ)) / MOTOR_HZ
         return self.begins_s + t, sizes @ np.sin(np.outer(rates * self.mm_s / peak, t) + phases[:, None])
+
+    def _from_place_to_place(self, rng: np.random.Generator) -> tuple[Array, Array]:
+        q = [np.zeros(1)]
+        while sum(map(len, q)) < self.lasts_s * MOTOR_HZ:
+            start = float(q[-1][-1])
+            end = rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 3.9)
+            if abs(end - start) < 1.0:
+                end = -end
+            samples = 2 + int(0.5 * np.pi * abs(end - start) / self.mm_s * MOTOR_HZ)
+            q.append(start + (end - start) * 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, samples))))
+            q.append(np.full(int(rng.uniform(0.6, 2.0) * MOTOR_HZ), end))
+        path = np.concatenate(q)[: int(self.lasts_s * MOTOR_HZ)]
+        return self.begins_s + np.arange(len(path)) / MOTOR_HZ, path
 
 
 def _late(t: Array, x: Array, constant_s: float) -> Array:

@@ -26,7 +26,7 @@ from tautline.cli._common import progress_bar
 from tautline.plain import plain
 
 CONDITIONS = ("MJPEG", "H.264", "glare")
-TESTS = ((45.0, 1.6), (60.0, 0.8))  # s, mm/s at most
+TESTS = ((45.0, 1.6, False), (45.0, 1.2, True))  # s, mm/s at most, whether the user rests
 PAUSE_S = 5.0
 NOTHING = "none"
 
@@ -94,11 +94,9 @@ def make(room: Path, condition: endoscopy.Condition, fault: str, seed: int, say:
     calibrated = endoscopy.make(folders[0], condition, seed, behind, lambda part: say(part / len(folders)))
     clock = since_s = float(calibrated.t[-1])
     drawn = FAULTS[fault][1](np.random.default_rng([seed, list(FAULTS).index(fault)]), since_s + PAUSE_S)
-    for k, (lasts_s, mm_s) in enumerate(TESTS, 1):
-        use = endoscopy.Use(1000 * seed + k, clock + PAUSE_S, lasts_s, mm_s, drawn)
-        endoscopy.make(
-            folders[k], condition, seed, calibrated.background, lambda part, k=k: say((k + part) / len(folders)), use
-        )
+    for k, (lasts_s, mm_s, rests) in enumerate(TESTS, 1):
+        use = endoscopy.Use(calibrated, 1000 * seed + k, clock + PAUSE_S, lasts_s, mm_s, rests, drawn)
+        endoscopy.make(folders[k], condition, seed, None, lambda part, k=k: say((k + part) / len(folders)), use)
         clock = use.begins_s + lasts_s
     return folders
 

@@ -157,11 +157,22 @@ def _at_one_delay(tracks: list[Track], offsets: list[float], rig: Rig) -> tuple[
     shifts = [
         delay.delay_s - best.delay_s
         if abs(delay.delay_s - best.delay_s) > max(_CLEAR * np.hypot(delay.sigma_s, best.sigma_s), _SAME_S)
+        and _moves_so(track, rig, delay.delay_s, best.delay_s)
         else 0.0
-        for delay in delays
+        for track, delay in zip(tracks, delays, strict=True)
     ]
     moved = [replace(t, t_s=t.t_s - shift) if shift else t for t, shift in zip(tracks, shifts, strict=True)]
     return moved, [offset_s + shift for offset_s, shift in zip(offsets, shifts, strict=True)]
+
+
+def _moves_so(track: Track, rig: Rig, own_s: float, best_s: float) -> bool:
+    """Whether the motion leaves no more at the delay of its stops than at the other: a codec that holds back
+    what moves little moves the stops of a slow motion alone."""
+    view = _MotionView.of(track, rig, _FRAMES[0])
+    if view is None:
+        return True
+    own, best = (float(view.misfits(np.array([lag_s]))[0]) for lag_s in (own_s, best_s))
+    return own <= _BEATEN * best
 
 
 def _taken_off(track: Track, offset: Offset, nominal_s: float, rig: Rig) -> tuple[Track, float]:

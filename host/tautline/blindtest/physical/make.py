@@ -41,6 +41,7 @@ _MEASURED: Mapping[str, tuple[float, float]] = {
     "late": (0.0, 2e-3),
 }
 _STEPS = 2
+_BEAT, _PAUSE_S = 6, 3.0  # how short a beat is; between pushes, in the mean
 _ENOUGH = 1.3  # times the play: what the motor has to go until the tip is driven
 
 
@@ -67,13 +68,30 @@ class _Recorded:
         when = motion.t_s + self.starts_s[which]
         load = self.loads[which]
         force = np.zeros_like(when) if load is None else values("force_per_load") * load
-        force = force + values("breath") * np.sin(2 * np.pi * values("breath_hz") * when)
+        force = force + _from_outside(values, when)
         since = when - self.starts_s[1] + 5.0
         anchor = values("anchor") * (1.0 - np.exp(-since / values("anchor_s", 1.0)))
         course = drive(topology, values, motion.q / topology.scale, self.others[which], force, anchor)
         if topology.gravity and load is not None:  # what the weight pulls with, at the motor's angle
             load = values("payload") * topology.gravity * topology.reach_mm * np.cos(course.q)
         return _recorded(self, values, course, which, load, noisy)
+
+
+def _from_outside(values: Values, when: Array) -> Array:
+    """What pushes at the tip at these times of the session."""
+    force: Array = values("breath") * np.sin(2 * np.pi * values("breath_hz") * when)
+    force = force + values("heart") * np.maximum(np.sin(2 * np.pi * values("heart_hz") * when), 0.0) ** _BEAT
+    if not values("push"):
+        return force
+    rng = np.random.default_rng(int(values("push_seed")))
+    pushes = np.zeros_like(when)
+    begins = 0.0
+    while (begins := begins + float(rng.exponential(_PAUSE_S))) < when[-1]:
+        lasts, strength = float(rng.uniform(0.3, 1.5)), float(rng.uniform(-1.0, 1.0))
+        within = (when > begins) & (when < begins + lasts)
+        pushes[within] += strength * np.sin(np.pi * (when[within] - begins) / lasts)
+        begins += lasts
+    return force + values("push") * pushes
 
 
 def make(topology: Topology, seed: int, kind: str, effects: tuple[str, ...] = ()) -> Case:
