@@ -126,6 +126,20 @@ def test_a_load_that_was_recorded_comes_first_only_where_it_explains(parameters,
     assert document["gap"]["closable_shrink"] > 0.9
 
 
+def test_a_shift_that_takes_its_time_is_nothing_else_besides():
+    """It slips within a fifth of a second: no image of that time is where it was before or is after."""
+    before, after = recordings(), recordings({"shift_rx": 0.6, "shift_ry": -0.8, "shift_y": 0.4, "shift_time": -1e3})
+    one, other = before[1].marker, after[1].marker
+    share = 1.0 / (1.0 + np.exp(-(one.t_s - 0.08 - 17.3) / 0.05))
+    marker = replace(
+        one,
+        u_px=one.u_px + share * (other.u_px - one.u_px),
+        v_px=one.v_px + share * (other.v_px - one.v_px),
+    )
+    document = diagnose(true_model(), before[0], [replace(before[1], marker=marker)]).document
+    assert [effect["id"] for effect in document["effects"]] == ["registration.shift"]
+
+
 def test_what_sticking_holds_back_is_predicted():
     """Of the second instrument, whose grip scatters: after the calibration the play is wider in the mean."""
     case = cases.make(20912, "single", ("transmission.stick_slip",))
