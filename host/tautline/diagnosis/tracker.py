@@ -25,7 +25,7 @@ Mask = npt.NDArray[np.bool_]
 
 _PLACE_PX, _HOLE_PX = 4.0, 12.0  # along the path: what is told apart at least, and where no frame shows the marker
 _FEWEST, _PLACES = 6, 20  # frames that tell of a place, places that tell of a tracker
-_FAR, _WILD = 6.0, 3.0  # noises: an error of a place, and scatter there, from which the calibration does not hold
+_FAR, _WILD = 6.0, 2.0  # noises: an error of a place, and scatter there, from which the calibration does not hold
 _STEP_DEG = 0.05
 _BEYOND_DEG = 5.0
 _TO_SIGMA = 1.4826
