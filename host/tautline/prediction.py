@@ -56,12 +56,16 @@ def settled_from(model: Model, motor: Motor) -> float:
     """The scene time from which the start inside the backlash no longer matters: both envelopes were reached."""
     widest = 1.1 * float(model.width.max()) + 2 * model.rig.actuator.encoder_resolution
     motor = between_counts(motor, model.rig.actuator.encoder_resolution)  # at every sample
-    low, high = np.minimum.accumulate(motor.q), np.maximum.accumulate(motor.q)
-    up = np.flatnonzero(motor.q - low > widest)
-    down = np.flatnonzero(high - motor.q > widest)
+    return driven_both_ways_from(motor.t_s, motor.q, widest)
+
+
+def driven_both_ways_from(t_s: Array, q: Array, width: float) -> float:
+    """The time from which q has gone further than `width` either way, infinite where it never has."""
+    up = np.flatnonzero(q - np.minimum.accumulate(q) > width)
+    down = np.flatnonzero(np.maximum.accumulate(q) - q > width)
     if len(up) == 0 or len(down) == 0:
         return float("inf")
-    return float(motor.t_s[max(up[0], down[0])])
+    return float(t_s[max(up[0], down[0])])
 
 
 def misses(model: Model, motor: Motor, scene_s: npt.ArrayLike, seen: Array) -> Array:

@@ -216,7 +216,6 @@ def test_stream_at_250_hz(paced: DesktopBoard, wall_clock: ClockOf) -> None:
     state = run("monitor", board=paced.where)
     assert state["axes"][0]["mode"] == wire.text("MODES", wire.code("MODES", "OFF"))
     clock.need()
-    link.close()
     assert sent["rate_hz"] >= 200.0 and sent["refused"] == 0
     assert state["counters"]["set_points"] == sent["sent"] and state["counters"]["set_points_dropped"] == 0
 
@@ -251,7 +250,6 @@ def test_stream_stops_with_its_sender(paced: DesktopBoard, wall_clock: ClockOf) 
     state = run("monitor", board=paced.where)
     assert state["counters"]["silences"] >= 1 and "at_rest" in state["axes"][0]["flags"]
     clock.need()
-    link.close()
     assert 20 <= summary["sent"] <= 160 and summary["silences"] == 1
 
 
@@ -262,7 +260,6 @@ def test_the_python_example_streams(paced: DesktopBoard, wall_clock: ClockOf) ->
     done = subprocess.run(command, capture_output=True, text=True, timeout=30)
     assert done.returncode == 0, done.stderr
     clock.need()
-    link.close()
     assert int(done.stdout.split()[0]) >= 200 and "0 refused" in done.stdout
 
 

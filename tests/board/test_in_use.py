@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 import json
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from wall_camera import Reader, WallCamera
 
 from conftest import Bench, ClockOf
 from tautline import tables
 from tautline.cli import taut
 from tautline.device import wire
 from tautline.device.board import open_board
-from tautline.geometry import project
 from tautline.live import setup
 from tautline.live.following import Followed, follow_run
 from tautline.live.in_use import TableMover, load_tables
 from tautline.live.setup import Frame, Live, PointSource
 from tautline.model import Model
 from tautline.simulated.instrument import Instrument, reference_rig
-from tautline.simulated.simlink import DesktopBoard, SimLink, SimulatedAxis
+from tautline.simulated.simlink import DesktopBoard, SimulatedAxis
 from tautline.vision.colour import MarkerColour
 from tautline.vision.marker import Sighting
 
@@ -172,46 +171,6 @@ def test_tables_that_may_not_be_moved_are_left_alone(bench: Bench) -> None:
         assert board.status(0).mode == wire.code("MODES", "OFF")
 
 
-class WallCamera:
-    """25 frames a second of the host's clock, each two frames old when it arrives. A picture's first two values are
-    where its marker is. After `until_s` it is gone."""
-
-    clock = "the host's monotonic clock"
-
-    def __init__(self, link: SimLink, instrument: Changing, until_s: float) -> None:
-        self._link, self._instrument = link, instrument
-        self._began = self._next = time.monotonic()
-        self._until = self._began + until_s
-        self._waiting: list[np.ndarray] = []
-        self._rng = np.random.default_rng(3)
-
-    def read(self) -> tuple[np.ndarray, float] | None:
-        while True:
-            self._next += 0.04
-            time.sleep(max(self._next - time.monotonic(), 0.0))
-            now = time.monotonic()
-            if now > self._until:
-                return None
-            q = self._link.ask("state")["q"][0] / 256.0 * RIG.actuator.encoder_resolution
-            c = self._instrument.move(np.array([now - self._began]), np.array([q]))
-            assert RIG.camera is not None
-            picture = np.zeros((RIG.camera.height_px, RIG.camera.width_px), np.float32)
-            picture[0, :2] = project(RIG, c)[0] + self._rng.normal(0.0, 0.05, 2)
-            self._waiting.append(picture)
-            if len(self._waiting) > 2:
-                return self._waiting.pop(0), time.monotonic()
-
-    def close(self) -> None:
-        """Nothing is held."""
-
-
-class Reader:
-    """Stands where the marker's tracker does."""
-
-    def track(self, picture: np.ndarray) -> Sighting:
-        return Sighting(float(picture[0, 0]), float(picture[0, 1]), 0.05, 15.0)
-
-
 @pytest.mark.parametrize("until_s", [np.inf, 2.0], ids=["seen", "unplugged"])
 def test_a_stream_is_tracked_beside_it(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, wall_clock: ClockOf, until_s: float
@@ -231,7 +190,6 @@ def test_a_stream_is_tracked_beside_it(
         done = CliRunner().invoke(taut, [*told, "--sine", "20", "4", "--duration", "16", "--rate", "100", "--json"])
         seen_by.close()
         clock.need()
-        link.close()
     assert done.exit_code == 0, done.output
     sent = json.loads(done.stdout)
     assert sent["refused"] == 0 and sent["sent"] > 1000

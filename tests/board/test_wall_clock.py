@@ -7,52 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from wall_camera import Reader, WallCamera
 
 from conftest import ClockOf
 from tautline.calibration.calibrate import calibrate
 from tautline.device.board import open_board
-from tautline.geometry import project
 from tautline.live.following import follow_run
 from tautline.live.session import MotionOptions, record_calibration
 from tautline.live.setup import CameraSource, Live
 from tautline.recording import load
-from tautline.simulated.instrument import Instrument, preset
-from tautline.simulated.simlink import DesktopBoard, SimLink
-from tautline.vision.marker import Sighting
-
-DELAY_S = 0.080
-
-
-class WallCamera:
-    """25 frames a second of the host's clock, each two frames old when it arrives; pictures are marker positions."""
-
-    clock = "the host's monotonic clock"
-
-    def __init__(self, link: SimLink, instrument: Instrument) -> None:
-        self._link, self._instrument = link, instrument
-        self._next = time.monotonic()
-        self._waiting: list[np.ndarray] = []
-        self._rng = np.random.default_rng(3)
-
-    def read(self) -> tuple[np.ndarray, float]:
-        while True:
-            self._next += 0.04
-            time.sleep(max(self._next - time.monotonic(), 0.0))
-            q = self._link.ask("state")["q"][0] / 256.0 * self._instrument.rig.actuator.encoder_resolution
-            c = self._instrument.move(np.zeros(1), np.array([q]))
-            self._waiting.append(project(self._instrument.rig, c)[0] + self._rng.normal(0.0, 0.05, 2))
-            if len(self._waiting) > round(DELAY_S / 0.04):
-                return self._waiting.pop(0), time.monotonic()
-
-    def close(self) -> None:
-        """Nothing is held."""
-
-
-class Reader:
-    """Stands where the tracker does."""
-
-    def track(self, picture: np.ndarray) -> Sighting:
-        return Sighting(float(picture[0]), float(picture[1]), 0.05, 15.0)
+from tautline.simulated.instrument import preset
+from tautline.simulated.simlink import DesktopBoard
 
 
 def test_the_clock_of_a_paced_board(wall_clock: ClockOf) -> None:
@@ -66,7 +31,6 @@ def test_the_clock_of_a_paced_board(wall_clock: ClockOf) -> None:
         stamp = board.sync()
         after = time.monotonic()
         clock.need()
-        link.close()
         assert error < 0.005
         # The bound holds: the stamp was taken between the two. The board paces itself in steps of a millisecond.
         offset, error = board.clock.offset(after)
@@ -86,7 +50,6 @@ def test_answers_come_at_once_while_a_thread_reads(wall_clock: ClockOf) -> None:
                 board.sync()
                 took.append(time.monotonic() - began)
         clock.need()
-        link.close()
     assert np.median(took) < 0.02 and np.mean(took) < 0.03
 
 
@@ -95,6 +58,7 @@ def test_a_calibration_by_the_wall_clock(tmp_path: Path, wall_clock: ClockOf) ->
     instrument = preset("constant")
     with DesktopBoard(realtime=True) as desktop, open_board(desktop.where) as board, board.reading():
         board.align(32)
+        board.ask("set_position", axis=0, q=0.0)
         link = desktop.link()
         clock = wall_clock(link)
         time.sleep(1.0)
@@ -115,7 +79,6 @@ def test_a_calibration_by_the_wall_clock(tmp_path: Path, wall_clock: ClockOf) ->
             follow_run(live, str(tmp_path / "path.csv"), compensation=how, model=found.model) for how in ("off", "full")
         ]
         clock.need()
-        link.close()
     off, full = runs
     assert off.scored_by == full.scored_by == "the camera"
     assert full.rms_deg * 10.0 < off.rms_deg

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from tools.bench import __main__ as bench
-from tools.bench import calibration, control_step, diagnosis, endoscopy, trackers, videos
+from tools.bench import calibration, control_step, diagnosis, endoscopy, faults, trackers, videos
 
 from tautline.vision.colour import pick
 from tautline.vision.marker import MarkerTracker
@@ -77,3 +77,67 @@ def test_z_of_a_video_is_taken_where_b_was_measured() -> None:
     found = videos.Outcome.of("glare", 1, 0, said, truth)
     assert found.z == pytest.approx(np.sqrt((9.0 + 1.0) / 2.0)) and found.error_um == pytest.approx(3.0)
     assert found.reasons == ("residual",)
+
+
+def _used(fault: endoscopy.Fault, rests: bool = False) -> endoscopy.World:
+    condition = endoscopy.Condition("plain")
+    before = endoscopy.World(condition, 3, np.zeros((8, 8, 3), np.uint8))
+    return endoscopy.World(condition, 3, use=endoscopy.Use(before, 7, 70.0, 45.0, 1.6, rests, fault))
+
+
+def test_a_fault_does_to_the_instrument_what_its_name_says() -> None:
+    since = 90.0
+    sound = _used(endoscopy.Fault())
+    t, c, later = sound.t, sound.c, sound.t > since + 3.0
+    early = t < since
+    of = {
+        "lag": endoscopy.Fault(since, lag_s=0.12),
+        "creep": endoscopy.Fault(since, late_share=0.05),
+        "speed": endoscopy.Fault(since, wider=0.3),
+        "drift": endoscopy.Fault(since, drift_mm_s=0.002),
+        "wall": endoscopy.Fault(since, wall_deg=25.0),
+    }
+    bent = {name: _used(fault).c for name, fault in of.items()}
+    for name, there in bent.items():
+        assert np.array_equal(there[early], c[early]), name
+        assert np.max(np.abs(there - c)[later]) > 0.2, name
+    delayed = np.interp(t - 0.12, t, c)
+    assert np.std((bent["lag"] - delayed)[later]) < 0.2 * np.std((bent["lag"] - c)[later])
+    kept = np.polyfit(c[later], bent["creep"][later], 1)[0]
+    assert 0.93 < kept < 0.99  # most of the share is still to come
+    gone = (bent["drift"] - c)[later]
+    assert np.polyfit(t[later], gone, 1)[0] == pytest.approx(0.002 * endoscopy.GAIN, rel=0.3)
+    assert bent["wall"].max() == pytest.approx(25.0 + endoscopy.GIVES * (c[t >= since].max() - 25.0))
+    rising, falling = (later & (way * np.gradient(sound.q, t) > 1.2) for way in (1.0, -1.0))
+    wider = np.mean((c - bent["speed"])[rising]) + np.mean((bent["speed"] - c)[falling])
+    assert wider == pytest.approx(0.3 * sound.level * endoscopy.GAIN * 1.35 / endoscopy.FAST_MM_S, rel=0.35)
+
+    place, radius = sound.seen(np.array([since - 1.0, since + 1.0]))
+    moved, _ = _used(endoscopy.Fault(since, aside_mm=(0.2, 0.0, 0.0))).seen(np.array([since - 1.0, since + 1.0]))
+    px_per_mm = radius[1] / endoscopy.MARKER_MM
+    assert np.array_equal(moved[0], place[0]) and moved[1] - place[1] == pytest.approx([0.2 * px_per_mm, 0.0])
+
+
+def test_a_user_that_rests_goes_no_faster_and_stops() -> None:
+    world = _used(endoscopy.Fault(), rests=True)
+    speed = np.abs(np.gradient(world.q, world.t))
+    assert 1.4 < speed.max() < 1.65 and np.abs(world.q).max() < 4.0
+    assert 0.1 < np.mean(speed == 0.0) < 0.6 and np.sum(np.diff(np.sign(np.diff(world.q))) != 0) > 15
+
+
+def test_a_diagnosis_of_videos_is_right_where_the_fault_leads() -> None:
+    gap = {"before": 2.0, "after": 0.3}
+    one = {"id": "transmission.creep", "probability": 0.9, "ambiguous_with": ["transmission.lag"]}
+    other = {"id": "transmission.drift", "probability": 0.6, "ambiguous_with": []}
+
+    def right(fault: str, *effects: dict[str, object]) -> bool:
+        document = {
+            "effects": list(effects),
+            "verdict": "effect" if effects else "none",
+            "gap": gap,
+            "noise_floor": 0.2,
+        }
+        return faults.Outcome.of("glare", fault, 1, document).right
+
+    assert right("creep", one, other) and not right("creep", other, one) and not right("creep")
+    assert right("nothing") and not right("nothing", one)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tautline.diagnosis.confounded import DRIFT, LOAD, hidden, load_goes_with_time, told
+from tautline.diagnosis.confounded import DRIFT, LOAD, hidden, load_goes_with_time, load_tells_apart, told
 from tautline.diagnosis.segment import Segment
 from tautline.effects import BY_ID
 from tautline.recording import Motor
@@ -37,6 +37,21 @@ def runs(*loads) -> list[Segment]:
 )
 def test_a_load_that_changes_once_goes_with_time(loads, expected):
     assert load_goes_with_time(runs(*loads)) is expected
+
+
+@pytest.mark.parametrize(
+    ("loads", "expected"),
+    [
+        ((12.0, 24.0), True),
+        ((12.0, 24.0, 12.0), True),
+        ((12.0, 12.5), False),
+        ((12.0, None), False),
+        ((18.0 + 9.0 * np.sin(T / 5.0), 18.0 + 6.0 * np.sin(T / 4.0)), False),
+    ],
+    ids=["two", "and back", "one", "unknown", "moving"],
+)
+def test_a_load_tells_recordings_apart_where_its_levels_differ_by_more_than_it_scatters(loads, expected):
+    assert load_tells_apart(runs(*loads)) is expected
 
 
 def test_what_stands_for_another_shares_its_probability():

@@ -36,7 +36,9 @@ LAST = Motor(
     1.5 * np.sin(2 * np.pi * T / 13.0),
     20.0 * np.cos(2 * np.pi * T / 17.0),
     25.0 + 8.0 * np.sin(2 * np.pi * T / 9.0),
+    {"wrist_deg": 15.0 * np.sin(2 * np.pi * T / 7.0)},
 )
+OF_A_JOINT = BY_ID["configuration.axis_coupling"].of_joint("wrist_deg")
 OFFSET, LOAD = 120.0, 25.0  # when the last test began in the session; the calibration's load
 SHAPES = {"encoder_period": 0.7, "asymmetry_travel": 0.4, "creep_time": 1.0, "contact_c": 15.0, "shift_time": 140.0}
 
@@ -46,7 +48,8 @@ def values(kind) -> dict[str, float]:
     span = RIG.actuator.span
     times = 0.5 if kind.stage == "actuator" else 3.0
     sizes = {p.name: times * p.scale * (span if p.unit.startswith("unit") else 1.0) for p in kind.amplitudes}
-    return sizes | {p.name: SHAPES.get(p.name, p.shape[0] if p.shape else p.scale) for p in kind.shapes}
+    column = {"column": kind.column} if kind.column else {}
+    return sizes | column | {p.name: SHAPES.get(p.name, p.shape[0] if p.shape else p.scale) for p in kind.shapes}
 
 
 def corrected(kind) -> Model:
@@ -56,7 +59,7 @@ def corrected(kind) -> Model:
     return replace(model, extra={"load_reference_mNm": LOAD})
 
 
-@pytest.mark.parametrize("kind", LIBRARY, ids=lambda kind: kind.id)
+@pytest.mark.parametrize("kind", (*LIBRARY, OF_A_JOINT), ids=lambda kind: kind.column or kind.id)
 def test_predictions_carry_the_effect_as_it_is_at_the_end_of_the_last_test(kind, tmp_path):
     """Saved, loaded, predicted: what the library's simulation says of a motion that begins when the session ends. A
     drift has gone as far as it had by then, and a shift has happened."""

@@ -95,6 +95,17 @@ def test_what_a_path_follows_on_unseen_blocks_is_no_scatter():
     assert there.name == "effect" and there.named == ("transmission.backlash",)
 
 
+@pytest.mark.parametrize(("left", "says"), [(0.01, "effect"), (0.1, "unknown")])
+def test_a_path_that_leaves_next_to_nothing_is_one_though_frames_foretell_better(left, says):
+    """Of a fast sensor's smooth misfit the frame before leaves less than an effect whose law is not exact."""
+    contact = "configuration.contact"
+    remembered = np.full(BLOCKS, -8.0)
+    scattered = Weighed((STICK,), power(1.0, 10000.0), 0.9 * remembered, remembered, 1, white=0.2)
+    found = evidence({(contact,): left, (LAG,): 0.9}, before=10000.0)
+    verdict = decide(replace(found, hypotheses=(*found.hypotheses, scattered)))
+    assert verdict.name == says and (contact in verdict.named) == (says == "effect")
+
+
 def test_an_effect_that_brings_a_width_with_it_leads():
     """Friction elements that came later widen the play and round its corners: one cause, whatever explains more."""
     onset, width = "transmission.smooth_onset", "transmission.backlash"
@@ -138,10 +149,22 @@ def test_an_event_far_ahead_of_its_rivals_counts_in_full_beside_an_effect():
     alone = Weighed((STICK,), power(1.0, 100.0), NOTHING - 2.4, NOTHING - 2.4, 1)
     both = Weighed((LAG, STICK), power(0.3, 100.0), NOTHING - 2.8, NOTHING - 1.8, 3)
     verdict = decide(replace(found, hypotheses=(*found.hypotheses, alone, both)))
-    assert verdict.name == "effect" and set(verdict.named) == {LAG, STICK}
+    assert verdict.name == "effect" and verdict.posterior[-1] > 0.5
     both = replace(both, rival=NOTHING - 2.75)
     verdict = decide(replace(found, hypotheses=(*found.hypotheses, alone, both)))
     assert verdict.name == "unknown"
+
+
+@pytest.mark.parametrize(("left", "sure"), [(3e-3, False), (1e-3, True)])
+def test_a_further_effect_is_named_only_where_it_is_sure(left, sure):
+    """What one effect leaves may be of its own making; the two together have to say much more."""
+    found = evidence({(LAG,): 0.1, (CREEP,): 0.9, (LAG, CREEP): left})
+    verdict = decide(found)
+    beside = verdict.posterior[[set(h.ids) == {LAG, CREEP} for h in found.hypotheses]].sum() / sum(
+        p for p, h in zip(verdict.posterior, found.hypotheses, strict=True) if LAG in h.ids
+    )
+    assert verdict.named == ((LAG, CREEP) if sure else (LAG,))
+    assert beside > 0.9 if sure else 0.5 < beside < 0.9
 
 
 @given(

@@ -35,8 +35,8 @@ def true_model() -> Model:
     return Model(RIG, GRID, instrument.backlash(GRID), np.full(401, 0.003), instrument.bend(GRID), 0.08, (-4.0, 4.0))
 
 
-def recordings(parameters=None, seed=3) -> list[Recording]:
-    """A calibration, a test and a further motion; the effect holds after the calibration."""
+def recordings(parameters=None, seed=3, loads_mNm=None) -> list[Recording]:
+    """A calibration, a test and a further motion; the effect holds after the calibration, but a load's throughout."""
     rng = np.random.default_rng(seed)
     model = true_model()
     actuator = RIG.actuator
@@ -50,7 +50,11 @@ def recordings(parameters=None, seed=3) -> list[Recording]:
         recording = simulate.simulate(RIG, preset("reference", RIG), motion, seed=seed + i)
         t = recording.marker.t_s
         values = parameters if parameters and i else {}
-        path = effects.simulate(model, recording.motor, t - 0.08, values, clock_offset_s=clock)
+        reference = 0.0
+        if loads_mNm:
+            load = np.full_like(recording.motor.t_s, loads_mNm[i])
+            recording, reference = replace(recording, motor=replace(recording.motor, load_mNm=load)), loads_mNm[0]
+        path = effects.simulate(model, recording.motor, t - 0.08, values, None, reference, clock_offset_s=clock)
         seen = path.image_px + rng.normal(0.0, NOISE, (len(t), 2))
         made.append(replace(recording, marker=Marker(t, seen[:, 0], seen[:, 1], np.ones(len(t), bool)), rig=RIG))
         clock += recording.motor.t_s[-1]
@@ -104,6 +108,36 @@ def test_a_known_effect_is_named_and_sized(parameters):
     scene = further.marker.t_s - found.corrected.delay_s
     after = rms(seen - predict(found.corrected, further.motor, scene[late]).image_px)
     assert after < 0.5 * before, (before, after)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "named"),
+    [
+        ({"offset": 0.08}, "transmission.offset"),
+        ({"offset_per_load": 0.006}, "transmission.load_dependence"),
+    ],
+    ids=("offset", "load"),
+)
+def test_a_load_that_was_recorded_comes_first_only_where_it_explains(parameters, named):
+    """Each recording has another load. What goes with it is the load's; an offset that does not is one."""
+    made = recordings(parameters, loads_mNm=(12.0, 24.0, 17.0))
+    document = diagnose(true_model(), made[0], made[1:]).document
+    assert [effect["id"] for effect in document["effects"]] == [named], document["candidates"][:3]
+    assert document["gap"]["closable_shrink"] > 0.9
+
+
+def test_a_shift_that_takes_its_time_is_nothing_else_besides():
+    """It slips within a fifth of a second: no image of that time is where it was before or is after."""
+    before, after = recordings(), recordings({"shift_rx": 0.6, "shift_ry": -0.8, "shift_y": 0.4, "shift_time": -1e3})
+    one, other = before[1].marker, after[1].marker
+    share = 1.0 / (1.0 + np.exp(-(one.t_s - 0.08 - 17.3) / 0.05))
+    marker = replace(
+        one,
+        u_px=one.u_px + share * (other.u_px - one.u_px),
+        v_px=one.v_px + share * (other.v_px - one.v_px),
+    )
+    document = diagnose(true_model(), before[0], [replace(before[1], marker=marker)]).document
+    assert [effect["id"] for effect in document["effects"]] == ["registration.shift"]
 
 
 def test_what_sticking_holds_back_is_predicted():

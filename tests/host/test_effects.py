@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tautline import _native, effects, geometry
-from tautline.effects import LIBRARY, simulate
+from tautline.effects import BY_ID, LIBRARY, simulate
 from tautline.effects.library.distortion import distorted
 from tautline.model import Model
 from tautline.recording import Motor
@@ -489,3 +489,20 @@ def test_every_parameter_has_one_owner_and_every_native_one_a_descriptor():
     for name, _, _, meaning in _native.effect_parameters:
         if name in names:
             assert meaning.split(":")[0] == effects.OWNER[name].id
+
+
+def test_a_width_that_is_worn_at_the_motor_s_place_is_reached_there():
+    """Either wall stands where the motor is half the width away, B of the centre and what is worn of the motor's."""
+    kind = BY_ID["transmission.backlash"]
+    values = {p.name: 0.0 for p in kind.amplitudes} | {"width_10": 0.5, "width_11": 0.4, "width_at_motor": 1.0}
+    assert kind.holds is not None
+    at_centre, at_motor = (kind.holds(MODEL, values | {"width_at_motor": at}, 0.0) for at in (0.0, 1.0))
+    q = MODEL.q
+    worn = at_centre.width - MODEL.width
+    assert worn.max() > 0.4 and np.abs(at_motor.c_deg - MODEL.c_deg).max() > 0.5
+    inside = np.abs(q) < 3.5
+    p = np.interp(at_motor.c_deg[inside], MODEL.c_deg, q)  # the centre that has this angle
+    for side in (1.0, -1.0):
+        wall = q[inside] + side * 0.5 * at_motor.width[inside]
+        width = np.interp(p, q, MODEL.width) + np.interp(wall, q, worn)
+        np.testing.assert_allclose(wall - p, side * 0.5 * width, atol=2e-3)

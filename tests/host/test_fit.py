@@ -119,6 +119,7 @@ FITTED = [
     {"creep_share": 0.15, "creep_time": 2.0},
     {"offset_drift": 0.002, "drift_decay": 0.01},
     {"contact_hold": 0.7, "contact_c": 15.0, "contact_side": 1.0},
+    {"contact_hold": 1.15, "contact_c": 12.0, "contact_side": -1.0},  # a section that bows behind it slides back
     {"curvature_gradient": 0.6},
     {"tilt_x": 0.4, "tilt_y": -0.3, "tilt_travel": 0.02},
     {"shift_rx": 0.6, "shift_y": 0.3, "shift_time": 104.03},

@@ -69,6 +69,32 @@ def test_the_play_is_as_wide_as_it_was_built(name):
     assert found[1] - found[0] == pytest.approx(0.6 * topology.width, rel=0.03)
 
 
+@pytest.mark.parametrize("name", MECHANISMS)
+def test_the_wall_holds_the_tip_and_throws_it_nowhere(name):
+    built = mechanism()
+    topology = next(t for t in built.TOPOLOGIES if t.name == name)
+    n = int(12.0 / built.STEP_S)
+    stroke = -topology.half * np.cos(np.linspace(0.0, 2.0 * np.pi, n))
+    still = np.zeros(n)
+
+    def bent(values):
+        """Chord of the tip from the base, rad."""
+        x, _, z = built.drive(topology, built.Values(values), stroke, still, still, still).tip_mm.T
+        return np.arctan2(x, z)
+
+    free = bent({})
+    at = 0.5 * topology.gain * topology.half
+    wall = {"wall_at": at, "wall_side": 1.0, "wall_soft": 0.003}
+    held = bent(wall)
+    bend, reach = topology.bending_mm, topology.reach_mm
+    chord = np.arctan2(bend * (1 - np.cos(at)) / at + reach * np.sin(at), bend * np.sin(at) / at + reach * np.cos(at))
+    assert free.max() > chord + 0.1  # it would go well beyond
+    assert chord - 0.03 < held.max() < chord + 0.02
+    before = free < chord - 0.03
+    np.testing.assert_allclose(held[before], free[before], atol=0.02)
+    assert np.abs(np.diff(held)).max() < 4.0 * np.abs(np.diff(free)).max()  # a light chain whips
+
+
 @pytest.fixture(scope="module")
 def lagging() -> Case:
     mechanism()
@@ -95,6 +121,34 @@ def test_identifiable_is_what_the_mechanism_itself_does_beyond_noise(lagging, mo
     assert weak.label.noise_px == lagging.label.noise_px
     np.testing.assert_array_equal(seen(weak.calibration), seen(lagging.calibration))
     assert not np.array_equal(seen(weak.tests[0]), seen(lagging.tests[0]))
+
+
+def test_what_pushes_from_outside_comes_after_the_calibration_and_is_seen():
+    mechanism()
+    from tautline.blindtest.physical.draws import UNKNOWN
+
+    made = {name: GENERATORS["mujoco.arm"].make(5, "unknown", (name,)) for name in UNKNOWN}
+    for name, case in made.items():
+        assert case.label.identifiable and case.label.effects == (name,)
+        assert np.abs(seen(case.tests[0])).max() < 2.0 * np.abs(seen(case.calibration)).max()  # pushed, not thrown
+        assert case.label.left[0] > 2.0 * case.label.noise_px
+    assert len({case.label.left for case in made.values()}) == len(UNKNOWN) == 3
+
+
+def test_what_happens_before_the_play_was_crossed_is_not_identifiable(monkeypatch):
+    """The tests begin at one end of the range: what is met there only is never scored."""
+    mechanism()
+    from tautline.blindtest.physical import draws, make
+
+    contact = "configuration.contact"
+    monkeypatch.setattr(make, "_DRAWS", 1)
+    left = {}
+    for side in (-1.0, 1.0):
+        wall = {"wall_at": 0.55, "wall_side": side, "wall_soft": 0.003}
+        monkeypatch.setitem(draws.KNOWN, contact, lambda rng, topology, wall=wall: wall)
+        label = GENERATORS["mujoco.antagonists"].make(720001, "single", (contact,)).label
+        left[side] = label.left[0] / label.noise_px
+    assert left[-1.0] < 2.0 < 10.0 < left[1.0]
 
 
 def test_a_case_of_angles_goes_through_sealing_and_scoring():

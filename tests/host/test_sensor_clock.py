@@ -14,6 +14,7 @@ from tautline.calibration import clock
 from tautline.calibration.calibrate import _Session, calibrate
 from tautline.calibration.components import Components
 from tautline.calibration.observations import not_held, observe
+from tautline.calibration.onset import Delay
 from tautline.calibration.smooth import Domain, fit_jointly, freeze
 from tautline.calibration.steps import jumps
 from tautline.encoder import between_counts
@@ -137,6 +138,24 @@ def test_a_clock_that_is_right_is_left_alone():
         tracks = observe([recording], rig)
         aligned = clock.align(tracks, rig)
         assert aligned.tracks[0] is tracks[0] and aligned.reasons == () and aligned.offset_s is None
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.17])
+def test_stops_move_a_clock_only_where_the_motion_agrees(monkeypatch, late_s):
+    """Behind a codec that holds back what moves little, a slow motion's stops are elsewhere, and seem certain."""
+    tracks = observe([endoscope(3), late(replace(endoscope(4), name="other"), late_s)], CAMERA_RIG)
+    said = {tracks[0].name: CAMERA_RIG.delay_s, "other": CAMERA_RIG.delay_s + 0.17}
+    monkeypatch.setattr(clock, "delay_of_stops", lambda few, rig: Delay(said[few[0].name], 1e-3, 9))
+    assert clock.align(tracks, CAMERA_RIG).offsets == ({"other": pytest.approx(0.17)} if late_s else {})
+
+
+def test_what_a_diagnosis_is_to_explain_is_no_clock():
+    """A lag makes one motion's image stop later than another's."""
+    made = [endoscope(3), late(replace(endoscope(4), name="late"), 0.06), late(replace(endoscope(5), name="off"), 2.0)]
+    assert set(clock.align(observe(made, CAMERA_RIG), CAMERA_RIG).offsets) == {"late", "off"}
+    before, behind, off = clock.on_motor_clock(made, CAMERA_RIG)
+    assert before is made[0] and np.array_equal(behind.marker.t_s, made[1].marker.t_s)
+    assert np.median(made[2].marker.t_s - off.marker.t_s) == pytest.approx(2.0, abs=5e-3)
 
 
 def test_a_delay_out_of_find_delays_reach_is_found():

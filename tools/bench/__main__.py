@@ -1,4 +1,4 @@
-"""./run bench [--json], ./run bench videos"""
+"""./run bench [--json], ./run bench videos, ./run bench faults"""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import click
 from rich.console import Console
 from rich.table import Table
-from tools.bench import calibration, control_step, diagnosis, trackers, tracking, videos
+from tools.bench import calibration, control_step, diagnosis, faults, trackers, tracking, videos
 
 from tautline.cli._common import log, plain, progress_bar
 from tautline.errors import TautError
@@ -85,6 +85,7 @@ def main(context: click.Context, as_json: bool, frames: int) -> None:
 
 
 main.add_command(videos.command)
+main.add_command(faults.command)
 
 if __name__ == "__main__":
     main()

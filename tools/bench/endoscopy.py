@@ -29,6 +29,7 @@ AWAY_MM = (-3.0, 4.0, 16.0)
 RATE_HZ, DELAY_S = 25.0, 0.085
 MOTOR_HZ = 500.0
 EXPOSURE_S = 0.012
+FAST_MM_S, CREEP_S, GIVES = 1.5, 1.7, 0.3  # of a fault: see there
 MARKER_MM, TUBE_MM = 0.8, 1.2  # radii
 MARKER_BGR = np.array([75.0, 170.0, 45.0])
 _AT_ONCE = 3  # places of the marker within one exposure
@@ -67,10 +68,25 @@ CONDITIONS = (
 )
 
 
+@dataclass(frozen=True)
+class Fault:
+    """What is otherwise than it was, from `since_s` on the session's clock."""
+
+    since_s: float = 0.0
+    lag_s: float = 0.0  # first order, of the bending angle
+    late_share: float = 0.0  # of p, which follows within CREEP_S
+    wider: float = 0.0  # times B, at the motor's highest speed
+    drift_mm_s: float = 0.0  # of the tendon's length
+    aside_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)  # the camera sits elsewhere
+    wall_deg: float | None = None  # something that gives way by GIVES of the motion beyond it
+
+
 class World:
     """The instrument, how its motor moves, and what its camera sees."""
 
-    def __init__(self, condition: Condition, seed: int, background: Array | None = None) -> None:
+    def __init__(
+        self, condition: Condition, seed: int, background: Array | None = None, use: Use | None = None
+    ) -> None:
         self.condition = condition
         self.rng = np.random.default_rng([seed, 0xE5])
         self.focal = 520.0 * condition.width / 720.0
@@ -78,9 +94,19 @@ class World:
             [0.35, 0.1, -2.0, -0.02], [0.6, 0.25, 2.0, 0.02]
         )
         self.waves = self.rng.uniform([-3.0, 0.4, 0.0], [3.0, 0.9, 6.3])
-        self.t, self.q = _motion(self.rng)
-        self.c = self.bend(self._play(self.q))
-        self.background = _tissue(condition, self.rng) if background is None else _filled(background, condition)
+        self.fault = Fault() if use is None else use.fault
+        if use is None:
+            self.t, self.q = _strokes(self.rng)
+        else:
+            self.rng = np.random.default_rng([seed, use.seed, 0xE5])
+            self.t, self.q = use.motion()
+        self.c = self._bent()
+        if use is not None:
+            self.background, self._veil, self._second = use.before.background, use.before._veil, use.before._second
+        elif background is None:
+            self.background = _tissue(condition, self.rng)
+        else:
+            self.background = _filled(background, condition)
 
     def width(self, p: Array) -> Array:
         """B(p), mm."""
@@ -91,21 +117,42 @@ class World:
         height, number, phase = self.waves
         return 1.08 * GAIN * p + OFFSET - 2.0 + height * np.sin(number * p + phase)
 
+    def _bent(self) -> Array:
+        fault, t = self.fault, self.t
+        there = t >= fault.since_s
+        p = self._play(self.q + np.where(there, fault.drift_mm_s * (t - fault.since_s), 0.0))
+        if fault.late_share:
+            p = np.where(there, p - fault.late_share * (p - _late(t, p, CREEP_S)), p)
+        c = self.bend(p)
+        if fault.lag_s:
+            c = np.where(there, _late(t, c, fault.lag_s), c)
+        if fault.wall_deg is not None:
+            c = np.where(there, np.minimum(c, fault.wall_deg + GIVES * (c - fault.wall_deg)), c)
+        return c
+
     def _play(self, q: Array) -> Array:
+        """The carriage between its two stops, which a faster motor may push further apart."""
         grid = np.linspace(RANGE_MM[0] - 2.0, RANGE_MM[1] + 2.0, 20001)
         half = 0.5 * self.width(grid)
         low, high = np.interp(q, grid + half, grid), np.interp(q, grid - half, grid)
+        speed = np.abs(np.gradient(q, self.t))
+        wider = np.where(self.t >= self.fault.since_s, 1.0 + self.fault.wider * speed / FAST_MM_S, 1.0)
         p = np.empty_like(q)
         now = q[0]
         for k in range(len(q)):
-            now = min(max(now, low[k]), high[k])
+            middle, reach = 0.5 * (low[k] + high[k]), 0.5 * (high[k] - low[k]) * wider[k]
+            now = min(max(now, middle - reach), middle + reach)
             p[k] = now
         return p
 
     def seen(self, t: Array) -> tuple[Array, Array]:
         """The marker's place (n, 2) px at the rig's size, and its radius (n,) px."""
         point = self._in_camera(self._along(np.interp(t, self.t, self.c), np.ones(1))[:, 0])
+        point = point + self._aside(t)
         return self._image(point), self.focal * MARKER_MM / point[:, 2]
+
+    def _aside(self, t: Array) -> Array:
+        return np.where(t[:, None] >= self.fault.since_s, self.fault.aside_mm, 0.0)
 
     def _along(self, c_deg: Array, share: Array) -> Array:
         """Points (n, m, 3) of the section at shares of its length; 1 is the end of the rigid tip."""
@@ -131,7 +178,7 @@ class World:
 
     def frames(self) -> Iterator[tuple[float, Array]]:
         """(scene time, BGR picture) until the motion ends."""
-        scene = self.rng.uniform(0.0, 1.0 / RATE_HZ) + 0.2
+        scene = self.t[0] + self.rng.uniform(0.0, 1.0 / RATE_HZ) + 0.2
         noise = self.rng.normal(0.0, 2.5, (self.condition.height + 97, self.condition.width + 101, 3))
         grain = np.clip(np.rint(noise), -40, 40).astype(np.int8)
         while scene < self.t[-1] - 0.1:
@@ -161,7 +208,7 @@ class World:
     def _draw_tube(self, picture: Array, scene: float) -> None:
         body = self._along(np.interp([scene], self.t, self.c), np.linspace(0.0, 1.0, 16))[0]
         shaft = np.array([[0.0, 0.0, z] for z in np.linspace(-8.0, -0.5, 5)])
-        point = self._in_camera(np.vstack([shaft, body]))
+        point = self._in_camera(np.vstack([shaft, body])) + self._aside(np.array([scene]))
         image, half = self._image(point), self.focal * TUBE_MM / point[:, 2]
         for grey, share in ((70, 1.0), (125, 0.75), (165, 0.4)):
             for k in range(len(image) - 1):
@@ -228,7 +275,55 @@ class World:
         )
 
 
-def _motion(rng: np.random.Generator) -> tuple[Array, Array]:
+@dataclass(frozen=True)
+class Use:
+    """What a user's hand does before the same camera, and what has become of the instrument meanwhile."""
+
+    before: World
+    seed: int
+    begins_s: float  # on the session's clock
+    lasts_s: float
+    mm_s: float  # at most
+    rests: bool  # between one place and the next
+    fault: Fault
+
+    def motion(self) -> tuple[Array, Array]:
+        """Three sines, or from place to place, within 3.9 mm of the middle."""
+        rng = np.random.default_rng([self.seed, 0x05E])
+        if self.rests:
+            return self._from_place_to_place(rng)
+        rates, phases = rng.uniform([0.25, 0.7, 1.5], [0.45, 1.2, 2.4]), rng.uniform(0.0, 2.0 * np.pi, 3)
+        sizes = np.array([2.6, 0.9, 0.4])
+        slow = np.linspace(0.0, 60.0, 6001)
+        peak = np.max(np.abs((sizes * rates) @ np.cos(np.outer(rates, slow) + phases[:, None])))
+        t = np.arange(int(self.lasts_s * MOTOR_HZ)) / MOTOR_HZ
+        return self.begins_s + t, sizes @ np.sin(np.outer(rates * self.mm_s / peak, t) + phases[:, None])
+
+    def _from_place_to_place(self, rng: np.random.Generator) -> tuple[Array, Array]:
+        q = [np.zeros(1)]
+        while sum(map(len, q)) < self.lasts_s * MOTOR_HZ:
+            start = float(q[-1][-1])
+            end = rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 3.9)
+            if abs(end - start) < 1.0:
+                end = -end
+            samples = 2 + int(0.5 * np.pi * abs(end - start) / self.mm_s * MOTOR_HZ)
+            q.append(start + (end - start) * 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, samples))))
+            q.append(np.full(int(rng.uniform(0.6, 2.0) * MOTOR_HZ), end))
+        path = np.concatenate(q)[: int(self.lasts_s * MOTOR_HZ)]
+        return self.begins_s + np.arange(len(path)) / MOTOR_HZ, path
+
+
+def _late(t: Array, x: Array, constant_s: float) -> Array:
+    """x through a first-order lag."""
+    share = -np.expm1(-np.diff(t) / constant_s)
+    out = np.empty_like(x)
+    out[0] = x[0]
+    for k in range(1, len(x)):
+        out[k] = out[k - 1] + share[k - 1] * (x[k] - out[k - 1])
+    return out
+
+
+def _strokes(rng: np.random.Generator) -> tuple[Array, Array]:
     """Strokes of 1.9 mm that go on by 0.6 up and down the range, at two speeds."""
     corners = [0.0, -4.4]
     for way in (1.0, -1.0):
@@ -315,10 +410,10 @@ class _Writer:
 
 def make(
     folder: Path, condition: Condition, seed: int, background: Array | None = None,
-    say: Callable[[float], None] = lambda share: None,
+    say: Callable[[float], None] = lambda share: None, use: Use | None = None,
 ) -> World:  # fmt: skip
-    """Writes the recording. Returns the world that it is of."""
-    world = World(condition, seed, background)
+    """Writes the recording, of a calibration or of use later. Returns the world that it is of."""
+    world = World(condition, seed, background, use)
     folder.mkdir(parents=True)
     (folder / "rig.toml").write_text(_rig(world), encoding="utf-8")
     counts = np.rint(world.q / COUNT_MM) * COUNT_MM
@@ -330,7 +425,7 @@ def make(
         for scene, picture in world.frames():
             video.write(picture)
             arrivals.append(scene + DELAY_S)
-            say(scene / world.t[-1])
+            say((scene - world.t[0]) / (world.t[-1] - world.t[0]))
     frames = np.column_stack([np.arange(len(arrivals)), arrivals])
     np.savetxt(folder / "frames.csv", frames, ["%d", "%.6f"], ",", header="frame,t_s", comments="")
     grid = np.linspace(*RANGE_MM, 401)

@@ -330,7 +330,6 @@ class World:
             case "reset" | "hang" if not words:
                 self._arrived()
                 self.machine.ask(verb)
-                time.sleep(0.1)  # it answers, then it goes down: what came in between would be lost too
             case "quit" if not words:
                 self.quit = True
             case _:

@@ -215,8 +215,7 @@ static void request(void) {
     } else if (strcmp(verb, "hang") == 0) {
         world.hung = true;
     } else if (strcmp(verb, "reset") == 0) {
-        answer("ok", 0);
-        end_answer();
+        world.reset = true;
         board_restart(TL_WIRE_BOOT_POWER);
     }
     answer("ok", 0);
@@ -224,6 +223,11 @@ static void request(void) {
 }
 
 void world_task(bool idle) {
+    if (world.reset) {
+        world.reset = false;
+        answer("ok", 0);
+        end_answer();
+    }
     uint8_t byte;
     while (uart_read(&world_uart, &byte, 1) == 1U) {
         if (byte != '\n') {

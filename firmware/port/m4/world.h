@@ -19,6 +19,7 @@ typedef struct {
     uint32_t cut_in;            ///< flash operations until the power is cut; 0: never
     uint32_t line_in, line_out; ///< bytes of the host's line, so that the other end knows what is still on its way
     uint8_t boot;               ///< tl_wire_boot_t of the next start
+    bool reset;                 ///< one was asked for, and is answered once it is over: bytes in between would be lost
     bool announced;             ///< time was granted, and is run once the host's bytes before it have come
     bool running;               ///< it is being run
     uint32_t granted;           ///< ticks left

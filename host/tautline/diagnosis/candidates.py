@@ -12,6 +12,7 @@ import numpy.typing as npt
 from tautline import effects
 from tautline.diagnosis import confined, gap, heldout
 from tautline.diagnosis.fit import Fit, Fitter, Scope, outlier_limit
+from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.hypotheses import Beyond
 from tautline.diagnosis.screen import Screened, screen
 from tautline.effects import SCATTERS, Kind
@@ -75,6 +76,18 @@ class Search:
         self.limits = outlier_limits(fitter, base)
         self._alike = gap.alike(fitter.segments, _NOISE * fitter.floor)  # of the noise's numbers
         self.base = self.judged(base)
+
+    def by_what_is_recorded(self) -> Search:
+        """Without what another posture changes where following a measured load leaves less than a wrong effect does:
+        what is recorded comes before what is not."""
+        loads = [kind for kind in self.kinds if kind.needs == "load"]
+        floor2 = self.fitter.floor**2
+        little = learnt().center.unexplained_by_wrong * (float(np.mean(self.base.power)) - floor2)
+        for one in Search(self.fitter, self.base.fit, loads, self._progress).on_top_of(self.base, 1, 1):
+            if float(np.mean(one.power)) - floor2 < little:
+                kinds = [kind for kind in self.kinds if not kind.posture]
+                return Search(self.fitter, self.base.fit, kinds, self._progress)
+        return self
 
     def judged(self, fit: Fit) -> Candidate:
         left = heldout.residuals(self.fitter, fit, self.labels, self.limits)

@@ -16,7 +16,6 @@ from tautline.diagnosis.segment import Segment
 from tautline.effects import Kind
 
 LOAD, DRIFT = "transmission.load_dependence", "transmission.drift"
-ANOTHER = frozenset({"transmission.offset", "transmission.backlash", "configuration.remaining"})  # of each recording
 
 _LEVEL = 0.15  # of the loads' span: what lies nearer together is one level, what varies less within a run is held
 _HIDDEN = 0.2  # of a probability that two effects share: that it is the one of which nothing is recorded
@@ -30,16 +29,14 @@ def hidden(kinds: Sequence[Kind], segments: Sequence[Segment]) -> dict[str, str]
     return {DRIFT: LOAD} if both and load_goes_with_time(segments) else {}
 
 
-def explained(kinds: Sequence[Kind], segments: Sequence[Segment]) -> list[Kind]:
-    """Without the offset, width and law of each recording where a measured load tells recordings apart: they could
-    follow all that does."""
+def load_tells_apart(segments: Sequence[Segment]) -> bool:
+    """Whether a measured load tells recordings apart: an offset, width or law of each could follow all that it does."""
     loads = [segment.motor.load_mNm for segment in segments]
     if any(load is None for load in loads):
-        return list(kinds)
+        return False
     levels = [float(np.median(load)) for load in loads if load is not None]
     within = float(np.median([np.std(load) for load in loads if load is not None]))
-    told = max(levels) - min(levels) > _TOLD * within
-    return [kind for kind in kinds if not (told and kind.id in ANOTHER)]
+    return max(levels) - min(levels) > _TOLD * within
 
 
 def told(document: dict[str, Any], hidden: Mapping[str, str]) -> None:

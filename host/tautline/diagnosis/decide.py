@@ -20,7 +20,7 @@ from tautline.effects import EVENTS
 
 Array = npt.NDArray[np.float64]
 
-NAMED = 0.5  # probability from which on an effect is named
+FURTHER = 0.9  # probability of a further effect, given those before: who mends what is right loses more than by waiting
 MOVED = 0.2  # share of what a recalibration closes from which on a part of it is named
 HELPS = 0.7  # standard errors of the mean over blocks; one block alone that shows an effect is 1
 
@@ -31,7 +31,7 @@ class Decision:
     unknown: float
     leading: Mapping[str, float]  # of each effect weighed: that it is the leading one; with the two above they sum to 1
     posterior: Array  # (hypotheses,); of those with the same effects the best alone has any
-    named: tuple[str, ...]  # the effects that are more likely there than not, given those before, leading first
+    named: tuple[str, ...]  # the leading effect, and those that are surely there given those before
     probability: tuple[float, ...]  # of each named one, given those before
     chosen: int  # the hypothesis of the named ones
 
@@ -84,7 +84,7 @@ def decide(evidence: CaseEvidence, by: Learnt | None = None) -> Decision:
         total = sum(given.values())
         more = {n: sum(v for key, v in given.items() if n in key) for n in leading if n not in named}
         likeliest = max(more, key=lambda name: more[name], default=None)
-        if likeliest is None or total <= 0.0 or more[likeliest] < NAMED * total:
+        if likeliest is None or total <= 0.0 or more[likeliest] < FURTHER * total:
             break
         named.append(likeliest)
         probability.append(more[likeliest] / total)

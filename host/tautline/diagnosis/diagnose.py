@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import effects
-from tautline.diagnosis import confounded, decide, flexible, gap, motion, moved, repeated, shapley, tip, where
+from tautline.diagnosis import confounded, decide, flexible, gap, motion, moved, repeated, shapley, tip, tracker, where
 from tautline.diagnosis.candidates import Candidate, applicable
 from tautline.diagnosis.fit import Fit, Fitter, Scope, key
 from tautline.diagnosis.gather import Gathered, gather
@@ -53,16 +53,18 @@ def diagnose(
     nothing can be scored."""
     progress(0.0, "preparing")
     segments = prepare(model, calibration, tests)
+    tracked = tracker.without(model, segments, load_reference(calibration)) if _are_videos(calibration, tests) else None
+    segments, moving = (tracked.segments, tracked.noise) if tracked is not None else (segments, 0.0)
     fitter = Fitter(model, segments, load_reference(calibration))
     frozen = fitter.residuals(fitter.start(), fitter.nothing)
-    fitter.floor = gap.noise_floor(segments, frozen)
+    fitter.floor = max(gap.noise_floor(segments, frozen), moving)
     base = fitter.nominal()
     # A rest in which the tip goes on moving is no noise: the calibration has no more of it than its own fit leaves. A
     # simulator's has none at all, and the robot's sensor still has its own.
     floor = gap.noise_floor(segments, base.residuals)
     left = max(gap.rms(frozen[:1]), gap.counted(segments), gap.jitters(base.residuals[1:]))
-    floor = fitter.floor = left if left < _NO_NOISE * floor else floor
-    kinds = confounded.explained(applicable(fitter, left_out), segments)
+    floor = fitter.floor = max(left if left < _NO_NOISE * floor else floor, moving)
+    kinds = applicable(fitter, left_out)
     hidden = confounded.hidden(kinds, segments)
     kinds = [kind for kind in kinds if kind.id not in hidden]
 
@@ -114,6 +116,7 @@ def diagnose(
             "closable_shrink": float(np.clip(1.0 - (after_rms**2 - floor**2) / excess, 0.0, 1.0)) if named else 0.0,
         },
         "gap_recalibrated": {"before": recalibrated},
+        "tracker": tracked.to_json() if tracked else None,  # of videos: the noise of a moving marker
         "flexible": rest.to_json() if rest else None,  # what a Gaussian process closes of the gap after
         "effects": [
             {
@@ -158,6 +161,10 @@ def diagnose(
     return Diagnosis(
         document, model, corrected, following, segments, list(before), list(after), conditions, gathered.evidence
     )
+
+
+def _are_videos(calibration: Recording, tests: Sequence[Recording]) -> bool:
+    return all(recording.video is not None for recording in [calibration, *tests])
 
 
 def _best_of_each(gathered: Gathered) -> dict[str, Candidate]:

@@ -28,7 +28,9 @@ from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
 
-_WIDTH_PIECES, _REMAINING_PIECES = 20, 22
+_WIDTH_PIECES, _REMAINING_PIECES = (
+    len(effects.BY_ID[name].curve) - 3 for name in ("transmission.backlash", "configuration.remaining")
+)
 _ROUGH = 0.001  # second difference of a correction's neighbouring coefficients, share of its range
 STATIC_COLUMNS = slice(2, 8)  # of Seen.columns, with a camera
 _STATIC = tuple(p.name for p in effects.BY_ID["registration.static"].amplitudes)

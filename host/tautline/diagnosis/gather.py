@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnosis import decide, scatter
+from tautline.diagnosis import confounded, decide, scatter
 from tautline.diagnosis.candidates import Candidate, Search
 from tautline.diagnosis.fit import DELAY, WIDTH, Fit, Fitter, Scope
 from tautline.diagnosis.hyperparameters import learnt
@@ -40,6 +40,8 @@ def gather(fitter: Fitter, frozen: Sequence[Array], base: Fit, kinds: Sequence[K
         progress(min(1.0, steps[0] / (_REFITS + _BOTH_SCOPES + sum(_EXTENDED) * _FURTHER_REFITS)), text)
 
     search = Search(fitter, base, kinds, told)
+    if confounded.load_tells_apart(fitter.segments):
+        search = search.by_what_is_recorded()
     weighing = _Weighing(search, search.power(frozen), float(np.mean(np.square(frozen[0]))))
     weighing.add(search.base, events=True)
     weighing.add_single(search.on_top_of(search.base, _REFITS, _BOTH_SCOPES))

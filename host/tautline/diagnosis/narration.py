@@ -27,6 +27,7 @@ SINCE = {
     "calibration": " since the calibration",
     "recording": ", another in each recording",
 }
+_LEFT_OUT = 0.02  # share of the frames, from which it is told
 _SHRINKS = 0.02  # of a gap that jumps or unsteady times leave: part of it has a path
 
 
@@ -237,6 +238,17 @@ def tip(document: Mapping[str, Any]) -> str:
     )
 
 
+def tracker(document: Mapping[str, Any]) -> str:
+    """What of the videos was not looked at; "" where all was."""
+    tracked = document.get("tracker")
+    if not tracked or tracked["left_out"] < _LEFT_OUT:
+        return ""
+    return (
+        f"{percent(tracked['left_out'])} of the frames are left out: at these places the marker is seen wrong in the "
+        "calibration too (glare, or something in front of it)."
+    )
+
+
 def text(document: Mapping[str, Any], folder: str) -> str:
     """For a terminal: the sentence, the gap, the candidates, what to do next, where it is."""
     gap, unit = document["gap"], document["unit"]
@@ -258,8 +270,8 @@ def text(document: Mapping[str, Any], folder: str) -> str:
     closed = flexible(document)
     if closed:
         lines += ["", closed]
-    if tip(document):
-        lines += ["", tip(document)]
+    for told in (tip(document), tracker(document)):
+        lines += ["", told] if told else []
     lines.append("")
     for step in steps(document, folder):
         lines += [f"- {step.says}", *([f"    {step.command}"] if step.command else [])]

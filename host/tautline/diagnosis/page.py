@@ -74,6 +74,7 @@ def write(diagnosis: Diagnosis, folder: Path, known_as: str = "") -> Path:
         "parameters": [row for effect in document["effects"] for row in _parameters(effect, unit)],
         "moved": narration.moved(document),
         "tip": narration.tip(document),
+        "tracker": narration.tracker(document),
         "conditions": _conditions(diagnosis, unit),
         "colours": "Blue: mean residual across the image; orange: down."
         if document["unit"] == "px"

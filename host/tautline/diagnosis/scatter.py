@@ -25,6 +25,7 @@ RIVALS = ("level", "memory", HELD, "pixels")
 _MOVES = 0.02  # of the fastest: slower is at rest
 _REMEMBERED = 3  # frames that the rival with a memory reaches back
 _BROAD = 0.03  # share of frames that follow no model
+_HAPPENS_S = 0.5  # about a shift: it takes its time, and a model of before and after says nothing of how it moves
 _LONGEST_S = 0.1  # frame times are not less steady than this
 
 
@@ -63,6 +64,9 @@ def of_fit(fitter: Fitter, fit: Fit, labels: Sequence[npt.NDArray[np.int64]], on
     for segment, label in zip(fitter.segments, labels, strict=True):
         block = np.full(len(segment.scored), -1)
         block[segment.scored] = label + count
+        if (moment_s := fit.state.values.get("shift_time")) is not None:
+            seen = segment.arrival_s + segment.offset_s - fit.state.model.delay_s
+            block[np.abs(seen - moment_s) < _HAPPENS_S] = -1
         count += int(label.max(initial=-1)) + 1
         if not (only_tests and segment.calibration):
             at = fit.state.at(segment, fit.hypothesis)

@@ -22,6 +22,7 @@ MEASURED = frozenset(kind.id for kind in LIBRARY if kind.needs == "load")  # eff
 BROUGHT = {kind.id: frozenset(kind.brings) for kind in LIBRARY if kind.brings}
 INEXACT = 4.0  # times the floor's power that a nominal model may leave of its own calibration
 CONFINED = 0.5  # probability that what a wrong effect leaves is confined to its stage as well
+FOLLOWED = 0.02  # share of a power above the floor: what leaves less of unseen blocks has followed a path
 SHARES = np.geomspace(1e-5, 1.0, 41)
 _DEGREES = 8.0  # of freedom, of a block's noise
 _WRONG_SHARES = (np.arange(10) + 0.5) / 10.0  # of blocks that a wrong effect disturbs
@@ -77,10 +78,16 @@ class Stacked:
         scatter, rival = np.array([h.scatter for h in hypotheses]), np.array([h.rival for h in hypotheses])
         self.scatters: Flags = np.asarray(scatter.any(axis=1))
         # What a path follows on blocks that its fit did not see is no scatter, of whatever origin; nor is noise.
-        followed = np.min(self.mean[~self.scatters], initial=np.inf)
+        of_paths = np.where(self.scatters, np.inf, self.mean)
+        followed = np.min(of_paths, initial=np.inf)
         least = np.minimum(self.power, self.floor2)
         scattered = np.maximum(self.power * np.exp(np.minimum(scatter, rival)), least)
-        self.path: Flags = self.scatters & (followed < np.mean(scattered, axis=1))
+        # Frames foretell the next ones of any smooth misfit, the better the faster the sensor: a path that leaves more
+        # than they do, but next to nothing of what is there without it, is one all the same, and the rest its misfit.
+        misfit = followed - self.floor2 < FOLLOWED * (self.mean - self.floor2)
+        self.path: Flags = self.scatters & ((followed < np.mean(scattered, axis=1)) | misfit)
+        rest = np.maximum(self.power[int(np.argmin(of_paths))], self.floor2)
+        self._least = np.where(misfit[:, None], rest, self.floor2)
         self.scatter, self.rival = self._taken_off(scatter), self._taken_off(rival)
         self.forgets = np.where(self.path, 0.0, np.square([h.white for h in hypotheses]))
         self.parameters = np.array([h.parameters for h in hypotheses], dtype=float)
@@ -122,10 +129,10 @@ class Stacked:
 
     def _taken_off(self, scatter: Array) -> Array:
         """(hypotheses,) what scatter takes off in all blocks, as a logarithm: not what the hypothesis' own path has put
-        on, and where a path follows no more than that could, down to the noise."""
+        on, and where a path follows it no more than that could, down to what that leaves or to the noise."""
         put_on = np.maximum(np.log(self.power / self.power[0]), 0.0)
         off = scatter + np.minimum(put_on, np.maximum(-scatter, 0.0))
-        above = np.maximum(np.log(self.power / self.floor2), 0.0)
+        above = np.maximum(np.log(self.power / self._least), 0.0)
         return np.asarray(np.sum(np.where(self.path[:, None], np.maximum(off, -above), off), axis=1))
 
     def tells(self, misfit_tells: float, noise_tells: float) -> Array:

@@ -84,6 +84,12 @@ class Kind:
         return (*self.amplitudes, *self.shapes)
 
     @property
+    def forms(self) -> tuple[Kind, ...]:
+        """All that has its id."""
+        of_joint = self.of_joint and self.of_joint("")
+        return tuple(form for form in (self, self.simple, of_joint) if form)
+
+    @property
     def through_angle(self) -> bool:
         return self.stage in _THROUGH_ANGLE
 

@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 
 NATIVE = frozenset(name for name, *_ in _native.effect_parameters)  # what moves the tip
 PROJECTION = frozenset(name for name, *_ in _native.projection_parameters)  # what changes where it is seen
-_TABLED = tuple(form for kind in LIBRARY if kind.in_tables for form in (kind, kind.simple) if form)
+_TABLED = tuple(form for kind in LIBRARY if kind.in_tables for form in kind.forms)
 _MEANS = frozenset(kind.event.mean for kind in LIBRARY if kind.event)
 
 
@@ -52,8 +52,7 @@ def of_this_version(model: Model) -> tuple[Effect, ...]:
         kind = BY_ID.get(effect.id)
         if kind is None:
             raise TautError(f"{effect.id} is no effect of this version: diagnose again")
-        forms = (kind, kind.simple or kind)
-        known = {"column", *(parameter.name for form in forms for parameter in form.parameters)}
+        known = {"column", *(parameter.name for form in kind.forms for parameter in form.parameters)}
         if strange := [name for name in effect.parameters if name not in known]:
             raise TautError(f"{effect.id} has no {', '.join(strange)} in this version: diagnose again")
     return model.effects

@@ -53,11 +53,19 @@ KNOWN: Mapping[str, Draw] = {
     "acquisition.held_samples": lambda g, t: {"stalls": float(g.uniform(0.1, 0.3)), "stall_s": size(g, 0.25, 0.8)},
 }
 PROJECTION = frozenset({"registration.static", "registration.shift"})  # only a camera has them
-# Outside of the library: the patient breathes, and what the tip lies against pushes it.
+# Outside of the library: the patient breathes, a heart beats, or somebody pushes now and then.
 UNKNOWN: Mapping[str, Draw] = {
     "breathing": lambda g, t: {
         "breath": size(g, 0.004, 0.02) * _span(t) * _STIFF,
         "breath_hz": float(g.uniform(0.15, 0.4)),
+    },
+    "heartbeat": lambda g, t: {
+        "heart": size(g, 0.008, 0.03) * _span(t) * _STIFF,
+        "heart_hz": float(g.uniform(0.8, 1.6)),
+    },
+    "pushes": lambda g, t: {
+        "push": size(g, 0.01, 0.04) * _span(t) * _STIFF,
+        "push_seed": float(g.integers(1, 2**31)),
     },
 }
 

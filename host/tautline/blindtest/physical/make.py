@@ -18,6 +18,7 @@ from tautline.blindtest.physical.draws import KNOWN, PROJECTION, UNKNOWN
 from tautline.blindtest.physical.mechanism import STEP_S, MechanismPath, Topology, Values, drive
 from tautline.effects import BY_ID
 from tautline.geometry import rotation
+from tautline.prediction import driven_both_ways_from
 from tautline.recording import Angle, Marker, Motor, Recording
 from tautline.rig import Actuator, AngleSensor, Coarse, Kinematics, Rig
 from tautline.simulated.instrument import reference_rig
@@ -25,7 +26,7 @@ from tautline.trajectory import Trajectory
 
 Array = npt.NDArray[np.float64]
 
-_DRAWS = 4
+_DRAWS = 8
 _ENCODER_EVERY = 4  # of the mechanism's steps
 _COUNTS = 8000  # of the encoder, over the range
 _NAMES = ("calibration", "test-1", "test-2", "further")
@@ -40,6 +41,8 @@ _MEASURED: Mapping[str, tuple[float, float]] = {
     "late": (0.0, 2e-3),
 }
 _STEPS = 2
+_BEAT, _PAUSE_S = 6, 3.0  # how short a beat is; between pushes, in the mean
+_ENOUGH = 1.3  # times the play: what the motor has to go until the tip is driven
 
 
 def known(topology: Topology) -> tuple[str, ...]:
@@ -65,13 +68,30 @@ class _Recorded:
         when = motion.t_s + self.starts_s[which]
         load = self.loads[which]
         force = np.zeros_like(when) if load is None else values("force_per_load") * load
-        force = force + values("breath") * np.sin(2 * np.pi * values("breath_hz") * when)
+        force = force + _from_outside(values, when)
         since = when - self.starts_s[1] + 5.0
         anchor = values("anchor") * (1.0 - np.exp(-since / values("anchor_s", 1.0)))
         course = drive(topology, values, motion.q / topology.scale, self.others[which], force, anchor)
         if topology.gravity and load is not None:  # what the weight pulls with, at the motor's angle
             load = values("payload") * topology.gravity * topology.reach_mm * np.cos(course.q)
         return _recorded(self, values, course, which, load, noisy)
+
+
+def _from_outside(values: Values, when: Array) -> Array:
+    """What pushes at the tip at these times of the session."""
+    force: Array = values("breath") * np.sin(2 * np.pi * values("breath_hz") * when)
+    force = force + values("heart") * np.maximum(np.sin(2 * np.pi * values("heart_hz") * when), 0.0) ** _BEAT
+    if not values("push"):
+        return force
+    rng = np.random.default_rng(int(values("push_seed")))
+    pushes = np.zeros_like(when)
+    begins = 0.0
+    while (begins := begins + float(rng.exponential(_PAUSE_S))) < when[-1]:
+        lasts, strength = float(rng.uniform(0.3, 1.5)), float(rng.uniform(-1.0, 1.0))
+        within = (when > begins) & (when < begins + lasts)
+        pushes[within] += strength * np.sin(np.pi * (when[within] - begins) / lasts)
+        begins += lasts
+    return force + values("push") * pushes
 
 
 def make(topology: Topology, seed: int, kind: str, effects: tuple[str, ...] = ()) -> Case:
@@ -123,8 +143,9 @@ def _visible(
 
 
 class _Truth:
-    """What the mechanism does differently on the tests with something than without it; beyond what the same mechanism
-    does with another play, rest, stiffness and delay."""
+    """What the mechanism does differently on the tests with something than without it, from when it was driven through
+    its play both ways (nothing before counts); beyond what the same mechanism does with another play, rest, stiffness
+    and delay."""
 
     def __init__(self, session: _Recorded) -> None:
         self.session, self.without = session, _silent(session, {})
@@ -137,7 +158,21 @@ class _Truth:
         return np.stack([self._apart({**usual, n: usual[n] + self._size[n]}) for n in _MEASURED], axis=1)
 
     def _apart(self, values: Mapping[str, float]) -> Array:
-        return _apart(_silent(self.session, values), self.without)
+        apart = [_apart(*pair) for pair in zip(_silent(self.session, values), self.without, strict=True)]
+        return np.concatenate(
+            [np.where(counts, x, np.nan).ravel() for x, counts in zip(apart, self._counts, strict=True)]
+        )
+
+    @cached_property
+    def _counts(self) -> list[npt.NDArray[np.bool_]]:
+        """(frames, 1) of each test."""
+        topology, counts = self.session.topology, []
+        for recording in self.without:
+            begin_s = driven_both_ways_from(
+                recording.motor.t_s, recording.motor.q, _ENOUGH * topology.width * topology.scale
+            )
+            counts.append((_seen(recording)[0] > begin_s)[:, None])
+        return counts
 
     def left(self, values: Mapping[str, float], nominal: bool) -> float:
         """rms of each coordinate. nominal: it is a part of the nominal model itself, and all of it counts."""
@@ -163,15 +198,11 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.nanmean(values**2)))
 
 
-def _apart(there: list[Recording], without: list[Recording]) -> Array:
-    """All coordinates of all frames. Frames are taken at the same times; what comes late, comes late by what it shows
-    then."""
-    apart = []
-    for one, other in zip(there, without, strict=True):
-        (t, seen), (usual, expected) = _seen(one), _seen(other)
-        shown = np.stack([np.interp(t, usual, column) for column in expected.T], axis=1)
-        apart.append((seen - shown).ravel())
-    return np.concatenate(apart)
+def _apart(there: Recording, without: Recording) -> Array:
+    """(frames, coordinates). Frames are taken at the same times; what comes late, comes late by what it shows then."""
+    (t, seen), (usual, expected) = _seen(there), _seen(without)
+    shown = np.stack([np.interp(t, usual, column) for column in expected.T], axis=1)
+    return np.asarray(seen - shown)
 
 
 def _seen(recording: Recording) -> tuple[Array, Array]:

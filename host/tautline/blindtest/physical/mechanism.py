@@ -110,6 +110,10 @@ def _compiled(topology: Topology, given: tuple[tuple[str, float], ...]) -> Any:
     values = Values(dict(given))
     model: Any = mujoco.MjModel.from_xml_string(document(topology, values))
     model.dof_invweight0[:] = 1.0 / model.dof_M0  # of a slide it leaves the armature out: its friction would be soft
+    if topology in (PULLEYS, ANTAGONISTS):  # the tip's own centre does not move: the wall would be rigid, and diverge
+        of_c, of_s = (float(model.dof_M0[model.joint(name).dofadr[0]]) for name in "cs")
+        inertia = of_c + of_s / topology.gain**2
+        model.body_invweight0[model.site("tip").bodyid, 0] = topology.reach_mm**2 / inertia
     gap = 0.5 * topology.width * values("widened", 1.0)
     for i in range(model.ntendon):  # lengths are known once it is put together
         name, rest = model.tendon(i).name, model.tendon_length0[i]

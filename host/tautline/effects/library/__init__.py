@@ -17,7 +17,7 @@ _FOUND: list[Kind] = [
 LIBRARY: tuple[Kind, ...] = tuple(sorted(_FOUND, key=lambda kind: (STAGES.index(kind.stage), kind.id)))
 BY_ID: Mapping[str, Kind] = {kind.id: kind for kind in LIBRARY}
 OWNER: Mapping[str, Kind] = {
-    parameter.name: kind for kind in LIBRARY for form in (kind, kind.simple) if form for parameter in form.parameters
+    parameter.name: kind for kind in LIBRARY for form in kind.forms for parameter in form.parameters
 }
 # Told by their scatter: at most what it is in the mean can be predicted.
 EVENTS = frozenset(kind.id for kind in LIBRARY if kind.event)

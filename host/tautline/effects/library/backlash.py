@@ -13,19 +13,33 @@ from tautline.splines import Basis
 _PIECES = 20  # of a cubic spline over the motor's range: as fine as B itself is measured again
 _NAMES = tuple(f"width_{i}" for i in range(_PIECES + 3))
 _EVERYWHERE = "width_everywhere"
+_AT_MOTOR = "width_at_motor"  # what is worn is a part that goes with the motor, and not with the play's centre
+_STEPS = 6  # until a wall is where it is; |added'| / 2 < 1 contracts
 _basis = lru_cache(maxsize=8)(Basis)
 
 
 def _in_the_table(model: Model, values: Mapping[str, float], session_s: float) -> Model:
     basis = _basis(*model.rig.actuator.range, _PIECES)
     added = basis.value(np.array([values.get(name, 0.0) for name in _NAMES]), np.clip(model.q, basis.low, basis.high))
-    width = model.width * max(0.0, 1.0 + values.get("width_scale", 0.0)) + added + values.get(_EVERYWHERE, 0.0)
-    return replace(model, width=allowed_width(model.q, width))
+    width = model.width * max(0.0, 1.0 + values.get("width_scale", 0.0)) + values.get(_EVERYWHERE, 0.0)
+    if not values.get(_AT_MOTOR, 0.0):
+        return replace(model, width=allowed_width(model.q, width + added))
+    # The motor's place where either wall is reached, by what is added there.
+    walls = []
+    for side in (1.0, -1.0):
+        wall = model.q + side * 0.5 * width
+        for _ in range(_STEPS):
+            wall = model.q + side * 0.5 * (width + np.interp(wall, model.q, added))
+        walls.append(np.maximum.accumulate(wall))
+    centre = 0.5 * (walls[0] + walls[1])
+    there = np.interp(model.q, centre, walls[0] - walls[1])
+    return replace(model, width=allowed_width(model.q, there), c_deg=np.interp(model.q, centre, model.c_deg))
 
 
 _KIND = Kind(
     "transmission.backlash",
     (Parameter("width_scale", "", 0.1), *(Parameter(name, "unit", 5e-3) for name in _NAMES)),
+    (Parameter(_AT_MOTOR, "", 1.0, (0.0, 1.0), searched=True),),
     says="the backlash is not the model's",
     tell="Every reversal at one place is wider or narrower than the model's B there, by the same amount each time.",
     mend="Re-tension the tendon as it was, or calibrate again: that is all it takes.",
@@ -35,4 +49,6 @@ _KIND = Kind(
     posture=True,
     curve=_NAMES,
 )
-EFFECTS = (replace(_KIND, simple=replace(_KIND, amplitudes=(Parameter(_EVERYWHERE, "unit", 5e-3),), curve=())),)
+EFFECTS = (
+    replace(_KIND, simple=replace(_KIND, amplitudes=(Parameter(_EVERYWHERE, "unit", 5e-3),), shapes=(), curve=())),
+)

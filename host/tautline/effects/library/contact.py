@@ -3,7 +3,7 @@ from tautline.effects.kind import Kind, Parameter
 EFFECTS = (
     Kind(
         "configuration.contact",
-        (Parameter("contact_hold", "", 0.3, low=0.0, high=1.0),),
+        (Parameter("contact_hold", "", 0.3, low=0.0, high=2.0),),
         (
             Parameter("contact_c", "deg", 10.0, reached=True),
             Parameter("contact_side", "", 1.0, (1.0, -1.0), searched=True),
