@@ -127,7 +127,7 @@ def simulated(
 ) -> Work[tuple[Array, Array]]:
     """Residuals (seen,) over sigma, and their slopes (seen, PARAMETERS), or (0, PARAMETERS) without."""
     seen = evidence.seen
-    yield 70 + len(seen) // 20
+    yield 110 + len(seen) // 20
     law = nominal.law(theta)
     y = law.place(evidence.c_deg)
     by_y = law.slope(y)

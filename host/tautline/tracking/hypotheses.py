@@ -56,7 +56,7 @@ _WANDERS = 4.0  # standard deviations of the tip's motion while the motor rests
 _DEPARTS = 3.0  # standard deviations that each of three frames is off where a change shows
 _WORTH = 0.5  # times the level known so far, in quadrature: what a new law must take away
 _TOLD_APART = 0.6  # of what a law changes in B: so much must have been passed before another law replaces it
-_EASY, _HARD = 60, 160  # us, at most, of looking at a case
+_EASY, _HARD, _GUESS = 120, 200, 320  # us, at most, of looks at a case
 DECISION = 350  # and of taking a law into use
 _HOLDS_FOR_NOW = "the model holds for now"
 _ONE_WAY = "the tip was not yet seen to move both ways since the model stopped holding"
@@ -288,7 +288,7 @@ def _best(case: _Case) -> Work[LawFit]:
         refined = yield from fitted(nominal, evidence, start, _freed(case.theta), prior)
         if max(refined.level, case.lately(refined.z)) <= _GOOD * case.level:
             return refined
-    yield 2 * _HARD
+    yield _GUESS
     base = unchanged() if _tells_apart(case) else nominal.lawful(_shape_of(case.theta))
     start = base if np.any(base[SHAPE]) else guess(nominal, evidence, base, case.envelopes, True)
     before = yield from fitted(nominal, evidence, start, BOTH[0], prior)
@@ -368,7 +368,7 @@ def _posture(case: _Case, least: float) -> Work[Inference]:
     y = case.places(case.theta, at)
     if len(at) < _SHORT or np.ptp(y) < _ALONG * float(np.interp(y[0], nominal.model.q, nominal.model.width)):
         return Inference(_ONE_WAY, case.evidence, early=True)
-    yield 2 * _HARD
+    yield _GUESS
     start = guess(nominal, case.evidence, case.theta, case.envelopes, False)
     fit = yield from fitted(nominal, case.evidence, start, ONLY_OFFSET[0], case.prior())
     other = yield from fitted(nominal, case.evidence, at_tip(nominal, start), ONLY_OFFSET[1], case.prior())
