@@ -17,7 +17,7 @@ from tools.tracking.sessions import NOISE_PX, Change, Instrument, ideal_model, s
 
 from tautline import _native
 from tautline.elements import Play
-from tautline.recording import Angle, Recording, save
+from tautline.recording import Angle, Motor, Recording, save
 from tautline.tracking import State, off_by, replay, tracker
 from tautline.tracking.hypotheses import judge
 from tautline.tracking.replay import COLUMNS
@@ -253,6 +253,23 @@ def test_a_wider_width_waits_for_two_reversals(seed):
     before = [row for row, t in zip(tracked.rows, tracked.t_s, strict=True) if t < turns[1]]
     assert {row.scale for row in before} == {1.0}
     assert tracked.rows[-1].scale == pytest.approx(1.4, abs=0.01)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_width_that_is_narrower_from_the_first_frame_on_is_noticed(seed):
+    """A smooth use that never takes the calibrated width up: by the calibration nothing ever carries the tip."""
+    instrument, noise, change = Instrument(seed), 0.02, Change("scale", scale=0.7)
+    t = np.arange(0.0, 30.0, sessions.STEP_S)
+    q = 3.0 * np.sin(0.5 * t + seed) + 0.8 * np.sin(1.3 * t)
+    p = sessions.respond(instrument, t, q, change, -1.0)
+    scene = t[::10]
+    c = instrument.of_place(instrument.law, p[::10])
+    angle = Angle(scene, c + np.random.default_rng(seed).normal(0.0, noise, len(scene)))
+    calibrated = {"evidence": {"residual": noise}}
+    model = replace(ideal_model(instrument), sensor="angle", delay_s=0.0, extra=calibrated)
+    tracked = replay(model, [Recording("smooth", Motor(t, sessions.COUNT * np.rint(q / sessions.COUNT)), angle=angle)])
+    assert first(tracked, State.STALE, 0.0) < 5.0
+    assert tracked.rows[-1].scale == pytest.approx(0.7, abs=0.02)
 
 
 def test_a_posture_that_begins_another_recording_is_followed():

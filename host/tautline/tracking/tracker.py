@@ -118,6 +118,7 @@ class LawTracker:
         self._level = 1.0  # of what the law in use leaves, in sigmas of the calibration's
         self._play = _native.TrackState(0.0)
         self._started = False
+        self._placed = False  # where the tip was seen, as long as nothing has carried it
         self._pending: tuple[float, tuple[float, ...] | None] | None = None
         self._way, self._far, self._stroke = 0, np.nan, 0
         self._begins: deque[tuple[int, int]] = deque(maxlen=64)  # stroke, its first entry
@@ -149,7 +150,7 @@ class LawTracker:
     def begin(self) -> None:
         """A new recording: its clock, where the tip is and the posture may be others; what was learnt stays."""
         self.recording += 1
-        self._path, self._started, self._pending = MotorPath(), False, None
+        self._path, self._started, self._placed, self._pending = MotorPath(), False, False, None
         self._way, self._far = 0, np.nan
         self._next_stroke()
         self._next_stroke()  # nothing joins the motion before
@@ -314,17 +315,23 @@ class LawTracker:
         law = self._law
         y = float(law.place(seen.c_deg))
         sigma = float(self.nominal.sigma(y, seen.sigma / law.slope(y)))
-        if self._play.driven == 0.0:  # nothing has carried the tip yet: it is where it is seen
-            self._play.restart(y)
-            p = self._within(y)
-            if abs(y - p) > _ELSEWHERE * self._width:
+        loose = self._play.driven == 0.0
+        if loose:  # nothing has carried the tip yet: it is where it is seen
+            within = self._within(y)
+            if abs(y - within) > _ELSEWHERE * self._width:
                 self._strange += 1
                 if self._strange == _STRANGE_FRAMES:
-                    self._jump(y - p)
+                    self._jump(y - within)
                     return
         kept = self._window.frame(scene_s, seen.c_deg, seen.sigma, seen.off, self._stroke)
         if not kept:
             return
+        off = y - p
+        if loose:  # where it was seen last, too, unless it moves with a motor that does not carry it
+            since = (y - p) / np.sqrt(2.0) if self._placed else 0.0
+            off = max(y - within, since, key=abs)
+            self._play.restart(y)
+            self._placed = True
         place = self._calibrated.place(seen.c_deg)
         q, travel = self._window.last_q, abs(self._window.last_q - self._turned_at) / self._law.most
         self._passes.add(q, float(place), sigma, seen.off, self._stroke, travel, self._window.end - 1)
@@ -332,7 +339,6 @@ class LawTracker:
         if self.state is not State.TRUSTED:
             self._dial_down()
         self._news += 1
-        off = y - p
         if self._stroke <= self._fresh_until:
             away = seen.c_deg - float(law.angle(p))
             self._leans[0] += _LEAN_PACE * (away - self._leans[0])
