@@ -149,6 +149,15 @@ def test_stops_move_a_clock_only_where_the_motion_agrees(monkeypatch, late_s):
     assert clock.align(tracks, CAMERA_RIG).offsets == ({"other": pytest.approx(0.17)} if late_s else {})
 
 
+def test_what_a_diagnosis_is_to_explain_is_no_clock():
+    """A lag makes one motion's image stop later than another's."""
+    made = [endoscope(3), late(replace(endoscope(4), name="late"), 0.06), late(replace(endoscope(5), name="off"), 2.0)]
+    assert set(clock.align(observe(made, CAMERA_RIG), CAMERA_RIG).offsets) == {"late", "off"}
+    before, behind, off = clock.on_motor_clock(made, CAMERA_RIG)
+    assert before is made[0] and np.array_equal(behind.marker.t_s, made[1].marker.t_s)
+    assert np.median(made[2].marker.t_s - off.marker.t_s) == pytest.approx(2.0, abs=5e-3)
+
+
 def test_a_delay_out_of_find_delays_reach_is_found():
     found = calibrate([late(endoscope(), 0.18)], CAMERA_RIG)
     assert abs(found.model.delay_s - CAMERA_RIG.delay_s - 0.18) < 2e-3 and found.model.offset_s is None

@@ -9,6 +9,7 @@ import pytest
 from cli_runner import Taut
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from threadpoolctl import threadpool_limits
 from tools.bench.tracking import frame_times
 from tools.tracking import sessions
 from tools.tracking.score import score
@@ -17,7 +18,8 @@ from tools.tracking.sessions import NOISE_PX, Change, Instrument, ideal_model, s
 from tautline import _native
 from tautline.elements import Play
 from tautline.recording import Angle, Recording, save
-from tautline.tracking import State, off_by, replay
+from tautline.tracking import State, off_by, replay, tracker
+from tautline.tracking.hypotheses import judge
 from tautline.tracking.replay import COLUMNS
 
 GRID = np.linspace(-5.0, 5.0, 201)
@@ -142,9 +144,33 @@ def test_a_row_does_not_depend_on_its_own_image(changing, whole):
     assert other[: k + 1] == whole.rows[: k + 1]
 
 
-def test_a_frame_takes_less_than_a_millisecond():
-    times = frame_times("shape", 45.0)
-    assert times.mean() < 1e-3
+def test_every_frame_takes_less_than_a_millisecond():
+    least = np.inf  # of each frame over replays: what else the machine does is not the tracker's
+    with threadpool_limits(1, "blas"):
+        for times, _ in zip(frame_times("shape", 60.0), range(12), strict=False):
+            least = np.minimum(least, times)
+            if least.max() < 1e-3:
+                break
+    assert least.max() < 1e-3
+
+
+@pytest.mark.parametrize("kind", ["shape", "gradual", "contact"])
+def test_no_piece_of_work_is_more_than_a_frame_may_do(monkeypatch, kind):
+    costs = []
+
+    def listened(*arguments):
+        work = judge(*arguments)
+        try:
+            while True:
+                costs.append(next(work))
+                yield costs[-1]
+        except StopIteration as end:
+            return end.value
+
+    monkeypatch.setattr(tracker, "judge", listened)
+    made = session(Instrument(1), kind, 1, 60.0)
+    replay(ideal_model(made.instrument), [made.recording])
+    assert len(costs) > 100 and min(costs) > 0 and max(costs) <= tracker._FRAME_WORK
 
 
 # What changes is learnt

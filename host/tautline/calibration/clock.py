@@ -108,13 +108,15 @@ class AlignedTracks:
 
 
 def on_motor_clock(recordings: Sequence[Recording], rig: Rig) -> list[Recording]:
-    """Recordings with the offsets of their sensors' clocks taken off."""
-    return shifted(recordings, align([track for track in observe(recordings, rig) if len(track.t_s)], rig).offsets)
+    """Recordings with the offsets of their sensors' clocks taken off. An image that is late by no more than a delay may
+    be is left: what is unknown yet may be the cause, and makes one motion's stops later than another's."""
+    tracks = [track for track in observe(recordings, rig) if len(track.t_s)]
+    return shifted(recordings, align(tracks, rig, late_are_off=False).offsets)
 
 
-def align(tracks: Sequence[Track], rig: Rig) -> AlignedTracks:
-    """Each track's own offset found and taken off; nothing is done to one that fits its nominal delay. Frames at which
-    the tip follows a motor that stepped go first."""
+def align(tracks: Sequence[Track], rig: Rig, *, late_are_off: bool = True) -> AlignedTracks:
+    """Each track's own offset found and taken off; nothing is done to one that fits its nominal delay, unless others
+    are at another (late_are_off). Frames at which the tip follows a motor that stepped go first."""
     tracks, stepping, notes = resolved(tracks, rig)
     notes += [f"{t.name}: the sensor repeats its values, {t.held} of them were left out" for t in tracks if t.held]
     if stepping:
@@ -133,7 +135,7 @@ def align(tracks: Sequence[Track], rig: Rig) -> AlignedTracks:
         aligned.append(track)
         offsets.append(offset_s)
     if not reasons:
-        aligned, offsets = _at_one_delay(aligned, offsets, rig)
+        aligned, offsets = _at_one_delay(aligned, offsets, rig, late_are_off)
         reasons = [_off(track, offset_s) for track, offset_s in zip(aligned, offsets, strict=True) if offset_s]
     return AlignedTracks(aligned, tuple(offsets), tuple(reasons), tuple(notes))
 
@@ -144,7 +146,9 @@ def _off(track: Track, offset_s: float) -> Reason:
     return Reason("clock.offset", says, "it was taken off: put both on one clock", mild=True)
 
 
-def _at_one_delay(tracks: list[Track], offsets: list[float], rig: Rig) -> tuple[list[Track], list[float]]:
+def _at_one_delay(
+    tracks: list[Track], offsets: list[float], rig: Rig, late_are_off: bool
+) -> tuple[list[Track], list[float]]:
     """A camera has one delay: recordings whose images stop at others have clocks of their own. Those whose clock was
     right already say which it is."""
     if len(tracks) < 2 or any(track.sensor != MARKER for track in tracks):
@@ -157,9 +161,10 @@ def _at_one_delay(tracks: list[Track], offsets: list[float], rig: Rig) -> tuple[
     shifts = [
         delay.delay_s - best.delay_s
         if abs(delay.delay_s - best.delay_s) > max(_CLEAR * np.hypot(delay.sigma_s, best.sigma_s), _SAME_S)
+        and (late_are_off or offset_s)
         and _moves_so(track, rig, delay.delay_s, best.delay_s)
         else 0.0
-        for track, delay in zip(tracks, delays, strict=True)
+        for track, delay, offset_s in zip(tracks, delays, offsets, strict=True)
     ]
     moved = [replace(t, t_s=t.t_s - shift) if shift else t for t, shift in zip(tracks, shifts, strict=True)]
     return moved, [offset_s + shift for offset_s, shift in zip(offsets, shifts, strict=True)]

@@ -25,7 +25,8 @@ Mask = npt.NDArray[np.bool_]
 
 _PLACE_PX, _HOLE_PX = 4.0, 12.0  # along the path: what is told apart at least, and where no frame shows the marker
 _FEWEST, _PLACES = 6, 20  # frames that tell of a place, places that tell of a tracker
-_FAR, _WILD = 6.0, 2.0  # noises: an error of a place, and scatter there, from which the calibration does not hold
+_FAR, _SEVERAL = 6.0, 0.1  # noises: a frame's error, and share of a place's frames, from which the calibration does not
+_WILD = 2.0  # hold there; times the usual scatter
 _STEP_DEG = 0.05
 _BEYOND_DEG = 5.0
 _TO_SIGMA = 1.4826
@@ -143,8 +144,9 @@ class _Places:
             off = np.abs(view.across[here] - across[k]) + np.abs(view.along[here] - along[k])
             scatter[k] = 0.5 * _TO_SIGMA * np.median(off)
         noise = float(np.nanmedian(scatter))
-        off = np.hypot(across - np.nanmedian(across), along)
-        wrong = (frames == 0) | (off > _FAR * noise) | (scatter > _WILD * noise)
+        off = np.hypot(view.across - float(np.nanmedian(across)), view.along)
+        far = np.bincount(place[scored & (off > _FAR * noise)], minlength=count)
+        wrong = (far >= _SEVERAL * frames) | (scatter > _WILD * noise)  # or nothing was seen there
         wrong |= np.roll(wrong, 1) | np.roll(wrong, -1)
         right = told & ~wrong
         if right.sum() < _PLACES:

@@ -16,16 +16,18 @@ from tautline.tracking.window import WindowKnots
 
 Array = npt.NDArray[np.float64]
 Found = TypeVar("Found")
-Work = Generator[int, None, Found]  # at every simulation it yields the knots of that
-Marks = npt.NDArray[np.bool_]
+Work = Generator[int, None, Found]  # before each piece it yields what that piece costs at most: about so many us
 
 _TURNS = 8
-_NEIGHBOURS = 0.25  # of B: how far its share at one place is from that at the next
+_NEIGHBOURS = 0.21  # of B: how far its share at one place is from that at the next
+_FADES, _FADED = 0.7, 0.06  # of what it has become at one place, beside it where it was not seen; and how surely
 _OUTLYING = 4.0  # standard deviations from which a frame counts as an outlier
 _DONE = 1e-3  # of a standard deviation: steps below it
 _FOLLOWS = 0.5  # of the motor's way: a tip that moves so far with it lies on an envelope
 _SURE = 2.5  # standard deviations that a motion between two frames must have
 _WITHOUT = 0.03  # of the frames: left out of a rms, as outliers
+_REACH, _UNSURE = 1.8, 0.3  # of B, that carries every element; until then none knows where they stand: it tells less
+_PIECE = 400  # knots simulated at once
 
 
 @dataclass(frozen=True)
@@ -95,37 +97,61 @@ def trimmed(z: Array) -> float:
 
 @dataclass(frozen=True)
 class Prior:
-    """Independent normal deviations from `mean`; the shape is smooth besides."""
+    """Independent normal deviations from `mean`; the shape's are smooth besides, and fade where it was not seen."""
 
     mean: Array
     sigma: Array
+    known: npt.NDArray[np.bool_]  # (PLACES,) of the shape
 
     @classmethod
-    def of(cls, mean: Array, span: float, span_deg: float) -> Prior:
+    def of(cls, mean: Array, span: float, span_deg: float, known: npt.NDArray[np.bool_]) -> Prior:
         sigma = np.full(PARAMETERS, 0.5)
         sigma[OFFSET], sigma[SCALE] = span, 2.0
         sigma[TIP] = span_deg, 0.1 * span_deg, 0.1 * span_deg
-        return cls(mean, sigma)
+        return cls(mean, sigma, known)
 
     def information(self, free: Sequence[int]) -> Array:
         whole = np.diag(1.0 / self.sigma**2)
         bend = np.diff(np.eye(PLACES), axis=0) / _NEIGHBOURS
+        for i in np.flatnonzero(~(self.known[1:] & self.known[:-1])):
+            near, far = (i, i + 1) if self.known[: i + 1].any() else (i + 1, i)
+            bend[i] = 0.0
+            bend[i, [near, far]] = -_FADES / _FADED, 1.0 / _FADED
         whole[SHAPE, SHAPE] += bend.T @ bend
         part: Array = whole[np.ix_(free, free)]
         return part
 
 
-def simulated(nominal: LawFamily, evidence: WindowKnots, theta: Array) -> tuple[Array, Array]:
-    """Residuals (seen,) over sigma, and their slopes (seen, PARAMETERS)."""
+def simulated(
+    nominal: LawFamily, evidence: WindowKnots, theta: Array, with_slopes: bool = True
+) -> Work[tuple[Array, Array]]:
+    """Residuals (seen,) over sigma, and their slopes (seen, PARAMETERS), or (0, PARAMETERS) without."""
+    seen = evidence.seen
+    yield 70 + len(seen) // 20
     law = nominal.law(theta)
     y = law.place(evidence.c_deg)
     by_y = law.slope(y)
-    p, _, by = law.native.run(_native.TrackState(float(y[0])), evidence.q + theta[OFFSET], True)
     scale = 1.0 / nominal.sigma(y, evidence.sigma / by_y)
+    reach = _REACH * float(np.interp(y[0], nominal.model.q, nominal.model.width))
+    carried = np.abs(evidence.q - evidence.q[0]) > reach
+    scale[: np.searchsorted(seen, carried.argmax() if carried.any() else len(carried))] *= _UNSURE
+    state = _native.TrackState(float(y[0]))
+    q = evidence.q + theta[OFFSET]
+    parts = []
+    for first in range(0, len(q), _PIECE):
+        part = q[first : first + _PIECE]
+        yield 10 + (len(part) * (6 + 2 * law.elements) // 100 if with_slopes else len(part) // 12)
+        parts.append(law.native.run(state, part, with_slopes))
+    yield 15 + len(seen) // (12 if with_slopes else 200)
+    columns = list(zip(*parts, strict=True))  # p, moving and, with slopes, those
+    z = (y - np.concatenate(columns[0])[seen]) * scale
+    if not with_slopes:
+        return z, np.empty((0, PARAMETERS))
     slopes = np.empty((len(y), PARAMETERS))
-    slopes[:, : TIP.start] = -by[evidence.seen]
+    slopes[:, : TIP.start] = -np.concatenate(columns[2])[seen]
     slopes[:, TIP] = -(nominal.powers(y) / by_y).T
-    return (y - p[evidence.seen]) * scale, slopes * scale[:, None]
+    slopes *= scale[:, None]
+    return z, slopes
 
 
 def fitted(
@@ -135,7 +161,9 @@ def fitted(
     picked = list(free)
     information = prior.information(picked)
     theta = nominal.lawful(start)
-    z, by = simulated(nominal, evidence, theta)
+    z, by = yield from simulated(nominal, evidence, theta)
+    algebra = 70 + len(z) * (3 + len(free)) // 300
+    yield algebra
     cost = _cost(z, theta, prior, picked, information)
     damping = 1e-3
     for _ in range(_TURNS):
@@ -151,8 +179,8 @@ def fitted(
         trial = theta.copy()
         trial[picked] += step
         trial = nominal.lawful(trial)
-        yield len(evidence.q)
-        trial_z, trial_by = simulated(nominal, evidence, trial)
+        trial_z, trial_by = yield from simulated(nominal, evidence, trial)
+        yield algebra
         trial_cost = _cost(trial_z, trial, prior, picked, information)
         if trial_cost < cost:
             gained = cost - trial_cost
@@ -164,6 +192,7 @@ def fitted(
             damping *= 10.0
             if damping > 1e4:
                 break
+    yield 2 * algebra + 40
     return LawFit(evidence, theta, free, z, cost, _covariance(evidence, z, by[:, picked], information))
 
 
@@ -179,15 +208,15 @@ def _covariance(evidence: WindowKnots, z: Array, slopes: Array, information: Arr
     if slopes.shape[1] == 0:
         return np.zeros((0, 0))
     inverse = np.linalg.inv(slopes.T @ slopes + information)
-    plain = inverse * max(1.0, trimmed(z)) ** 2
-    strokes = evidence.strokes
-    if len(strokes) <= slopes.shape[1]:
-        return np.asarray(2.0 * plain)
+    own = max(1.0, trimmed(z)) ** 2
+    begins = np.flatnonzero(np.diff(evidence.stroke, prepend=evidence.stroke[0] - 1))  # strokes are in order
+    if len(begins) <= slopes.shape[1]:
+        return np.asarray(2.0 * own * inverse)
     limited = np.clip(z, -_OUTLYING, _OUTLYING)
-    forces = np.array([slopes[evidence.stroke == s].T @ limited[evidence.stroke == s] for s in strokes])
-    sandwich = inverse @ (forces.T @ forces) @ inverse * len(strokes) / (len(strokes) - slopes.shape[1])
-    wider = np.diag(sandwich).sum() / np.diag(inverse).sum() > max(1.0, trimmed(z)) ** 2
-    return np.asarray(sandwich if wider else plain)
+    forces = np.add.reduceat(slopes * limited[:, None], begins)
+    sandwich = inverse @ (forces.T @ forces) @ inverse * len(begins) / (len(begins) - slopes.shape[1])
+    wider = np.diag(sandwich).sum() / np.diag(inverse).sum() > own
+    return np.asarray(sandwich if wider else own * inverse)
 
 
 def guess(nominal: LawFamily, evidence: WindowKnots, theta: Array, envelope: Envelopes, both: bool) -> Array:
@@ -206,7 +235,8 @@ def guess(nominal: LawFamily, evidence: WindowKnots, theta: Array, envelope: Env
     right = envelope.way * (q - y)
     weight = np.ones(len(y))
     for _ in range(4):
-        solution = np.linalg.lstsq(slopes * weight[:, None], right * weight, rcond=None)[0]
+        weighted = slopes.T * weight**2
+        solution = np.linalg.solve(weighted @ slopes, weighted @ right)
         off = np.abs(right - slopes @ solution)
         weight = 1.0 / np.sqrt(np.maximum(off, 1e-3 * np.ptp(y) + 1e-9))
     theta[SCALE], theta[OFFSET] = float(solution[0]), float(solution[1])

@@ -32,7 +32,9 @@ from tautline.tracking.window import WindowKnots
 Array = npt.NDArray[np.float64]
 
 _EXPLAINED = 1.5  # times the level known so far: a fit that explains its data
+_FAR = 10.0  # times the level known so far: it explains nothing, however little that is of what was left before
 _OF_BEFORE = 0.3, 0.5  # of what was left before: enough at once, enough where it also foretells
+_REFINES = 0.9  # of what the law in use leaves: worth a step where one is being learnt
 _HOLDS = 1.3  # times the level known so far, over the last strokes: nothing is to be learnt
 _LATELY, _LATELY_OF = 3, 0.6  # strokes, on which a law must leave so much less than others do
 _NOW, _STROKE = 2, 8  # strokes on each of which a law must leave less, frames that one has at least
@@ -53,8 +55,9 @@ _WANDERS = 4.0  # standard deviations of the tip's motion while the motor rests
 
 _DEPARTS = 3.0  # standard deviations that each of three frames is off where a change shows
 _WORTH = 0.5  # times the level known so far, in quadrature: what a new law must take away
-_STAYS = 0.02
 _TOLD_APART = 0.6  # of what a law changes in B: so much must have been passed before another law replaces it
+_EASY, _HARD = 60, 160  # us, at most, of looking at a case
+DECISION = 350  # and of taking a law into use
 _HOLDS_FOR_NOW = "the model holds for now"
 _ONE_WAY = "the tip was not yet seen to move both ways since the model stopped holding"
 
@@ -76,6 +79,7 @@ class Inference:
     disturbed: bool = False  # by something that is no play
     early: bool = False  # too little was seen to judge
     narrower: bool = False  # and nothing else: from one reversal
+    refines: bool = False  # the law in use, for as long as no other explains what was seen since that was learnt
 
     @property
     def proposal(self) -> Inference | None:
@@ -89,6 +93,7 @@ class _Case:
     nominal: LawFamily
     evidence: WindowKnots
     theta: Array
+    origin: Array  # the law before anything was learnt of this evidence
     level: float
     envelopes: Envelopes
     passed: tuple[float, float] | None
@@ -97,15 +102,18 @@ class _Case:
     z_calibrated: Array
 
     @classmethod
-    def of(cls, nominal: LawFamily, evidence: WindowKnots, theta: Array, level: float) -> _Case:
+    def of(cls, nominal: LawFamily, evidence: WindowKnots, theta: Array, origin: Array, level: float) -> Work[_Case]:
+        yield _EASY + len(evidence.seen) // 10
         law = nominal.law(theta)
         envelope = envelopes(evidence, law)
         strokes, frames = np.unique(evidence.stroke[envelope.at], return_counts=True)
         turns = max(int(np.sum(frames >= 2)) - 1, 0) if len(strokes) else 0
-        z = simulated(nominal, evidence, theta)[0]
+        passed = envelope.both(evidence, law)
+        z = calibrated = (yield from simulated(nominal, evidence, theta, False))[0]
         first = unchanged()
-        calibrated = z if np.array_equal(theta, first) else simulated(nominal, evidence, first)[0]
-        return cls(nominal, evidence, theta, level, envelope, envelope.both(evidence, law), turns, z, calibrated)
+        if not np.array_equal(theta, first):
+            calibrated = (yield from simulated(nominal, evidence, first, False))[0]
+        return cls(nominal, evidence, theta, origin, level, envelope, passed, turns, z, calibrated)
 
     @property
     def before(self) -> float:
@@ -119,7 +127,9 @@ class _Case:
         """Whether it leaves no more than is known to be left, or so much less than the laws at hand, lately too."""
         if max(fit.level, self.lately(fit.z)) <= _EXPLAINED * self.level:
             return True
-        if of_before is None or fit.level > of_before * max(self.before, trimmed(self.z_calibrated)):
+        if of_before is None or fit.level > _FAR * self.level:
+            return False
+        if fit.level > of_before * max(self.before, trimmed(self.z_calibrated)):
             return False
         return self.lately(fit.z) <= _LATELY_OF * min(self.lately(self.z), self.lately(self.z_calibrated))
 
@@ -128,25 +138,27 @@ class _Case:
         return fit.level <= _OF_BEFORE[0] * self.before
 
     def worth(self, z: Array, now: int, fit: LawFit) -> bool:
-        """Whether a law that leaves these residuals takes enough away, in all and, where the best `fit` is not
-        clear, in each of the last `now` strokes: what was amiss once, as where a recording begins, need not be now."""
+        """Whether a law that leaves these residuals takes enough away, in all or lately and, where the best `fit` is
+        not clear, on each of the last `now` strokes: what was amiss once, as where a recording begins, need not be."""
+        gain = max(trimmed(self.z) ** 2 - trimmed(z) ** 2, self.lately(self.z) ** 2 - self.lately(z) ** 2)
+        enough = (_WORTH * self.level) ** 2
+        return gain >= enough and (self.clear(fit) or self.on_each(z, now, enough))
+
+    def better(self, fit: LawFit) -> bool:
+        """Whether it leaves less than the law in use, in all and lately."""
+        return max(fit.level / self.before, self.lately(fit.z) / self.lately(self.z)) < _REFINES
+
+    def on_each(self, z: Array, count: int, least: float = 0.0) -> bool:
+        """Whether a law that leaves these residuals leaves less, in squares, on each of the last strokes."""
         strokes, frames = np.unique(self.evidence.stroke, return_counts=True)
-        parts = [] if self.clear(fit) else [self.evidence.stroke == k for k in strokes[frames >= _STROKE][-now:]]
-        gains = [trimmed(self.z[part]) ** 2 - trimmed(z[part]) ** 2 for part in (slice(None), *parts)]
-        return min(gains) >= (_WORTH * self.level) ** 2
+        parts = [self.evidence.stroke == k for k in strokes[frames >= _STROKE][-count:]]
+        return all(trimmed(self.z[part]) ** 2 - trimmed(z[part]) ** 2 >= least for part in parts)
 
     def prior(self) -> Prior:
         mean = unchanged()
-        mean[OFFSET], mean[SHAPE] = self.theta[OFFSET], self.theta[SHAPE]  # places not seen again stay as they are
+        mean[OFFSET], mean[SHAPE] = self.origin[OFFSET], self.origin[SHAPE]  # places not seen again stay as they are
         span = self.nominal.model.rig.actuator.span
-        return Prior.of(mean, span, span * abs(self.nominal.tip_slope))
-
-    def beside(self, prior: Prior) -> Prior:
-        """Of a shape: what was not seen since stays as the law in use has it."""
-        mean, sigma = prior.mean.copy(), prior.sigma.copy()
-        mean[SCALE], sigma[SCALE] = self.theta[SCALE], _STAYS
-        sigma[SHAPE] = np.where(self.known, sigma[SHAPE], _STAYS)
-        return replace(prior, mean=mean, sigma=sigma)
+        return Prior.of(mean, span, span * abs(self.nominal.tip_slope), self.known)
 
     @property
     def departs(self) -> int:
@@ -159,14 +171,13 @@ class _Case:
 
     @property
     def known(self) -> npt.NDArray[np.bool_]:
-        """(PLACES,) at which, or half way to which, the tip was on an envelope. Both ways somewhere is enough: there
+        """(PLACES,) at which the tip was on an envelope. Both ways somewhere is enough: there
         the offset is told from the width, and with it the width wherever either envelope was seen."""
         places = self.nominal.places
         if self.passed is None:
             return np.zeros(len(places), dtype=bool)
-        half = 0.5 * (places[1] - places[0])
         y = self.places(self.theta, self.envelopes.at)
-        passed: npt.NDArray[np.bool_] = (places > y.min() - half) & (places < y.max() + half)
+        passed: npt.NDArray[np.bool_] = (places > y.min()) & (places < y.max())
         return passed
 
     def places(self, theta: Array, at: npt.NDArray[np.intp] | slice = slice(None)) -> Array:
@@ -176,30 +187,36 @@ class _Case:
 
 def judge(
     nominal: LawFamily,
-    stretches: Sequence[WindowKnots],
+    stretches: Sequence[tuple[WindowKnots, Array]],
     theta: Array,
     adapting: bool,
     posture: float | None,
+    moved: bool,
     level: float,
     proposal: Inference | None,
 ) -> Work[Inference]:
-    """The first stretch that a law explains, else what stands in the way. `posture`:
-    a recording has just begun; an offset of more than that may be told from one way alone."""
+    """The first stretch that a law explains, else what stands in the way. With each stretch comes the law before
+    anything was learnt of it: it is not to be counted twice. `posture`:
+    a recording has just begun; an offset of more than that may be told from one way alone. `moved`: another posture
+    is being learnt; any simple law that leaves less refines it."""
     verdict = None
-    for evidence in stretches:
-        case = _Case.of(nominal, evidence, theta, level)
-        yield 2 * len(evidence.q)
+    for evidence, origin in stretches:
+        case = yield from _Case.of(nominal, evidence, theta, origin, level)
         if not adapting and np.array_equal(theta, unchanged()) and (first := case.departs):
-            case = _Case.of(nominal, evidence.after(first), theta, level)
-            yield 2 * len(case.evidence.q)
-        verdict = yield from _judged(case, adapting, posture, proposal)
+            case = yield from _Case.of(nominal, evidence.after(first), theta, origin, level)
+        verdict = yield from _judged(case, adapting, posture, moved, proposal)
         if verdict.theta is not None:
-            return verdict
+            verdict = replace(verdict, refines=verdict.refines or (moved and evidence is not stretches[0][0]))
+            break
     assert verdict is not None
+    yield DECISION
     return verdict
 
 
-def _judged(case: _Case, adapting: bool, posture: float | None, proposal: Inference | None) -> Work[Inference]:
+def _judged(
+    case: _Case, adapting: bool, posture: float | None, moved: bool, proposal: Inference | None
+) -> Work[Inference]:
+    yield _EASY + len(case.z) // 15
     disturbed = _disturbance(case)
     if disturbed:
         return Inference(disturbed, case.evidence, disturbed=True)
@@ -210,28 +227,38 @@ def _judged(case: _Case, adapting: bool, posture: float | None, proposal: Infere
     if not adapting and case.lately(case.z) < _HOLDS * case.level:
         return Inference(_HOLDS_FOR_NOW, case.evidence, early=True)
     fit = yield from _best(case)
+    yield _HARD
     if case.turns and not np.array_equal(case.theta, unchanged()) and _tells_apart(case, lately=True):
         lately = case.lately(case.z_calibrated)
         good = max(_EXPLAINED, _AGAIN[0] * case.lately(fit.z))
-        if lately <= good and case.lately(case.z) > _AGAIN[1] * lately:
+        better = case.lately(case.z) > _AGAIN[1] * lately and case.on_each(case.z_calibrated, _LATELY)
+        if lately <= good and better:
             return _again(case, lately)
     if not adapting and not case.worth(fit.z, _NOW, fit):
         return Inference(_HOLDS_FOR_NOW, case.evidence, early=True)
-    foretold = proposal is not None and _foretold(case, proposal)
+    foretold = proposal is not None and (yield from _foretold(case, proposal))
+    yield _HARD + len(case.z) // 8
     least = max(_TURNS, _RICHER_TURNS * _richness(fit))
     enough = case.turns >= least and case.explained(fit)
     enough |= case.turns >= _FORETOLD_TURNS and foretold and case.explained(fit, _OF_BEFORE[1])
     enough |= adapting and case.explained(fit, _OF_BEFORE[1])
     if enough:
         return _learnt(case, fit)
+    if moved and not _richness(fit) and case.better(fit):
+        return replace(_learnt(case, fit), refines=True)
     if case.explained(fit, _OF_BEFORE[0]):
         learnt = _learnt(case, fit)
         share = _share(case, fit.theta, learnt.passed) / _share(case, case.theta, learnt.passed)
         sure = SHAPE.start not in fit.free or case.explained(fit)
-        if SCALE in fit.free and sure and 1.0 - share > max(_NARROWER * learnt.scale_sigma, 0.01):
+        if (
+            (SCALE in fit.free or SHAPE.start in fit.free)
+            and sure
+            and 1.0 - share > max(_NARROWER * learnt.scale_sigma, 0.01)
+        ):
             only = case.theta.copy()
             only[SCALE] *= share
-            if not case.clear(fit) and not case.worth(simulated(case.nominal, case.evidence, only)[0], 1, fit):
+            left = (yield from simulated(case.nominal, case.evidence, only, False))[0]
+            if not case.clear(fit) and not case.worth(left, 1, fit):
                 return Inference(_HOLDS_FOR_NOW, case.evidence, proposed=fit.theta)
             return Inference(
                 f"transmission.backlash: {100 * share:.0f} % of the width as it was: no more is taken up",
@@ -245,7 +272,7 @@ def _judged(case: _Case, adapting: bool, posture: float | None, proposal: Infere
                 proposed=fit.theta,
                 narrower=True,
             )
-        if posture is not None:
+        if posture is not None and case.clear(fit):
             return _learnt(case, fit)
         return Inference(f"{_name(case, fit.theta)}, if more reversals agree", case.evidence, proposed=fit.theta)
     says = _unexplained(case)
@@ -257,9 +284,11 @@ def _best(case: _Case) -> Work[LawFit]:
     prior = case.prior()
     nominal, evidence = case.nominal, case.evidence
     if np.any(case.theta[SHAPE]):  # a shape that was not seen everywhere: most likely it only goes on
-        refined = yield from fitted(nominal, evidence, case.theta, _freed(case.theta), case.beside(prior))
+        start = nominal.rescaled(case.theta, case.origin[SCALE])
+        refined = yield from fitted(nominal, evidence, start, _freed(case.theta), prior)
         if max(refined.level, case.lately(refined.z)) <= _GOOD * case.level:
             return refined
+    yield 2 * _HARD
     base = unchanged() if _tells_apart(case) else nominal.lawful(_shape_of(case.theta))
     start = base if np.any(base[SHAPE]) else guess(nominal, evidence, base, case.envelopes, True)
     before = yield from fitted(nominal, evidence, start, BOTH[0], prior)
@@ -303,7 +332,7 @@ def _best(case: _Case) -> Work[LawFit]:
 def _freed(theta: Array) -> tuple[int, ...]:
     """The parameters of a law in use whose shape is refined."""
     others = [i for i in (OFFSET, *GRADUAL, *REMAINING) if theta[i]]
-    return tuple(sorted({SCALE, *SHAPED, *others}))
+    return tuple(sorted({*SHAPED, *others}))
 
 
 def _share(case: _Case, theta: Array, passed: tuple[float, float]) -> float:
@@ -319,13 +348,12 @@ def _richness(fit: LawFit) -> int:
 
 
 def _richer(case: _Case, fit: LawFit, more: tuple[int, ...], prior: Prior) -> Work[LawFit]:
-    begin = fit.theta
+    begin, free = fit.theta, {*fit.free, *more}
     if SPREAD in more:
         begin = case.nominal.gradual_start(begin)
-    free = tuple(sorted({*fit.free, *more}))
-    if SHAPE.start in free:
-        prior = case.beside(prior)
-    return (yield from fitted(case.nominal, case.evidence, begin, free, prior))
+    if SHAPE.start in free:  # it holds what a scale would
+        begin, free = case.nominal.rescaled(begin, case.origin[SCALE]), free - {SCALE}
+    return (yield from fitted(case.nominal, case.evidence, begin, tuple(sorted(free)), prior))
 
 
 def _gain(fit: LawFit, richer: LawFit) -> float:
@@ -340,6 +368,7 @@ def _posture(case: _Case, least: float) -> Work[Inference]:
     y = case.places(case.theta, at)
     if len(at) < _SHORT or np.ptp(y) < _ALONG * float(np.interp(y[0], nominal.model.q, nominal.model.width)):
         return Inference(_ONE_WAY, case.evidence, early=True)
+    yield 2 * _HARD
     start = guess(nominal, case.evidence, case.theta, case.envelopes, False)
     fit = yield from fitted(nominal, case.evidence, start, ONLY_OFFSET[0], case.prior())
     other = yield from fitted(nominal, case.evidence, at_tip(nominal, start), ONLY_OFFSET[1], case.prior())
@@ -349,14 +378,14 @@ def _posture(case: _Case, least: float) -> Work[Inference]:
     return Inference(_ONE_WAY, case.evidence, early=True)
 
 
-def _foretold(case: _Case, proposal: Inference) -> bool:
+def _foretold(case: _Case, proposal: Inference) -> Work[bool]:
     """Whether what was proposed before foretells the strokes that came since."""
     evidence = case.evidence
     new = evidence.t_s > proposal.evidence.t_s[-1]
     if len(np.unique(evidence.stroke[new])) < 2 or proposal.proposed is None:
         return False
-    off = trimmed(simulated(case.nominal, evidence, proposal.proposed)[0][new])
-    before = trimmed(simulated(case.nominal, evidence, case.theta)[0][new])
+    z = (yield from simulated(case.nominal, evidence, proposal.proposed, False))[0]
+    off, before = trimmed(z[new]), trimmed(case.z[new])
     return off <= max(_EXPLAINED * case.level, _OF_BEFORE[1] * before)
 
 
@@ -415,8 +444,7 @@ def _learnt(case: _Case, fit: LawFit) -> Inference:
 
 def _scale_sigma(case: _Case, fit: LawFit, passed: tuple[float, float]) -> float:
     """Of B over the calibrated one, in the mean of the places that were passed."""
-    places = np.linspace(*passed, 9)
-    return fit.spread_of(np.mean([case.nominal.ratio_slopes(fit.theta, p) for p in places.tolist()], axis=0))
+    return fit.spread_of(case.nominal.ratio_slopes(fit.theta, np.linspace(*passed, 9)))
 
 
 def _name(case: _Case, theta: Array) -> str:
@@ -448,7 +476,7 @@ def _disturbance(case: _Case) -> str:
     rests = np.abs(np.diff(q)) <= 2.0 * count
     if rests.sum() >= 5:
         wander = np.diff(evidence.c_deg)[rests] / np.hypot(evidence.sigma[1:], evidence.sigma[:-1])[rests]
-        if trimmed(wander) > _WANDERS * case.level:
+        if trimmed(np.sort(np.abs(wander))[:-1]) > _WANDERS * case.level:  # a change that comes at once is one of them
             return "the tip moves while the motor rests: breathing or a hand on the shaft"
     return ""
 
@@ -461,8 +489,7 @@ def _unexplained(case: _Case) -> str:
     width = float(np.interp(y[-1], case.nominal.model.q, case.nominal.model.width))
     if moved > 2.0 * width and float(np.ptp(y[late])) < 0.1 * moved:
         return "configuration.contact or a hand: the tip does not follow the motor"
-    z = simulated(case.nominal, evidence, case.theta)[0]
-    far = np.abs(z) > _EXPLAINED * 3.0 * case.level
+    far = np.abs(case.z) > _EXPLAINED * 3.0 * case.level
     if far.any() and not far.all():
         inner, outer = y[~far], y[far]
         if outer.min() > np.quantile(inner, 0.8) or outer.max() < np.quantile(inner, 0.2):

@@ -15,7 +15,7 @@ from tautline.model import Model, allowed_width, interpolate, monotone
 
 Array = npt.NDArray[np.float64]
 
-PLACES = 9  # of the measured range, at which B may have changed by itself
+PLACES = 12  # of the measured range, at which B may have changed by itself
 OFFSET, SCALE, SHAPE, SPREAD, SKEW = 0, 1, slice(2, 2 + PLACES), 2 + PLACES, 3 + PLACES
 TIP = slice(4 + PLACES, 7 + PLACES)  # deg: constant, slope and bend of the static law's change
 PARAMETERS = 7 + PLACES
@@ -41,7 +41,8 @@ class Law:
     native: Any
     width: Array
     c_deg: Array
-    most: float = 1.0  # share of B that the widest of its elements has
+    elements: int = 1
+    most: float = 1.0  # share of B that the widest of them has
 
     def angle(self, p: npt.ArrayLike) -> Array:
         return np.asarray(interpolate(p, self.grid, self.c_deg))
@@ -160,7 +161,7 @@ class LawFamily:
         shares = self.shares(theta)
         shares = shares / (weight @ shares)  # B stays the distance between full strokes
         native = _native.TrackModel(model.q, width, shares, weight, basis, spread)
-        return Law(model.q, native, width, c_deg, float(shares.max()))
+        return Law(model.q, native, width, c_deg, len(shares), float(shares.max()))
 
     def gradual_start(self, theta: Array) -> Array:
         """theta with a little spread: derivatives by it exist only where there are several elements."""
@@ -169,14 +170,21 @@ class LawFamily:
             theta[SPREAD] = 0.2
         return theta
 
+    def rescaled(self, theta: Array, scale: float) -> Array:
+        """theta with another scale and the same B."""
+        theta = theta.copy()
+        theta[SHAPE] = (1.0 + theta[SHAPE]) * theta[SCALE] / scale - 1.0
+        theta[SCALE] = scale
+        return self.lawful(theta)
+
     def shares_of_width(self, law: Law) -> Array:
         """(nodes,) of B by a law over the calibrated one, 1 where there is none."""
         width = self.model.width
         return np.asarray(np.divide(law.width, width, out=np.ones(len(width)), where=width > 0.0))
 
-    def ratio_slopes(self, theta: Array, p: float) -> Array:
-        """(PARAMETERS,) how B over the calibrated one changes with theta at p."""
-        at = np.array([np.interp(p, self.model.q, wave) for wave in self.waves])
+    def ratio_slopes(self, theta: Array, p: Array) -> Array:
+        """(PARAMETERS,) how B over the calibrated one changes with theta, in the mean of places."""
+        at = np.array([np.interp(p, self.model.q, wave).mean() for wave in self.waves])
         slopes = np.zeros(PARAMETERS)
         slopes[SCALE] = 1.0 + theta[SHAPE] @ at
         slopes[SHAPE] = theta[SCALE] * at

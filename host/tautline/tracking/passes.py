@@ -42,6 +42,8 @@ class Passes:
         self.place = self._low + self._cell * np.arange(count)  # by the calibrated f_remain: where it is in the image
         self._b = np.interp(self.place, grid, nominal.model.width)
         self._of = np.full((2, 5, count), np.nan)  # way; way (q - place), sigma, squares off the track, ...
+        self._law: Law | None = None  # of which the next two are
+        self._by_law = self._half = self._b  # the places by that law, half of its B there
         self._last: tuple[float, float, float, float, int] | None = None
         self._moves = False
 
@@ -82,17 +84,23 @@ class Passes:
     def narrowing(self, law: Law, theta: Array, level: float, since: int) -> Narrowing | None:
         """Where the tip is ahead of the law in use both ways, in passes since an entry: an offset would put it behind
         on one of them. As much as it is ahead on both: what was seen before a change is where the law in use has it."""
-        p = law.place(self._nominal.model.remaining(self.place))  # where that is by the law in use
-        half = 0.5 * np.interp(p, law.grid, law.width)
-        shift = p - self.place - theta[OFFSET]
-        late = self._of[:, _LATE] - np.array([[1.0], [-1.0]]) * shift - half
+        if law is not self._law:
+            self._law = law
+            self._by_law = law.place(self._nominal.model.remaining(self.place))
+            self._half = 0.5 * np.interp(self._by_law, law.grid, law.width)
+        half, shift = self._half, self._by_law - self.place - theta[OFFSET]
+        late = self._of[:, _LATE] - half
+        late[0] -= shift
+        late[1] += shift
         late[self._of[:, _ENTRY] < since] = np.nan
         sigma = level * self._of[:, _SIGMA]
         length = _WINDOW * self._cell
         mean = _means(late)
+        if not (mean < 0.0).all(0).any():
+            return None
         off = _means(sigma) * np.minimum(np.sqrt(_means(self._of[:, _SPACING]) / length), 1.0)
-        on_track = np.all(_means(self._of[:, _OFF_SQUARE]) < (_OFF * level) ** 2, axis=0)
-        first = np.flatnonzero(on_track & np.all(mean < -_SURE * off, axis=0))
+        on_track = _means(self._of[:, _OFF_SQUARE]) < (_OFF * level) ** 2
+        first = np.flatnonzero((on_track & (mean < -_SURE * off)).all(0))
         if len(first) == 0:
             return None
         share = 2.0 * (late.max(0) + half) / self._b
@@ -103,10 +111,13 @@ class Passes:
         least = max(float(share[at]), 0.0)
         if least > (1.0 - _LEAST) * 2.0 * half[at] / self._b[at]:
             return None
-        return Narrowing(least, float(np.hypot(*sigma[:, at]) / self._b[at]), float(p[at]))
+        return Narrowing(least, float(np.hypot(*sigma[:, at]) / self._b[at]), float(self._by_law[at]))
 
 
 def _means(rows: Array) -> Array:
     """(2, n - window + 1) of neighbouring cells; NaN where one was not passed."""
-    windows = np.lib.stride_tricks.sliding_window_view(rows, _WINDOW, axis=1)
-    return np.asarray(windows.mean(axis=2))
+    count = rows.shape[1] - _WINDOW + 1
+    total = rows[:, :count].copy()
+    for i in range(1, _WINDOW):
+        total += rows[:, i : i + count]
+    return np.asarray(total / _WINDOW)

@@ -43,11 +43,14 @@ _TOGETHER_AMISS, _TOGETHER_FRAMES = 2.8, 15  # of three strokes together
 _QUIET_S = 15.0  # without a disturbance, before anything is learnt after one
 _FORETELLS = 2  # strokes that a proposal is tried on before another replaces it
 _STALE_STROKES = 5  # that a change is looked for in by themselves
+_MOVED = 0.25  # of B, by which the offset is another posture's
+_FEW_STROKES = 3  # since a law began to be learnt: the last two may refine it by themselves
 _POSTURE = 1.5  # of the mean B: an offset that one stroke alone may tell at the beginning, more than a width can be
 _ELSEWHERE, _STRANGE_FRAMES = 2.0, 5  # of B, that so many first frames are off: another posture
-_FRAME_WORK, _SIMULATION = 600, 200  # knots simulated in one frame, as many as take as long as what is beside them
+_FRAME_WORK = 400  # us, about, of work in one frame; no piece of it costs more
 _NEWS = 10  # frames between two judgements
 _SETTLED_TURNS = 5  # reversals since the change after which the law is settled
+_LEAN_PACE, _LEANS = 0.1, 0.5  # of those means; the mean's share of the squares from which it is expected to go on
 _MOST_LEVEL = 5.0
 _UNKNOWN = 1.0  # of B: what a width's sigma is at most taken for
 
@@ -123,6 +126,7 @@ class LawTracker:
         self._rested = (np.nan, np.nan, np.nan)  # the frame before: motor, tip, its sigma
         self._stroke_sum, self._stroke_count = 0.0, 0
         self._after_sum, self._after_count, self._turned_at = 0.0, 0, np.inf  # shortly after the last turn
+        self._after_ended = self._after_amiss = False  # whether that was judged, and is amiss
         self._amiss: deque[bool] = deque(maxlen=3)
         self._afters: deque[tuple[float, int]] = deque()  # of three strokes, shortly after their turns: squares, frames
         self._usual = 1.0  # mean square there
@@ -130,13 +134,17 @@ class LawTracker:
         self._recording_entry = 0  # the recording's first
         self._since = 0  # from which on the evidence is judged
         self._anchor: int | None = None  # since when the law in use was learnt
+        self._origin = self._theta  # the law before that
+        self._offset_before = 0.0  # where the recording began
         self._news = 0
         self._fresh_until = -1  # stroke up to which a recording may turn out to be another posture
         self._work: Work[Inference] | None = None
+        self._due = 0  # what its next piece costs, us
         self._proposal: Inference | None = None
         self._stuck, self._stuck_in = 0, -1  # strokes without a law that explains them, and the last of them
         self._strange = 0  # frames at a recording's begin in which the tip was far off
         self._quiet_s = -np.inf
+        self._leans = [0.0, 0.0]  # running mean of what is left where a recording begins, and of its squares; deg
 
     def begin(self) -> None:
         """A new recording: its clock, where the tip is and the posture may be others; what was learnt stays."""
@@ -153,6 +161,8 @@ class LawTracker:
         self._running = 1.0
         self._strange = 0
         self._quiet_s = -np.inf
+        self._leans = [0.0, 0.0]
+        self._offset_before = self._offset
 
     def _noise(self) -> float:
         """Of a frame, unit of q, in the middle of what was measured."""
@@ -181,7 +191,7 @@ class LawTracker:
         ahead = knots(self._window.last_q, path.between(scene_s), q)
         law = self._law
         p = float(law.native.run(self._play.copy(), ahead + self._theta[OFFSET])[0][-1])
-        c = float(law.angle(p))
+        c = float(law.angle(p)) + self._expected()
         u = v = np.nan
         if self.model.rig.has_camera:
             translation, rotation, _ = path.others_at(scene_s)
@@ -266,14 +276,26 @@ class LawTracker:
     def _end_stroke(self) -> None:
         if self._stroke_count >= _STROKE_FRAMES:
             mean = self._stroke_sum / self._stroke_count
-            after = self._after_sum / max(self._after_count, _AFTER_FRAMES)
-            self._amiss.append(mean > _STROKE_AMISS or after > _AFTER_AMISS)
-            if self.state is State.TRUSTED and (sum(self._amiss) >= 2 or self._turns_amiss()):
+            self._end_after()
+            self._amiss.append(mean > _STROKE_AMISS or self._after_amiss)
+            if self.state is State.TRUSTED and sum(self._amiss) >= 2:
                 self._doubt(self._begin_of(self._stroke - 2))
             elif self.state is State.STALE and mean < _STROKE_WELL and not any(self._amiss):
                 self._settle("the model holds again as it was")
         self._stroke_sum, self._stroke_count = 0.0, 0
         self._after_sum, self._after_count = 0.0, 0
+        self._after_ended = self._after_amiss = False
+
+    def _end_after(self) -> None:
+        """The frames shortly after a turn are judged as soon as there are no more of them: a gradual onset is not
+        waited for until the stroke's end."""
+        if self._after_ended:
+            return
+        self._after_ended = True
+        self._after_amiss = self._after_sum > _AFTER_AMISS * max(self._after_count, _AFTER_FRAMES)
+        again = self._after_amiss and any(list(self._amiss)[-2:])
+        if self.state is State.TRUSTED and (self._turns_amiss() or again):
+            self._doubt(self._begin_of(self._stroke - 2))
 
     def _turns_amiss(self) -> bool:
         """Whether the last three strokes leave more after their turns than those before did: a gradual onset."""
@@ -311,6 +333,10 @@ class LawTracker:
             self._dial_down()
         self._news += 1
         off = y - p
+        if self._stroke <= self._fresh_until:
+            away = seen.c_deg - float(law.angle(p))
+            self._leans[0] += _LEAN_PACE * (away - self._leans[0])
+            self._leans[1] += _LEAN_PACE * (away**2 - self._leans[1])
         square = min((off / (sigma * self._level)) ** 2, _CLIP)
         self._running += _PACE * (square - self._running)
         self._off += _PACE * (abs(off) - self._off)
@@ -319,6 +345,8 @@ class LawTracker:
         if abs(self._window.last_q - self._turned_at) < _AFTER_TURN * self._width:
             self._after_sum += min((off / (sigma * self._level)) ** 2, _AFTER_CLIP)
             self._after_count += 1
+        elif self._after_count >= _AFTER_FRAMES:
+            self._end_after()
         if self._running < _WELL:
             self._well = self._window.end
         if self.state is State.TRUSTED and self._running > _AMISS:
@@ -332,6 +360,14 @@ class LawTracker:
         if abs(self._rested[0] - q) <= 2.0 * self.model.rig.actuator.encoder_resolution:
             wander = (seen.c_deg - c_deg) / float(np.hypot(sigma, self._rested[2]))
             self._wanders += _WANDER_PACE * (min(wander**2, _AFTER_CLIP) - self._wanders)
+
+    def _expected(self) -> float:
+        """What of the tip is off where a recording has just begun, deg: it most likely goes on, whatever its cause,
+        until the other way of the motor tells a posture's offset from a width."""
+        if self.state is State.TRUSTED or self._stroke > self._fresh_until:
+            return 0.0
+        mean, square = self._leans
+        return mean if mean**2 > _LEANS * square else 0.0
 
     def _within(self, y: float) -> float:
         """The nearest place at which a tip that nothing has carried yet can be."""
@@ -377,25 +413,33 @@ class LawTracker:
         self.state, self.reason = state, why
 
     def _think(self) -> None:
-        """As much work as a frame has time for, and at least one simulation."""
+        """As much work as a frame has time for. What that is, is counted, not timed: a replay repeats bit for bit."""
         if self._work is None:
             if self.state is State.TRUSTED or self._news < _NEWS:
                 return
             self._news = 0
-            starts = [self._since] if self._anchor is None else [self._anchor, self._since]
+            adapting = self.state is State.ADAPTING
+            away = abs(self._offset - self._offset_before)
+            moved = adapting and self._anchor is not None and away > _MOVED * self._width
+            starts = {} if self._anchor is None else {self._anchor: self._origin}
+            starts.setdefault(self._since, self._theta)
             if self.state is State.STALE:
-                starts.append(max(self._since, self._begin_of(self._stroke - _STALE_STROKES)))
-            evidence = [e for e in map(self._window.since, dict.fromkeys(starts)) if e is not None]
+                starts.setdefault(max(self._since, self._begin_of(self._stroke - _STALE_STROKES)), self._theta)
+            elif moved and self._begin_of(self._stroke - _FEW_STROKES) <= self._since:
+                starts.setdefault(self._begin_of(self._stroke - 1), self._theta)
+            evidence = [(e, o) for since, o in starts.items() if (e := self._window.since(since)) is not None]
             if not evidence:
                 return
             fresh = self._stroke <= self._fresh_until
             least = _POSTURE * self._width if fresh else None
-            adapting = self.state is State.ADAPTING
-            self._work = judge(self.nominal, evidence, self._theta, adapting, least, self._level, self._proposal)
+            state = adapting, least, moved, self._level
+            self._work = judge(self.nominal, evidence, self._theta, *state, self._proposal)
+            self._due = 0
         try:
             spent = 0
-            while spent < _FRAME_WORK:
-                spent += next(self._work) + _SIMULATION
+            while spent == 0 or spent + self._due <= _FRAME_WORK:
+                spent += self._due
+                self._due = next(self._work)
         except StopIteration as end:
             self._work = None
             self._decide(end.value)
@@ -459,13 +503,18 @@ class LawTracker:
     def _adopt(self, verdict: Inference) -> None:
         """The law in use from now on, with the tip where it would be by it."""
         assert verdict.theta is not None
+        anchor = self._window.number_of(verdict.evidence.t_s[0], self._recording_entry)
+        if verdict.refines and self._anchor is not None:
+            anchor = self._anchor
+        elif anchor != self._anchor:
+            self._anchor, self._origin = anchor, self._theta
+        self._since = anchor
         self._use(verdict.theta)
         self._sigma = (
             float(np.hypot(self._own[0], verdict.offset_sigma)),
             float(np.hypot(self._own[1], verdict.scale_sigma)),
         )
-        self._anchor = self._since = self._window.number_of(verdict.evidence.t_s[0], self._recording_entry)
-        now = self._window.since(self._anchor)
+        now = self._window.since(anchor)
         assert now is not None
         self._play = _native.TrackState(float(self._law.place(now.c_deg[0])))
         path = np.concatenate([now.q, self._window.skipped])
