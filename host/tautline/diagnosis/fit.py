@@ -184,6 +184,9 @@ class Fitter:
             curves.width.bending / (_ROUGH * span) ** 2, curves.follow.bending / (_ROUGH * gain * span) ** 2
         )
         self.floor = 1.0
+        self.doubt = self.unsteady = (
+            0.0  # of the floor's power's logarithm, and its deviation between blocks, where seen
+        )
         # What begins outside of the angles that were reached would be another gain and offset.
         ends = np.sort(model.remaining(np.array([low, high])))
         inset = 0.05 * float(ends[1] - ends[0])
