@@ -128,7 +128,7 @@ class _Path:
         tree = KDTree(self.point)
         at, expected = (np.asarray(tree.query(where)[1], dtype=np.intp) for where in (observed, predicted))
         normal = self.normal[at]
-        way = np.column_stack([normal[:, 1], -normal[:, 0]])
+        way = np.column_stack([normal[:, 1], -normal[:, 0]])  # as c rises
         across = np.sum((observed - self.point[at]) * normal, axis=1)
         along = np.sum((observed - predicted) * way, axis=1)
         return _View(at, self.length[at], self.length[expected], across, along)
