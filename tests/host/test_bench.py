@@ -110,7 +110,7 @@ def test_a_fault_does_to_the_instrument_what_its_name_says() -> None:
     assert bent["wall"].max() == pytest.approx(25.0 + endoscopy.GIVES * (c[t >= since].max() - 25.0))
     rising, falling = (later & (way * np.gradient(sound.q, t) > 1.2) for way in (1.0, -1.0))
     wider = np.mean((c - bent["speed"])[rising]) + np.mean((bent["speed"] - c)[falling])
-    assert wider == pytest.approx(0.3 * sound.level * endoscopy.GAIN * 1.35 / endoscopy.FAST_MM_S, rel=0.35)
+    assert wider == pytest.approx(0.3 * sound.level * endoscopy.GAIN, rel=0.35)
 
     place, radius = sound.seen(np.array([since - 1.0, since + 1.0]))
     moved, _ = _used(endoscopy.Fault(since, aside_mm=(0.2, 0.0, 0.0))).seen(np.array([since - 1.0, since + 1.0]))

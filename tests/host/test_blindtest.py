@@ -77,6 +77,9 @@ def test_a_small_campaign_is_scored_as_counted_by_hand():
     assert rows == [LAG, CREEP, "zoom", "none"]
     assert counts[0, columns.index(LAG)] == 1 and counts[0, columns.index(CREEP)] == 1
     assert counts[2, columns.index("unknown")] == 1 and counts.sum() == 6
+    rows, columns, counts = scores.confusion([*cases, (label("unknown", "heartbeat"), said("unknown"))])
+    assert rows == [LAG, CREEP, "zoom", "heartbeat", "none"]  # a generator's own
+    assert counts[3, columns.index("unknown")] == 1 and counts.sum() == 7
 
 
 def test_probabilities_that_are_right_as_often_as_they_say_have_no_calibration_error():

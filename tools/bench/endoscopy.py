@@ -29,7 +29,7 @@ AWAY_MM = (-3.0, 4.0, 16.0)
 RATE_HZ, DELAY_S = 25.0, 0.085
 MOTOR_HZ = 500.0
 EXPOSURE_S = 0.012
-FAST_MM_S, CREEP_S, GIVES = 1.5, 1.7, 0.3  # of a fault: see there
+CRAWL_MM_S, GRIPS_S, CREEP_S, GIVES = 0.5, 0.03, 1.7, 0.3  # of a fault: see there
 MARKER_MM, TUBE_MM = 0.8, 1.2  # radii
 MARKER_BGR = np.array([75.0, 170.0, 45.0])
 _AT_ONCE = 3  # places of the marker within one exposure
@@ -75,7 +75,7 @@ class Fault:
     since_s: float = 0.0
     lag_s: float = 0.0  # first order, of the bending angle
     late_share: float = 0.0  # of p, which follows within CREEP_S
-    wider: float = 0.0  # times B, at the motor's highest speed
+    wider: float = 0.0  # times B, once the carriage goes clearly faster than CRAWL_MM_S
     drift_mm_s: float = 0.0  # of the tendon's length
     aside_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)  # the camera sits elsewhere
     wall_deg: float | None = None  # something that gives way by GIVES of the motion beyond it
@@ -131,18 +131,20 @@ class World:
         return c
 
     def _play(self, q: Array) -> Array:
-        """The carriage between its two stops, which a faster motor may push further apart."""
+        """The carriage between its two stops, which its own speed may push further apart."""
         grid = np.linspace(RANGE_MM[0] - 2.0, RANGE_MM[1] + 2.0, 20001)
         half = 0.5 * self.width(grid)
         low, high = np.interp(q, grid + half, grid), np.interp(q, grid - half, grid)
-        speed = np.abs(np.gradient(q, self.t))
-        wider = np.where(self.t >= self.fault.since_s, 1.0 + self.fault.wider * speed / FAST_MM_S, 1.0)
+        there, step_s = self.t >= self.fault.since_s, 1.0 / MOTOR_HZ
         p = np.empty_like(q)
-        now = q[0]
+        now, wider = q[0], 0.0
         for k in range(len(q)):
-            middle, reach = 0.5 * (low[k] + high[k]), 0.5 * (high[k] - low[k]) * wider[k]
-            now = min(max(now, middle - reach), middle + reach)
+            middle, reach = 0.5 * (low[k] + high[k]), 0.5 * (high[k] - low[k]) * (1.0 + wider)
+            before, now = now, min(max(now, middle - reach), middle + reach)
             p[k] = now
+            if there[k] and self.fault.wider:
+                speed = abs(now - before) / step_s
+                wider += step_s / GRIPS_S * (self.fault.wider * np.tanh(speed / CRAWL_MM_S) - wider)
         return p
 
     def seen(self, t: Array) -> tuple[Array, Array]:

@@ -251,7 +251,8 @@ def _shrinkage(answer: Answer) -> float | None:
 
 def confusion(cases: Sequence[tuple[Label, Answer]]) -> tuple[list[str], list[str], np.ndarray]:
     """(rows, columns, counts): truths with one cause (those outside the library by their own name), verdicts."""
-    rows = [*KNOWN, *UNKNOWN, NONE]
+    outside = (label.effects[0] for label, _ in cases if label.kind == "unknown")  # each generator has its own
+    rows = [*dict.fromkeys([*KNOWN, *UNKNOWN, *outside]), NONE]
     columns = [*KNOWN, UNEXPLAINED, NONE, FAILED]
     table = np.zeros((len(rows), len(columns)), dtype=int)
     for label, answer in cases:

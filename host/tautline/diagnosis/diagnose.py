@@ -58,6 +58,8 @@ def diagnose(
     fitter = Fitter(model, segments, load_reference(calibration))
     frozen = fitter.residuals(fitter.start(), fitter.nothing)
     fitter.floor = max(gap.noise_floor(segments, frozen), moving)
+    if tracked is not None:
+        fitter.doubt, fitter.unsteady = tracked.doubt, tracked.unsteady
     base = fitter.nominal()
     # A rest in which the tip goes on moving is no noise: the calibration has no more of it than its own fit leaves. A
     # simulator's has none at all, and the robot's sensor still has its own.

@@ -184,6 +184,8 @@ class Fitter:
             curves.width.bending / (_ROUGH * span) ** 2, curves.follow.bending / (_ROUGH * gain * span) ** 2
         )
         self.floor = 1.0
+        self.doubt = 0.0  # of the floor's power's logarithm: how far it may be off, where that was seen
+        self.unsteady = 0.0  # its standard deviation between blocks
         # What begins outside of the angles that were reached would be another gain and offset.
         ends = np.sort(model.remaining(np.array([low, high])))
         inset = 0.05 * float(ends[1] - ends[0])

@@ -208,5 +208,8 @@ class _Weighing:
         return None
 
     def evidence(self) -> CaseEvidence:
-        floor, weighed = self.search.fitter.floor, tuple(self._weighed)
-        return CaseEvidence(floor, self._frozen, weighed, len(self.search.kinds), self._calibrated)
+        fitter, weighed = self.search.fitter, tuple(self._weighed)
+        weighed_kinds = len(self.search.kinds)
+        return CaseEvidence(
+            fitter.floor, self._frozen, weighed, weighed_kinds, self._calibrated, fitter.doubt, fitter.unsteady
+        )

@@ -63,6 +63,7 @@ class Stacked:
     def __init__(self, evidence: CaseEvidence) -> None:
         hypotheses = evidence.hypotheses
         self.floor2 = evidence.floor**2
+        self._doubt, self._unsteady = evidence.doubt, evidence.unsteady
         self.frozen = evidence.frozen
         self.applicable = evidence.applicable
         self.nominal2 = float(np.clip(evidence.calibrated, self.floor2, INEXACT * self.floor2))
@@ -161,7 +162,8 @@ class Stacked:
         if not len(self._beyond_power):
             return np.zeros(len(self._beyond))
         x = np.log(np.maximum(self._beyond_power / self.floor2, 1e-6))[:, None]
-        spread = np.sqrt(2.0 / np.maximum(self._beyond_count, 1.0) + floor_steady**2)[:, None]
+        spread = np.sqrt(2.0 / np.maximum(self._beyond_count, 1.0) + floor_steady**2 + self._unsteady**2)[:, None]
+        floor_known = float(np.hypot(floor_known, self._doubt))
         # Of the case's noise: less than the floor often, as what rests may well scatter more.
         off = np.linspace(-20.0, 3.0, 116) * floor_known
         prior = np.where(off > 0.0, -0.5 * np.square(off / floor_known), -np.abs(off))

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from scipy.interpolate import make_smoothing_spline
 from scipy.spatial import KDTree
 
+from tautline.diagnosis import gap
 from tautline.diagnosis.segment import Segment
 from tautline.geometry import project
 from tautline.model import Model
@@ -27,6 +28,7 @@ _PLACE_PX, _HOLE_PX = 4.0, 12.0  # along the path: what is told apart at least, 
 _FEWEST, _PLACES = 6, 20  # frames that tell of a place, places that tell of a tracker
 _FAR, _SEVERAL = 6.0, 0.1  # noises: a frame's error, and share of a place's frames, from which the calibration does not
 _WILD = 2.0  # hold there; times the usual scatter
+_PARTS = 8  # of a calibration, by turns
 _STEP_DEG = 0.05
 _BEYOND_DEG = 5.0
 _TO_SIGMA = 1.4826
@@ -36,6 +38,8 @@ _TO_SIGMA = 1.4826
 class TrackerError:
     segments: list[Segment]
     noise: float  # px rms per coordinate of a moving marker
+    doubt: float  # of its power's logarithm: how far it may be off, as more or less of it is counted as the places'
+    unsteady: float  # standard deviation of its power's logarithm between blocks
     left_out: float  # share of the frames, where the calibration does not hold
 
     def to_json(self) -> dict[str, float]:
@@ -59,11 +63,37 @@ def without(model: Model, segments: Sequence[Segment], load_reference: float) ->
         corrected.append(replace(segment, observed=observed).part(holds))
         scored += int(segment.scored.sum())
     kept = sum(int(segment.scored.sum()) for segment in corrected)
-    first = corrected[0].scored
     if not all(segment.scored.any() for segment in corrected):
         return None
-    left = views[0].across[first] - places.across(views[0].seen[first])
-    return TrackerError(corrected, float(np.sqrt(np.mean(left**2))), 1.0 - kept / scored)
+    first = corrected[0].scored
+    own = _rms((views[0].across - places.across(views[0].seen))[first])
+    left = _left(views[0], first, places)
+    others = max(_rms(left), own)
+    noise, doubt = float(np.sqrt(own * others)), float(np.log(others / own))
+    return TrackerError(corrected, noise, doubt, _unsteady(left, gap.blocks(corrected[0])), 1.0 - kept / scored)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _left(view: _View, scored: Mask, places: _Places) -> Array:
+    """(scored,) across the path, of frames about what others at other times showed of their places: what a codec makes
+    of one pass is no error of the place."""
+    part = np.arange(len(scored)) * _PARTS // len(scored) % 2
+    left = view.across - places.across(view.seen)
+    for own in (part == 0, part == 1):
+        others = _Places.of(view, scored & ~own)
+        if others is not None:
+            known = own & others.holds(view.seen) & others.reaches(view.seen)
+            left = np.where(known, view.across - others.across(view.seen), left)
+    return np.asarray(left[scored])
+
+
+def _unsteady(left: Array, block: npt.NDArray[np.int64]) -> float:
+    frames = np.bincount(block)
+    power = np.bincount(block, left**2)[frames > 0] / frames[frames > 0]
+    return float(np.std(np.log(power)))
 
 
 @dataclass(frozen=True)
@@ -98,7 +128,7 @@ class _Path:
         tree = KDTree(self.point)
         at, expected = (np.asarray(tree.query(where)[1], dtype=np.intp) for where in (observed, predicted))
         normal = self.normal[at]
-        way = np.column_stack([normal[:, 1], -normal[:, 0]])
+        way = np.column_stack([normal[:, 1], -normal[:, 0]])  # as c rises
         across = np.sum((observed - self.point[at]) * normal, axis=1)
         along = np.sum((observed - predicted) * way, axis=1)
         return _View(at, self.length[at], self.length[expected], across, along)
@@ -157,6 +187,10 @@ class _Places:
 
     def across(self, at: Array) -> Array:
         return np.interp(at, self.middle, self.error)
+
+    def reaches(self, at: Array) -> Mask:
+        reaches: Mask = (at >= self.middle[0]) & (at <= self.middle[-1])
+        return reaches
 
     def holds(self, at: Array) -> Mask:
         place = np.digitize(at, self.edges) - 1
