@@ -155,7 +155,7 @@ def test_an_event_far_ahead_of_its_rivals_counts_in_full_beside_an_effect():
     assert verdict.name == "unknown"
 
 
-@pytest.mark.parametrize(("left", "sure"), [(3e-3, False), (1e-3, True)])
+@pytest.mark.parametrize(("left", "sure"), [(0.01, False), (1e-3, True)])
 def test_a_further_effect_is_named_only_where_it_is_sure(left, sure):
     """What one effect leaves may be of its own making; the two together have to say much more."""
     found = evidence({(LAG,): 0.1, (CREEP,): 0.9, (LAG, CREEP): left})
@@ -164,7 +164,7 @@ def test_a_further_effect_is_named_only_where_it_is_sure(left, sure):
         p for p, h in zip(verdict.posterior, found.hypotheses, strict=True) if LAG in h.ids
     )
     assert verdict.named == ((LAG, CREEP) if sure else (LAG,))
-    assert beside > 0.9 if sure else 0.5 < beside < 0.9
+    assert beside > 0.8 if sure else 0.5 < beside < 0.8
 
 
 @given(

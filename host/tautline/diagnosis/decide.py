@@ -20,7 +20,7 @@ from tautline.effects import EVENTS
 
 Array = npt.NDArray[np.float64]
 
-FURTHER = 0.9  # probability of a further effect, given those before: who mends what is right loses more than by waiting
+FURTHER = 0.8  # probability of a further effect, given those before: who mends what is right loses more than by waiting
 MOVED = 0.2  # share of what a recalibration closes from which on a part of it is named
 HELPS = 0.7  # standard errors of the mean over blocks; one block alone that shows an effect is 1
 
