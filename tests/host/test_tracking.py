@@ -317,6 +317,22 @@ def test_nothing_is_learnt_when_nothing_changes(kind, seed):
         assert {row.state for row in tracked.rows} == {State.TRUSTED}
 
 
+def test_short_strokes_are_not_doubted_for_what_few_frames_leave_by_chance():
+    instrument, noise = Instrument(3), 0.02
+    made = session(instrument, "nothing", 3, 60.0)
+    t = np.arange(0.0, 60.0, 0.01)
+    q = 0.9 * np.interp(t % 0.72, [0.0, 0.36, 0.72], [-1.0, 1.0, -1.0])  # 9 frames a stroke
+    motor, scene = Motor(t, q), np.arange(0.02, 59.9, 0.04)
+    p = sessions.respond(instrument, t, q, made.change, made.change_s)
+    c = instrument.of_place(instrument.law, np.interp(scene, t, p))
+    calibrated = {"evidence": {"residual": noise}}
+    model = replace(ideal_model(instrument), sensor="angle", delay_s=0.0, extra=calibrated)
+    for seed in range(6):
+        angle = Angle(scene, c + np.random.default_rng(seed).normal(0.0, noise, len(c)))
+        tracked = replay(model, [Recording("short strokes", motor, angle=angle)])
+        assert {row.state for row in tracked.rows} == {State.TRUSTED}
+
+
 @pytest.mark.parametrize("seed", [21, 23])
 def test_what_was_amiss_where_a_recording_begins_is_not_learnt(seed):
     """A tip that is three times the noise off at first and comes to where the model says within two strokes."""

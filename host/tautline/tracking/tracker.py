@@ -36,6 +36,7 @@ _CLIP = 16.0  # squares above it are taken as this: an outlier says no more
 _AMISS = 6.0  # running mean from which the model is stale
 _WELL = 2.2  # and below which it still held
 _STROKE_AMISS, _STROKE_FRAMES = 1.8, 8  # of a stroke, with so many frames; two of three make the model stale
+_STROKE_SIGMAS = 3.0  # of what so few frames scatter: a stroke leaves that by chance
 _STROKE_WELL = 1.6
 _AFTER_TURN, _AFTER_AMISS, _AFTER_CLIP, _AFTER_FRAMES = 2.0, 4.0, 36.0, 5  # within so many B of a turn: the same there
 _USUAL_PACE = 0.5
@@ -278,7 +279,8 @@ class LawTracker:
         if self._stroke_count >= _STROKE_FRAMES:
             mean = self._stroke_sum / self._stroke_count
             self._end_after()
-            self._amiss.append(mean > _STROKE_AMISS or self._after_amiss)
+            by_chance = 1.0 + _STROKE_SIGMAS * np.sqrt(2.0 / self._stroke_count)
+            self._amiss.append(mean > max(_STROKE_AMISS, by_chance) or self._after_amiss)
             if self.state is State.TRUSTED and sum(self._amiss) >= 2:
                 self._doubt(self._begin_of(self._stroke - 2))
             elif self.state is State.STALE and mean < _STROKE_WELL and not any(self._amiss):
