@@ -506,3 +506,15 @@ def test_a_width_that_is_worn_at_the_motor_s_place_is_reached_there():
         wall = q[inside] + side * 0.5 * at_motor.width[inside]
         width = np.interp(p, q, MODEL.width) + np.interp(wall, q, worn)
         np.testing.assert_allclose(wall - p, side * 0.5 * width, atol=2e-3)
+
+
+@given(added=st.lists(st.floats(-2.0, 2.0), min_size=23, max_size=23))
+def test_a_width_by_the_motor_s_place_leaves_a_model(added):
+    kind = BY_ID["transmission.backlash"]
+    assert kind.holds is not None
+    values = dict(zip((p.name for p in kind.amplitudes if p.name != "width_scale"), added, strict=True))
+    made = kind.holds(MODEL, values | {"width_at_motor": 1.0}, 0.0)
+    assert np.all(np.diff(made.c_deg) * np.sign(MODEL.c_deg[-1] - MODEL.c_deg[0]) > 0.0)
+    assert (
+        np.all(np.isfinite(made.c_deg)) and np.all(made.width >= 0.0) and np.abs(made.c_deg - MODEL.c_deg).max() < 30.0
+    )

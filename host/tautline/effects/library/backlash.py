@@ -33,7 +33,10 @@ def _in_the_table(model: Model, values: Mapping[str, float], session_s: float) -
         walls.append(np.maximum.accumulate(wall))
     centre = 0.5 * (walls[0] + walls[1])
     there = np.interp(model.q, centre, walls[0] - walls[1])
-    return replace(model, width=allowed_width(model.q, there), c_deg=np.interp(model.q, centre, model.c_deg))
+    # Beyond the walls' last places as far from the centre's as there: the law goes on, and stays monotone.
+    before, after = np.minimum(model.q - centre[0], 0.0), np.maximum(model.q - centre[-1], 0.0)
+    own = np.interp(model.q, centre, model.q) + before + after
+    return replace(model, width=allowed_width(model.q, there), c_deg=model.remaining(own))
 
 
 _KIND = Kind(
