@@ -7,7 +7,6 @@ case goes through `taut diagnose CALIBRATION TEST TEST`, as anyone's would.
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -20,7 +19,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 from tools.bench import endoscopy
-from tools.bench.videos import backgrounds
+from tools.bench.videos import behind, said
 
 from tautline.cli._common import progress_bar
 from tautline.plain import plain
@@ -88,10 +87,8 @@ class Outcome:
 
 def make(room: Path, condition: endoscopy.Condition, fault: str, seed: int, say: Callable[[float], None]) -> list[Path]:
     """The recordings of a case, the calibration first."""
-    real = backgrounds()
-    behind = real[seed % len(real)] if real and seed % 3 else None
     folders = [room / "calibration", *(room / f"test-{k}" for k in range(1, len(TESTS) + 1))]
-    calibrated = endoscopy.make(folders[0], condition, seed, behind, lambda part: say(part / len(folders)))
+    calibrated = endoscopy.make(folders[0], condition, seed, behind(seed), lambda part: say(part / len(folders)))
     clock = since_s = float(calibrated.t[-1])
     drawn = FAULTS[fault][1](np.random.default_rng([seed, list(FAULTS).index(fault)]), since_s + PAUSE_S)
     for k, (lasts_s, mm_s, rests) in enumerate(TESTS, 1):
@@ -99,14 +96,6 @@ def make(room: Path, condition: endoscopy.Condition, fault: str, seed: int, say:
         endoscopy.make(folders[k], condition, seed, None, lambda part, k=k: say((k + part) / len(folders)), use)
         clock = use.begins_s + lasts_s
     return folders
-
-
-def diagnosed(folders: Sequence[Path], out: Path) -> dict[str, Any]:
-    words = [sys.executable, "-m", "tautline", "diagnose", *map(str, folders), "--out", str(out), "--json"]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
-    if done.returncode not in (0, 3):
-        raise RuntimeError(done.stderr.strip().splitlines()[-1])
-    return dict(json.loads(done.stdout))
 
 
 def run(
@@ -120,7 +109,7 @@ def run(
                 Path(room), known[condition], fault, seed, lambda part, i=i: say((i + part) / len(cases), "drawing")
             )
             say((i + 0.99) / len(cases), f"{fault}, {condition}")
-            document = diagnosed(folders, Path(room) / "diagnosis")
+            _, document = said("diagnose", *map(str, folders), "--out", str(Path(room) / "diagnosis"))
         yield Outcome.of(condition, fault, seed, document)
 
 
@@ -140,11 +129,11 @@ def command(seeds: int, first_seed: int, faults: tuple[str, ...], conditions: tu
         every = run(conditions or CONDITIONS, faults or list(FAULTS), range(first_seed, first_seed + seeds), progress)
         for o in every:
             outcomes.append(o)
-            said = ", ".join(o.named) or o.verdict
+            answer = ", ".join(o.named) or o.verdict
             if as_json:
                 print(json.dumps(plain(asdict(o) | {"right": o.right})), flush=True)
             table.add_row(
-                o.fault, o.condition, str(o.seed), said, f"{o.probability:.2f}", f"{o.before_px:.2f}",
+                o.fault, o.condition, str(o.seed), answer, f"{o.probability:.2f}" if o.named else "", f"{o.before_px:.2f}",
                 f"{o.after_px:.2f}", f"{o.floor_px:.2f}", "" if o.right else "wrong",
             )  # fmt: skip
     if as_json:

@@ -12,6 +12,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -55,15 +56,16 @@ def _rms(x: Array) -> float:
     return float(np.sqrt(np.mean(np.square(x)))) if len(x) else float("nan")
 
 
-def calibrated(folder: Path, out: Path) -> tuple[int, dict[str, Any]]:
-    """Exit status and result of the command, in a process of its own."""
-    words = [sys.executable, "-m", "tautline", "calibrate", str(folder), "--out", str(out), "--json"]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
+def said(*words: str) -> tuple[int, dict[str, Any]]:
+    """Exit status and result of a `taut` command, in a process of its own."""
+    command = [sys.executable, "-m", "tautline", *words, "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode not in (0, 3):
-        raise RuntimeError(f"{folder.name}: {done.stderr.strip().splitlines()[-1]}")
+        raise RuntimeError(f"taut {' '.join(words)}: {done.stderr.strip().splitlines()[-1]}")
     return done.returncode, json.loads(done.stdout)
 
 
+@cache
 def backgrounds() -> list[Array]:
     """Real endoscopy frames, where they lie beside the repository; each third seed is drawn over tissue of our own."""
     for folder in Path(__file__).resolve().parents:
@@ -73,23 +75,27 @@ def backgrounds() -> list[Array]:
     return []
 
 
+def behind(seed: int) -> Array | None:
+    """A seed's background; None: tissue of our own."""
+    real = backgrounds()
+    return real[seed % len(real)] if real and seed % 3 else None
+
+
 def run(
     conditions: Sequence[endoscopy.Condition], seeds: Sequence[int], say: Callable[[float, str], None]
 ) -> list[Outcome]:
     outcomes = []
-    real = backgrounds()
     total = len(conditions) * len(seeds)
     for condition in conditions:
         for seed in seeds:
             share = len(outcomes) / total
             with tempfile.TemporaryDirectory() as room:
                 folder = Path(room) / "recording"
-                behind = real[seed % len(real)] if real and seed % 3 else None
                 endoscopy.make(
-                    folder, condition, seed, behind, lambda part, at=share: say(at + part / total, "drawing")
+                    folder, condition, seed, behind(seed), lambda part, at=share: say(at + part / total, "drawing")
                 )
                 say(share, condition.name)
-                status, document = calibrated(folder, Path(room) / "model")
+                status, document = said("calibrate", str(folder), "--out", str(Path(room) / "model"))
                 truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
             outcomes.append(Outcome.of(condition.name, seed, status, document, truth))
     return outcomes

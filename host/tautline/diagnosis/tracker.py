@@ -66,15 +66,11 @@ def without(model: Model, segments: Sequence[Segment], load_reference: float) ->
     if not all(segment.scored.any() for segment in corrected):
         return None
     first = corrected[0].scored
-    own = _rms((views[0].across - places.across(views[0].seen))[first])
+    own = gap.rms([(views[0].across - places.across(views[0].seen))[first]])
     left = _left(views[0], first, places)
-    others = max(_rms(left), own)
+    others = max(gap.rms([left]), own)
     noise, doubt = float(np.sqrt(own * others)), float(np.log(others / own))
     return TrackerError(corrected, noise, doubt, _unsteady(left, gap.blocks(corrected[0])), 1.0 - kept / scored)
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def _left(view: _View, scored: Mask, places: _Places) -> Array:
