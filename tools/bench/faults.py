@@ -133,8 +133,8 @@ def command(seeds: int, first_seed: int, faults: tuple[str, ...], conditions: tu
             if as_json:
                 print(json.dumps(plain(asdict(o) | {"right": o.right})), flush=True)
             table.add_row(
-                o.fault, o.condition, str(o.seed), answer, f"{o.probability:.2f}" if o.named else "", f"{o.before_px:.2f}",
-                f"{o.after_px:.2f}", f"{o.floor_px:.2f}", "" if o.right else "wrong",
+                o.fault, o.condition, str(o.seed), answer, f"{o.probability:.2f}" if o.named else "",
+                f"{o.before_px:.2f}", f"{o.after_px:.2f}", f"{o.floor_px:.2f}", "" if o.right else "wrong",
             )  # fmt: skip
     if as_json:
         return
