@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import gammaln
+from scipy.special import gammaln, stdtr
 
 from tautline.diagnosis.hypotheses import CaseEvidence
 from tautline.effects import BY_ID, LIBRARY
@@ -169,7 +169,9 @@ class Stacked:
         prior = np.where(off > 0.0, -0.5 * np.square(off / floor_known), -np.abs(off))
         away = x - off[:, None]
         noise = _student(away / spread) - np.log(spread)
-        any_size = -np.log((np.maximum(away, 0.0) + spread) * np.log1p(_WIDEST / spread))
+        # What disturbs a block comes on top of its noise, which has to be low where the block is.
+        low = np.log(stdtr(_DEGREES, away / spread))
+        any_size = low - np.log((np.maximum(away, 0.0) + spread) * np.log1p(_WIDEST / spread))
         more = np.exp(any_size - noise) - 1.0
         shares = np.array([disturbed, *_WRONG_SHARES])[:, None, None]
         mixed = np.zeros((len(shares), *noise.shape[:2]))
