@@ -3,7 +3,8 @@
 Of each generator the hyperparameters that make the truth likeliest, held together by what they have in common (maximum
 a posteriori, their spread by expectation maximisation); of a family of generators that was left out what that says; and
 how much of the probability a set must hold for the right effect to be in it, by split-conformal quantiles over what was
-left out. --write puts the result where `taut diagnose` reads it.
+left out. --write puts the result where `taut diagnose` reads it. --claims tells alone how far apart what an unseen
+motion leaves is from what was claimed, and how often what the other families learn of that covers a family's.
 """
 
 from __future__ import annotations
@@ -29,13 +30,15 @@ from scipy.optimize import minimize
 
 from tautline.blindtest import sealed, work
 from tautline.blindtest.cases import SCORED_FROM, Label
-from tautline.blindtest.scores import NONE, UNEXPLAINED, counts, truth
-from tautline.diagnosis import hyperparameters, moved
+from tautline.blindtest.page import RESULT
+from tautline.blindtest.scores import CLOSABLE, NONE, UNEXPLAINED, counts, truth
+from tautline.diagnosis import gap, hyperparameters, moved
 from tautline.diagnosis.decide import Decision, decide, is_open, probabilities, that_help, with_moved
 from tautline.diagnosis.hyperparameters import NAMES, Hyperparameters, Learnt
 from tautline.diagnosis.hypotheses import CaseEvidence
 from tautline.diagnosis.repeated import HELD
 from tautline.diagnosis.stacked import Stacked
+from tautline.effects import EVENTS
 
 Array = npt.NDArray[np.float64]
 
@@ -52,6 +55,7 @@ _FLAT = 1e-4  # of a loss: a further step gains less
 _LEAST = 0.01  # of a truth's probability: no case says more than that all is wrong
 _MIX = {NONE: 0.25, UNEXPLAINED: 0.25}  # of a generator's weight; the rest is of effects
 _COVERS = 0.95
+_ENDS = (0.05, 0.95)  # of the interval of a claim
 
 
 @dataclass(frozen=True)
@@ -217,6 +221,55 @@ def conformal(verdicts: Sequence[tuple[Case, Decision]]) -> float:
     return float(min(sets[min(at, len(sets) - 1)][0] + 1e-3, 0.9999)) if sets else _COVERS
 
 
+@dataclass(frozen=True)
+class Claim:
+    generator: str
+    apart: float  # gap.apart
+
+    @property
+    def family(self) -> str:
+        return self.generator.split(".")[0]
+
+
+def claims(folders: Sequence[Path]) -> list[Claim]:
+    """Of single effects where one was named, and the further motion has a gap to close."""
+    found = []
+    for folder in folders:
+        result = json.loads((folder / RESULT).read_text())
+        if not result["tuning"]:
+            raise click.ClickException(f"{folder}: its seeds are scored, not learnt from: name tuning campaigns")
+        for case in result["each"]:
+            ids = {*case["effects"], *case["named"]}
+            if case["kind"] != "single" or not case["named"] or ids & EVENTS or case["realised"] is None:
+                continue
+            before, after, floor = (case["realised"][name] for name in ("before", "after", "floor"))
+            if before >= CLOSABLE * floor:
+                found.append(Claim(case["generator"], gap.apart(case["gap"][1] / case["gap"][0], after / before)))
+    return found
+
+
+def elsewhere(found: Sequence[Claim]) -> tuple[float, float]:
+    """Quantiles, as many cases tell of them (split-conformal); generators weigh the same."""
+    count = Counter(claim.generator for claim in found)
+    inwards = sorted(found, key=lambda claim: claim.apart)
+    weight = np.cumsum([1.0 / count[claim.generator] / len(count) for claim in inwards])
+    low, high = _ENDS[0] - _ENDS[0] / len(found), _ENDS[1] + _ENDS[1] / len(found)
+    at = np.clip(np.searchsorted(weight, [low, high]), 0, len(inwards) - 1)
+    return inwards[at[0]].apart, inwards[at[1]].apart
+
+
+def tell_claims(found: Sequence[Claim]) -> None:
+    for family in sorted({claim.family for claim in found}):
+        others = [claim for claim in found if claim.family != family]
+        mine = [claim.apart for claim in found if claim.family == family]
+        if others:
+            low, high = elsewhere(others)
+            covers = np.mean([low <= apart <= high for apart in mine])
+            click.echo(f"{family}: {low:.2f} to {high:.2f} of the others covers {100 * covers:.0f} % of {len(mine)}")
+    low, high = elsewhere(found)
+    click.echo(f"elsewhere = [{low:.3g}, {high:.3g}]")
+
+
 def row(name: str, verdicts: Sequence[tuple[Case, Decision]], covers: float) -> list[str]:
     def share(hits: Sequence[bool]) -> str:
         return f"{100.0 * np.mean(hits):.0f} % of {len(hits)}" if hits else "-"
@@ -249,10 +302,18 @@ def row(name: str, verdicts: Sequence[tuple[Case, Decision]], covers: float) -> 
 )
 @click.option("--write", is_flag=True, help="Put what is learnt into the package.")
 @click.option("--jobs", type=click.IntRange(1), default=os.cpu_count() or 1, help="Processes.")
+@click.option("--claims", "only_claims", is_flag=True, help="Only how far apart claims and unseen motions are.")
 def main(
-    campaigns: tuple[Path, ...], leave_out: tuple[str, ...], report: tuple[Path, ...], write: bool, jobs: int
+    campaigns: tuple[Path, ...],
+    leave_out: tuple[str, ...],
+    report: tuple[Path, ...],
+    write: bool,
+    jobs: int,
+    only_claims: bool,
 ) -> None:
     """Learns from blind CAMPAIGNS, and tells what that says of generators that were left out."""
+    if only_claims:
+        return tell_claims(claims(campaigns))
     cases = load(campaigns)
     learnable = [case for case in cases if case.family not in leave_out]
     if not learnable:
@@ -265,7 +326,8 @@ def main(
         by[family] = learn([case for case in learnable if case.family != family], jobs)
         unseen += [(case, verdict_of(case, by[family])) for case in learnable if case.family == family]
     everything = learn(learnable, jobs)
-    everything = replace(everything, covers=conformal(unseen) if unseen else _COVERS)
+    covers = conformal(unseen) if unseen else _COVERS
+    everything = replace(everything, covers=covers, elsewhere=elsewhere(claims(campaigns)))
     started = Learnt(START, np.zeros(len(NAMES)), _COVERS)
 
     def tell(name: str, cases: Sequence[Case], ways: Mapping[str, Learnt]) -> None:

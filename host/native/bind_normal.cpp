@@ -26,10 +26,10 @@ void add(Values p, Values tip, Values by_width, Values by_follow, Rows by_c, Col
     const normal_basis b = basis(width), f = basis(follow);
     const size_t frames = p.shape(0), seen = by_c.shape(1), count = columns.shape(2), m = b.size + f.size + count;
     const auto right = [&](const Rows &rows) { return rows.shape(0) == frames && rows.shape(1) == seen; };
-    if (seen > NORMAL_SEEN || count > NORMAL_COLUMNS || tip.shape(0) != frames || by_width.shape(0) != frames ||
-        by_follow.shape(0) != frames || !right(by_c) || !right(residual) || (weight && !right(*weight)) ||
-        columns.shape(0) != frames || columns.shape(1) != seen || matrix.shape(0) != m || matrix.shape(1) != m ||
-        gradient.shape(0) != m || first > count || b.size < 4 || f.size < 4) {
+    if (seen > NORMAL_SEEN || tip.shape(0) != frames || by_width.shape(0) != frames || by_follow.shape(0) != frames ||
+        !right(by_c) || !right(residual) || (weight && !right(*weight)) || columns.shape(0) != frames ||
+        columns.shape(1) != seen || matrix.shape(0) != m || matrix.shape(1) != m || gradient.shape(0) != m ||
+        first > count || b.size < 4 || f.size < 4) {
         throw std::invalid_argument("shapes of a linearisation do not fit each other");
     }
     const normal_rows rows = {p.data(),
@@ -50,7 +50,6 @@ void add(Values p, Values tip, Values by_width, Values by_follow, Rows by_c, Col
 } // namespace
 
 void bind_normal(nb::module_ &m) {
-    m.attr("NORMAL_COLUMNS") = static_cast<int>(NORMAL_COLUMNS); // at most of one recording's rows
     m.def("normal_add", add, "p"_a, "tip"_a, "by_width"_a, "by_follow"_a, "by_c"_a, "columns"_a, "residual"_a,
           "weight"_a.none(), "width"_a, "follow"_a, "matrix"_a, "gradient"_a, "first"_a = 0,
           "Adds J'WJ and J'Wr to matrix and gradient. width, follow: (low, step, size) of the splines. See normal.h.");

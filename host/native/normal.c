@@ -32,31 +32,33 @@ void normal_add(const struct normal_rows *rows, const struct normal_basis *width
             at[i] = in_width + i;
             at[CUBIC + i] = in_follow + i;
         }
-        double square = 0.0, force = 0.0, cross[NORMAL_COLUMNS] = {0};
-        for (size_t k = 0; k < rows->seen; k++) {
-            const size_t row = n * rows->seen + k;
-            const double weight = rows->weight ? rows->weight[row] : 1.0;
-            const double by_c = weight * rows->by_c[row];
-            const double *columns = rows->columns + row * count;
-            square += by_c * rows->by_c[row];
-            force += by_c * rows->residual[row];
-            for (size_t j = first; j < count; j++) {
-                const double part = weight * columns[j];
-                cross[j] += by_c * columns[j];
-                gradient[curves + j] += part * rows->residual[row];
-                double *into = matrix + (curves + j) * m + curves;
-                for (size_t i = 0; i <= j; i++) {
-                    into[i] += part * columns[i];
+        for (size_t j = first; j < count; j++) {
+            double cross = 0.0; // a column of another recording's own is zero throughout
+            double *by_column = matrix + (curves + j) * m;
+            for (size_t k = 0; k < rows->seen; k++) {
+                const size_t row = n * rows->seen + k;
+                const double *columns = rows->columns + row * count;
+                const double part = (rows->weight ? rows->weight[row] : 1.0) * columns[j];
+                if (part != 0.0) {
+                    cross += part * rows->by_c[row];
+                    gradient[curves + j] += part * rows->residual[row];
+                    for (size_t i = 0; i <= j; i++) {
+                        by_column[curves + i] += part * columns[i];
+                    }
                 }
             }
-        }
-        for (size_t j = first; j < count; j++) {
-            double *into = matrix + (curves + j) * m;
-            for (size_t i = 0; i < CURVES; i++) {
-                into[at[i]] += cross[j] * c[i];
+            for (size_t i = 0; cross != 0.0 && i < CURVES; i++) {
+                by_column[at[i]] += cross * c[i];
             }
         }
         if (first == 0) {
+            double square = 0.0, force = 0.0;
+            for (size_t k = 0; k < rows->seen; k++) {
+                const size_t row = n * rows->seen + k;
+                const double by_c = (rows->weight ? rows->weight[row] : 1.0) * rows->by_c[row];
+                square += by_c * rows->by_c[row];
+                force += by_c * rows->residual[row];
+            }
             for (size_t i = 0; i < CURVES; i++) {
                 gradient[at[i]] += force * c[i];
                 double *into = matrix + at[i] * m;

@@ -26,7 +26,7 @@ struct normal_rows {
     size_t frames, seen, count;
 };
 
-enum { NORMAL_SEEN = 2, NORMAL_COLUMNS = 192 };
+enum { NORMAL_SEEN = 2 };
 
 // Adds J'WJ to matrix (m, m) and J'Wr to gradient (m), m = width.size + follow.size + count, unknowns in that order:
 // all of it with first 0, else only the rows (and their mirrored columns) of columns from `first` on. matrix must be

@@ -46,9 +46,11 @@ def test_shares_have_exact_binomial_intervals():
 
 def test_a_small_campaign_is_scored_as_counted_by_hand():
     gap = {"before": 1.0, "after": 0.1, "floor": 0.05}
-    ambiguous = Answer((CREEP,), CREEP, 4.0, frozenset({CREEP, LAG}), {CREEP: 0.6, LAG: 0.4}, "transmission", 0.8, gap)
+    ambiguous = Answer(
+        (CREEP,), CREEP, 4.0, frozenset({CREEP, LAG}), {CREEP: 0.6, LAG: 0.4}, "transmission", 0.8, (0.7, 0.95), gap
+    )
     cases = [
-        (label("single", LAG), said(LAG, LAG, stage="transmission", claimed=0.95, realised=gap)),
+        (label("single", LAG), said(LAG, LAG, stage="transmission", claimed=0.95, interval=(0.8, 0.89), realised=gap)),
         (label("single", LAG), ambiguous),  # wrong name, right set, right stage
         (label("single", LAG, left=0.01), said("none")),  # too weak to be seen: not scored
         (label("single", CREEP), said("unknown", stage="camera")),
@@ -72,6 +74,7 @@ def test_a_small_campaign_is_scored_as_counted_by_hand():
     assert found.claim == pytest.approx((5.0 - 10.0) / 2) and found.claim_size == pytest.approx(7.5)
     assert found.closed == pytest.approx((1 - 0.01) / (1 - 0.0025))
     assert found.closed_90 == Share(2, 2)
+    assert found.covered == Share(1, 2) and found.worse == Share(0, 2) and found.several == Share(0, 2)
     assert found.core_s == pytest.approx((8 * 2.0 + 4.0) / 9)
     rows, columns, counts = scores.confusion(cases)
     assert rows == [LAG, CREEP, "zoom", "none"]
@@ -80,6 +83,16 @@ def test_a_small_campaign_is_scored_as_counted_by_hand():
     rows, columns, counts = scores.confusion([*cases, (label("unknown", "heartbeat"), said("unknown"))])
     assert rows == [LAG, CREEP, "zoom", "heartbeat", "none"]  # a generator's own
     assert counts[3, columns.index("unknown")] == 1 and counts.sum() == 7
+
+
+def test_what_was_claimed_is_held_against_a_motion_that_shows_something():
+    """An obstacle that the further motion never meets leaves nothing to close; noise is not worse than noise."""
+    nothing, worse = {"before": 0.06, "after": 0.07, "floor": 0.05}, {"before": 0.06, "after": 0.2, "floor": 0.05}
+    met = said(LAG, LAG, claimed=0.9, interval=(0.6, 0.95), realised={"before": 1.0, "after": 0.2, "floor": 0.05})
+    told = [met, *(said(LAG, LAG, CREEP, claimed=0.9, interval=(0.6, 0.95), realised=r) for r in (nothing, worse))]
+    found = scores.score([(label("single", LAG), answer) for answer in told])
+    assert found.claim == pytest.approx(10.0) and found.covered == Share(1, 1)
+    assert found.worse == Share(1, 3) and found.several == Share(2, 3)
 
 
 def test_probabilities_that_are_right_as_often_as_they_say_have_no_calibration_error():
@@ -158,7 +171,7 @@ def stub(files, left_out=()):
         "probability_unknown": 0.0,
         "noise_floor": 0.05,
         "where": {"stage": None},
-        "gap": {"before": 0.05, "after": 0.05, "shrink": 0.0},
+        "gap": {"before": 0.05, "after": 0.05, "shrink": 0.0, "shrink_ci": [0.0, 0.0]},
     }
     cost = {"core_s": 0.1, "calibration_core_s": 0.0}
     return {work.DOCUMENT: sealed.canonical(document), work.COST: sealed.canonical(cost), **MODELS}

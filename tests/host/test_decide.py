@@ -110,7 +110,11 @@ def test_an_effect_that_brings_a_width_with_it_leads():
     """Friction elements that came later widen the play and round its corners: one cause, whatever explains more."""
     onset, width = "transmission.smooth_onset", "transmission.backlash"
     verdict = decide(evidence({(width,): 0.08, (onset,): 0.9, (width, onset): 0.003}))
-    assert verdict.named == (onset, width) and verdict.leading[onset] > 0.8
+    assert verdict.named == (onset,) and verdict.brought == (width,) and verdict.leading[onset] > 0.8
+    both = evidence({(width,): 0.08, (onset,): 0.9, (width, onset): 0.003})
+    assert both.hypotheses[verdict.chosen].ids == (width, onset)
+    helped = that_help(both, verdict)
+    assert (helped.named, helped.brought, helped.chosen) == ((onset,), (width,), verdict.chosen)
     # Alone it is a width where nothing is left to round.
     verdict = decide(evidence({(width,): 0.003, (onset,): 0.9, (width, onset): 0.0028}))
     assert verdict.named == (width,) and verdict.leading[width] > 0.5

@@ -307,13 +307,13 @@ def dense(basis, x):
 @given(st.integers(0, 2**32 - 1))
 def test_normal_equations_are_those_of_the_dense_jacobian(seed):
     rng = np.random.default_rng(seed)
-    n, seen, count, first = 30, int(rng.integers(1, 3)), 5, int(rng.integers(1, 5))
+    n, seen, count, first = 30, int(rng.integers(1, 3)), int(rng.choice([5, 300])), int(rng.integers(1, 5))
     width, follow = Basis(-2.0, 3.0, 4), Basis(-2.0, 3.0, 7)
     p, tip = rng.uniform(-2.5, 3.5, (2, n))
     by_width, by_follow = rng.normal(size=(2, n))
     by_c, residual, weight = rng.normal(size=(3, n, seen))
     weight = weight**2
-    columns = rng.normal(size=(n, seen, count))
+    columns = rng.normal(size=(n, seen, count)) * (rng.random(count) < 0.8)  # some are another recording's own
     curves = np.hstack([by_width[:, None] * dense(width, p), by_follow[:, None] * dense(follow, tip)])
     jacobian = np.concatenate([by_c[:, :, None] * curves[:, None, :], columns], axis=2).reshape(n * seen, -1)
     weighted = jacobian * weight.reshape(-1, 1)
@@ -408,26 +408,29 @@ def test_a_parameter_that_no_effect_has_is_refused():
         )
 
 
-def swung(t, u, share, period, damping):
+def swung(t, u, share, period, damping, carried):
     """By small steps of the differential equation, straight between them."""
     w, y, rate, out = 2 * np.pi / period, u[0], 0.0, []
     for i in range(len(t)):
         if i:
             dt = (t[i] - t[i - 1]) / 40
             for k in range(40):
+                slope = (u[i] - u[i - 1]) / (t[i] - t[i - 1])
                 drive = u[i - 1] + (u[i] - u[i - 1]) * (k + 0.5) / 40
-                rate += dt * (w * w * (drive - y) - 2 * damping * w * rate)
+                rate += dt * (w * w * (drive - y) - 2 * damping * w * (rate - carried * slope))
                 y += dt * rate
         out.append(u[i] + share * (y - u[i]))
     return np.array(out)
 
 
-@pytest.mark.parametrize(("period", "damping"), [(0.5, 0.1), (1.3, 0.05), (0.8, 0.9)])
-def test_a_swing_is_its_differential_equation(period, damping):
+@pytest.mark.parametrize(
+    ("period", "damping", "carried"), [(0.5, 0.1, 0.0), (1.3, 0.05, 1.0), (0.8, 0.9, 0.5), (0.5, 0.2, 2.0)]
+)
+def test_a_swing_is_its_differential_equation(period, damping, carried):
     t = np.arange(0.0, 27.0, 0.002)
-    values = {"swing_share": 0.4, "swing_period": period, "swing_damping": damping}
+    values = {"swing_share": 0.4, "swing_period": period, "swing_damping": damping, "swing_carried": carried}
     plain, path = simulate(MODEL, STROKES, t, {}), simulate(MODEL, STROKES, t, values)
-    np.testing.assert_allclose(path.tip, swung(t, plain.p, 0.4, period, damping), atol=5e-4)
+    np.testing.assert_allclose(path.tip, swung(t, plain.p, 0.4, period, damping, carried), atol=5e-4)
     assert np.ptp(path.tip - plain.p) > 0.05
     sparse = simulate(MODEL, STROKES, t[::20], values)  # exact for any times that are asked for
     np.testing.assert_allclose(sparse.tip, path.tip[::20], atol=2e-4)

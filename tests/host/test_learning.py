@@ -9,6 +9,7 @@ import pytest
 from tools import learning
 
 from tautline.blindtest.cases import Label
+from tautline.diagnosis import gap
 from tautline.diagnosis.decide import Decision, decide
 from tautline.diagnosis.hyperparameters import NAMES, Hyperparameters, Learnt, learnt
 from tautline.diagnosis.hypotheses import Beyond, CaseEvidence, Weighed
@@ -73,11 +74,32 @@ def test_a_set_holds_what_it_must_to_be_right_in_95_of_100():
     assert learning.conformal([*said[8:], *[(case("a", LAG, 0), unknown)] * 50]) < 0.1  # no set is told
 
 
+def test_an_interval_learnt_on_others_covers_what_a_further_motion_leaves():
+    """Generators weigh the same, however many cases they have."""
+    rng = np.random.default_rng(4)
+
+    def drawn(generator: str, many: int, wide: float) -> list[learning.Claim]:
+        left = rng.uniform(0.01, 0.3, many)
+        realised = left + (left + 0.05) * wide * rng.standard_normal(many)
+        return [learning.Claim(generator, gap.apart(a, b)) for a, b in zip(left, realised, strict=True)]
+
+    low, high = learning.elsewhere([*drawn("a", 900, 0.1), *drawn("b", 300, 0.5)])
+    fresh = [*drawn("a", 500, 0.1), *drawn("b", 500, 0.5)]
+    assert 0.87 < np.mean([low <= claim.apart <= high for claim in fresh]) < 0.93
+    few = learning.elsewhere(drawn("a", 10, 0.1))
+    left = 0.1
+    shrinks = gap.elsewhere(left, few)
+    assert shrinks[0] < 1.0 - left < shrinks[1] <= 1.0
+    assert gap.apart(left, 1.0 - shrinks[0]) == pytest.approx(few[1])
+
+
 def test_what_is_learnt_survives_its_file():
     import tomllib
 
     drawn = replace(learnt(), spread=np.linspace(0.1, 0.3, len(NAMES)))
+    drawn = replace(drawn, elsewhere=(-0.2, 1.5))
     read = Learnt.of_toml(tomllib.loads(drawn.to_toml({"a": 3})))
+    assert read.elsewhere == drawn.elsewhere
     assert read.center == drawn.center and read.covers == drawn.covers
     np.testing.assert_allclose(read.spread, drawn.spread, rtol=0.01)
 

@@ -103,6 +103,7 @@ class Comparison:
             None,
             leading.stage if leading else None,
             1.0 - after / before if named else 0.0,
+            None,
             realised,
         )
 

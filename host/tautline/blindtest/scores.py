@@ -16,7 +16,7 @@ from tautline.effects import EVENTS
 NONE, UNEXPLAINED, FAILED = "none", "unknown", "failed"
 STAGES: Mapping[str, str] = {name: name.split(".", 1)[0] for name in KNOWN}
 _BINS = 10
-_CLOSABLE = 1.5  # times the noise: a gap on the further motion from which the closed share says something
+CLOSABLE = 1.5  # times the noise: a gap on the further motion that there is something to say of
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,7 @@ class Answer:
     probabilities: Mapping[str, float] | None = None  # of every effect to be the leading one, NONE and UNEXPLAINED
     stage: str | None = None
     claimed: float | None = None  # shrinkage of the gap on motions that it did not fit
+    interval: tuple[float, float] | None = None  # in which another motion's is stated to be
     realised: Mapping[str, float] | None = None  # gap on the further motion: before, after, floor
     names: bool = True  # else it only shrinks the gap
 
@@ -74,8 +75,11 @@ class Scores:
     pairs_one: Share  # at least one of them
     left_out: Share  # called unknown by a library that lacks the effect
     overall: Share  # right verdicts over single, unknown and none
-    claim: float | None  # mean of claimed less realised shrinkage, in points
+    claim: float | None  # mean of claimed less realised shrinkage, in points, where there is a gap to close
     claim_size: float | None  # mean of its absolute value
+    covered: Share  # of these, within the stated interval
+    worse: Share  # whatever was named: leaves more of the further motion than without, and more than noise
+    several: Share  # identifiable single effects for which one was named: more than one was
     closed: float | None  # mean share of the closable gap closed on the further motion, identifiable single effects
     closed_90: Share  # of these, at least 0.9
     calibration_error: float | None  # expected, of the leading probability
@@ -133,6 +137,7 @@ def answer_of(record: Mapping[str, Any]) -> Answer:
     named = tuple(effect["id"] for effect in document["effects"]) if verdict == "effect" else ()
     others = {other for effect in document["effects"] for other in effect["ambiguous_with"]} if named else set()
     probabilities = {c["id"]: float(c["probability"]) for c in document["candidates"]}
+    low, high = document["gap"]["shrink_ci"]
     return Answer(
         named,
         named[0] if named else verdict,
@@ -141,6 +146,7 @@ def answer_of(record: Mapping[str, Any]) -> Answer:
         {**probabilities, NONE: float(document["probability_none"]), UNEXPLAINED: document["probability_unknown"]},
         document["where"]["stage"],
         float(document["gap"]["shrink"]),
+        (float(low), float(high)),
         record["realised"],
     )
 
@@ -184,8 +190,15 @@ def score(cases: Sequence[tuple[Label, Answer]]) -> Scores:
         name: _Tally([(label, answer) for label, answer in single.answers if label.effects == (name,)]).share(right)
         for name in KNOWN
     }
-    claims = [(a.claimed, _realised(a)) for _, a in shrinking.answers if a.named or not a.names]
-    differences = [100.0 * (claimed - done) for claimed, done in claims if claimed is not None and done is not None]
+    claims = [
+        (answer.claimed, done, answer.interval)
+        for _, answer in shrinking.answers
+        if (answer.named or not answer.names) and answer.claimed is not None
+        if (done := _realised(answer)) is not None and _can_close(answer)
+    ]
+    differences = [100.0 * (claimed - done) for claimed, done, _ in claims]
+    within = [interval[0] <= done <= interval[1] for _, done, interval in claims if interval is not None]
+    told = [a.realised for label, a in cases if counts(label) and a.named and a.realised is not None]
     closed = [share for _, answer in shrinking.answers if (share := _shrinkage(answer)) is not None]
     return Scores(
         top1=single.share(right),
@@ -204,6 +217,9 @@ def score(cases: Sequence[tuple[Label, Answer]]) -> Scores:
         overall=one_cause.share(right),
         claim=_mean(differences),
         claim_size=_mean([abs(d) for d in differences]),
+        covered=Share(sum(within), len(within)),
+        worse=Share(sum(r["after"] > max(r["before"], CLOSABLE * r["floor"]) for r in told), len(told)),
+        several=Share(sum(len(a.named) > 1 for _, a in single.answers), sum(bool(a.named) for _, a in single.answers)),
         closed=_mean(closed),
         closed_90=Share(sum(share >= 0.9 for share in closed), len(closed)),
         calibration_error=_calibration_error(reliability(cases)),
@@ -238,13 +254,17 @@ def _realised(answer: Answer) -> float | None:
     return 1.0 - answer.realised["after"] / answer.realised["before"]
 
 
+def _can_close(answer: Answer) -> bool:
+    return answer.realised is not None and answer.realised["before"] >= CLOSABLE * answer.realised["floor"]
+
+
 def _shrinkage(answer: Answer) -> float | None:
     """Share of the closable gap (its square less the noise's) that is closed on the further motion, -1 to 1; None where
     hardly any is there to close."""
     if answer.realised is None:
         return None
     before, after, floor = (answer.realised[name] for name in ("before", "after", "floor"))
-    if before < _CLOSABLE * floor:
+    if not _can_close(answer):
         return None
     return float(np.clip(1.0 - (after**2 - floor**2) / (before**2 - floor**2), -1.0, 1.0))
 

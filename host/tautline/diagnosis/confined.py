@@ -16,7 +16,6 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from tautline import _native
 from tautline.diagnosis.fit import STATIC_COLUMNS, Fit, Fitter, ScoredRows
 from tautline.diagnosis.segment import Segment
 from tautline.effects import Kind
@@ -25,6 +24,7 @@ Array = npt.NDArray[np.float64]
 
 _LENS_ORDER = 5  # of polynomials over the image
 _PLANE_ORDER = 5  # and over the bending angle
+_MOST_COLUMNS = 192  # of a fit that is continued: more would take seconds
 _TRAVELS = (0.003, 0.01, 0.03)  # of the motor's range, in which an instrument settles in its channel
 
 
@@ -53,7 +53,7 @@ def residuals(fitter: Fitter, fit: Fit, further: Sequence[Kind] = ()) -> list[Ar
                 for s, row, more in zip(fitter.segments, rows, extra, strict=True)
             ]
     if not (along or timed):
-        return fitter.left(rows) if rows[0].columns.shape[2] <= _native.NORMAL_COLUMNS else None
+        return fitter.left(rows) if rows[0].columns.shape[2] <= _MOST_COLUMNS else None
     velocities = [row.by_c for row in rows] if along else [_velocity(s) for s in fitter.segments]
     parts = [_across(row, way) for row, way in zip(rows, velocities, strict=True)]
     columns = np.concatenate([part[1] for part in parts])

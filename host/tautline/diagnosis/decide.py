@@ -15,7 +15,7 @@ import numpy.typing as npt
 from tautline.diagnosis.hyperparameters import Hyperparameters, Learnt, learnt
 from tautline.diagnosis.hypotheses import CaseEvidence
 from tautline.diagnosis.likelihoods import Likelihoods
-from tautline.diagnosis.stacked import Stacked, log_sum
+from tautline.diagnosis.stacked import Stacked, brought, log_sum
 from tautline.effects import EVENTS
 
 Array = npt.NDArray[np.float64]
@@ -34,6 +34,9 @@ class Decision:
     named: tuple[str, ...]  # the leading effect, and those that are surely there given those before
     probability: tuple[float, ...]  # of each named one, given those before
     chosen: int  # the hypothesis of the named ones
+    brought: tuple[
+        str, ...
+    ] = ()  # parts of the nominal model in it that a named effect moved too: no causes of their own
 
     @property
     def name(self) -> str:
@@ -88,14 +91,17 @@ def decide(evidence: CaseEvidence, by: Learnt | None = None) -> Decision:
             break
         named.append(likeliest)
         probability.append(more[likeliest] / total)
+    with_them = brought(named)
+    causes = {name: sure for name, sure in zip(named, probability, strict=True) if name not in with_them}
     return Decision(
         float(p[0]),
         float(p[-1]),
         leading,
         p[:-1],
-        tuple(named),
-        tuple(probability),
+        tuple(causes),
+        tuple(causes.values()),
         best.get(frozenset(named), 0),
+        tuple(name for name in named if name in with_them),
     )
 
 
@@ -133,6 +139,7 @@ def with_moved(verdict: Decision, parts: Sequence[tuple[str, float]], by: Learnt
         named=named,
         probability=tuple(certain for _ in named),
         chosen=0,
+        brought=(),
     )
 
 
@@ -145,26 +152,27 @@ def that_help(evidence: CaseEvidence, verdict: Decision) -> Decision:
         same = [i for i, own in enumerate(ids) if set(own) == set(names)]
         return min(same, key=lambda i: float(np.mean(evidence.hypotheses[i].power)), default=0)
 
-    named, chosen, probability = (
-        list(verdict.named),
-        verdict.chosen,
-        dict(zip(verdict.named, verdict.probability, strict=False)),
-    )
+    named, with_them, chosen = list(verdict.named), list(verdict.brought), verdict.chosen
+    probability = dict(zip(verdict.named, verdict.probability, strict=False))
     for name in reversed(verdict.named if verdict.name == "effect" else ()):
         rest = [other for other in named if other != name]
-        without = least(rest)
+        kept = [other for other in with_them if other in brought([*rest, other])]
+        without = least([*rest, *kept])
         if name in EVENTS or (rest and not ids[without]):
             continue
         gained = evidence.hypotheses[without].power - evidence.hypotheses[chosen].power
         if float(np.mean(gained)) <= HELPS * float(np.std(gained)) / np.sqrt(len(gained)):
-            named, chosen = rest, without
+            named, chosen, with_them = rest, without, kept
     if len(named) == len(verdict.named):
         return verdict
     if named:
-        return replace(verdict, named=tuple(named), probability=tuple(probability[n] for n in named), chosen=chosen)
+        sure = tuple(probability[name] for name in named)
+        return replace(verdict, named=tuple(named), probability=sure, chosen=chosen, brought=tuple(with_them))
     told = sum(verdict.leading.values())
     nothing = dict.fromkeys(verdict.leading, 0.0)
-    return replace(verdict, unknown=verdict.unknown + told, leading=nothing, named=(), probability=(), chosen=0)
+    return replace(
+        verdict, unknown=verdict.unknown + told, leading=nothing, named=(), probability=(), chosen=0, brought=()
+    )
 
 
 def is_open(evidence: CaseEvidence, power: Array | float) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -96,13 +96,15 @@ def diagnose(
     best = _best_of_each(gathered)
     open_still = decide.is_open(gathered.evidence, after_rms**2)
     rest = flexible.close(segments[1:], after, floor) if open_still else None
+    brought = {name: [part for part in verdict.brought if part in effects.BY_ID[name].brings] for name in named}
     if parts:
-        shares = [part.share * shrink for part in parts]
+        shares = {part.id: part.share * shrink for part in parts}
     else:
-        shares = _shapley(gathered, fitter, named, chosen, before_rms)
+        causes = (*named, *(verdict.brought if named else ()))
+        shares = dict(zip(causes, _shapley(gathered, fitter, causes, chosen, before_rms), strict=True))
         constant = [name for name in named if effects.BY_ID[name].nominal]
         if named and len(constant) == len(named) and moved.closes(before_rms, after_rms, floor):
-            parts = moved.of_named(list(zip(named, shares, strict=True)))
+            parts = moved.of_named(list(shares.items()))
     document: dict[str, Any] = {
         "format": FORMAT,
         "unit": segments[0].unit,
@@ -114,7 +116,7 @@ def diagnose(
             "before_ci": _interval(boot[0]),
             "after_ci": _interval(boot[1]),
             "shrink": shrink,
-            "shrink_ci": _interval(1.0 - boot[1] / boot[0]),
+            "shrink_ci": _elsewhere(1.0 - boot[1] / boot[0], after_rms / before_rms) if named else [0.0, 0.0],
             "closable_shrink": float(np.clip(1.0 - (after_rms**2 - floor**2) / excess, 0.0, 1.0)) if named else 0.0,
         },
         "gap_recalibrated": {"before": recalibrated},
@@ -127,12 +129,13 @@ def diagnose(
                 "since": _since(chosen.fit, name).since,
                 "parameters": _reported(chosen.fit, name),
                 **_of_each(chosen.fit, name, segments),
-                "shrink": share,
+                **_brings(brought[name], shares),
+                "shrink": shares[name] + sum(shares[part] for part in brought[name]),
                 "swallowed_by_recalibration": moved.closes(before_rms, recalibrated, floor),
                 "loads_on_board": effects.BY_ID[name].on_board,
                 "ambiguous_with": [other for other in ambiguous if other != name] if name == named[0] else [],
             }
-            for name, probability, share in zip(named, verdict.probability, shares, strict=False)
+            for name, probability in zip(named, verdict.probability, strict=True)
         ],
         "moved": [{"id": part.id, "share": part.share, "since": _since(chosen.fit, part.id).since} for part in parts],
         "candidates": [
@@ -243,6 +246,11 @@ def _reported(fit: Fit, name: str) -> dict[str, Any]:
     return {**reported, **column, "since_calibration": float(bool(scope))}
 
 
+def _brings(parts: Sequence[str], shares: Mapping[str, float]) -> dict[str, Any]:
+    """What an effect changed of the nominal model, and what that shrinks; it is in the effect's own share too."""
+    return {"brings": [{"id": part, "shrink": shares[part]} for part in parts]} if parts else {}
+
+
 def _of_each(fit: Fit, name: str, segments: Sequence[Segment]) -> dict[str, Any]:
     """What each recording has, where they differ."""
     kind, scope = fit.hypothesis.find(name) or (effects.BY_ID[name], Scope.START)
@@ -275,6 +283,12 @@ def _corrected(fit: Fit, last: Segment) -> Model:
 
 def _interval(values: Array) -> list[float]:
     return [float(v) for v in np.quantile(values, [0.025, 0.975])]
+
+
+def _elsewhere(shrinks: Array, left: float) -> list[float]:
+    """90 % interval of a shrinkage on another motion: what these blocks tell, and what such tests are off by."""
+    own, other = np.quantile(shrinks, [0.05, 0.95]), gap.elsewhere(left, learnt().elsewhere)
+    return [float(min(own[0], other[0])), float(max(own[1], other[1]))]
 
 
 def _signature(conditions: Sequence[where.Condition], residuals: Sequence[Array]) -> str | None:

@@ -22,6 +22,7 @@ _OUTLIER, _MEDIAN = 8.0, 0.455  # deviations that a frame counts at most; median
 _SURE = 2.0  # standard errors
 _MEMORIES = np.linspace(0.0, 0.9, 37)  # from one frame to the next
 BLOCK_S = 8.0  # of a manoeuvre: longer than a residual remembers
+_LITTLE = 0.05  # of a gap: what another motion may leave of it however little these leave
 _CUT_INTO = (12, 9)  # blocks, tried in turn where the motor's turns make none
 _REMEMBERED, _ALIKE = 199, 0.02  # lags at most, and a correlation from which there is none
 _EACH_WAY = 0.2  # share of the motion that either way must have
@@ -177,6 +178,18 @@ def blocks(segment: Segment) -> npt.NDArray[np.int64]:
 def _goes_both_ways(way: Array) -> bool:
     moving = int(np.count_nonzero(way))
     return bool(min(np.count_nonzero(way > 0), np.count_nonzero(way < 0)) > _EACH_WAY * max(moving, 1))
+
+
+def elsewhere(left: float, apart: tuple[float, float]) -> tuple[float, float]:
+    """90 % interval of 1 - after / before on a motion that was not recorded; left: after / before on those that were.
+    apart: 5 and 95 % quantiles, over unseen motions, of how much more is left, in shares of left + _LITTLE (learnt)."""
+    low, high = (left + end * (left + _LITTLE) for end in apart)
+    return 1.0 - high, 1.0 - max(low, 0.0)
+
+
+def apart(left: float, realised: float) -> float:
+    """What `elsewhere` takes: of one unseen motion."""
+    return (realised - left) / (left + _LITTLE)
 
 
 def memory(residuals: Sequence[Array]) -> float:

@@ -68,7 +68,9 @@ def sentence(document: Mapping[str, Any]) -> str:
             )
         return f"{what} of {before}, {times}, that no known effect explains{seen}."
     effects = document["effects"]
-    told = [f"{BY_ID[e['id']].says}{_since(e)} ({e['id']}, {percent(e['probability'])} sure)" for e in effects]
+    told = [
+        f"{BY_ID[e['id']].says}{_since(e)} ({e['id']}, {percent(e['probability'])} sure){_brings(e)}" for e in effects
+    ]
     if len(effects) > _TOLD:
         rest = [f"{e['id']} ({percent(e['probability'])})" for e in effects[1:]]
         told = [told[0], f"beside it {listed(rest)}"]
@@ -84,7 +86,7 @@ def sentence(document: Mapping[str, Any]) -> str:
         shrinks = "removes" if gap["shrink"] > 0.995 else f"shrinks by {percent(gap['shrink'])}"
         text = (
             f"{_capital(named)}: with {'it' if len(effects) == 1 else 'them'} in the model the gap {shrinks}, "
-            f"from {before} to {digits(gap['after'])}."
+            f"from {before} to {digits(gap['after'])}; on another motion expect {_between(gap['shrink_ci'])}."
         )
     others = [name for name in effects[0]["ambiguous_with"] if name not in {e["id"] for e in effects}]
     if others:
@@ -93,6 +95,11 @@ def sentence(document: Mapping[str, Any]) -> str:
     if document["signature"]:
         text += f" The gap is {document['signature']}."
     return text
+
+
+def _brings(effect: Mapping[str, Any]) -> str:
+    parts = [part["id"] for part in effect.get("brings", ())]
+    return f", which changed {listed(parts)} with it" if parts else ""
 
 
 def _since(effect: Mapping[str, Any]) -> str:
@@ -111,6 +118,11 @@ def moved(document: Mapping[str, Any]) -> str:
 
 def percent(share: float) -> str:
     return f"{100 * share:.0f} %"
+
+
+def _between(interval: Sequence[float]) -> str:
+    low, high = interval
+    return f"{100 * low:.0f} to {percent(high)}"
 
 
 def flexible(document: Mapping[str, Any]) -> str:

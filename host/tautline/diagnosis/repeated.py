@@ -55,7 +55,8 @@ def told(document: dict[str, Any], model: Model, segments: Sequence[Segment], lo
     if document["verdict"] == "unknown":
         document["effects"] = []
     for effect in document["effects"]:
-        effect["shrink"] *= 1.0 - closed
+        for part in (effect, *effect.get("brings", ())):
+            part["shrink"] *= 1.0 - closed
     held = {
         "id": HELD,
         "probability": _SURE,

@@ -7,6 +7,7 @@ EFFECTS = (
         (
             Parameter("swing_period", "s", 0.3, (0.3, 0.6, 1.0, 1.7), low=0.05, high=10.0),
             Parameter("swing_damping", "", 0.1, (0.1,), low=0.01, high=0.95),
+            Parameter("swing_carried", "", 0.5, (0.5,), low=0.0, high=2.0),
         ),
         says="the tip swings after it is moved",
         tell="After fast moves the tip rings with a period of its own.",
