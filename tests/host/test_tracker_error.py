@@ -116,3 +116,11 @@ def test_beside_such_a_tracker_an_effect_has_its_name() -> None:
     document = diagnose(model(), made[0], made[1:]).document
     assert [effect["id"] for effect in document["effects"]] == ["transmission.lag"]
     assert 0.05 < document["tracker"]["left_out"] < 0.3 and "left out" in narration.text(document, "there")
+
+
+@pytest.mark.parametrize(("effect", "id"), [("lag", "transmission.lag"), ("delay", "acquisition.delay")])
+def test_a_lag_of_less_than_a_frame_is_told_from_a_delay(effect, id) -> None:
+    """They differ only in the frame after a turn."""
+    made = recordings(effect={effect: 0.03})
+    document = diagnose(model(), made[0], made[1:]).document
+    assert document["effects"][0]["id"] == id

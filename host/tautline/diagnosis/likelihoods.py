@@ -45,7 +45,7 @@ class Likelihoods:
         alone = np.where(case.law[:, None], by_law, usual)
         right = log_sum(table + np.where(case.scatters[:, None], any_share, alone)) - price
         gain, rival = self._gain(case.scatter), self._gain(case.rival)
-        own = np.where(case.size > 0, right + gain + case.beaten, self._nothing)
+        own = np.where(case.size > 0, right + gain + case.beaten(by.calibration_excess), self._nothing)
         # Scatter of an event or of another origin: as their likelihoods are.
         other = np.where(case.scatters, rival - gain, -np.inf)
         self.elsewhere = np.where((case.size == 1) & ~case.path, own + log_expit(other), -np.inf)
