@@ -17,7 +17,7 @@ FLOOR = 0.05
 BLOCKS = 30
 NOTHING = np.zeros(BLOCKS)
 LAG, CREEP, DRIFT = "transmission.lag", "transmission.creep", "transmission.drift"
-STICK, STATIC = "transmission.stick_slip", "registration.static"
+STICK, STATIC, JITTER = "transmission.stick_slip", "registration.static", "acquisition.jitter"
 
 
 def power(share: float, before: float) -> np.ndarray:
@@ -70,9 +70,29 @@ def test_a_gap_that_recalibrating_closes_is_a_gap():
 
 
 def test_effects_that_leave_the_same_come_as_a_set():
-    verdict = decide(evidence({(LAG,): 0.005, (CREEP,): 0.005, (DRIFT,): 0.8}))
-    assert verdict.name == "effect" and set(verdict.ambiguous()) == {LAG, CREEP}
-    assert verdict.leading[LAG] == pytest.approx(verdict.leading[CREEP])
+    verdict = decide(evidence({(LAG,): 0.005, (DRIFT,): 0.005, (CREEP,): 0.8}))
+    assert verdict.name == "effect" and set(verdict.ambiguous()) == {LAG, DRIFT}
+    assert verdict.leading[LAG] == pytest.approx(verdict.leading[DRIFT])
+
+
+@pytest.mark.parametrize(("left", "named"), [(0.001, LAG), (0.4, CREEP)])
+def test_a_creep_of_all_of_the_motion_is_a_lag(left, named):
+    """It leaves less, having more parameters, alone and beside an event: neither says that it is no lag."""
+    found = evidence({(LAG,): left, (CREEP,): 0.00002}, before=5000.0)
+    event = Weighed((CREEP, JITTER), power(0.00002, 5000.0), NOTHING - 0.01, NOTHING, 4)
+    verdict = decide(replace(found, hypotheses=(*found.hypotheses, event)))
+    assert verdict.name == "effect" and verdict.named == (named,) and verdict.leading[named] > 0.8
+
+
+@pytest.mark.parametrize(("left", "says"), [(0.001, "effect"), (0.1, "event")])
+def test_what_a_path_repeats_to_a_fiftieth_is_no_event(left, says):
+    """The scatter of one frame to the next says as much, with fewer parameters."""
+    contact = "configuration.contact"
+    found = evidence({(contact,): left, (LAG,): 0.9})
+    scattered = Weighed((STICK,), power(1.0, 100.0), NOTHING - 6.0, NOTHING - 1.0, 1)
+    verdict = decide(replace(found, hypotheses=(*found.hypotheses, scattered)))
+    assert verdict.named == ((contact,) if says == "effect" else (STICK,))
+    assert verdict.leading[STICK] < 0.01 if says == "effect" else verdict.leading[STICK] > 0.8
 
 
 def test_a_second_effect_is_named_when_it_closes_more_than_a_right_one_leaves():

@@ -60,13 +60,14 @@ class Likelihoods:
         i, j = case.fewer, case.further
         chance = own[j] + np.where(case.scatters[i], far[j], 0.0) + self._by_chance + confined[i]
         np.maximum.at(self.of, i, chance)
-        self.of[self._give_way] = -np.inf
+        says_nothing = self._give_way
+        self.of[says_nothing | (case.repeats & ~further)] = -np.inf
         # Now and then the best effect follows an unknown one as closely as if it were right.
         follows = np.where(case.size > 0, np.log(by.mimics) + right, -np.inf)
         stands_in = np.logaddexp(follows, np.log1p(-by.mimics) + log_sum(table + self._wrong) - price)
         stands_in = stands_in + np.where(case.measured, np.log(COINCIDES), 0.0)
         stands_in = stands_in + np.where(case.size > 0, self.prior, 0.0)
-        self.unknown = float(np.max(stands_in[~case.scatters]))
+        self.unknown = float(np.max(stands_in[~case.scatters & ~says_nothing]))
 
     @cached_property
     def best(self) -> dict[frozenset[str], int]:
