@@ -18,6 +18,7 @@ BLOCKS = 30
 NOTHING = np.zeros(BLOCKS)
 LAG, CREEP, DRIFT = "transmission.lag", "transmission.creep", "transmission.drift"
 STICK, STATIC, DELAY = "transmission.stick_slip", "registration.static", "acquisition.delay"
+JITTER = "acquisition.jitter"
 
 
 def power(share: float, before: float) -> np.ndarray:
@@ -70,9 +71,29 @@ def test_a_gap_that_recalibrating_closes_is_a_gap():
 
 
 def test_effects_that_leave_the_same_come_as_a_set():
-    verdict = decide(evidence({(LAG,): 0.005, (CREEP,): 0.005, (DRIFT,): 0.8}))
-    assert verdict.name == "effect" and set(verdict.ambiguous()) == {LAG, CREEP}
-    assert verdict.leading[LAG] == pytest.approx(verdict.leading[CREEP])
+    verdict = decide(evidence({(LAG,): 0.005, (DRIFT,): 0.005, (CREEP,): 0.8}))
+    assert verdict.name == "effect" and set(verdict.ambiguous()) == {LAG, DRIFT}
+    assert verdict.leading[LAG] == pytest.approx(verdict.leading[DRIFT])
+
+
+@pytest.mark.parametrize(("left", "named"), [(0.001, LAG), (0.4, CREEP)])
+def test_a_creep_of_all_of_the_motion_is_a_lag(left, named):
+    """It leaves less, having more parameters, alone and beside an event: neither says that it is no lag."""
+    found = evidence({(LAG,): left, (CREEP,): 0.00002}, before=5000.0)
+    event = Weighed((CREEP, JITTER), power(0.00002, 5000.0), NOTHING - 0.01, NOTHING, 4)
+    verdict = decide(replace(found, hypotheses=(*found.hypotheses, event)))
+    assert verdict.name == "effect" and verdict.named == (named,) and verdict.leading[named] > 0.8
+
+
+@pytest.mark.parametrize(("left", "says"), [(0.001, "effect"), (0.1, "event")])
+def test_what_a_path_repeats_to_a_fiftieth_is_no_event(left, says):
+    """The scatter of one frame to the next says as much, with fewer parameters."""
+    contact = "configuration.contact"
+    found = evidence({(contact,): left, (LAG,): 0.9})
+    scattered = Weighed((STICK,), power(1.0, 100.0), NOTHING - 6.0, NOTHING - 1.0, 1)
+    verdict = decide(replace(found, hypotheses=(*found.hypotheses, scattered)))
+    assert verdict.named == ((contact,) if says == "effect" else (STICK,))
+    assert verdict.leading[STICK] < 0.01 if says == "effect" else verdict.leading[STICK] > 0.8
 
 
 def test_a_second_effect_is_named_when_it_closes_more_than_a_right_one_leaves():
@@ -118,6 +139,14 @@ def test_an_effect_that_brings_a_width_with_it_leads():
     # Alone it is a width where nothing is left to round.
     verdict = decide(evidence({(width,): 0.003, (onset,): 0.9, (width, onset): 0.0028}))
     assert verdict.named == (width,) and verdict.leading[width] > 0.5
+
+
+@pytest.mark.parametrize(("left", "many"), [(0.007, 1), (0.2, 2)])
+def test_a_curve_that_takes_the_little_that_another_leaves_is_no_second_part(left, many):
+    """A slot that is worn at one place, by other equations than the width's: the law's curve follows what that leaves."""
+    width, law = "transmission.backlash", "configuration.remaining"
+    verdict = decide(evidence({(width,): left, (law,): 0.95, (width, law): 0.0001}, before=2000.0))
+    assert verdict.named == (width, law)[:many] and verdict.leading[width] > 0.8
 
 
 def test_what_a_right_effect_leaves_is_no_second_one():

@@ -135,7 +135,7 @@ def diagnose(
                 "loads_on_board": effects.BY_ID[name].on_board,
                 "ambiguous_with": [other for other in ambiguous if other != name] if name == named[0] else [],
             }
-            for name, probability in zip(named, verdict.probability, strict=True)
+            for name, probability in zip(named, verdict.probability, strict=False)
         ],
         "moved": [{"id": part.id, "share": part.share, "since": _since(chosen.fit, part.id).since} for part in parts],
         "candidates": [

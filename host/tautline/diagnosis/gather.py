@@ -154,8 +154,9 @@ class _Weighing:
             bool(candidates) and float(np.mean(candidates[0].power)) - floor2 > learnt().center.unexplained * before
         )
         hidden = hidden and self._open(candidates[0])
+        contained = candidates[0].fit.hypothesis.kinds[0].contains if candidates else ()
         for i, one in enumerate(candidates):
-            self.add(one, events=i == 0 or hidden)
+            self.add(one, events=i == 0 or hidden or one.ids[0] in contained)
         if hidden or (candidates and candidates[0].fit.hypothesis.kinds[0].posture and self._open(candidates[0])):
             self.add_posture(candidates)
         for one in self.search.with_brought() if candidates and self._open(candidates[0]) else []:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.special import log_expit, log_ndtr
 
 from tautline.diagnosis.hyperparameters import Hyperparameters
-from tautline.diagnosis.stacked import LAWS, SHARES, Stacked, log_sum
+from tautline.diagnosis.stacked import FOLLOWED, LAWS, SHARES, Stacked, log_sum
 from tautline.effects import EVENTS
 
 Array = npt.NDArray[np.float64]
@@ -60,13 +60,14 @@ class Likelihoods:
         i, j = case.fewer, case.further
         chance = own[j] + np.where(case.scatters[i], far[j], 0.0) + self._by_chance + confined[i]
         np.maximum.at(self.of, i, chance)
-        self.of[self._give_way] = -np.inf
+        says_nothing = self._give_way
+        self.of[says_nothing | (case.repeats & ~further)] = -np.inf
         # Now and then the best effect follows an unknown one as closely as if it were right.
         follows = np.where(case.size > 0, np.log(by.mimics) + right, -np.inf)
         stands_in = np.logaddexp(follows, np.log1p(-by.mimics) + log_sum(table + self._wrong) - price)
         stands_in = stands_in + np.where(case.measured, np.log(COINCIDES), 0.0)
         stands_in = stands_in + np.where(case.size > 0, self.prior, 0.0)
-        self.unknown = float(np.max(stands_in[~case.scatters]))
+        self.unknown = float(np.max(stands_in[~case.scatters & ~says_nothing]))
 
     @cached_property
     def best(self) -> dict[frozenset[str], int]:
@@ -124,12 +125,15 @@ class Likelihoods:
     @property
     def _by_chance(self) -> Array:
         """Logarithm of the probability that what a further effect closes is what a right one leaves: that this is so
-        much, and that another effect looks so like it (what it closes of it is as likely to be any share)."""
+        much, and that another effect looks so like it (what it closes of it is as likely to be any share). Another part
+        of the nominal model is a curve by the place too, and follows whatever little the first leaves of a gap."""
         case = self._case
         left, after = np.maximum(case.left[case.fewer], 1e-300), case.left[case.further]
         share = np.maximum((left - after) / max(float(np.sum(case.before)), 1e-300), 1e-12)
-        so_much = log_ndtr(-(np.log(share) - np.log(self._most[case.fewer])) / self.by.share_spread)
-        return np.asarray(so_much + np.log(np.clip(after / left, 0.01, 1.0)))
+        parts = case.constant[case.further]
+        most = np.where(parts, np.minimum(self._most[case.fewer], FOLLOWED), self._most[case.fewer])
+        so_much = log_ndtr(-(np.log(share) - np.log(most)) / self.by.share_spread)
+        return np.asarray(so_much + np.where(parts, 0.0, np.log(np.clip(after / left, 0.01, 1.0))))
 
     def _up_to(self, most: float) -> Array:
         """Logarithms of SHARES' probabilities where any magnitude up to `most` may well be left; falling beyond."""

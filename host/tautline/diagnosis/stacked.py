@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scipy.special import gammaln, stdtr
 
 from tautline.diagnosis.hypotheses import CaseEvidence
-from tautline.effects import BY_ID, LIBRARY
+from tautline.effects import BY_ID, EVENTS, LIBRARY
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -24,6 +24,7 @@ INEXACT = 4.0  # times the floor's power that a nominal model may leave of its o
 CONFINED = 0.5  # probability that what a wrong effect leaves is confined to its stage as well
 FOLLOWED = 0.02  # share of a power above the floor: what leaves less of unseen blocks has followed a path
 SHARES = np.geomspace(1e-5, 1.0, 41)
+_NO_NOISE = 2.0  # times the floor's power
 _DEGREES = 8.0  # of freedom, of a block's noise
 _WRONG_SHARES = (np.arange(10) + 0.5) / 10.0  # of blocks that a wrong effect disturbs
 _WIDEST = 12.0  # of a disturbed block's logarithm
@@ -51,7 +52,8 @@ def brought(ids: Collection[str]) -> frozenset[str]:
 
 def _does_as_well(key: frozenset[str], one: frozenset[str]) -> bool:
     """Whether a set can do what one effect alone does, by what contains it: an effect, or what moves of the nominal
-    model, beside that one or not."""
+    model, beside that one or not. An event beside it would be seen beside that one too."""
+    key = key - EVENTS
     if len(one) != 1 or key == one or not any(one <= {*BY_ID[name].contains} for name in key):
         return False
     return len(key) == 1 or (not one <= CONSTANT and key - one <= CONSTANT)
@@ -88,6 +90,8 @@ class Stacked:
         # than they do, but next to nothing of what is there without it, is one all the same, and the rest its misfit.
         misfit = followed - self.floor2 < FOLLOWED * (self.mean - self.floor2)
         self.path: Flags = self.scatters & ((followed < np.mean(scattered, axis=1)) | misfit)
+        # An event has no path that repeats: what one follows so closely, and is no noise, is none.
+        self.repeats: Flags = self.scatters & misfit & (self.mean > _NO_NOISE * self.floor2)
         rest = np.maximum(self.power[int(np.argmin(of_paths))], self.floor2)
         self._least = np.where(misfit[:, None], rest, self.floor2)
         self.scatter, self.rival = self._taken_off(scatter), self._taken_off(rival)
