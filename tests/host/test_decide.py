@@ -143,7 +143,7 @@ def test_an_effect_that_brings_a_width_with_it_leads():
 
 @pytest.mark.parametrize(("left", "many"), [(0.007, 1), (0.2, 2)])
 def test_a_curve_that_takes_the_little_that_another_leaves_is_no_second_part(left, many):
-    """A slot that is worn at one place, by other equations than the width's: the law's curve follows what that leaves."""
+    """A slot that is worn at one place, by other equations than the width's: the law's curve follows it."""
     width, law = "transmission.backlash", "configuration.remaining"
     verdict = decide(evidence({(width,): left, (law,): 0.95, (width, law): 0.0001}, before=2000.0))
     assert verdict.named == (width, law)[:many] and verdict.leading[width] > 0.8
