@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnosis import confounded, decide, scatter
+from tautline.diagnosis import confounded, decide, exact, scatter
 from tautline.diagnosis.candidates import Candidate, Search
 from tautline.diagnosis.fit import DELAY, WIDTH, Fit, Fitter, Scope
 from tautline.diagnosis.hyperparameters import learnt
@@ -66,6 +66,7 @@ class _Weighing:
         self.candidates: list[Candidate] = []
         self._weighed: list[Weighed] = []
         self._extended: set[tuple[str, ...]] = set()
+        self._likelier: dict[tuple[int, int], float] = {}  # than a law's hypothesis another is
 
     def add(self, candidate: Candidate, events: bool = False) -> None:
         """events: with the effects without a path on top of it."""
@@ -209,8 +210,25 @@ class _Weighing:
         return None
 
     def evidence(self) -> CaseEvidence:
-        fitter, weighed = self.search.fitter, tuple(self._weighed)
+        fitter = self.search.fitter
+        weighed = tuple(replace(h, chance=self._chance(i)) for i, h in enumerate(self._weighed))
         weighed_kinds = len(self.search.kinds)
         return CaseEvidence(
             fitter.floor, self._frozen, weighed, weighed_kinds, self._calibrated, fitter.doubt, fitter.unsteady
         )
+
+    def _chance(self, law: int) -> float:
+        """Of another single effect to leave so much less than a law does though that is right."""
+        one, search = self.candidates[law], self.search
+        if not exact.is_law(one.ids):
+            return 1.0
+        noise = max(search.fitter.floor, float(np.sqrt(self._calibrated)))
+        others = [
+            i
+            for i, other in enumerate(self.candidates)
+            if len(other.ids) == 1 and not other.scatters and other.ids[0] not in one.ids
+        ]
+        for i in others:
+            if (law, i) not in self._likelier:
+                self._likelier[law, i] = exact.likelier(one.left, self.candidates[i].left, search.limits, noise)
+        return exact.chance([self._likelier[law, i] for i in others])

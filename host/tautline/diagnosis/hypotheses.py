@@ -32,6 +32,7 @@ class Weighed:
     parameters: int
     white: float = 0.0  # 1: the scatter forgets from frame to frame, 0: it goes on
     beyond: Beyond | None = None  # None: the effects' stages could leave anything
+    chance: float = 1.0  # of a law: of another effect to leave so much less though the law is right (exact.py)
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> Weighed:

@@ -45,7 +45,9 @@ class Likelihoods:
         alone = np.where(case.law[:, None], by_law, usual)
         right = log_sum(table + np.where(case.scatters[:, None], any_share, alone)) - price
         gain, rival = self._gain(case.scatter), self._gain(case.rival)
-        own = np.where(case.size > 0, right + gain + case.beaten(by.calibration_excess), self._nothing)
+        # A law is exact, but for what the nominal beside it leaves.
+        beaten = np.log(by.mimics + (1.0 - by.mimics) * case.chance)
+        own = np.where(case.size > 0, right + gain + beaten, self._nothing)
         # Scatter of an event or of another origin: as their likelihoods are.
         other = np.where(case.scatters, rival - gain, -np.inf)
         self.elsewhere = np.where((case.size == 1) & ~case.path, own + log_expit(other), -np.inf)

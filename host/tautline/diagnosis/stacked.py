@@ -68,7 +68,6 @@ class Stacked:
         self._doubt, self._unsteady = evidence.doubt, evidence.unsteady
         self.frozen = evidence.frozen
         self.applicable = evidence.applicable
-        self._calibrated = evidence.calibrated
         self.nominal2 = float(np.clip(evidence.calibrated, self.floor2, INEXACT * self.floor2))
         self.ids = [h.ids for h in hypotheses]
         self.sets = [frozenset(h.ids) for h in hypotheses]
@@ -97,6 +96,7 @@ class Stacked:
         self.scatter, self.rival = self._taken_off(scatter), self._taken_off(rival)
         self.forgets = np.where(self.path, 0.0, np.square([h.white for h in hypotheses]))
         self.parameters = np.array([h.parameters for h in hypotheses], dtype=float)
+        self.chance = np.array([h.chance for h in hypotheses])
 
         self.size = np.array([len(key) for key in self.sets])
         self.law: Flags = np.array([key <= LAWS for key in self.sets])
@@ -132,7 +132,6 @@ class Stacked:
         self._beyond_power, self._beyond_count = np.array(power), np.array(count)
         self.by_share = lru_cache(_REMEMBERED)(self._by_share)
         self.confined = lru_cache(_REMEMBERED)(self._confined)
-        self.beaten = lru_cache(_REMEMBERED)(self._beaten)
 
     def _taken_off(self, scatter: Array) -> Array:
         """(hypotheses,) what scatter takes off in all blocks, as a logarithm: not what the hypothesis' own path has put
@@ -160,24 +159,6 @@ class Stacked:
         return np.asarray(
             -0.5 * (expected[kind] + np.log1p(unlike[kind] * self.power[:, None, :]) @ (block_freedom + n))
         )
-
-    def _beaten(self, calibration_excess: float) -> Array:
-        """(hypotheses,) logarithm of how probable it is that another effect leaves so much less of unseen blocks though
-        this one is right: of a law nothing but noise is left, and what the nominal leaves while calibrating."""
-        beaten = np.zeros(len(self.sets))
-        blocks = self.power.shape[1]
-        others = np.flatnonzero((self.size == 1) & ~self.scatters)
-        if blocks < 2 or len(others) == 0:
-            return beaten
-        inexact = max(self._calibrated - (1.0 + calibration_excess) * self.floor2, 0.0)
-        for i, key in enumerate(self.sets):
-            if key & LAWS and key <= LAWS | CONSTANT and not self.scatters[i]:
-                more = self.power[i] - self.power[others] - inexact
-                error = np.std(more, axis=1, ddof=1) / np.sqrt(blocks)
-                surest = float(np.max(np.mean(more, axis=1) / np.maximum(error, 1e-300)))
-                chance = 2.0 * len(others) * float(stdtr(blocks - 1, -surest))
-                beaten[i] = min(np.log(max(chance, 1e-300)), 0.0)
-        return beaten
 
     def _confined(self, floor_known: float, floor_steady: float, disturbed: float) -> Array:
         """(hypotheses,) logarithm of how much likelier what is left beyond the effects' stages is as noise, in all

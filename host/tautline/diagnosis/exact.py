@@ -1,0 +1,47 @@
+"""What a law leaves, frame by frame, beside what another effect leaves.
+
+A law has one equation: nothing but noise is left beside it, and noise no path foretells. So where two hypotheses differ
+in a few frames alone, as a lag and a delay do in the one after a turn, these frames tell, however little of a block's
+power they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.diagnosis.stacked import CONSTANT, LAWS
+from tautline.effects import EVENTS
+from tautline.independence import frames_each
+
+Array = npt.NDArray[np.float64]
+
+_REMEMBERED = 100  # lags at most
+_ALIKE = 0.05  # a correlation from which there is none
+
+
+def is_law(ids: Sequence[str]) -> bool:
+    """Laws, and parts of the nominal model beside them."""
+    key = frozenset(ids)
+    return bool(key & LAWS) and key <= LAWS | CONSTANT and not key & EVENTS
+
+
+def likelier(left: Sequence[Array], others: Sequence[Array], limits: Sequence[float], noise: float) -> float:
+    """Logarithm of how much likelier noise makes what another hypothesis leaves of unseen blocks than what a law does.
+    left, others: (scored, k) of each recording; limits: beyond these a frame is an outlier."""
+    more = [
+        np.sum(np.square(np.clip(own, -limit, limit)) - np.square(np.clip(other, -limit, limit)), axis=1)
+        for own, other, limit in zip(left, others, limits, strict=True)
+    ]
+    recording = np.repeat(np.arange(len(more)), [len(one) for one in more])
+    score = np.concatenate(more)
+    each = frames_each(score, _REMEMBERED, least=_ALIKE, group=recording)
+    return float(np.sum(score)) / (2.0 * noise**2 * each)
+
+
+def chance(likelier_than_law: Sequence[float]) -> float:
+    """Of the best of so many others to be so much likelier though the law is right."""
+    surest = max(likelier_than_law, default=0.0)
+    return min(1.0, len(likelier_than_law) * float(np.exp(-max(surest, 0.0)))) if surest > 0.0 else 1.0
