@@ -154,6 +154,14 @@ def test_what_a_right_effect_leaves_is_no_second_one():
     assert verdict.name == "effect" and verdict.named == (LAG,)
 
 
+def test_nor_are_two_further_ones_that_take_it_in_turn():
+    """A drag that saturates by another law: roundness takes four fifths of what it leaves, a swing most of the rest."""
+    wider, round_, swing = "transmission.rate_dependent_backlash", "transmission.smooth_onset", "configuration.swing"
+    left = {(wider,): 0.0065, (round_,): 0.7, (wider, round_): 0.0013, (wider, round_, swing): 0.0003}
+    verdict = decide(evidence(left, before=9000.0))
+    assert verdict.name == "effect" and verdict.named == (wider,)
+
+
 def test_rigid_motion_leaves_less_than_friction_may():
     """The same share left: a registration has one equation, a transmission has many."""
     known = {name: decide(evidence({(name,): 0.03}, before=1000.0)).unknown for name in (LAG, STATIC)}

@@ -110,6 +110,24 @@ def test_the_gradient_is_the_cost_s():
         assert slope == pytest.approx(gradient[j], abs=0.02 * size * np.sqrt(matrix[j, j])), j
 
 
+def test_all_axes_come_late_with_the_delay():
+    """Where others move as well its column is what the whole image does."""
+    fitter = fitter_of(recordings({}))
+    ahead = 2e-3
+    later = replace(fitter.start(), model=replace(MODEL, delay_s=MODEL.delay_s + ahead))
+    sooner = replace(later, model=replace(MODEL, delay_s=MODEL.delay_s - ahead))
+    rows = fitter.rows(fitter.start(), fitter.nothing)
+    seen = [fitter.residuals(state, fitter.nothing) for state in (sooner, later)]
+    for row, before, after in zip(rows, *seen, strict=True):
+        expected, column = (before - after) / (2.0 * ahead), row.columns[:, :, -1]
+        off = np.abs(column - expected)  # differences reach across a turn now and then
+        assert np.quantile(off, 0.9) < 0.02 * rms([expected])
+    turned = fitter.segments[1]
+    path = turned.follow(MODEL, {}, 0.0)
+    by_c = np.gradient(path.c_deg, turned.arrival_s)[turned.scored, None] * rows[1].by_c
+    assert rms([rows[1].columns[:, :, -1] + by_c]) > 0.1 * rms([by_c])  # so much is the other axes
+
+
 FITTED = [
     {"encoder_sin": 0.03, "encoder_cos2": 0.005, "encoder_period": 0.47},
     {"onset_spread": 0.6, "onset_tail": 1.0},

@@ -80,7 +80,7 @@ def test_an_interval_learnt_on_others_covers_what_a_further_motion_leaves():
 
     def drawn(generator: str, many: int, wide: float) -> list[learning.Claim]:
         left = rng.uniform(0.01, 0.3, many)
-        realised = left + (left + 0.05) * wide * rng.standard_normal(many)
+        realised = left + (left + 0.05) * (1.0 - left) * wide * rng.standard_normal(many)
         return [learning.Claim(generator, gap.apart(a, b)) for a, b in zip(left, realised, strict=True)]
 
     low, high = learning.elsewhere([*drawn("a", 900, 0.1), *drawn("b", 300, 0.5)])

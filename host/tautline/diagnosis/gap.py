@@ -182,14 +182,19 @@ def _goes_both_ways(way: Array) -> bool:
 
 def elsewhere(left: float, apart: tuple[float, float]) -> tuple[float, float]:
     """90 % interval of 1 - after / before on a motion that was not recorded; left: after / before on those that were.
-    apart: 5 and 95 % quantiles, over unseen motions, of how much more is left, in shares of left + _LITTLE (learnt)."""
-    low, high = (left + end * (left + _LITTLE) for end in apart)
+    apart: 5 and 95 % quantiles, over unseen motions, of `apart` (learnt)."""
+    low, high = (left + end * _scale(left) for end in apart)
     return 1.0 - high, 1.0 - max(low, 0.0)
 
 
 def apart(left: float, realised: float) -> float:
-    """What `elsewhere` takes: of one unseen motion."""
-    return (realised - left) / (left + _LITTLE)
+    """How much more of a gap one unseen motion left than these did, in shares of what is left and of what little a gap
+    may always leave, the less the less was closed."""
+    return (realised - left) / _scale(left)
+
+
+def _scale(left: float) -> float:
+    return (left + _LITTLE) * max(1.0 - left, _LITTLE)
 
 
 def memory(residuals: Sequence[Array]) -> float:

@@ -58,10 +58,12 @@ class Likelihoods:
         own = own - np.where(further, beside, np.logaddexp(0.0, other))
         far = np.where(further & (other < -LOG_ODDS_MARGIN), beside, 0.0)
         confined = case.confined(by.floor_known, by.floor_steady, by.disturbed)
-        self.of: Array = own + far + confined
-        i, j = case.fewer, case.further
-        chance = own[j] + np.where(case.scatters[i], far[j], 0.0) + self._by_chance + confined[i]
-        np.maximum.at(self.of, i, chance)
+        reached, by_chance = own.copy(), self._by_chance
+        for size in range(int(case.size.max()), 1, -1):  # what two further ones close may be what one leaves as well
+            pairs = case.size[case.further] == size
+            i, j = case.fewer[pairs], case.further[pairs]
+            np.maximum.at(reached, i, reached[j] + np.where(case.scatters[i], far[j], 0.0) + by_chance[pairs])
+        self.of: Array = np.maximum(own + far, reached) + confined
         says_nothing = self._give_way
         self.of[says_nothing | (case.repeats & ~further)] = -np.inf
         # Now and then the best effect follows an unknown one as closely as if it were right.

@@ -69,7 +69,7 @@ def sentence(document: Mapping[str, Any]) -> str:
         return f"{what} of {before}, {times}, that no known effect explains{seen}."
     effects = document["effects"]
     told = [
-        f"{BY_ID[e['id']].says}{_since(e)} ({e['id']}, {percent(e['probability'])} sure){_brings(e)}" for e in effects
+        f"{BY_ID[e['id']].says}{_since(e)} ({e['id']}, {percent(e['probability'])} sure{_brings(e)})" for e in effects
     ]
     if len(effects) > _TOLD:
         rest = [f"{e['id']} ({percent(e['probability'])})" for e in effects[1:]]
@@ -99,7 +99,7 @@ def sentence(document: Mapping[str, Any]) -> str:
 
 def _brings(effect: Mapping[str, Any]) -> str:
     parts = [part["id"] for part in effect.get("brings", ())]
-    return f", which changed {listed(parts)} with it" if parts else ""
+    return f"; it brings a change of {listed(parts)}" if parts else ""
 
 
 def _since(effect: Mapping[str, Any]) -> str:

@@ -120,6 +120,7 @@ def _parameters(effect: Mapping[str, Any], unit: str) -> list[dict[str, Any]]:
     if not known and "column" not in effect["parameters"]:
         return [_row(effect, "a curve", "", True)]
     shown = {name: value for name, value in effect["parameters"].items() if name in known or name == "column"}
+    brought = [_row(effect, "brings", part["id"], False) for part in effect.get("brings", ())]
     return [
         _row(
             effect,
@@ -128,7 +129,7 @@ def _parameters(effect: Mapping[str, Any], unit: str) -> list[dict[str, Any]]:
             name == next(iter(shown)),
         )
         for name, value in shown.items()
-    ]
+    ] + brought
 
 
 def _row(effect: Mapping[str, Any], name: str, value: str, first: bool) -> dict[str, Any]:
