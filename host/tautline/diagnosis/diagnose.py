@@ -126,7 +126,7 @@ def _diagnosis(
             "before_ci": _interval(boot[0]),
             "after_ci": _interval(boot[1]),
             "shrink": shrink,
-            "shrink_ci": _elsewhere(1.0 - boot[1] / boot[0], after_rms / before_rms) if named else [0.0, 0.0],
+            "shrink_ci": _elsewhere(1.0 - boot[1] / boot[0], after_rms / before_rms, named) if named else [0.0, 0.0],
             "closable_shrink": float(np.clip(1.0 - (after_rms**2 - floor**2) / excess, 0.0, 1.0)) if named else 0.0,
         },
         "gap_recalibrated": {"before": recalibrated},
@@ -302,9 +302,13 @@ def _interval(values: Array) -> list[float]:
     return [float(v) for v in np.quantile(values, [0.025, 0.975])]
 
 
-def _elsewhere(shrinks: Array, left: float) -> list[float]:
+def _elsewhere(shrinks: Array, left: float, named: Sequence[str]) -> list[float]:
     """90 % interval of a shrinkage on another motion: what these blocks tell, and what such tests are off by."""
-    own, other = np.quantile(shrinks, [0.05, 0.95]), gap.elsewhere(left, learnt().elsewhere)
+    later = any(effects.BY_ID[name].course for name in named)
+    own, other = (
+        np.quantile(shrinks, [0.05, 0.95]),
+        gap.elsewhere(left, learnt().later if later else learnt().elsewhere),
+    )
     return [float(min(own[0], other[0])), float(max(own[1], other[1]))]
 
 
