@@ -38,7 +38,7 @@ from tautline.diagnosis.hyperparameters import NAMES, Hyperparameters, Learnt
 from tautline.diagnosis.hypotheses import CaseEvidence
 from tautline.diagnosis.repeated import HELD
 from tautline.diagnosis.stacked import Stacked
-from tautline.effects import EVENTS
+from tautline.effects import BY_ID, EVENTS
 
 Array = npt.NDArray[np.float64]
 
@@ -225,6 +225,7 @@ def conformal(verdicts: Sequence[tuple[Case, Decision]]) -> float:
 class Claim:
     generator: str
     apart: float  # gap.apart
+    later: bool = False  # something that goes with time was named
 
     @property
     def family(self) -> str:
@@ -244,7 +245,9 @@ def claims(folders: Sequence[Path]) -> list[Claim]:
                 continue
             before, after, floor = (case["realised"][name] for name in ("before", "after", "floor"))
             if before >= CLOSABLE * floor:
-                found.append(Claim(case["generator"], gap.apart(case["gap"][1] / case["gap"][0], after / before)))
+                later = any(BY_ID[name].course for name in case["named"])
+                apart = gap.apart(case["gap"][1] / case["gap"][0], after / before)
+                found.append(Claim(case["generator"], apart, later))
     return found
 
 
@@ -258,16 +261,24 @@ def elsewhere(found: Sequence[Claim]) -> tuple[float, float]:
     return inwards[at[0]].apart, inwards[at[1]].apart
 
 
+def both(found: Sequence[Claim]) -> dict[str, tuple[float, float]]:
+    """By the names that Learnt has for them."""
+    sorts = {"elsewhere": False, "later": True}
+    return {name: elsewhere([c for c in found if c.later == later] or found) for name, later in sorts.items()}
+
+
 def tell_claims(found: Sequence[Claim]) -> None:
     for family in sorted({claim.family for claim in found}):
         others = [claim for claim in found if claim.family != family]
-        mine = [claim.apart for claim in found if claim.family == family]
+        mine = [claim for claim in found if claim.family == family]
         if others:
-            low, high = elsewhere(others)
-            covers = np.mean([low <= apart <= high for apart in mine])
-            click.echo(f"{family}: {low:.2f} to {high:.2f} of the others covers {100 * covers:.0f} % of {len(mine)}")
-    low, high = elsewhere(found)
-    click.echo(f"elsewhere = [{low:.3g}, {high:.3g}]")
+            of_them = both(others)
+            within = [
+                low <= c.apart <= high for c in mine for low, high in [of_them["later" if c.later else "elsewhere"]]
+            ]
+            click.echo(f"{family}: what the others say covers {100 * np.mean(within):.0f} % of {len(mine)}")
+    for name, (low, high) in both(found).items():
+        click.echo(f"{name} = [{low:.3g}, {high:.3g}]")
 
 
 def row(name: str, verdicts: Sequence[tuple[Case, Decision]], covers: float) -> list[str]:
@@ -327,7 +338,7 @@ def main(
         unseen += [(case, verdict_of(case, by[family])) for case in learnable if case.family == family]
     everything = learn(learnable, jobs)
     covers = conformal(unseen) if unseen else _COVERS
-    everything = replace(everything, covers=covers, elsewhere=elsewhere(claims(campaigns)))
+    everything = replace(everything, covers=covers, **both(claims(campaigns)))
     started = Learnt(START, np.zeros(len(NAMES)), _COVERS)
 
     def tell(name: str, cases: Sequence[Case], ways: Mapping[str, Learnt]) -> None:

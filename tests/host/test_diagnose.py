@@ -8,6 +8,7 @@ import pytest
 
 from tautline import effects, trajectory
 from tautline.blindtest import cases
+from tautline.blindtest.generators import GENERATORS
 from tautline.calibration.calibrate import calibrate
 from tautline.diagnosis import narration
 from tautline.diagnosis.candidates import Search
@@ -301,3 +302,14 @@ def test_a_fit_that_ends_behind_the_camera_is_no_hypothesis(monkeypatch):
 
     monkeypatch.setattr(Fitter, "fit", lost)
     assert [found.ids for found in search.on_top_of(search.base, 2, 0)] == [("transmission.lag",)]
+
+
+def test_what_has_no_path_and_shrinks_nothing_leaves_the_model_as_it_was():
+    """Of the second instrument, whose tip sticks from the start: recalibrated on more jumps it is no better."""
+    case = GENERATORS["second.setup"].make(5500008, "single", ("transmission.stick_slip",))
+    found = diagnose(calibrate([case.calibration], case.rig).model, case.calibration, case.tests)
+    document = found.document
+    assert [e["id"] for e in document["effects"]] == ["transmission.stick_slip"]
+    assert document["gap"]["shrink"] == 0.0 and document["gap"]["after_ci"] == document["gap"]["before_ci"]
+    np.testing.assert_array_equal(found.corrected.c_deg, found.nominal.c_deg)
+    assert found.corrected.effects and found.corrected.effects[0].id == "transmission.stick_slip"

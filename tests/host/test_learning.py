@@ -97,9 +97,9 @@ def test_what_is_learnt_survives_its_file():
     import tomllib
 
     drawn = replace(learnt(), spread=np.linspace(0.1, 0.3, len(NAMES)))
-    drawn = replace(drawn, elsewhere=(-0.2, 1.5))
+    drawn = replace(drawn, elsewhere=(-0.2, 1.5), later=(0.1, 3.0))
     read = Learnt.of_toml(tomllib.loads(drawn.to_toml({"a": 3})))
-    assert read.elsewhere == drawn.elsewhere
+    assert (read.elsewhere, read.later) == (drawn.elsewhere, drawn.later)
     assert read.center == drawn.center and read.covers == drawn.covers
     np.testing.assert_allclose(read.spread, drawn.spread, rtol=0.01)
 

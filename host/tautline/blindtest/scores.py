@@ -16,6 +16,7 @@ from tautline.effects import EVENTS
 NONE, UNEXPLAINED, FAILED = "none", "unknown", "failed"
 STAGES: Mapping[str, str] = {name: name.split(".", 1)[0] for name in KNOWN}
 _BINS = 10
+_SAME = 1.001  # times a gap: no other one
 CLOSABLE = 1.5  # times the noise: a gap on the further motion that there is something to say of
 
 
@@ -218,7 +219,7 @@ def score(cases: Sequence[tuple[Label, Answer]]) -> Scores:
         claim=_mean(differences),
         claim_size=_mean([abs(d) for d in differences]),
         covered=Share(sum(within), len(within)),
-        worse=Share(sum(r["after"] > max(r["before"], CLOSABLE * r["floor"]) for r in told), len(told)),
+        worse=Share(sum(r["after"] > max(_SAME * r["before"], CLOSABLE * r["floor"]) for r in told), len(told)),
         several=Share(sum(len(a.named) > 1 for _, a in single.answers), sum(bool(a.named) for _, a in single.answers)),
         closed=_mean(closed),
         closed_90=Share(sum(share >= 0.9 for share in closed), len(closed)),

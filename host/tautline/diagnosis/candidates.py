@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from tautline import effects
 from tautline.diagnosis import confined, gap, heldout
-from tautline.diagnosis.fit import Fit, Fitter, Scope, outlier_limit
+from tautline.diagnosis.fit import Fit, Fitter, ParameterState, Scope, outlier_limit
 from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.hypotheses import Beyond
 from tautline.diagnosis.screen import Screened, screen
@@ -59,6 +59,17 @@ class Candidate:
         """Whether a prediction follows all of its effects, as far as they can be followed."""
         events = [kind.event for kind in self.fit.hypothesis.kinds if kind.event]
         return all(event.mean in self.fit.state.values for event in events)
+
+    @property
+    def follows(self) -> bool:
+        """Whether any of its effects has a path in this fit."""
+        kinds, values = self.fit.hypothesis.kinds, self.fit.state.values
+        return any(not kind.event or kind.event.mean in values for kind in kinds)
+
+    def of(self, state: ParameterState, left: list[Array]) -> Candidate:
+        """The same effects in another nominal model, which leaves this."""
+        own = replace(self.fit.state, model=state.model, static=state.static)
+        return replace(self, fit=replace(self.fit, state=own), left=left)
 
     def reported(self) -> Candidate:
         """With the parameters of its scatter in the fit, where no residual is asked for any more."""

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from threadpoolctl import threadpool_limits
 
 from tautline import effects
 from tautline.diagnosis import confounded, decide, flexible, gap, motion, moved, repeated, shapley, tip, tracker, where
@@ -51,6 +52,13 @@ def diagnose(
 ) -> Diagnosis:
     """`model` is what `calibration` gave. `left_out`: effects that the library shall not know. Raises TautError where
     nothing can be scored."""
+    with threadpool_limits(1, "blas"):  # its systems are small: threads that wait for each other cost 10 times more
+        return _diagnosis(model, calibration, tests, progress, left_out)
+
+
+def _diagnosis(
+    model: Model, calibration: Recording, tests: Sequence[Recording], progress: Progress, left_out: Collection[str]
+) -> Diagnosis:
     progress(0.0, "preparing")
     segments = prepare(model, calibration, tests)
     tracked = tracker.without(model, segments, load_reference(calibration)) if _are_videos(calibration, tests) else None
@@ -82,6 +90,8 @@ def diagnose(
         verdict = decide.with_moved(verdict, [(part.id, part.share) for part in parts])
     chosen = gathered.candidates[verdict.chosen]
     named = verdict.named if verdict.name == "effect" else ()
+    if named and not chosen.follows and not _is_better(segments[1:], before, chosen.left[1:]):
+        chosen = chosen.of(fitter.start(), frozen)
     after = chosen.left[1:] if named else before  # without an effect nothing is added
     after_rms = gap.rms(after)
     excess = max(before_rms**2 - floor**2, 1e-12)
@@ -116,7 +126,7 @@ def diagnose(
             "before_ci": _interval(boot[0]),
             "after_ci": _interval(boot[1]),
             "shrink": shrink,
-            "shrink_ci": _elsewhere(1.0 - boot[1] / boot[0], after_rms / before_rms) if named else [0.0, 0.0],
+            "shrink_ci": _elsewhere(1.0 - boot[1] / boot[0], after_rms / before_rms, named) if named else [0.0, 0.0],
             "closable_shrink": float(np.clip(1.0 - (after_rms**2 - floor**2) / excess, 0.0, 1.0)) if named else 0.0,
         },
         "gap_recalibrated": {"before": recalibrated},
@@ -170,6 +180,13 @@ def diagnose(
 
 def _are_videos(calibration: Recording, tests: Sequence[Recording]) -> bool:
     return all(recording.video is not None for recording in [calibration, *tests])
+
+
+def _is_better(tests: Sequence[Segment], before: Sequence[Array], after: Sequence[Array]) -> bool:
+    """Whether a gap shrinks for sure (of 20 draws of the blocks in 19): another nominal model in which what has no path
+    is as large is no correction."""
+    boot = gap.bootstrap(before, after, [gap.blocks(segment) for segment in tests])
+    return float(np.quantile(boot[1] / boot[0], 0.95)) < 1.0
 
 
 def _best_of_each(gathered: Gathered) -> dict[str, Candidate]:
@@ -285,9 +302,13 @@ def _interval(values: Array) -> list[float]:
     return [float(v) for v in np.quantile(values, [0.025, 0.975])]
 
 
-def _elsewhere(shrinks: Array, left: float) -> list[float]:
+def _elsewhere(shrinks: Array, left: float, named: Sequence[str]) -> list[float]:
     """90 % interval of a shrinkage on another motion: what these blocks tell, and what such tests are off by."""
-    own, other = np.quantile(shrinks, [0.05, 0.95]), gap.elsewhere(left, learnt().elsewhere)
+    later = any(effects.BY_ID[name].course for name in named)
+    own, other = (
+        np.quantile(shrinks, [0.05, 0.95]),
+        gap.elsewhere(left, learnt().later if later else learnt().elsewhere),
+    )
     return [float(min(own[0], other[0])), float(max(own[1], other[1]))]
 
 

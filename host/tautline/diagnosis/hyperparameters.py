@@ -64,6 +64,7 @@ class Learnt:
     spread: Array  # standard deviation of each one's logarithm between instruments
     covers: float  # share of the effects' probability that a set must hold so that it has the right one in 95 %
     elsewhere: tuple[float, float] = (0.0, 0.0)  # how far apart what an unseen motion leaves may be (gap.elsewhere)
+    later: tuple[float, float] = (0.0, 0.0)  # the same where something goes with time: another motion is later
 
     def draws(self) -> list[Hyperparameters]:
         """Of a new instrument: the same each time, spread as the distribution is."""
@@ -83,17 +84,25 @@ class Learnt:
         center = {name: float(f"{value:.4g}") for name, value in asdict(self.center).items()}
         spread = {name: float(f"{value:.3g}") for name, value in zip(NAMES, self.spread, strict=True)}
         learnt_on = {"cases": dict(cases), "covers": float(f"{self.covers:.4g}")}
-        elsewhere = [float(f"{end:.3g}") for end in self.elsewhere]
-        return tomli_w.dumps({**learnt_on, "elsewhere": elsewhere, "center": center, "spread": spread})
+        ends = {
+            name: [float(f"{end:.3g}") for end in of]
+            for name, of in (("elsewhere", self.elsewhere), ("later", self.later))
+        }
+        return tomli_w.dumps({**learnt_on, **ends, "center": center, "spread": spread})
 
     @classmethod
     def of_toml(cls, document: Mapping[str, object]) -> Learnt:
-        center, spread, elsewhere = document["center"], document["spread"], document["elsewhere"]
+        center, spread = document["center"], document["spread"]
         assert isinstance(center, dict) and isinstance(spread, dict) and isinstance(document["covers"], float)
-        assert isinstance(elsewhere, list)
-        low, high = elsewhere
         of_each = np.array([spread[name] for name in NAMES])
-        return cls(Hyperparameters(**center), of_each, document["covers"], (low, high))
+        elsewhere, later = _ends(document["elsewhere"]), _ends(document["later"])
+        return cls(Hyperparameters(**center), of_each, document["covers"], elsewhere, later)
+
+
+def _ends(of: object) -> tuple[float, float]:
+    assert isinstance(of, list)
+    low, high = of
+    return float(low), float(high)
 
 
 NAMES = tuple(field.name for field in fields(Hyperparameters))
