@@ -47,7 +47,8 @@ def test_what_is_left_beyond_the_stages_is_noise_or_it_is_not(seed, blocks, know
         spread = np.sqrt(2.0 / count + steady**2)
         x = np.log(power / FLOOR**2) - off[:, None]
         noise = student.logpdf(x, 8.0, scale=spread)
-        any_size = -np.log((np.maximum(x, 0.0) + spread) * np.log1p(12.0 / spread))
+        below = student.logcdf(x, 8.0, scale=spread)  # the block's noise, on top of which something is
+        any_size = below - np.log((np.maximum(x, 0.0) + spread) * np.log1p(12.0 / spread))
 
         def of_share(share: float, noise: np.ndarray = noise, any_size: np.ndarray = any_size) -> float:
             blocks = np.logaddexp(np.log1p(-share) + noise, np.log(share) + any_size)
