@@ -58,6 +58,10 @@ _COVERS = 0.95
 _ENDS = (0.05, 0.95)  # of the interval of a claim
 
 
+def family_of(generator: str) -> str:
+    return generator.split(".")[0]
+
+
 @dataclass(frozen=True)
 class Case:
     generator: str
@@ -67,7 +71,7 @@ class Case:
 
     @property
     def family(self) -> str:
-        return self.generator.split(".")[0]
+        return family_of(self.generator)
 
 
 def verdict_of(case: Case, by: Learnt) -> Decision:
@@ -225,11 +229,11 @@ def conformal(verdicts: Sequence[tuple[Case, Decision]]) -> float:
 class Claim:
     generator: str
     apart: float  # gap.apart
-    later: bool = False  # something that goes with time was named
+    sort: str = "elsewhere"  # "later" where something that goes with time was named
 
     @property
     def family(self) -> str:
-        return self.generator.split(".")[0]
+        return family_of(self.generator)
 
 
 def claims(folders: Sequence[Path]) -> list[Claim]:
@@ -245,9 +249,9 @@ def claims(folders: Sequence[Path]) -> list[Claim]:
                 continue
             before, after, floor = (case["realised"][name] for name in ("before", "after", "floor"))
             if before >= CLOSABLE * floor:
-                later = any(BY_ID[name].course for name in case["named"])
+                sort = "later" if any(BY_ID[name].course for name in case["named"]) else "elsewhere"
                 apart = gap.apart(case["gap"][1] / case["gap"][0], after / before)
-                found.append(Claim(case["generator"], apart, later))
+                found.append(Claim(case["generator"], apart, sort))
     return found
 
 
@@ -263,8 +267,7 @@ def elsewhere(found: Sequence[Claim]) -> tuple[float, float]:
 
 def both(found: Sequence[Claim]) -> dict[str, tuple[float, float]]:
     """By the names that Learnt has for them."""
-    sorts = {"elsewhere": False, "later": True}
-    return {name: elsewhere([c for c in found if c.later == later] or found) for name, later in sorts.items()}
+    return {name: elsewhere([c for c in found if c.sort == name] or found) for name in ("elsewhere", "later")}
 
 
 def tell_claims(found: Sequence[Claim]) -> None:
@@ -273,9 +276,7 @@ def tell_claims(found: Sequence[Claim]) -> None:
         mine = [claim for claim in found if claim.family == family]
         if others:
             of_them = both(others)
-            within = [
-                low <= c.apart <= high for c in mine for low, high in [of_them["later" if c.later else "elsewhere"]]
-            ]
+            within = [of_them[c.sort][0] <= c.apart <= of_them[c.sort][1] for c in mine]
             click.echo(f"{family}: what the others say covers {100 * np.mean(within):.0f} % of {len(mine)}")
     for name, (low, high) in both(found).items():
         click.echo(f"{name} = [{low:.3g}, {high:.3g}]")

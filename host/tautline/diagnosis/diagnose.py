@@ -305,10 +305,8 @@ def _interval(values: Array) -> list[float]:
 def _elsewhere(shrinks: Array, left: float, named: Sequence[str]) -> list[float]:
     """90 % interval of a shrinkage on another motion: what these blocks tell, and what such tests are off by."""
     later = any(effects.BY_ID[name].course for name in named)
-    own, other = (
-        np.quantile(shrinks, [0.05, 0.95]),
-        gap.elsewhere(left, learnt().later if later else learnt().elsewhere),
-    )
+    own = np.quantile(shrinks, [0.05, 0.95])
+    other = gap.elsewhere(left, learnt().later if later else learnt().elsewhere)
     return [float(min(own[0], other[0])), float(max(own[1], other[1]))]
 
 

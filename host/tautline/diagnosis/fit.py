@@ -259,9 +259,8 @@ class Fitter:
             sooner = {**parameters, "delay": parameters.get("delay", 0.0) - _AHEAD_S}
             later = segment.follow(state.model, sooner, self.load_reference)
             by_delay = ((path.c_deg - later.c_deg) / _AHEAD_S)[:, None] * by_c
-            if self.px and (
-                path.translation_mm is not None or path.rotation_deg is not None
-            ):  # these come late as well
+            others = path.translation_mm is not None or path.rotation_deg is not None
+            if self.px and others:  # these come late as well
                 by_delay = (seen - effects.image(model, later, parameters, segment.offset_s)) / _AHEAD_S
         columns = np.concatenate(
             [by_c[keep][:, :, None] * details[:, None, :], by_static[keep], by_delay[keep][:, :, None]], axis=2

@@ -24,7 +24,7 @@ INEXACT = 4.0  # times the floor's power that a nominal model may leave of its o
 CONFINED = 0.5  # probability that what a wrong effect leaves is confined to its stage as well
 FOLLOWED = 0.02  # share of a power above the floor: what leaves less of unseen blocks has followed a path
 SHARES = np.geomspace(1e-5, 1.0, 41)
-_NO_NOISE = 2.0  # times the floor's power
+_A_GAP = 2.0  # times the floor's power: no noise
 _DEGREES = 8.0  # of freedom, of a block's noise
 _WRONG_SHARES = (np.arange(10) + 0.5) / 10.0  # of blocks that a wrong effect disturbs
 _WIDEST = 12.0  # of a disturbed block's logarithm
@@ -90,7 +90,7 @@ class Stacked:
         misfit = followed - self.floor2 < FOLLOWED * (self.mean - self.floor2)
         self.path: Flags = self.scatters & ((followed < np.mean(scattered, axis=1)) | misfit)
         # An event has no path that repeats: what one follows so closely, and is no noise, is none.
-        self.repeats: Flags = self.scatters & misfit & (self.mean > _NO_NOISE * self.floor2)
+        self.repeats: Flags = self.scatters & misfit & (self.mean > _A_GAP * self.floor2)
         rest = np.maximum(self.power[int(np.argmin(of_paths))], self.floor2)
         self._least = np.where(misfit[:, None], rest, self.floor2)
         self.scatter, self.rival = self._taken_off(scatter), self._taken_off(rival)
