@@ -20,8 +20,11 @@ if TYPE_CHECKING:
     from tautline.api import compensate as compensate
     from tautline.api import diagnose as diagnose
     from tautline.api import encode as encode
+    from tautline.api import export as export
+    from tautline.api import import_recording as import_recording
     from tautline.api import load as load
     from tautline.api import predict as predict
+    from tautline.api import propose_import as propose_import
     from tautline.api import report as report
     from tautline.api import track as track
     from tautline.calibration.calibrate import Calibration as Calibration
@@ -30,6 +33,9 @@ if TYPE_CHECKING:
     from tautline.elements import Elements as Elements
     from tautline.errors import TautError as TautError
     from tautline.errors import UnusableError as UnusableError
+    from tautline.exporting import Exported as Exported
+    from tautline.importing import Imported as Imported
+    from tautline.importing import Proposal as Proposal
     from tautline.model import Model as Model
     from tautline.prediction import Prediction as Prediction
     from tautline.quality import Quality as Quality
@@ -50,10 +56,13 @@ _PUBLIC = {
     "Calibration": "calibration.calibrate",
     "Diagnosis": "diagnosis.diagnose",
     "Elements": "elements",
+    "Imported": "importing",
+    "Exported": "exporting",
     "Marker": "recording",
     "Model": "model",
     "Motor": "recording",
     "Prediction": "prediction",
+    "Proposal": "importing",
     "Quality": "quality",
     "Reason": "quality",
     "Recording": "recording",
@@ -67,8 +76,11 @@ _PUBLIC = {
     "compensate": "api",
     "diagnose": "api",
     "encode": "api",
+    "import_recording": "api",
+    "export": "api",
     "load": "api",
     "predict": "api",
+    "propose_import": "api",
     "report": "api",
     "track": "api",
 }

@@ -1,8 +1,8 @@
 """The package's functions: what the commands do, on arrays and files of your own.
 
-Each of them is one step: load -> calibrate -> predict, encode, compensate, track, diagnose -> report. The commands
-take the same steps. `B` is the backlash width, `f_remain` the law behind it (docs/calibration.md); `q` is the motor's
-position in the unit of the rig (mm of cable or deg of a spindle), `c` the bending angle in deg.
+Each of them is one step: load -> calibrate -> predict, encode, compensate, track, diagnose -> report, export. The
+commands take the same steps. `B` is the backlash width, `f_remain` the law behind it (docs/calibration.md); `q` is the
+motor's position in the unit of the rig (mm of cable or deg of a spindle), `c` the bending angle in deg.
 
 Every error that a caller can act on is a TautError whose text says what to do; a wrong type is Python's own.
 """
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from tautline.calibration.calibrate import Calibration
     from tautline.compensation import SetPoints
     from tautline.diagnosis.diagnose import Diagnosis
+    from tautline.exporting import Exported
+    from tautline.importing import Imported, Proposal
     from tautline.model import Model
     from tautline.prediction import Prediction
     from tautline.tables import Limits
@@ -57,6 +59,57 @@ def load(path: str | Path, rig: Rig | str | Path | None = None, progress: Progre
 
         recording = with_marker(recording, used, progress)
     return replace(recording, rig=used)
+
+
+def propose_import(source: str | Path, *, time: str = "", episode: int = 0, progress: Progress = _silent) -> Proposal:
+    """Which channel of another program's file is motor, tip, command, load and video: nothing is written.
+
+    Shapes: none; `.motor`, `.tip`, `.command`, `.load` have each a `.name` and a `.unit`, `.tip` one or two of them.
+    Units: `.unit` is that of q, mm or deg; each channel's own is what the file says or, by `.notes`, a guess.
+    Errors: TautError for what is no file of these kinds, is cut short or empty, or whose library is not installed.
+    Source: docs/import.md: what moves together, and which of two is later; names decide between equals.
+
+    source: an MCAP file, a ROS 1 bag, a rosbag2 folder, a LeRobot folder or a CSV. time: a CSV's column of times.
+    episode: of a data set.
+    """
+    from tautline import importing
+
+    return importing.propose(importing.scan(importing.open_source(source, time), episode, progress))
+
+
+def import_recording(
+    source: str | Path,
+    folder: str | Path,
+    motor: str,
+    tip: str | Sequence[str] = (),
+    *,
+    command: str | None = None,
+    load: str | None = None,
+    video: str | None = None,
+    joints: Sequence[str] = (),
+    time: str = "",
+    unit: Literal["mm", "deg"] | None = None,
+    rig: Rig | None = None,
+    episode: int | None = None,
+    progress: Progress = _silent,
+) -> list[Imported]:
+    """Recordings out of another program's file, as `taut import` writes them.
+
+    Shapes: one Imported for each recording that was written: `.folder`, `.rows` of motor.csv, `.warnings`.
+    Units: a channel is NAME, NAME:UNIT (rad, m, Nm, tick, ...) or NAME:FACTOR; q is written in `unit` or the rig's.
+    Errors: TautError where a channel is missing, empty or, by a ratio, in another unit than was said, where times are
+        those of two clocks, and for a file that is cut; nothing is written then.
+    Source: docs/import.md; the files of docs/files.md and import.toml, which says where each number came from.
+
+    source: as propose_import's. folder: of the recording, or of the recordings where a data set has several episodes
+    and episode names none. tip: one angle or orientation, or u and v in px. command, load, video, joints: further
+    channels. time: a CSV's column of times. rig: written beside each recording; default what they show of it.
+    """
+    from tautline import importing
+
+    roles = importing.Roles(motor, (tip,) if isinstance(tip, str) else tuple(tip), command, load, video, tuple(joints))
+    opened = importing.open_source(source, time)
+    return importing.import_episodes(opened, Path(folder), roles, progress, unit, rig, episode)[0]
 
 
 def calibrate(
@@ -230,6 +283,48 @@ def report(
             raise TautError(f"{folder}: a calibration's report shows its recordings: give them too")
         reports.save_model(result.model, recordings_room.shifted(several, result.offsets), folder)
     return folder / reports.FILE
+
+
+def export(
+    what: Recording | Model | Diagnosis,
+    to: str,
+    out: str | Path,
+    *,
+    model: Model | None = None,
+    into: str | Path | None = None,
+    actuator: str = "",
+    tip: str = "",
+    scale: float | None = None,
+    axis: str | None = None,
+    progress: Progress = _silent,
+) -> Exported:
+    """Writes a recording, a model or a diagnosis for another program: a log viewer, a simulator, a motor controller.
+
+    Shapes: none; the result's `.files` were written, `.lost` says line by line what the format cannot hold.
+    Units: of a format's own numbers as docs/export.md says; scale is the control's per unit of q, default 0.001 for mm
+        and pi/180 for deg.
+    Errors: TautError for a format that is not there or does not take this, a package that is missing (with the command
+        that installs it), names that the MJCF has not; nothing is written then.
+    Source: docs/export.md, which has each format's own source.
+
+    to: mcap, rerun, csv, mjcf, linuxcnc, marlin, fluidnc or klipper; out: the file or folder. model: with a
+    recording, what foretells it. into, actuator, tip: of mjcf, where the model goes. axis: the joint's number or the
+    axis' letter of a controller. Of a diagnosis the corrected model is taken.
+    """
+    from tautline.exporting import Mount
+    from tautline.exporting import export as exported
+    from tautline.exporting.source import of_diagnosis, of_model, of_recording
+
+    if isinstance(what, Recording):
+        source = of_recording(what, None, of_model(model) if model is not None else None)
+    else:
+        from tautline.model import Model as ModelType
+
+        source = (
+            of_model(what) if isinstance(what, ModelType) else of_diagnosis(what.nominal, what.corrected, what.document)
+        )
+    mount = None if into is None else Mount(Path(into), actuator, tip, scale)
+    return exported(source, to, Path(out), mount=mount, axis=axis, progress=progress)
 
 
 def _several(recordings: Recording | Sequence[Recording]) -> list[Recording]:

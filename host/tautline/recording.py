@@ -25,6 +25,7 @@ FARTHEST_PX = 1e5
 FRAME_COLUMNS = ("width_px", "height_px")  # of marker.csv: what the frames measure
 MOST_JOINTS = 8  # that are looked at
 VIDEO_NAMES = ("video.mkv", "video.mp4")
+_WRITTEN_ROWS = 200_000  # at once: a copy of all of them is not held
 PICTURE_NAME = "camera.png"
 
 
@@ -426,4 +427,7 @@ def _extra(columns: Columns, known: set[str]) -> dict[str, Array]:
 
 def _write(path: Path, columns: Mapping[str, Array | None]) -> None:
     present = {name: values for name, values in columns.items() if values is not None}
-    pd.DataFrame(present).to_csv(path, index=False, lineterminator="\n")
+    rows = max((len(values) for values in present.values()), default=0)
+    for first in range(0, max(rows, 1), _WRITTEN_ROWS):
+        part = pd.DataFrame({name: values[first : first + _WRITTEN_ROWS] for name, values in present.items()})
+        part.to_csv(path, index=False, lineterminator="\n", mode="a" if first else "w", header=not first)

@@ -1,4 +1,4 @@
-"""./run bench [--json], ./run bench videos, ./run bench faults"""
+"""./run bench [--json], ./run bench videos, ./run bench faults, ./run bench importing"""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import click
 from rich.console import Console
 from rich.table import Table
-from tools.bench import calibration, control_step, diagnosis, faults, trackers, tracking, videos
+from tools.bench import calibration, control_step, diagnosis, faults, importing, trackers, tracking, videos
 
 from tautline.cli._common import log, plain, progress_bar
 from tautline.errors import TautError
@@ -86,6 +86,7 @@ def main(context: click.Context, as_json: bool, frames: int) -> None:
 
 main.add_command(videos.command)
 main.add_command(faults.command)
+main.add_command(importing.command)
 
 if __name__ == "__main__":
     main()

@@ -17,7 +17,7 @@ from tautline.explain.topic import KINDS, Topic
 @cache
 def topics() -> Mapping[str, Topic]:
     """By code, in the order of KINDS."""
-    listed = list(chain(_effects(), REASONS, _faults(), _refusals(), _keys(), _files(), TERMS))
+    listed = list(chain(_effects(), REASONS, _faults(), _refusals(), _keys(), _files(), _formats(), TERMS))
     listed.sort(key=lambda topic: list(KINDS).index(topic.kind))
     return {topic.code: topic for topic in listed}
 
@@ -124,6 +124,22 @@ def _keys() -> Iterator[Topic]:
                 see=(f"{file}.{section.name}",),
                 aliases=(f"{section.name}.{key.name}",),
             )
+
+
+def _formats() -> Iterator[Topic]:
+    from tautline.exporting.formats import EXTRA, FORMATS
+
+    for form in FORMATS:
+        needs = ", ".join(package for _, package in form.needs)
+        install = f"It needs {needs}: pip install 'tautline-robotics[{EXTRA}]'." if needs else ""
+        rows = (
+            ("takes", " or ".join(form.takes)),
+            ("--out", f"a file, NAME{form.suffix}" if form.suffix else "a folder"),
+            *((("--axis", f"{form.axis} unless another is named"),) if form.axis else ()),
+            ("lost", form.loses),
+        )
+        says = f"{form.says[:1].upper()}{form.says[1:]}."
+        yield Topic(f"export.{form.name}", "format", says, mend=install, rows=rows, aliases=(form.name,))
 
 
 def _files() -> Iterator[Topic]:

@@ -123,6 +123,34 @@ TERMS = (
         "angle.csv",
     ),
     _term(
+        "import.toml",
+        "Beside a recording that taut import made: the file it is out of with its SHA-256, which channel became what, "
+        "each one's unit and factor, whose times were used, and what was mended.",
+        "channel",
+        "stamp",
+        aliases=("import", "taut import"),
+    ),
+    _term(
+        "channel",
+        "One number over time in another program's file: topic.field[index] of a message, a joint of a feature, or a "
+        "column. A unit or a factor may stand behind its name, as in /joint_states.position[0]:rad.",
+        "import.toml",
+        "episode",
+    ),
+    _term(
+        "episode",
+        "One of the recordings that a LeRobot data set holds. taut import makes a folder of each.",
+        "import.toml",
+    ),
+    _term(
+        "stamp",
+        "The time in a message's header, by the clock of who sent it; the log has its own, of when the message was "
+        "written. taut import uses the stamps where all channels have them on one clock, else the log.",
+        "import.toml",
+        "clock.offset",
+        aliases=("header stamp", "log time", "two clocks"),
+    ),
+    _term(
         "model",
         "A folder with what a calibration found: B(q), f_remain, the delay, all with their sigma, and its report.",
         "verdict",
@@ -169,6 +197,14 @@ TERMS = (
         "take-up",
         "The bounded move of its own with which the controller crosses the backlash at a reversal.",
         "compensation",
+    ),
+    _term(
+        "slack joint",
+        "How a simulator without backlash is given one: a coordinate that is B/2 long, and two one-sided tendons, of "
+        "motor, play and it, that push the play.",
+        "play",
+        "export.mjcf",
+        aliases=("one-sided tendon",),
     ),
     _term("corrected model", "The model with the effects that a diagnosis named.", "gap"),
     _term(

@@ -12,6 +12,7 @@ KINDS = {
     "rig": "rig.toml, key by key",
     "shapes": "shapes.toml, the index of a library of shapes, key by key",
     "file": "Files of a recording",
+    "format": "Formats of taut export",
     "term": "Terms",
 }
 

@@ -1,0 +1,66 @@
+"""taut export RECORDING | MODEL | DIAGNOSIS --to FORMAT --out PATH"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from tautline.cli._common import emit, json_option, log, progress_bar, rig_option, warn, warn_unusable
+from tautline.exporting import FORMATS, Mount, export
+from tautline.exporting.source import read
+from tautline.rig import Rig
+
+
+@click.command("export", epilog="Formats: " + "; ".join(f"{form.name}: {form.says}" for form in FORMATS) + ".")
+@click.argument("source_path", metavar="RECORDING|MODEL|DIAGNOSIS", type=click.Path(path_type=Path))
+@click.option("--to", required=True, metavar="FORMAT", help=", ".join(form.name for form in FORMATS))
+@click.option("--out", "out", type=click.Path(path_type=Path), required=True, help="The file or folder to write.")
+@click.option(
+    "--model",
+    "beside",
+    type=click.Path(path_type=Path),
+    help="With a recording: a MODEL or DIAGNOSIS that foretells it.",
+)
+@rig_option
+@click.option("--into", type=click.Path(path_type=Path), help="mjcf: the MJCF that the model goes into.")
+@click.option("--actuator", help="mjcf: its actuator whose control is q.")
+@click.option("--tip", help="mjcf: what bends, joint:NAME or site:NAME.")
+@click.option("--scale", type=float, help="mjcf: of the control, per unit of q; default 0.001 for mm, pi/180 for deg.")
+@click.option("--axis", help="linuxcnc: the joint's number; marlin, fluidnc, klipper: the axis' letter.")
+@json_option
+def command(
+    source_path: Path,
+    to: str,
+    out: Path,
+    beside: Path | None,
+    rig_path: Path | None,
+    into: Path | None,
+    actuator: str | None,
+    tip: str | None,
+    scale: float | None,
+    axis: str | None,
+    as_json: bool,
+) -> None:
+    """Write a recording, a model or a diagnosis for another program: a log viewer, a simulator, a motor controller.
+
+    What the format cannot hold is said on stderr and in the file. Of a diagnosis the corrected model is exported.
+    """
+    source = read(source_path, Rig.load(rig_path) if rig_path else None, beside)
+    for warning in source.recording.warnings if source.recording else ():
+        warn(warning)
+    for _, model in source.models[-1:]:
+        warn_unusable(model, source_path)
+    named = {"--into": into, "--actuator": actuator, "--tip": tip}
+    missing = [name for name, value in named.items() if value is None]
+    if 0 < len(missing) < len(named):
+        raise click.UsageError(f"{', '.join(missing)} missing: --into, --actuator and --tip go together")
+    mount = None
+    if into is not None and actuator is not None and tip is not None:
+        mount = Mount(into, actuator, tip, scale)
+    with progress_bar(f"exporting to {to}") as progress:
+        done = export(source, to, out, mount=mount, axis=axis, progress=progress)
+    for what in done.lost:
+        log(f"taut: lost: {what}")
+    result = {"format": to, "files": list(done.files), "lost": list(done.lost), **done.report}
+    emit(result, as_json, "\n".join(str(file) for file in done.files))

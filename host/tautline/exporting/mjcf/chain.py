@@ -1,0 +1,139 @@
+"""A curve as polynomials of fourth order, one after the other: what a chain of MuJoCo's joint equalities can hold.
+
+One polynomial leaves 75 um of a B(q) with a bump; a second and third one stretch its axis first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numpy.polynomial import polynomial
+from scipy.optimize import least_squares
+
+Array = npt.NDArray[np.float64]
+
+ORDER = 4  # of MuJoCo's polycoef
+MOST_LINKS, MOST_CHAINS = 4, 2
+_STARTS, _EVALUATIONS = 5, 40  # of the search for the links before the last one
+_NODES = 101  # of the curve that the search looks at: 20 to each coefficient's own
+_SPREAD = 0.3  # of the starting coefficients: a curve of [-1, 1] that stays monotone in most draws
+_STIFF = 1e-3  # of a coefficient, in shares of the curve's spread: none grows without a gain
+
+
+@dataclass(frozen=True)
+class Chain:
+    """y = links[-1](... links[0](x)); each has five coefficients, the constant first. The value between two links runs
+    from -1 to 1 over the curve's own range."""
+
+    links: tuple[Array, ...]
+    rms: float  # of the curve less the chain, on the curve's nodes
+
+    def values(self, x: npt.ArrayLike) -> list[Array]:
+        """What each link hands out, the last is y."""
+        at = np.asarray(x, dtype=float)
+        found = []
+        for link in self.links:
+            at = np.asarray(polynomial.polyval(at, link))
+            found.append(at)
+        return found
+
+    def __call__(self, x: npt.ArrayLike) -> Array:
+        return self.values(x)[-1]
+
+
+def fit(x: Array, y: Array, enough: float) -> Chain:
+    """The shortest chain of at most MOST_LINKS whose rms is `enough` on the curve's nodes (x, y), else the best one.
+    x rises. The same curve gives the same chain. 0.1 to 5 s."""
+    u = (2.0 * x - x[0] - x[-1]) / (x[-1] - x[0])
+    scale = np.array([-(x[0] + x[-1]), 2.0]) / (x[-1] - x[0])
+    best, free = _outer([], u, y, scale), np.zeros(0)
+    for _ in range(2, MOST_LINKS + 1):
+        if best.rms <= enough:
+            break
+        found, free = _search(u, y, scale, free)
+        best = min(best, found, key=lambda chain: chain.rms)
+    return best
+
+
+@dataclass(frozen=True)
+class Sum:
+    """Chains side by side, added up: what the first one leaves is a curve for the next."""
+
+    chains: tuple[Chain, ...]
+
+    def __call__(self, x: npt.ArrayLike) -> Array:
+        return np.asarray(sum(chain(x) for chain in self.chains))
+
+
+def fit_sum(x: Array, y: Array, enough: float) -> Sum:
+    """As `fit`, with up to MOST_CHAINS of them."""
+    chains = [fit(x, y, enough)]
+    while chains[-1].rms > enough and len(chains) < MOST_CHAINS:
+        chains.append(fit(x, y - Sum(tuple(chains))(x), enough))
+    return Sum(tuple(chains))
+
+
+def _search(u: Array, y: Array, scale: Array, known: Array) -> tuple[Chain, Array]:
+    """One link more than the `known` ones, which are where the search starts; the free coefficients too."""
+    nodes = np.linspace(-1.0, 1.0, _NODES)
+    wanted = np.interp(nodes, u, y)
+    spread = max(float(np.ptp(wanted)), 1e-300)
+    rng = np.random.default_rng(0)
+
+    def left(free: Array) -> Array:
+        at = nodes
+        for link in _links(free):
+            at = np.asarray(polynomial.polyval(at, link))
+            if not np.isfinite(at).all() or np.ptp(at) < 1e-6:
+                return np.concatenate([np.full(_NODES, 1e3), _STIFF * free])
+            at = _unit(at)[0]
+        design = polynomial.polyvander(at, ORDER)
+        solved, *_ = np.linalg.lstsq(design, wanted, rcond=None)
+        return np.concatenate([(design @ solved - wanted) / spread * 1e3, _STIFF * free])
+
+    best: tuple[float, Array] | None = None
+    for _ in range(_STARTS):
+        begin = np.concatenate([rng.normal(0.0, _SPREAD, ORDER), known])
+        found = least_squares(left, begin, max_nfev=_EVALUATIONS)
+        if best is None or found.cost < best[0]:
+            best = found.cost, found.x
+    assert best is not None
+    return _outer(_links(best[1]), u, y, scale), best[1]
+
+
+def _links(free: Array) -> list[Array]:
+    """Constant, 1, and the rest: what a scale could do is left to the link behind."""
+    return [np.concatenate([part[:1], [1.0], part[1:]]) for part in free.reshape(-1, ORDER)]
+
+
+def _unit(at: Array) -> tuple[Array, Array]:
+    """Brought to [-1, 1], and the straight line (constant, slope) that does so."""
+    low, high = float(at.min()), float(at.max())
+    line = np.array([-(low + high), 2.0]) / (high - low)
+    return line[0] + line[1] * at, line
+
+
+def _outer(inner: list[Array], u: Array, y: Array, scale: Array) -> Chain:
+    """The chain with its last link solved for; scale brings x to u."""
+    at, before, links = u, scale, []
+    for link in inner:
+        raw: Array = np.asarray(polynomial.polyval(at, link), dtype=float)
+        at, line = _unit(raw)
+        whole = line[1] * link
+        whole[0] += line[0]
+        links.append(_of_line(whole, before))
+        before = np.array([0.0, 1.0])
+    design = polynomial.polyvander(at, ORDER)
+    solved: Array = np.asarray(np.linalg.lstsq(design, y, rcond=None)[0], dtype=float)
+    links.append(_of_line(solved, before))
+    return Chain(tuple(links), float(np.sqrt(np.mean((design @ solved - y) ** 2))))
+
+
+def _of_line(link: Array, line: Array) -> Array:
+    """link(line(x)), five coefficients."""
+    composed = np.zeros(1)
+    for coefficient in link[::-1]:
+        composed = polynomial.polyadd(polynomial.polymul(composed, line), [coefficient])
+    return np.pad(composed, (0, ORDER + 1 - len(composed)))

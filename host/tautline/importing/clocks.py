@@ -1,0 +1,120 @@
+"""Which of a file's times are used, and times as a recording needs them: rising, on one clock."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from tautline.columns import MAX_REPEATED_TIMES
+from tautline.errors import TautError
+
+Array = np.ndarray
+
+_UNSET = 1e-3  # share of messages without a stamp from which on stamps are not used
+_APART_S = 0.5  # between the clocks of two senders: no message is under way for as long
+_DRIFT = 1e-4  # rate of one clock against another: ten times what quartz is off by
+_LONG_ENOUGH_S = 30.0  # of a recording, that a rate is told from
+_MOST_BACK = 0.01  # share of rows that may be out of order, as two threads write them
+_FARTHEST_BACK_S = 1.0  # that one of them may go back
+_GAP_S = 0.5  # without rows, and so many usual steps, that is told
+_GAP_STEPS = 10.0
+LOG, STAMP, FILE = "log", "header", "file"  # when messages were written, when their senders made them, a table's own
+
+
+@dataclass(frozen=True)
+class Clock:
+    used: str  # LOG, STAMP or FILE
+    warnings: tuple[str, ...] = ()
+
+
+def choose(times: Mapping[str, tuple[Array, Array | None]]) -> Clock:
+    """The times of all groups: their senders' stamps where all have them on one clock, else when they were logged.
+    times: (n,) s of log and stamps, by group."""
+    stamped = {group: stamp for group, (_, stamp) in times.items() if stamp is not None}
+    if not stamped:
+        return Clock(FILE if set(times) == {""} else LOG)
+    without = sorted(set(times) - set(stamped))
+    if without:
+        return Clock(LOG, (f"{without[0]} has no header stamps: the times at which messages were logged are used",))
+    offsets: dict[str, float] = {}
+    rates: dict[str, float] = {}
+    for group, stamp in stamped.items():
+        log = times[group][0]
+        seen = np.isfinite(stamp)
+        if np.mean(~seen) > _UNSET:
+            lost = f"{100 * np.mean(~seen):.2g} % of the header stamps of {group} are 0"
+            return Clock(LOG, (f"{lost}: the times at which messages were logged are used",))
+        behind = stamp[seen] - log[seen]
+        offsets[group] = float(np.median(behind))
+        if np.ptp(log[seen]) > _LONG_ENOUGH_S:
+            rates[group] = float(np.polyfit(log[seen], behind - offsets[group], 1)[0])
+    first, last = min(offsets, key=offsets.__getitem__), max(offsets, key=offsets.__getitem__)
+    if (apart := offsets[last] - offsets[first]) > _APART_S:
+        return Clock(
+            LOG,
+            (
+                f"two clocks: the header stamps of {last} are {apart:.6g} s ahead of those of {first}: the times at "
+                "which messages were logged are used; set both senders by one clock (chrony, PTP, use_sim_time)",
+            ),
+        )
+    if rates and (drift := max(rates.values()) - min(rates.values())) > _DRIFT:
+        fast, slow = max(rates, key=rates.__getitem__), min(rates, key=rates.__getitem__)
+        return Clock(
+            LOG,
+            (
+                f"two clocks: the header stamps of {fast} run {1e6 * drift:.0f} ppm faster than those of {slow}: the "
+                "times at which messages were logged are used",
+            ),
+        )
+    return Clock(STAMP)
+
+
+def tidy(t_s: Array, what: str, warnings: list[str]) -> Array:
+    """Indices (m,) of the rows to keep, in the order of time: of rows of one time the first. TautError where times go
+    back, or repeat, too often for one clock."""
+    kept: Array = np.flatnonzero(np.isfinite(t_s))
+    if lost := len(t_s) - len(kept):
+        warnings.append(f"{what}: {lost} rows without a time were left out")
+    if len(kept) < 2:
+        raise TautError(f"{what}: has {len(kept)} rows with a time: expected a motion")
+    step = np.diff(t_s[kept])
+    back = np.flatnonzero(step < 0)
+    if back.size:
+        row = int(step.argmin())
+        if back.size > max(1.0, _MOST_BACK * len(kept)) or -step[row] > _FARTHEST_BACK_S:
+            raise TautError(
+                f"{what}: time goes back by {-step[row]:.6g} s at {t_s[kept[row]]:.9g} s: two clocks, or two "
+                "recordings in one: split it there"
+            )
+        warnings.append(f"{what}: {back.size} rows were out of order by {-step[row]:.3g} s or less: they were sorted")
+        kept = kept[np.argsort(t_s[kept], kind="stable")]
+        step = np.diff(t_s[kept])
+    repeated = step == 0
+    if count := int(repeated.sum()):
+        if count > max(1.0, MAX_REPEATED_TIMES * len(kept)):
+            raise TautError(
+                f"{what}: {count} of {len(kept)} rows repeat the time before them: log them with finer times, each once"
+            )
+        warnings.append(f"{what}: {count} rows that repeat the time before them were left out")
+        kept = kept[np.concatenate([[True], ~repeated])]
+        step = np.diff(t_s[kept])
+    gaps = np.flatnonzero(step > max(_GAP_S, _GAP_STEPS * float(np.median(step))))
+    if gaps.size:
+        longest = int(step.argmax())
+        warnings.append(
+            f"{what}: {gaps.size} gap{'s' if gaps.size > 1 else ''} without rows, the longest {step[longest]:.3g} s "
+            f"at {t_s[kept[longest]]:.6g} s"
+        )
+    return kept
+
+
+def overlap(motor_s: Array, tip_s: Array, motor: str, tip: str) -> None:
+    """TautError where two channels share no time."""
+    if motor_s[0] <= tip_s[-1] and tip_s[0] <= motor_s[-1]:
+        return
+    raise TautError(
+        f"{motor} has times {motor_s[0]:.6g} to {motor_s[-1]:.6g} s, {tip} {tip_s[0]:.6g} to {tip_s[-1]:.6g} s: two "
+        "clocks, or two recordings: record both on one clock"
+    )

@@ -1,0 +1,86 @@
+"""What every kind of file gives: channels of numbers in batches, frames of pictures, on the times that it has."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+Array = np.ndarray
+
+BATCH_ROWS = 8192  # rows that are held at once while a file is read
+EPOCH_S = 1e8  # times beyond it (three years) count from an epoch: a recording's then start at 0
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Rows of one group (a topic, or a table). A table's are in the order of the file; a topic's messages that hold
+    other channels come as other batches, which may be before or after one another."""
+
+    group: str
+    log_s: Array  # (n,) s since the source's origin: when a row was written
+    stamp_s: Array | None  # (n,) s since the same origin, by the sender's clock; NaN where it set none
+    values: Mapping[str, Array]  # (n,) float64 by channel, NaN where a row has none
+
+
+@dataclass(frozen=True)
+class Fact:
+    """What a file says of a channel beside its numbers."""
+
+    type: str = ""  # of the message or column
+    label: str = ""  # another name: a joint's
+    unit: str = ""  # of units.UNITS; "" where the file says none
+
+
+@dataclass(frozen=True)
+class Picture:
+    log_s: float
+    stamp_s: float  # NaN where the sender set none
+    data: bytes
+    codec: str  # of PyAV: mjpeg, png; or a pixel format such as bgr24, then with a size
+    width: int = 0
+    height: int = 0
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A part of a video file. The frame at first_s of the container's time is at 0 s of the recording."""
+
+    path: Path
+    first_s: float = 0.0
+    last_s: float = np.inf  # exclusive
+
+
+class Source(Protocol):
+    """A file or folder that was opened. It is read from the start at each call, a batch at a time."""
+
+    path: Path
+    kind: str  # "MCAP", ...
+    numbers: str  # what a missing channel is a lack of, in words
+    facts: dict[str, Fact]  # by channel, as far as was read
+    videos: list[str]  # channels of pictures, as far as was read
+    origin_s: float  # what was taken off all times
+    notes: list[str]  # what a reader should know of the file as a whole
+
+    def episodes(self) -> Sequence[int]:
+        """Their numbers; (0,) where the source is one recording."""
+
+    def batches(self, episode: int, groups: Collection[str] | None = None) -> Iterator[Batch]:
+        """All rows of an episode, of the groups named (None: all). TautError for a file that is cut or unreadable."""
+
+    def pictures(self, episode: int, video: str) -> Iterator[Picture] | Clip:
+        """The frames of a channel of pictures."""
+
+
+def group_of(channel: str, groups: Collection[str]) -> str:
+    """The group that a channel is of: the longest name that it begins with; "" is the table that has no name."""
+    fitting = [group for group in groups if channel == group or channel.startswith(f"{group}.") or not group]
+    return max(fitting, key=len, default="")
+
+
+def origin_of(first_s: float) -> float:
+    """What is taken off times: nothing where they count from a start of their own."""
+    return first_s if abs(first_s) > EPOCH_S else 0.0

@@ -1,0 +1,40 @@
+"""The bending angle of a tip whose orientation was recorded."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+Array = np.ndarray
+QUATERNION = ("x", "y", "z", "w")
+_UNIT_LENGTH = 0.01  # by which a quaternion's length may be off from 1: float32, rounded text
+
+
+def bending_deg(quaternions: Array) -> tuple[Array, float]:
+    """Angles of orientations (n, 4) as x, y, z, w about the one axis that they turn about most: (n,) deg, NaN where one
+    is no orientation, and the share of their turning that is about it.
+
+    With the mean orientation m and r = m^-1 q, the axis is the first principal one of r's rotation vectors; the angle
+    is r's twist about it, 2 atan2(r_v . n, r_w), and m's: 0 is the base's own orientation."""
+    length = np.linalg.norm(quaternions, axis=1)
+    good = np.abs(length - 1.0) < _UNIT_LENGTH
+    angles = np.full(len(quaternions), np.nan)
+    if good.sum() < 2:
+        return angles, 0.0
+    turned = Rotation.from_quat(quaternions[good])
+    mean = turned.mean()
+    relative = mean.inv() * turned
+    vectors = relative.as_rotvec()
+    spread = vectors.T @ vectors
+    variances, axes = np.linalg.eigh(spread)
+    axis = axes[:, -1] * (1.0 if axes[np.abs(axes[:, -1]).argmax(), -1] > 0.0 else -1.0)
+    total = float(variances.sum())
+    angles[good] = np.degrees(np.unwrap(_twist(relative.as_quat(), axis)) + _twist(mean.as_quat()[None], axis)[0])
+    return angles, float(variances[-1]) / total if total > 0.0 else 0.0
+
+
+def _twist(quaternions: Array, axis: Array) -> Array:
+    """(n,) rad in (-pi, pi]: the part of each rotation that is about the axis."""
+    angle = 2.0 * np.arctan2(quaternions[:, :3] @ axis, quaternions[:, 3])
+    wrapped: Array = (angle + np.pi) % (2.0 * np.pi) - np.pi
+    return wrapped

@@ -1,0 +1,240 @@
+"""What an import refuses: one line that says what to do, and nothing is written."""
+
+from __future__ import annotations
+
+import builtins
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import import_files as files
+import numpy as np
+import pytest
+from cli_runner import Taut
+
+import tautline as tl
+from tautline.recording import load
+
+T_S = np.arange(0.0, 20.0, 0.02)
+Q = 30.0 * np.sin(0.8 * T_S)  # deg
+C = 0.9 * np.roll(Q, 3)
+FIELDS = ("--motor", "/motor.q", "--tip", "/tip.angle")
+FEATURES = ("--motor", "action[0]", "--tip", "observation.state[0]")
+COLUMNS = ("--motor", "q", "--tip", "c")
+
+
+@pytest.fixture
+def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
+    return Taut(monkeypatch, capsys)
+
+
+def mcap(folder: Path, q: np.ndarray = Q, c: np.ndarray = C, t: np.ndarray = T_S, tip_s: np.ndarray = T_S) -> Path:
+    return files.mcap_json(folder / "robot.mcap", {"/motor": (t, {"q": q}), "/tip": (tip_s, {"angle": c})})
+
+
+def csv(folder: Path, t: np.ndarray = T_S, q: np.ndarray = Q, c: np.ndarray = C, header: str = "t_s,q,c") -> Path:
+    path = folder / "log.csv"
+    rows = [",".join(f"{x:.9g}" for x in row) for row in zip(t, q, c, strict=True)]
+    path.write_text("\n".join([header, *rows, ""]))
+    return path
+
+
+def dataset(folder: Path, version: str = "v3.0", lengths: tuple[int, ...] = (400,)) -> Path:
+    episodes = [(T_S[:n], {"pan": Q[:n]}, {"pan": C[:n]}) for n in lengths]
+    return files.lerobot(folder / "set", episodes, version, "deg")
+
+
+def bag(folder: Path, storage: Any = files.rosbag2.StoragePlugin.SQLITE3) -> Path:
+    return files.rosbag(folder / "bag", {"/joint_states": (T_S, {"jaw": Q})}, storage)
+
+
+def cut(path: Path, share: float = 0.5) -> None:
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+
+
+def inner(folder: Path, pattern: str) -> Path:
+    return next(folder.rglob(pattern))
+
+
+def truncated(make: Callable[[Path], Path], pattern: str = "") -> Callable[[Path], Path]:
+    def made(folder: Path) -> Path:
+        path = make(folder)
+        cut(inner(path, pattern) if pattern else path)
+        return path
+
+    return made
+
+
+def ros1(folder: Path) -> Path:
+    return files.rosbag(folder / "robot.bag", {"/joint_states": (T_S, {"jaw": Q})}, None)
+
+
+def without_info(folder: Path) -> Path:
+    path = dataset(folder)
+    document = json.loads((path / "meta/info.json").read_text())
+    (path / "meta/info.json").write_text(json.dumps(document | {"codebase_version": "v1.6"}))
+    return path
+
+
+def swapped(values: np.ndarray) -> np.ndarray:
+    """Times of a clock that was set back by 4 s in the middle."""
+    return np.where(np.arange(len(values)) < len(values) // 2, values, values - 4.0)
+
+
+NAN = np.where(np.arange(len(Q)) % 10 == 0, np.nan, Q)
+JOINT = ("--motor", "/joint_states.position[0]", "--tip", "/joint_states.position[0]")
+CASES: dict[str, tuple[Callable[[Path], Path], tuple[str, ...], tuple[str, ...]]] = {
+    "radians": (lambda f: csv(f, q=np.radians(Q)), COLUMNS, ("57", "radians", "--motor 'q:rad'")),
+    "tip in radians": (lambda f: csv(f, c=np.radians(C)), COLUMNS, ("radians", "--tip 'c:rad'")),
+    "a unit of another kind": (csv, ("--motor", "q:Nm", "--tip", "c"), ("q: is in Nm", "q:deg")),
+    "no unit": (csv, ("--motor", "q:furlong", "--tip", "c"), ("'furlong' is no unit", "deg, rad")),
+    "a motor that rests": (lambda f: csv(f, q=0 * Q), COLUMNS, ("q: does not move", "--motor")),
+    "two recordings": (lambda f: mcap(f, tip_s=T_S + 500.0), FIELDS, ("/tip.angle 500 to", "one clock")),
+    "a clock set back": (lambda f: csv(f, t=swapped(T_S)), COLUMNS, ("goes back by 3.98", "split it there")),
+    "a coarse clock": (lambda f: csv(f, t=np.floor(T_S * 10) / 10), COLUMNS, ("repeat the time", "finer times")),
+    "a topic that is not there": (mcap, ("--motor", "/motr.q", "--tip", "/tip.angle"), ("/motr.q", "is it /motor.q")),
+    "a column that is not there": (csv, ("--motor", "qq", "--tip", "c"), ("no column qq", "is it q")),
+    "a time that is not there": (csv, (*COLUMNS, "--time", "T"), ("no column T", "t_s, q, c")),
+    "no time": (lambda f: csv(f, t=Q, header="a,q,c"), COLUMNS, ("no column rises", "--time NAME")),
+    "a cut MCAP file": (truncated(mcap), FIELDS, ("is cut short", "mcap recover")),
+    "a cut ROS 1 bag": (truncated(ros1), JOINT, ("is cut short", "rosbag reindex")),
+    "a cut rosbag2": (truncated(bag, "*.db3"), JOINT, ("is cut short", "ros2 bag reindex")),
+    "a bag without its metadata": (truncated(bag, "metadata.yaml"), JOINT, ("is cut short", "ros2 bag reindex")),
+    "a cut Parquet file": (truncated(dataset, "data/*/*.parquet"), FEATURES, ("is cut short", "copy it again")),
+    "a data set that is too old": (without_info, FEATURES, ("'v1.6'", "convert it")),
+    "an empty episode": (lambda f: dataset(f, lengths=(400, 0)), (*FEATURES, "--episode", "1"), ("episode 1", "empty")),
+    "an empty episode's file": (
+        lambda f: dataset(f, "v2.1", (400, 0)), (*FEATURES, "--episode", "1"), ("episode 1", "empty")
+    ),
+    "an episode that is not there": (dataset, (*FEATURES, "--episode", "7"), ("no episode 7", "0 to 0")),
+    "an empty MCAP file": (lambda f: files.mcap_json(f / "e.mcap", {}), FIELDS, ("is empty",)),
+    "NaN of the motor": (lambda f: mcap(f, q=NAN), FIELDS, ("100 of 1000 rows are NaN", "--motor")),
+    "NaN of the tip": (lambda f: mcap(f, c=np.nan * C), FIELDS, ("/tip.angle: holds no number", "--tip")),
+    "no names": (lambda f: csv(f, header=""), COLUMNS, ("line of names",)),
+    "a picture": (lambda f: binary(f), COLUMNS, ("not a text file",)),
+    "a folder of something": (lambda f: folder_of(f), COLUMNS, ("no LeRobot data set", "no ROS 2 bag")),
+    "three tips": (csv, (*COLUMNS, "--tip", "q", "--tip", "c"), ("u, then v",)),
+}  # fmt: skip
+
+
+def binary(folder: Path) -> Path:
+    path = folder / "picture.png"
+    path.write_bytes(b"\x89PNG\r\n\0\0\0")
+    return path
+
+
+def folder_of(folder: Path) -> Path:
+    path = folder / "things"
+    path.mkdir()
+    (path / "notes.txt").write_text("x")
+    return path
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_what_is_wrong_is_one_line_and_nothing_is_written(taut: Taut, tmp_path: Path, name: str) -> None:
+    make, words, told = CASES[name]
+    path = make(tmp_path)
+    before = sorted(tmp_path.rglob("*"))
+    line = taut.refuses("import", path, "--out", tmp_path / "out", *words)
+    assert all(each in line for each in told), line
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_recording_that_was_there_stays_when_an_import_fails(taut: Taut, tmp_path: Path) -> None:
+    words = ("--out", tmp_path / "out", *FIELDS)
+    path = mcap(tmp_path)
+    assert taut("import", path, *words).code == 0
+    before = {each.name: each.read_bytes() for each in (tmp_path / "out").iterdir()}
+    cut(path)
+    taut.refuses("import", path, *words)
+    assert {each.name: each.read_bytes() for each in (tmp_path / "out").iterdir()} == before
+    strange = tmp_path / "mine"
+    strange.mkdir()
+    (strange / "thesis.tex").write_text("")
+    assert "holds other files" in taut.refuses("import", mcap(tmp_path), "--out", strange, *FIELDS)
+
+
+def test_a_unit_that_was_said_is_taken_with_a_warning(taut: Taut, tmp_path: Path) -> None:
+    path = csv(tmp_path, q=np.radians(Q))
+    done = taut("import", path, "--out", tmp_path / "out", "--motor", "q:deg", "--tip", "c")
+    assert done.code == 0 and "is it in radians?" in done.err
+    np.testing.assert_allclose(tl.load(tmp_path / "out").motor.q, np.radians(Q), atol=1e-8)
+
+
+def test_stamps_of_two_clocks_are_told_and_the_log_is_used(taut: Taut, tmp_path: Path) -> None:
+    tip = (T_S, np.radians(C))
+    joints = {"jaw": np.radians(Q)}
+    words = ("--motor", "/joint_states.position[0]", "--tip", "/tip_pose.pose.orientation")
+    one = files.mcap_ros2(tmp_path / "one.mcap", T_S, joints, tip, late=lambda t: t + 0.1)
+    done = taut("import", one, "--out", tmp_path / "one", *words)
+    assert done.code == 0 and "by the header times" in done.out and "two clocks" not in done.err
+    two = files.mcap_ros2(tmp_path / "two.mcap", T_S, joints, tip, tip_stamp_s=40.0)
+    done = taut("import", two, "--out", tmp_path / "two", *words)
+    assert done.code == 0 and "two clocks" in done.err and "40" in done.err and "by the log times" in done.out
+    made = load(tmp_path / "two")
+    assert made.angle is not None
+    np.testing.assert_allclose(made.angle.t_s, made.motor.t_s, atol=1e-9)
+
+
+def test_a_clock_that_runs_faster_is_told(taut: Taut, tmp_path: Path) -> None:
+    """The joints' stamps gain 1 ms a second on the log, the tip has none of its own drift."""
+    t_s = np.arange(0.0, 60.0, 0.02)
+    q = 30.0 * np.sin(0.8 * t_s)
+    path = files.mcap_ros2(tmp_path / "drift.mcap", t_s, {"jaw": np.radians(q)}, (t_s, np.radians(q)), tip_rate=1e-3)
+    words = ("--motor", "/joint_states.position[0]", "--tip", "/tip_pose.pose.orientation")
+    done = taut("import", path, "--out", tmp_path / "out", *words)
+    assert done.code == 0 and "1000 ppm faster" in done.err and "by the log times" in done.out
+
+
+def test_single_rows_are_mended_and_told(taut: Taut, tmp_path: Path) -> None:
+    q, c, t_s = Q.copy(), C.copy(), T_S.copy()
+    q[100], c[200:203] = np.nan, np.nan
+    t_s[400], t_s[401] = t_s[401], t_s[400]
+    t_s[600] = t_s[599]
+    done = taut("import", csv(tmp_path, t_s, q, c), "--out", tmp_path / "out", *COLUMNS)
+    assert done.code == 0, done.err
+    for told in ("1 rows without a number", "3 rows have no number", "1 rows were out of order", "1 rows that repeat"):
+        assert told in done.err
+    made = tl.load(tmp_path / "out")
+    assert made.angle is not None and made.angle.seen.sum() == len(made.angle.c_deg) - 3
+    assert np.all(np.diff(made.motor.t_s) > 0) and len(made.motor.q) == len(Q) - 2
+    assert made.motor.q[np.searchsorted(made.motor.t_s, T_S[400] - 1e-6)] == pytest.approx(Q[401], abs=1e-6)
+
+
+def test_an_empty_episode_among_others_is_left_out(taut: Taut, tmp_path: Path) -> None:
+    path = dataset(tmp_path, lengths=(400, 0, 300))
+    done = taut("import", path, "--out", tmp_path / "out", *FEATURES, "--json")
+    result = json.loads(done.out)
+    assert [each["episode"] for each in result["written"]] == [0, 2]
+    assert len(result["skipped"]) == 1 and "episode 1 was left out" in done.err
+    assert sorted(each.name for each in (tmp_path / "out").iterdir()) == [
+        "episode_000000",
+        "episode_000002",
+        "import.toml",
+    ]
+
+
+@pytest.mark.parametrize(
+    "module, make, words", [("mcap", mcap, FIELDS), ("pyarrow", dataset, FEATURES), ("rosbags", bag, JOINT)]
+)
+def test_a_library_that_is_missing_names_the_extra(
+    taut: Taut, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, make: Callable[[Path], Path], words: Any
+) -> None:
+    path = make(tmp_path)
+    for name in [each for each in sys.modules if each.partition(".")[0] == module]:
+        monkeypatch.delitem(sys.modules, name)
+    there = builtins.__import__
+
+    def absent(name: str, *rest: Any, **more: Any) -> Any:
+        if name.partition(".")[0] == module:
+            raise ImportError(name)
+        return there(name, *rest, **more)
+
+    monkeypatch.setattr(builtins, "__import__", absent)
+    monkeypatch.setitem(sys.modules, module, None)
+    line = taut.refuses("import", path, "--out", tmp_path / "out", *words)
+    assert f"{module}, which is not installed: pip install 'tautline-robotics[import]'" in line
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,34 @@
+"""Fingerprints: of the generator's sources, of a seed's plan and of its truths."""
+
+import hashlib
+import json
+from pathlib import Path
+
+from tools.family.cases import plan
+
+HERE = Path(__file__).parent
+NOT_GENERATOR = ("score.py", "__main__.py", "seal.py", "work.py")  # they make no case
+
+
+def sources() -> str:
+    """sha256 over every source that makes a case, by name and content."""
+    digest = hashlib.sha256()
+    for path in sorted(HERE.rglob("*.py"), key=lambda p: p.relative_to(HERE).as_posix()):
+        name = path.relative_to(HERE).as_posix()
+        if name not in NOT_GENERATOR:
+            digest.update(name.encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+def planned(seed: int, cases: int) -> str:
+    """sha256 of the kinds and ids of all cases: integers and names only, the same on every machine."""
+    return hashlib.sha256(json.dumps(plan(seed, cases)).encode()).hexdigest()
+
+
+def truths(folder: Path, first: int) -> str:
+    """sha256 over the truths of the first cases of a folder, the unseen motions' values included."""
+    digest = hashlib.sha256()
+    for number in range(first):
+        for path in (folder / f"case-{number:03d}.json", folder / f"case-{number:03d}-unseen.csv"):
+            digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()
