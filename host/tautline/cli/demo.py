@@ -32,7 +32,7 @@ def run(
     """What was measured and gained; the recording, MODEL and report are in `out`."""
     from tautline import reports, tables
     from tautline.evidence import Evidence, Run
-    from tautline.folders import check_replaceable
+    from tautline.folders import check_replaceable, replaced
     from tautline.live.following import follow_run
     from tautline.live.setup import open_live
     from tautline.live.until import calibrate_until
@@ -51,7 +51,8 @@ def run(
             f"1  board {board.identity.serial} found over USB/IP: {board.identity.axes} axis, virtual time, "
             f"instrument '{instrument}'"
         )
-        calibration, reached = calibrate_until(live, recording_folder, progress=part(0.0, 0.55))
+        with replaced(recording_folder, "motor.csv") as fresh:  # of an earlier demo
+            calibration, reached = calibrate_until(live, fresh, progress=part(0.0, 0.55))
         model, motion = calibration.model, reached.motion
         say(
             f"2  calibration motion: {motion.reversals} reversals in {motion.seconds:.0f} s of the board's time, "
