@@ -64,6 +64,7 @@ class Marker:
     sigma_px: Array | None = None
     extra: Mapping[str, Array] = field(default_factory=dict)
     frame_px: tuple[int, int] | None = None  # width and height of the frames, where they are known
+    untimed: int = 0  # frames of its video that frames.csv gives no time: they have no row
 
 
 @dataclass(frozen=True)

@@ -237,8 +237,13 @@ class Rig:
         path = Path(path)
         try:
             text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise TautError(f"{path}: cannot be read as a rig file ({_reason(error)}): name one with --rig") from error
+        except OSError as error:
+            raise TautError(
+                f"{path}: cannot be read as a rig file ({error.strerror or error}): name one with --rig"
+            ) from error
+        except UnicodeDecodeError as error:
+            line = error.object.count(b"\n", 0, error.start) + 1
+            raise TautError(f"{path}, line {line}: is not UTF-8 text, which TOML has to be: save it as UTF-8") from error
         try:
             document = tomllib.loads(text)
         except tomllib.TOMLDecodeError as error:
@@ -308,7 +313,3 @@ def _unknown(document: Mapping[str, Any]) -> dict[str, Any]:
         elif isinstance(value, Mapping) and (rest := {k: v for k, v in value.items() if k not in known}):
             extra[key] = rest
     return extra
-
-
-def _reason(error: Exception) -> str:
-    return getattr(error, "strerror", None) or str(error)

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from tautline.calibration import clock
 from tautline.calibration.acquisition import doubts as acquisition_doubts
-from tautline.calibration.acquisition import in_another_unit
+from tautline.calibration.acquisition import in_another_unit, mistaken_unit
 from tautline.calibration.backlash import WidthCurve, fit_widths
 from tautline.calibration.choice import JOINT, ONSETS, Choice, jumping, measuring
 from tautline.calibration.components import Components, separate
@@ -53,6 +53,7 @@ _HELD_SHARE = 0.1  # of all frames: where more are left out the rest may be wron
 _ASTRAY = 2.5  # times what B and a path of any shape leave: f_remain in the rig's geometry
 _OF_ELEMENTS = frozenset({"phase.even", "image.side"})  # what several elements, or their number, stand for
 _BETWEEN_ELEMENTS = 0.003  # of B: what elements of a few shares leave, alike on every stroke
+_UNIT_SLACK = 1.6  # by which f_coarse's gain and f_remain's may part beside a unit that is mistaken
 _LIKELY_GAIN = (0.4, 2.5)  # of f_coarse's, between which f_remain's is no wrong scale
 _LIKELY_BEND = 0.5  # of f_coarse's span, by which f_remain may leave it
 _LARGE = 0.1  # of the image's motion (rms): a registration that is off by less still tells angles
@@ -449,12 +450,22 @@ class _Session:
             self.findings.doubt(
                 "coarse",
                 f"the tip bends {gain:.3g} deg/{self.unit} where f_coarse says {self.rig.coarse.gain:.3g}",
-                "check actuator.unit, the encoder's scale, camera.fx_px and the marker's distance",
+                self._scale(ratio),
                 mild=self.camera and not self._misplaced(remaining.residual),
             )
         self.findings.evidence["residual"] = remaining.residual
         if self.camera and self._misplaced(remaining.residual):
             self._registration(remaining.residual, ratio, p, c)
+
+    def _scale(self, ratio: float) -> str:
+        """What to check where the tip bends `ratio` times what f_coarse says."""
+        if name := mistaken_unit(ratio, self.unit, _UNIT_SLACK):
+            return f"a motor in {name} looks like this: write q_{self.unit} of motor.csv in {self.unit}"
+        if self.camera:
+            return "check actuator.unit, the encoder's scale, camera.fx_px and the marker's distance"
+        if name := mistaken_unit(1.0 / ratio, "deg", _UNIT_SLACK):
+            return f"a sensor in {name} looks like this: write c_deg of angle.csv in deg"
+        return "check actuator.unit, the encoder's scale, coarse.gain, and that angle.csv is in deg"
 
     def _misplaced(self, residual: float) -> bool:
         """Whether the marker is not where camera, hand_eye and kinematics put it."""
