@@ -285,6 +285,8 @@ def _folder(path: str | Path) -> Path:
         raise TautError(f"{folder}: there is no such folder: a recording is a folder with motor.csv")
     if not folder.is_dir():
         raise TautError(f"{folder}: is a file: a recording is the folder that holds motor.csv")
+    if (folder / "model.json").exists() and not (folder / "motor.csv").exists():
+        raise TautError(f"{folder}: is a model: name the recording, a folder that holds motor.csv")
     return folder
 
 
@@ -319,12 +321,15 @@ def _own_rig(folder: Path, rig: Rig | None, warnings: list[str]) -> Rig | None:
     if not path.exists():
         return None
     try:
-        return Rig.load(path)
+        own = Rig.load(path)
     except TautError as error:
         if rig is None:
             raise
         warnings.append(f"{error} (ignored: another rig was named)")
         return None
+    if rig is None or rig == own:
+        warnings += [f"{path}: {said}" for said in own.misspelt]
+    return own
 
 
 def _load_marker(file: Path, warnings: list[str]) -> Marker:

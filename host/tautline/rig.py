@@ -11,7 +11,7 @@ from typing import Any, Literal, Self
 import numpy as np
 import tomli_w
 
-from tautline.errors import TautError
+from tautline.errors import TautError, nearest
 from tautline.schema import Key, Section
 
 FORMAT = "rig/1"
@@ -222,6 +222,19 @@ class Rig:
         return self.delay_s if sensor == MARKER else self.angle.delay_s if self.angle else 0.0
 
     @property
+    def misspelt(self) -> list[str]:
+        """What is said of keys and sections that are none, but look like one."""
+        said = []
+        for name, value in self.extra.items():
+            section = SECTIONS.get(name)
+            if section is not None:
+                keys = section.misspelt(value)
+                said += [f"{name}.{key} is no key that is known: did you mean {meant}?" for key, meant in keys]
+            elif meant := nearest(name, SECTIONS):
+                said.append(f"[{name}] is no section that is known: did you mean [{meant}]?")
+        return said
+
+    @property
     def has_camera(self) -> bool:
         return self.camera is not None
 
@@ -243,7 +256,9 @@ class Rig:
             ) from error
         except UnicodeDecodeError as error:
             line = error.object.count(b"\n", 0, error.start) + 1
-            raise TautError(f"{path}, line {line}: is not UTF-8 text, which TOML has to be: save it as UTF-8") from error
+            raise TautError(
+                f"{path}, line {line}: is not UTF-8 text, which TOML has to be: save it as UTF-8"
+            ) from error
         try:
             document = tomllib.loads(text)
         except tomllib.TOMLDecodeError as error:

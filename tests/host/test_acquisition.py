@@ -205,4 +205,6 @@ def test_a_frames_csv_that_is_shorter_than_its_video_is_what_is_to_be_mended(mad
     seen = Marker(**few, untimed=len(marker.t_s) - count)
     remedy = reason(quality(replace(made, marker=seen)), "duration").remedy
     assert f"frames.csv lists {count} of the video's {len(marker.t_s)} frames" in remedy
-    assert "start the camera first" in reason(quality(replace(made, marker=replace(seen, untimed=0))), "duration").remedy
+    assert (
+        "start the camera first" in reason(quality(replace(made, marker=replace(seen, untimed=0))), "duration").remedy
+    )

@@ -18,6 +18,7 @@ from reference_instrument import RIG, saved_model, saved_recording
 
 from tautline.errors import TautError
 from tautline.live.setup import Recorder
+from tautline.recording import load
 
 ROOT = Path(__file__).parents[2]
 SCRIPTS = [ROOT / "run", ROOT / "tools" / "setup", ROOT / "tools" / "release"]
@@ -112,3 +113,54 @@ def test_a_link_to_a_folder_stays_a_link(taut: Taut, folder: Path, model: Path, 
     assert taut(*words).code == 0 and taut(*words).code == 0
     assert link.is_symlink() and (disk / "results" / "motor.csv").is_file()
     assert sorted(path.name for path in disk.iterdir()) == ["results"]
+
+
+# -- the true reason --------------------------------------------------------------------------------------------------
+
+
+def rig_with(path: Path, *changes: tuple[str, str]) -> Path:
+    RIG.save(path)
+    text = path.read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path.write_text(text)
+    return path
+
+
+def test_a_misspelt_key_is_asked_about(taut: Taut, folder: Path, tmp_path: Path) -> None:
+    rig = rig_with(tmp_path / "rig.toml", ("encoder_resolution", "speedmax = 20.0\nencoder_resolution"))
+    rig.write_text(rig.read_text() + '\n[cammera]\n[lab]\nroom = "7"\n')
+    done = taut("simulate", "--rig", rig, "--motion", "sines", "--duration", 1, "--out", tmp_path / "made")
+    warnings = [line for line in done.err.splitlines() if "did you mean" in line]
+    assert done.code == 0 and warnings == [
+        f"taut: warning: {rig}: actuator.speedmax is no key that is known: did you mean speed_max?",
+        f"taut: warning: {rig}: [cammera] is no section that is known: did you mean [camera]?",
+    ]
+    (folder / "rig.toml").write_text(rig.read_text())
+    assert any("did you mean speed_max" in said for said in load(folder).warnings)
+
+
+def test_what_is_needed_and_misspelt_is_found(taut: Taut, folder: Path, tmp_path: Path) -> None:
+    for old, new, says in (
+        ("[actuator]", "[actuater]", "section [actuator] is missing: [actuater] is there, did you mean it?"),
+        ("range", "rnage", "actuator.range is missing (rnage is there, did you mean it?)"),
+    ):
+        rig = rig_with(tmp_path / "rig.toml", (old, new))
+        assert says in taut.refuses("calibrate", folder, "--rig", rig, "--out", tmp_path / "model")
+
+
+def test_a_model_is_no_recording_and_a_recording_no_model(
+    taut: Taut, folder: Path, model: Path, tmp_path: Path
+) -> None:
+    line = taut.refuses("calibrate", model, "--out", tmp_path / "out")
+    assert f"{model}: is a model: name the recording" in line
+    line = taut.refuses("predict", folder, folder, "--csv", tmp_path / "o.csv")
+    assert f"{folder}: is a recording, not a model: 'taut calibrate {folder}" in line
+
+
+def test_a_rig_in_another_encoding_is_told_to_be_saved_in_utf_8(taut: Taut, folder: Path, tmp_path: Path) -> None:
+    rig = rig_with(tmp_path / "rig.toml")
+    rig.write_bytes(b'format = "rig/1"\n# the cam\xe9ra of room 7\n' + rig.read_bytes().split(b"\n", 1)[1])
+    line = taut.refuses("calibrate", folder, "--rig", rig, "--out", tmp_path / "out")
+    assert f"{rig}, line 2: is not UTF-8 text" in line and "codec" not in line and "--rig" not in line

@@ -103,11 +103,19 @@ def emit(result: Mapping[str, Any], as_json: bool, text: str) -> None:
     click.echo(json.dumps(plain(result), allow_nan=False) if as_json else text)
 
 
+def read_rig(path: Path) -> Rig:
+    """A rig file that was named. Prints what may be misspelt in it."""
+    rig = Rig.load(path)
+    for said in rig.misspelt:
+        warn(f"{path}: {said}")
+    return rig
+
+
 def read_recordings(paths: Sequence[Path], rig_path: Path | None) -> tuple[list[Recording], Rig]:
     """Recordings and the rig that holds for them: --rig, else the one beside the first recording that has one.
     Prints their warnings."""
     if rig_path is not None:
-        rig = Rig.load(rig_path)
+        rig = read_rig(rig_path)
         recordings = load_all(paths, rig)
     else:
         rig = _own_rig(paths)
