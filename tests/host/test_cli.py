@@ -229,7 +229,8 @@ def test_the_installed_command(folder: Path, model: Path, tmp_path: Path) -> Non
     assert done.returncode == 0 and done.stderr == "" and json.loads(done.stdout)["csv"] == str(out)
     words[3] = str(tmp_path / "nothing")
     done = subprocess.run(words, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 1 and done.stdout == "" and len(done.stderr.splitlines()) == 1
+    assert done.returncode == 1 and len(done.stderr.splitlines()) == 1
+    assert json.loads(done.stdout) == {"error": done.stderr.strip().removeprefix("taut: "), "status": 1}
 
 
 def test_rig_option_wins(taut: Taut, folder: Path, tmp_path: Path) -> None:

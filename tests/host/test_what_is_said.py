@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pty
 import re
+import shlex
 import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import click
 import pytest
 from cli_runner import Taut
-from reference_instrument import RIG, saved_model, saved_recording
+from reference_instrument import RIG, moved, saved_model, saved_recording
 
+from tautline import cli
+from tautline.calibration.calibrate import calibrate
+from tautline.cli._commands import COMMANDS, EXIT_STATUS, GROUPS, Command
+from tautline.compensation import MODES
 from tautline.errors import TautError
 from tautline.live.setup import Recorder
 from tautline.recording import load
@@ -164,3 +172,88 @@ def test_a_rig_in_another_encoding_is_told_to_be_saved_in_utf_8(taut: Taut, fold
     rig.write_bytes(b'format = "rig/1"\n# the cam\xe9ra of room 7\n' + rig.read_bytes().split(b"\n", 1)[1])
     line = taut.refuses("calibrate", folder, "--rig", rig, "--out", tmp_path / "out")
     assert f"{rig}, line 2: is not UTF-8 text" in line and "codec" not in line and "--rig" not in line
+
+
+# -- the command line -------------------------------------------------------------------------------------------------
+
+
+def test_every_command_is_in_one_group_and_shows_how_it_is_typed(taut: Taut) -> None:
+    listed = taut("--help").out
+    assert all(f"\n{title}:\n" in listed for title in GROUPS)
+    here = {path.stem for path in Path(cli.__file__).parent.glob("[a-z]*.py")}
+    assert {name for group in GROUPS.values() for name in (each.name for each in group)} == here
+    assert sum(map(len, GROUPS.values())) == len(here)
+
+
+@pytest.mark.parametrize("command", COMMANDS.values(), ids=COMMANDS)
+def test_the_example_of_a_command_is_one(taut: Taut, command: Command) -> None:
+    first, name, *words = shlex.split(command.example)
+    parser = cli.taut.get_command(click.Context(cli.taut), name)
+    assert first == "taut" and name == command.name and parser is not None
+    parser.make_context(name, words)
+    assert command.example in " ".join(taut(name, "--help").out.split())
+
+
+def test_a_misspelt_command_is_asked_about(taut: Taut) -> None:
+    done = taut("calibrat", "x")
+    assert done.code == 2 and "did you mean 'taut calibrate'?" in done.err
+    assert "did you mean" not in taut("xyz").err
+
+
+def test_every_exit_status_is_told(taut: Taut, monkeypatch: pytest.MonkeyPatch, folder: Path, tmp_path: Path) -> None:
+    for page in (taut("--help").out, (ROOT / "docs" / "commands.md").read_text()):
+        flat = " ".join(page.replace("|", " ").split())
+        assert all(f"{status} {says}" in flat for status, says in EXIT_STATUS.items())
+
+    def stopped(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tautline.cli.calibrate.calibrate", stopped)
+    done = taut("calibrate", folder, "--out", tmp_path / "model", "--json")
+    assert done.code == 130 and json.loads(done.out) == {"error": "stopped", "status": 130}
+
+
+def test_with_json_stdout_is_json_whatever_happens(taut: Taut, folder: Path, tmp_path: Path) -> None:
+    done = taut("predict", folder, folder, "--csv", tmp_path / "o.csv", "--json")
+    assert json.loads(done.out)["status"] == done.code == 1 and json.loads(done.out)["error"] in done.err
+    done = taut("predict", "--json")
+    assert json.loads(done.out)["status"] == done.code == 2 and "MODEL" in json.loads(done.out)["error"]
+    wide = rig_with(tmp_path / "rig.toml", ("    -5.0,", "    -5000.0,"), ("    5.0,", "    5000.0,"))
+    done = taut("calibrate", folder, "--rig", wide, "--out", tmp_path / "model", "--json")
+    assert done.code == 3 and json.loads(done.out)["quality"]["verdict"] == "unusable"  # one object: the result
+
+
+def test_no_color_is_kept_to(monkeypatch: pytest.MonkeyPatch, taut: Taut) -> None:
+    """On a terminal; what is no terminal gets none anyway."""
+    for value, coloured in (("", True), ("1", False)):
+        reader, writer = pty.openpty()
+        environment = {**os.environ, "NO_COLOR": value}
+        subprocess.run([sys.executable, "-m", "tautline", "explain", "B"], env=environment, stdout=writer, check=True)
+        said = os.read(reader, 10000).decode()
+        os.close(writer)
+        os.close(reader)
+        assert "backlash" in said and ("\033" in said) == coloured
+
+
+def test_what_is_being_done_is_said_in_words() -> None:
+    recording = moved([-2.0, 1.0, -1.0, 2.0, -2.0], 2.0)
+    said: list[str] = []
+    calibrate([recording], RIG, progress=lambda _, text: said.append(text))
+    assert len(said) > 5 and [text for text in said if not re.match(r"(\w+ing [a-z]|done$)", text)] == []
+
+
+def test_completion_knows_the_commands_without_loading_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(type(cli.taut), "get_command", lambda *_: pytest.fail("a command was loaded"))
+    found = cli.taut.shell_complete(click.Context(cli.taut), "comp")
+    assert [each.value for each in found] == ["compensate", "compare"]
+    page = (ROOT / "docs" / "commands.md").read_text()
+    assert all(f"_TAUT_COMPLETE={shell}_source" in page for shell in ("bash", "zsh", "fish"))
+
+
+def test_compensation_is_called_the_same_everywhere() -> None:
+    for name in ("follow", "compensate"):
+        parser = cli.taut.get_command(click.Context(cli.taut), name)
+        assert parser is not None
+        (option,) = [each for each in parser.params if "--compensation" in each.opts]
+        assert isinstance(option.type, click.Choice) and list(option.type.choices) == list(MODES)
+        assert not any("--mode" in each.opts for each in parser.params)

@@ -185,12 +185,12 @@ class _Session:
                 "record the calibration motion, and check the encoder and its unit"
             )
         self._release()
-        self.say(0.05, "image stops")
+        self.say(0.05, "measuring the delay")
         delay = self._delay()
-        self.say(0.15, "onsets")
+        self.say(0.15, "finding where the tip begins to move")
         onsets = find_onsets(self.tracks, self.rig, delay.delay_s, delay.sigma_s)
         curve = fit_widths(onsets, self.grid)
-        self.say(0.35, "passes")
+        self.say(0.35, "fitting the way up and down")
         joint, passes = self._smooth(onsets, delay, curve)
         if joint is not None and (joint.fit.fit_delay or joint.curves.delay_s != delay.delay_s):
             before, delay = delay, self._joint_delay(delay, joint)
@@ -211,7 +211,7 @@ class _Session:
             # The joint fit is so much sharper that the onsets' scatter about it is their own.
             spread = float(np.sqrt(np.clip(self.findings.evidence["onsets_against_joint_z2"], 1.0, 9.0)))
             onsets = [replace(o, sigma=o.sigma * spread) if o.used and o.kind == HINGE else o for o in onsets]
-        self.say(0.75, "f_remain")
+        self.say(0.75, "fitting f_remain")
         settled = joint.fit.settled_only if joint is not None else False
         remaining = self._remaining(width, delay.delay_s, settled) if self.choice.moves() else None
         self._comment(onsets, curve, remaining)
@@ -279,9 +279,9 @@ class _Session:
             joint = joint.fit.solve(replace(joint.curves, delay_s=delay.delay_s))
         if fit_delay and not joint.fit.fit_delay:
             joint.fit.delay_sigma_s = min(self._joint_delay(delay, joint).sigma_s, 1.0)
-        self.say(0.5, "what departs from a play")
+        self.say(0.5, "looking for what is no play")
         joint = self._separated(joint, onsets, curve)
-        self.say(0.6, "passes alone")
+        self.say(0.6, "fitting the passes alone")
         margin = 0.1 * float(np.median(joint.fit.width(joint.curves))) + 0.005 * self.domain.span
         passes = fit_passes(joint, margin)
         return joint, None if passes is None else as_many_as_independent(passes)

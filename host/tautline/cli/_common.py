@@ -9,6 +9,7 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,13 @@ def folder_option(name: str, help: str, required: bool = True) -> Callable[[Any]
     return click.option(name, type=click.Path(path_type=Path), required=required, help=help)
 
 
+compensation_option = click.option(
+    "--compensation",
+    type=click.Choice(["off", "backlash", "full"]),
+    default="full",
+    show_default=True,
+    help="off: f_coarse's inverse alone; backlash: f_coarse and B; full: f_remain and B.",
+)
 force_option = click.option("--force", is_flag=True, help="Use a model whose calibration is unusable all the same.")
 
 
@@ -98,8 +106,18 @@ def warn(text: str) -> None:
     click.echo(f"taut: warning: {text}", err=True)
 
 
+@dataclass
+class Said:
+    """What of a command is out already: the context's object."""
+
+    result: bool = False
+
+
 def emit(result: Mapping[str, Any], as_json: bool, text: str) -> None:
     """The command's result on stdout: one JSON object, or text for a person."""
+    context = click.get_current_context(silent=True)
+    if context is not None and (said := context.find_object(Said)) is not None:
+        said.result = True
     click.echo(json.dumps(plain(result), allow_nan=False) if as_json else text)
 
 
