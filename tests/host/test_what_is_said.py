@@ -22,6 +22,7 @@ from reference_instrument import RIG, moved, saved_model, saved_recording
 
 from tautline import cli
 from tautline.calibration.calibrate import calibrate
+from tautline.cli import blindtest
 from tautline.cli._commands import COMMANDS, EXIT_STATUS, GROUPS, Command
 from tautline.compensation import MODES
 from tautline.errors import TautError
@@ -257,3 +258,17 @@ def test_compensation_is_called_the_same_everywhere() -> None:
         (option,) = [each for each in parser.params if "--compensation" in each.opts]
         assert isinstance(option.type, click.Choice) and list(option.type.choices) == list(MODES)
         assert not any("--mode" in each.opts for each in parser.params)
+
+
+def test_a_campaign_says_how_long_it_takes(
+    taut: Taut, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    count = len(blindtest._QUICK.cases())
+    assert f"{count} cases" in " ".join(taut("blindtest", "--help").out.split())
+    assert f"--quick    # {count} cases" in (ROOT / "docs" / "blindtest.md").read_text()
+    clock = iter(range(0, 10_000, 60))
+    monkeypatch.setattr("time.monotonic", lambda: next(clock))
+    report = blindtest.announcing(lambda done, text: None)
+    for done in range(11):
+        report(done / 10, f"diagnosed {done} of 10")
+    assert capsys.readouterr().err == "taut: diagnosed 2 of 10; the rest takes about 8 min\n"
