@@ -272,3 +272,9 @@ def test_a_campaign_says_how_long_it_takes(
     for done in range(11):
         report(done / 10, f"diagnosed {done} of 10")
     assert capsys.readouterr().err == "taut: diagnosed 2 of 10; the rest takes about 8 min\n"
+
+
+def test_verdict_and_result_go_together(taut: Taut, folder: Path, tmp_path: Path) -> None:
+    done = taut("calibrate", folder, "--out", tmp_path / "model")
+    assert done.out.startswith("taut: calibration ") and "calibration" not in done.err
+    assert "After every change of direction" in done.out

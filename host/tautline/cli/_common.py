@@ -66,14 +66,14 @@ def warn_unusable(model: Model, folder: Path) -> None:
 _COLOURS = {Verdict.GOOD: "green", Verdict.DOUBTFUL: "yellow", Verdict.UNUSABLE: "red"}
 
 
-def show_quality(quality: Quality) -> None:
-    """The verdict in colour on stderr, a line for each reason."""
+def quality_lines(quality: Quality) -> list[str]:
+    """The verdict in colour, and a line for each reason: what stands before a result."""
     word = click.style(quality.verdict.value, fg=_COLOURS[quality.verdict], bold=True)
-    log(f"taut: calibration {word}" + (": the stated sigmas cover" if quality.verdict is Verdict.GOOD else ""))
-    for reason in quality.reasons:
-        log(f"taut:   {click.style(reason.code, bold=True)} {reason}")
+    lines = [f"taut: calibration {word}" + (": the stated sigmas cover" if quality.verdict is Verdict.GOOD else "")]
+    lines += [f"taut:   {click.style(reason.code, bold=True)} {reason}" for reason in quality.reasons]
     if quality.reasons:
-        log(f"taut:   'taut explain {quality.reasons[0].code}' says more")
+        lines.append(f"taut:   'taut explain {quality.reasons[0].code}' says more")
+    return lines
 
 
 @contextmanager

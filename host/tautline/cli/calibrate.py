@@ -17,9 +17,9 @@ from tautline.cli._common import (
     json_option,
     log,
     progress_bar,
+    quality_lines,
     read_recordings,
     rig_option,
-    show_quality,
     warn,
 )
 from tautline.cli._live import LiveOptions, live_options, opened
@@ -102,13 +102,16 @@ def command(
         kept = kept or _free(out.absolute())
         calibration, lines, made = _live(kept, rig_path, out, options, as_json=as_json, **live)
     quality = calibration.model.quality
-    show_quality(quality)
+    verdict = quality_lines(quality)
+    if as_json:
+        log("\n".join(verdict))
+        verdict = []
     for note in calibration.notes:
         log(f"taut: {note}")
     result = {**calibration.to_json(), "model": out, "report": out / reports.FILE}
     if not recording_paths:
         result |= {"recording": kept, "motion": made}
-    emit(result, as_json, "\n".join([*lines, f"{out / reports.FILE} shows it."]))
+    emit(result, as_json, "\n".join([*verdict, *lines, f"{out / reports.FILE} shows it."]))
     if not quality.usable:
         raise UnusableError(f"{out}: written, but unusable: {quality.reasons[0]}")
 

@@ -60,7 +60,7 @@ def run(
             + (f"; {reached.why}" if reached.why else "")
         )
         sentences = reports.save_model(model, [load(recording_folder, live.rig)], model_folder)
-        say("3  " + " ".join(sentences[:2]))
+        say(f"3  {model.quality.verdict.value}: {' '.join(sentences)}")
         blob = tables.encode(model, axis=live.axis)
         board.load_table(live.axis, blob, part(0.55, 0.6))
         say(f"4  tables flashed by DFU: {len(blob)} bytes, read back equal")
