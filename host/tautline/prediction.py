@@ -111,7 +111,8 @@ def times_of(
     model: Model, folder: Path, motor: Motor, file: Path | None = None, warnings: list[str] | None = None
 ) -> Times:
     """`file`'s column t_s; else the recording's: the rows of marker.csv, else of angle.csv, else of a video's
-    frames.csv, else one per frame period from motor t[0] + delay on (one per motor sample where the model's rig has no camera)."""
+    frames.csv, else one per frame period from motor t[0] + delay on (one per motor sample where the model's rig has no
+    camera)."""
     rig = model.rig
     for path, delay_s in (
         (file, model.delay_s),

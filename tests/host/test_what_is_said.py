@@ -11,23 +11,28 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import click
+import numpy as np
 import pytest
 from cli_runner import Taut
-from reference_instrument import RIG, moved, saved_model, saved_recording
+from reference_instrument import PLANT, RIG, moved, saved_model, saved_recording
 
 from tautline import cli
 from tautline.calibration.calibrate import calibrate
+from tautline.calibration.doubts import floor_of
+from tautline.calibration.observations import observe
 from tautline.cli import blindtest
 from tautline.cli._commands import COMMANDS, EXIT_STATUS, GROUPS, Command
 from tautline.compensation import MODES
+from tautline.encoder import between_samples
 from tautline.errors import TautError
 from tautline.live.setup import Recorder
-from tautline.recording import load
+from tautline.recording import Motor, load
 
 ROOT = Path(__file__).parents[2]
 SCRIPTS = [ROOT / "run", ROOT / "tools" / "setup", ROOT / "tools" / "release"]
@@ -241,6 +246,21 @@ def test_what_is_being_done_is_said_in_words() -> None:
     said: list[str] = []
     calibrate([recording], RIG, progress=lambda _, text: said.append(text))
     assert len(said) > 5 and [text for text in said if not re.match(r"(\w+ing [a-z]|done$)", text)] == []
+
+
+def test_a_log_that_is_too_slow_is_told_a_rate_that_is_faster() -> None:
+    recording = moved([-2.0, 1.0, -1.0, 2.0, -2.0], 2.0)
+    t_s = np.arange(recording.motor.t_s[0], recording.motor.t_s[-1], 0.005)
+    swing = np.abs(20.0 * t_s % 4.0 - 2.0) - 1.0  # a turn within each tenth of a second
+    track = observe([replace(recording, motor=Motor(t_s, swing))], RIG)[0]
+    grid = np.linspace(-4.0, 4.0, 201)
+    found = floor_of([track], grid, PLANT.backlash(grid), np.full(201, 0.01), "mm")
+    (reason,) = [each for each in found.reasons if each.code == "rate"]
+    rate = re.search(r"log the motor at (\d+) Hz or more", reason.remedy)
+    assert "5 ms apart" in reason.says and rate is not None and int(rate[1]) > 200
+    allowed = 0.015 * float(np.median(PLANT.backlash(grid)))
+    faster_s = np.arange(t_s[0], t_s[-1], 1.0 / int(rate[1]))
+    assert between_samples(Motor(faster_s, np.abs(20.0 * faster_s % 4.0 - 2.0) - 1.0)) <= allowed
 
 
 def test_completion_knows_the_commands_without_loading_them(monkeypatch: pytest.MonkeyPatch) -> None:

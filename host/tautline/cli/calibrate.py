@@ -177,7 +177,7 @@ def _live(
                 worst = in_words(reached.standing.worst, unit)
                 goal_said.append(f"From {low:.3g} to {high:.3g} {unit} its sigma is {worst} at most.")
     made |= {"seconds": motion.seconds, "reversals": motion.reversals, "frames": motion.frames}
-    log(f"taut: {motion.reversals} reversals in {motion.seconds:.0f} s, recorded in {kept}")
+    log(f"taut: {len(calibration.onsets)} reversals in {motion.seconds:.0f} s, recorded in {kept}")
     recordings = shifted([load(kept, calibration.model.rig)], calibration.offsets)
     return calibration, [*reports.save_model(calibration.model, recordings, out), *goal_said], made
 

@@ -55,8 +55,8 @@ def run(
             calibration, reached = calibrate_until(live, fresh, progress=part(0.0, 0.55))
         model, motion = calibration.model, reached.motion
         say(
-            f"2  calibration motion: {motion.reversals} reversals in {motion.seconds:.0f} s of the board's time, "
-            f"marker tracked in {motion.frames - motion.lost_frames} of {motion.frames} frames"
+            f"2  calibration motion: {len(calibration.onsets)} reversals in {motion.seconds:.0f} s of the board's "
+            f"time, marker tracked in {motion.frames - motion.lost_frames} of {motion.frames} frames"
             + (f"; {reached.why}" if reached.why else "")
         )
         sentences = reports.save_model(model, [load(recording_folder, live.rig)], model_folder)
@@ -83,7 +83,7 @@ def run(
         "report": page,
         "model": model_folder,
         "recording": recording_folder,
-        "reversals": motion.reversals,
+        "reversals": len(calibration.onsets),
         "seconds": motion.seconds,
         "sigma": reached.standing.worst,
         "reached": reached.reached,
