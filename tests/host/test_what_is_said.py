@@ -9,6 +9,7 @@ import re
 import shlex
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -31,8 +32,10 @@ from tautline.cli._commands import COMMANDS, EXIT_STATUS, GROUPS, Command
 from tautline.compensation import MODES
 from tautline.encoder import between_samples
 from tautline.errors import TautError
+from tautline.explain import topics
 from tautline.live.setup import Recorder
 from tautline.recording import Motor, load
+from tautline.rig import Rig
 
 ROOT = Path(__file__).parents[2]
 SCRIPTS = [ROOT / "run", ROOT / "tools" / "setup", ROOT / "tools" / "release"]
@@ -178,6 +181,16 @@ def test_a_rig_in_another_encoding_is_told_to_be_saved_in_utf_8(taut: Taut, fold
     rig.write_bytes(b'format = "rig/1"\n# the cam\xe9ra of room 7\n' + rig.read_bytes().split(b"\n", 1)[1])
     line = taut.refuses("calibrate", folder, "--rig", rig, "--out", tmp_path / "out")
     assert f"{rig}, line 2: is not UTF-8 text" in line and "codec" not in line and "--rig" not in line
+
+
+def test_the_page_on_ones_own_recordings_has_a_rig_for_an_angle_sensor() -> None:
+    page = (ROOT / "docs" / "own-recordings.md").read_text()
+    (block,) = re.findall(r"^```toml\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    rig = Rig.from_document(tomllib.loads(block), "the page's")
+    assert rig.angle is not None and rig.camera is None and rig.actuator.unit == "deg" and rig.misspelt == []
+    named = re.findall(r"^\| `([\w.]+)`[^|]*\|", page, re.MULTILINE)
+    assert len(named) > 4 and [code for code in named if code not in topics()] == []
+    assert "MJPEG" in page and "In mm/s" in page
 
 
 # -- the command line -------------------------------------------------------------------------------------------------
