@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from functools import cache
-from itertools import islice
 from pathlib import Path
 
 import cv2
@@ -313,15 +312,16 @@ def test_a_video_without_the_marker_is_an_error_that_says_what_to_do(
         track_video(Video(copy, None))
 
 
-def test_what_a_shaded_ball_does_to_the_place_is_what_the_page_says() -> None:
+def test_what_a_shaded_ball_does_to_the_place_is_what_the_page_says(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawn by a generator that shares nothing with the package; a constant is the hand-eye's."""
     page = (Path(__file__).parents[2] / "docs" / "marker.md").read_text()
     stated = re.search(r"the glint of a ball and the tube beside it ([\d.]+) to ([\d.]+) px", page)
     assert stated is not None
+    monkeypatch.setattr("tools.bench.endoscopy.RATE_HZ", 1.0)  # a few frames from all over the motion
     world = World(CONDITIONS[0], seed=1)
-    frames = list(islice(world.frames(), 0, 480, 4))
+    frames = list(world.frames())
     places = world.seen(np.array([scene for scene, _ in frames]))[0]
     tracker = MarkerTracker(pick(frames[0][1], (float(places[0, 0]), float(places[0, 1]))))
     seen = [tracker.track(picture) for _, picture in frames]
     error = np.array([(each.u_px, each.v_px) for each in seen if each.valid]) - places[[each.valid for each in seen]]
-    assert len(error) > 100 and float(stated[1]) <= np.sqrt(np.mean(error.var(axis=0))) <= float(stated[2])
+    assert len(error) > 80 and float(stated[1]) <= np.sqrt(np.mean(error.var(axis=0))) <= float(stated[2])
