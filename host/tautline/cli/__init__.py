@@ -25,6 +25,7 @@ COMMANDS = {
     "flash": "load a model's tables into a board and read them back",
     "follow": "follow a trajectory of the tip, with or without compensation",
     "stream": "send tip set-points at 200 Hz or more, for teleoperation",
+    "rig": "make a rig.toml: the camera from a board, its place from known angles, the rest by asking",
     "import": "recordings out of a ROS bag, an MCAP file, a LeRobot data set or a CSV",
     "record": "record motor, marker and video from a board and a camera",
     "monitor": "watch a board's axes live",
