@@ -163,18 +163,23 @@ static void port_reboot(void *context, bool bootloader) {
 
 // -- control step -----------------------------------------------------------------------------------------------
 
-// An alarm goes off where the timer equals it: one that has passed while it was set would be 71 minutes late.
+// An alarm goes off where the timer equals it: one that has passed while it was set would be 71 minutes late. Whole
+// periods later, as the current is measured where the PWM of every period has its bridge driving.
 static void __not_in_flash_func(set_alarm)(uint32_t due) {
     timer_hw->alarm[CONTROL_ALARM] = due;
-    while ((int32_t)(due - timer_hw->timerawl) <= 0 && (timer_hw->armed & 1u << CONTROL_ALARM) != 0) {
-        due = timer_hw->timerawl + CONTROL_PERIOD_US;
+    for (;;) {
+        const uint32_t late_us = timer_hw->timerawl - due;
+        if ((int32_t)late_us < 0 || (timer_hw->armed & 1u << CONTROL_ALARM) == 0) {
+            return;
+        }
+        due += (late_us / CONTROL_PERIOD_US + 1u) * CONTROL_PERIOD_US;
         timer_hw->alarm[CONTROL_ALARM] = due;
     }
 }
 
 static void __not_in_flash_func(control_interrupt)(void) {
     hw_clear_bits(&timer_hw->intr, 1u << CONTROL_ALARM);
-    // From the time it was due, not from now: no drift. After a flash operation it may lie behind; then from now.
+    // From the time it was due, not from now: no drift. After a flash operation that may lie behind.
     set_alarm(timer_hw->alarm[CONTROL_ALARM] + CONTROL_PERIOD_US);
 
     bridge_sense_start();
