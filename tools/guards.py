@@ -168,7 +168,7 @@ _APP = (
          APP, "app->settings == TL_WIRE_STORE_BAD", "false"),
     _one("a refused table changes nothing", SAFETY + "a_refused_table_leaves_the_one_in_use",
          TABLES, "        load(tables, axis); // what flash has: the one that was in use\n",
-         "        use(tables, axis, false);\n"),
+         "        use(tables, axis, false, false);\n"),
     _one("a table is loaded beside the one in use", "tests/c/test_drive.c::test_the_readme_s_example",
          "firmware/estimator/include/tautline/tl_drive.h", "(uint8_t)(1U - drive->used)", "drive->used"),
     _one("the instrument of a table", SAFETY + "a_table_for_another_instrument_is_refused_unless_any_will_do",
@@ -179,6 +179,20 @@ _APP = (
          APP, "tl_tables_all_off(app->port, app->axes) || since_us >= REST_MOST_US", "true"),
     _one("a status under the lock", "tests/c/test_app.c::test_a_status_is_of_one_moment", COMMAND,
          "const uint32_t state = app->port->lock(app->port->context); // all", "const uint32_t state = 0; // all"),
+    _one("events under the lock", "tests/c/test_app.c::test_no_event_is_lost_to_the_control_step", TABLES,
+         """    tl_axis_use_table(&tables->axes[index], found);
+    if (is_new) {
+        tl_axis_event(&tables->axes[index], TL_WIRE_EVENT_TABLE);
+    }
+    port->unlock(port->context, state);
+""", """    tl_axis_use_table(&tables->axes[index], found);
+    port->unlock(port->context, state);
+    if (is_new) {
+        tl_axis_event(&tables->axes[index], TL_WIRE_EVENT_TABLE);
+    }
+"""),
+    _one("a new table is told", "tests/c/test_app.c::test_no_event_is_lost_to_the_control_step", TABLES,
+         "        tl_axis_event(&tables->axes[index], TL_WIRE_EVENT_TABLE);\n", "        (void)0;\n"),
     _one("codes differ", "tests/c/duplicate_code.c::",
          "common/include/tautline/tl_wire.h", "#define TL_WIRE_CASE_(code, NAME, text) case (code):",
          "#define TL_WIRE_CASE_(code, NAME, text)"),

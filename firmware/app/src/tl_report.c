@@ -1,5 +1,7 @@
 #include "tautline/tl_report.h"
 
+#include <stdatomic.h>
+
 // What finds no room is counted: `worth` things.
 static void tell(tl_app_t *app, uint8_t type, const void *message, uint32_t *dropped, uint32_t worth) {
     if (tl_outbox_tell(&app->outbox, type, message)) {
@@ -13,6 +15,7 @@ static void tell_samples(tl_app_t *app, tl_axis_t *axis, tl_us_t now_us) {
     tl_axis_telemetry_t *telemetry = &axis->telemetry;
     const uint32_t divider = telemetry->divider == 0 ? 1U : telemetry->divider;
     while (telemetry->head - telemetry->tail >= TL_WIRE_BATCH_SAMPLES) {
+        atomic_signal_fence(memory_order_acquire); // no sample is read before head says that it is there,
         // The control step may have come since now_us was read: the difference has a sign.
         const uint32_t first_us = telemetry->samples[telemetry->tail % TL_AXIS_SAMPLES].t_us;
         const int32_t ago_us = (int32_t)((uint32_t)now_us - first_us);
@@ -33,6 +36,7 @@ static void tell_samples(tl_app_t *app, tl_axis_t *axis, tl_us_t now_us) {
             batch.duty_q15[i] = sample->duty;
             batch.flags[i] = sample->flags;
         }
+        atomic_signal_fence(memory_order_release); // nor after its place was given back
         telemetry->tail = telemetry->tail + TL_WIRE_BATCH_SAMPLES;
         tell(app, TL_WIRE_BATCH, &batch, &app->counters.telemetry_dropped, TL_WIRE_BATCH_SAMPLES);
     }

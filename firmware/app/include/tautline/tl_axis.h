@@ -147,6 +147,7 @@ static inline bool tl_axis_is_following(const tl_axis_t *axis) {
     return axis->mode == TL_WIRE_MODE_FOLLOW_MOTOR || axis->mode == TL_WIRE_MODE_FOLLOW_TIP;
 }
 
+/// Control step, or the task under the port's lock.
 static inline void tl_axis_event(tl_axis_t *axis, tl_wire_event_code_t code) {
     axis->events = (uint8_t)(axis->events | (1U << code));
 }
