@@ -177,7 +177,6 @@ static uint8_t for_axis(tl_app_t *app, uint8_t type, const tl_wire_message_t *of
     case TL_WIRE_SET_POINT:
         return set_point(app, &of->set_point, now_us);
     case TL_WIRE_MOTION_START:
-        tl_tables_abort(&app->tables); // its memory is the calibration's
         return tl_calibration_start(&app->calibration, axis, &of->motion_start);
     case TL_WIRE_MOTION_STOP:
         if (app->calibration.axis != axis) {
@@ -243,7 +242,7 @@ static uint8_t write(tl_app_t *app, uint8_t type, const tl_wire_message_t *of) {
         return TL_WIRE_REASON_KEY;
     }
     tl_tables_abort(&app->tables);
-    const uint8_t reason = tl_settings_store(app->port, app->axes, &of->settings, app->work.upload);
+    const uint8_t reason = tl_settings_store(app->port, app->axes, &of->settings, app->upload);
     app->settings = reason == 0 ? TL_WIRE_STORE_NEWEST : app->settings;
     return reason;
 }
@@ -282,9 +281,6 @@ static answer_t handle(tl_app_t *app, uint8_t type, const tl_wire_message_t *of,
     case TL_WIRE_TABLE_STORE:
     case TL_WIRE_TABLE_READ: {
         uint8_t answer = TL_WIRE_ACK;
-        if (type != TL_WIRE_TABLE_READ && app->calibration.axis != NULL) {
-            return refuse(TL_WIRE_REASON_NOT_OFF);
-        }
         const uint8_t reason = tl_command_table(&app->tables, type, of, out, &answer);
         return reason != 0 ? refuse(reason) : with(answer);
     }
@@ -342,10 +338,6 @@ void tl_command(tl_app_t *app, const tl_wire_frame_t *frame) {
     if (!app->outbox.open) {
         answer_request(app, frame, TL_WIRE_REASON_SESSION, now_us);
         return;
-    }
-    if (frame->type == TL_WIRE_CLEAR_TABLE || frame->type == TL_WIRE_SETTINGS || frame->type == TL_WIRE_TABLE_WRITE ||
-        frame->type == TL_WIRE_TABLE_STORE) {
-        tl_report_calibration(app, now_us); // one that an axis' fault has ended is over now: its memory is needed
     }
     if (frame->type == TL_WIRE_MARKER) {
         reason = take_marker(app, frame, now_us);

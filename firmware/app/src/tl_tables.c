@@ -42,7 +42,7 @@ static void note(tl_table_in_use_t *table, uint8_t state, const tl_slot_t *slot)
     table->readable = true;
 }
 
-// The best table that flash holds. Motors off: what it is read into is the calibration's at other times.
+// The best table that flash holds. Motors off.
 static void load(tl_tables_t *tables, uint8_t index) {
     tl_table_in_use_t *table = &tables->in_use[index];
     tl_slot_t slots[TL_STORE_SLOTS];

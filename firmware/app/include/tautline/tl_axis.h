@@ -27,7 +27,8 @@
 #ifndef TL_AXIS_TICKS_MIN
 #define TL_AXIS_TICKS_MIN 1U
 #endif
-#define TL_AXIS_SAMPLES   16U ///< telemetry samples waiting for the task, a power of two
+/// Telemetry samples that wait for the task and the host, a power of two: half a second of them at 1 kHz.
+#define TL_AXIS_SAMPLES   512U
 #define TL_AXIS_RANGE_MAX (4000000 * TL_COUNT_ONE)
 
 /// Once a millisecond: from what the host asks for to the reference.

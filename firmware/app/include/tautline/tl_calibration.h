@@ -16,7 +16,7 @@ typedef struct {
     tl_axis_t *axis; ///< NULL: none
     bool host_lost;  ///< it ends for that reason
     uint16_t reversals;
-    tl_calibration_work_t *work; ///< may be others' while `axis` is NULL; lost also by a start that is refused
+    tl_calibration_work_t work; ///< lost also by a start that is refused
 } tl_calibration_t;
 
 /// Why `request` cannot be, or 0 when the axis has begun to move. Task, under the lock; 64-bit divisions.
