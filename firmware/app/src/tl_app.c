@@ -86,9 +86,7 @@ static void take_frames(tl_app_t *app, const uint8_t *bytes, size_t size) {
             begin_session(app);
         }
         for (uint8_t i = 0; i < app->port->axes; i++) {
-            const uint32_t state = app->port->lock(app->port->context);
             tl_axis_hear(&app->axes[i]);
-            app->port->unlock(app->port->context, state);
         }
         tl_command(app, &frame);
     }

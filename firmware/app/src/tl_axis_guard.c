@@ -168,7 +168,7 @@ static void home(tl_axis_t *axis, tl_us_t now_us) {
 
 // -- check of motor and encoder ---------------------------------------------------------------------------------
 
-void tl_axis_start_check(tl_axis_t *axis) {
+TL_FAST void tl_axis_start_check(tl_axis_t *axis) {
     const tl_servo_gains_t *gains = &axis->motor.servo.gains;
     int32_t most = gains->friction + CHECK_PUSH;
     most = most < axis->settings.low_duty_q15 ? most : axis->settings.low_duty_q15;

@@ -2,6 +2,7 @@
 
 #include "tautline/tl_axis_ask.h"
 #include "tautline/tl_axis_rest.h"
+#include "tautline/tl_fast.h"
 
 // The wire names the motion's states and errors by the estimator's own numbers.
 _Static_assert((int)TL_WIRE_MOTION_IDLE == (int)TL_MOTION_IDLE, "motion states");
@@ -94,11 +95,11 @@ uint8_t tl_calibration_start(tl_calibration_t *calibration, tl_axis_t *axis, con
     return reason;
 }
 
-void tl_calibration_frame(tl_calibration_t *calibration) {
+TL_FAST void tl_calibration_frame(tl_calibration_t *calibration) {
     tl_motion_frame(&calibration->work.motion);
 }
 
-void tl_calibration_turn(tl_calibration_t *calibration, const tl_onset_t *onset) {
+TL_FAST void tl_calibration_turn(tl_calibration_t *calibration, const tl_onset_t *onset) {
     if (onset->started) { // else the stroke goes on, so that the tip is on an envelope again at its end
         tl_motion_onset(&calibration->work.motion, onset->direction);
     }
@@ -123,11 +124,10 @@ bool tl_calibration_marker(tl_calibration_t *calibration, const tl_wire_marker_t
 }
 
 bool tl_calibration_poll(tl_calibration_t *calibration, tl_us_t now_us, tl_onset_t *onset) {
-    return finished(calibration,
-                    tl_onset_poll(&calibration->work.detector, &calibration->work.history, now_us, onset));
+    return finished(calibration, tl_onset_poll(&calibration->work.detector, &calibration->work.history, now_us, onset));
 }
 
-bool tl_calibration_ended(tl_calibration_t *calibration, tl_us_t now_us, uint8_t *state) {
+TL_FAST bool tl_calibration_ended(tl_calibration_t *calibration, tl_us_t now_us, uint8_t *state) {
     tl_axis_t *axis = calibration->axis;
     if (axis == NULL) {
         return false;
@@ -152,7 +152,7 @@ bool tl_calibration_ended(tl_calibration_t *calibration, tl_us_t now_us, uint8_t
     return true;
 }
 
-void tl_calibration_stop(tl_calibration_t *calibration, bool host_lost) {
+TL_FAST void tl_calibration_stop(tl_calibration_t *calibration, bool host_lost) {
     calibration->host_lost = calibration->host_lost || host_lost;
     tl_motion_stop(&calibration->work.motion);
 }

@@ -16,7 +16,7 @@ static void tell_samples(tl_app_t *app, tl_axis_t *axis, tl_us_t now_us) {
     const uint32_t divider = telemetry->divider == 0 ? 1U : telemetry->divider;
     while (telemetry->head - telemetry->tail >= TL_WIRE_BATCH_SAMPLES &&
            tl_outbox_has_room(&app->outbox, TL_WIRE_BATCH)) { // what has to wait does so here
-        atomic_signal_fence(memory_order_acquire); // no sample is read before head says that it is there,
+        atomic_signal_fence(memory_order_acquire);            // no sample is read before head says that it is there,
         // The control step may have come since now_us was read: the difference has a sign.
         const uint32_t first_us = telemetry->samples[telemetry->tail % TL_AXIS_SAMPLES].t_us;
         const int32_t ago_us = (int32_t)((uint32_t)now_us - first_us);

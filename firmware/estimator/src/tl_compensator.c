@@ -33,7 +33,7 @@ static TL_FAST int32_t half_width(const tl_compensator_t *k) {
     return half_of(k, (uint32_t)tl_lookup_width(k->lookup, k->p, &ends));
 }
 
-static tl_count_q8_t fed_anew(tl_compensator_t *k) {
+static TL_FAST tl_count_q8_t fed_anew(tl_compensator_t *k) {
     k->wider = k->undoes ? half_of(k, (uint32_t)tl_undo_wider(&k->undo, k->lookup, k->p)) : 0;
     if (k->several) {
         tl_several_hold(k);
@@ -169,7 +169,7 @@ static tl_count_q8_t pushing_of(const tl_compensator_t *k, tl_count_q8_t reading
     return k->undoes ? tl_undo_pushing(&k->undo, k->lookup, reading, TL_UNDO_ROUNDS) : reading;
 }
 
-static void set_undoes(tl_compensator_t *k) {
+static TL_FAST void set_undoes(tl_compensator_t *k) {
     const bool undoes = k->undo.active && k->mode == TL_MODE_FULL;
     if (undoes && !k->undoes) { // nothing is late, and the motor reads what it did
         k->reading = k->q;
@@ -239,7 +239,7 @@ void tl_compensator_set_mode(tl_compensator_t *k, tl_mode_t mode) {
     settle(k, before);
 }
 
-void tl_compensator_set_strength(tl_compensator_t *k, int32_t strength_q15) {
+TL_FAST void tl_compensator_set_strength(tl_compensator_t *k, int32_t strength_q15) {
     const tl_count_q8_t before = fed_anew(k);
     k->strength_q15 = (uint32_t)tl_clamp(strength_q15, 0, TL_RATIO_ONE);
     absorb(k, fed_anew(k), before);
@@ -258,13 +258,13 @@ void tl_compensator_set_table(tl_compensator_t *k, const tl_lookup_t *lookup) {
     settle(k, before);
 }
 
-bool tl_compensator_adapt(tl_compensator_t *k, tl_count_q8_t offset, int32_t scale_q15, uint32_t ticks) {
+TL_FAST bool tl_compensator_adapt(tl_compensator_t *k, tl_count_q8_t offset, int32_t scale_q15, uint32_t ticks) {
     const bool allowed = tl_undo_adapt(&k->undo, k->lookup, offset, scale_q15, ticks);
     set_undoes(k);
     return allowed;
 }
 
-void tl_compensator_load(tl_compensator_t *k, int32_t load, uint32_t ticks) {
+TL_FAST void tl_compensator_load(tl_compensator_t *k, int32_t load, uint32_t ticks) {
     tl_undo_load(&k->undo, k->lookup, load, ticks);
     set_undoes(k);
 }

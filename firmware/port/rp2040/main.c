@@ -143,12 +143,12 @@ static void port_watchdog_feed(void *context) {
     watchdog_update();
 }
 
-static uint32_t port_lock(void *context) {
+static uint32_t __not_in_flash_func(port_lock)(void *context) {
     (void)context;
     return save_and_disable_interrupts();
 }
 
-static void port_unlock(void *context, uint32_t state) {
+static void __not_in_flash_func(port_unlock)(void *context, uint32_t state) {
     (void)context;
     restore_interrupts(state);
 }

@@ -18,7 +18,7 @@ typedef struct {
     tl_tables_t tables;
     tl_calibration_t calibration;
     uint8_t upload[TL_TABLE_SIZE_MAX]; ///< of a table that comes, or what the settings are put together in
-    uint8_t settings; ///< tl_wire_store_t
+    uint8_t settings;                  ///< tl_wire_store_t
     tl_wire_counters_t counters;
     tl_wire_parser_t parser;
     tl_outbox_t outbox;
