@@ -147,6 +147,26 @@ def test_a_crash_of_the_processor_coasts_every_bridge_first(kind: str, after_us:
 
 
 @pytest.mark.usefixtures("emulated")
+def test_a_debugger_that_holds_the_core_leaves_no_motor_running() -> None:
+    """PWM goes on with the last duty; the watchdog bites all the same."""
+    with DesktopBoard() as process:
+        link = process.link()
+        with open_board(process.where) as board:
+            made_ready(board, link)
+            board.ask("enable", axis=0, on=1)
+            board.ask("move", axis=0, q=3000.0, speed_s=6000.0)
+            link.ask("advance 60000")
+        assert abs(link.ask("state")["axes"][0]["duty_q15"]) > 3000
+        link.ask("halt")
+        link.ask("advance 400000")
+        after = link.ask("state")
+        assert after["starts"] == 2 and after["axes"][0]["duty_q15"] == 0
+        with open_board(process.where) as board:
+            assert board.status(0).fault == wire.code("FAULTS", "WATCHDOG")
+        link.close()
+
+
+@pytest.mark.usefixtures("emulated")
 @pytest.mark.parametrize("state", ["off", "hold", "move", "follow", "calibrate"])
 def test_the_watchdog_bites_in_every_state(state: str) -> None:
     """The main loop hangs: the board restarts, every motor off, and says why."""
@@ -186,8 +206,8 @@ def all_that_is_undone() -> bytes:
     instrument = preset("reference")
     q = np.linspace(-5.0, 5.0, 257)
     effects = (
-        Effect("actuator.encoder_periodic",
-               {"encoder_sin": 0.01, "encoder_cos": 0.006, "encoder_sin2": 0.002, "encoder_cos2": 0.001, "encoder_period": 0.5}),
+        Effect("actuator.encoder_periodic", {"encoder_sin": 0.01, "encoder_cos": 0.006, "encoder_sin2": 0.002,
+                                             "encoder_cos2": 0.001, "encoder_period": 0.5}),
         Effect("transmission.lag", {"lag": 0.05, "lag_second": 0.2}),
         Effect("transmission.creep", {"creep_share": 0.1, "creep_time": 1.0, "creep_slow": 0.3}),
         Effect("transmission.asymmetric_backlash", {"asymmetry": 0.1, "asymmetry_travel": 0.3, "asymmetry_form": 1.0}),

@@ -21,6 +21,9 @@
 #ifndef TAUTLINE_CONTROL_HZ
 #define TAUTLINE_CONTROL_HZ 5000
 #endif
+#ifndef TAUTLINE_HALT_KEEPS_DRIVING // for who debugs, with nothing on the motors
+#define TAUTLINE_HALT_KEEPS_DRIVING 0
+#endif
 #ifndef TAUTLINE_AXES
 #define TAUTLINE_AXES MOTOR2040_NUM_MOTORS
 #endif
@@ -114,12 +117,17 @@ static void __not_in_flash_func(flash_operation)(void *parameter) {
     }
 }
 
+// PWM goes on while a debugger holds the core: the watchdog does too, and its restart lets every bridge coast.
+static void watch(uint32_t ms) {
+    watchdog_enable(ms, TAUTLINE_HALT_KEEPS_DRIVING);
+}
+
 // The SDK's safe path: interrupts off, and so the control step stands still; the app has the motors off.
 static bool flash_safely(uint32_t offset, const uint8_t *page) {
     flash_operation_t operation = {STORE_OFFSET + offset, page};
-    watchdog_enable(WATCHDOG_FLASH_MS, true);
+    watch(WATCHDOG_FLASH_MS);
     const bool done = flash_safe_execute(flash_operation, &operation, FLASH_TIMEOUT_MS) == PICO_OK;
-    watchdog_enable(WATCHDOG_MS, true);
+    watch(WATCHDOG_MS);
     return done;
 }
 
@@ -212,7 +220,7 @@ static void start_control(void) {
 
 // -- what must never happen -------------------------------------------------------------------------------------
 
-// PWM goes on without the core: first the motors. Then a debugger is told; without one the watchdog restarts the board.
+// PWM goes on without the core: first the motors. Then a debugger is told, until the watchdog restarts the board.
 static _Noreturn void __not_in_flash_func(coast_and_wait)(void) {
     bridge_coast_all();
     for (;;) {
@@ -275,7 +283,7 @@ int main(void) {
     };
     tl_app_init(&board.app, &board.port);
     tl_usb_init(&board.app);
-    watchdog_enable(WATCHDOG_MS, true);
+    watch(WATCHDOG_MS);
     start_control();
     for (;;) {
         tl_app_task(&board.app);

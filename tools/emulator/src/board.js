@@ -142,6 +142,12 @@ export class Board {
         core.waiting = false;
     }
 
+    /** A debugger holds the core, and nothing else, until the next reset. */
+    halt() {
+        this.chip.lockedUp = true;
+        this.chip.watchdog.halted();
+    }
+
     /**
      * The core takes a 'hardfault' or an 'nmi', or runs into 'panic', wherever it is. Without a debugger it locks up at
      * the breakpoint that comes of it; until then: how long it took, us, and what every bridge pin was before and is then.
