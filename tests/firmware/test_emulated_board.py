@@ -223,7 +223,7 @@ def all_that_is_undone() -> bytes:
 
 @pytest.mark.usefixtures("emulated")
 def test_no_command_keeps_the_control_step_out() -> None:
-    """Interrupts are off for 6.5 us at most, even where the cache has to fetch all of the flash that is needed meanwhile."""
+    """Interrupts are off for 6.5 us at most, even with nothing of what is needed in the flash cache."""
     longest: dict[str, tuple[float, str]] = {}
     with DesktopBoard() as process, open_board(process.where) as board:
         link = process.link()

@@ -160,9 +160,9 @@ static void stand(tl_compensator_t *k, tl_count_q8_t p) {
     }
 }
 
-// Where the motor is or is to be, as its encoder reads it and as it pushes.
-static tl_count_q8_t reading_of(const tl_compensator_t *k, tl_count_q8_t q) {
-    return k->undoes ? tl_undo_reading(&k->undo, k->lookup, q) : q;
+// Where the motor was sent last, as its encoder reads it; and what it pushes from where it reads that.
+static tl_count_q8_t sent(const tl_compensator_t *k) {
+    return k->undoes ? k->reading : k->q;
 }
 
 static tl_count_q8_t pushing_of(const tl_compensator_t *k, tl_count_q8_t reading) {
@@ -223,17 +223,19 @@ void tl_compensator_know(tl_compensator_t *k, const tl_play_t *play) {
     }
 }
 
-// p* again for the last command under new settings, with the direction's memory moved along. `reading`: where the feed
-// would have the encoder now.
+// p* again for the last command under new settings, with the direction's memory moved along. `reading`: where the motor
+// was sent last, and stays: whatever it now lacks, or has too much, is still to be taken up.
 static void settle(tl_compensator_t *k, tl_count_q8_t reading) {
     const tl_count_q8_t p = wanted(k, k->c);
     k->anchor = tl_add_sat(k->anchor, p - k->p);
     stand(k, p);
-    absorb(k, fed_anew(k), pushing_of(k, reading));
+    k->reading = reading;
+    k->q = pushing_of(k, reading);
+    absorb(k, fed_anew(k), tl_add_sat(k->q, tl_compensator_rest(k)));
 }
 
 void tl_compensator_set_mode(tl_compensator_t *k, tl_mode_t mode) {
-    const tl_count_q8_t before = reading_of(k, fed_anew(k));
+    const tl_count_q8_t before = sent(k);
     k->mode = mode;
     set_undoes(k);
     settle(k, before);
@@ -246,7 +248,7 @@ TL_FAST void tl_compensator_set_strength(tl_compensator_t *k, int32_t strength_q
 }
 
 void tl_compensator_set_table(tl_compensator_t *k, const tl_lookup_t *lookup) {
-    const tl_count_q8_t before = reading_of(k, fed_anew(k));
+    const tl_count_q8_t before = sent(k);
     const int32_t place = tl_several_place(k);
     use(k, lookup);
     tl_undo_start(&k->undo, lookup, k->rate_hz);
