@@ -154,6 +154,24 @@ _APP = (
          FLASH_STORE, "kept < offset_of(axis, 1U) ? 1U : 0U", "kept < offset_of(axis, 1U) ? 0U : 1U"),
     _one("the table in use stays", STORE + "the_table_in_use_stays_where_the_newer_one_was_refused",
          FLASH_STORE, "kept == 0U ? older", "true ? older"),
+    _one("erased flash is read back", STORE + "what_flash_did_not_take_is_told_and_the_table_in_use_stays",
+         FLASH_STORE, " && is_blank(port, offset, TL_PORT_FLASH_SECTOR);", ";"),
+    _one("programmed flash is read back", STORE + "what_flash_did_not_take_is_told_and_the_table_in_use_stays",
+         FLASH_STORE, " && holds(port, offset, page, sizeof(page));", ";"),
+    _one("the integral's limit", SAFETY + "the_integral_is_no_more_than_the_drive_may_be",
+         HEADERS + "tl_servo.h", "tl_clamp(integral + error * servo->integral_step, -most, most)",
+         "tl_clamp(integral + error * servo->integral_step, -8 * most, 8 * most)"),
+    _one("a slow jog", SAFETY + "jogs_and_homing_go_at_half_the_speed_at_most", ASK,
+         """    begin(axis, low_duty(axis));
+    set_speed(axis, request->speed_q8_s, axis->plan.travel.speed / 10, axis->plan.travel.speed / 2);""",
+         """    begin(axis, low_duty(axis));
+    set_speed(axis, request->speed_q8_s, axis->plan.travel.speed / 10, axis->plan.travel.speed);"""),
+    _one("slow homing", SAFETY + "jogs_and_homing_go_at_half_the_speed_at_most", ASK,
+         """low_duty(axis));
+    set_speed(axis, request->speed_q8_s, axis->plan.travel.speed / 10, axis->plan.travel.speed / 2);
+    axis->plan.move_target = tl_reference_q""", """low_duty(axis));
+    set_speed(axis, request->speed_q8_s, axis->plan.travel.speed / 10, axis->plan.travel.speed);
+    axis->plan.move_target = tl_reference_q"""),
     _one("a damaged upload touches nothing",
          STORE + "a_damaged_upload_leaves_the_table_in_use_though_flash_has_lost_it",
          "firmware/app/src/tl_tables.c", "reason = tl_table_check_blob(blob, size, axis);", "reason = TL_TABLE_OK;"),

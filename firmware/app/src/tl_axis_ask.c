@@ -8,7 +8,6 @@
 
 #define AT_ONCE_US 50000U // longest time that a set-point without one takes
 #define PLAN_US    (1000000U / TL_AXIS_PLAN_HZ)
-#define CHECK_US   2000000U // a check ends by itself before
 
 #define COPY(kind, name, doc)              to->name = from->name;
 #define COPY_ARRAY(kind, name, count, doc) memcpy(to->name, from->name, sizeof(to->name));
@@ -366,8 +365,7 @@ TL_FAST uint8_t tl_axis_enable(tl_axis_t *axis) {
         if (axis->checked) {
             tl_axis_enter(axis, TL_WIRE_MODE_HOLD);
         } else {
-            may_be_silent(axis, CHECK_US);
-            tl_axis_start_check(axis);
+            tl_axis_start_check(axis); // which ends by itself
         }
     } else if (axis->mode == TL_WIRE_MODE_STOPPING_OFF) {
         axis->guard.lapsed = false;

@@ -255,8 +255,7 @@ static void check(tl_axis_t *axis, tl_us_t now_us) {
 // ---------------------------------------------------------------------------------------------------------------
 
 static bool has_patience(const tl_axis_t *axis) {
-    return tl_axis_is_following(axis) || axis->mode == TL_WIRE_MODE_MOVE || axis->mode == TL_WIRE_MODE_HOME ||
-           axis->mode == TL_WIRE_MODE_CHECK;
+    return tl_axis_is_following(axis) || axis->mode == TL_WIRE_MODE_MOVE || axis->mode == TL_WIRE_MODE_HOME;
 }
 
 // What no axis that follows has to do.
