@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -40,6 +40,7 @@ from tautline.model import Model
 from tautline.quality import Quality, Reason
 from tautline.recording import Recording
 from tautline.rig import Rig
+from tautline.value import Value
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -65,9 +66,17 @@ class Options:
     remaining: Literal["direct", "morphological"] = "direct"
     elements: Literal["auto", "one"] = "auto"  # of the play: several where the data ask for them
 
+    def __post_init__(self) -> None:
+        for name, choices in get_type_hints(Options).items():
+            value, allowed = getattr(self, name), get_args(choices)
+            if get_origin(choices) is Literal and value not in allowed:
+                raise TautError(f"{name} {value!r} is not there: choose one of {', '.join(allowed)}")
+        if self.delay_s is not None and not np.isfinite(self.delay_s):
+            raise TautError(f"delay_s {self.delay_s} is no time: give seconds, or None to estimate it")
 
-@dataclass(frozen=True)
-class Calibration:
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Calibration(Value):
     model: Model
     onsets: tuple[Onset, ...]
     delay: Delay

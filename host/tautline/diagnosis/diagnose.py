@@ -21,6 +21,7 @@ from tautline.diagnosis.segment import Segment, load_reference, prepare
 from tautline.effects.library.registration import with_registration
 from tautline.model import Effect, Model, monotone
 from tautline.recording import Recording
+from tautline.value import Value
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -30,8 +31,8 @@ _NO_NOISE = 0.8  # of a floor: a calibration that leaves less shows that it is n
 _STEADY = 0.5  # share of a gap's power that does not change within a recording
 
 
-@dataclass(frozen=True)
-class Diagnosis:
+@dataclass(frozen=True, eq=False, repr=False)
+class Diagnosis(Value):
     document: dict[str, Any]  # diagnosis.json
     nominal: Model
     corrected: Model
