@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from tautline.calibration.calibrate import Calibration as Calibration
     from tautline.compensation import Compensator as Compensator
     from tautline.compensation import SetPoints as SetPoints
+    from tautline.core.session import Session as Session
     from tautline.diagnosis.diagnose import Diagnosis as Diagnosis
     from tautline.elements import Elements as Elements
     from tautline.errors import TautError as TautError
@@ -74,6 +75,7 @@ _PUBLIC = {
     "Reason": "quality",
     "Recording": "recording",
     "Rig": "rig",
+    "Session": "core.session",
     "SetPoints": "compensation",
     "TautError": "errors",
     "Tracked": "tracking",

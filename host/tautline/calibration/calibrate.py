@@ -33,6 +33,7 @@ from tautline.calibration.remaining import Remaining, fit_remaining, morphologic
 from tautline.calibration.several import fit_elements, left
 from tautline.calibration.smooth import Domain, fit_jointly, fit_passes, freeze
 from tautline.calibration.worth import worth
+from tautline.core.session import Session
 from tautline.elements import SINGLE
 from tautline.errors import TautError
 from tautline.geometry import coarse_range_deg
@@ -144,7 +145,7 @@ def calibrate(
 ) -> Calibration:
     """Measures B(q), f_remain and the delay from recordings of any motion. Raises TautError where nothing can be
     measured; says in notes and warnings what could not."""
-    options = options or Options()
+    options, recordings = options or Options(), Session(recordings).in_time()
     say = progress or (lambda share, what: None)
     say(0.0, "reading frames")
     every = observe(recordings, rig)
