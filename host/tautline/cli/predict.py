@@ -8,7 +8,7 @@ import click
 
 from tautline.cli._common import emit, json_option, warn, warn_unusable
 from tautline.model import Model
-from tautline.prediction import predict, times_of, write_csv
+from tautline.prediction import TRUTH_FILE, off_the_truth, predict, times_of, write_csv
 from tautline.recording import load_motor
 
 
@@ -29,8 +29,9 @@ def command(
 ) -> None:
     """What a model says the tip does under a recorded motor motion.
 
-    Only motor.csv is needed. One row per row of marker.csv, else of angle.csv, else one per frame period. These are
-    arrival times: c, u and v are those of t_s minus the delay of the camera or the sensor.
+    Only motor.csv is needed. One row per row of marker.csv, else of angle.csv, else of a video's frames.csv, else one
+    per frame period. These are arrival times: c, u and v are those of t_s minus the delay of the camera or the sensor.
+    Where truth.csv lies beside motor.csv, it is said how far off the bending angle is.
     """
     model = Model.load(model_path)
     warn_unusable(model, model_path)
@@ -39,9 +40,12 @@ def command(
     times = times_of(model, recording_path, motor, times_path, warnings)
     for warning in warnings:
         warn(warning)
-    write_csv(csv_path, times, predict(model, motor, times.scene_s, start_deg))
+    prediction = predict(model, motor, times.scene_s, start_deg)
+    write_csv(csv_path, times, prediction)
+    off_deg = off_the_truth(model, recording_path, motor, times, prediction)
+    score = "" if off_deg is None else f", {off_deg:.2g} deg rms off {TRUTH_FILE}"
     emit(
-        {"csv": csv_path, "rows": len(times.cells), "delay_s": times.delay_s},
+        {"csv": csv_path, "rows": len(times.cells), "delay_s": times.delay_s, "off_truth_deg": off_deg},
         as_json,
-        f"{csv_path}: {len(times.cells)} rows",
+        f"{csv_path}: {len(times.cells)} rows{score}",
     )

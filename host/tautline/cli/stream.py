@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tautline.cli._common import emit, force_option, json_option, refuse_unusable, rig_option, warn
+from tautline.cli._common import emit, force_option, json_option, read_rig, refuse_unusable, rig_option, warn
 from tautline.cli._live import (
     RECALLS,
     axis_option,
@@ -28,7 +28,6 @@ from tautline.cli._live import (
 )
 from tautline.errors import TautError
 from tautline.model import Model
-from tautline.rig import Rig
 
 if TYPE_CHECKING:
     from tautline.device.board import Board
@@ -155,7 +154,7 @@ def _opened(
     from tautline.live.setup import open_live
     from tautline.vision.colour import MarkerColour
 
-    rig = of_rig.rig if rig_path is None else Rig.load(rig_path)
+    rig = of_rig.rig if rig_path is None else read_rig(rig_path)
     seen_as = MarkerColour.load(colour)
     live = stack.enter_context(open_live(board=where, camera=camera, rig=rig, axis=axis, colour=seen_as))
     if model is None and library is not None:
