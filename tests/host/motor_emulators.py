@@ -9,8 +9,10 @@ from __future__ import annotations
 import contextlib
 import os
 import pty
+import select
 import struct
 import threading
+import time
 import tty
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -105,27 +107,34 @@ class SerialBus:
         self._master, self._slave = pty.openpty()
         tty.setraw(self._slave)
         self.path, self.ills = os.ttyname(self._slave), Ills()
-        self._answer, self._buffer = answer, bytearray()
+        self._answer, self._buffer, self._busy = answer, bytearray(), False
         self._thread = threading.Thread(target=self._serve, daemon=True)
         self._thread.start()
 
     def _serve(self) -> None:
-        with contextlib.suppress(OSError):
-            while data := os.read(self._master, 4096):
-                if self.ills.pulled:
-                    continue
-                self._buffer += data
+        with contextlib.suppress(OSError, ValueError):
+            while True:
+                select.select([self._master], [], [])
+                self._busy = True
+                data = os.read(self._master, 4096)
+                self._buffer += data if not self.ills.pulled else b""
                 for answer in self._answer(self._buffer):
                     for piece in self.ills.through(answer):
                         os.write(self._master, piece)
+                self._busy = False
+
+    def settle(self) -> None:
+        """Waits until all that was sent has been taken in: in virtual time a bus takes none."""
+        while select.select([self._master], [], [], 0)[0] or self._busy:
+            time.sleep(2e-5)
 
     def close(self) -> None:
-        os.close(self._slave)
+        os.close(self._slave)  # what serves sees it, and ends
         with contextlib.suppress(OSError):
             os.close(self._master)
 
 
-# -- Dynamixel, protocol 2 ----------------------------------------------------------------------------------------------
+# -- Dynamixel, protocol 2 --------------------------------------------------------------------------------------------
 
 
 def crc16(data: bytes) -> int:
@@ -217,17 +226,16 @@ class DynamixelEmulator:
         self.bus.close()
 
 
-# -- the bench ----------------------------------------------------------------------------------------------------------
+# -- the bench --------------------------------------------------------------------------------------------------------
 
 
 class Bench:
     """Drives in virtual time. It answers as a sim link does, so that the package's simulated axis stands behind it."""
 
-    def __init__(self, motors: list[Motor]) -> None:
-        self.motors, self.us = motors, 0
+    def __init__(self, motors: list[Motor], settle: Callable[[], None]) -> None:
+        self.motors, self.us, self._settle = motors, 0, settle
         self.link: HostedLink | None = None
         self._due_us = 0.0
-        self._late_us = 0  # of the cycle that comes
 
     def clock(self) -> float:
         return self.us * 1e-6
@@ -248,6 +256,7 @@ class Bench:
             if self.us >= self._due_us:
                 self._due_us += 1e6 * self.link.period_s
                 self.link.cycle()
+                self._settle()
         return {"t_us": self.us, "dt_us": _STEP_US, "q": log}
 
     def close(self) -> None:

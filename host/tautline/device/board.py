@@ -293,6 +293,15 @@ class Board:
     def axes(self) -> int:
         return int(self.identity.axes)
 
+    @property
+    def log_divider(self) -> int:
+        """Of telemetry: 1 for a board, more where its motors are asked less often than each millisecond."""
+        return self._link.log_divider
+
+    def bus(self) -> dict[str, Any]:
+        """How often motors on a bus of their own are asked, and how late they follow; empty for a board."""
+        return dict(self._link.bus())
+
     def status(self, axis: int) -> wire.Message:
         return self.ask("get_status", axis=axis)
 

@@ -35,7 +35,7 @@ KINDS = {
         "dynamixel", "Dynamixel", "dynamixel_sdk", "Dynamixel X series, protocol 2", "dynamixel:/dev/ttyUSB0:1"
     ),
 }
-_EXTRA = "pip install 'tautline-robotics[drivers]'"
+EXTRA = "pip install 'tautline-robotics[drivers]'"
 _RATES_HZ = (20.0, 1000.0)
 
 
@@ -88,7 +88,7 @@ def _module(kind: str) -> Any:
     try:
         return importlib.import_module(f"tautline.motors.{KINDS[kind].module}")
     except ModuleNotFoundError as error:
-        raise TautError(f"{kind}: its library ({KINDS[kind].package}) is not installed: run '{_EXTRA}'") from error
+        raise TautError(f"{kind}: its library ({KINDS[kind].package}) is not installed: run '{EXTRA}'") from error
 
 
 def open_drives(address: Address, **options: Any) -> Drives:

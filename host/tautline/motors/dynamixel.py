@@ -41,13 +41,13 @@ _ERROR_BITS = {0: "voltage", 2: "heat", 3: "encoder", 4: "electrical shock", 5: 
 class _Port(PortHandler):  # type: ignore[misc]
     """The SDK's port, which waits for bytes instead of asking for them all the time, and answers when told to."""
 
-    def setupPort(self, baud: int) -> bool:  # noqa: N802
+    def setupPort(self, baud: int) -> bool:
         if not super().setupPort(baud):
             return False
-        self.ser.timeout = 2e-3
+        self.ser.timeout, self.ser.exclusive = 2e-3, True
         return True
 
-    def setPacketTimeout(self, length: int) -> None:  # noqa: N802
+    def setPacketTimeout(self, length: int) -> None:
         self.setPacketTimeoutMillis(self.tx_time_per_byte * length + _ANSWER_MS)
 
 

@@ -1,8 +1,8 @@
 """The board's application on the host, over the drives of a bus: `Board` speaks to it as to a board on USB.
 
 A cycle asks the drives where they are, lets the application run until then, and hands each its set-point. Between two
-cycles drives are taken to move in straight lines. The application is the board's own code, at the board's own rate; what
-is slower than a board is how often a drive is asked and told, and how late it follows: both are measured here.
+cycles drives are taken to move in straight lines. The application is the board's own code, at the board's own rate;
+what is slower than a board is how often a drive is asked and told, and how late it follows: both are measured here.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import hashlib
 import os
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +46,7 @@ class Timing:
     round_trip_s: float = 0.0  # mean, of asking and being told
     round_trip_most_s: float = 0.0
     lag_s: float = 0.0  # of the drive behind its set-point; planned for
+    fault: str = ""  # what a drive said last that is wrong with it
 
 
 def flash_file(where: str) -> Path:
@@ -64,6 +65,7 @@ class HostedLink:
         self, drives: Drives, where: str, rate_hz: float, clock: Clock = time.monotonic, paced: bool = True
     ) -> None:
         self.drives, self.where, self.period_s, self.timing = drives, where, 1.0 / rate_hz, Timing()
+        self.log_divider = min(max(round(1e3 * self.period_s), 1), 60)
         self._clock, self._epoch_s = clock, clock()
         self._lock, self._arrived = threading.Lock(), threading.Condition()
         self._out = bytearray()
@@ -164,6 +166,7 @@ class HostedLink:
             return
         t_s = measured[0].t_s
         self._heard_s = t_s
+        self.timing.fault = next((m.fault for m in measured if m.fault), self.timing.fault)
         with self._lock:
             self._board.run(self._us(t_s), _rows(measured), 0)
             goals = [self._board.goal(axis) for axis in range(len(measured))]
@@ -260,6 +263,11 @@ class HostedLink:
 
     def tables(self, axis: int) -> None:
         return None
+
+    def bus(self) -> dict[str, Any]:
+        drives = [f"{drive.number}: {drive.model}, firmware {drive.firmware}" for drive in self.drives.drives]
+        of_drives = {"drives": drives, "rest_s": self.drives.rest_s, "watchdog": self.drives.watchdog}
+        return {"rate_hz": 1.0 / self.period_s, **asdict(self.timing), **of_drives}
 
     def close(self) -> None:
         self._stop.set()
