@@ -7,6 +7,7 @@ A drive is a position loop in first order with limits on speed and acceleration 
 from __future__ import annotations
 
 import contextlib
+import copy
 import os
 import pty
 import select
@@ -14,11 +15,13 @@ import struct
 import threading
 import time
 import tty
+import uuid
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
+import can
 import numpy as np
 
 from tautline.motors.hosted import HostedLink
@@ -221,6 +224,222 @@ class DynamixelEmulator:
         if address == 64 and motor.on:
             motor.goal = motor.position
         return 0
+
+    def close(self) -> None:
+        self.bus.close()
+
+
+# -- Feetech STS ------------------------------------------------------------------------------------------------------
+
+
+class FeetechEmulator:
+    """STS servos: a memory table each, READ, WRITE, SYNC READ and SYNC WRITE. Signs are in bit 15."""
+
+    def __init__(self, motors: list[Motor]) -> None:
+        self.motors = motors
+        self.tables = [self._fresh(i) for i in range(len(motors))]
+        self.bus = SerialBus(self._take)
+
+    def _fresh(self, index: int) -> bytearray:
+        table = bytearray(96)
+        table[0:2], table[3:5], table[5] = b"\x03\x09", struct.pack("<H", 777), index + 1
+        return table
+
+    def _take(self, buffer: bytearray) -> Iterator[bytes]:
+        while (start := buffer.find(b"\xff\xff")) >= 0:
+            del buffer[:start]
+            if len(buffer) < 4 or len(buffer) < 4 + buffer[3]:
+                return
+            packet = bytes(buffer[: 4 + buffer[3]])
+            del buffer[: len(packet)]
+            if ~sum(packet[2:-1]) & 0xFF == packet[-1]:
+                yield from self._obey(packet[2], packet[4], packet[5:-1])
+
+    def _obey(self, number: int, instruction: int, given: bytes) -> Iterator[bytes]:
+        if instruction == 0x82:
+            for one in given[2:]:
+                if one <= len(self.motors):
+                    yield self._status(one, self._read(one - 1, given[0], given[1]))
+        elif instruction == 0x83:
+            for at in range(2, len(given), 1 + given[1]):
+                self._write(given[at] - 1, given[0], given[at + 1 : at + 1 + given[1]])
+        elif number <= len(self.motors):
+            if instruction == 0x02:
+                yield self._status(number, self._read(number - 1, given[0], given[1]))
+            elif instruction == 0x03:
+                self._write(number - 1, given[0], given[1:])
+                yield self._status(number, b"")
+
+    @staticmethod
+    def _status(number: int, data: bytes) -> bytes:
+        inside = bytes([number, len(data) + 2, 0]) + data
+        return b"\xff\xff" + inside + bytes([~sum(inside) & 0xFF])
+
+    @staticmethod
+    def _with_sign(value: int) -> int:
+        return -value | 0x8000 if value < 0 else value
+
+    def _read(self, index: int, address: int, size: int) -> bytes:
+        motor, table = self.motors[index], self.tables[index]
+        struct.pack_into("<HH", table, 56, self._with_sign(motor.counts), self._with_sign(round(motor.speed)))
+        return bytes(table[address : address + size])
+
+    def _write(self, index: int, address: int, data: bytes) -> None:
+        motor, table = self.motors[index], self.tables[index]
+        was = motor.on
+        table[address : address + len(data)] = data
+        motor.on = bool(table[40])
+        if address == 42:
+            raw = struct.unpack_from("<H", table, 42)[0]
+            goal = float(-(raw & 0x7FFF) if raw & 0x8000 else raw)
+            motor.aim(goal) if motor.on else setattr(motor, "goal", goal)
+        assert was or not motor.on or abs(motor.goal - motor.position) < 4.0, "torque on far from the goal"
+
+    def close(self) -> None:
+        self.bus.close()
+
+
+# -- CANopen, CiA 402 -------------------------------------------------------------------------------------------------
+
+
+class CanBus:
+    """A virtual CAN bus with a thread that answers; what it was asked is answered in turn."""
+
+    _MARK = 0x7FE
+
+    def __init__(self, answer: Callable[[can.Message], Iterator[can.Message]], fd: bool = False) -> None:
+        self.channel, self.ills = f"bench-{uuid.uuid4().hex[:8]}", Ills()
+        self._answer, self._marked, self._done = answer, threading.Semaphore(0), False
+        self._bus = can.Bus(interface="virtual", channel=self.channel, fd=fd)
+        self._marker = can.Bus(interface="virtual", channel=self.channel, fd=fd)
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    def _serve(self) -> None:
+        while not self._done:
+            message = self._bus.recv(0.2)
+            if message is None:
+                continue
+            if message.arbitration_id == self._MARK:
+                self._marked.release()
+            elif not self.ills.pulled:
+                for answer in self._answer(message):
+                    for piece in self.ills.through(bytes(answer.data)):
+                        answer = copy.copy(answer)
+                        answer.data = bytearray(piece)
+                        self._bus.send(answer)
+
+    def settle(self) -> None:
+        """Waits until all that was sent has been taken in."""
+        self._marker.send(can.Message(arbitration_id=self._MARK, is_extended_id=False))
+        assert self._marked.acquire(timeout=5.0)
+
+    def close(self) -> None:
+        self._done = True
+        self._thread.join()
+        self._bus.shutdown()
+        self._marker.shutdown()
+
+
+class Cia402Emulator:
+    """Drives with an object dictionary, expedited SDOs, two PDOs each way, NMT, SYNC and a heartbeat consumer."""
+
+    def __init__(self, motors: list[Motor], turn: int = 4096) -> None:
+        self.motors = motors
+        self.nodes = [self._fresh(turn) for _ in motors]
+        self.bus = CanBus(self._take)
+
+    def _fresh(self, turn: int) -> dict[str, Any]:
+        objects = {
+            (0x1008, 0): (4, b"EMUL"), (0x608F, 1): (4, turn), (0x608F, 2): (4, 1), (0x6080, 0): (4, 180),
+            (0x60C5, 0): (4, 300000), (0x607D, 1): (4, -20000), (0x607D, 2): (4, 20000), (0x6075, 0): (4, 1000),
+            (0x6073, 0): (2, 1500), (0x6040, 0): (2, 0), (0x6041, 0): (2, 0x40), (0x6060, 0): (1, 0),
+            (0x6064, 0): (4, 0), (0x607A, 0): (4, 0), (0x606C, 0): (4, 0), (0x6078, 0): (2, 0), (0x60C2, 1): (1, 1),
+            (0x60C2, 2): (1, -3), (0x1016, 1): (4, 0), (0x6007, 0): (2, 0),
+        }  # fmt: skip
+        for mapping, parameters in ((0x1A00, 0x1800), (0x1A01, 0x1801), (0x1600, 0x1400)):
+            objects |= {(mapping, i): (1 if i == 0 else 4, 0) for i in range(4)}
+            objects |= {(parameters, 1): (4, 0), (parameters, 2): (1, 0)}
+        return {"objects": objects, "operational": False, "target": None}
+
+    def _take(self, message: can.Message) -> Iterator[can.Message]:
+        cob, data = message.arbitration_id, bytes(message.data)
+        for i, (motor, node) in enumerate(zip(self.motors, self.nodes, strict=True)):
+            number, objects = i + 1, node["objects"]
+            watched = objects[0x1016, 1][1]
+            if cob == 0x700 + (watched >> 16 & 0x7F) and watched:
+                motor.watchdog_s = (watched & 0xFFFF) * 1e-3
+                motor.heard()
+            if cob == 0 and data[1] in (0, number):
+                node["operational"] = data[0] == 0x01
+            elif cob == 0x600 + number:
+                yield self._message(0x580 + number, self._sdo(motor, node, data))
+            elif cob == 0x80 and node["operational"]:
+                if node["target"] is not None:
+                    control, target = node["target"]
+                    self._control(motor, node, control)
+                    if motor.on and objects[0x6060, 0][1] == 8:
+                        motor.aim(float(target))
+                    node["target"] = None
+                yield from self._process_data(motor, node, number)
+            elif cob == objects[0x1400, 1][1] and node["operational"]:
+                assert [objects[0x1600, k][1] for k in range(3)] == [2, 0x60400010, 0x607A0020]
+                node["target"] = struct.unpack("<Hi", data)
+
+    @staticmethod
+    def _message(cob: int, data: bytes) -> can.Message:
+        return can.Message(arbitration_id=cob, data=data, is_extended_id=False)
+
+    def _process_data(self, motor: Motor, node: dict[str, Any], number: int) -> Iterator[can.Message]:
+        objects = node["objects"]
+        self._measure(motor, objects)
+        for mapping, parameters in ((0x1A01, 0x1801), (0x1A00, 0x1800)):
+            data = b""
+            for k in range(objects[mapping, 0][1]):
+                entry = objects[mapping, k + 1][1]
+                size, value = objects[entry >> 16, entry >> 8 & 0xFF]
+                data += value.to_bytes(size, "little", signed=value < 0)
+            if data:
+                yield self._message(objects[parameters, 1][1] & 0x7FF, data)
+
+    def _measure(self, motor: Motor, objects: dict[tuple[int, int], tuple[int, Any]]) -> None:
+        objects[0x6064, 0] = 4, motor.counts
+        objects[0x606C, 0] = 4, round(motor.speed)
+
+    def _control(self, motor: Motor, node: dict[str, Any], control: int) -> None:
+        """The states of CiA 402 as far as a host sees them."""
+        objects = node["objects"]
+        state = objects[0x6041, 0][1]
+        if motor.tripped and control & 0x80:
+            motor.tripped, state = False, 0x40
+        elif control & 0x0F == 0x06 and state in (0x40, 0x23, 0x27):
+            state = 0x21
+        elif control & 0x0F == 0x07 and state in (0x21, 0x27):
+            state = 0x23
+        elif control & 0x0F == 0x0F and state == 0x23:
+            state = 0x27
+            motor.goal = motor.position
+        elif control & 0x02 == 0:
+            state = 0x40
+        objects[0x6041, 0] = 2, state
+        motor.on = state == 0x27
+
+    def _sdo(self, motor: Motor, node: dict[str, Any], data: bytes) -> bytes:
+        command, index, sub = struct.unpack_from("<BHB", data)
+        objects = node["objects"]
+        if (index, sub) not in objects:
+            return struct.pack("<BHBI", 0x80, index, sub, 0x06020000)
+        self._measure(motor, objects)
+        size, value = objects[index, sub]
+        if command == 0x40:
+            raw = value if isinstance(value, bytes) else value.to_bytes(size, "little", signed=value < 0)
+            return struct.pack("<BHB", 0x43 | (4 - len(raw)) << 2, index, sub) + raw.ljust(4, b"\0")
+        signed = index in (0x607A, 0x607D, 0x60C2)
+        given = int.from_bytes(data[4 : 4 + size], "little", signed=signed)
+        if (index, sub) == (0x6040, 0):
+            self._control(motor, node, given)
+        objects[index, sub] = size, given
+        return struct.pack("<BHBI", 0x60, index, sub, 0)
 
     def close(self) -> None:
         self.bus.close()

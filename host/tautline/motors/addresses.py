@@ -34,6 +34,10 @@ KINDS = {
     "dynamixel": Kind(
         "dynamixel", "Dynamixel", "dynamixel_sdk", "Dynamixel X series, protocol 2", "dynamixel:/dev/ttyUSB0:1"
     ),
+    "feetech": Kind("feetech", "Feetech", "scservo_sdk", "Feetech STS and SMS", "feetech:/dev/ttyUSB0:1"),
+    "canopen": Kind(
+        "cia402", "Cia402", "canopen", "CANopen drives, CiA 402 cyclic synchronous position", "canopen:socketcan/can0:1"
+    ),
 }
 EXTRA = "pip install 'tautline-robotics[drivers]'"
 _RATES_HZ = (20.0, 1000.0)
@@ -94,7 +98,7 @@ def _module(kind: str) -> Any:
 def open_drives(address: Address, **options: Any) -> Drives:
     """`options`: what a driver's class takes beside an address."""
     make: Callable[..., Drives] = getattr(_module(address.kind), KINDS[address.kind].driver)
-    return make(address.bus, address.numbers, address.baud, **options)
+    return make(address.bus, address.numbers, address.baud, address.rate_hz, **options)
 
 
 def find_motors(where: str) -> list[BoardAddress]:
