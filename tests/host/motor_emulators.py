@@ -19,7 +19,7 @@ import uuid
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import can
 import numpy as np
@@ -440,6 +440,77 @@ class Cia402Emulator:
             self._control(motor, node, given)
         objects[index, sub] = size, given
         return struct.pack("<BHBI", 0x60, index, sub, 0)
+
+    def close(self) -> None:
+        self.bus.close()
+
+
+# -- moteus -----------------------------------------------------------------------------------------------------------
+
+
+class MoteusEmulator:
+    """Controllers with registers behind the multiplex protocol, and the position watchdog."""
+
+    _SIZES = (1, 2, 4, 4)
+    _SCALES: ClassVar = {0x001: (0.01, 1e-4, 1e-5), 0x002: (0.1, 2.5e-4, 1e-5), 0x004: (1.0, 0.1, 1e-3)}
+
+    def __init__(self, motors: list[Motor], turn: int = 4096) -> None:
+        self.motors, self._turn = motors, turn
+        self.modes = [0 for _ in motors]
+        self.bus = CanBus(self._take, fd=True)
+
+    def _take(self, message: can.Message) -> Iterator[can.Message]:
+        index = (message.arbitration_id & 0x7F) - 1
+        if not 0 <= index < len(self.motors):
+            return
+        reply = self._obey(index, bytes(message.data))
+        if message.arbitration_id & 0x8000:
+            length = next(n for n in (*range(9), 12, 16, 20, 24, 32, 48, 64) if n >= len(reply))
+            cob = (index + 1) << 8 | message.arbitration_id >> 8 & 0x7F
+            data = reply.ljust(length, b"\x50")
+            yield can.Message(arbitration_id=cob, data=data, is_fd=True, is_extended_id=cob > 0x7FF)
+
+    def _obey(self, index: int, data: bytes) -> bytes:
+        reply, at, written = b"", 0, {}
+        while at < len(data) and data[at] != 0x50:
+            command, kind, count = data[at] & 0xF0, data[at] >> 2 & 3, data[at] & 3
+            at += 1
+            if count == 0:
+                count, at = data[at], at + 1
+            register, at = data[at], at + 1
+            size = self._SIZES[kind]
+            if command == 0x00:
+                for k in range(count):
+                    written[register + k] = struct.unpack_from("<" + "bhif"[kind], data, at)[0]
+                    at += size
+            elif command == 0x10:
+                reply += bytes([0x20 | kind << 2 | (count if count < 4 else 0)])
+                reply += (bytes([count]) if count >= 4 else b"") + bytes([register])
+                for k in range(count):
+                    reply += self._value(index, register + k, kind)
+        self._written(index, written)
+        return reply
+
+    def _value(self, index: int, register: int, kind: int) -> bytes:
+        motor = self.motors[index]
+        self.modes[index] = 11 if motor.tripped else self.modes[index]
+        value = {
+            0x000: self.modes[index], 0x001: motor.counts / self._turn, 0x002: motor.speed / self._turn, 0x004: 0.1,
+            0x00C: 2, 0x00D: 24,
+        }.get(register, 0)  # fmt: skip
+        if kind == 3:
+            return struct.pack("<f", value)
+        return struct.pack("<" + "bhi"[kind], round(value / self._SCALES.get(register, (1.0, 1.0, 1.0))[kind]))
+
+    def _written(self, index: int, written: dict[int, float]) -> None:
+        motor = self.motors[index]
+        mode = written.get(0x000)
+        if mode == 0:
+            self.modes[index], motor.on, motor.tripped = 0, False, False
+        elif mode == 10 and self.modes[index] in (0, 10) and not motor.tripped:
+            self.modes[index], motor.on, motor.watchdog_s = 10, True, written[0x027]
+            motor.heard()
+            motor.aim(written[0x020] * self._turn)
 
     def close(self) -> None:
         self.bus.close()

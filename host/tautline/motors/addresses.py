@@ -38,6 +38,7 @@ KINDS = {
     "canopen": Kind(
         "cia402", "Cia402", "canopen", "CANopen drives, CiA 402 cyclic synchronous position", "canopen:socketcan/can0:1"
     ),
+    "moteus": Kind("moteus_drives", "Moteus", "moteus", "moteus controllers", "moteus:socketcan/can0:1"),
 }
 EXTRA = "pip install 'tautline-robotics[drivers]'"
 _RATES_HZ = (20.0, 1000.0)

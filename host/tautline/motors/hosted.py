@@ -31,8 +31,8 @@ _SLOW = 0.02  # of the speed limit: below it a lag is not seen
 _LAG_MOST_S = 0.2
 _FOLLOWING_S = 0.15  # of motion at the speed limit: how far a drive may be behind
 _CHECK_SHARE = 0.05  # of the speed limit, at which the first enable looks whether a drive moves
+_SPEED_MOST, _ACCELERATION_MOST = 30_000.0, 250_000.0  # that the application plans, counts/s and counts/s2
 _LOW_DUTY, _FRICTION, _CHECK_PUSH = 8192, 0, 2621  # of the application's check; see hosted/actuator.h
-_WAIT_S = 0.05
 
 
 @dataclass
@@ -76,14 +76,14 @@ class HostedLink:
         self._on = [False for _ in drives.drives]
         self._file = flash_file(where)
         flash = self._file.read_bytes() if self._file.is_file() else b""
-        first = self._first()
-        self._last_s = first[0].t_s
+        self._scales = [_scale(drive.limits.speed) for drive in drives.drives]
+        first = self._rows(self._first(), whole=True)
+        self._last_s = clock()
         most_ma = max(round(min(drive.limits.current_ma for drive in drives.drives)), 0)
         kind, _, serial = where.partition(":")
-        self._board = _native.HostedBoard(kind[:15], _serial(serial), min(most_ma, 0xFFFF), flash, _rows(first))
+        self._board = _native.HostedBoard(kind[:15], _serial(serial), min(most_ma, 0xFFFF), flash, first)
         self._writes = 0
-        self._board.run(self._us(first[0].t_s), _rows(first), 0)
-        self._settle(first)
+        self._settle([q / _Q8 for q, _, _ in first])
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         if paced:
@@ -99,7 +99,13 @@ class HostedLink:
                     raise
         raise AssertionError
 
-    def _settle(self, first: list[Measured]) -> None:
+    def _rows(self, measured: list[Measured], whole: bool = False) -> list[tuple[int, int, bool]]:
+        """As the application takes them. `whole`: in whole counts, so that its positions are the drives' own."""
+        counts = [m.q * scale for m, scale in zip(measured, self._scales, strict=True)]
+        places = [round(q) * round(_Q8) if whole else round(q * _Q8) for q in counts]
+        return [(q, round(m.current_ma), bool(m.fault)) for q, m in zip(places, measured, strict=True)]
+
+    def _settle(self, first: list[float]) -> None:
         """The drives' own limits become the axes' settings, where none are stored; their positions are the axes'."""
         ask = self._converse
         ask("hello", protocol_major=wire.wire.MAJOR, protocol_minor=wire.wire.MINOR)
@@ -107,16 +113,17 @@ class HostedLink:
         for axis, drive in enumerate(self.drives.drives):
             settings = dict(ask("get_settings", axis=axis).values)
             if fresh:
-                limits = drive.limits
+                limits, scale = drive.limits, self._scales[axis]
+                speed = limits.speed * scale
                 settings.update(
-                    key=wire.wire.KEY, q_low=limits.q_low, q_high=limits.q_high, speed_s=limits.speed,
-                    acceleration_s2=limits.acceleration, following_error=max(_FOLLOWING_S * limits.speed, 8.0),
-                    friction=_FRICTION / 32768, low_duty=_LOW_DUTY / 32768, arrive=4.0, current_ma=0,
-                    feed_forward=min(max(round(1000.0 * _CHECK_PUSH / (_CHECK_SHARE * limits.speed)), 1), 32767),
+                    key=wire.wire.KEY, q_low=limits.q_low * scale, q_high=limits.q_high * scale, speed_s=speed,
+                    acceleration_s2=min(limits.acceleration * scale, _ACCELERATION_MOST), friction=_FRICTION / 32768,
+                    following_error=max(_FOLLOWING_S * speed, 8.0), low_duty=_LOW_DUTY / 32768, current_ma=0,
+                    feed_forward=min(max(round(1000.0 * _CHECK_PUSH / (_CHECK_SHARE * speed)), 1), 32767), arrive=4.0,
                 )  # fmt: skip
                 ask("settings", **settings)
             if drive.referenced:
-                ask("set_position", axis=axis, q=float(np.round(first[axis].q)))
+                ask("set_position", axis=axis, q=first[axis])
         self._keep()
 
     def _converse(self, name: str, **values: Any) -> wire.Message:
@@ -168,9 +175,10 @@ class HostedLink:
         self._heard_s = t_s
         self.timing.fault = next((m.fault for m in measured if m.fault), self.timing.fault)
         with self._lock:
-            self._board.run(self._us(t_s), _rows(measured), 0)
+            rows = self._rows(measured)
+            self._board.run(self._us(t_s), rows, 0)
             goals = [self._board.goal(axis) for axis in range(len(measured))]
-            self._plan_ahead(measured, goals)
+            self._plan_ahead([q for q, _, _ in rows], goals)
             self._keep()
             sent = self._board.transmit()
         self._give(sent)
@@ -183,7 +191,9 @@ class HostedLink:
         self._note(began, t_s)
 
     def _tell(self, goals: list[tuple[int, int, bool, bool]]) -> None:
-        wanted: list[float | None] = [goal / _Q8 if on else None for goal, _, on, _ in goals]
+        wanted: list[float | None] = [
+            goal / _Q8 / scale if on else None for (goal, _, on, _), scale in zip(goals, self._scales, strict=True)
+        ]
         for axis, (_, _, on, _) in enumerate(goals):
             if on != self._on[axis]:
                 self.drives.enable(axis, on)
@@ -191,14 +201,14 @@ class HostedLink:
         if any(goal is not None for goal in wanted):
             self.drives.set_positions(wanted)
 
-    def _plan_ahead(self, measured: list[Measured], goals: list[tuple[int, int, bool, bool]]) -> None:
+    def _plan_ahead(self, places: list[int], goals: list[tuple[int, int, bool, bool]]) -> None:
         """How late each drive follows, from what it is behind while it moves; used once it rests."""
         for axis, (goal, speed, _, moves) in enumerate(goals):
             sums = self._lags[axis]
             v = speed / _Q8
-            if moves and abs(v) > _SLOW * self.drives.drives[axis].limits.speed:
+            if moves and abs(v) > _SLOW * self.drives.drives[axis].limits.speed * self._scales[axis]:
                 sums *= _FORGET
-                sums += ((goal / _Q8 - measured[axis].q) * v, v * v)
+                sums += ((goal - places[axis]) / _Q8 * v, v * v)
             elif moves and v == 0.0 and sums[1] > 0.0:
                 lag_s = float(np.clip(sums[0] / sums[1], 0.0, _LAG_MOST_S))
                 self.timing.lag_s = lag_s if len(goals) == 1 else max(self.timing.lag_s, lag_s)
@@ -265,7 +275,10 @@ class HostedLink:
         return None
 
     def bus(self) -> dict[str, Any]:
-        drives = [f"{drive.number}: {drive.model}, firmware {drive.firmware}" for drive in self.drives.drives]
+        drives = [
+            f"{drive.number}: {drive.model}, firmware {drive.firmware}, {drive.counts_per_turn * scale:g} counts a turn"
+            for drive, scale in zip(self.drives.drives, self._scales, strict=True)
+        ]
         of_drives = {"drives": drives, "rest_s": self.drives.rest_s, "watchdog": self.drives.watchdog}
         return {"rate_hz": 1.0 / self.period_s, **asdict(self.timing), **of_drives}
 
@@ -278,8 +291,12 @@ class HostedLink:
         self.drives.close()
 
 
-def _rows(measured: list[Measured]) -> list[tuple[int, int, bool]]:
-    return [(round(m.q * _Q8), round(m.current_ma), bool(m.fault)) for m in measured]
+def _scale(speed: float) -> float:
+    """Of the application's counts to a drive's: halved until it counts fast enough. It sees 1/256 of a count."""
+    scale = 1.0
+    while speed * scale > _SPEED_MOST:
+        scale *= 0.5
+    return scale
 
 
 def _serial(text: str) -> str:
