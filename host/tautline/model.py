@@ -18,6 +18,7 @@ from tautline.errors import TautError, of_system
 from tautline.quality import Quality
 from tautline.recording import Motor
 from tautline.rig import ANGLE, MARKER, Rig, Sensor
+from tautline.value import Value
 
 Array = np.ndarray
 FORMAT = "model/1"
@@ -34,8 +35,8 @@ class Effect:
     parameters: Mapping[str, Any]  # numbers; `column`: the name of one of motor.csv
 
 
-@dataclass(frozen=True)
-class Model:
+@dataclass(frozen=True, eq=False, repr=False)
+class Model(Value):
     """c = f_remain(p), p the play's centre coordinate, widths B(p) between its full strokes, shared by its elements.
 
     `q` is a grid over the actuator's range (rig.actuator.unit); width, width_sigma and c_deg are sampled on it and

@@ -17,6 +17,7 @@ from tautline.folders import write_file
 from tautline.model import Model
 from tautline.recording import Motor, Recording
 from tautline.rig import ANGLE, MARKER
+from tautline.value import Value
 
 Array = npt.NDArray[np.float64]
 
@@ -37,8 +38,8 @@ class Times:
         return self.t_s - self.delay_s
 
 
-@dataclass(frozen=True)
-class Prediction:
+@dataclass(frozen=True, eq=False, repr=False)
+class Prediction(Value):
     c_deg: Array  # (n,)
     image_px: Array | None  # (n, 2); None without a camera
 

@@ -28,6 +28,7 @@ class Actuator:
     encoder_resolution: float  # unit per count
     speed_max: float | None = None  # unit/s, of the motor; None: not known
     instrument: str | None = None  # the serial of what it moves, at most 8 ASCII characters; None: not said
+    board: str | None = None  # as --board has it; None: the only one on USB
 
     @property
     def span(self) -> float:
@@ -123,6 +124,15 @@ _SECTIONS = (
                 needed=False,
                 pattern="[!-~]{1,8}",
                 described="1 to 8 letters, digits or signs",
+            ),
+            Key(
+                "board",
+                "what moves it, as `--board` takes it, which wins over it; else the only board on USB",
+                "dynamixel:/dev/ttyUSB0:1",
+                "text",
+                needed=False,
+                pattern="[!-~]{1,128}",
+                described="an address without spaces",
             ),
         ),
     ),

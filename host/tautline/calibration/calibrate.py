@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -33,6 +33,7 @@ from tautline.calibration.remaining import Remaining, fit_remaining, morphologic
 from tautline.calibration.several import fit_elements, left
 from tautline.calibration.smooth import Domain, fit_jointly, fit_passes, freeze
 from tautline.calibration.worth import worth
+from tautline.core.session import Session
 from tautline.elements import SINGLE
 from tautline.errors import TautError
 from tautline.geometry import coarse_range_deg
@@ -40,6 +41,7 @@ from tautline.model import Model
 from tautline.quality import Quality, Reason
 from tautline.recording import Recording
 from tautline.rig import Rig
+from tautline.value import Value
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -66,9 +68,17 @@ class Options:
     remaining: Literal["direct", "morphological"] = "direct"
     elements: Literal["auto", "one"] = "auto"  # of the play: several where the data ask for them
 
+    def __post_init__(self) -> None:
+        for name, choices in get_type_hints(Options).items():
+            value, allowed = getattr(self, name), get_args(choices)
+            if get_origin(choices) is Literal and value not in allowed:
+                raise TautError(f"{name} {value!r} is not there: choose one of {', '.join(allowed)}")
+        if self.delay_s is not None and not np.isfinite(self.delay_s):
+            raise TautError(f"delay_s {self.delay_s} is no time: give seconds, or None to estimate it")
 
-@dataclass(frozen=True)
-class Calibration:
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Calibration(Value):
     model: Model
     onsets: tuple[Onset, ...]
     delay: Delay
@@ -136,7 +146,7 @@ def calibrate(
 ) -> Calibration:
     """Measures B(q), f_remain and the delay from recordings of any motion. Raises TautError where nothing can be
     measured; says in notes and warnings what could not."""
-    options = options or Options()
+    options, recordings = options or Options(), Session(recordings).in_time()
     say = progress or (lambda share, what: None)
     say(0.0, "reading frames")
     every = observe(recordings, rig)

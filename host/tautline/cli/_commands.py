@@ -73,6 +73,11 @@ GROUPS: dict[str, tuple[Command, ...]] = {
             "write a recording, model or diagnosis for a log viewer, a simulator or a motor controller",
             "taut export session --to mcap --out session.mcap",
         ),
+        Command(
+            "rig",
+            "make a rig.toml: the camera from a board, its place from known angles, the rest by asking",
+            "taut rig --board board.avi --squares 8x6 --square-mm 4 --marker-mm 3 --motion known",
+        ),
         Command("marker", "pick the marker's colour, once", "taut marker 0"),
     ),
     "With a board": (

@@ -22,6 +22,7 @@ from tautline.cli._common import (
 from tautline.cli._live import (
     RECALLS,
     LiveOptions,
+    bus_text,
     live_options,
     opened,
     recalled,
@@ -146,6 +147,7 @@ def _report(result: Any, compensation: str, out: Path | None) -> dict[str, Any]:
         "reach_deg": list(result.reach_deg),
         "recording": out,
         "counters": result.counters,
+        "bus": result.bus,
         "tracking": result.tracking,
     }
 
@@ -156,6 +158,7 @@ def _text(result: Any, compensation: str, out: Path | None, library: Any) -> str
         text += f": tip off by {result.rms_deg:.3f} deg rms, {result.max_deg:.3f} at most (by {result.scored_by})"
     else:
         text += " (no camera: how far off the tip was is not known)"
+    text += bus_text(result.bus)
     if result.tracking is not None:
         text += f"; {tracking_text(result.tracking)}{shape_text(result.tracking, library)}"
     return text + (f"; recorded in {out}" if out else "")

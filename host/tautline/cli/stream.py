@@ -147,7 +147,9 @@ def _opened(
 
     of_rig = model if model is not None or library is None else library.first()
     if camera is None or of_rig is None:
-        board = stack.enter_context(open_board(where))
+        rig_of = None if rig_path is None else read_rig(rig_path)
+        named = rig_of or (model.rig if model is not None else None)
+        board = stack.enter_context(open_board(where or (named.actuator.board if named is not None else None)))
         if model is not None:
             load_tables(board, axis, model)
         return board, None

@@ -267,6 +267,7 @@ def residuals(diagnosis: Diagnosis) -> Figure:
     ax.set_xlabel("time in the session (s)")
     ax.set_ylabel(f"residual ({diagnosis.document['unit']})")
     ax.set_ylim(bottom=0)
-    ax.set_xlim(float(tests[0].motor.t_s[0]) + tests[0].offset_s, float(tests[-1].motor.t_s[-1]) + tests[-1].offset_s)
+    ends = [segment.motor.t_s[[0, -1]] + segment.offset_s for segment in tests]
+    ax.set_xlim(float(np.min(ends)), float(np.max(ends)))
     ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, markerscale=4)
     return made
