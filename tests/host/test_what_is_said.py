@@ -108,7 +108,7 @@ def test_a_demo_again_takes_the_place_of_the_first(taut: Taut, tmp_path: Path, m
 
     @contextmanager
     def opened(**_: object) -> Iterator[Any]:
-        yield SimpleNamespace(board=board, rig=RIG, axis=0)
+        yield SimpleNamespace(board=board, rig=RIG, axis=0, log_divider=1)
 
     def record(live: Any, folder: Path, **_: object) -> None:
         with Recorder(live, folder):
