@@ -150,7 +150,7 @@ def draw_backlash(axes: Axes, model: Model, onsets: Sequence[Onset], knots: Arra
             axes.axvspan(left, right, color=PALE, alpha=0.6, lw=0)
     axes.set(xlabel=f"q ({unit})", ylabel=f"backlash width ({unit})", xlim=ends, ylim=(0, top))
     axes.set_title("Backlash width B(q)")
-    axes.legend(loc="upper right", ncols=2)
+    axes.legend(loc="best")
 
 
 def draw_characteristic(axes: Axes, model: Model, evidence: Evidence | None) -> None:

@@ -104,11 +104,11 @@ def test_a_demo_again_takes_the_place_of_the_first(taut: Taut, tmp_path: Path, m
     saved_model(out / "model")
     before = files(out)
     identity = SimpleNamespace(serial="DESKTOP", axes=1)
-    board = SimpleNamespace(identity=identity, listen=lambda *_: None, ask=lambda *_, **__: None)
+    board = SimpleNamespace(identity=identity, log_divider=1, listen=lambda *_: None, ask=lambda *_, **__: None)
 
     @contextmanager
     def opened(**_: object) -> Iterator[Any]:
-        yield SimpleNamespace(board=board, rig=RIG, axis=0, log_divider=1)
+        yield SimpleNamespace(board=board, rig=RIG, axis=0)
 
     def record(live: Any, folder: Path, **_: object) -> None:
         with Recorder(live, folder):
