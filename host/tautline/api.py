@@ -154,7 +154,8 @@ def calibrate(
 def predict(model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float | None = None) -> Prediction:
     """Where the tip was, by the model and the motor's motion alone.
 
-    Shapes: scene_s (n,) in any order; `.c_deg` (n,), `.image_px` (n, 2), or None on a rig without a camera.
+    Shapes: scene_s (n,) in any order; `.c_deg` (n,), `.image_px` (n, 2), or None on a rig without a camera; as they are
+        `.c_sigma_deg` and `.image_sigma_px`, one standard deviation of what the sensor would show, its noise included.
     Units: scene_s in s on the motor's clock, which is arrival time less `model.delay_s`; start_deg and c in deg; px.
     Errors: TautError where the motor lacks a column that one of the model's effects needs. A place where the marker
         cannot be is NaN.
@@ -163,9 +164,9 @@ def predict(model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float
 
     The tip starts on the centre line, c = f_remain(q[0]), or at start_deg; q is held before and after motor's samples.
     """
-    from tautline.prediction import predict as predicted
+    from tautline.prediction import predict_with_sigma
 
-    return predicted(model, motor, scene_s, start_deg)
+    return predict_with_sigma(model, motor, scene_s, start_deg)
 
 
 def encode(

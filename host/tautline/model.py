@@ -24,6 +24,7 @@ Array = np.ndarray
 FORMAT = "model/1"
 MODEL_FILE, RIG_FILE = "model.json", "rig.toml"
 STEEPEST = 1.8  # |B'| that tables may have: p_lo and p_hi are unique while it is below 2
+_USUAL_NOISE = {MARKER: 0.05, ANGLE: 0.02}  # px, deg
 _ARRAYS = ("q", "width", "width_sigma", "c_deg")
 
 
@@ -62,6 +63,14 @@ class Model(Value):
     def delay_of(self, sensor: Sensor) -> float:
         """How much older than its arrival a sensor's reading is: nominal for one that was not calibrated with."""
         return self.delay_s if sensor == self.sensor else self.rig.nominal_delay_s(sensor)
+
+    def noise_of(self, sensor: Sensor) -> float:
+        """What a sensor shows beside what the model says of it, px a coordinate or deg, one standard deviation: what
+        the calibration left; of one that was not calibrated with, a usual sensor's."""
+        evidence = self.extra.get("evidence", {})
+        known = [evidence.get(name) for name in ("residual", "error")]
+        finite = [float(value) for value in known if value is not None and np.isfinite(value) and value > 0.0]
+        return max(finite) if finite and sensor == self.sensor else _USUAL_NOISE[sensor]
 
     @cached_property
     def play(self) -> Play:

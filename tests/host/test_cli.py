@@ -119,7 +119,7 @@ def test_predict_one_row_per_marker_row_with_its_time_as_written(
     out = tmp_path / "out.csv"
     assert json.loads(taut("predict", model, broken, "--csv", out, "--json").out)["rows"] == len(rows)
     lines = out.read_text().splitlines()
-    assert lines[0] == "t_s,c_deg,u_px,v_px"
+    assert lines[0] == "t_s,c_deg,u_px,v_px,c_sigma_deg,u_sigma_px,v_sigma_px"
     assert [line.split(",")[0] for line in lines[1:]] == [row.split(",")[0] for row in rows]
 
 

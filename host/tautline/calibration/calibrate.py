@@ -38,6 +38,7 @@ from tautline.elements import SINGLE
 from tautline.errors import TautError
 from tautline.geometry import coarse_range_deg
 from tautline.model import Model
+from tautline.prediction import predict
 from tautline.quality import Quality, Reason
 from tautline.recording import Recording
 from tautline.rig import Rig
@@ -78,6 +79,22 @@ class Options:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
+class Foretold(Value):
+    """What the calibrated model says of one recording, beside what was seen there. All (n,) or (n, k), k = 2 px or 1
+    deg."""
+
+    name: str
+    scene_s: Array  # on the motor's clock
+    seen: Array
+    predicted: Array
+
+    @property
+    def residual(self) -> Array:
+        """(n, k)"""
+        return self.seen - self.predicted
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Calibration(Value):
     model: Model
     onsets: tuple[Onset, ...]
@@ -90,6 +107,7 @@ class Calibration(Value):
     notes: tuple[str, ...]
     names: tuple[str, ...] = field(default=())  # of the recordings
     offsets: Mapping[str, float] = field(default_factory=dict)  # by recording: the sensor's clock less the motor's
+    predicted: tuple[Foretold, ...] = ()  # of every frame that was used, by recording
 
     def to_json(self) -> dict[str, Any]:
         """What `taut calibrate --json` prints (formats: backlash, remaining, delay_s, onsets, and what was noted)."""
@@ -135,6 +153,14 @@ def onset_json(onset: Onset, names: Sequence[str]) -> dict[str, Any]:
         "reason": onset.reason,
         "recording": names[onset.track] if names else "",
     }
+
+
+def _foretold(model: Model, track: Track, delay_s: float) -> Foretold:
+    scene = track.scene_s(delay_s)
+    told = predict(model, track.reading, scene)
+    predicted = told.c_deg[:, None] if track.unit == "deg" else told.image_px
+    assert predicted is not None  # the marker was seen by the rig's camera
+    return Foretold(track.name, scene, track.y, predicted)
 
 
 def _finite(value: float) -> float | None:
@@ -519,6 +545,7 @@ class _Session:
         characteristic = self._characteristic(delay.delay_s)
         if self.components is not None:
             delay = replace(delay, sigma_s=float(np.hypot(delay.sigma_s, self.components.held_back_s)))
+        delay_s = delay.delay_s  # of the tracks
         aligned, delay = self.clock.with_delay(delay, self.nominal_s)
         if any(aligned.offsets_s) and delay.sigma_s > _TOLD_S:
             self.findings.doubt(
@@ -561,7 +588,7 @@ class _Session:
         model = replace(model, quality=Quality.of(self.findings.reasons), extra=extra)
         return Calibration(
             model, tuple(onsets), delay, source, curve, pass_width, pass_sigma, self.findings.evidence, notes, names,
-            aligned.offsets,
+            aligned.offsets, tuple(_foretold(model, track, delay_s) for track in self.tracks),
         )  # fmt: skip
 
     def _characteristic(self, delay_s: float) -> dict[str, Any]:

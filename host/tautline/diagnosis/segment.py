@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import effects
+from tautline.core.motor import MotorPath
 from tautline.core.session import SessionClock
 from tautline.effects import Path
-from tautline.encoder import straight_lines
 from tautline.errors import TautError
 from tautline.model import Model
 from tautline.prediction import settled_from
@@ -96,7 +96,7 @@ def prepare(model: Model, calibration: Recording, tests: Sequence[Recording]) ->
         raise TautError("diagnose needs marker.csv (or a video) in every recording, or angle.csv in every one")
     segments = []
     for i, (recording, offset) in enumerate(zip(recordings, SessionClock.of(recordings).offset_s, strict=True)):
-        motor = straight_lines(recording.motor, model.rig.actuator.encoder_resolution)
+        motor = MotorPath.of(recording.motor, model.rig.actuator.encoder_resolution).lines
         if by_marker:
             marker = recording.marker
             assert marker is not None
