@@ -40,6 +40,8 @@ def folder_option(name: str, help: str, required: bool = True) -> Callable[[Any]
 
 compensation_option = click.option(
     "--compensation",
+    "--mode",
+    "compensation",
     type=click.Choice(["off", "backlash", "full"]),
     default="full",
     show_default=True,
