@@ -153,6 +153,7 @@ class _Separation:
     def run(self) -> Components:
         self._expect_turns()
         scene = scene_of(self.fitted, self.fitted.curves, self.rig, np.zeros(2))
+        assert scene is not None  # it was fitted to frames
         solved = self._solved(self.fitted.curves, scene, np.zeros(2), Design(anew_px=starts_anew(scene)))
         for _ in range(_ROUNDS):
             joined = solved.join()
@@ -177,8 +178,9 @@ class _Separation:
             self.active.append("turn")
             self.penalties["turn"] = (self.fitted.scale / count) ** 2
 
-    def _at(self, curves: Curves, clock: Array, columns: Design) -> _Solved:
-        return self._solved(curves, scene_of(self.fitted, curves, self.rig, clock), clock, columns)
+    def _at(self, curves: Curves, clock: Array, columns: Design) -> _Solved | None:
+        scene = scene_of(self.fitted, curves, self.rig, clock)
+        return None if scene is None else self._solved(curves, scene, clock, columns)
 
     def _solved(self, curves: Curves, scene: Scene, clock: Array, columns: Design) -> _Solved:
         parts = [part for part in departures(scene, columns) if part.name not in self.without]
@@ -192,7 +194,7 @@ class _Separation:
         for share in _SHARES:
             curves = between(solved.curves, solved.moved, share)
             there = self._at(curves, solved.clock + share * solved.clock_step, columns)
-            if there.noise < _WORSE * solved.noise:
+            if there is not None and there.noise < _WORSE * solved.noise:
                 return there
             self.penalties = dict(penalties)
         return None

@@ -124,13 +124,16 @@ class Design:
         return best
 
 
-def scene_of(fitted: Fitted, curves: Curves, rig: Rig, clock: Array) -> Scene:
-    """clock (2,): how far the sensor's clock departs, s, linear and quadratic over the session; taken out here."""
+def scene_of(fitted: Fitted, curves: Curves, rig: Rig, clock: Array) -> Scene | None:
+    """clock (2,): how far the sensor's clock departs, s, linear and quadratic over the session; taken out here. None
+    where the tip was never driven through so wide a play: no frame tells of it."""
     fit = fitted.fit
     first, length = _session(fit.tracks)
     tracks = on_clock(fit.tracks, clock)
     there = replace(fit, tracks=tracks, smoothing=fit.smoothing)
     rows, masks = there.residuals(curves)
+    if not any(mask.any() for mask in masks):
+        return None
     usual = max(float(np.median(there.width(curves))), 1e-3 * float(fit.grid[-1] - fit.grid[0]))
     pieces = [
         _piece(there, curves, frozen, sim, r, mask, w, usual, rig)

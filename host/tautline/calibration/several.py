@@ -94,6 +94,7 @@ def left(fitted: Fitted) -> float:
 def _step(fitted: Fitted, weights: Array, rig: Rig) -> tuple[Curves, Array]:
     """Curves and weights of a Gauss-Newton step."""
     scene = scene_of(fitted, fitted.curves, rig, np.zeros(2))
+    assert scene is not None  # it was fitted to frames
     nominal = nominal_columns(fitted.fit, scene)
     design = sparse.csr_matrix(sparse.hstack([nominal, scene.along(_by_weight(fitted))]))
     heavy = sparse.csr_matrix(design.multiply(np.tile(scene.weight, scene.rows.shape[1])[:, None]))
