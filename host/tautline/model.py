@@ -125,6 +125,10 @@ class Model(Value):
         try:
             document = json.loads(path.read_text(encoding="utf-8"))
         except (FileNotFoundError, NotADirectoryError) as error:
+            if (folder / "motor.csv").exists():
+                raise TautError(
+                    f"{folder}: is a recording, not a model: 'taut calibrate {folder} --out MODEL' makes one of it"
+                ) from error
             what = f"holds no {MODEL_FILE}" if folder.is_dir() else "is a file" if folder.exists() else "is not there"
             raise TautError(f"{folder}: {what}, a model is a folder: make it with taut calibrate") from error
         except OSError as error:

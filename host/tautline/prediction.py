@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from tautline.columns import read_times
+from tautline.columns import read_columns, read_times
 from tautline.core.chain import Chain, by_differences
 from tautline.core.motor import MotorPath
 from tautline.core.posterior import Posterior
@@ -26,6 +26,7 @@ Array = npt.NDArray[np.float64]
 
 MOST_ROWS = 10_000_000
 COLUMNS = "t_s,c_deg,u_px,v_px,c_sigma_deg,u_sigma_px,v_sigma_px"
+TRUTH_FILE = "truth.csv"  # beside a simulated recording
 _NINE_OF_TEN = 1.645  # sigma, of a normal distribution
 _ANYWHERE = 3.0**-0.5  # standard deviation of what is anywhere from -1 to 1
 
@@ -193,13 +194,15 @@ def rms(off: Sequence[Array]) -> float:
 def times_of(
     model: Model, folder: Path, motor: Motor, file: Path | None = None, warnings: list[str] | None = None
 ) -> Times:
-    """`file`'s column t_s; else the recording's: the rows of marker.csv, else of angle.csv, else one per frame period
-    from motor t[0] + delay on (one per motor sample where the model's rig has no camera)."""
+    """`file`'s column t_s; else the recording's: the rows of marker.csv, else of angle.csv, else of a video's
+    frames.csv, else one per frame period from motor t[0] + delay on (one per motor sample where the model's rig has no
+    camera)."""
     rig = model.rig
     for path, delay_s in (
         (file, model.delay_s),
         (folder / "marker.csv", model.delay_of(MARKER)),
         (folder / "angle.csv", model.delay_of(ANGLE)),
+        (folder / "frames.csv", model.delay_of(MARKER)),
     ):
         if path is not None and (path == file or path.exists()):
             return Times(*read_times(path, warnings), delay_s)
@@ -211,6 +214,20 @@ def times_of(
             raise TautError(f"{folder}: lasts for more than {MOST_ROWS} frames: name the times with --times")
         t_s = motor.t_s[0] + model.delay_s + np.arange(int(frames) + 1) / rig.camera.frame_rate_hz
     return Times([f"{t:.6f}" for t in t_s], t_s, model.delay_s)
+
+
+def off_the_truth(model: Model, folder: Path, motor: Motor, times: Times, prediction: Prediction) -> float | None:
+    """rms of the bending angle less truth.csv's (t_s, c_deg at scene times), deg, from when the tip was driven through
+    the backlash both ways; None where the folder has no truth, or none of then."""
+    if not (folder / TRUTH_FILE).exists():
+        return None
+    truth = read_columns(folder / TRUTH_FILE, ["t_s", "c_deg"], "t_s,c_deg")
+    t_s, c_deg = truth.rising_times(), truth.finite("c_deg")
+    scene_s = times.scene_s
+    counted = (scene_s >= max(settled_from(model, motor), t_s[0])) & (scene_s <= t_s[-1])
+    if not counted.any():
+        return None
+    return rms([prediction.c_deg[counted] - np.interp(scene_s[counted], t_s, c_deg)])
 
 
 def write_csv(path: Path, times: Times, prediction: Prediction) -> None:

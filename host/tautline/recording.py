@@ -64,6 +64,7 @@ class Marker:
     sigma_px: Array | None = None
     extra: Mapping[str, Array] = field(default_factory=dict)
     frame_px: tuple[int, int] | None = None  # width and height of the frames, where they are known
+    untimed: int = 0  # frames of its video that frames.csv gives no time: they have no row
 
 
 @dataclass(frozen=True)
@@ -253,6 +254,8 @@ def _folder(path: str | Path) -> Path:
         raise TautError(f"{folder}: there is no such folder: a recording is a folder with motor.csv")
     if not folder.is_dir():
         raise TautError(f"{folder}: is a file: a recording is the folder that holds motor.csv")
+    if (folder / "model.json").exists() and not (folder / "motor.csv").exists():
+        raise TautError(f"{folder}: is a model: name the recording, a folder that holds motor.csv")
     return folder
 
 
@@ -287,12 +290,15 @@ def _own_rig(folder: Path, rig: Rig | None, warnings: list[str]) -> Rig | None:
     if not path.exists():
         return None
     try:
-        return Rig.load(path)
+        own = Rig.load(path)
     except TautError as error:
         if rig is None:
             raise
         warnings.append(f"{error} (ignored: another rig was named)")
         return None
+    if rig is None or rig == own:
+        warnings += [f"{path}: {said}" for said in own.misspelt]
+    return own
 
 
 def _load_marker(file: Path, warnings: list[str]) -> Marker:

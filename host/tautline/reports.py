@@ -288,23 +288,32 @@ def sentences(model: Model, evidence: Evidence | None) -> list[str]:
         )
     else:
         lines.append("No width could be measured: no reversal reached the end of the backlash.")
-    if evidence is not None:
-        coarse, _, whole = evidence.rms()
-        if np.isfinite(whole):
-            lines.append(
-                f"With these tables the tip is where the model says within {_digits(whole, 2)} {evidence.unit}; "
-                f"f_coarse alone is off by {_digits(coarse, 2)} {evidence.unit}{_how_much_more(model, coarse, whole)}."
-            )
-        else:
-            lines.append("The tip was never driven through a full backlash both ways, so nothing can be scored.")
-    return lines
-
-
-def _how_much_more(model: Model, coarse: float, whole: float) -> str:
-    """No gain is told over an f_coarse that is wrong itself, as by a sign."""
+    if evidence is None or not model.quality.usable:
+        return lines
+    coarse, with_width, whole = evidence.rms()
+    if not np.isfinite(whole):
+        return [*lines, "The tip was never driven through a full backlash both ways, so nothing can be scored."]
+    said = (
+        f"With these tables the tip is where the model says within {_digits(whole, 2)} {evidence.unit}; "
+        f"f_coarse alone is off by {_digits(coarse, 2)} {evidence.unit}"
+    )
     if any(reason.code in _COARSE_IS_WRONG for reason in model.quality.reasons):
-        return ", but something in the rig is wrong, which the verdict names: that is no gain"
-    return f", {_times(coarse, whole)} times as much"
+        return [*lines, f"{said}, but something in the rig is wrong, which the verdict names: that is no gain."]
+    lost_deg, lost = _backlash_share(model, evidence)
+    return [
+        *lines,
+        f"{said}, with B by {_digits(with_width, 2)} {evidence.unit}.",
+        f"Backlash alone, with all else right, puts the tip {_digits(lost_deg, 2)} deg off (rms), "
+        f"{_digits(lost, 2)} {unit} of the motor.",
+    ]
+
+
+def _backlash_share(model: Model, evidence: Evidence) -> tuple[float, float]:
+    """What a tip would be off by, rms, that followed f_remain and had no backlash: deg, and the motor's unit."""
+    q, c_deg = evidence.q[evidence.settled], evidence.c_deg[evidence.settled]
+    off = np.column_stack([model.remaining(q) - c_deg, q - model.remaining_inverse(c_deg)])
+    deg, motor = np.sqrt(np.nanmean(off**2, axis=0))
+    return float(deg), float(motor)
 
 
 def _times(worse: float, better: float) -> str:

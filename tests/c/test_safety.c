@@ -382,6 +382,57 @@ static void test_a_jog_needs_no_reference_and_is_weak(void) {
     TEST_ASSERT_EQUAL(0, fake_status(0).flags & TL_WIRE_FLAG_REFERENCED);
 }
 
+// The greatest speed of the path until it rests, as a share of what the settings allow.
+static double greatest_speed(void) {
+    int32_t most = 0;
+    for (int ms = 0; ms < 5000 && app.axes[0].mode != TL_WIRE_MODE_HOLD && app.axes[0].fault == 0; ms++) {
+        const int32_t speed = abs(app.axes[0].plan.reference.velocity);
+        most = speed > most ? speed : most;
+        fake_run_ms(1);
+    }
+    return (double)most / app.axes[0].plan.travel.speed;
+}
+
+static void test_jogs_and_homing_go_at_half_the_speed_at_most(void) {
+    app.axes[0].checked = true;
+    fake_enable(0, 1);
+    tl_wire_limits_t limits = app.axes[0].limits;
+    limits.speed_q8_s = COUNTS(4000); // which low drive brings about
+    limits.acceleration_q8_s2 = COUNTS(20000);
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_LIMITS, &limits));
+    tl_wire_jog_t jog = {.axis = 0, .way_q8 = COUNTS(1000), .silence_us = 60000000};
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_JOG, &jog));
+    TEST_ASSERT_DOUBLE_WITHIN(0.01, 0.1, greatest_speed());
+    jog.speed_q8_s = COUNTS(16000);
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_JOG, &jog));
+    TEST_ASSERT_DOUBLE_WITHIN(0.01, 0.5, greatest_speed());
+    const tl_wire_home_t homing = {
+        .axis = 0, .direction = 1, .reach_q8 = COUNTS(2000), .speed_q8_s = COUNTS(16000), .silence_us = 60000000};
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_HOME, &homing));
+    TEST_ASSERT_DOUBLE_WITHIN(0.01, 0.5, greatest_speed());
+}
+
+// A path that goes away from what the integral pushes towards: the drive never saturates, and the integral still ends
+// at the limit.
+static void test_the_integral_is_no_more_than_the_drive_may_be(void) {
+    static tl_servo_t servo;
+    const tl_servo_gains_t gains = {.integral = 30000, .feed_forward = 8000};
+    const tl_duty_q15_t limit = 8192;
+    TEST_ASSERT_TRUE(tl_servo_configure(&servo, &gains, FAKE_HZ));
+    tl_servo_reset(&servo, 0);
+    tl_path_t path;
+    tl_path_init(&path, COUNTS(50), 5);
+    for (int tick = 0; tick < 20000; tick++) {
+        if (tick % 5 == 0) {
+            path.speed = -(int32_t)((3000LL << 24) / FAKE_HZ); // counts a tick Q24
+            tl_servo_feed(&servo, &path);
+        }
+        (void)tl_servo_step(&servo, 0, &path, limit);
+        TEST_ASSERT_TRUE(servo.integral <= limit << 14);
+    }
+    TEST_ASSERT_EQUAL(limit << 14, servo.integral);
+}
+
 // -- check of motor and encoder ---------------------------------------------------------------------------------
 
 static void test_the_first_enable_checks_motor_and_encoder_at_low_drive(void) {
@@ -646,6 +697,8 @@ int main(void) {
     RUN_TEST(test_homing_finds_the_end_at_low_drive_and_is_referenced);
     RUN_TEST(test_homing_gives_up_where_no_end_comes);
     RUN_TEST(test_a_jog_needs_no_reference_and_is_weak);
+    RUN_TEST(test_jogs_and_homing_go_at_half_the_speed_at_most);
+    RUN_TEST(test_the_integral_is_no_more_than_the_drive_may_be);
     RUN_TEST(test_the_first_enable_checks_motor_and_encoder_at_low_drive);
     RUN_TEST(test_swapped_wires_a_dead_encoder_and_a_wrong_scale_are_told_apart);
     RUN_TEST(test_a_check_beside_a_wall_goes_by_the_free_way);

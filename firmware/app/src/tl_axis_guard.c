@@ -168,7 +168,7 @@ static void home(tl_axis_t *axis, tl_us_t now_us) {
 
 // -- check of motor and encoder ---------------------------------------------------------------------------------
 
-void tl_axis_start_check(tl_axis_t *axis) {
+TL_FAST void tl_axis_start_check(tl_axis_t *axis) {
     const tl_servo_gains_t *gains = &axis->motor.servo.gains;
     int32_t most = gains->friction + CHECK_PUSH;
     most = most < axis->settings.low_duty_q15 ? most : axis->settings.low_duty_q15;
@@ -255,8 +255,7 @@ static void check(tl_axis_t *axis, tl_us_t now_us) {
 // ---------------------------------------------------------------------------------------------------------------
 
 static bool has_patience(const tl_axis_t *axis) {
-    return tl_axis_is_following(axis) || axis->mode == TL_WIRE_MODE_MOVE || axis->mode == TL_WIRE_MODE_HOME ||
-           axis->mode == TL_WIRE_MODE_CHECK;
+    return tl_axis_is_following(axis) || axis->mode == TL_WIRE_MODE_MOVE || axis->mode == TL_WIRE_MODE_HOME;
 }
 
 // What no axis that follows has to do.

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from tautline.calibration import clock
 from tautline.calibration.acquisition import doubts as acquisition_doubts
-from tautline.calibration.acquisition import in_another_unit
+from tautline.calibration.acquisition import in_another_unit, mistaken_unit
 from tautline.calibration.backlash import WidthCurve, fit_widths
 from tautline.calibration.choice import JOINT, ONSETS, Choice, jumping, measuring
 from tautline.calibration.components import Components, separate
@@ -56,6 +56,7 @@ _HELD_SHARE = 0.1  # of all frames: where more are left out the rest may be wron
 _ASTRAY = 2.5  # times what B and a path of any shape leave: f_remain in the rig's geometry
 _OF_ELEMENTS = frozenset({"phase.even", "image.side"})  # what several elements, or their number, stand for
 _BETWEEN_ELEMENTS = 0.003  # of B: what elements of a few shares leave, alike on every stroke
+_UNIT_SLACK = 1.6  # by which f_coarse's gain and f_remain's may part beside a unit that is mistaken
 _LIKELY_GAIN = (0.4, 2.5)  # of f_coarse's, between which f_remain's is no wrong scale
 _LIKELY_BEND = 0.5  # of f_coarse's span, by which f_remain may leave it
 _LARGE = 0.1  # of the image's motion (rms): a registration that is off by less still tells angles
@@ -220,12 +221,12 @@ class _Session:
                 "record the calibration motion, and check the encoder and its unit"
             )
         self._release()
-        self.say(0.05, "image stops")
+        self.say(0.05, "measuring the delay")
         delay = self._delay()
-        self.say(0.15, "onsets")
+        self.say(0.15, "finding where the tip begins to move")
         onsets = find_onsets(self.tracks, self.rig, delay.delay_s, delay.sigma_s)
         curve = fit_widths(onsets, self.grid)
-        self.say(0.35, "passes")
+        self.say(0.35, "fitting the way up and down")
         joint, passes = self._smooth(onsets, delay, curve)
         if joint is not None and (joint.fit.fit_delay or joint.curves.delay_s != delay.delay_s):
             before, delay = delay, self._joint_delay(delay, joint)
@@ -246,7 +247,7 @@ class _Session:
             # The joint fit is so much sharper that the onsets' scatter about it is their own.
             spread = float(np.sqrt(np.clip(self.findings.evidence["onsets_against_joint_z2"], 1.0, 9.0)))
             onsets = [replace(o, sigma=o.sigma * spread) if o.used and o.kind == HINGE else o for o in onsets]
-        self.say(0.75, "f_remain")
+        self.say(0.75, "fitting f_remain")
         settled = joint.fit.settled_only if joint is not None else False
         remaining = self._remaining(width, delay.delay_s, settled) if self.choice.moves() else None
         self._comment(onsets, curve, remaining)
@@ -314,9 +315,9 @@ class _Session:
             joint = joint.fit.solve(replace(joint.curves, delay_s=delay.delay_s))
         if fit_delay and not joint.fit.fit_delay:
             joint.fit.delay_sigma_s = min(self._joint_delay(delay, joint).sigma_s, 1.0)
-        self.say(0.5, "what departs from a play")
+        self.say(0.5, "looking for what is no play")
         joint = self._separated(joint, onsets, curve)
-        self.say(0.6, "passes alone")
+        self.say(0.6, "fitting the passes alone")
         margin = 0.1 * float(np.median(joint.fit.width(joint.curves))) + 0.005 * self.domain.span
         passes = fit_passes(joint, margin)
         return joint, None if passes is None else as_many_as_independent(passes)
@@ -485,12 +486,22 @@ class _Session:
             self.findings.doubt(
                 "coarse",
                 f"the tip bends {gain:.3g} deg/{self.unit} where f_coarse says {self.rig.coarse.gain:.3g}",
-                "check actuator.unit, the encoder's scale, camera.fx_px and the marker's distance",
+                self._scale(ratio),
                 mild=self.camera and not self._misplaced(remaining.residual),
             )
         self.findings.evidence["residual"] = remaining.residual
         if self.camera and self._misplaced(remaining.residual):
             self._registration(remaining.residual, ratio, p, c)
+
+    def _scale(self, ratio: float) -> str:
+        """What to check where the tip bends `ratio` times what f_coarse says."""
+        if name := mistaken_unit(ratio, self.unit, _UNIT_SLACK):
+            return f"a motor in {name} looks like this: write q_{self.unit} of motor.csv in {self.unit}"
+        if self.camera:
+            return "check actuator.unit, the encoder's scale, camera.fx_px and the marker's distance"
+        if name := mistaken_unit(1.0 / ratio, "deg", _UNIT_SLACK):
+            return f"a sensor in {name} looks like this: write c_deg of angle.csv in deg"
+        return "check actuator.unit, the encoder's scale, coarse.gain, and that angle.csv is in deg"
 
     def _misplaced(self, residual: float) -> bool:
         """Whether the marker is not where camera, hand_eye and kinematics put it."""

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tautline.cli._common import log, progress_bar
+from tautline.cli._common import log, progress_bar, read_rig
 from tautline.errors import TautError
 from tautline.model import MODEL_FILE, Model
-from tautline.rig import Rig
 from tautline.simulated.instrument import PRESETS
 
 if TYPE_CHECKING:
@@ -25,7 +24,8 @@ board_option = click.option(
     "--board",
     metavar="BOARD",
     envvar="TAUTLINE_BOARD",
-    help="Serial number of a board on USB, usbip:HOST:PORT or serial:DEVICE. Default: the only one or $TAUTLINE_BOARD.",
+    help="Serial number of a board on USB, usbip:HOST:PORT, serial:DEVICE, or motors on a bus of their own such as "
+    "dynamixel:/dev/ttyUSB0:1 (taut boards names the kinds). Default: $TAUTLINE_BOARD, the rig's, or the only one.",
 )
 axis_option = click.option("--axis", type=click.IntRange(0, 3), default=0, show_default=True, help="Axis of the board.")
 camera_option = click.option(
@@ -123,7 +123,7 @@ def opened(live: LiveOptions, rig_path: Path | None, seed: int = 0, model: Model
 
     if live.simulate is not None and live.simulate not in PRESETS and not (Path(live.simulate) / MODEL_FILE).is_file():
         raise click.UsageError(f"--simulate {live.simulate}: choose one of {', '.join(PRESETS)}, or a model's folder")
-    rig = Rig.load(rig_path) if rig_path is not None else (model.rig if model is not None else None)
+    rig = read_rig(rig_path) if rig_path is not None else (model.rig if model is not None else None)
     if live.simulate is None and rig is None:
         raise TautError("no rig: name the set-up's file with --rig")
     if model is not None and rig is not None and rig.actuator.unit != model.rig.actuator.unit:
@@ -160,6 +160,16 @@ def shape_text(tracking: dict[str, Any], library: Library | None) -> str:
         return ""
     folder = library.folder / tracking["shape"]
     return f"; the shaft has the shape {tracking['shape']!r}: 'taut flash {folder}' loads its tables"
+
+
+def bus_text(bus: dict[str, Any]) -> str:
+    """What motors on a bus of their own can be held to; "" for a board."""
+    if not bus:
+        return ""
+    return (
+        f"; {bus['rate_hz']:.0f} Hz on the bus, jitter {1e3 * bus['jitter_s']:.2f} ms, {bus['missed']} of "
+        f"{bus['cycles']} cycles missed, {bus['late']} late, the motor {1e3 * bus['lag_s']:.0f} ms behind (planned for)"
+    )
 
 
 def tracking_text(tracking: dict[str, Any]) -> str:

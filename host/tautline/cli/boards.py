@@ -12,19 +12,35 @@ from tautline.errors import TautError
 
 
 @click.command("boards")
-@click.option("--board", metavar="BOARD", help="This one alone: its serial number, usbip:HOST:PORT or serial:DEVICE.")
+@click.option(
+    "--board",
+    metavar="BOARD",
+    help="This one alone: its serial number, usbip:HOST:PORT, serial:DEVICE, or motors such as dynamixel:DEVICE:ID,ID.",
+)
 @json_option
 def command(board: str | None, as_json: bool) -> None:
     """List the boards on USB and the one that $TAUTLINE_BOARD names: serial number, firmware, protocol, axes, tables.
 
-    A board that another program uses, or that speaks another protocol, is listed and left alone.
+    A board that another program uses, or that speaks another protocol, is listed and left alone. Motors on a bus of
+    their own are listed where --board or $TAUTLINE_BOARD names them; else the kinds that there are.
     """
     from tautline.device.board import find
+    from tautline.motors.addresses import EXTRA, KINDS
 
     rows = [_describe(description) for description in find(board)]
     if board is not None and not rows:
         raise TautError(f"no board '{board}' was found: 'taut boards' lists those that are attached")
-    emit({"boards": rows}, as_json, "\n".join(map(_text, rows)) or "no board is attached")
+    drivers = [
+        {"kind": name, "motors": kind.says, "example": kind.example, "installed": kind.installed}
+        for name, kind in KINDS.items()
+    ]
+    lines = list(map(_text, rows)) or ["no board is attached"]
+    if board is None:
+        lines += ["", "motors on a bus of their own, as --board or a rig's actuator.board names them:"]
+        for driver in drivers:
+            missing = "" if driver["installed"] else f", not installed: {EXTRA}"
+            lines.append(f"  {driver['example']} ({driver['motors']}{missing})")
+    emit({"boards": rows, "drivers": drivers}, as_json, "\n".join(lines))
 
 
 def _describe(description: Any) -> dict[str, Any]:
@@ -49,6 +65,7 @@ def _describe(description: Any) -> dict[str, Any]:
                 "table_format": identity.table_version,
                 "control_hz": identity.control_hz,
                 "axes": [_axis(board, axis) for axis in range(board.axes)],
+                "bus": board.bus(),
             }
     except TautError as error:
         row["error"] = str(error)
@@ -86,6 +103,13 @@ def _text(row: dict[str, Any]) -> str:
         f"{row['board']}: {row['kind']} {row['serial']}, firmware {row['firmware']}, protocol {row['protocol']}, "
         f"{row['control_hz']} Hz"
     ]
+    if row["bus"]:
+        bus = row["bus"]
+        lines = [
+            f"{row['board']}: asked {bus['rate_hz']:.0f} times a second; where the host is lost, it begins to stop "
+            f"within {bus['rest_s']:.2g} s ({bus['watchdog']})",
+            *(f"  {drive}" for drive in bus["drives"]),
+        ]
     for axis in row["axes"]:
         table = "no table"
         if axis["model_id"]:

@@ -77,7 +77,7 @@ def command(
     if adapt is not None:
         limits = replace(limits, adapt=adapt if adapt != _FIXED else None)
     blob = tables.encode(model, axis=axis, limits=limits, joints=known)
-    with open_board(board) as opened, progress_bar("flash") as progress:
+    with open_board(board or model.rig.actuator.board) as opened, progress_bar("flash") as progress:
         opened.load_table(axis, blob, progress, any_instrument=force)
         status = opened.status(axis)
         serial = opened.identity.serial

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from tautline.cli._common import (
+    compensation_option,
     emit,
     folder_option,
     force_option,
@@ -21,6 +22,7 @@ from tautline.cli._common import (
 from tautline.cli._live import (
     RECALLS,
     LiveOptions,
+    bus_text,
     live_options,
     opened,
     recalled,
@@ -34,13 +36,7 @@ from tautline.cli._live import (
 @click.argument("model_path", metavar="[MODEL]", required=False, type=click.Path(path_type=Path))
 @live_options
 @rig_option
-@click.option(
-    "--compensation",
-    type=click.Choice(["off", "backlash", "full"]),
-    default="full",
-    show_default=True,
-    help="off: the motor follows f_coarse's inverse; backlash: f_coarse and B; full: f_remain and B.",
-)
+@compensation_option
 @click.option(
     "--strength", type=click.FloatRange(0.0, 1.0), default=1.0, help="Share of the lost motion that is taken up."
 )
@@ -151,6 +147,7 @@ def _report(result: Any, compensation: str, out: Path | None) -> dict[str, Any]:
         "reach_deg": list(result.reach_deg),
         "recording": out,
         "counters": result.counters,
+        "bus": result.bus,
         "tracking": result.tracking,
     }
 
@@ -161,6 +158,7 @@ def _text(result: Any, compensation: str, out: Path | None, library: Any) -> str
         text += f": tip off by {result.rms_deg:.3f} deg rms, {result.max_deg:.3f} at most (by {result.scored_by})"
     else:
         text += " (no camera: how far off the tip was is not known)"
+    text += bus_text(result.bus)
     if result.tracking is not None:
         text += f"; {tracking_text(result.tracking)}{shape_text(result.tracking, library)}"
     return text + (f"; recorded in {out}" if out else "")

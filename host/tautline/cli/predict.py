@@ -10,7 +10,7 @@ import click
 
 from tautline.cli._common import emit, json_option, warn, warn_unusable
 from tautline.model import Model
-from tautline.prediction import COLUMNS, predict_with_sigma, score, times_of, write_csv
+from tautline.prediction import COLUMNS, TRUTH_FILE, off_the_truth, predict_with_sigma, score, times_of, write_csv
 from tautline.recording import load, load_motor
 
 
@@ -33,9 +33,10 @@ def command(
 ) -> None:
     """What a model says the tip does under a recorded motor motion.
 
-    Only motor.csv is needed. One row per row of marker.csv, else of angle.csv, else one per frame period. These are
-    arrival times: c, u and v are those of t_s minus the delay of the camera or the sensor. The sigmas are one standard
-    deviation of what the sensor would show, its noise included; with --score they are held against what it did show.
+    Only motor.csv is needed. One row per row of marker.csv, else of angle.csv, else of a video's frames.csv, else one
+    per frame period. These are arrival times: c, u and v are those of t_s minus the delay of the camera or the sensor.
+    The sigmas are one standard deviation of what the sensor would show, its noise included; with --score they are held
+    against what it did show. Where truth.csv lies beside motor.csv, it is said how far off the bending angle is.
     """
     model = Model.load(model_path)
     warn_unusable(model, model_path)
@@ -44,9 +45,15 @@ def command(
     times = times_of(model, recording_path, motor, times_path, warnings)
     for warning in warnings:
         warn(warning)
-    write_csv(csv_path, times, predict_with_sigma(model, motor, times.scene_s, start_deg))
-    result: dict[str, Any] = {"csv": csv_path, "rows": len(times.cells), "delay_s": times.delay_s}
+    prediction = predict_with_sigma(model, motor, times.scene_s, start_deg)
+    write_csv(csv_path, times, prediction)
+    off_deg = off_the_truth(model, recording_path, motor, times, prediction)
+    result: dict[str, Any] = {
+        "csv": csv_path, "rows": len(times.cells), "delay_s": times.delay_s, "off_truth_deg": off_deg,
+    }  # fmt: skip
     text = f"{csv_path}: {len(times.cells)} rows"
+    if off_deg is not None:
+        text += f", {off_deg:.2g} deg rms off {TRUTH_FILE}"
     if scores:
         found = score(model, load(recording_path, model.rig), start_deg)
         result["score"] = asdict(found)

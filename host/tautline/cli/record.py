@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from tautline.cli._common import emit, folder_option, json_option, progress_bar, rig_option, warn
-from tautline.cli._live import LiveOptions, live_options, motion_option, opened, seed_option, speed_option
+from tautline.cli._live import LiveOptions, bus_text, live_options, motion_option, opened, seed_option, speed_option
 
 
 @click.command("record")
@@ -44,5 +44,6 @@ def command(
         result,
         as_json,
         f"{out}: {result['seconds']:.1f} s, {result['motor_samples']} motor samples, {result['frames']} frames, "
-        f"the marker lost in {result['lost_frames']}, {result['telemetry_dropped']} samples dropped",
+        f"the marker lost in {result['lost_frames']}, {result['telemetry_dropped']} samples dropped"
+        + bus_text(result["bus"]),
     )

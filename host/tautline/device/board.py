@@ -15,6 +15,7 @@ from tautline.device.link import BoardAddress, BoardGone, Link
 from tautline.device.serial_link import find_serial
 from tautline.device.usb_link import find_usb, find_usbip, named
 from tautline.errors import TautError
+from tautline.motors.addresses import find_motors, is_motor
 
 __all__ = ["Board", "BoardAddress", "BoardGone", "BoardRefused", "check_protocol", "find", "open_board"]
 
@@ -41,21 +42,27 @@ class BoardRefused(TautError):
 
 
 def find(where: str | None = None) -> list[BoardAddress]:
-    """`where`: usbip:HOST:PORT, serial:DEVICE, a serial number, usb:SERIAL, or None for every board on USB and the one
-    that the environment variable TAUTLINE_BOARD names."""
-    if where is not None and where.startswith(("usbip:", "serial:")):
+    """`where`: usbip:HOST:PORT, serial:DEVICE, motors as in motors/addresses, a serial number, usb:SERIAL, or None for
+    every board on USB and the one that the environment variable TAUTLINE_BOARD names."""
+    if where is not None and _is_address(where):
         return _find_named(where)
     boards = find_usb()
     if where is not None:
         serial = where.removeprefix("usb:")
         return [board for board in boards if board.serial == serial]
     other = named()
-    if other and other.startswith(("usbip:", "serial:")):
+    if other and _is_address(other):
         boards += _find_named(other)
     return boards
 
 
+def _is_address(where: str) -> bool:
+    return where.startswith(("usbip:", "serial:")) or is_motor(where)
+
+
 def _find_named(where: str) -> list[BoardAddress]:
+    if is_motor(where):
+        return find_motors(where)
     return find_usbip(where) if where.startswith("usbip:") else find_serial(where)
 
 
@@ -285,6 +292,15 @@ class Board:
     @property
     def axes(self) -> int:
         return int(self.identity.axes)
+
+    @property
+    def log_divider(self) -> int:
+        """Of telemetry: 1 for a board, more where its motors are asked less often than each millisecond."""
+        return self._link.log_divider
+
+    def bus(self) -> dict[str, Any]:
+        """How often motors on a bus of their own are asked, and how late they follow; empty for a board."""
+        return dict(self._link.bus())
 
     def status(self, axis: int) -> wire.Message:
         return self.ask("get_status", axis=axis)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -17,6 +17,7 @@ class Link(Protocol):
     """An open way to one board. Every failure is a TautError that says what to do."""
 
     hello_tries: int  # how often hello is said before a board is taken for dead
+    log_divider: int  # of the millisecond: what is logged more often is no measurement any more
 
     def write(self, data: bytes) -> None: ...
 
@@ -26,6 +27,9 @@ class Link(Protocol):
     def tables(self, axis: int) -> Any:
         """A context with download() and upload() for an axis' table; None: tables travel in messages."""
 
+    def bus(self) -> Mapping[str, Any]:
+        """Of motors on a bus of their own: how often and how late they are asked and follow. Empty for a board."""
+
     def close(self) -> None: ...
 
 
@@ -33,7 +37,7 @@ class Link(Protocol):
 class BoardAddress:
     """A board that was found, not opened."""
 
-    where: str  # usb:SERIAL, usbip:HOST:PORT or serial:DEVICE
+    where: str  # usb:SERIAL, usbip:HOST:PORT, serial:DEVICE, or motors as in motors/addresses
     serial: str | None  # None: in use, or not allowed to ask
     busy: bool
     protocol: tuple[int, int]

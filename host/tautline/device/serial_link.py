@@ -56,6 +56,7 @@ class SerialLink:
     """An open line. Nobody tells when a host comes or goes there: a session begins with hello."""
 
     hello_tries = 4  # a line may have lost the first, or the board still waits for the rest of a frame
+    log_divider = 1
 
     def __init__(self, where: str) -> None:
         self._where = where
@@ -82,6 +83,9 @@ class SerialLink:
 
     def tables(self, axis: int) -> None:
         return None
+
+    def bus(self) -> dict[str, Any]:
+        return {}
 
     def close(self) -> None:
         with contextlib.suppress(serial.SerialException, OSError):

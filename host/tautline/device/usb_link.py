@@ -29,6 +29,7 @@ class UsbLink:
     """The vendor interface of an open device; the DFU interface carries tables."""
 
     hello_tries = 1
+    log_divider = 1
 
     def __init__(self, device: usb.core.Device, where: str) -> None:
         self.device, self._where = device, where
@@ -50,6 +51,9 @@ class UsbLink:
     def tables(self, axis: int) -> Iterator[Dfu]:
         with self._errors(), Dfu(self.device, _TABLES, axis) as dfu:
             yield dfu
+
+    def bus(self) -> dict[str, Any]:
+        return {}
 
     def close(self) -> None:
         with contextlib.suppress(usb.core.USBError):

@@ -51,6 +51,7 @@ class Followed:
     counters: dict[str, Any] = field(default_factory=dict)
     clipped: float = 0.0  # share of the trajectory's time that is beyond `reach_deg`: the tip is held at its end there
     reach_deg: tuple[float, float] = (float("-inf"), float("inf"))  # that the tables, or f_coarse without any, can give
+    bus: dict[str, Any] = field(default_factory=dict)  # of motors on a bus of their own: rate, jitter, lag
     tracking: dict[str, Any] | None = None  # what was learnt meanwhile, and how the tables were moved
 
     @property
@@ -243,7 +244,7 @@ def follow_run(
     scored = _score(live, begin_s, sent_s, plan, frames)
     counted = {name: int(v) for name, v in counters.values.items() if name != "t_us"}
     learnt = None if following is None else following.summary()
-    return replace(scored, counters=counted, clipped=clipped, reach_deg=(low, high), tracking=learnt)
+    return replace(scored, counters=counted, bus=board.bus(), clipped=clipped, reach_deg=(low, high), tracking=learnt)
 
 
 def _score(live: Live, begin_s: float, t_s: Array, plan: Array, frames: list[Frame]) -> Followed:
@@ -315,6 +316,7 @@ def record(
         **counts,
         "telemetry_dropped": int(live.board.counters().telemetry_dropped),
         "messages_missed": live.board.missed,
+        "bus": live.board.bus(),
     }
 
 

@@ -256,7 +256,7 @@ class Recorder:
         live.board.listen("batch", self._batch)
 
     def __enter__(self) -> Recorder:
-        self._live.board.ask("telemetry", axis=self._live.axis, divider=1)
+        self._live.board.ask("telemetry", axis=self._live.axis, divider=self._live.board.log_divider)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -398,7 +398,7 @@ def open_live(
             return
         if rig is None:
             raise TautError("no rig: name the set-up's file with --rig")
-        opened = stack.enter_context(open_board(board, "use --simulate"))
+        opened = stack.enter_context(open_board(board or rig.actuator.board, "use --simulate"))
         opened.check_axis(axis)
         opened.align(16)
         stack.enter_context(opened.reading())

@@ -1,0 +1,72 @@
+"""What a driver of motors offers: the few calls that the board's application needs of the drives on one bus.
+
+Positions are the drive's own counts, as it keeps them; times are seconds of the clock that the driver was given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from tautline.errors import TautError
+
+Clock = Callable[[], float]
+
+
+class Missed(TautError):
+    """No answer, or none that is whole, came in this cycle. The next one may."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    t_s: float  # the middle of the round trip
+    q: float  # counts
+    velocity: float = 0.0  # counts/s
+    current_ma: float = 0.0  # 0 where the drive measures none
+    fault: str = ""  # what the drive says is wrong with it
+
+
+@dataclass(frozen=True)
+class DriveLimits:
+    """Of one drive, as it is configured."""
+
+    q_low: float  # counts
+    q_high: float
+    speed: float  # counts/s
+    acceleration: float  # counts/s2
+    current_ma: float = 0.0  # 0: not limited, or not known
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One drive of a bus, as it was found."""
+
+    number: int  # its address on the bus
+    model: str
+    firmware: str
+    counts_per_turn: int
+    limits: DriveLimits
+    referenced: bool  # it knows its position after being switched on
+
+
+class Drives(Protocol):
+    """The drives of one bus, each an axis. Every call takes a bounded time."""
+
+    drives: Sequence[Drive]
+    rest_s: float  # at the longest, from the last set-point to the beginning of the stop, where the host is lost
+    watchdog: str  # what does that
+
+    def measure(self) -> list[Measured]:
+        """All of them. Missed where an answer did not come."""
+
+    def set_positions(self, goals: Sequence[float | None]) -> None:
+        """Where each drive is to be now, counts; None leaves one as it is."""
+
+    def enable(self, axis: int, on: bool) -> None:
+        """On: holds where it is. Off: no torque."""
+
+    def stop(self) -> None:
+        """All off, as far as they can still be reached."""
+
+    def close(self) -> None: ...
