@@ -25,8 +25,8 @@ from tautline.value import Value
 Array = npt.NDArray[np.float64]
 
 MOST_ROWS = 10_000_000
-COLUMNS = "t_s,c_deg,u_px,v_px,c_sigma_deg,u_sigma_px,v_sigma_px"
 TRUTH_FILE = "truth.csv"  # beside a simulated recording
+COLUMNS = "t_s,c_deg,u_px,v_px,c_sigma_deg,u_sigma_px,v_sigma_px"
 _NINE_OF_TEN = 1.645  # sigma, of a normal distribution
 _ANYWHERE = 3.0**-0.5  # standard deviation of what is anywhere from -1 to 1
 

@@ -97,7 +97,8 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
         "hero": picture(
             figures.hero(model, onsets, evidence, figures.knots_of(model)),
             "Backlash width and characteristic",
-            "Left: every measured width with 2 sigma, the curve through them, its band; grey: not reached. "
+            "Left: every measured width with 2 sigma (hollow: known to no better than half of it), the curve through "
+            "them, its band; grey: not reached. "
             "Right: bending angle over motor position on the way up and down, and the central line f_remain.",
         ),
         "stages": _stages(evidence),
@@ -159,6 +160,7 @@ def write_comparison(models: Mapping[str, Model], path: Path) -> None:
     rows = comparison(models)
     names = list(models)
     unit = models[names[0]].rig.actuator.unit
+    fine, times = figures.finer(unit)
     page = {
         "title": "How backlash and f_remain changed",
         "result": _comparison_sentences(rows, unit),
@@ -171,8 +173,8 @@ def write_comparison(models: Mapping[str, Model], path: Path) -> None:
         "columns": [
             f"B mean ({unit})",
             f"B least to most ({unit})",
-            f"change of B ({unit})",
-            f"largest change ({unit})",
+            f"change of B ({fine})",
+            f"largest change ({fine})",
             "in sigma (rms)",
             "change of f_remain (deg)",
             "delay (ms)",
@@ -182,8 +184,8 @@ def write_comparison(models: Mapping[str, Model], path: Path) -> None:
                 row["model"],
                 _digits(row["width_mean"]),
                 f"{_digits(row['width_min'])} to {_digits(row['width_max'])}",
-                _digits(row["width_change_mean"], sign=True),
-                _digits(row["width_change_max"], sign=True),
+                _digits(times * row["width_change_mean"], 2, sign=True),
+                _digits(times * row["width_change_max"], 2, sign=True),
                 _digits(row["width_change_sigmas"], 2),
                 _digits(row["remaining_change_rms_deg"], 2),
                 f"{1e3 * row['delay_s']:.1f}",
@@ -389,14 +391,15 @@ def _run_sentences(runs: Mapping[str, Run]) -> list[str]:
 
 def _comparison_sentences(rows: Sequence[Mapping[str, Any]], unit: str) -> list[str]:
     sentences = []
+    fine, times = figures.finer(unit)
     for row in rows[1:]:
         if not np.isfinite(row["width_mean"]):
             sentences.append(f"{row['model']} has measured no q that {rows[0]['model']} has.")
             continue
         certain = "more than its uncertainty" if row["width_change_sigmas"] > 2 else "within the uncertainty"
         sentences.append(
-            f"{row['model']}: B changed by {_digits(row['width_change_mean'], sign=True)} {unit} on average and "
-            f"{_digits(row['width_change_max'], sign=True)} {unit} at most, {certain}; "
+            f"{row['model']}: B changed by {_digits(times * row['width_change_mean'], 2, sign=True)} {fine} on average "
+            f"and {_digits(times * row['width_change_max'], 2, sign=True)} {fine} at most, {certain}; "
             f"f_remain by {_digits(row['remaining_change_rms_deg'], 2)} deg rms."
         )
     return sentences

@@ -608,6 +608,82 @@ static void test_homing_and_checks_end_with_the_host_too(void) {
     }
 }
 
+// A tendon pulls at the motor; its host says nothing any more.
+static void test_a_motor_that_holds_alone_lets_go_slowly(void) {
+    for (int speaks = 0; speaks < 2; speaks++) {
+        fake_new(1);
+        fake.load = 0.3;
+        fake.friction = 0.02;
+        hold();
+        const tl_wire_ping_t ping = {.host_us = 0};
+        for (int second = 0; second < 59; second++) {
+            fake_run_ms(1000);
+            TEST_ASSERT_EQUAL(TL_WIRE_MODE_HOLD, app.axes[0].mode);
+            TEST_ASSERT_TRUE(speaks != 1 || fake_ask(TL_WIRE_PING, &ping) == -1);
+        }
+        const int held = fake.duty[0];
+        TEST_ASSERT_INT_WITHIN(1500, 9830, held); // 30 %
+        fake_run_ms(900);
+        TEST_ASSERT_INT_WITHIN(300, held, fake.duty[0]);
+        int before = fake.duty[0];
+        uint32_t ms = 0;
+        for (; app.axes[0].fault == TL_WIRE_FAULT_NONE && ms < 3000; ms++) {
+            fake_run_ms(1);
+            TEST_ASSERT_TRUE_MESSAGE(before - fake.duty[0] <= (speaks == 1 ? 300 : held / 500),
+                                     "never a sudden release");
+            before = fake.duty[0];
+        }
+        if (speaks == 1) {
+            TEST_ASSERT_EQUAL(3000, ms);
+            TEST_ASSERT_EQUAL(TL_WIRE_MODE_HOLD, app.axes[0].mode);
+            continue;
+        }
+        TEST_ASSERT_INT_WITHIN(150, 1000, (int)ms);
+        TEST_ASSERT_TRUE(app.axes[0].silent);
+        assert_fault(TL_WIRE_FAULT_HOST_LOST);
+    }
+}
+
+static void test_how_long_it_holds_alone_is_a_setting(void) {
+    tl_wire_settings_t own = settings();
+    TEST_ASSERT_EQUAL(60000, own.hold_ms);
+    own.hold_ms = TL_AXIS_HOLD_MAX_MS + 1U;
+    TEST_ASSERT_EQUAL(TL_WIRE_REASON_RANGE, fake_ask(TL_WIRE_SETTINGS, &own));
+    own.hold_ms = 2000;
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_SETTINGS, &own));
+    hold();
+    fake_run_ms(1900);
+    TEST_ASSERT_EQUAL(TL_WIRE_MODE_HOLD, app.axes[0].mode);
+    fake_run_ms(1200);
+    assert_fault(TL_WIRE_FAULT_HOST_LOST);
+    own.hold_ms = 0;
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_CLEAR_FAULT, &own));
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_SETTINGS, &own));
+    hold();
+    fake_run_ms(200000);
+    TEST_ASSERT_EQUAL(TL_WIRE_MODE_HOLD, app.axes[0].mode);
+}
+
+// Settings that firmware stored before hold_ms was one of them are in force all the same.
+static void test_settings_of_earlier_firmware_are_read(void) {
+    const size_t size = TL_WIRE_HEADER_SIZE + TL_WIRE_SIZE_SETTINGS + TL_WIRE_CRC_SIZE;
+    uint8_t blob[TL_WIRE_AXES_MAX * (TL_WIRE_HEADER_SIZE + TL_WIRE_SIZE_SETTINGS + TL_WIRE_CRC_SIZE)];
+    for (uint8_t i = 0; i < TL_WIRE_AXES_MAX; i++) {
+        tl_wire_settings_t own = tl_axis_default_settings(&fake_port, i);
+        own.stall_ms = 222;
+        own.hold_ms = 5;
+        uint8_t frame[TL_WIRE_FRAME_MAX];
+        tl_wire_frame(frame, TL_WIRE_SETTINGS, 0, &own);
+        memcpy(blob + i * (size - 4U), frame, size - 4U);
+    }
+    const uint16_t all = (uint16_t)(TL_WIRE_AXES_MAX * (size - 4U));
+    TEST_ASSERT_TRUE(tl_store_write(&fake_port, TL_STORE_SETTINGS, 0U, blob, all));
+    fake_start(2, TL_WIRE_BOOT_POWER);
+    TEST_ASSERT_EQUAL(TL_WIRE_STORE_NEWEST, fake_status(0).settings);
+    TEST_ASSERT_EQUAL(222, settings().stall_ms);
+    TEST_ASSERT_EQUAL(60000, settings().hold_ms);
+}
+
 // -- the encoder while nobody looks -----------------------------------------------------------------------------
 
 static void test_a_motor_turned_by_hand_during_an_erase_is_no_fault(void) {
@@ -707,6 +783,9 @@ int main(void) {
     RUN_TEST(test_damaged_settings_are_a_fault);
     RUN_TEST(test_a_move_ends_when_the_host_is_silent_or_gone);
     RUN_TEST(test_homing_and_checks_end_with_the_host_too);
+    RUN_TEST(test_a_motor_that_holds_alone_lets_go_slowly);
+    RUN_TEST(test_how_long_it_holds_alone_is_a_setting);
+    RUN_TEST(test_settings_of_earlier_firmware_are_read);
     RUN_TEST(test_a_motor_turned_by_hand_during_an_erase_is_no_fault);
     RUN_TEST(test_a_refused_table_leaves_the_one_in_use);
     RUN_TEST(test_a_table_for_another_instrument_is_refused_unless_any_will_do);

@@ -151,7 +151,7 @@ def test_the_command(taut: Taut, tmp_path: Path) -> None:
     done = taut("compensate", tmp_path / "m", "--trajectory", file, "--csv", tmp_path / "o.csv", "--rate", 50, "--json")
     assert done.code == 0, done.err
     assert json.loads(done.out) == {
-        "csv": str(tmp_path / "o.csv"), "rows": 101, "clipped": 0, "compensation": "full", "rate_hz": 50,
+        "csv": str(tmp_path / "o.csv"), "rows": 101, "clipped": 0, "mode": "full", "rate_hz": 50,
     }  # fmt: skip
     lines = (tmp_path / "o.csv").read_text().splitlines()
     assert lines[0] == "t_s,q_mm,clipped" and len(lines) == 102

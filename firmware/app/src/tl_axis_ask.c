@@ -42,6 +42,7 @@ tl_wire_settings_t tl_axis_default_settings(const tl_port_t *port, uint8_t index
         .arrive_q8 = 4 * TL_COUNT_ONE,
         .stall_ms = 300,
         .supply_low_mv = port->supply_low_mv,
+        .hold_ms = 60000,
     };
 }
 
@@ -99,7 +100,7 @@ uint8_t tl_axis_check_settings(const tl_port_t *port, const tl_wire_settings_t *
     const bool sound = is_sound(port, &limits) && settings->low_duty_q15 >= 0 &&
                        settings->low_duty_q15 <= settings->duty_q15 && settings->arrive_q8 >= TL_COUNT_ONE &&
                        settings->arrive_q8 <= TL_AXIS_RANGE_MAX && settings->stall_ms >= 20U &&
-                       settings->stall_ms <= 5000U;
+                       settings->stall_ms <= 5000U && settings->hold_ms <= TL_AXIS_HOLD_MAX_MS;
     return sound ? 0 : TL_WIRE_REASON_RANGE;
 }
 
@@ -263,6 +264,7 @@ void tl_axis_hear(tl_axis_t *axis) {
     if (axis->guard.homed) {
         find_tip(axis);
     }
+    axis->guard.alone_ms = 0;
     if (!tl_axis_is_following(axis)) { // a follower's sender sends set-points
         axis->guard.patience = axis->guard.silence_ms;
     }
@@ -338,6 +340,7 @@ static TL_FAST void begin(tl_axis_t *axis, tl_duty_q15_t most) {
     axis->plan.stream.used = 0;
     axis->guard.lapsed = false;
     axis->guard.homing = false;
+    axis->guard.sink = 0;
     axis->guard.still_ms = 0; // but how long it has been pushing does: asking again is no way round a stall
 }
 

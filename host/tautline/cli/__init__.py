@@ -11,8 +11,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from tautline import __version__
-from tautline.cli._commands import COMMANDS, EXIT_STATUS, GROUPS
-from tautline.cli._common import Said
+from tautline.cli._commands import COMMANDS, EXIT_STATUS, GROUPS, Said
 from tautline.errors import TautError, nearest, of_system
 
 

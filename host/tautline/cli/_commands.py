@@ -127,6 +127,14 @@ GROUPS: dict[str, tuple[Command, ...]] = {
 }
 COMMANDS = {command.name: command for group in GROUPS.values() for command in group}
 
+
+@dataclass
+class Said:
+    """What of a command is out already: the context's object."""
+
+    result: bool = False
+
+
 # Of every command.
 EXIT_STATUS = {
     0: "done",

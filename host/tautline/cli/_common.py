@@ -9,12 +9,12 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import click
 
+from tautline.cli._commands import Said
 from tautline.errors import TautError, UnusableError
 from tautline.model import Model
 from tautline.plain import plain
@@ -40,6 +40,8 @@ def folder_option(name: str, help: str, required: bool = True) -> Callable[[Any]
 
 compensation_option = click.option(
     "--compensation",
+    "--mode",
+    "compensation",
     type=click.Choice(["off", "backlash", "full"]),
     default="full",
     show_default=True,
@@ -104,13 +106,6 @@ def log(text: str) -> None:
 
 def warn(text: str) -> None:
     click.echo(f"taut: warning: {text}", err=True)
-
-
-@dataclass
-class Said:
-    """What of a command is out already: the context's object."""
-
-    result: bool = False
 
 
 def emit(result: Mapping[str, Any], as_json: bool, text: str) -> None:

@@ -65,7 +65,7 @@ def command(
     if clipped:
         warn(f"{clipped} of {len(points.q)} set-points were clipped: beyond the table, the range or the speed")
     emit(
-        {"csv": csv_path, "rows": len(points.q), "clipped": clipped, "compensation": compensation, "rate_hz": rate_hz},
+        {"csv": csv_path, "rows": len(points.q), "clipped": clipped, "mode": compensation, "rate_hz": rate_hz},
         as_json,
         f"{csv_path}: {len(points.q)} set-points, {clipped} clipped",
     )

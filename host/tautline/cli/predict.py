@@ -10,7 +10,15 @@ import click
 
 from tautline.cli._common import emit, json_option, warn, warn_unusable
 from tautline.model import Model
-from tautline.prediction import COLUMNS, TRUTH_FILE, off_the_truth, predict_with_sigma, score, times_of, write_csv
+from tautline.prediction import (
+    COLUMNS,
+    TRUTH_FILE,
+    off_the_truth,
+    predict_with_sigma,
+    score,
+    times_of,
+    write_csv,
+)
 from tautline.recording import load, load_motor
 
 
@@ -48,12 +56,11 @@ def command(
     prediction = predict_with_sigma(model, motor, times.scene_s, start_deg)
     write_csv(csv_path, times, prediction)
     off_deg = off_the_truth(model, recording_path, motor, times, prediction)
-    result: dict[str, Any] = {
-        "csv": csv_path, "rows": len(times.cells), "delay_s": times.delay_s, "off_truth_deg": off_deg,
-    }  # fmt: skip
-    text = f"{csv_path}: {len(times.cells)} rows"
-    if off_deg is not None:
-        text += f", {off_deg:.2g} deg rms off {TRUTH_FILE}"
+    result: dict[str, Any] = {"csv": csv_path, "rows": len(times.cells), "delay_s": times.delay_s}
+    result["off_truth_deg"] = off_deg
+    text = f"{csv_path}: {len(times.cells)} rows" + (
+        "" if off_deg is None else f", {off_deg:.2g} deg rms off {TRUTH_FILE}"
+    )
     if scores:
         found = score(model, load(recording_path, model.rig), start_deg)
         result["score"] = asdict(found)

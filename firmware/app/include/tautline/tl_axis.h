@@ -81,6 +81,8 @@ typedef struct {
     uint16_t supply_mv;
     int32_t fault_value;
     tl_us_t fault_us;
+    uint32_t alone_ms;  ///< held without a word of a host
+    tl_duty_q15_t sink; ///< drive that it loses each millisecond since that took too long; 0: it has not
 } tl_axis_guarded_t;
 
 /// A check of motor and encoder, or a search for an end, under way.

@@ -12,6 +12,7 @@
 #define TL_AXIS_FOLLOW_SILENCE_US 100000U  ///< default of followers,
 #define TL_AXIS_MOVE_SILENCE_US   1000000U ///< and of other motions
 #define TL_AXIS_SILENCE_MAX_US    60000000U
+#define TL_AXIS_HOLD_MAX_MS       86400000U ///< of the settings
 #define TL_AXIS_AHEAD_US          10000000U ///< a set-point may lie this far ahead
 
 /// Off, at position 0 and not referenced, without a table, with the port's default settings.
