@@ -113,7 +113,7 @@ _APP = (
     _one("the port's current limit", SAFETY + "the_default_current_limit_is_below_the_drivers_own",
          ASK, ".current_ma = port->driver_ma - port->driver_ma / 16,", ".current_ma = 1000,"),
     _one("the supply is told", SAFETY + "a_driver_fault_and_a_low_supply_are_faults_and_told",
-         COMMAND, ".supply_mv = axis->guard.supply_mv,", ".supply_mv = 0,"),
+         COMMAND, "out->supply_mv = axis->guard.supply_mv;", "out->supply_mv = 0;"),
     _one("slow oscillation", SAFETY + "proportional_gain_alone_swings_at_full_duty_until_it_is_a_fault",
          GUARD, "tl_path_rests(&axis->path) ? 1U : SWING_REST", "SWING_REST"),
     _one("a dead encoder is seen", SAFETY + "swapped_wires_a_dead_encoder_and_a_wrong_scale_are_told_apart",
@@ -130,11 +130,14 @@ _APP = (
          SETTINGS, "if (!tl_store_write(port, TL_STORE_SETTINGS, 0U, scratch, TL_WIRE_AXES_MAX * FRAME_SIZE)) {",
          "if (false && scratch[0] == FRAME_SIZE) {"),
     _one("homing lapses", SAFETY + "homing_and_checks_end_with_the_host_too", GUARD,
-         "axis->mode == TL_WIRE_MODE_MOVE || axis->mode == TL_WIRE_MODE_HOME ||\n",
-         "axis->mode == TL_WIRE_MODE_MOVE ||\n"),
+         "MODE_MOVE || axis->mode == TL_WIRE_MODE_HOME;\n}", "MODE_MOVE;\n}"),
     _one("a sender that is silent", AXIS + "a_silent_sender_brings_the_axis_to_rest_and_holds",
          GUARD, "return tl_axis_is_following(axis) || axis->mode == TL_WIRE_MODE_MOVE ||",
          "return axis->mode == TL_WIRE_MODE_MOVE ||"),
+    _one("a hold that ends", SAFETY + "a_motor_that_holds_alone_lets_go_slowly",
+         GUARD, "++guard->alone_ms < axis->settings.hold_ms", "++guard->alone_ms > 0"),
+    _one("a hold that ends slowly", SAFETY + "a_motor_that_holds_alone_lets_go_slowly",
+         GUARD, "guard->sink = (size >> 10) + 1;", "guard->sink = size + 1;"),
     _one("a camera that is silent", AXIS + "a_calibration_without_frames_ends_in_the_safe_state",
          "firmware/estimator/src/tl_motion.c", "m->timeout_ticks > 0 && ++m->quiet_ticks > m->timeout_ticks", "false"),
     _one("a bus that is gone", AXIS + "losing_the_bus_while_following_comes_to_rest_at_once",
@@ -154,6 +157,24 @@ _APP = (
          FLASH_STORE, "kept < offset_of(axis, 1U) ? 1U : 0U", "kept < offset_of(axis, 1U) ? 0U : 1U"),
     _one("the table in use stays", STORE + "the_table_in_use_stays_where_the_newer_one_was_refused",
          FLASH_STORE, "kept == 0U ? older", "true ? older"),
+    _one("erased flash is read back", STORE + "what_flash_did_not_take_is_told_and_the_table_in_use_stays",
+         FLASH_STORE, " && is_blank(port, offset, TL_PORT_FLASH_SECTOR);", ";"),
+    _one("programmed flash is read back", STORE + "what_flash_did_not_take_is_told_and_the_table_in_use_stays",
+         FLASH_STORE, " && holds(port, offset, page, sizeof(page));", ";"),
+    _one("the integral's limit", SAFETY + "the_integral_is_no_more_than_the_drive_may_be",
+         HEADERS + "tl_servo.h", "tl_clamp(integral + error * servo->integral_step, -most, most)",
+         "tl_clamp(integral + error * servo->integral_step, -8 * most, 8 * most)"),
+    _one("a slow jog", SAFETY + "jogs_and_homing_go_at_half_the_speed_at_most", ASK,
+         """    begin(axis, low_duty(axis));
+    set_speed(axis, request->speed_q8_s, axis->plan.travel.speed / 10, axis->plan.travel.speed / 2);""",
+         """    begin(axis, low_duty(axis));
+    set_speed(axis, request->speed_q8_s, axis->plan.travel.speed / 10, axis->plan.travel.speed);"""),
+    _one("slow homing", SAFETY + "jogs_and_homing_go_at_half_the_speed_at_most", ASK,
+         """low_duty(axis));
+    set_speed(axis, request->speed_q8_s, axis->plan.travel.speed / 10, axis->plan.travel.speed / 2);
+    axis->plan.move_target = tl_reference_q""", """low_duty(axis));
+    set_speed(axis, request->speed_q8_s, axis->plan.travel.speed / 10, axis->plan.travel.speed);
+    axis->plan.move_target = tl_reference_q"""),
     _one("a damaged upload touches nothing",
          STORE + "a_damaged_upload_leaves_the_table_in_use_though_flash_has_lost_it",
          "firmware/app/src/tl_tables.c", "reason = tl_table_check_blob(blob, size, axis);", "reason = TL_TABLE_OK;"),
@@ -168,9 +189,12 @@ _APP = (
          APP, "app->settings == TL_WIRE_STORE_BAD", "false"),
     _one("a refused table changes nothing", SAFETY + "a_refused_table_leaves_the_one_in_use",
          TABLES, "        load(tables, axis); // what flash has: the one that was in use\n",
-         "        use(tables, axis, false);\n"),
+         "        use(tables, axis, false, false);\n"),
     _one("a table is loaded beside the one in use", "tests/c/test_drive.c::test_the_readme_s_example",
          "firmware/estimator/include/tautline/tl_drive.h", "(uint8_t)(1U - drive->used)", "drive->used"),
+    _one("a change stays where the motor was sent",
+         "tests/c/test_changes.c::test_nothing_that_is_changed_makes_the_goal_jump_or_leave_the_range",
+         "firmware/estimator/src/tl_compensator.c", "tl_add_sat(k->q, tl_compensator_rest(k))", "k->q"),
     _one("the instrument of a table", SAFETY + "a_table_for_another_instrument_is_refused_unless_any_will_do",
          TABLES, "reason == TL_TABLE_OK && !table->any &&", "reason == TL_TABLE_OK && false &&"),
     _one("a half frame ends", LINK + "a_half_frame_costs_nothing_that_comes_later",
@@ -178,7 +202,21 @@ _APP = (
     _one("a restart waits for rest", LINK + "a_restart_waits_until_the_axes_rest",
          APP, "tl_tables_all_off(app->port, app->axes) || since_us >= REST_MOST_US", "true"),
     _one("a status under the lock", "tests/c/test_app.c::test_a_status_is_of_one_moment", COMMAND,
-         "const uint32_t state = app->port->lock(app->port->context); // all", "const uint32_t state = 0; // all"),
+         "state = port->lock(port->context);\n    out->mode", "state = 0;\n    out->mode"),
+    _one("events under the lock", "tests/c/test_app.c::test_no_event_is_lost_to_the_control_step", TABLES,
+         """    tl_axis_use_table(&tables->axes[index], found);
+    if (is_new) {
+        tl_axis_event(&tables->axes[index], TL_WIRE_EVENT_TABLE);
+    }
+    port->unlock(port->context, state);
+""", """    tl_axis_use_table(&tables->axes[index], found);
+    port->unlock(port->context, state);
+    if (is_new) {
+        tl_axis_event(&tables->axes[index], TL_WIRE_EVENT_TABLE);
+    }
+"""),
+    _one("a new table is told", "tests/c/test_app.c::test_no_event_is_lost_to_the_control_step", TABLES,
+         "        tl_axis_event(&tables->axes[index], TL_WIRE_EVENT_TABLE);\n", "        (void)0;\n"),
     _one("codes differ", "tests/c/duplicate_code.c::",
          "common/include/tautline/tl_wire.h", "#define TL_WIRE_CASE_(code, NAME, text) case (code):",
          "#define TL_WIRE_CASE_(code, NAME, text)"),
@@ -190,8 +228,9 @@ _PORT = (
     _one("a crash coasts", EMULATED + "a_crash_of_the_processor_coasts_every_bridge_first",
          RP2040 + "main.c", "    bridge_coast_all();\n"),
     _one("an alarm that has passed is set again", IMAGE + "an alarm that passes while it is set", RP2040 + "main.c",
-         "while ((int32_t)(due - timer_hw->timerawl) <= 0 && (timer_hw->armed & 1u << CONTROL_ALARM) != 0) {",
-         "while (false) {"),
+         "if ((int32_t)late_us < 0 || ", "if (true || "),
+    _one("late steps keep the PWM's phase", IMAGE + "currents are sampled in the same phase after", RP2040 + "main.c",
+         "(late_us / CONTROL_PERIOD_US + 1u) * CONTROL_PERIOD_US", "late_us + CONTROL_PERIOD_US"),
     _one("the PWM starts from RAM", IMAGE + "what has to be in time", RP2040 + "main.c",
          "static void __no_inline_not_in_flash_func(start_in_time)", "static void start_in_time"),
     _one("the PWM's phase", IMAGE + "currents are first sampled just before the end of a PWM period",
@@ -199,6 +238,10 @@ _PORT = (
          "(uint16_t)(ticks % PERIOD)"),
     _one("the most of four samples", IMAGE + "the most of four samples counts", RP2040 + "bridge.c",
          "most = sample > most ? sample : most;", "most = sample;"),
+    _one("a halt is watched", EMULATED + "a_debugger_that_holds_the_core_leaves_no_motor_running", RP2040 + "main.c",
+         "    watchdog_enable(ms, TAUTLINE_HALT_KEEPS_DRIVING);", "    watchdog_enable(ms, true);"),
+    _one("a lock is taken from RAM", EMULATED + "no_command_keeps_the_control_step_out", RP2040 + "main.c",
+         "static uint32_t __not_in_flash_func(port_lock)", "static uint32_t port_lock"),
     _one("a glitch is looked at again", IMAGE + "a glitch beside an edge is no lost edge",
          RP2040 + "quadrature.pio", ".define LOOKS 15", ".define LOOKS 0"),
     _one("pull-ups settle", IMAGE + "lines that rise slowly after the pull-ups went on are no edges",
@@ -237,8 +280,9 @@ _HOST = (
          HOST + "cli/inject.py", "    if board is not None:", "    if False:"),
     _one("a fault is named", EVERY_POINT,
          HOST + "device/board.py", "has stopped: {wire.fault(status)}. Then", "has stopped. Then"),
-    _one("room for a reply", "tests/c/test_axis.c::test_telemetry_is_even_and_every_drop_is_counted",
-         "firmware/app/src/tl_outbox.c", "return put(outbox, FOR_REPLIES,", "return put(outbox, 0,"),
+    Guard("room for a reply", "tests/c/test_axis.c::test_telemetry_is_even_and_every_drop_is_counted",
+          (("firmware/app/src/tl_outbox.c", "return put(outbox, FOR_REPLIES,", "return put(outbox, 0,"),
+           ("firmware/app/src/tl_outbox.c", "return has_room(outbox, FOR_REPLIES,", "return has_room(outbox, 0,"))),
     _one("clear clears", COMMISSION + "clear_names_the_fault_and_its_remedy",
          HOST + "cli/clear.py", '        board.ask("clear_fault", axis=axis)', "        pass"),
     _one("stored when agreed to", COMMISSION + "commission_does_nothing_that_was_not_agreed_to",

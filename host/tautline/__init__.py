@@ -9,8 +9,10 @@
     blob = tl.encode(calibration.model)
 
 Its functions and the types of what they take and give. Where they are made is in the package's rooms (DESIGN.md).
+What they note beside their results goes to the logger "tautline".
 """
 
+import logging
 from importlib import import_module
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
@@ -28,7 +30,9 @@ if TYPE_CHECKING:
     from tautline.api import report as report
     from tautline.api import track as track
     from tautline.calibration.calibrate import Calibration as Calibration
+    from tautline.compensation import Compensator as Compensator
     from tautline.compensation import SetPoints as SetPoints
+    from tautline.core.session import Session as Session
     from tautline.diagnosis.diagnose import Diagnosis as Diagnosis
     from tautline.elements import Elements as Elements
     from tautline.errors import TautError as TautError
@@ -47,6 +51,9 @@ if TYPE_CHECKING:
     from tautline.recording import Recording as Recording
     from tautline.rig import Rig as Rig
     from tautline.tracking import Tracked as Tracked
+    from tautline.tracking import Tracker as Tracker
+
+logging.getLogger(__name__).addHandler(logging.NullHandler())  # silent until a program asks: the commands have words
 
 DISTRIBUTION = "tautline-robotics"  # its name on the package index
 __version__ = version(DISTRIBUTION)
@@ -54,6 +61,7 @@ __version__ = version(DISTRIBUTION)
 _PUBLIC = {
     "Angle": "recording",
     "Calibration": "calibration.calibrate",
+    "Compensator": "compensation",
     "Diagnosis": "diagnosis.diagnose",
     "Elements": "elements",
     "Imported": "importing",
@@ -67,9 +75,11 @@ _PUBLIC = {
     "Reason": "quality",
     "Recording": "recording",
     "Rig": "rig",
+    "Session": "core.session",
     "SetPoints": "compensation",
     "TautError": "errors",
     "Tracked": "tracking",
+    "Tracker": "tracking",
     "UnusableError": "errors",
     "Verdict": "quality",
     "calibrate": "api",

@@ -9,6 +9,7 @@ Every error that a caller can act on is a TautError whose text says what to do; 
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -33,10 +34,11 @@ if TYPE_CHECKING:
     from tautline.tracking import Tracked
 
 Progress = Callable[[float, str], None]  # (share done, 0 to 1; what is being done)
+_log = logging.getLogger(__name__)
 
 
 def _silent(share: float, what: str) -> None:
-    pass
+    _log.debug("%3.0f %%: %s", 100.0 * share, what)
 
 
 def load(path: str | Path, rig: Rig | str | Path | None = None, progress: Progress = _silent) -> Recording:
@@ -54,6 +56,8 @@ def load(path: str | Path, rig: Rig | str | Path | None = None, progress: Progre
     recording = recordings_room.load(path, named)
     used = named or recording.rig
     assert used is not None  # else load has refused it
+    for warning in recording.warnings:
+        _log.warning("%s", warning)
     if recording.marker is None and recording.video is not None:
         from tautline.vision.marker import with_marker
 
@@ -137,13 +141,21 @@ def calibrate(
     from tautline.calibration.calibrate import calibrate as calibrated
 
     several = _several(recordings)
-    return calibrated(several, _rig_of(several, rig), Options(knots=knots, remaining=remaining), progress)
+    found = calibrated(several, _rig_of(several, rig), Options(knots=knots, remaining=remaining), progress)
+    for note in found.notes:
+        _log.info("%s", note)
+    quality = found.model.quality
+    _log.info("the calibration is %s", quality.verdict)
+    for reason in quality.reasons:
+        _log.log(logging.INFO if reason.mild else logging.WARNING, "%s", reason)
+    return found
 
 
 def predict(model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float | None = None) -> Prediction:
     """Where the tip was, by the model and the motor's motion alone.
 
-    Shapes: scene_s (n,) in any order; `.c_deg` (n,), `.image_px` (n, 2), or None on a rig without a camera.
+    Shapes: scene_s (n,) in any order; `.c_deg` (n,), `.image_px` (n, 2), or None on a rig without a camera; as they are
+        `.c_sigma_deg` and `.image_sigma_px`, one standard deviation of what the sensor would show, its noise included.
     Units: scene_s in s on the motor's clock, which is arrival time less `model.delay_s`; start_deg and c in deg; px.
     Errors: TautError where the motor lacks a column that one of the model's effects needs. A place where the marker
         cannot be is NaN.
@@ -152,9 +164,9 @@ def predict(model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float
 
     The tip starts on the centre line, c = f_remain(q[0]), or at start_deg; q is held before and after motor's samples.
     """
-    from tautline.prediction import predict as predicted
+    from tautline.prediction import predict_with_sigma
 
-    return predicted(model, motor, scene_s, start_deg)
+    return predict_with_sigma(model, motor, scene_s, start_deg)
 
 
 def encode(
@@ -245,9 +257,12 @@ def diagnose(
     calibrated_on, on_one_clock = calibrated(
         several, _rig_of(several, rig), lambda share, what: progress(0.3 * share, what)
     )
-    return diagnosed(
+    found = diagnosed(
         calibrated_on.model, on_one_clock[0], on_one_clock[1:], lambda share, what: progress(0.3 + 0.7 * share, what)
     )
+    named = ", ".join(f"{each['id']} ({each['probability']:.2f})" for each in found.document["effects"])
+    _log.info("%s%s", found.document["verdict"], f": {named}" if named else "")
+    return found
 
 
 def report(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +15,7 @@ from tautline.columns import read_columns
 from tautline.errors import TautError
 from tautline.folders import write_file
 from tautline.model import Model
+from tautline.value import Value
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -26,8 +28,8 @@ _CLIPPED = _FLAGS["BELOW"] | _FLAGS["ABOVE"] | _FLAGS["CLIPPED"] | _FLAGS["LIMIT
 _PIECE = 200_000  # rows between two reports of progress
 
 
-@dataclass(frozen=True)
-class SetPoints:
+@dataclass(frozen=True, eq=False, repr=False)
+class SetPoints(Value):
     t_s: Array  # (n,)
     q: Array  # (n,) the rig's unit
     clipped: npt.NDArray[np.bool_]  # (n,) the command was beyond the table or a limit
@@ -54,39 +56,100 @@ def compensate(
     """The set-points at rate_hz from the first time to the last, each from the commands up to its own time. It starts
     at rest where the mode puts the motor for c_deg[0], or start_deg, with the tip on the centre line. Take-up and feed
     are as fast as the rig's motor may be, without a limit if the rig names none."""
-    t_s, c_deg = np.asarray(t_s, dtype=float), np.asarray(c_deg, dtype=float)
-    if t_s.ndim != 1 or t_s.shape != c_deg.shape or not len(t_s):
-        raise TautError(f"the trajectory's t_s {t_s.shape} and c_deg {c_deg.shape} must have one length of 1 or more")
-    if not (np.isfinite(t_s).all() and np.isfinite(c_deg).all() and (np.diff(t_s) > 0.0).all()):
-        raise TautError("the trajectory's times must rise, and its times and angles be finite")
-    if mode not in MODES:
-        raise TautError(f"mode {mode!r} is not there: choose one of {', '.join(MODES)}")
-    if not RATES_HZ[0] <= rate_hz <= RATES_HZ[1]:
-        raise TautError(f"--rate {rate_hz}: the compensator runs at {RATES_HZ[0]:.0f} to {RATES_HZ[1]:.0f} Hz")
-    steps = (t_s[-1] - t_s[0]) * rate_hz * (1 + 1e-12)
-    if steps >= MOST_ROWS:
-        raise TautError(f"the trajectory has more than {MOST_ROWS} rows at {rate_hz} Hz: lower --rate or cut it")
-    times = t_s[0] + np.arange(int(steps + 1e-6) + 1) / rate_hz
-    raw = np.clip(np.rint(np.interp(times, t_s, c_deg) * _native.DEG_ONE), -(2**31), 2**31 - 1).astype(np.int32)
-    table = _native.FixedTable(tables.encode(model, limits=_limits(model)))
-    start = raw[0] if start_deg is None else np.int32(np.clip(round(start_deg * _native.DEG_ONE), -(2**31), 2**31 - 1))
-    inverse = table.angle_inverse if mode == "full" else table.coarse_inverse
-    low, high = table.fields["q_min"], table.fields["q_max"]
-    q0 = int(np.clip(inverse(np.array([start], np.int32))[0][0], low, high))
-    compensator = _native.FixedCompensator(table, rate_hz, MODES[mode], q0, int(start))
-    q, flags = np.empty(len(raw)), np.empty(len(raw), np.uint32)
-    for begin in range(0, len(raw), _PIECE):
-        piece = slice(begin, begin + _PIECE)
-        q[piece], _, _, flags[piece] = compensator.run(raw[piece])
-        progress(min(1.0, (begin + _PIECE) / len(raw)), f"{len(raw)} set-points")
-    clipped = flags & _CLIPPED != 0
-    speed = model.rig.actuator.speed_max
-    q *= model.rig.actuator.encoder_resolution / _native.COUNT_ONE
-    if speed is not None:
-        limited = _no_faster(q, speed / rate_hz)
-        clipped |= limited != q
-        q = limited
-    return SetPoints(times, q, clipped)
+    return Compensator(model, rate_hz, mode, start_deg).run(t_s, c_deg, progress)
+
+
+class Compensator:
+    """The board's compensator in a loop of one's own: `step` with each command as it comes, or `run` with many.
+
+    It ticks at rate_hz from the time of the first command on, and each tick knows the commands up to its own time: a
+    straight line from one to the next. So `run` on a trajectory is `compensate`, and so are its rows one by one.
+    """
+
+    def __init__(self, model: Model, rate_hz: int = 1000, mode: str = "full", start_deg: float | None = None) -> None:
+        """It starts at rest where the mode puts the motor for the first command, or start_deg, with the tip on the
+        centre line. TautError for a mode or a rate that is not there, and for a model that a board would refuse."""
+        if mode not in MODES:
+            raise TautError(f"mode {mode!r} is not there: choose one of {', '.join(MODES)}")
+        if not RATES_HZ[0] <= rate_hz <= RATES_HZ[1]:
+            raise TautError(f"--rate {rate_hz}: the compensator runs at {RATES_HZ[0]:.0f} to {RATES_HZ[1]:.0f} Hz")
+        self.rate_hz, self.mode = rate_hz, mode
+        self._table = _native.FixedTable(tables.encode(model, limits=_limits(model)))
+        self._start_deg = start_deg
+        self._unit = model.rig.actuator.encoder_resolution / _native.COUNT_ONE
+        speed = model.rig.actuator.speed_max
+        self._most = None if speed is None else speed / rate_hz  # unit, of one tick
+        self._native: Any = None  # from the first command on
+        self._begin_s = self._before_s = self._before_deg = 0.0
+        self._ticks = 0
+        self._q = 0.0
+        self._clipped = False
+
+    @property
+    def clipped(self) -> bool:
+        """Whether the last command was beyond the table, the range or the motor's speed."""
+        return self._clipped
+
+    def step(self, c_deg: float, t_s: float) -> float:
+        """The motor's set-point, the rig's unit, at the last tick up to t_s, s, where the tip should be at c_deg.
+        TautError for a time that is not after the one before, and for what is not finite."""
+        self.run([t_s], [c_deg])
+        return self._q
+
+    def run(
+        self,
+        t_s: npt.ArrayLike,
+        c_deg: npt.ArrayLike,
+        progress: Progress = lambda fraction, text: None,
+    ) -> SetPoints:
+        """The set-points of all ticks up to the last of the times (n,), s, of the commands (n,), deg. TautError as
+        `step`."""
+        t_s, c_deg = np.asarray(t_s, dtype=float), np.asarray(c_deg, dtype=float)
+        if t_s.ndim != 1 or t_s.shape != c_deg.shape or not len(t_s):
+            shapes = f"t_s {t_s.shape} and c_deg {c_deg.shape}"
+            raise TautError(f"the trajectory's {shapes} must have one length of 1 or more")
+        first = self._native is None
+        known_s = t_s if first else np.concatenate([[self._before_s], t_s])
+        known_deg = c_deg if first else np.concatenate([[self._before_deg], c_deg])
+        if not (np.isfinite(known_s).all() and np.isfinite(known_deg).all() and (np.diff(known_s) > 0.0).all()):
+            raise TautError("the trajectory's times must rise, and its times and angles be finite")
+        if (t_s[-1] - known_s[0]) * self.rate_hz * (1 + 1e-12) >= MOST_ROWS:
+            rows = f"{MOST_ROWS} rows at {self.rate_hz} Hz"
+            raise TautError(f"the trajectory has more than {rows}: lower --rate or cut it")
+        if first:
+            self._start(float(t_s[0]), float(c_deg[0]))
+        last = int((t_s[-1] - self._begin_s) * self.rate_hz * (1 + 1e-12) + 1e-6)
+        times = self._begin_s + np.arange(self._ticks, last + 1) / self.rate_hz
+        raw = _raw(np.interp(times, known_s, known_deg))
+        q, flags = np.empty(len(raw)), np.empty(len(raw), np.uint32)
+        for begin in range(0, len(raw), _PIECE):
+            piece = slice(begin, begin + _PIECE)
+            q[piece], _, _, flags[piece] = self._native.run(raw[piece])
+            progress(min(1.0, (begin + _PIECE) / len(raw)), f"{len(raw)} set-points")
+        clipped = flags & _CLIPPED != 0
+        q *= self._unit
+        if self._most is not None and len(q):
+            limited = _no_faster(q, self._most, float(q[0]) if self._ticks == 0 else self._q)
+            clipped |= limited != q
+            q = limited
+        if len(q):
+            self._q, self._clipped = float(q[-1]), bool(clipped[-1])
+        self._ticks = last + 1
+        self._before_s, self._before_deg = float(t_s[-1]), float(c_deg[-1])
+        return SetPoints(times, q, clipped)
+
+    def _start(self, t_s: float, c_deg: float) -> None:
+        start = _raw(np.array([c_deg if self._start_deg is None else self._start_deg]))
+        inverse = self._table.angle_inverse if self.mode == "full" else self._table.coarse_inverse
+        low, high = self._table.fields["q_min"], self._table.fields["q_max"]
+        q0 = int(np.clip(inverse(start)[0][0], low, high))
+        self._native = _native.FixedCompensator(self._table, self.rate_hz, MODES[self.mode], q0, int(start[0]))
+        self._begin_s = t_s
+
+
+def _raw(c_deg: Array) -> npt.NDArray[np.int32]:
+    """Angles as the board has them."""
+    return np.asarray(np.clip(np.rint(c_deg * _native.DEG_ONE), -(2**31), 2**31 - 1), dtype=np.int32)
 
 
 def _limits(model: Model) -> tables.Limits:
@@ -99,10 +162,9 @@ def _limits(model: Model) -> tables.Limits:
     return replace(own, speed_max=speed, takeup_speed=speed, takeup_accel=accel, slope_min=0.0)
 
 
-def _no_faster(q: Array, step: float) -> Array:
-    """q, following itself by at most `step` a row."""
+def _no_faster(q: Array, step: float, here: float) -> Array:
+    """q, following itself from `here` by at most `step` a row."""
     limited = np.empty(len(q))
-    here = float(q[0])
     for k, wanted in enumerate(q.tolist()):
         here = wanted if abs(wanted - here) <= step else here + np.copysign(step, wanted - here)
         limited[k] = here

@@ -182,6 +182,19 @@ def straight_lines(motor: Motor, resolution: float) -> Motor:
     return known[resolution]
 
 
+def cut(motor: Motor, until_s: float) -> Motor:
+    """The motor with its readings up to a time, at least one."""
+    known = slice(max(int(np.searchsorted(motor.t_s, until_s, side="right")), 1))
+
+    def first(values: Array | None) -> Array | None:
+        return None if values is None else values[known]
+
+    command, others = first(motor.q_cmd), map(first, (motor.translation_mm, motor.rotation_deg, motor.load_mNm))
+    translation, rotation, load = others
+    extra = {name: values[known] for name, values in motor.extra.items()}
+    return Motor(motor.t_s[known], motor.q[known], command, translation, rotation, load, extra)
+
+
 _lines: WeakKeyDictionary[Motor, dict[float, Motor]] = WeakKeyDictionary()
 
 

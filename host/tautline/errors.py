@@ -1,5 +1,10 @@
 """Errors that a user can act on: one line that says what is wrong, where, and what to do."""
 
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
 
 class TautError(Exception):
     """Its text is printed as it is, without a traceback; the command then exits with `status`."""
@@ -22,3 +27,13 @@ def of_system(error: OSError) -> str:
     name = str(error.filename) if error.filename is not None else "a file"
     shown = name if len(name) <= _LONGEST_NAME else f"{name[:40]}...{name[-20:]} ({len(name)} characters)"
     return f"{shown}: {error.strerror or error}: name another file or folder, or make room and permission for this one"
+
+
+_ALIKE = 0.75  # of two words: one may be the other, misspelt
+
+
+def nearest(word: str, known: Iterable[str]) -> str | None:
+    """Which of the known words somebody may have meant, if any."""
+    plain = {name.lower().replace("_", "").replace("-", ""): name for name in known}
+    close = difflib.get_close_matches(word.lower().replace("_", "").replace("-", ""), plain, 1, _ALIKE)
+    return plain[close[0]] if close else None

@@ -15,12 +15,13 @@ import pandas as pd
 
 from tautline.calibration.observations import observe
 from tautline.columns import read_columns
+from tautline.core.session import SessionClock
 from tautline.errors import TautError
 from tautline.folders import write_file
 from tautline.geometry import pose
 from tautline.model import Model
 from tautline.prediction import predict
-from tautline.recording import Motor, Recording, timeline
+from tautline.recording import Motor, Recording
 
 Array = np.ndarray
 
@@ -88,9 +89,9 @@ class Evidence:
 
 def collect(model: Model, recordings: Sequence[Recording]) -> Evidence:
     """Recordings with a marker (or, without a camera, an angle); those with neither are left out."""
-    line = timeline(recordings)
+    clock = SessionClock.of(recordings)
     parts = [
-        _collect_one(model, recording, index, line.offset_s[index])
+        _collect_one(model, recording, index, clock.offset_s[index])
         for index, recording in enumerate(recordings)
         if recording.marker is not None or recording.angle is not None
     ]
@@ -102,7 +103,7 @@ def collect(model: Model, recordings: Sequence[Recording]) -> Evidence:
             axis = 1 if field.name == "error" else 0
             joined[field.name] = np.concatenate([getattr(part, field.name) for part in parts], axis=axis)
     names = np.array([recording.name for recording in recordings])
-    return Evidence(**joined, offset_s=np.array(line.offset_s), names=names)
+    return Evidence(**joined, offset_s=np.array(clock.offset_s), names=names)
 
 
 def _collect_one(model: Model, recording: Recording, index: int, offset_s: float) -> Evidence:

@@ -82,6 +82,11 @@ def onsets_of(model: Model) -> list[Onset]:
     return sorted(onsets, key=lambda onset: onset["t_s"])
 
 
+def finer(unit: str) -> tuple[str, float]:
+    """What changes of B are told in, and how many of it a unit of q is."""
+    return ("µm", 1e3) if unit == "mm" else (unit, 1.0)
+
+
 def split_onsets(onsets: Sequence[Onset]) -> tuple[list[Onset], list[Onset]]:
     return [o for o in onsets if o["used"]], [o for o in onsets if not o["used"]]
 
@@ -110,9 +115,9 @@ def draw_backlash(axes: Axes, model: Model, onsets: Sequence[Onset], knots: Arra
     at = [q_mean(o) for o in used]
     ends = min([float(model.q[0]), *at]), max([float(model.q[-1]), *at])  # a motor may have gone beyond the range
     axes.fill_between(
-        model.q,
-        np.maximum(model.width - 2 * model.width_sigma, 0),
-        np.minimum(model.width + 2 * model.width_sigma, 2 * top),
+        model.q[inside],
+        np.maximum(model.width - 2 * model.width_sigma, 0)[inside],
+        np.minimum(model.width + 2 * model.width_sigma, 2 * top)[inside],
         color=BAND,
         lw=0,
         label="± 2 sigma",
@@ -122,9 +127,9 @@ def draw_backlash(axes: Axes, model: Model, onsets: Sequence[Onset], knots: Arra
     for direction, colour, marker, name in ((1, UP, "^", "rising"), (-1, DOWN, "v", "falling")):
         mine = [o for o in used if np.sign(o["direction"]) == direction]
         chosen, vague = [o for o in mine if o in told], [o for o in mine if o not in told]
-        axes.plot(
-            [q_mean(o) for o in vague], [o["width"] for o in vague], marker, ms=4, mfc="none", mec=colour, alpha=0.5
-        )
+        if vague:
+            at, widths = [q_mean(o) for o in vague], [o["width"] for o in vague]
+            axes.plot(at, widths, marker, ms=4, mfc="none", mec=colour, alpha=0.5, label=f"vague, {name}")
         if chosen:
             axes.errorbar(
                 [q_mean(o) for o in chosen],
@@ -145,7 +150,7 @@ def draw_backlash(axes: Axes, model: Model, onsets: Sequence[Onset], knots: Arra
             axes.axvspan(left, right, color=PALE, alpha=0.6, lw=0)
     axes.set(xlabel=f"q ({unit})", ylabel=f"backlash width ({unit})", xlim=ends, ylim=(0, top))
     axes.set_title("Backlash width B(q)")
-    axes.legend(loc="upper right", ncols=2)
+    axes.legend(loc="best")
 
 
 def draw_characteristic(axes: Axes, model: Model, evidence: Evidence | None) -> None:
@@ -388,7 +393,7 @@ def compared(models: Mapping[str, Model]) -> Figure:
     axes[0, 1].set_title("f_remain (thick) and the envelopes that B makes of it")
     axes[0, 0].legend(loc="best")
     name = next(iter(models))
-    axes[1, 0].set(xlabel=f"q ({unit})", ylabel=f"change of B ({unit})")
+    axes[1, 0].set(xlabel=f"q ({unit})", ylabel=f"change of B ({finer(unit)[0]})")
     axes[1, 0].set_title(f"B less that of {name}, ± 2 sigma of the difference")
     axes[1, 1].set(xlabel=f"q ({unit})", ylabel="change of f_remain (deg)")
     axes[1, 1].set_title(f"f_remain less that of {name}, its mean taken off")
@@ -406,8 +411,10 @@ def _draw_change(width: Axes, angle: Axes, first: Model, model: Model, line: Map
     q = np.linspace(low, high, 401)
     change = np.interp(q, model.q, model.width) - np.interp(q, first.q, first.width)
     sigma = np.hypot(np.interp(q, model.q, model.width_sigma), np.interp(q, first.q, first.width_sigma))
-    width.fill_between(q, change - 2 * sigma, change + 2 * sigma, color=line["color"], alpha=0.15, lw=0)
-    width.plot(q, change, **line)
+    times = finer(first.rig.actuator.unit)[1]
+    low_side, high_side = times * (change - 2 * sigma), times * (change + 2 * sigma)
+    width.fill_between(q, low_side, high_side, color=line["color"], alpha=0.15, lw=0)
+    width.plot(q, times * change, **line)
     moved = model.remaining(q) - first.remaining(q)
     angle.plot(q, moved - moved.mean(), **line)
     if model.c_sigma is not None and first.c_sigma is not None:

@@ -25,7 +25,7 @@ def check_replaceable(folder: Path, key_file: str) -> None:
 def replaced(folder: Path, key_file: str, stale: Sequence[str] = ()) -> Iterator[Path]:
     """A temporary folder to write into; it takes `folder`'s place when the block ends without an error. Other files in
     it are kept, but for those that match one of `stale`, which belong to the earlier result."""
-    folder = folder.absolute()
+    folder = Path(os.path.realpath(folder))  # where it is a link, what it leads to is replaced
     check_replaceable(folder, key_file)
     temporary = folder.with_name(f".{folder.name}.{os.getpid()}.new")
     retired = temporary.with_suffix(".old")

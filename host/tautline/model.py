@@ -18,11 +18,13 @@ from tautline.errors import TautError, of_system
 from tautline.quality import Quality
 from tautline.recording import Motor
 from tautline.rig import ANGLE, MARKER, Rig, Sensor
+from tautline.value import Value
 
 Array = np.ndarray
 FORMAT = "model/1"
 MODEL_FILE, RIG_FILE = "model.json", "rig.toml"
 STEEPEST = 1.8  # |B'| that tables may have: p_lo and p_hi are unique while it is below 2
+_USUAL_NOISE = {MARKER: 0.05, ANGLE: 0.02}  # px, deg
 _ARRAYS = ("q", "width", "width_sigma", "c_deg")
 
 
@@ -34,8 +36,8 @@ class Effect:
     parameters: Mapping[str, Any]  # numbers; `column`: the name of one of motor.csv
 
 
-@dataclass(frozen=True)
-class Model:
+@dataclass(frozen=True, eq=False, repr=False)
+class Model(Value):
     """c = f_remain(p), p the play's centre coordinate, widths B(p) between its full strokes, shared by its elements.
 
     `q` is a grid over the actuator's range (rig.actuator.unit); width, width_sigma and c_deg are sampled on it and
@@ -61,6 +63,14 @@ class Model:
     def delay_of(self, sensor: Sensor) -> float:
         """How much older than its arrival a sensor's reading is: nominal for one that was not calibrated with."""
         return self.delay_s if sensor == self.sensor else self.rig.nominal_delay_s(sensor)
+
+    def noise_of(self, sensor: Sensor) -> float:
+        """What a sensor shows beside what the model says of it, px a coordinate or deg, one standard deviation: what
+        the calibration left; of one that was not calibrated with, a usual sensor's."""
+        evidence = self.extra.get("evidence", {})
+        known = [evidence.get(name) for name in ("residual", "error")]
+        finite = [float(value) for value in known if value is not None and np.isfinite(value) and value > 0.0]
+        return max(finite) if finite and sensor == self.sensor else _USUAL_NOISE[sensor]
 
     @cached_property
     def play(self) -> Play:
@@ -115,6 +125,10 @@ class Model:
         try:
             document = json.loads(path.read_text(encoding="utf-8"))
         except (FileNotFoundError, NotADirectoryError) as error:
+            if (folder / "motor.csv").exists():
+                raise TautError(
+                    f"{folder}: is a recording, not a model: 'taut calibrate {folder} --out MODEL' makes one of it"
+                ) from error
             what = f"holds no {MODEL_FILE}" if folder.is_dir() else "is a file" if folder.exists() else "is not there"
             raise TautError(f"{folder}: {what}, a model is a folder: make it with taut calibrate") from error
         except OSError as error:

@@ -3,24 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from tautline import effects
-from tautline.columns import read_times
-from tautline.encoder import between_counts, straight_lines
+from tautline.columns import read_columns, read_times
+from tautline.core.chain import Chain, by_differences
+from tautline.core.motor import MotorPath
+from tautline.core.posterior import Posterior
+from tautline.encoder import between_counts
 from tautline.errors import TautError
 from tautline.folders import write_file
-from tautline.model import Model
+from tautline.geometry import project_with_slope
+from tautline.model import Model, allowed_width
 from tautline.recording import Motor, Recording
-from tautline.rig import ANGLE, MARKER
+from tautline.rig import ANGLE, MARKER, Sensor
+from tautline.value import Value
 
 Array = npt.NDArray[np.float64]
 
 MOST_ROWS = 10_000_000
+TRUTH_FILE = "truth.csv"  # beside a simulated recording
+COLUMNS = "t_s,c_deg,u_px,v_px,c_sigma_deg,u_sigma_px,v_sigma_px"
+_NINE_OF_TEN = 1.645  # sigma, of a normal distribution
+_ANYWHERE = 3.0**-0.5  # standard deviation of what is anywhere from -1 to 1
 
 
 @dataclass(frozen=True)
@@ -36,20 +44,61 @@ class Times:
         return self.t_s - self.delay_s
 
 
-@dataclass(frozen=True)
-class Prediction:
+@dataclass(frozen=True, eq=False, repr=False)
+class Prediction(Value):
     c_deg: Array  # (n,)
     image_px: Array | None  # (n, 2); None without a camera
+    c_sigma_deg: Array | None = None  # (n,) one standard deviation of what the sensor would show, model error and noise
+    image_sigma_px: Array | None = None  # (n, 2) included; NaN where the model does not know it, None where not asked
 
 
 def predict(model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float | None = None) -> Prediction:
     """At scene times (n,) on the motor's clock, in any order. The tip starts on the centre line, c = f_remain(q[0]), or
     at start_deg; q is held before the first and after the last motor sample."""
     scene = np.asarray(scene_s, dtype=float)
-    reference = float(model.extra.get("load_reference_mNm", 0.0))
-    lines = straight_lines(motor, model.rig.actuator.encoder_resolution)
-    path = effects.simulate(model, lines, scene, effects.of_model(model), start_deg, reference)
-    return Prediction(path.c_deg, path.image_px if model.rig.has_camera else None)
+    seen = Chain(model).at(MotorPath.of(motor, model.rig.actuator.encoder_resolution), scene, start_deg)
+    return Prediction(seen.c_deg, seen.image_px)
+
+
+def predict_with_sigma(
+    model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float | None = None
+) -> Prediction:
+    """`predict`, and how far off what the sensor shows may be. What is known of B, f_remain, the delay, the motor's
+    path and, unless start_deg is given, of where the tip lay in its backlash at first goes through the chain to each
+    row; beside it stands what the calibration left, its noise among it."""
+    scene = np.asarray(scene_s, dtype=float)
+    path = MotorPath.of(motor, model.rig.actuator.encoder_resolution)
+    told = Chain(model).at(path, scene, start_deg)
+    known = _known(model, path, start_deg)
+
+    def rows(off: Array) -> Array:
+        width, remaining, delay_s, start, q = off
+        moved = replace(
+            model,
+            width=allowed_width(model.q, model.width + width * model.width_sigma),
+            c_deg=model.c_deg if model.c_sigma is None or not remaining else model.c_deg + remaining * model.c_sigma,
+        )
+        lines = replace(path.lines, q=path.lines.q + q)
+        begins = start_deg
+        if start:
+            begins = float(moved.remaining(lines.q[0] + start * 0.5 * float(model.width.max())))
+        return Chain(moved).at(replace(path, lines=lines), scene - delay_s, begins).rows
+
+    spread = known.spread(by_differences(rows, known.mean, known.sigma))
+    noise = model.noise_of(model.sensor)
+    if told.image_px is None:
+        return Prediction(told.c_deg, None, np.hypot(spread[:, 0], noise))
+    by_c = np.linalg.norm(project_with_slope(model.rig, told.c_deg, *path.others_at(scene))[1], axis=1)
+    noise_px, noise_deg = (noise, noise / by_c) if model.sensor == MARKER else (noise * by_c[:, None], noise)
+    return Prediction(told.c_deg, told.image_px, np.hypot(spread[:, 0], noise_deg), np.hypot(spread[:, 1:], noise_px))
+
+
+def _known(model: Model, path: MotorPath, start_deg: float | None) -> Posterior:
+    """B and f_remain in their own sigmas, alike along the curve: a row sees one place. The delay, s; where in the
+    backlash the tip began, in halves of it, anywhere alike; the motor, unit of q."""
+    delay_s = model.extra.get("delay_sigma_s")
+    sigma = [1.0, 1.0, delay_s or 0.0, 0.0 if start_deg is not None else _ANYWHERE, path.sigma]
+    return Posterior(("width", "remaining", "delay", "start", "motor"), np.zeros(5), np.diag(np.square(sigma)))
 
 
 def settled_from(model: Model, motor: Motor) -> float:
@@ -86,18 +135,54 @@ def foretold(model: Model, recording: Recording, settled_by: Model | None = None
         raise TautError(
             f"{recording.name}: the motor does not go through the backlash both ways: record a longer motion"
         )
-    marker, angle = recording.marker, recording.angle
-    if marker is not None and model.rig.has_camera:
-        sensor, arrival_s, valid = MARKER, marker.t_s, marker.valid
-        seen = np.column_stack([marker.u_px, marker.v_px])
-    elif angle is not None:
-        sensor, arrival_s, valid, seen = ANGLE, angle.t_s, angle.seen, angle.c_deg
-    else:
-        raise TautError(f"{recording.name}: has neither marker.csv (or a video) nor angle.csv")
+    sensor, arrival_s, valid, seen = _observed(model, recording)
     counted = valid & (arrival_s - usual.delay_of(sensor) >= begin_s)
     if not counted.any():
         raise TautError(f"{recording.name}: nothing was seen after the tip was driven both ways")
     return rms([misses(model, motor, (arrival_s - model.delay_of(sensor))[counted], seen[counted])])
+
+
+def _observed(model: Model, recording: Recording) -> tuple[Sensor, Array, npt.NDArray[np.bool_], Array]:
+    """The sensor, its arrival times (n,), which of them show the tip, and what: (n, 2) px or (n,) deg."""
+    marker, angle = recording.marker, recording.angle
+    if marker is not None and model.rig.has_camera:
+        return MARKER, marker.t_s, marker.valid, np.column_stack([marker.u_px, marker.v_px])
+    if angle is not None:
+        return ANGLE, angle.t_s, angle.seen, angle.c_deg
+    raise TautError(f"{recording.name}: has neither marker.csv (or a video) nor angle.csv")
+
+
+@dataclass(frozen=True)
+class Score:
+    """How far what was seen is from what was predicted, from when the tip was driven through the backlash both ways."""
+
+    rows: int
+    unit: str  # px a coordinate, or deg
+    rms: float
+    over_sigma: float  # rms, 1 where the stated sigmas are right
+    within_90: float  # share within 1.645 sigma: 0.9 there
+
+
+def score(model: Model, recording: Recording, start_deg: float | None = None) -> Score:
+    """Of a recording in which the tip was seen. TautError where it was not, or not after it was driven both ways."""
+    sensor, arrival_s, valid, seen = _observed(model, recording)
+    scene = arrival_s - model.delay_of(sensor)
+    counted = valid & (scene >= settled_from(model, recording.motor)) & (scene <= recording.motor.t_s[-1])
+    if not counted.any():
+        raise TautError(f"{recording.name}: nothing was seen after the tip was driven both ways: there is no score")
+    told = predict_with_sigma(model, recording.motor, scene[counted], start_deg)
+    by_image = sensor == MARKER
+    off = seen[counted] - (told.image_px if by_image else told.c_deg)
+    with np.errstate(invalid="ignore"):
+        z = off / (told.image_sigma_px if by_image else told.c_sigma_deg)
+    known = z[np.isfinite(z)]
+    return Score(
+        int(counted.sum()),
+        "px" if by_image else "deg",
+        rms([off]),
+        float(np.sqrt(np.mean(known**2))) if len(known) else float("nan"),
+        float(np.mean(np.abs(known) < _NINE_OF_TEN)) if len(known) else float("nan"),
+    )
 
 
 def rms(off: Sequence[Array]) -> float:
@@ -109,13 +194,15 @@ def rms(off: Sequence[Array]) -> float:
 def times_of(
     model: Model, folder: Path, motor: Motor, file: Path | None = None, warnings: list[str] | None = None
 ) -> Times:
-    """`file`'s column t_s; else the recording's: the rows of marker.csv, else of angle.csv, else one per frame period
-    from motor t[0] + delay on (one per motor sample where the model's rig has no camera)."""
+    """`file`'s column t_s; else the recording's: the rows of marker.csv, else of angle.csv, else of a video's
+    frames.csv, else one per frame period from motor t[0] + delay on (one per motor sample where the model's rig has no
+    camera)."""
     rig = model.rig
     for path, delay_s in (
         (file, model.delay_s),
         (folder / "marker.csv", model.delay_of(MARKER)),
         (folder / "angle.csv", model.delay_of(ANGLE)),
+        (folder / "frames.csv", model.delay_of(MARKER)),
     ):
         if path is not None and (path == file or path.exists()):
             return Times(*read_times(path, warnings), delay_s)
@@ -129,14 +216,33 @@ def times_of(
     return Times([f"{t:.6f}" for t in t_s], t_s, model.delay_s)
 
 
+def off_the_truth(model: Model, folder: Path, motor: Motor, times: Times, prediction: Prediction) -> float | None:
+    """rms of the bending angle less truth.csv's (t_s, c_deg at scene times), deg, from when the tip was driven through
+    the backlash both ways; None where the folder has no truth, or none of then."""
+    if not (folder / TRUTH_FILE).exists():
+        return None
+    truth = read_columns(folder / TRUTH_FILE, ["t_s", "c_deg"], "t_s,c_deg")
+    t_s, c_deg = truth.rising_times(), truth.finite("c_deg")
+    scene_s = times.scene_s
+    counted = (scene_s >= max(settled_from(model, motor), t_s[0])) & (scene_s <= t_s[-1])
+    if not counted.any():
+        return None
+    return rms([prediction.c_deg[counted] - np.interp(scene_s[counted], t_s, c_deg)])
+
+
 def write_csv(path: Path, times: Times, prediction: Prediction) -> None:
-    """t_s,c_deg,u_px,v_px; t_s as it was written, the last two empty without a camera or where the marker cannot be."""
-    lines = ["t_s,c_deg,u_px,v_px"]
-    image = [("", "")] * len(times.cells)
-    if prediction.image_px is not None:
-        image = [(_text(u), _text(v)) for u, v in prediction.image_px.tolist()]
-    for cell, c, (u, v) in zip(times.cells, prediction.c_deg.tolist(), image, strict=True):
-        lines.append(f"{cell},{c:.6f},{u},{v}")
+    """COLUMNS; t_s as it was written. Empty are u_px, v_px and their sigmas without a camera or where the marker cannot
+    be, and a sigma that the model does not know."""
+    nothing = np.full(len(times.cells), np.nan)
+    absent = np.column_stack([nothing, nothing])
+    image = absent if prediction.image_px is None else prediction.image_px
+    c_sigma = nothing if prediction.c_sigma_deg is None else prediction.c_sigma_deg
+    image_sigma = absent if prediction.image_sigma_px is None else prediction.image_sigma_px
+    lines = [COLUMNS]
+    numbers = np.column_stack([prediction.c_deg, image, c_sigma, image_sigma])
+    for cell, (c, u, v, *sigmas) in zip(times.cells, numbers.tolist(), strict=True):
+        of_c, *of_image = (f"{sigma:.4g}" if np.isfinite(sigma) else "" for sigma in sigmas)
+        lines.append(f"{cell},{c:.6f},{_text(u)},{_text(v)},{of_c},{','.join(of_image)}")
     write_file(path, "\n".join(lines) + "\n")
 
 

@@ -64,6 +64,7 @@ class Marker:
     sigma_px: Array | None = None
     extra: Mapping[str, Array] = field(default_factory=dict)
     frame_px: tuple[int, int] | None = None  # width and height of the frames, where they are known
+    untimed: int = 0  # frames of its video that frames.csv gives no time: they have no row
 
 
 @dataclass(frozen=True)
@@ -102,18 +103,6 @@ class Recording:
     picture: Path | None = None  # a frame that was kept
 
 
-@dataclass(frozen=True)
-class Timeline:
-    """Several recordings on one clock: add offset_s[i] to the times of recording i. Where `known` is false, the gap
-    between recording i and the one before it is unknown (it is drawn as GAP_S)."""
-
-    offset_s: tuple[float, ...]
-    known: tuple[bool, ...]
-
-
-GAP_S = 1.0
-
-
 def load(path: str | Path, rig: Rig | None = None) -> Recording:
     """A recording's folder. `rig` wins over a rig.toml in the folder. Raises TautError with file, line and column."""
     folder = _folder(path)
@@ -143,32 +132,13 @@ def load(path: str | Path, rig: Rig | None = None) -> Recording:
 
 
 def load_all(paths: Sequence[str | Path], rig: Rig | None = None) -> list[Recording]:
-    """Recordings in the order given, each on its own clock (`timeline` puts them on one), with names that differ."""
+    """Recordings in the order given, each on its own clock (core.session puts them on one), with names that differ."""
     recordings: list[Recording] = []
     for path in paths:
         recording = load(path, rig)
         same = sum(Path(other).resolve().name == recording.name for other in paths[: len(recordings)])
         recordings.append(replace(recording, name=f"{recording.name} ({same + 1})") if same else recording)
     return recordings
-
-
-def timeline(recordings: Sequence[Recording]) -> Timeline:
-    """Recordings share one clock where their times do not overlap; else they follow each other in the order given."""
-    offsets: list[float] = []
-    known: list[bool] = []
-    group: list[tuple[float, float]] = []  # spans that share the clock of the latest recording
-    end = -np.inf  # of all so far, on the common clock
-    for recording in recordings:
-        first, last = float(recording.motor.t_s[0]), float(recording.motor.t_s[-1])
-        shared = bool(group) and all(last <= lo or first >= hi for lo, hi in group)
-        if not shared and offsets:
-            group = []
-        offset = offsets[-1] if shared else (end + GAP_S - first if offsets else 0.0)
-        group.append((first, last))
-        offsets.append(offset)
-        known.append(shared or len(offsets) == 1)
-        end = max(end, last + offset)
-    return Timeline(tuple(offsets), tuple(known))
 
 
 def shifted(recordings: Sequence[Recording], offsets_s: Mapping[str, float]) -> list[Recording]:
@@ -284,6 +254,8 @@ def _folder(path: str | Path) -> Path:
         raise TautError(f"{folder}: there is no such folder: a recording is a folder with motor.csv")
     if not folder.is_dir():
         raise TautError(f"{folder}: is a file: a recording is the folder that holds motor.csv")
+    if (folder / "model.json").exists() and not (folder / "motor.csv").exists():
+        raise TautError(f"{folder}: is a model: name the recording, a folder that holds motor.csv")
     return folder
 
 
@@ -318,12 +290,15 @@ def _own_rig(folder: Path, rig: Rig | None, warnings: list[str]) -> Rig | None:
     if not path.exists():
         return None
     try:
-        return Rig.load(path)
+        own = Rig.load(path)
     except TautError as error:
         if rig is None:
             raise
         warnings.append(f"{error} (ignored: another rig was named)")
         return None
+    if rig is None or rig == own:
+        warnings += [f"{path}: {said}" for said in own.misspelt]
+    return own
 
 
 def _load_marker(file: Path, warnings: list[str]) -> Marker:

@@ -97,7 +97,8 @@ def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "")
         "hero": picture(
             figures.hero(model, onsets, evidence, figures.knots_of(model)),
             "Backlash width and characteristic",
-            "Left: every measured width with 2 sigma, the curve through them, its band; grey: not reached. "
+            "Left: every measured width with 2 sigma (hollow: known to no better than half of it), the curve through "
+            "them, its band; grey: not reached. "
             "Right: bending angle over motor position on the way up and down, and the central line f_remain.",
         ),
         "stages": _stages(evidence),
@@ -159,6 +160,7 @@ def write_comparison(models: Mapping[str, Model], path: Path) -> None:
     rows = comparison(models)
     names = list(models)
     unit = models[names[0]].rig.actuator.unit
+    fine, times = figures.finer(unit)
     page = {
         "title": "How backlash and f_remain changed",
         "result": _comparison_sentences(rows, unit),
@@ -171,8 +173,8 @@ def write_comparison(models: Mapping[str, Model], path: Path) -> None:
         "columns": [
             f"B mean ({unit})",
             f"B least to most ({unit})",
-            f"change of B ({unit})",
-            f"largest change ({unit})",
+            f"change of B ({fine})",
+            f"largest change ({fine})",
             "in sigma (rms)",
             "change of f_remain (deg)",
             "delay (ms)",
@@ -182,8 +184,8 @@ def write_comparison(models: Mapping[str, Model], path: Path) -> None:
                 row["model"],
                 _digits(row["width_mean"]),
                 f"{_digits(row['width_min'])} to {_digits(row['width_max'])}",
-                _digits(row["width_change_mean"], sign=True),
-                _digits(row["width_change_max"], sign=True),
+                _digits(times * row["width_change_mean"], 2, sign=True),
+                _digits(times * row["width_change_max"], 2, sign=True),
                 _digits(row["width_change_sigmas"], 2),
                 _digits(row["remaining_change_rms_deg"], 2),
                 f"{1e3 * row['delay_s']:.1f}",
@@ -288,23 +290,32 @@ def sentences(model: Model, evidence: Evidence | None) -> list[str]:
         )
     else:
         lines.append("No width could be measured: no reversal reached the end of the backlash.")
-    if evidence is not None:
-        coarse, _, whole = evidence.rms()
-        if np.isfinite(whole):
-            lines.append(
-                f"With these tables the tip is where the model says within {_digits(whole, 2)} {evidence.unit}; "
-                f"f_coarse alone is off by {_digits(coarse, 2)} {evidence.unit}{_how_much_more(model, coarse, whole)}."
-            )
-        else:
-            lines.append("The tip was never driven through a full backlash both ways, so nothing can be scored.")
-    return lines
-
-
-def _how_much_more(model: Model, coarse: float, whole: float) -> str:
-    """No gain is told over an f_coarse that is wrong itself, as by a sign."""
+    if evidence is None or not model.quality.usable:
+        return lines
+    coarse, with_width, whole = evidence.rms()
+    if not np.isfinite(whole):
+        return [*lines, "The tip was never driven through a full backlash both ways, so nothing can be scored."]
+    said = (
+        f"With these tables the tip is where the model says within {_digits(whole, 2)} {evidence.unit}; "
+        f"f_coarse alone is off by {_digits(coarse, 2)} {evidence.unit}"
+    )
     if any(reason.code in _COARSE_IS_WRONG for reason in model.quality.reasons):
-        return ", but something in the rig is wrong, which the verdict names: that is no gain"
-    return f", {_times(coarse, whole)} times as much"
+        return [*lines, f"{said}, but something in the rig is wrong, which the verdict names: that is no gain."]
+    lost_deg, lost = _backlash_share(model, evidence)
+    return [
+        *lines,
+        f"{said}, with B by {_digits(with_width, 2)} {evidence.unit}.",
+        f"Backlash alone, with all else right, puts the tip {_digits(lost_deg, 2)} deg off (rms), "
+        f"{_digits(lost, 2)} {unit} of the motor.",
+    ]
+
+
+def _backlash_share(model: Model, evidence: Evidence) -> tuple[float, float]:
+    """What a tip would be off by, rms, that followed f_remain and had no backlash: deg, and the motor's unit."""
+    q, c_deg = evidence.q[evidence.settled], evidence.c_deg[evidence.settled]
+    off = np.column_stack([model.remaining(q) - c_deg, q - model.remaining_inverse(c_deg)])
+    deg, motor = np.sqrt(np.nanmean(off**2, axis=0))
+    return float(deg), float(motor)
 
 
 def _times(worse: float, better: float) -> str:
@@ -380,14 +391,15 @@ def _run_sentences(runs: Mapping[str, Run]) -> list[str]:
 
 def _comparison_sentences(rows: Sequence[Mapping[str, Any]], unit: str) -> list[str]:
     sentences = []
+    fine, times = figures.finer(unit)
     for row in rows[1:]:
         if not np.isfinite(row["width_mean"]):
             sentences.append(f"{row['model']} has measured no q that {rows[0]['model']} has.")
             continue
         certain = "more than its uncertainty" if row["width_change_sigmas"] > 2 else "within the uncertainty"
         sentences.append(
-            f"{row['model']}: B changed by {_digits(row['width_change_mean'], sign=True)} {unit} on average and "
-            f"{_digits(row['width_change_max'], sign=True)} {unit} at most, {certain}; "
+            f"{row['model']}: B changed by {_digits(times * row['width_change_mean'], 2, sign=True)} {fine} on average "
+            f"and {_digits(times * row['width_change_max'], 2, sign=True)} {fine} at most, {certain}; "
             f"f_remain by {_digits(row['remaining_change_rms_deg'], 2)} deg rms."
         )
     return sentences

@@ -11,7 +11,7 @@ from typing import Any, Literal, Self
 import numpy as np
 import tomli_w
 
-from tautline.errors import TautError
+from tautline.errors import TautError, nearest
 from tautline.schema import Key, Section
 
 FORMAT = "rig/1"
@@ -232,6 +232,19 @@ class Rig:
         return self.delay_s if sensor == MARKER else self.angle.delay_s if self.angle else 0.0
 
     @property
+    def misspelt(self) -> list[str]:
+        """What is said of keys and sections that are none, but look like one."""
+        said = []
+        for name, value in self.extra.items():
+            section = SECTIONS.get(name)
+            if section is not None:
+                keys = section.misspelt(value)
+                said += [f"{name}.{key} is no key that is known: did you mean {meant}?" for key, meant in keys]
+            elif meant := nearest(name, SECTIONS):
+                said.append(f"[{name}] is no section that is known: did you mean [{meant}]?")
+        return said
+
+    @property
     def has_camera(self) -> bool:
         return self.camera is not None
 
@@ -247,8 +260,15 @@ class Rig:
         path = Path(path)
         try:
             text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise TautError(f"{path}: cannot be read as a rig file ({_reason(error)}): name one with --rig") from error
+        except OSError as error:
+            raise TautError(
+                f"{path}: cannot be read as a rig file ({error.strerror or error}): name one with --rig"
+            ) from error
+        except UnicodeDecodeError as error:
+            line = error.object.count(b"\n", 0, error.start) + 1
+            raise TautError(
+                f"{path}, line {line}: is not UTF-8 text, which TOML has to be: save it as UTF-8"
+            ) from error
         try:
             document = tomllib.loads(text)
         except tomllib.TOMLDecodeError as error:
@@ -318,7 +338,3 @@ def _unknown(document: Mapping[str, Any]) -> dict[str, Any]:
         elif isinstance(value, Mapping) and (rest := {k: v for k, v in value.items() if k not in known}):
             extra[key] = rest
     return extra
-
-
-def _reason(error: Exception) -> str:
-    return getattr(error, "strerror", None) or str(error)

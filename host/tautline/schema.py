@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any, Literal
 
-from tautline.errors import TautError
+from tautline.errors import TautError, nearest
 
 
 @dataclass(frozen=True)
@@ -81,15 +81,25 @@ class Section:
         table = document.get(self.name)
         if not isinstance(table, Mapping):
             names = ", ".join(key.name for key in self.keys)
-            raise _error(where, f"section [{self.name}] is missing: it holds {names}", f"{self.file}.{self.name}")
+            meant = next((name for name in document if nearest(name, [self.name])), None)
+            hint = f"[{meant}] is there, did you mean it?" if meant else f"it holds {names}"
+            raise _error(where, f"section [{self.name}] is missing: {hint}", f"{self.file}.{self.name}")
         values = {}
         for key in self.keys:
             name = f"{self.name}.{key.name}"
             if key.name in table:
                 values[key.name] = key.read(table[key.name], name, where, self.file)
             elif key.needed:
-                raise _error(where, f"{name} is missing, expected {key.expected}", f"{self.file}.{name}")
+                meant = next((other for other, like in self.misspelt(table) if like == key.name), None)
+                hint = f" ({meant} is there, did you mean it?)" if meant else ""
+                raise _error(where, f"{name} is missing{hint}, expected {key.expected}", f"{self.file}.{name}")
         return values
+
+    def misspelt(self, table: Mapping[str, Any]) -> list[tuple[str, str]]:
+        """Keys of the table that are not the section's, and which of it they look like."""
+        known = [key.name for key in self.keys]
+        found = ((name, nearest(name, known)) for name in table if name not in known)
+        return [(name, meant) for name, meant in found if meant is not None]
 
 
 @dataclass(frozen=True)

@@ -68,6 +68,28 @@ def test_gains_that_swing_the_drive(board: Board, bench: Bench) -> None:
     assert fault_after(bench, board, 2.0) == "OSCILLATION"
 
 
+def test_a_current_is_seen_after_flash_was_written(board: Board, bench: Bench) -> None:
+    """Where the bridge drives in a quarter of its period, a sample at another time shows none."""
+
+    def pushed_ma() -> float:
+        board.switch_on(0, bench.run)
+        bench.sim.ask("inject 0 blocked")
+        board.ask("jog", axis=0, way=100.0)
+        bench.run(0.1)
+        current = board.status(0).current_ma
+        bench.sim.ask("inject 0 well")
+        board.ask("safe_stop", axis=0)
+        bench.run(0.1)
+        board.ask("clear_fault", axis=0)
+        return current
+
+    before = pushed_ma()
+    settings = dict(board.ask("get_settings", axis=0).values)
+    board.ask("settings", **(settings | {"key": wire.wire.KEY}), timeout_s=5.0)
+    assert before > 50.0
+    assert pushed_ma() == pytest.approx(before, rel=0.1)
+
+
 def test_homing_finds_an_end_and_references(board: Board, bench: Bench) -> None:
     board.switch_on(0, bench.run)
     board.ask("home", axis=0, direction=-1, reach=5000.0, end=-800.0, retreat=100.0)

@@ -66,6 +66,13 @@ static void test_the_readme_s_example(void) {
     TEST_ASSERT_EQUAL(TL_TABLE_BAD_CRC, tl_drive_load(&drive, blob, other, 0));
     TEST_ASSERT_INT_WITHIN(TL_COUNT_ONE, expected, drive_to_10_deg(&drive)); // stays with what it had
     blob[500] ^= 1U;
+    static uint8_t steep[TL_TABLE_SIZE_MAX];
+    static tl_table_t table;
+    TEST_ASSERT_EQUAL(TL_TABLE_OK, tl_table_decode(blob, other, 0, &table));
+    table.width[5] = table.width[4] + 4 * 16384;
+    TEST_ASSERT_EQUAL(TL_TABLE_BAD_WIDTH_STEEP,
+                      tl_drive_load(&drive, steep, tl_table_encode(&table, steep, sizeof(steep)), 0));
+    TEST_ASSERT_INT_WITHIN(TL_COUNT_ONE, expected, drive_to_10_deg(&drive)); // whatever is wrong with another
     const tl_count_q8_t before = tl_drive_step(&drive, 10 * TL_DEG_ONE);
     TEST_ASSERT_EQUAL(TL_TABLE_OK, tl_drive_load(&drive, blob, other, 0));
     TEST_ASSERT_INT_WITHIN(2 * TL_COUNT_ONE, before, tl_drive_step(&drive, 10 * TL_DEG_ONE)); // no jump

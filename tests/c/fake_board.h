@@ -37,6 +37,7 @@ typedef struct {
     uint32_t cut_at;      // the operation in which the power goes; 0 never
     unsigned cut_pattern; // which part of it is done
     bool dead;
+    bool keeps, sticks; // flash that says it was erased, and was not; of which a byte of each page cannot be programmed
     uint32_t fed;
     int rebooted; // 1 restart, 2 boot loader
 } fake_t;
@@ -108,7 +109,7 @@ static bool fake_erase(void *context, uint32_t offset) {
     TEST_ASSERT_TRUE(offset < FAKE_FLASH);
     const bool before = f->dead;
     const bool whole = fake_operate(f);
-    for (uint32_t i = 0; i < TL_PORT_FLASH_SECTOR && !before; i++) {
+    for (uint32_t i = 0; i < TL_PORT_FLASH_SECTOR && !before && !f->keeps; i++) {
         if (whole || fake_reached(f, i, TL_PORT_FLASH_SECTOR)) {
             f->flash[offset + i] = 0xFF;
         }
@@ -127,7 +128,7 @@ static bool fake_program(void *context, uint32_t offset, const uint8_t *page) {
     const bool whole = fake_operate(f);
     for (uint32_t i = 0; i < TL_PORT_FLASH_PAGE && !before; i++) {
         if (whole || fake_reached(f, i, TL_PORT_FLASH_PAGE)) {
-            f->flash[offset + i] &= page[i];
+            f->flash[offset + i] &= f->sticks && i == 100U ? 0xFFU : page[i];
         }
     }
     return whole;

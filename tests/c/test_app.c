@@ -107,6 +107,40 @@ static void test_a_status_is_of_one_moment(void) {
     }
 }
 
+// Where the task notes an event with the control step let in, one that comes meanwhile is lost.
+static uint8_t let_in_with; // the events noted when the control step was last let in
+static bool noted_outside;
+
+static uint32_t lock_and_look(void *context) {
+    (void)context;
+    noted_outside = noted_outside || app.axes[0].events != let_in_with;
+    return 0;
+}
+static void unlock_and_look(void *context, uint32_t state) {
+    (void)context;
+    (void)state;
+    let_in_with = app.axes[0].events;
+}
+
+static void test_no_event_is_lost_to_the_control_step(void) {
+    static uint8_t blob[TL_TABLE_SIZE_MAX];
+    const uint16_t size = fake_table(blob, 0, 1);
+    fake_run_ms(2);
+    fake_listen();
+    let_in_with = app.axes[0].events;
+    noted_outside = false;
+    fake_port.lock = lock_and_look;
+    fake_port.unlock = unlock_and_look;
+    TEST_ASSERT_EQUAL(TL_UPLOAD_OK, fake_upload(0, blob, size));
+    const tl_wire_safe_stop_t stop = {.axis = 0};
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_SAFE_STOP, &stop));
+    TEST_ASSERT_EQUAL_MESSAGE(1U << TL_WIRE_EVENT_TABLE | 1U << TL_WIRE_EVENT_FAULT, app.axes[0].events, "both");
+    tl_app_task(&app);
+    TEST_ASSERT_FALSE(noted_outside);
+    fake_listen();
+    TEST_ASSERT_EQUAL(2, heard_count[TL_WIRE_EVENT]);
+}
+
 static void test_settings_read_back_as_set(void) {
     tl_wire_servo_t servo = {.axis = 1,
                              .proportional = 1,
@@ -347,6 +381,7 @@ int main(void) {
     RUN_TEST(test_hello_names_board_and_versions);
     RUN_TEST(test_unknown_short_and_misdirected_requests_are_refused_with_a_reason);
     RUN_TEST(test_a_status_is_of_one_moment);
+    RUN_TEST(test_no_event_is_lost_to_the_control_step);
     RUN_TEST(test_settings_read_back_as_set);
     RUN_TEST(test_a_reboot_leaves_time_for_its_acknowledgement);
     RUN_TEST(test_replies_that_find_no_room_are_counted_and_input_goes_on);

@@ -382,6 +382,57 @@ static void test_a_jog_needs_no_reference_and_is_weak(void) {
     TEST_ASSERT_EQUAL(0, fake_status(0).flags & TL_WIRE_FLAG_REFERENCED);
 }
 
+// The greatest speed of the path until it rests, as a share of what the settings allow.
+static double greatest_speed(void) {
+    int32_t most = 0;
+    for (int ms = 0; ms < 5000 && app.axes[0].mode != TL_WIRE_MODE_HOLD && app.axes[0].fault == 0; ms++) {
+        const int32_t speed = abs(app.axes[0].plan.reference.velocity);
+        most = speed > most ? speed : most;
+        fake_run_ms(1);
+    }
+    return (double)most / app.axes[0].plan.travel.speed;
+}
+
+static void test_jogs_and_homing_go_at_half_the_speed_at_most(void) {
+    app.axes[0].checked = true;
+    fake_enable(0, 1);
+    tl_wire_limits_t limits = app.axes[0].limits;
+    limits.speed_q8_s = COUNTS(4000); // which low drive brings about
+    limits.acceleration_q8_s2 = COUNTS(20000);
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_LIMITS, &limits));
+    tl_wire_jog_t jog = {.axis = 0, .way_q8 = COUNTS(1000), .silence_us = 60000000};
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_JOG, &jog));
+    TEST_ASSERT_DOUBLE_WITHIN(0.01, 0.1, greatest_speed());
+    jog.speed_q8_s = COUNTS(16000);
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_JOG, &jog));
+    TEST_ASSERT_DOUBLE_WITHIN(0.01, 0.5, greatest_speed());
+    const tl_wire_home_t homing = {
+        .axis = 0, .direction = 1, .reach_q8 = COUNTS(2000), .speed_q8_s = COUNTS(16000), .silence_us = 60000000};
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_HOME, &homing));
+    TEST_ASSERT_DOUBLE_WITHIN(0.01, 0.5, greatest_speed());
+}
+
+// A path that goes away from what the integral pushes towards: the drive never saturates, and the integral still ends
+// at the limit.
+static void test_the_integral_is_no_more_than_the_drive_may_be(void) {
+    static tl_servo_t servo;
+    const tl_servo_gains_t gains = {.integral = 30000, .feed_forward = 8000};
+    const tl_duty_q15_t limit = 8192;
+    TEST_ASSERT_TRUE(tl_servo_configure(&servo, &gains, FAKE_HZ));
+    tl_servo_reset(&servo, 0);
+    tl_path_t path;
+    tl_path_init(&path, COUNTS(50), 5);
+    for (int tick = 0; tick < 20000; tick++) {
+        if (tick % 5 == 0) {
+            path.speed = -(int32_t)((3000LL << 24) / FAKE_HZ); // counts a tick Q24
+            tl_servo_feed(&servo, &path);
+        }
+        (void)tl_servo_step(&servo, 0, &path, limit);
+        TEST_ASSERT_TRUE(servo.integral <= limit << 14);
+    }
+    TEST_ASSERT_EQUAL(limit << 14, servo.integral);
+}
+
 // -- check of motor and encoder ---------------------------------------------------------------------------------
 
 static void test_the_first_enable_checks_motor_and_encoder_at_low_drive(void) {
@@ -557,6 +608,82 @@ static void test_homing_and_checks_end_with_the_host_too(void) {
     }
 }
 
+// A tendon pulls at the motor; its host says nothing any more.
+static void test_a_motor_that_holds_alone_lets_go_slowly(void) {
+    for (int speaks = 0; speaks < 2; speaks++) {
+        fake_new(1);
+        fake.load = 0.3;
+        fake.friction = 0.02;
+        hold();
+        const tl_wire_ping_t ping = {.host_us = 0};
+        for (int second = 0; second < 59; second++) {
+            fake_run_ms(1000);
+            TEST_ASSERT_EQUAL(TL_WIRE_MODE_HOLD, app.axes[0].mode);
+            TEST_ASSERT_TRUE(speaks != 1 || fake_ask(TL_WIRE_PING, &ping) == -1);
+        }
+        const int held = fake.duty[0];
+        TEST_ASSERT_INT_WITHIN(1500, 9830, held); // 30 %
+        fake_run_ms(900);
+        TEST_ASSERT_INT_WITHIN(300, held, fake.duty[0]);
+        int before = fake.duty[0];
+        uint32_t ms = 0;
+        for (; app.axes[0].fault == TL_WIRE_FAULT_NONE && ms < 3000; ms++) {
+            fake_run_ms(1);
+            TEST_ASSERT_TRUE_MESSAGE(before - fake.duty[0] <= (speaks == 1 ? 300 : held / 500),
+                                     "never a sudden release");
+            before = fake.duty[0];
+        }
+        if (speaks == 1) {
+            TEST_ASSERT_EQUAL(3000, ms);
+            TEST_ASSERT_EQUAL(TL_WIRE_MODE_HOLD, app.axes[0].mode);
+            continue;
+        }
+        TEST_ASSERT_INT_WITHIN(150, 1000, (int)ms);
+        TEST_ASSERT_TRUE(app.axes[0].silent);
+        assert_fault(TL_WIRE_FAULT_HOST_LOST);
+    }
+}
+
+static void test_how_long_it_holds_alone_is_a_setting(void) {
+    tl_wire_settings_t own = settings();
+    TEST_ASSERT_EQUAL(60000, own.hold_ms);
+    own.hold_ms = TL_AXIS_HOLD_MAX_MS + 1U;
+    TEST_ASSERT_EQUAL(TL_WIRE_REASON_RANGE, fake_ask(TL_WIRE_SETTINGS, &own));
+    own.hold_ms = 2000;
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_SETTINGS, &own));
+    hold();
+    fake_run_ms(1900);
+    TEST_ASSERT_EQUAL(TL_WIRE_MODE_HOLD, app.axes[0].mode);
+    fake_run_ms(1200);
+    assert_fault(TL_WIRE_FAULT_HOST_LOST);
+    own.hold_ms = 0;
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_CLEAR_FAULT, &own));
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_SETTINGS, &own));
+    hold();
+    fake_run_ms(200000);
+    TEST_ASSERT_EQUAL(TL_WIRE_MODE_HOLD, app.axes[0].mode);
+}
+
+// Settings that firmware stored before hold_ms was one of them are in force all the same.
+static void test_settings_of_earlier_firmware_are_read(void) {
+    const size_t size = TL_WIRE_HEADER_SIZE + TL_WIRE_SIZE_SETTINGS + TL_WIRE_CRC_SIZE;
+    uint8_t blob[TL_WIRE_AXES_MAX * (TL_WIRE_HEADER_SIZE + TL_WIRE_SIZE_SETTINGS + TL_WIRE_CRC_SIZE)];
+    for (uint8_t i = 0; i < TL_WIRE_AXES_MAX; i++) {
+        tl_wire_settings_t own = tl_axis_default_settings(&fake_port, i);
+        own.stall_ms = 222;
+        own.hold_ms = 5;
+        uint8_t frame[TL_WIRE_FRAME_MAX];
+        tl_wire_frame(frame, TL_WIRE_SETTINGS, 0, &own);
+        memcpy(blob + i * (size - 4U), frame, size - 4U);
+    }
+    const uint16_t all = (uint16_t)(TL_WIRE_AXES_MAX * (size - 4U));
+    TEST_ASSERT_TRUE(tl_store_write(&fake_port, TL_STORE_SETTINGS, 0U, blob, all));
+    fake_start(2, TL_WIRE_BOOT_POWER);
+    TEST_ASSERT_EQUAL(TL_WIRE_STORE_NEWEST, fake_status(0).settings);
+    TEST_ASSERT_EQUAL(222, settings().stall_ms);
+    TEST_ASSERT_EQUAL(60000, settings().hold_ms);
+}
+
 // -- the encoder while nobody looks -----------------------------------------------------------------------------
 
 static void test_a_motor_turned_by_hand_during_an_erase_is_no_fault(void) {
@@ -646,6 +773,8 @@ int main(void) {
     RUN_TEST(test_homing_finds_the_end_at_low_drive_and_is_referenced);
     RUN_TEST(test_homing_gives_up_where_no_end_comes);
     RUN_TEST(test_a_jog_needs_no_reference_and_is_weak);
+    RUN_TEST(test_jogs_and_homing_go_at_half_the_speed_at_most);
+    RUN_TEST(test_the_integral_is_no_more_than_the_drive_may_be);
     RUN_TEST(test_the_first_enable_checks_motor_and_encoder_at_low_drive);
     RUN_TEST(test_swapped_wires_a_dead_encoder_and_a_wrong_scale_are_told_apart);
     RUN_TEST(test_a_check_beside_a_wall_goes_by_the_free_way);
@@ -654,6 +783,9 @@ int main(void) {
     RUN_TEST(test_damaged_settings_are_a_fault);
     RUN_TEST(test_a_move_ends_when_the_host_is_silent_or_gone);
     RUN_TEST(test_homing_and_checks_end_with_the_host_too);
+    RUN_TEST(test_a_motor_that_holds_alone_lets_go_slowly);
+    RUN_TEST(test_how_long_it_holds_alone_is_a_setting);
+    RUN_TEST(test_settings_of_earlier_firmware_are_read);
     RUN_TEST(test_a_motor_turned_by_hand_during_an_erase_is_no_fault);
     RUN_TEST(test_a_refused_table_leaves_the_one_in_use);
     RUN_TEST(test_a_table_for_another_instrument_is_refused_unless_any_will_do);

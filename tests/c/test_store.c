@@ -260,6 +260,23 @@ static void test_a_damaged_upload_leaves_the_table_in_use_though_flash_has_lost_
     TEST_ASSERT_EQUAL(3, in_use());
 }
 
+// Flash that is worn out says nothing of it.
+static void test_what_flash_did_not_take_is_told_and_the_table_in_use_stays(void) {
+    make_tables();
+    const tl_wire_clear_table_t clear = {.axis = 0};
+    TEST_ASSERT_EQUAL(TL_UPLOAD_OK, fake_upload(0, blob[0], size));
+    fake.sticks = true;
+    TEST_ASSERT_EQUAL(TL_UPLOAD_FLASH, fake_upload(0, blob[1], size));
+    TEST_ASSERT_EQUAL(1, in_use());
+    fake.sticks = false;
+    fake.keeps = true;
+    TEST_ASSERT_EQUAL(TL_WIRE_REASON_FLASH, fake_ask(TL_WIRE_CLEAR_TABLE, &clear));
+    TEST_ASSERT_EQUAL(1, in_use());
+    fake.keeps = false;
+    TEST_ASSERT_EQUAL(TL_UPLOAD_OK, fake_upload(0, blob[1], size));
+    TEST_ASSERT_EQUAL(2, in_use());
+}
+
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_the_newest_table_is_used_and_survives_a_restart);
@@ -271,5 +288,6 @@ int main(void) {
     RUN_TEST(test_uploads_that_cannot_be_are_refused_and_change_nothing);
     RUN_TEST(test_the_table_in_use_stays_where_the_newer_one_was_refused);
     RUN_TEST(test_a_damaged_upload_leaves_the_table_in_use_though_flash_has_lost_it);
+    RUN_TEST(test_what_flash_did_not_take_is_told_and_the_table_in_use_stays);
     return UNITY_END();
 }

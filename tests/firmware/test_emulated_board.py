@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,10 @@ import pytest
 from tautline import tables
 from tautline.device import wire
 from tautline.device.board import Board, open_board
+from tautline.elements import Elements
 from tautline.live.session import MotionOptions, calibrate_live
 from tautline.live.setup import Live, PointSource
-from tautline.model import Model
+from tautline.model import Effect, Model
 from tautline.simulated.instrument import preset
 from tautline.simulated.simlink import PROGRAM, DesktopBoard, SimLink, SimulatedAxis
 
@@ -145,6 +147,26 @@ def test_a_crash_of_the_processor_coasts_every_bridge_first(kind: str, after_us:
 
 
 @pytest.mark.usefixtures("emulated")
+def test_a_debugger_that_holds_the_core_leaves_no_motor_running() -> None:
+    """PWM goes on with the last duty; the watchdog bites all the same."""
+    with DesktopBoard() as process:
+        link = process.link()
+        with open_board(process.where) as board:
+            made_ready(board, link)
+            board.ask("enable", axis=0, on=1)
+            board.ask("move", axis=0, q=3000.0, speed_s=6000.0)
+            link.ask("advance 60000")
+        assert abs(link.ask("state")["axes"][0]["duty_q15"]) > 3000
+        link.ask("halt")
+        link.ask("advance 400000")
+        after = link.ask("state")
+        assert after["starts"] == 2 and after["axes"][0]["duty_q15"] == 0
+        with open_board(process.where) as board:
+            assert board.status(0).fault == wire.code("FAULTS", "WATCHDOG")
+        link.close()
+
+
+@pytest.mark.usefixtures("emulated")
 @pytest.mark.parametrize("state", ["off", "hold", "move", "follow", "calibrate"])
 def test_the_watchdog_bites_in_every_state(state: str) -> None:
     """The main loop hangs: the board restarts, every motor off, and says why."""
@@ -177,3 +199,90 @@ def test_the_watchdog_bites_in_every_state(state: str) -> None:
             assert status.fault == wire.code("FAULTS", "WATCHDOG") and status.mode == wire.code("MODES", "OFF")
             assert board.read_table(0) == blob(1.0)
         link.close()
+
+
+def all_that_is_undone() -> bytes:
+    """A table of seven plays and all that models bring, which may be moved."""
+    instrument = preset("reference")
+    q = np.linspace(-5.0, 5.0, 257)
+    effects = (
+        Effect("actuator.encoder_periodic", {"encoder_sin": 0.01, "encoder_cos": 0.006, "encoder_sin2": 0.002,
+                                             "encoder_cos2": 0.001, "encoder_period": 0.5}),
+        Effect("transmission.lag", {"lag": 0.05, "lag_second": 0.2}),
+        Effect("transmission.creep", {"creep_share": 0.1, "creep_time": 1.0, "creep_slow": 0.3}),
+        Effect("transmission.asymmetric_backlash", {"asymmetry": 0.1, "asymmetry_travel": 0.3, "asymmetry_form": 1.0}),
+    )  # fmt: skip
+    weight = (0.2, 0.1, 0.1, 0.15, 0.15, 0.2, 0.1)
+    share = np.array([0.2, 0.5, 0.8, 1.0, 1.2, 1.5, 1.8])
+    elements = Elements(tuple(share / (np.array(weight) @ share)), weight)
+    model = Model(instrument.rig, q, 0.4 + 0.01 * q, 0 * q, instrument.bend(q), 0.08, (-4.5, 4.5),
+                  elements=elements, effects=effects)  # fmt: skip
+    limits = replace(tables.Limits.of(model.rig), adapt=(0.4, 0.5, 1.5))
+    return tables.encode(model, axis=0, created_s=0, limits=limits)
+
+
+@pytest.mark.usefixtures("emulated")
+def test_no_command_keeps_the_control_step_out() -> None:
+    """Interrupts are off for 6.5 us at most, even with nothing of what is needed in the flash cache."""
+    longest: dict[str, tuple[float, str]] = {}
+    with DesktopBoard() as process, open_board(process.where) as board:
+        link = process.link()
+        board.load_table(0, all_that_is_undone())
+        made_ready(board, link)
+        link.ask("locks")
+
+        def ask(name: str, **values: object) -> None:
+            board.ask(name, **values)
+            link.ask("advance 3000")
+            worst = link.ask("locks")
+            longest[name] = max(longest.get(name, (0.0, "")), (worst["us"], worst["from"]))
+            longest["usb"] = max(longest.get("usb", (0.0, "")), (worst["usb_us"], ""))
+
+        gains = dict(board.ask("get_servo", axis=0).values)
+        limits = dict(board.ask("get_limits", axis=0).values)
+        for name in ("get_status", "get_settings", "get_servo", "get_limits", "telemetry", "set_position", "strength"):
+            ask(name, axis=0, **{"telemetry": {"divider": 1}, "set_position": {"q": 100.0},
+                                 "strength": {"strength": 0.9}}.get(name, {}))  # fmt: skip
+        ask("servo", **gains)
+        ask("limits", **limits)
+        ask("check", axis=0)
+        link.ask("advance 900000")
+        ask("ping", host_us=1)
+        ask("home", axis=0, direction=1, reach=300.0, end=0.0, retreat=40.0)
+        link.ask("advance 100000")
+        link.ask("inject 0 blocked")
+        while not board.status(0).flags & wire.code("FLAGS", "REFERENCED"):
+            ask("ping", host_us=1)
+            link.ask("advance 10000")
+        link.ask("inject 0 well")
+        ask("ping", host_us=1)
+        link.ask("advance 300000")
+        ask("jog", axis=0, way=-50.0)
+        link.ask("advance 300000")
+        ask("move", axis=0, q=100.0)
+        link.ask("advance 300000")
+        ask("follow", axis=0, target=1, compensation=2, silence_us=5_000_000)
+        ask("strength", axis=0, strength=0.8)
+        ask("adapt", axis=0, offset=20.0, scale=0.9, within_ms=300)
+        ask("load", axis=0, load=4.0, within_ms=100)
+        for value in (3 * 65536, 65536, 65536 // 2):
+            board.tell("set_point", axis=0, value=value, at_us=0)
+            ask("get_status", axis=0)
+        ask("enable", axis=0, on=0)
+        link.ask("advance 300000")
+        ask("enable", axis=0, on=1)
+        ask("follow", axis=0, target=0, silence_us=5_000_000)
+        ask("enable", axis=0, on=0)
+        link.ask("advance 300000")
+        ask("enable", axis=0, on=1)
+        ask("motion_start", axis=0, cycles=2, low=-3000.0, high=3000.0, speed_s=[700.0, 0.0, 0.0, 0.0],
+            transit_s=1400.0, acceleration_s2=20000.0, approach=400.0, stroke_max=1500.0,
+            host_timeout_us=500_000, delay_us=80_000)  # fmt: skip
+        ask("motion_stop", axis=0)
+        link.ask("advance 300000")
+        ask("safe_stop", axis=0)
+        ask("clear_fault", axis=0)
+        ask("get_counters", clear=1)
+        link.close()
+    assert longest.pop("usb")[0] < 20.0  # TinyUSB's own queue, in the SDK's sources
+    assert not {name: value for name, value in longest.items() if value[0] > 6.5}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,7 +39,9 @@ class Taut:
     def refuses(self, *words: str | Path | float) -> str:
         """The one line of an error."""
         done = self(*words)
-        assert done.code == 1 and done.out == "", done
+        told = json.loads(done.out)["error"] if "--json" in words else ""
+        assert done.code == 1 and (told or done.out == ""), done
         lines = [line for line in done.err.splitlines() if not line.startswith("taut: warning: ")]
         assert len(lines) == 1 and lines[0].startswith("taut: "), done.err
+        assert not told or lines[0] == f"taut: {told}"
         return lines[0]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
+import angle_plant
 import numpy as np
 import pytest
 from cli_runner import Taut
@@ -16,7 +17,7 @@ from tautline.calibration.observations import observe
 from tautline.errors import TautError
 from tautline.live.setup import CameraSource
 from tautline.quality import Quality, Reason, Verdict
-from tautline.recording import Recording
+from tautline.recording import Marker, Recording
 from tautline.rig import Actuator, Rig
 from tautline.simulated.instrument import preset, reference_rig
 from tautline.simulated.simulate import run
@@ -93,13 +94,13 @@ def test_a_wrong_hand_eye_is_no_frame_size(made: Recording) -> None:
     assert "frame_size" not in {r.code for r in quality(made, turned).reasons}
 
 
-@pytest.mark.parametrize("factor", [1e3, 1e-3])
-def test_micrometres_for_millimetres_are_refused(made: Recording, factor: float) -> None:
+@pytest.mark.parametrize(("factor", "name"), [(1e3, "micrometres"), (1e-3, "metres")])
+def test_a_range_in_another_unit_is_refused(made: Recording, factor: float, name: str) -> None:
     low, high = RIG.actuator.range
     rig = replace(RIG, actuator=Actuator("mm", (low * factor, high * factor), RIG.actuator.encoder_resolution))
     found = calibrate([made], rig).model.quality  # a model to look at, all the same
     assert found.verdict is Verdict.UNUSABLE
-    assert "micrometres" in reason(found, "range").remedy
+    assert f"actuator.range looks like {name}:" in reason(found, "range").remedy
 
 
 def test_a_gain_that_bends_the_tip_round_and_round_is_refused(made: Recording) -> None:
@@ -176,3 +177,34 @@ def test_a_live_camera_of_another_size_is_an_error_at_its_first_frame() -> None:
 
     with pytest.raises(TautError, match="360 x 288 px, the rig's 720 x 576"):
         CameraSource(None, Half(), None, (720, 576)).look()
+
+
+@pytest.mark.parametrize(("factor", "name"), [(1e-3, "metres"), (1e3, "micrometres")])
+def test_a_motor_in_another_unit_is_named(made: Recording, factor: float, name: str) -> None:
+    scaled = replace(made, motor=replace(made.motor, q=made.motor.q * factor))
+    assert f"q_mm of motor.csv looks like {name}:" in reason(quality(scaled, RIG), "range").remedy
+
+
+def test_radians_are_named_where_degrees_are_meant() -> None:
+    made = angle_plant.record(angle_plant.Motion.through(speed=20.0), motor_hz=100.0)
+    assert made.angle is not None
+    in_radians = {
+        "c_deg of angle.csv": replace(made, angle=replace(made.angle, c_deg=np.radians(made.angle.c_deg))),
+        "q_deg of motor.csv": replace(made, motor=replace(made.motor, q=np.radians(made.motor.q))),
+    }
+    for column, recording in in_radians.items():
+        remedy = reason(calibrate([recording], angle_plant.RIG).model.quality, "coarse").remedy
+        assert "in radians looks like this" in remedy and column in remedy and "camera" not in remedy
+
+
+def test_a_frames_csv_that_is_shorter_than_its_video_is_what_is_to_be_mended(made: Recording) -> None:
+    marker = made.marker
+    assert marker is not None
+    count = len(marker.t_s) // 2
+    few = {name: getattr(marker, name)[:count] for name in ("t_s", "u_px", "v_px", "valid")}
+    seen = Marker(**few, untimed=len(marker.t_s) - count)
+    remedy = reason(quality(replace(made, marker=seen)), "duration").remedy
+    assert f"frames.csv lists {count} of the video's {len(marker.t_s)} frames" in remedy
+    assert (
+        "start the camera first" in reason(quality(replace(made, marker=replace(seen, untimed=0))), "duration").remedy
+    )

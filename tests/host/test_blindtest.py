@@ -76,6 +76,10 @@ def test_a_small_campaign_is_scored_as_counted_by_hand():
     assert found.closed_90 == Share(2, 2)
     assert found.covered == Share(1, 2) and found.worse == Share(0, 2) and found.several == Share(0, 2)
     assert found.core_s == pytest.approx((8 * 2.0 + 4.0) / 9)
+    assert found.by_strength == {"above 20 times the noise": Share(1, 3)}  # left 1.0 at a noise of 0.05
+    least = np.log(1e-4)  # the unlikeliest that is told apart
+    logs = [np.log(0.8), np.log(0.4), least, np.log(0.8), least, np.log(0.8)]
+    assert found.log_score == pytest.approx(np.mean(logs))
     rows, columns, counts = scores.confusion(cases)
     assert rows == [LAG, CREEP, "zoom", "none"]
     assert counts[0, columns.index(LAG)] == 1 and counts[0, columns.index(CREEP)] == 1
@@ -83,6 +87,38 @@ def test_a_small_campaign_is_scored_as_counted_by_hand():
     rows, columns, counts = scores.confusion([*cases, (label("unknown", "heartbeat"), said("unknown"))])
     assert rows == [LAG, CREEP, "zoom", "heartbeat", "none"]  # a generator's own
     assert counts[3, columns.index("unknown")] == 1 and counts.sum() == 7
+
+
+def test_scores_by_how_much_a_recalibration_leaves():
+    lefts = {"2 to 5 times the noise": (0.11, 0.24), "5 to 20 times the noise": (0.26, 0.9)}
+    for name, ends in lefts.items():
+        cases = [(label("single", LAG, left=left), said(LAG, LAG)) for left in ends]
+        assert scores.score(cases).by_strength == {name: Share(2, 2)}
+
+
+def test_a_cause_outside_of_the_library_may_be_stood_for():
+    """By at most three names whose corrected model leaves 1.3 times the noise on a motion that it never saw."""
+
+    def on_unseen(after: float) -> dict[str, float]:
+        return {"before": 1.0, "after": after, "floor": 0.05}
+
+    stands, not_close = said(CREEP, CREEP, realised=on_unseen(0.06)), said(CREEP, CREEP, realised=on_unseen(0.07))
+    many = replace(stands, possible=frozenset({CREEP, "a", "b", "c"}))
+    sure = said(CREEP, CREEP, p=0.95, realised=on_unseen(0.07))
+    told = [said("unknown"), stands, not_close, many, sure, said("none", p=0.99)]
+    found = scores.score([(label("left out", LAG), answer) for answer in told])
+    assert found.left_out == Share(1, 6) and found.stood_for == Share(2, 6) and found.left_out_sure == Share(1, 6)
+
+
+def test_claims_and_probabilities_of_all_that_is_named():
+    gap = {"before": 1.0, "after": 0.1, "floor": 0.05}
+    pair = said(LAG, LAG, CREEP, claimed=0.8, interval=(0.85, 0.95), realised=gap, present=(0.9, 0.7))
+    wrong = said(LAG, LAG, CREEP, claimed=0.7, interval=(0.6, 0.8), realised=gap, present=(0.9, 0.7))
+    found = scores.score([(label("pair", LAG, CREEP), pair), (label("unknown", "zoom"), wrong)])
+    assert found.claim is None and found.claim_all == pytest.approx(15.0) and found.covered_all == Share(1, 2)
+    assert found.further_error == pytest.approx(0.2)  # 70 % stated, one of two there
+    again = scores.from_json(json.loads(json.dumps(scores.to_json(pair))))
+    assert again == pair
 
 
 def test_what_was_claimed_is_held_against_a_motion_that_shows_something():

@@ -119,7 +119,7 @@ def test_predict_one_row_per_marker_row_with_its_time_as_written(
     out = tmp_path / "out.csv"
     assert json.loads(taut("predict", model, broken, "--csv", out, "--json").out)["rows"] == len(rows)
     lines = out.read_text().splitlines()
-    assert lines[0] == "t_s,c_deg,u_px,v_px"
+    assert lines[0] == "t_s,c_deg,u_px,v_px,c_sigma_deg,u_sigma_px,v_sigma_px"
     assert [line.split(",")[0] for line in lines[1:]] == [row.split(",")[0] for row in rows]
 
 
@@ -146,6 +146,33 @@ def test_times_without_marker_are_frames_of_the_motion(taut: Taut, model: Path, 
     table = pd.read_csv(out)
     np.testing.assert_allclose(table.t_s, 0.08 + np.arange(len(table)) / 25.0, atol=1e-6)
     assert abs(table.t_s.iloc[-1] - 0.08 - MOTION.duration_s) < 0.04
+
+
+def test_a_videos_frames_are_predicted_where_frames_csv_says(
+    taut: Taut, model: Path, folder: Path, tmp_path: Path
+) -> None:
+    video = tmp_path / "video"
+    video.mkdir()
+    (video / "motor.csv").write_bytes((folder / "motor.csv").read_bytes())
+    arrivals = [f"{0.1 + 0.04 * k + 0.003 * (k % 3):.5f}" for k in range(0, 300) if k % 50]
+    (video / "frames.csv").write_text("frame,t_s\n" + "".join(f"{k},{t}\n" for k, t in enumerate(arrivals)))
+    out = tmp_path / "out.csv"
+    assert taut("predict", model, video, "--csv", out).code == 0
+    assert [line.split(",")[0] for line in out.read_text().splitlines()[1:]] == arrivals
+
+
+def test_a_prediction_is_scored_where_the_truth_lies_beside_it(
+    taut: Taut, model: Path, folder: Path, tmp_path: Path
+) -> None:
+    told = json.loads(taut("predict", model, folder, "--csv", tmp_path / "o.csv", "--json").out)
+    assert told["off_truth_deg"] is None
+    made = tmp_path / "made"
+    assert taut("simulate", "--out", made, "--motion", "sines", "--duration", 20).code == 0
+    done = taut("predict", model, made, "--csv", tmp_path / "o.csv", "--json")
+    assert json.loads(done.out)["off_truth_deg"] < 0.02
+    truth = pd.read_csv(made / "truth.csv")
+    truth.assign(c_deg=truth.c_deg + 1.0).to_csv(made / "truth.csv", index=False)
+    assert "1 deg rms off truth.csv" in taut("predict", model, made, "--csv", tmp_path / "o.csv").out
 
 
 def test_named_times_any_order_and_start(taut: Taut, model: Path, folder: Path, tmp_path: Path) -> None:
@@ -229,7 +256,8 @@ def test_the_installed_command(folder: Path, model: Path, tmp_path: Path) -> Non
     assert done.returncode == 0 and done.stderr == "" and json.loads(done.stdout)["csv"] == str(out)
     words[3] = str(tmp_path / "nothing")
     done = subprocess.run(words, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 1 and done.stdout == "" and len(done.stderr.splitlines()) == 1
+    assert done.returncode == 1 and len(done.stderr.splitlines()) == 1
+    assert json.loads(done.stdout) == {"error": done.stderr.strip().removeprefix("taut: "), "status": 1}
 
 
 def test_rig_option_wins(taut: Taut, folder: Path, tmp_path: Path) -> None:

@@ -183,3 +183,19 @@ def test_every_word_of_code_is_in_the_code(page: Path) -> None:
         if re.fullmatch(r"[A-Za-z][A-Za-z0-9]*(?:_[A-Za-z0-9]+)+", span) and span not in source():
             wrong.append(span)
     assert not wrong, f"{page.name} names {wrong}"
+
+
+@pytest.mark.parametrize(
+    ("name", "headings"),
+    [("diagnosis", ("The model", "The decision", "Limits")), ("calibration", ("The model", "The decisions", "Limits"))],
+)
+def test_what_a_method_does_is_read_before_its_details(name: str, headings: tuple[str, ...]) -> None:
+    """A page each, in sentences that are understood at once: short ones."""
+    text = (ROOT / "docs" / f"{name}.md").read_text()
+    first, _, _ = text.partition("\n## In detail\n")
+    assert re.findall(r"^## (.*)$", first, re.MULTILINE) == list(headings)
+    for part in re.split(r"^## .*$", first, flags=re.MULTILINE)[1:]:
+        plain = re.sub(r"```.*?```", "", part, flags=re.DOTALL)
+        assert 60 < len(plain.split()) < 350
+        items = re.split(r"(?<=[.:?])\s+|\n(?:- |\d\. |\n)", re.sub(r"\n(?!- |\d\. |\n)", " ", plain))
+        assert [each for each in items if len(each.split()) > 30] == []

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ast
+import html
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -134,13 +136,24 @@ def test_names_are_found_and_near_ones_told(taut: Taut) -> None:
     assert all(code in listed for code in explain.topics())
 
 
+def test_the_index_is_searched_by_every_word_of_a_topic(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The page's own script, on rows as the page has them."""
+    monkeypatch.setattr("tautline.cli._topic_pages.picture", lambda topic: None)
+    page = write_all(tmp_path).read_text()
+    assert '<input type="search"' in page
+    rows = {code: words for words, code in re.findall(r'<tr data-words="([^"]*)">.*?">([^<]+)</a>', page)}
+    assert set(rows) == set(explain.topics())
+    assert "words.every((word) => row.dataset.words.includes(word))" in page
+    asked = ["gradually", "corner"]
+    shown = [code for code, text in rows.items() if all(word in html.unescape(text) for word in asked)]
+    assert "transmission.smooth_onset" in shown and len(shown) < 10
+
+
 def test_the_pages_are_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tautline.cli._topic_pages.picture", lambda topic: None)
     index = write_all(tmp_path / "pages")
     written = {path.name for path in index.parent.iterdir()}
     assert written == {topic.file for topic in explain.topics().values()} | {"index.html"}
-    import re
-
     for path in index.parent.iterdir():
         for target in re.findall(r'href="([^"#]+)"', path.read_text()):
             assert target in written, f"{path.name} leads to {target}"
@@ -157,11 +170,12 @@ def test_an_effect_s_picture_shows_it(code: str) -> None:
 
 
 def test_what_a_message_names_it_leads_to(capsys: pytest.CaptureFixture[str]) -> None:
-    from tautline.cli._common import show_quality
+    from tautline.cli._common import quality_lines
     from tautline.cli.diagnose import _lead
     from tautline.quality import Quality, Reason
 
     _lead({"effects": [{"id": "transmission.lag"}]})
-    show_quality(Quality((Reason("clock.offset", "it is off", "mend it"),)))
-    said = capsys.readouterr().err
+    said = capsys.readouterr().err + "\n".join(
+        quality_lines(Quality((Reason("clock.offset", "it is off", "mend it"),)))
+    )
     assert "'taut explain transmission.lag'" in said and "'taut explain clock.offset'" in said

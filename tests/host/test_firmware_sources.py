@@ -80,6 +80,32 @@ def test_the_readme_s_example_compiles(tmp_path: Path) -> None:
     assert built.returncode == 0, built.stderr
 
 
+def test_the_memory_that_headers_tell_of_is_what_it_takes(tmp_path: Path) -> None:
+    headers = [path for room in ROOMS[:2] for path in sorted((ROOT / room / "include").glob("tautline/*.h"))]
+    own = {"tl_onset": "tl_onset_detector_t"}
+    sizes: dict[str, re.Match[str]] = {}
+    for path in headers:
+        if match := re.search(r"Memory: ([\d.]+) (bytes|kB)", path.read_text("utf-8")):
+            sizes[own.get(path.stem, f"{path.stem}_t")] = match
+    assert len(sizes) >= 9
+    drive = sizes["tl_drive_t"]
+    assert f"// {drive[1]} {drive[2]}," in (ROOT / "firmware/estimator/README.md").read_text("utf-8")
+    source = tmp_path / "sizes.c"
+    source.write_text(
+        "#include <stdio.h>\n"
+        + "".join(f'#include "tautline/{path.name}"\n' for path in headers)
+        + "int main(void) {\n"
+        + "".join(f'    printf("{name} %zu\\n", sizeof({name}));\n' for name in sizes)
+        + "}\n"
+    )
+    folders = ["-I", ROOT / "common/include", "-I", ROOT / "firmware/estimator/include"]
+    subprocess.run(["cc", "-std=c11", *folders, source, "-o", tmp_path / "sizes"], check=True)
+    for line in subprocess.run([tmp_path / "sizes"], check=True, capture_output=True, text=True).stdout.splitlines():
+        name, size = line.split()
+        said = float(sizes[name][1]) * (1000 if sizes[name][2] == "kB" else 1)
+        assert abs(int(size) - said) <= 0.03 * int(size), f"{name} takes {size} bytes, its header says {sizes[name][0]}"
+
+
 def test_every_public_header_may_be_included_from_cpp() -> None:
     headers = [path for room in ROOMS[:2] for path in (ROOT / room / "include").rglob("*.h")]
     assert len(headers) > 10

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tautline import effects, trajectory
+from tautline.core.session import SessionClock
 from tautline.diagnosis.candidates import applicable
 from tautline.diagnosis.fit import Fitter, Hypothesis
 from tautline.diagnosis.screen import screen
@@ -33,16 +34,16 @@ def recordings(parameters, throughout=False, turned_deg=20.0) -> list[Recording]
         trajectory.back_and_forth(actuator, [0.8, 1.6], 2.0, 12, 8.0, 0.3),
         trajectory.trapezoids(actuator, 2.4, 3.0, 6, 20.0, 1.0).with_sway(2.0, turned_deg, 17.0),
     ]
-    made, clock = [], 0.0
+    made = []
     for i, motion in enumerate(motions):
         recording = simulate.simulate(RIG, INSTRUMENT, motion, seed=i)
         t = recording.marker.t_s
         values = parameters if i or throughout else {}
+        clock = SessionClock.of([*made, recording]).offset_s[i]
         motor = Motor(motion.t_s, motion.q, None, motion.translation_mm, motion.rotation_deg)
         path = effects.simulate(MODEL, motor, t - 0.08, values, clock_offset_s=clock)
         seen = path.image_px + rng.normal(0.0, NOISE, (len(t), 2))
         made.append(replace(recording, marker=Marker(t, seen[:, 0], seen[:, 1], np.ones(len(t), bool)), rig=RIG))
-        clock += recording.motor.t_s[-1]
     return made
 
 

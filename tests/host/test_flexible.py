@@ -1,6 +1,5 @@
 """How far a model that knows no physics would close a gap: what repeats it finds, what does not it leaves."""
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -40,9 +39,7 @@ def test_what_goes_with_position_and_direction_is_closed():
         r + np.column_stack([0.6 * np.sin(1.5 * motor(s)), 0.4 * np.sign(np.gradient(motor(s)))])
         for s, r in zip(SEGMENTS, noise(3), strict=True)
     ]
-    began = time.process_time()
     found = flexible.close(SEGMENTS, residuals, NOISE)
-    assert time.process_time() - began < 4.0
     assert found is not None and found.closable_shrink > 0.9
     assert found.before == pytest.approx(np.sqrt(np.mean(np.concatenate(residuals) ** 2)), rel=0.05)
 

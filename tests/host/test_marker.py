@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
+from itertools import islice
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from tools.bench.endoscopy import CONDITIONS, World
 
 from tautline.errors import TautError
 from tautline.recording import Video
@@ -308,3 +311,18 @@ def test_a_video_without_the_marker_is_an_error_that_says_what_to_do(
     blue.save(tmp_path / "marker.toml")
     with pytest.raises(TautError, match="no marker is seen"):
         track_video(Video(copy, None))
+
+
+def test_what_a_shaded_ball_does_to_the_place_is_what_the_page_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drawn by a generator that shares nothing with the package; a constant is the hand-eye's."""
+    page = (Path(__file__).parents[2] / "docs" / "marker.md").read_text()
+    stated = re.search(r"the glint of a ball and the tube beside it ([\d.]+) to ([\d.]+) px", page)
+    assert stated is not None
+    monkeypatch.setattr("tools.bench.endoscopy.RATE_HZ", 5.0)  # fewer frames
+    world = World(CONDITIONS[0], seed=1)
+    frames = list(islice(world.frames(), 150))
+    places = world.seen(np.array([scene for scene, _ in frames]))[0]
+    tracker = MarkerTracker(pick(frames[0][1], (float(places[0, 0]), float(places[0, 1]))))
+    seen = [tracker.track(picture) for _, picture in frames]
+    error = np.array([(each.u_px, each.v_px) for each in seen if each.valid]) - places[[each.valid for each in seen]]
+    assert len(error) > 140 and float(stated[1]) <= np.sqrt(np.mean(error.var(axis=0))) <= float(stated[2])

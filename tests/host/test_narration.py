@@ -2,10 +2,15 @@
 
 import itertools
 import re
+from pathlib import Path
 
+import numpy as np
 import pytest
+from reference_instrument import PLANT, RIG
 
+from tautline import reports
 from tautline.diagnosis import narration, page
+from tautline.model import Model
 
 NAMES = ("transmission.lag", "acquisition.delay", "configuration.contact")
 UNEXPLAINED = "no known effect explains"
@@ -55,3 +60,32 @@ def test_every_case_of_the_contradiction_is_met():
     said = [narration.text(document(*case), "out") for case in CASES]
     assert any(UNEXPLAINED in text for text in said) and any("comes nearest" in text for text in said)
     assert any("refitting B" in text for text in said) and any("Nothing large" in text for text in said)
+
+
+def explained(shrink: float, above: float) -> dict[str, object]:
+    effect = {
+        "id": "transmission.backlash", "probability": 0.9, "since": "start", "shrink": shrink, "ambiguous_with": [],
+        "parameters": {"width_scale": -0.367}, "loads_on_board": True, "swallowed_by_recalibration": False,
+    }  # fmt: skip
+    made = document("effect", shrink, 0.0, 1.0)
+    after = {"after": 1.0 - shrink, "after_ci": [0.1, 0.2], "shrink": shrink, "shrink_ci": [0.6, 0.9]}
+    return {**made, "effects": [effect], "gap": {**made["gap"], **after, "closable_shrink": above}}
+
+
+def test_a_shrinkage_and_what_is_closed_above_the_noise_are_told_as_two_things():
+    assert "shrinks by 88 %" in narration.sentence(explained(0.88, 1.0))
+    assert "to 0.12, 100 % of its power above the noise; on another" in narration.sentence(explained(0.88, 1.0))
+    assert "above the noise" not in narration.sentence(explained(0.97, 0.99))
+
+
+def test_a_width_is_told_in_the_motors_unit():
+    q = np.linspace(-5.0, 5.0, 101)
+    models = [Model(RIG, q, np.full(101, b), 0.01 + 0 * q, PLANT.bend(q), 0.08, (-4.0, 4.0)) for b in (0.4, 0.253)]
+    width = page.width_now(*models)
+    (row,) = page._parameters(explained(0.88, 1.0)["effects"][0], "mm", width)
+    assert (row["name"], row["value"]) == ("B is now", "0.253 mm in the mean, it was 0.4")
+
+
+def test_the_page_explains_what_it_names_and_is_not_contradicted_by_its_numbers():
+    text = (Path(reports.__file__).parent / "templates" / "diagnosis.html").read_text()
+    assert "nothing gets below" not in text and "<code>taut explain" not in text and "topic.mend" in text

@@ -47,7 +47,7 @@ def parsed(line: str, whole: bool = True) -> str:
     command needs is in it; else its name and its options' alone."""
     words = shlex.split(line, comments=True)
     if words[:1] == ["taut"]:
-        if len(words) == 1 or words[1] == "--version":
+        if len(words) == 1 or words[1] in ("--version", "--help"):
             return ""
         command = taut.get_command(click.Context(taut), words[1]) if words[1] in COMMANDS else None
         if command is None:

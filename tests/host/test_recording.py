@@ -14,7 +14,6 @@ from hypothesis.extra import numpy as hnp
 from tautline.columns import read_times
 from tautline.errors import TautError
 from tautline.recording import (
-    GAP_S,
     Angle,
     Marker,
     Motor,
@@ -23,7 +22,6 @@ from tautline.recording import (
     load,
     load_motor,
     save,
-    timeline,
 )
 from tautline.rig import Actuator, Camera, Coarse, HandEye, Kinematics, Rig
 
@@ -224,18 +222,6 @@ def test_a_cut_line_counts_if_its_time_is_whole(tmp_path: Path, end: str, count:
     warnings: list[str] = []
     cells, times = read_times(path, warnings)
     assert len(cells) == len(times) == count and len(warnings) == (count < 4)
-
-
-def at(start: float, end: float, name: str = "r") -> Recording:
-    return Recording(name, Motor(np.array([start, end]), np.zeros(2)))
-
-
-def test_timeline_shares_a_clock_where_times_do_not_overlap() -> None:
-    shared = timeline([at(10, 20), at(0, 10), at(25, 30)])
-    assert shared.offset_s == (0.0, 0.0, 0.0) and shared.known == (True, True, True)
-    apart = timeline([at(0, 20), at(5, 15), at(16, 17), at(0, 1)])
-    assert apart.known == (True, False, True, True)
-    assert apart.offset_s == (0.0, 15.0 + GAP_S, 15.0 + GAP_S, 15.0 + GAP_S)
 
 
 def test_save_replaces_a_recording_and_nothing_else(folder: Path, tmp_path: Path) -> None:

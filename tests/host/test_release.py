@@ -8,6 +8,7 @@ import os
 import re
 import subprocess
 import sys
+import venv
 from pathlib import Path
 
 import pytest
@@ -42,6 +43,9 @@ def test_the_version_is_one() -> None:
 def test_a_release_needs_a_tag_of_its_version(clone: Path, tmp_path: Path) -> None:
     assert "what a release holds, made from a tag" in release(clone).stdout
     assert "no tag is called 'v9.9.9'" in release(clone, "v9.9.9").stderr
+    subprocess.run(["git", "tag", "--delete", TAG], cwd=clone, check=True, capture_output=True)
+    assert "this clone has none, 'git fetch --tags' brings them" in release(clone, "v9.9.9").stderr
+    subprocess.run(["git", "tag", TAG], cwd=clone, check=True)
     subprocess.run(["git", "tag", "v9.9.9"], cwd=clone, check=True)
     assert f"tag it {TAG}" in release(clone, "v9.9.9").stderr
     assert "is there already" in release(clone, TAG, str(tmp_path)).stderr
@@ -58,6 +62,11 @@ def test_a_release_is_whole(clone: Path, tmp_path: Path) -> None:
     expected.add(f"tautline_robotics-{version}.tar.gz")
     wheels = [name for name in names if name.endswith(".whl")]
     assert len(wheels) == 1 and set(names) == expected | set(wheels)
+    environment = tmp_path / "environment"
+    venv.create(environment, with_pip=True)
+    subprocess.run([environment / "bin/pip", "install", "--quiet", out / wheels[0]], check=True)
+    told = subprocess.run([environment / "bin/taut", "--version"], check=True, capture_output=True, text=True).stdout
+    assert version in told
 
     sums = dict(reversed(line.split("  ./")) for line in (out / "SHA256SUMS").read_text().splitlines())
     assert set(sums) == set(names) - {"SHA256SUMS"}

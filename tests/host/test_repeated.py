@@ -1,12 +1,13 @@
 """Samples that are repeated: seen as such, left out, and named where they are the gap."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tautline import trajectory
-from tautline.diagnosis.diagnose import diagnose
+from tautline.diagnosis.diagnose import Diagnosis, diagnose
 from tautline.diagnosis.repeated import HELD
 from tautline.diagnosis.segment import repeated
 from tautline.model import Model
@@ -27,7 +28,17 @@ def stalled(recording: Recording) -> Recording:
     return replace(recording, marker=Marker(marker.t_s, marker.u_px[at], marker.v_px[at], marker.valid))
 
 
-def diagnosed() -> dict:
+def once(recording: Recording) -> Recording:
+    """The frame in mid-stroke that shows the one before it, and nothing else of the kind."""
+    marker = recording.marker
+    at = np.arange(len(marker.t_s))
+    later = at[len(at) // 2 :]  # well after the tip was driven both ways
+    fast = later[np.argmax(np.abs(np.diff(marker.u_px, prepend=marker.u_px[0]))[later])]
+    at[fast] -= 1
+    return replace(recording, marker=Marker(marker.t_s, marker.u_px[at], marker.v_px[at], marker.valid))
+
+
+def diagnosed(spoilt=stalled) -> Diagnosis:
     instrument = preset("reference", RIG)
     model = Model(RIG, GRID, instrument.backlash(GRID), np.full(401, 0.003), instrument.bend(GRID), 0.08, (-4.0, 4.0))
     motions = [
@@ -44,17 +55,24 @@ def diagnosed() -> dict:
         motor=replace(test.motor, t_s=test.motor.t_s + later),
         marker=replace(test.marker, t_s=test.marker.t_s + later),
     )
-    return diagnose(model, replace(calibration, rig=RIG), [stalled(test)]).document
+    return diagnose(model, replace(calibration, rig=RIG), [spoilt(test)])
 
 
 def test_stalls_are_the_gap_and_not_friction():
-    document = diagnosed()
+    document = diagnosed().document
     assert document["verdict"] == "effect" and [e["id"] for e in document["effects"]] == [HELD]
     assert document["gap"]["before"] > 20.0 * NOISE and document["gap"]["after"] == pytest.approx(NOISE, rel=0.15)
     assert document["effects"][0]["parameters"]["held_share"] == pytest.approx(14 / 75, abs=0.02)
     assert document["effects"][0]["since"] == "calibration"
     total = document["probability_none"] + document["probability_unknown"]
     assert total + sum(c["probability"] for c in document["candidates"]) == pytest.approx(1.0)
+
+
+def test_one_frame_that_is_the_one_before_is_a_coincidence():
+    found = diagnosed(once)
+    assert found.document["verdict"] == "none" and found.document["effects"] == []
+    again = pickle.loads(pickle.dumps(found))
+    assert again == found != replace(found, after=[]) and len(repr(found)) < 600  # a diagnosis is a value
 
 
 def test_a_sensor_that_counts_repeats_nothing_when_it_rests_on_a_step():

@@ -26,6 +26,8 @@ from tautline.live.rounds import (
     first_round,
     in_words,
     next_round,
+    no_longer,
+    why_another,
     why_not,
 )
 from tautline.live.watch import BINS, View
@@ -251,3 +253,24 @@ def test_without_a_terminal_a_line_for_each_step(capsys: pytest.CaptureFixture[s
         show(view)
     told = capsys.readouterr()
     assert told.out == "" and told.err.splitlines() == ["taut: round 1", f"taut: {standing(view)}"]
+
+
+def test_another_round_says_why() -> None:
+    passes = [first_round(MEANS)]
+    near = Standing.of(found(sigma_with()), -5.0, 5.0, UNTIL)
+    strokes = next_round(MEANS, near, UNTIL, passes, 20.0)
+    assert isinstance(strokes, Strokes)
+    assert why_another(near, UNTIL, "mm", passes) == (
+        "sigma is 1 µm where 3 µm is wanted, but passes alone are not believed: turns at both ends first"
+    )
+    noisy = Standing.of(found(sigma_with((1.0, 1.0, 0.0068))), -5.0, 5.0, UNTIL)
+    assert why_another(noisy, UNTIL, "mm", [*passes, strokes]) == "sigma is 6.8 µm at 1 mm where 3 µm is wanted"
+    short = Standing.of(found(sigma_with(), (-4.8, 2.0)), -5.0, 5.0, UNTIL)
+    assert "not measured from 2 to 5 mm" in why_another(short, UNTIL, "mm", passes)
+
+
+def test_a_goal_that_was_reached_once_and_is_not_any_more_is_told() -> None:
+    noisy = Standing.of(found(sigma_with((1.0, 1.0, 0.0068))), -5.0, 5.0, UNTIL)
+    assert "looked like 1.7 µm" in no_longer(1.7e-3, noisy, UNTIL, "mm")
+    assert no_longer(4e-3, noisy, UNTIL, "mm") == "" and no_longer(float("inf"), noisy, UNTIL, "mm") == ""
+    assert no_longer(1e-3, Standing.of(found(sigma_with()), -5.0, 5.0, UNTIL), UNTIL, "mm") == ""

@@ -54,33 +54,56 @@ lookup:
 2:  movs r0, #0
     bx lr
 
-// uint8_t *memset(uint8_t *p, uint8_t value, uint32_t n), and the same for words
+// uint8_t *memset(uint8_t *p, uint8_t value, uint32_t n), and the same for words, which it takes where it can
     .thumb_func
 memset4:
 memset:
-    mov r12, r0
-1:  cmp r2, #0
-    beq 2f
+    push {r0, r4}
+    uxtb r1, r1
+    lsls r3, r1, #8
+    orrs r1, r3
+    lsls r3, r1, #16
+    orrs r1, r3
+    lsls r3, r0, #30
+    bne 3f
+1:  subs r2, #4
+    blo 2f
+    stmia r0!, {r1}
+    b 1b
+2:  adds r2, #4
+3:  cmp r2, #0
+    beq 4f
     strb r1, [r0]
     adds r0, #1
     subs r2, #1
-    b 1b
-2:  mov r0, r12
+    b 3b
+4:  pop {r0, r4}
     bx lr
 
-// uint8_t *memcpy(uint8_t *to, uint8_t *from, uint32_t n), and the same for words
+// uint8_t *memcpy(uint8_t *to, uint8_t *from, uint32_t n), and the same for words; four words at a time, as the chip's
     .thumb_func
 memcpy44:
 memcpy:
-    push {r4}
-    movs r3, #0
-1:  cmp r3, r2
-    bhs 2f
-    ldrb r4, [r1, r3]
-    strb r4, [r0, r3]
-    adds r3, #1
+    push {r0, r4, r5, r6}
+    movs r3, r0
+    orrs r3, r1
+    lsls r3, r3, #30
+    bne 3f
+1:  subs r2, #16
+    blo 2f
+    ldmia r1!, {r3, r4, r5, r6}
+    stmia r0!, {r3, r4, r5, r6}
     b 1b
-2:  pop {r4}
+2:  adds r2, #16
+3:  cmp r2, #0
+    beq 4f
+    ldrb r3, [r1]
+    strb r3, [r0]
+    adds r1, #1
+    adds r0, #1
+    subs r2, #1
+    b 3b
+4:  pop {r0, r4, r5, r6}
     bx lr
 
     .thumb_func

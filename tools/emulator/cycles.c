@@ -85,6 +85,15 @@ static bool __not_in_flash_func(read_fault)(void *context, uint8_t axis) {
     return false;
 }
 
+static uint32_t keep_out(void *context) {
+    (void)context;
+    return 0;
+}
+static void let_in(void *context, uint32_t state) {
+    (void)context;
+    (void)state;
+}
+
 static const tl_port_t port = {.name = "cycles",
                                .axes = 1,
                                .control_hz = RATE_HZ,
@@ -93,6 +102,8 @@ static const tl_port_t port = {.name = "cycles",
                                .drive = take_drive,
                                .current_ma = read_current,
                                .supply_mv = read_supply,
+                               .lock = keep_out,
+                               .unlock = let_in,
                                .driver_fault = read_fault};
 
 // -- random valid tables

@@ -102,7 +102,7 @@ extern "C" {
 #define TL_TABLE_PLAYS_MAX         7U
 #define TL_TABLE_PLAYS_SECTION     1U
 #define TL_TABLE_PLAYS_SIZE(nodes) (64U + 4U * (nodes)) ///< of the section's content
-/// 3636: a 4096-byte flash sector has room for more.
+/// A flash sector has room for more (tl_store.c).
 #define TL_TABLE_SIZE_MAX                                                                                              \
     (TL_TABLE_SIZE(TL_TABLE_NODES_MAX) + 4U + TL_TABLE_PLAYS_SIZE(TL_TABLE_NODES_MAX) + TL_TABLE_WORDS_SIZE)
 #define TL_TABLE_ANY_AXIS 0xFFU
@@ -193,7 +193,7 @@ enum { TL_TABLE_SECTIONS(TL_TABLE_NUMBER) };
 #define TL_TABLE_REASON_NAME(name, text) TL_TABLE_BAD_##name,
 typedef enum { TL_TABLE_OK = 0, TL_TABLE_REASONS(TL_TABLE_REASON_NAME) TL_TABLE_REASON_COUNT } tl_table_reason_t;
 
-/// A blob's content. 3.6 kB; fields as in the layout above.
+/// A blob's content. Memory: 3.5 kB; fields as in the layout above.
 typedef struct {
     uint8_t axis;
     uint8_t kind; ///< tl_axis_kind_t

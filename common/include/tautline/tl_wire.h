@@ -29,7 +29,7 @@ extern "C" {
 #endif
 
 #define TL_WIRE_MAJOR            2
-#define TL_WIRE_MINOR            1
+#define TL_WIRE_MINOR            2
 #define TL_WIRE_USB_VENDOR       0x1209U ///< pid.codes
 #define TL_WIRE_USB_PRODUCT      0x0001U ///< its test product: for development, never to be sold under
 #define TL_WIRE_USB_MANUFACTURER "tautline"
@@ -160,7 +160,8 @@ extern "C" {
     F(i32, arrive_q8, "counts within which a move has arrived, 1 or more")                                             \
     F(u16, stall_ms, "driven for so long with the motor still is a stall, 20 to 5000")                                 \
     F(u16, supply_low_mv, "motor supply below it faults a driven axis; 0: not watched")                                \
-    A(text, instrument, 8, "serial of the instrument that is mounted; empty: tables of any are taken")
+    A(text, instrument, 8, "serial of the instrument that is mounted; empty: tables of any are taken")                 \
+    F(u32, hold_ms, "held for so long without a word of a host the drive sinks to nothing within a second; 0: never")
 
 #define TL_WIRE_FIELDS_GET_SETTINGS(F, A) F(u8, axis, "")
 

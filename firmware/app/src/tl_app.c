@@ -23,11 +23,6 @@
 // -- tables -----------------------------------------------------------------------------------------------------
 
 tl_upload_t tl_app_table_data(tl_app_t *app, uint8_t axis, uint32_t offset, const uint8_t *bytes, size_t size) {
-    // One that an axis' fault has ended is over now.
-    tl_report_calibration(app, app->port->time_us(app->port->context));
-    if (axis < app->port->axes && app->calibration.axis != NULL) {
-        return TL_UPLOAD_NOT_OFF;
-    }
     return tl_tables_data(&app->tables, axis, offset, bytes, size);
 }
 
@@ -91,9 +86,7 @@ static void take_frames(tl_app_t *app, const uint8_t *bytes, size_t size) {
             begin_session(app);
         }
         for (uint8_t i = 0; i < app->port->axes; i++) {
-            const uint32_t state = app->port->lock(app->port->context);
             tl_axis_hear(&app->axes[i]);
-            app->port->unlock(app->port->context, state);
         }
         tl_command(app, &frame);
     }
@@ -165,12 +158,11 @@ void tl_app_init(tl_app_t *app, const tl_port_t *port) {
     memset(app, 0, sizeof(*app));
     app->port = port;
     app->control_us = port->time_us(port->context);
-    app->calibration.work = &app->work.calibration;
     for (uint8_t i = 0; i < port->axes; i++) {
         tl_axis_init(&app->axes[i], port, i);
     }
     app->settings = tl_settings_load(port, app->axes);
-    tl_tables_init(&app->tables, port, app->axes, app->work.upload);
+    tl_tables_init(&app->tables, port, app->axes, app->upload);
     for (uint8_t i = 0; i < port->axes; i++) {
         if (port->boot == TL_WIRE_BOOT_WATCHDOG) {
             tl_axis_fail(&app->axes[i], TL_WIRE_FAULT_WATCHDOG, 0, app->control_us);

@@ -4,13 +4,21 @@
 
 #include "tautline/tl_axis_guard.h"
 #include "tautline/tl_axis_rest.h"
+#include "tautline/tl_fast.h"
 
 #define AT_ONCE_US 50000U // longest time that a set-point without one takes
 #define PLAN_US    (1000000U / TL_AXIS_PLAN_HZ)
-#define CHECK_US   2000000U // a check ends by itself before
 
 #define COPY(kind, name, doc)              to->name = from->name;
 #define COPY_ARRAY(kind, name, count, doc) memcpy(to->name, from->name, sizeof(to->name));
+
+static TL_FAST uint32_t keep_out(const tl_axis_t *axis) {
+    return axis->port->lock(axis->port->context);
+}
+
+static TL_FAST void let_in(const tl_axis_t *axis, uint32_t state) {
+    axis->port->unlock(axis->port->context, state);
+}
 
 // -- settings, limits, gains ------------------------------------------------------------------------------------
 
@@ -34,6 +42,7 @@ tl_wire_settings_t tl_axis_default_settings(const tl_port_t *port, uint8_t index
         .arrive_q8 = 4 * TL_COUNT_ONE,
         .stall_ms = 300,
         .supply_low_mv = port->supply_low_mv,
+        .hold_ms = 60000,
     };
 }
 
@@ -91,21 +100,34 @@ uint8_t tl_axis_check_settings(const tl_port_t *port, const tl_wire_settings_t *
     const bool sound = is_sound(port, &limits) && settings->low_duty_q15 >= 0 &&
                        settings->low_duty_q15 <= settings->duty_q15 && settings->arrive_q8 >= TL_COUNT_ONE &&
                        settings->arrive_q8 <= TL_AXIS_RANGE_MAX && settings->stall_ms >= 20U &&
-                       settings->stall_ms <= 5000U;
+                       settings->stall_ms <= 5000U && settings->hold_ms <= TL_AXIS_HOLD_MAX_MS;
     return sound ? 0 : TL_WIRE_REASON_RANGE;
 }
 
-static void apply_limits(tl_axis_t *axis) {
-    int32_t speed = axis->limits.speed_q8_s;
+// What the reference may, under these limits and the table's.
+static tl_reference_limits_t travel_by(const tl_axis_t *axis, const tl_wire_limits_t *limits) {
+    int32_t speed = limits->speed_q8_s;
     if (axis->has_table) {
-        tl_table_t *table = &axis->tip.lookup.table;
-        // A take-up that brakes harder than the reference may would overshoot. The last quarter is left to the feed.
-        const int32_t acceleration = axis->limits.acceleration_q8_s2 / TL_COUNT_ONE / 4 * 3;
-        table->takeup_accel = axis->tip.takeup_accel < acceleration ? axis->tip.takeup_accel : acceleration;
-        speed = table->speed_max_q8 < speed ? table->speed_max_q8 : speed;
+        const int32_t most = axis->tip.lookup.table.speed_max_q8;
+        speed = most < speed ? most : speed;
     }
-    axis->plan.travel = tl_reference_limits(speed, axis->limits.acceleration_q8_s2, TL_AXIS_PLAN_HZ);
+    return tl_reference_limits(speed, limits->acceleration_q8_s2, TL_AXIS_PLAN_HZ);
+}
+
+static TL_FAST void put_into_force(tl_axis_t *axis, const tl_reference_limits_t *travel) {
+    if (axis->has_table) {
+        // A take-up that brakes harder than the reference may would overshoot. The last quarter is left to the feed.
+        const int32_t acceleration = axis->limits.acceleration_q8_s2 / TL_COUNT_ONE / 4 * 3,
+                      own = axis->tip.takeup_accel;
+        axis->tip.lookup.table.takeup_accel = own < acceleration ? own : acceleration;
+    }
+    axis->plan.travel = *travel;
     tl_axis_admit(axis);
+}
+
+static void apply_limits(tl_axis_t *axis) {
+    const tl_reference_limits_t travel = travel_by(axis, &axis->limits);
+    put_into_force(axis, &travel);
 }
 
 void tl_axis_use_settings(tl_axis_t *axis, const tl_wire_settings_t *settings) {
@@ -118,6 +140,19 @@ void tl_axis_use_settings(tl_axis_t *axis, const tl_wire_settings_t *settings) {
     apply_limits(axis);
 }
 
+static TL_FAST_LOCKED uint8_t take_limits(tl_axis_t *axis, const tl_wire_limits_t *limits,
+                                          const tl_reference_limits_t *travel) {
+    const uint32_t state = keep_out(axis);
+    const bool rests = axis->mode == TL_WIRE_MODE_OFF || axis->mode == TL_WIRE_MODE_HOLD;
+    if (rests) {
+        axis->limits = *limits;
+        axis->motor.limit = limits->duty_q15 < axis->motor.limit ? limits->duty_q15 : axis->motor.limit;
+        put_into_force(axis, travel);
+    }
+    let_in(axis, state);
+    return rests ? 0 : TL_WIRE_REASON_BUSY;
+}
+
 uint8_t tl_axis_set_limits(tl_axis_t *axis, const tl_wire_limits_t *limits) {
     if (!is_sound(axis->port, limits)) {
         return TL_WIRE_REASON_RANGE;
@@ -125,15 +160,11 @@ uint8_t tl_axis_set_limits(tl_axis_t *axis, const tl_wire_limits_t *limits) {
     if (!are_within(limits, &axis->settings)) {
         return TL_WIRE_REASON_BEYOND_SETTINGS;
     }
-    if (axis->mode != TL_WIRE_MODE_OFF && axis->mode != TL_WIRE_MODE_HOLD) {
-        return TL_WIRE_REASON_BUSY;
-    }
-    axis->limits = *limits;
-    axis->motor.limit = limits->duty_q15 < axis->motor.limit ? limits->duty_q15 : axis->motor.limit;
-    apply_limits(axis);
-    return 0;
+    const tl_reference_limits_t travel = travel_by(axis, limits);
+    return take_limits(axis, limits, &travel);
 }
 
+// Without the lock: of a motor that is off the control step uses nothing that the gains change.
 uint8_t tl_axis_set_servo(tl_axis_t *axis, const tl_wire_servo_t *gains) {
     if (axis->mode != TL_WIRE_MODE_OFF) {
         return TL_WIRE_REASON_NOT_OFF;
@@ -141,7 +172,7 @@ uint8_t tl_axis_set_servo(tl_axis_t *axis, const tl_wire_servo_t *gains) {
     return set_gains(axis, gains) ? 0 : TL_WIRE_REASON_RANGE;
 }
 
-uint8_t tl_axis_set_strength(tl_axis_t *axis, int32_t strength_q15) {
+TL_FAST uint8_t tl_axis_set_strength(tl_axis_t *axis, int32_t strength_q15) {
     if (strength_q15 < 0 || strength_q15 > TL_RATIO_ONE) {
         return TL_WIRE_REASON_RANGE;
     }
@@ -153,11 +184,11 @@ uint8_t tl_axis_set_strength(tl_axis_t *axis, int32_t strength_q15) {
 }
 
 // A table that nobody follows is moved at once: nothing comes of it yet.
-static uint32_t ticks_of(const tl_axis_t *axis, uint16_t within_ms) {
+static TL_FAST uint32_t ticks_of(const tl_axis_t *axis, uint16_t within_ms) {
     return axis->mode == TL_WIRE_MODE_FOLLOW_TIP ? (uint32_t)within_ms * (TL_AXIS_PLAN_HZ / 1000U) : 0U;
 }
 
-uint8_t tl_axis_adapt(tl_axis_t *axis, const tl_wire_adapt_t *request) {
+TL_FAST uint8_t tl_axis_adapt(tl_axis_t *axis, const tl_wire_adapt_t *request) {
     if (!axis->has_table) {
         return TL_WIRE_REASON_NO_TABLE;
     }
@@ -169,7 +200,7 @@ uint8_t tl_axis_adapt(tl_axis_t *axis, const tl_wire_adapt_t *request) {
                : TL_WIRE_REASON_BEYOND_TABLE;
 }
 
-uint8_t tl_axis_load(tl_axis_t *axis, const tl_wire_load_t *request) {
+TL_FAST uint8_t tl_axis_load(tl_axis_t *axis, const tl_wire_load_t *request) {
     if (!axis->has_table) {
         return TL_WIRE_REASON_NO_TABLE;
     }
@@ -180,6 +211,19 @@ uint8_t tl_axis_load(tl_axis_t *axis, const tl_wire_load_t *request) {
 
 // -- where it is ------------------------------------------------------------------------------------------------
 
+static TL_FAST_LOCKED void take_position(tl_axis_t *axis, tl_count_q8_t q, const tl_play_t *play) {
+    const uint32_t state = keep_out(axis);
+    axis->q = q;
+    axis->referenced = true;
+    tl_actuator_reset(&axis->motor, q);
+    tl_axis_settle(axis);
+    tl_axis_admit(axis);
+    if (play != NULL) {
+        axis->tip.play = *play;
+    }
+    let_in(axis, state);
+}
+
 uint8_t tl_axis_set_position(tl_axis_t *axis, tl_count_q8_t q) {
     if (axis->mode != TL_WIRE_MODE_OFF) {
         return TL_WIRE_REASON_NOT_OFF;
@@ -187,15 +231,19 @@ uint8_t tl_axis_set_position(tl_axis_t *axis, tl_count_q8_t q) {
     if (q < -TL_AXIS_RANGE_MAX || q > TL_AXIS_RANGE_MAX) {
         return TL_WIRE_REASON_RANGE;
     }
-    axis->q = q / TL_COUNT_ONE * TL_COUNT_ONE;
-    axis->referenced = true;
-    tl_actuator_reset(&axis->motor, axis->q);
-    tl_axis_settle(axis);
-    tl_axis_admit(axis);
+    q = q / TL_COUNT_ONE * TL_COUNT_ONE;
+    tl_play_t play;
     if (axis->has_table) {
-        tl_play_start(&axis->tip.play, &axis->tip.lookup, axis->q);
+        tl_play_start(&play, &axis->tip.lookup, q);
     }
+    take_position(axis, q, axis->has_table ? &play : NULL);
     return 0;
+}
+
+static TL_FAST_LOCKED void take_play(tl_axis_t *axis, const tl_play_t *play) {
+    const uint32_t state = keep_out(axis);
+    axis->tip.play = *play;
+    let_in(axis, state);
 }
 
 // The motor has pressed against an end: the tip is on that side's envelope, and has followed the retreat since.
@@ -203,11 +251,12 @@ static void find_tip(tl_axis_t *axis) {
     axis->guard.homed = false;
     if (axis->has_table) {
         const tl_count_q8_t end = axis->trial.end;
-        tl_play_t *play = &axis->tip.play;
-        tl_play_start(play, &axis->tip.lookup, end);
-        tl_play_step(play, end - axis->trial.way * TL_AXIS_RANGE_MAX);
-        tl_play_step(play, end);
-        tl_play_step(play, axis->q);
+        tl_play_t play;
+        tl_play_start(&play, &axis->tip.lookup, end);
+        tl_play_step(&play, end - axis->trial.way * TL_AXIS_RANGE_MAX);
+        tl_play_step(&play, end);
+        tl_play_step(&play, axis->q);
+        take_play(axis, &play); // what the motor goes from here the watch has it follow
     }
 }
 
@@ -215,6 +264,7 @@ void tl_axis_hear(tl_axis_t *axis) {
     if (axis->guard.homed) {
         find_tip(axis);
     }
+    axis->guard.alone_ms = 0;
     if (!tl_axis_is_following(axis)) { // a follower's sender sends set-points
         axis->guard.patience = axis->guard.silence_ms;
     }
@@ -252,29 +302,29 @@ void tl_axis_init(tl_axis_t *axis, const tl_port_t *port, uint8_t index) {
 
 // -- motions ----------------------------------------------------------------------------------------------------
 
-static uint8_t ready(const tl_axis_t *axis) {
+static TL_FAST uint8_t ready(const tl_axis_t *axis) {
     if (axis->fault != TL_WIRE_FAULT_NONE) {
         return TL_WIRE_REASON_FAULT;
     }
     return axis->mode == TL_WIRE_MODE_OFF ? TL_WIRE_REASON_OFF : 0;
 }
 
-static uint8_t ready_at_rest(const tl_axis_t *axis) {
+static TL_FAST uint8_t ready_at_rest(const tl_axis_t *axis) {
     const uint8_t reason = ready(axis);
     return reason == 0 && axis->mode != TL_WIRE_MODE_HOLD ? TL_WIRE_REASON_BUSY : reason;
 }
 
-static uint8_t ready_and_referenced(const tl_axis_t *axis) {
+static TL_FAST uint8_t ready_and_referenced(const tl_axis_t *axis) {
     const uint8_t reason = ready_at_rest(axis);
     return reason == 0 && !axis->referenced ? TL_WIRE_REASON_NOT_REFERENCED : reason;
 }
 
-static int32_t low_duty(const tl_axis_t *axis) {
+static TL_FAST int32_t low_duty(const tl_axis_t *axis) {
     const int32_t low = axis->settings.low_duty_q15, most = axis->limits.duty_q15;
     return low < most ? low : most;
 }
 
-static bool may_be_silent(tl_axis_t *axis, uint32_t silence_us) {
+static TL_FAST bool may_be_silent(tl_axis_t *axis, uint32_t silence_us) {
     if (silence_us > TL_AXIS_SILENCE_MAX_US) {
         return false;
     }
@@ -284,16 +334,17 @@ static bool may_be_silent(tl_axis_t *axis, uint32_t silence_us) {
 }
 
 // A motion begins: nothing of the last one counts any more.
-static void begin(tl_axis_t *axis, tl_duty_q15_t most) {
+static TL_FAST void begin(tl_axis_t *axis, tl_duty_q15_t most) {
     axis->motor.limit = most;
     axis->silent = false;
     axis->plan.stream.used = 0;
     axis->guard.lapsed = false;
     axis->guard.homing = false;
+    axis->guard.sink = 0;
     axis->guard.still_ms = 0; // but how long it has been pushing does: asking again is no way round a stall
 }
 
-static void switch_on(tl_axis_t *axis) {
+static TL_FAST void switch_on(tl_axis_t *axis) {
     tl_axis_settle(axis);
     tl_actuator_reset(&axis->motor, axis->q);
     tl_axis_admit(axis);
@@ -308,7 +359,7 @@ static void switch_on(tl_axis_t *axis) {
     begin(axis, axis->referenced ? axis->limits.duty_q15 : low_duty(axis));
 }
 
-uint8_t tl_axis_enable(tl_axis_t *axis) {
+TL_FAST uint8_t tl_axis_enable(tl_axis_t *axis) {
     if (axis->fault != TL_WIRE_FAULT_NONE) {
         return TL_WIRE_REASON_FAULT;
     }
@@ -317,8 +368,7 @@ uint8_t tl_axis_enable(tl_axis_t *axis) {
         if (axis->checked) {
             tl_axis_enter(axis, TL_WIRE_MODE_HOLD);
         } else {
-            may_be_silent(axis, CHECK_US);
-            tl_axis_start_check(axis);
+            tl_axis_start_check(axis); // which ends by itself
         }
     } else if (axis->mode == TL_WIRE_MODE_STOPPING_OFF) {
         axis->guard.lapsed = false;
@@ -327,7 +377,7 @@ uint8_t tl_axis_enable(tl_axis_t *axis) {
     return 0;
 }
 
-uint8_t tl_axis_check(tl_axis_t *axis) {
+TL_FAST uint8_t tl_axis_check(tl_axis_t *axis) {
     if (axis->mode != TL_WIRE_MODE_OFF) {
         return TL_WIRE_REASON_NOT_OFF;
     }
@@ -336,15 +386,13 @@ uint8_t tl_axis_check(tl_axis_t *axis) {
 }
 
 // The speed of a move: as asked, 0 is the one that is the default.
-static void set_speed(tl_axis_t *axis, int32_t speed_q8_s, int32_t by_default, int32_t most) {
-    const tl_reference_limits_t asked =
-        tl_reference_limits(speed_q8_s > 0 ? speed_q8_s : 1, axis->limits.acceleration_q8_s2, TL_AXIS_PLAN_HZ);
-    const int32_t speed = speed_q8_s > 0 ? asked.speed : by_default;
+static TL_FAST void set_speed(tl_axis_t *axis, int32_t speed_q8_s, int32_t by_default, int32_t most) {
+    const int32_t speed = speed_q8_s > 0 ? tl_reference_speed(speed_q8_s, TL_AXIS_PLAN_HZ) : by_default;
     axis->plan.move = axis->plan.travel;
     axis->plan.move.speed = speed < most ? speed : most;
 }
 
-uint8_t tl_axis_move(tl_axis_t *axis, const tl_wire_move_t *request) {
+TL_FAST uint8_t tl_axis_move(tl_axis_t *axis, const tl_wire_move_t *request) {
     const uint8_t reason = ready(axis);
     if (reason != 0) {
         return reason;
@@ -368,7 +416,7 @@ uint8_t tl_axis_move(tl_axis_t *axis, const tl_wire_move_t *request) {
     return 0;
 }
 
-uint8_t tl_axis_jog(tl_axis_t *axis, const tl_wire_jog_t *request) {
+TL_FAST uint8_t tl_axis_jog(tl_axis_t *axis, const tl_wire_jog_t *request) {
     const uint8_t reason = ready_at_rest(axis);
     if (reason != 0) {
         return reason;
@@ -385,7 +433,7 @@ uint8_t tl_axis_jog(tl_axis_t *axis, const tl_wire_jog_t *request) {
     return 0;
 }
 
-uint8_t tl_axis_home(tl_axis_t *axis, const tl_wire_home_t *request) {
+TL_FAST uint8_t tl_axis_home(tl_axis_t *axis, const tl_wire_home_t *request) {
     const uint8_t reason = ready_at_rest(axis);
     if (reason != 0) {
         return reason;
@@ -416,8 +464,49 @@ uint8_t tl_axis_home(tl_axis_t *axis, const tl_wire_home_t *request) {
 }
 
 // Milliseconds until the sender is silent: silence after the time of its last set-point.
-static uint32_t patience(const tl_axis_t *axis, tl_us_t now_us) {
+static TL_FAST uint32_t patience(const tl_axis_t *axis, tl_us_t now_us) {
     return (uint32_t)(tl_stream_end(&axis->plan.stream) - now_us) / PLAN_US + axis->guard.silence_ms;
+}
+
+// Where a follower of the tip begins: the forward play, and how the table was moved.
+typedef struct {
+    tl_play_t play;
+    tl_moved_t moved;
+    tl_count_q8_t q;
+} tip_now_t;
+
+static TL_FAST_LOCKED void look_at_tip(const tl_axis_t *axis, tip_now_t *now) {
+    const uint32_t state = keep_out(axis);
+    now->play = axis->tip.play;
+    now->moved = axis->tip.compensator.undo.moved;
+    now->q = tl_reference_q(&axis->plan.reference);
+    let_in(axis, state);
+}
+
+// `compensator`: what leads the tip from where its angle is `value`; NULL: a follower of the motor begins.
+static TL_FAST_LOCKED uint8_t begin_to_follow(tl_axis_t *axis, const tl_compensator_t *compensator, int32_t value,
+                                              uint32_t silence_ms, tl_us_t now_us) {
+    const uint32_t state = keep_out(axis);
+    const uint8_t reason = ready_and_referenced(axis);
+    if (reason == 0) {
+        tl_axis_planned_t *plan = &axis->plan;
+        const tl_count_q8_t q = tl_reference_q(&plan->reference); // it rests: as it was when the compensator began
+        begin(axis, axis->limits.duty_q15);
+        plan->target = q;
+        if (compensator != NULL) {
+            axis->tip.compensator = *compensator;
+            axis->tip.c_ref = plan->c_next = plan->c_last[0] = plan->c_last[1] = value;
+        } else {
+            value = q;
+        }
+        tl_stream_start(&plan->stream, value, axis->ticks);
+        axis->guard.silence_ms = silence_ms;
+        axis->guard.patience = patience(axis, now_us);
+        plan->heard_us = now_us;
+        tl_axis_enter(axis, compensator != NULL ? TL_WIRE_MODE_FOLLOW_TIP : TL_WIRE_MODE_FOLLOW_MOTOR);
+    }
+    let_in(axis, state);
+    return reason;
 }
 
 uint8_t tl_axis_follow(tl_axis_t *axis, const tl_wire_follow_t *request, tl_us_t now_us) {
@@ -429,34 +518,26 @@ uint8_t tl_axis_follow(tl_axis_t *axis, const tl_wire_follow_t *request, tl_us_t
         request->silence_us > TL_AXIS_SILENCE_MAX_US) {
         return TL_WIRE_REASON_RANGE;
     }
-    const bool tip = request->target == 1U;
-    if (tip && !axis->has_table) {
+    const uint32_t silence_us = request->silence_us > 0 ? request->silence_us : TL_AXIS_FOLLOW_SILENCE_US;
+    const uint32_t silence_ms = silence_us / PLAN_US + 1U;
+    if (request->target == 0U) {
+        return begin_to_follow(axis, NULL, 0, silence_ms, now_us);
+    }
+    if (!axis->has_table) {
         return TL_WIRE_REASON_NO_TABLE;
     }
-    tl_axis_planned_t *plan = &axis->plan;
-    const tl_count_q8_t q = tl_reference_q(&plan->reference);
-    int32_t value = q;
-    if (tip) {
-        value = tl_play_angle(&axis->tip.play);
-        axis->tip.c_ref = plan->c_next = plan->c_last[0] = plan->c_last[1] = value;
-        const tl_moved_t moved = axis->tip.compensator.undo.moved;
-        tl_compensator_start_moved(&axis->tip.compensator, &axis->tip.lookup, TL_AXIS_PLAN_HZ,
-                                   (tl_mode_t)request->compensation, q, value, &moved);
-        tl_compensator_know(&axis->tip.compensator, &axis->tip.play);
-        tl_compensator_set_strength(&axis->tip.compensator, axis->tip.strength_q15);
-    }
-    begin(axis, axis->limits.duty_q15);
-    plan->target = q;
-    tl_stream_start(&plan->stream, value, axis->ticks);
-    const uint32_t silence_us = request->silence_us > 0 ? request->silence_us : TL_AXIS_FOLLOW_SILENCE_US;
-    axis->guard.silence_ms = silence_us / PLAN_US + 1U;
-    axis->guard.patience = patience(axis, now_us);
-    plan->heard_us = now_us;
-    tl_axis_enter(axis, tip ? TL_WIRE_MODE_FOLLOW_TIP : TL_WIRE_MODE_FOLLOW_MOTOR);
-    return 0;
+    tip_now_t now;
+    tl_compensator_t compensator;
+    look_at_tip(axis, &now);
+    const tl_deg_q16_t value = tl_play_angle(&now.play);
+    tl_compensator_start_moved(&compensator, &axis->tip.lookup, TL_AXIS_PLAN_HZ, (tl_mode_t)request->compensation,
+                               now.q, value, &now.moved);
+    tl_compensator_know(&compensator, &now.play);
+    tl_compensator_set_strength(&compensator, axis->tip.strength_q15);
+    return begin_to_follow(axis, &compensator, value, silence_ms, now_us);
 }
 
-uint8_t tl_axis_set_point(tl_axis_t *axis, const tl_wire_set_point_t *request, tl_us_t now_us, bool *late) {
+TL_FAST uint8_t tl_axis_set_point(tl_axis_t *axis, const tl_wire_set_point_t *request, tl_us_t now_us, bool *late) {
     if (!tl_axis_is_following(axis)) {
         const uint8_t reason = ready(axis);
         return reason != 0 ? reason : TL_WIRE_REASON_NOT_FOLLOWING;
@@ -479,20 +560,21 @@ uint8_t tl_axis_set_point(tl_axis_t *axis, const tl_wire_set_point_t *request, t
     return 0;
 }
 
-uint8_t tl_axis_calibrate(tl_axis_t *axis, tl_motion_t *motion, tl_history_t *history) {
+TL_FAST_LOCKED uint8_t tl_axis_calibrate(tl_axis_t *axis, tl_motion_t *motion, tl_history_t *history) {
+    const uint32_t state = keep_out(axis);
     const uint8_t reason = ready_and_referenced(axis);
-    if (reason != 0) {
-        return reason;
+    if (reason == 0) {
+        begin(axis, axis->limits.duty_q15);
+        axis->plan.target = tl_reference_q(&axis->plan.reference);
+        axis->plan.motion = motion;
+        axis->history = history;
+        tl_axis_enter(axis, TL_WIRE_MODE_CALIBRATE);
     }
-    begin(axis, axis->limits.duty_q15);
-    axis->plan.target = tl_reference_q(&axis->plan.reference);
-    axis->plan.motion = motion;
-    axis->history = history;
-    tl_axis_enter(axis, TL_WIRE_MODE_CALIBRATE);
-    return 0;
+    let_in(axis, state);
+    return reason;
 }
 
-uint8_t tl_axis_clear_fault(tl_axis_t *axis) {
+TL_FAST uint8_t tl_axis_clear_fault(tl_axis_t *axis) {
     axis->fault = TL_WIRE_FAULT_NONE;
     axis->guard.fault_us = 0;
     axis->guard.fault_value = 0;

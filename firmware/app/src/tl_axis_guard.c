@@ -126,6 +126,25 @@ static bool mechanical(tl_axis_t *axis, int32_t size_ma, tl_us_t now_us) {
            fails(axis, oscillates(axis), TL_WIRE_FAULT_OSCILLATION, 0, now_us);
 }
 
+// Held for longer than the settings allow without a word of a host: the drive sinks to nothing within a second, never
+// at once, as what pulls at the motor would let go. Whether it follows or stalls is not looked at meanwhile.
+static __attribute__((noinline)) TL_FAST bool left_alone(tl_axis_t *axis, tl_us_t now_us) {
+    tl_axis_guarded_t *guard = &axis->guard;
+    if (guard->sink == 0) {
+        if (axis->settings.hold_ms == 0 || ++guard->alone_ms < axis->settings.hold_ms) {
+            return false;
+        }
+        const tl_duty_q15_t duty = axis->motor.duty, size = duty < 0 ? -duty : duty;
+        guard->sink = (size >> 10) + 1;
+        axis->motor.limit = size;
+        axis->silent = true;
+        tl_axis_event(axis, TL_WIRE_EVENT_SILENT);
+    }
+    axis->motor.limit -= guard->sink;
+    fails(axis, axis->motor.limit <= 0, TL_WIRE_FAULT_HOST_LOST, 0, now_us);
+    return true;
+}
+
 // -- moves ------------------------------------------------------------------------------------------------------
 
 static void arrive(tl_axis_t *axis) {
@@ -168,7 +187,7 @@ static void home(tl_axis_t *axis, tl_us_t now_us) {
 
 // -- check of motor and encoder ---------------------------------------------------------------------------------
 
-void tl_axis_start_check(tl_axis_t *axis) {
+TL_FAST void tl_axis_start_check(tl_axis_t *axis) {
     const tl_servo_gains_t *gains = &axis->motor.servo.gains;
     int32_t most = gains->friction + CHECK_PUSH;
     most = most < axis->settings.low_duty_q15 ? most : axis->settings.low_duty_q15;
@@ -255,8 +274,7 @@ static void check(tl_axis_t *axis, tl_us_t now_us) {
 // ---------------------------------------------------------------------------------------------------------------
 
 static bool has_patience(const tl_axis_t *axis) {
-    return tl_axis_is_following(axis) || axis->mode == TL_WIRE_MODE_MOVE || axis->mode == TL_WIRE_MODE_HOME ||
-           axis->mode == TL_WIRE_MODE_CHECK;
+    return tl_axis_is_following(axis) || axis->mode == TL_WIRE_MODE_MOVE || axis->mode == TL_WIRE_MODE_HOME;
 }
 
 // What no axis that follows has to do.
@@ -278,7 +296,8 @@ TL_FAST void tl_axis_guard(tl_axis_t *axis, tl_us_t now_us) {
         tl_axis_silence(axis); // all that this millisecond has room for
         return;
     }
-    if (axis->mode != TL_WIRE_MODE_OFF && !electrical(axis, now_us) && axis->closed) {
+    if (axis->mode != TL_WIRE_MODE_OFF && !electrical(axis, now_us) && axis->closed &&
+        (axis->mode != TL_WIRE_MODE_HOLD || !left_alone(axis, now_us))) {
         mechanical(axis, size_ma, now_us);
     }
     if (!tl_axis_is_following(axis)) {

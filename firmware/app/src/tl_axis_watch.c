@@ -2,6 +2,8 @@
 
 #include "tautline/tl_fast.h"
 
+#include <stdatomic.h>
+
 TL_FAST uint16_t tl_axis_flags(const tl_axis_t *axis) {
     uint32_t flags = axis->noted;
     if (axis->mode == TL_WIRE_MODE_FOLLOW_TIP) {
@@ -58,6 +60,7 @@ static void sample(tl_axis_t *axis, tl_us_t now_us) {
     into->c_est = axis->has_table ? tl_play_angle(&axis->tip.play) : 0;
     into->duty = (int16_t)tl_clamp(axis->motor.duty, INT16_MIN, INT16_MAX);
     into->flags = tl_axis_flags(axis);
+    atomic_signal_fence(memory_order_release); // the sample is whole before the task can see it
     telemetry->head = telemetry->head + 1U;
 }
 

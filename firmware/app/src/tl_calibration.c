@@ -2,6 +2,7 @@
 
 #include "tautline/tl_axis_ask.h"
 #include "tautline/tl_axis_rest.h"
+#include "tautline/tl_fast.h"
 
 // The wire names the motion's states and errors by the estimator's own numbers.
 _Static_assert((int)TL_WIRE_MOTION_IDLE == (int)TL_MOTION_IDLE, "motion states");
@@ -76,16 +77,16 @@ uint8_t tl_calibration_start(tl_calibration_t *calibration, tl_axis_t *axis, con
         motion.speed_count++;
     }
     const tl_onset_config_t onset = onset_config(request);
-    if (!tl_onset_init(&calibration->work->detector, &onset)) {
+    if (!tl_onset_init(&calibration->work.detector, &onset)) {
         return TL_WIRE_REASON_ONSET;
     }
     const tl_motion_error_t error =
-        tl_motion_start(&calibration->work->motion, &motion, tl_reference_q(&axis->plan.reference));
+        tl_motion_start(&calibration->work.motion, &motion, tl_reference_q(&axis->plan.reference));
     if (error != TL_MOTION_OK) {
         return reason_of(error);
     }
-    tl_history_init(&calibration->work->history);
-    const uint8_t reason = tl_axis_calibrate(axis, &calibration->work->motion, &calibration->work->history);
+    tl_history_init(&calibration->work.history);
+    const uint8_t reason = tl_axis_calibrate(axis, &calibration->work.motion, &calibration->work.history);
     if (reason == 0) {
         calibration->axis = axis;
         calibration->host_lost = false;
@@ -94,13 +95,13 @@ uint8_t tl_calibration_start(tl_calibration_t *calibration, tl_axis_t *axis, con
     return reason;
 }
 
-void tl_calibration_frame(tl_calibration_t *calibration) {
-    tl_motion_frame(&calibration->work->motion);
+TL_FAST void tl_calibration_frame(tl_calibration_t *calibration) {
+    tl_motion_frame(&calibration->work.motion);
 }
 
-void tl_calibration_turn(tl_calibration_t *calibration, const tl_onset_t *onset) {
+TL_FAST void tl_calibration_turn(tl_calibration_t *calibration, const tl_onset_t *onset) {
     if (onset->started) { // else the stroke goes on, so that the tip is on an envelope again at its end
-        tl_motion_onset(&calibration->work->motion, onset->direction);
+        tl_motion_onset(&calibration->work.motion, onset->direction);
     }
 }
 
@@ -119,20 +120,19 @@ bool tl_calibration_marker(tl_calibration_t *calibration, const tl_wire_marker_t
         .other_motion = marker->other_motion != 0,
     };
     return finished(calibration,
-                    tl_onset_sample(&calibration->work->detector, &calibration->work->history, &sample, onset));
+                    tl_onset_sample(&calibration->work.detector, &calibration->work.history, &sample, onset));
 }
 
 bool tl_calibration_poll(tl_calibration_t *calibration, tl_us_t now_us, tl_onset_t *onset) {
-    return finished(calibration,
-                    tl_onset_poll(&calibration->work->detector, &calibration->work->history, now_us, onset));
+    return finished(calibration, tl_onset_poll(&calibration->work.detector, &calibration->work.history, now_us, onset));
 }
 
-bool tl_calibration_ended(tl_calibration_t *calibration, tl_us_t now_us, uint8_t *state) {
+TL_FAST bool tl_calibration_ended(tl_calibration_t *calibration, tl_us_t now_us, uint8_t *state) {
     tl_axis_t *axis = calibration->axis;
     if (axis == NULL) {
         return false;
     }
-    const tl_motion_state_t motion = tl_motion_state(&calibration->work->motion);
+    const tl_motion_state_t motion = tl_motion_state(&calibration->work.motion);
     if (axis->mode == TL_WIRE_MODE_CALIBRATE && (motion == TL_MOTION_RUNNING || motion == TL_MOTION_STOPPING)) {
         return false;
     }
@@ -152,9 +152,9 @@ bool tl_calibration_ended(tl_calibration_t *calibration, tl_us_t now_us, uint8_t
     return true;
 }
 
-void tl_calibration_stop(tl_calibration_t *calibration, bool host_lost) {
+TL_FAST void tl_calibration_stop(tl_calibration_t *calibration, bool host_lost) {
     calibration->host_lost = calibration->host_lost || host_lost;
-    tl_motion_stop(&calibration->work->motion);
+    tl_motion_stop(&calibration->work.motion);
 }
 
 void tl_calibration_onset_message(const tl_calibration_t *calibration, const tl_onset_t *onset,
@@ -185,7 +185,7 @@ void tl_calibration_progress_message(const tl_calibration_t *calibration, const 
     *message = (tl_wire_progress_t){
         .axis = axis->index,
         .state = state,
-        .permille = tl_motion_progress(&calibration->work->motion),
+        .permille = tl_motion_progress(&calibration->work.motion),
         .reversals = calibration->reversals,
         .t_us = now_us,
     };

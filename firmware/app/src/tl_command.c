@@ -6,6 +6,7 @@
 #include "tautline/tl_axis_rest.h"
 #include "tautline/tl_axis_watch.h"
 #include "tautline/tl_command_table.h"
+#include "tautline/tl_fast.h"
 #include "tautline/tl_report.h"
 #include "tautline/tl_settings.h"
 
@@ -50,33 +51,44 @@ static void identity(const tl_app_t *app, tl_us_t now_us, tl_wire_identity_t *ou
     copy_text(out->build, sizeof(out->build), TL_APP_BUILD);
 }
 
+// What the control step writes: all of one moment, and no half of a 64-bit value. Returns p.
+static TL_FAST_LOCKED tl_count_q8_t look_at_axis(const tl_axis_t *axis, tl_wire_status_t *out) {
+    const tl_port_t *port = axis->port;
+    const uint32_t state = port->lock(port->context);
+    out->mode = axis->mode;
+    out->fault = axis->fault;
+    out->flags = tl_axis_flags(axis);
+    out->fault_us = axis->guard.fault_us;
+    out->q_q8 = axis->q;
+    out->q_ref_q8 = axis->path.q;
+    out->c_ref_q16 = axis->tip.c_ref;
+    out->duty_q15 = axis->motor.duty;
+    out->current_ma = axis->guard.current_ma;
+    out->supply_mv = axis->guard.supply_mv;
+    out->fault_value = axis->guard.fault_value;
+    const tl_count_q8_t p = axis->tip.play.p;
+    port->unlock(port->context, state);
+    return p;
+}
+
 static void status(const tl_app_t *app, uint8_t index, tl_us_t now_us, tl_wire_status_t *out) {
     const tl_axis_t *axis = &app->axes[index];
     const tl_table_in_use_t *table = &app->tables.in_use[index];
-    const uint32_t state = app->port->lock(app->port->context); // all of one moment, and no half of a 64-bit value
     *out = (tl_wire_status_t){
         .axis = index,
-        .mode = axis->mode,
-        .fault = axis->fault,
         .table = table->state,
         .table_reason = table->reason,
-        .flags = tl_axis_flags(axis),
         .table_sequence = table->sequence,
         .table_crc = table->crc,
         .t_us = now_us,
-        .fault_us = axis->guard.fault_us,
-        .q_q8 = axis->q,
-        .q_ref_q8 = axis->path.q,
-        .c_ref_q16 = axis->tip.c_ref,
-        .c_est_q16 = axis->has_table ? tl_play_angle(&axis->tip.play) : 0,
-        .duty_q15 = axis->motor.duty,
-        .current_ma = axis->guard.current_ma,
         .strength_q15 = axis->tip.strength_q15,
-        .supply_mv = axis->guard.supply_mv,
         .settings = app->settings,
-        .fault_value = axis->guard.fault_value,
     };
-    app->port->unlock(app->port->context, state);
+    const tl_count_q8_t p = look_at_axis(axis, out);
+    if (axis->has_table) {
+        uint32_t ends = 0;
+        out->c_est_q16 = tl_lookup_angle(&axis->tip.lookup, p, &ends);
+    }
 }
 
 static void counters(tl_app_t *app, bool clear, tl_us_t now_us, tl_wire_counters_t *out) {
@@ -94,7 +106,7 @@ static void counters(tl_app_t *app, bool clear, tl_us_t now_us, tl_wire_counters
     }
 }
 
-static uint8_t set_point(tl_app_t *app, const tl_wire_set_point_t *request, tl_us_t now_us) {
+static TL_FAST uint8_t set_point(tl_app_t *app, const tl_wire_set_point_t *request, tl_us_t now_us) {
     bool late = false;
     const uint8_t reason = tl_axis_set_point(&app->axes[request->axis], request, now_us, &late);
     app->counters.set_points += reason == 0 ? 1U : 0U;
@@ -116,7 +128,7 @@ static void get_servo(const tl_axis_t *axis, tl_wire_servo_t *out) {
     };
 }
 
-static uint8_t enable(tl_axis_t *axis, uint8_t on) {
+static TL_FAST uint8_t enable(tl_axis_t *axis, uint8_t on) {
     if (on > 1U) {
         return TL_WIRE_REASON_RANGE;
     }
@@ -127,7 +139,7 @@ static uint8_t enable(tl_axis_t *axis, uint8_t on) {
     return 0;
 }
 
-static uint8_t telemetry(tl_axis_t *axis, uint8_t divider) {
+static TL_FAST uint8_t telemetry(tl_axis_t *axis, uint8_t divider) {
     if (divider > TL_WIRE_DIVIDER_MAX) {
         return TL_WIRE_REASON_RANGE;
     }
@@ -137,8 +149,9 @@ static uint8_t telemetry(tl_axis_t *axis, uint8_t divider) {
     return 0;
 }
 
-// Requests that name one axis or all. `of` is the request, known to be decoded.
-static uint8_t for_axis(tl_app_t *app, uint8_t type, const tl_wire_message_t *of, tl_axis_t *axis, tl_us_t now_us) {
+// Requests that name one axis or all, with the control step kept out. `of` is the request, known to be decoded.
+static TL_FAST uint8_t of_one_moment(tl_app_t *app, uint8_t type, const tl_wire_message_t *of, tl_axis_t *axis,
+                                     tl_us_t now_us) {
     switch (type) {
     case TL_WIRE_ENABLE:
         return enable(axis, of->enable.on);
@@ -149,8 +162,6 @@ static uint8_t for_axis(tl_app_t *app, uint8_t type, const tl_wire_message_t *of
         return 0;
     case TL_WIRE_CLEAR_FAULT:
         return tl_axis_clear_fault(axis);
-    case TL_WIRE_FOLLOW:
-        return tl_axis_follow(axis, &of->follow, now_us);
     case TL_WIRE_MOVE:
         return tl_axis_move(axis, &of->move);
     case TL_WIRE_JOG:
@@ -165,20 +176,11 @@ static uint8_t for_axis(tl_app_t *app, uint8_t type, const tl_wire_message_t *of
         return tl_axis_adapt(axis, &of->adapt);
     case TL_WIRE_LOAD:
         return tl_axis_load(axis, &of->load);
-    case TL_WIRE_SET_POSITION:
-        return tl_axis_set_position(axis, of->set_position.q_q8);
-    case TL_WIRE_LIMITS:
-        return tl_axis_set_limits(axis, &of->limits);
-    case TL_WIRE_SERVO:
-        return tl_axis_set_servo(axis, &of->servo);
     case TL_WIRE_ANY_TABLE:
         app->tables.in_use[axis->index].any = true;
         return 0;
     case TL_WIRE_SET_POINT:
         return set_point(app, &of->set_point, now_us);
-    case TL_WIRE_MOTION_START:
-        tl_tables_abort(&app->tables); // its memory is the calibration's
-        return tl_calibration_start(&app->calibration, axis, &of->motion_start);
     case TL_WIRE_MOTION_STOP:
         if (app->calibration.axis != axis) {
             return TL_WIRE_REASON_NOT_CALIBRATING;
@@ -187,6 +189,33 @@ static uint8_t for_axis(tl_app_t *app, uint8_t type, const tl_wire_message_t *of
         return 0;
     default:
         return TL_WIRE_REASON_UNKNOWN_TYPE;
+    }
+}
+
+static TL_FAST_LOCKED uint8_t at_once(tl_app_t *app, uint8_t type, const tl_wire_message_t *of, tl_axis_t *axis,
+                                      tl_us_t now_us) {
+    const tl_port_t *port = app->port;
+    const uint32_t state = port->lock(port->context);
+    const uint8_t reason = of_one_moment(app, type, of, axis, now_us);
+    port->unlock(port->context, state);
+    return reason;
+}
+
+// The same; what has to be worked out for some of them is, before the control step is kept out.
+static uint8_t for_axis(tl_app_t *app, uint8_t type, const tl_wire_message_t *of, tl_axis_t *axis, tl_us_t now_us) {
+    switch (type) {
+    case TL_WIRE_FOLLOW:
+        return tl_axis_follow(axis, &of->follow, now_us);
+    case TL_WIRE_SET_POSITION:
+        return tl_axis_set_position(axis, of->set_position.q_q8);
+    case TL_WIRE_LIMITS:
+        return tl_axis_set_limits(axis, &of->limits);
+    case TL_WIRE_SERVO:
+        return tl_axis_set_servo(axis, &of->servo);
+    case TL_WIRE_MOTION_START:
+        return tl_calibration_start(&app->calibration, axis, &of->motion_start);
+    default:
+        return at_once(app, type, of, axis, now_us);
     }
 }
 
@@ -204,9 +233,7 @@ static answer_t handle_axis(tl_app_t *app, uint8_t type, const tl_wire_message_t
     uint8_t reason = 0;
     for (uint8_t i = 0; i < app->port->axes; i++) {
         if (all || i == index) {
-            const uint32_t state = app->port->lock(app->port->context);
             const uint8_t one = for_axis(app, type, of, &app->axes[i], now_us);
-            app->port->unlock(app->port->context, state);
             reason = reason == 0 ? one : reason;
         }
     }
@@ -243,7 +270,7 @@ static uint8_t write(tl_app_t *app, uint8_t type, const tl_wire_message_t *of) {
         return TL_WIRE_REASON_KEY;
     }
     tl_tables_abort(&app->tables);
-    const uint8_t reason = tl_settings_store(app->port, app->axes, &of->settings, app->work.upload);
+    const uint8_t reason = tl_settings_store(app->port, app->axes, &of->settings, app->upload);
     app->settings = reason == 0 ? TL_WIRE_STORE_NEWEST : app->settings;
     return reason;
 }
@@ -282,9 +309,6 @@ static answer_t handle(tl_app_t *app, uint8_t type, const tl_wire_message_t *of,
     case TL_WIRE_TABLE_STORE:
     case TL_WIRE_TABLE_READ: {
         uint8_t answer = TL_WIRE_ACK;
-        if (type != TL_WIRE_TABLE_READ && app->calibration.axis != NULL) {
-            return refuse(TL_WIRE_REASON_NOT_OFF);
-        }
         const uint8_t reason = tl_command_table(&app->tables, type, of, out, &answer);
         return reason != 0 ? refuse(reason) : with(answer);
     }
@@ -342,10 +366,6 @@ void tl_command(tl_app_t *app, const tl_wire_frame_t *frame) {
     if (!app->outbox.open) {
         answer_request(app, frame, TL_WIRE_REASON_SESSION, now_us);
         return;
-    }
-    if (frame->type == TL_WIRE_CLEAR_TABLE || frame->type == TL_WIRE_SETTINGS || frame->type == TL_WIRE_TABLE_WRITE ||
-        frame->type == TL_WIRE_TABLE_STORE) {
-        tl_report_calibration(app, now_us); // one that an axis' fault has ended is over now: its memory is needed
     }
     if (frame->type == TL_WIRE_MARKER) {
         reason = take_marker(app, frame, now_us);

@@ -111,14 +111,17 @@ TL_FAST bool tl_reference_brake(tl_reference_t *reference, const tl_reference_li
     return reference->velocity == 0;
 }
 
+TL_FAST int32_t tl_reference_speed(int32_t speed, uint32_t rate_hz) {
+    const uint32_t of = (uint32_t)tl_clamp(speed, 1, TL_REFERENCE_SPEED_MAX);
+    return (int32_t)((of / rate_hz << 16) + (of % rate_hz << 16) / rate_hz);
+}
+
 tl_reference_limits_t tl_reference_limits(int32_t speed, int32_t acceleration, uint32_t rate_hz) {
     const int64_t rate = (int64_t)rate_hz;
-    speed = tl_clamp(speed, 1, TL_REFERENCE_SPEED_MAX);
     acceleration = tl_clamp(acceleration, TL_REFERENCE_ACCELERATION_MIN, TL_REFERENCE_ACCELERATION_MAX);
-    const int64_t per_tick = ((int64_t)speed << 16) / rate;
     const int64_t per_tick2 = ((int64_t)acceleration << 16) / (rate * rate);
     tl_reference_limits_t limits = {
-        .speed = (int32_t)per_tick,
+        .speed = tl_reference_speed(speed, rate_hz),
         .acceleration = per_tick2 > ACCELERATION_MAX ? ACCELERATION_MAX : (int32_t)per_tick2,
     };
     // A speed relative to the target's is at most twice the limit.

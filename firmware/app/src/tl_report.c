@@ -1,5 +1,7 @@
 #include "tautline/tl_report.h"
 
+#include <stdatomic.h>
+
 // What finds no room is counted: `worth` things.
 static void tell(tl_app_t *app, uint8_t type, const void *message, uint32_t *dropped, uint32_t worth) {
     if (tl_outbox_tell(&app->outbox, type, message)) {
@@ -12,7 +14,9 @@ static void tell(tl_app_t *app, uint8_t type, const void *message, uint32_t *dro
 static void tell_samples(tl_app_t *app, tl_axis_t *axis, tl_us_t now_us) {
     tl_axis_telemetry_t *telemetry = &axis->telemetry;
     const uint32_t divider = telemetry->divider == 0 ? 1U : telemetry->divider;
-    while (telemetry->head - telemetry->tail >= TL_WIRE_BATCH_SAMPLES) {
+    while (telemetry->head - telemetry->tail >= TL_WIRE_BATCH_SAMPLES &&
+           tl_outbox_has_room(&app->outbox, TL_WIRE_BATCH)) { // what has to wait does so here
+        atomic_signal_fence(memory_order_acquire);            // no sample is read before head says that it is there,
         // The control step may have come since now_us was read: the difference has a sign.
         const uint32_t first_us = telemetry->samples[telemetry->tail % TL_AXIS_SAMPLES].t_us;
         const int32_t ago_us = (int32_t)((uint32_t)now_us - first_us);
@@ -33,6 +37,7 @@ static void tell_samples(tl_app_t *app, tl_axis_t *axis, tl_us_t now_us) {
             batch.duty_q15[i] = sample->duty;
             batch.flags[i] = sample->flags;
         }
+        atomic_signal_fence(memory_order_release); // nor after its place was given back
         telemetry->tail = telemetry->tail + TL_WIRE_BATCH_SAMPLES;
         tell(app, TL_WIRE_BATCH, &batch, &app->counters.telemetry_dropped, TL_WIRE_BATCH_SAMPLES);
     }
@@ -112,12 +117,12 @@ uint8_t tl_report_marker(tl_app_t *app, const tl_wire_marker_t *marker, tl_us_t 
     const uint32_t state = app->port->lock(app->port->context);
     tl_calibration_frame(calibration);
     app->port->unlock(app->port->context, state);
-    const uint32_t ignored = calibration->work->detector.ignored;
+    const uint32_t ignored = calibration->work.detector.ignored;
     tl_onset_t onset;
     if (tl_calibration_marker(calibration, marker, &onset)) {
         tell_onset(app, &onset, now_us);
     }
-    const bool dropped = calibration->work->detector.ignored != ignored;
+    const bool dropped = calibration->work.detector.ignored != ignored;
     app->counters.markers_dropped += dropped ? 1U : 0U;
     app->counters.markers += dropped ? 0U : 1U;
     return 0;

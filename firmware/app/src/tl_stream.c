@@ -1,8 +1,10 @@
 #include "tautline/tl_stream.h"
 
+#include "tautline/tl_fast.h"
+
 #define SHORTEST_US 1000U
 
-void tl_stream_start(tl_stream_t *stream, int32_t value, uint32_t ticks) {
+TL_FAST void tl_stream_start(tl_stream_t *stream, int32_t value, uint32_t ticks) {
     stream->ticks = ticks;
     stream->used = 0;
     stream->value = (int64_t)value * (1 << 24);
@@ -10,7 +12,7 @@ void tl_stream_start(tl_stream_t *stream, int32_t value, uint32_t ticks) {
     stream->end_us = 0;
 }
 
-bool tl_stream_add(tl_stream_t *stream, int32_t value, tl_us_t at_us) {
+TL_FAST bool tl_stream_add(tl_stream_t *stream, int32_t value, tl_us_t at_us) {
     if (stream->used == TL_STREAM_SIZE) {
         return false;
     }

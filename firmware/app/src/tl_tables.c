@@ -23,10 +23,13 @@ static tl_lookup_t *leave(tl_tables_t *tables, uint8_t index) {
     return &axis->tip.lookup;
 }
 
-static void use(tl_tables_t *tables, uint8_t index, bool found) {
+static void use(tl_tables_t *tables, uint8_t index, bool found, bool is_new) {
     const tl_port_t *port = tables->port;
     const uint32_t state = port->lock(port->context);
     tl_axis_use_table(&tables->axes[index], found);
+    if (is_new) {
+        tl_axis_event(&tables->axes[index], TL_WIRE_EVENT_TABLE);
+    }
     port->unlock(port->context, state);
 }
 
@@ -39,7 +42,7 @@ static void note(tl_table_in_use_t *table, uint8_t state, const tl_slot_t *slot)
     table->readable = true;
 }
 
-// The best table that flash holds. Motors off: what it is read into is the calibration's at other times.
+// The best table that flash holds. Motors off.
 static void load(tl_tables_t *tables, uint8_t index) {
     tl_table_in_use_t *table = &tables->in_use[index];
     tl_slot_t slots[TL_STORE_SLOTS];
@@ -70,7 +73,7 @@ static void load(tl_tables_t *tables, uint8_t index) {
             table->reason = reason;
         }
     }
-    use(tables, index, found);
+    use(tables, index, found, false);
 }
 
 void tl_tables_init(tl_tables_t *tables, const tl_port_t *port, tl_axis_t *axes, uint8_t *upload) {
@@ -170,7 +173,6 @@ tl_upload_t tl_tables_end(tl_tables_t *tables, uint8_t axis) {
     tl_slot_t slots[TL_STORE_SLOTS];
     tl_store_order(tables->port, axis, slots);
     note(table, TL_WIRE_TABLE_NEWEST, &slots[0]);
-    use(tables, axis, true);
-    tl_axis_event(&tables->axes[axis], TL_WIRE_EVENT_TABLE);
+    use(tables, axis, true, true);
     return TL_UPLOAD_OK;
 }

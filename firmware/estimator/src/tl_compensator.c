@@ -33,7 +33,7 @@ static TL_FAST int32_t half_width(const tl_compensator_t *k) {
     return half_of(k, (uint32_t)tl_lookup_width(k->lookup, k->p, &ends));
 }
 
-static tl_count_q8_t fed_anew(tl_compensator_t *k) {
+static TL_FAST tl_count_q8_t fed_anew(tl_compensator_t *k) {
     k->wider = k->undoes ? half_of(k, (uint32_t)tl_undo_wider(&k->undo, k->lookup, k->p)) : 0;
     if (k->several) {
         tl_several_hold(k);
@@ -160,16 +160,16 @@ static void stand(tl_compensator_t *k, tl_count_q8_t p) {
     }
 }
 
-// Where the motor is or is to be, as its encoder reads it and as it pushes.
-static tl_count_q8_t reading_of(const tl_compensator_t *k, tl_count_q8_t q) {
-    return k->undoes ? tl_undo_reading(&k->undo, k->lookup, q) : q;
+// Where the motor was sent last, as its encoder reads it; and what it pushes from where it reads that.
+static tl_count_q8_t sent(const tl_compensator_t *k) {
+    return k->undoes ? k->reading : k->q;
 }
 
 static tl_count_q8_t pushing_of(const tl_compensator_t *k, tl_count_q8_t reading) {
     return k->undoes ? tl_undo_pushing(&k->undo, k->lookup, reading, TL_UNDO_ROUNDS) : reading;
 }
 
-static void set_undoes(tl_compensator_t *k) {
+static TL_FAST void set_undoes(tl_compensator_t *k) {
     const bool undoes = k->undo.active && k->mode == TL_MODE_FULL;
     if (undoes && !k->undoes) { // nothing is late, and the motor reads what it did
         k->reading = k->q;
@@ -223,30 +223,32 @@ void tl_compensator_know(tl_compensator_t *k, const tl_play_t *play) {
     }
 }
 
-// p* again for the last command under new settings, with the direction's memory moved along. `reading`: where the feed
-// would have the encoder now.
+// p* again for the last command under new settings, with the direction's memory moved along. `reading`: where the motor
+// was sent last, and stays: whatever it now lacks, or has too much, is still to be taken up.
 static void settle(tl_compensator_t *k, tl_count_q8_t reading) {
     const tl_count_q8_t p = wanted(k, k->c);
     k->anchor = tl_add_sat(k->anchor, p - k->p);
     stand(k, p);
-    absorb(k, fed_anew(k), pushing_of(k, reading));
+    k->reading = reading;
+    k->q = pushing_of(k, reading);
+    absorb(k, fed_anew(k), tl_add_sat(k->q, tl_compensator_rest(k)));
 }
 
 void tl_compensator_set_mode(tl_compensator_t *k, tl_mode_t mode) {
-    const tl_count_q8_t before = reading_of(k, fed_anew(k));
+    const tl_count_q8_t before = sent(k);
     k->mode = mode;
     set_undoes(k);
     settle(k, before);
 }
 
-void tl_compensator_set_strength(tl_compensator_t *k, int32_t strength_q15) {
+TL_FAST void tl_compensator_set_strength(tl_compensator_t *k, int32_t strength_q15) {
     const tl_count_q8_t before = fed_anew(k);
     k->strength_q15 = (uint32_t)tl_clamp(strength_q15, 0, TL_RATIO_ONE);
     absorb(k, fed_anew(k), before);
 }
 
 void tl_compensator_set_table(tl_compensator_t *k, const tl_lookup_t *lookup) {
-    const tl_count_q8_t before = reading_of(k, fed_anew(k));
+    const tl_count_q8_t before = sent(k);
     const int32_t place = tl_several_place(k);
     use(k, lookup);
     tl_undo_start(&k->undo, lookup, k->rate_hz);
@@ -258,13 +260,13 @@ void tl_compensator_set_table(tl_compensator_t *k, const tl_lookup_t *lookup) {
     settle(k, before);
 }
 
-bool tl_compensator_adapt(tl_compensator_t *k, tl_count_q8_t offset, int32_t scale_q15, uint32_t ticks) {
+TL_FAST bool tl_compensator_adapt(tl_compensator_t *k, tl_count_q8_t offset, int32_t scale_q15, uint32_t ticks) {
     const bool allowed = tl_undo_adapt(&k->undo, k->lookup, offset, scale_q15, ticks);
     set_undoes(k);
     return allowed;
 }
 
-void tl_compensator_load(tl_compensator_t *k, int32_t load, uint32_t ticks) {
+TL_FAST void tl_compensator_load(tl_compensator_t *k, int32_t load, uint32_t ticks) {
     tl_undo_load(&k->undo, k->lookup, load, ticks);
     set_undoes(k);
 }

@@ -265,21 +265,21 @@ TL_FAST tl_motion_reference_t tl_motion_tick(tl_motion_t *motion) {
     };
 }
 
-void tl_motion_onset(tl_motion_t *motion, int8_t direction) {
+TL_FAST void tl_motion_onset(tl_motion_t *motion, int8_t direction) {
     if (motion->state == TL_MOTION_RUNNING && motion->phase == MEASURING && motion->direction == direction) {
         end_measuring(motion);
     }
 }
 
-void tl_motion_frame(tl_motion_t *motion) {
+TL_FAST void tl_motion_frame(tl_motion_t *motion) {
     motion->quiet_ticks = 0;
 }
 
-void tl_motion_stop(tl_motion_t *motion) {
+TL_FAST void tl_motion_stop(tl_motion_t *motion) {
     begin_stopping(motion, TL_MOTION_STOPPED);
 }
 
-tl_motion_state_t tl_motion_state(const tl_motion_t *motion) {
+TL_FAST tl_motion_state_t tl_motion_state(const tl_motion_t *motion) {
     return (tl_motion_state_t)motion->state;
 }
 

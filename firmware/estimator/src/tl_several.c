@@ -30,7 +30,7 @@ static TL_FAST int32_t held(const tl_compensator_t *k) {
     return k->undoes ? tl_undo_scaled(&k->undo, half) : half;
 }
 
-void tl_several_hold(tl_compensator_t *k) {
+TL_FAST void tl_several_hold(tl_compensator_t *k) {
     const int32_t offset = held(k);
     if (k->side == 0) {
         k->start_offset = offset;

@@ -30,7 +30,7 @@ static TL_FAST int32_t times(int32_t a, int32_t b, uint32_t right) {
 
 // -- ramps -------------------------------------------------------------------------------------------------------
 
-static void aim(tl_ramp_t *ramp, int32_t goal, int32_t step_max, uint32_t ticks) {
+static TL_FAST void aim(tl_ramp_t *ramp, int32_t goal, int32_t step_max, uint32_t ticks) {
     const uint32_t way = size_of(goal - ramp->now);
     const uint32_t step = ticks > 1U ? way / ticks + 1U : way;
     ramp->now = ticks == 0 ? goal : ramp->now;
@@ -38,7 +38,7 @@ static void aim(tl_ramp_t *ramp, int32_t goal, int32_t step_max, uint32_t ticks)
     ramp->step = step < (uint32_t)step_max ? (int32_t)step : step_max;
 }
 
-static void aim_all(tl_undo_t *undo, int32_t gain, uint32_t ticks) {
+static TL_FAST void aim_all(tl_undo_t *undo, int32_t gain, uint32_t ticks) {
     tl_moved_t *moved = &undo->moved;
     const int32_t offset = tl_clamp(tl_add_sat(moved->adapt_offset, moved->load_offset), -MOST, MOST);
     const int32_t scale = tl_clamp(moved->adapt_scale + moved->load_scale, SCALE_LEAST, SCALE_MOST);
@@ -60,8 +60,8 @@ TL_FAST void tl_undo_forget(tl_undo_t *undo) {
     moved->scale.now = moved->scale.goal = moved->load_scale;
 }
 
-bool tl_undo_adapt(tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t offset, int32_t scale_q15,
-                   uint32_t ticks) {
+TL_FAST bool tl_undo_adapt(tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t offset, int32_t scale_q15,
+                           uint32_t ticks) {
     const tl_table_adapt_t *most = &lookup->table.adapt;
     const bool none = offset == 0 && scale_q15 == TL_RATIO_ONE;
     if (!none && (!HAS(lookup, adapt) || size_of(offset) > (uint32_t)most->offset ||
@@ -74,7 +74,7 @@ bool tl_undo_adapt(tl_undo_t *undo, const tl_lookup_t *lookup, tl_count_q8_t off
     return true;
 }
 
-void tl_undo_load(tl_undo_t *undo, const tl_lookup_t *lookup, int32_t load, uint32_t ticks) {
+TL_FAST void tl_undo_load(tl_undo_t *undo, const tl_lookup_t *lookup, int32_t load, uint32_t ticks) {
     const tl_table_load_t *by = &lookup->table.load;
     if (!HAS(lookup, load)) {
         return;
@@ -258,7 +258,7 @@ void tl_undo_start(tl_undo_t *undo, const tl_lookup_t *lookup, uint32_t rate_hz)
         (table->has & ~(uint32_t)TL_TABLE_HAS_adapt) != 0 || (moved.offset.now | moved.scale.now | moved.gain.now) != 0;
 }
 
-void tl_undo_rest(tl_undo_t *undo, tl_count_q8_t p) {
+TL_FAST void tl_undo_rest(tl_undo_t *undo, tl_count_q8_t p) {
     undo->p = p;
     for (uint32_t i = 0; i < TL_TABLE_LATE_MAX; i++) {
         undo->late[i].at = p;

@@ -21,6 +21,9 @@
 #ifndef TAUTLINE_CONTROL_HZ
 #define TAUTLINE_CONTROL_HZ 5000
 #endif
+#ifndef TAUTLINE_HALT_KEEPS_DRIVING // for who debugs, with nothing on the motors
+#define TAUTLINE_HALT_KEEPS_DRIVING 0
+#endif
 #ifndef TAUTLINE_AXES
 #define TAUTLINE_AXES MOTOR2040_NUM_MOTORS
 #endif
@@ -114,12 +117,17 @@ static void __not_in_flash_func(flash_operation)(void *parameter) {
     }
 }
 
+// PWM goes on while a debugger holds the core: the watchdog does too, and its restart lets every bridge coast.
+static void watch(uint32_t ms) {
+    watchdog_enable(ms, TAUTLINE_HALT_KEEPS_DRIVING);
+}
+
 // The SDK's safe path: interrupts off, and so the control step stands still; the app has the motors off.
 static bool flash_safely(uint32_t offset, const uint8_t *page) {
     flash_operation_t operation = {STORE_OFFSET + offset, page};
-    watchdog_enable(WATCHDOG_FLASH_MS, true);
+    watch(WATCHDOG_FLASH_MS);
     const bool done = flash_safe_execute(flash_operation, &operation, FLASH_TIMEOUT_MS) == PICO_OK;
-    watchdog_enable(WATCHDOG_MS, true);
+    watch(WATCHDOG_MS);
     return done;
 }
 
@@ -143,12 +151,12 @@ static void port_watchdog_feed(void *context) {
     watchdog_update();
 }
 
-static uint32_t port_lock(void *context) {
+static uint32_t __not_in_flash_func(port_lock)(void *context) {
     (void)context;
     return save_and_disable_interrupts();
 }
 
-static void port_unlock(void *context, uint32_t state) {
+static void __not_in_flash_func(port_unlock)(void *context, uint32_t state) {
     (void)context;
     restore_interrupts(state);
 }
@@ -163,18 +171,23 @@ static void port_reboot(void *context, bool bootloader) {
 
 // -- control step -----------------------------------------------------------------------------------------------
 
-// An alarm goes off where the timer equals it: one that has passed while it was set would be 71 minutes late.
+// An alarm goes off where the timer equals it: one that has passed while it was set would be 71 minutes late. Whole
+// periods later, as the current is measured where the PWM of every period has its bridge driving.
 static void __not_in_flash_func(set_alarm)(uint32_t due) {
     timer_hw->alarm[CONTROL_ALARM] = due;
-    while ((int32_t)(due - timer_hw->timerawl) <= 0 && (timer_hw->armed & 1u << CONTROL_ALARM) != 0) {
-        due = timer_hw->timerawl + CONTROL_PERIOD_US;
+    for (;;) {
+        const uint32_t late_us = timer_hw->timerawl - due;
+        if ((int32_t)late_us < 0 || (timer_hw->armed & 1u << CONTROL_ALARM) == 0) {
+            return;
+        }
+        due += (late_us / CONTROL_PERIOD_US + 1u) * CONTROL_PERIOD_US;
         timer_hw->alarm[CONTROL_ALARM] = due;
     }
 }
 
 static void __not_in_flash_func(control_interrupt)(void) {
     hw_clear_bits(&timer_hw->intr, 1u << CONTROL_ALARM);
-    // From the time it was due, not from now: no drift. After a flash operation it may lie behind; then from now.
+    // From the time it was due, not from now: no drift. After a flash operation that may lie behind.
     set_alarm(timer_hw->alarm[CONTROL_ALARM] + CONTROL_PERIOD_US);
 
     bridge_sense_start();
@@ -207,7 +220,7 @@ static void start_control(void) {
 
 // -- what must never happen -------------------------------------------------------------------------------------
 
-// PWM goes on without the core: first the motors. Then a debugger is told; without one the watchdog restarts the board.
+// PWM goes on without the core: first the motors. Then a debugger is told, until the watchdog restarts the board.
 static _Noreturn void __not_in_flash_func(coast_and_wait)(void) {
     bridge_coast_all();
     for (;;) {
@@ -270,7 +283,7 @@ int main(void) {
     };
     tl_app_init(&board.app, &board.port);
     tl_usb_init(&board.app);
-    watchdog_enable(WATCHDOG_MS, true);
+    watch(WATCHDOG_MS);
     start_control();
     for (;;) {
         tl_app_task(&board.app);

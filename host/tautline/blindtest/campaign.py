@@ -164,7 +164,7 @@ def left_out(
     chosen = [record for _, record in sorted(ranked, key=lambda pair: pair[0])]  # one of each effect, then the next
     if stopped:
         chosen = [record for record in chosen if (folder / record["name"]).is_dir()]
-    records: list[dict[str, Any]] = []
+    labels = {record["name"]: {**record["label"], "kind": "left out"} for record in chosen}
 
     def tasks() -> Iterator[tuple[str, tuple[Any, ...]]]:
         for record in chosen:
@@ -175,9 +175,10 @@ def left_out(
         sealed.write(folder / name, files)
         done = sum((folder / record["name"]).is_dir() for record in chosen)
         progress(done / len(chosen), f"effects left out {done} of {len(chosen)}")
-    for record in chosen:
-        files = sealed.read(folder / record["name"])
-        document, cost = json.loads(files[work.DOCUMENT]), json.loads(files[work.COST])
-        label = {**record["label"], "kind": "left out"}
-        records.append({"name": record["name"], "label": label, "document": document, "realised": None, **cost})
-    return records
+    committed = (campaign.plan() or {})["cases"]
+    opening = (
+        (name, (campaign.case(name), campaign.open(name, committed[name]), sealed.read(folder / name)))
+        for name in labels
+    )
+    opened = dict(pool(work.score_case, opening))
+    return [{"name": name, **opened[name], "label": label} for name, label in labels.items()]

@@ -41,12 +41,18 @@ ROWS: Sequence[tuple[str, str, str | None]] = (
     ("pairs", "pair, both named", "70 %"),
     ("pairs_one", "... one of them at least", None),
     ("left_out", "effect taken out of the library, called unknown", None),
+    ("stood_for", "... or a set of three at most that leaves 1.3 times the noise on an unseen motion", "85 %"),
+    ("left_out_sure", "... named without that at 90 % or more", "4 %"),
     ("overall", "single, unknown and none, right verdict", None),
     ("probability", "mean probability on the truth", None),
+    ("log_score", "mean log probability on the truth", None),
     ("calibration_error", "expected calibration error", None),
+    ("further_error", "... of what is named beside the leading effect", "0.05"),
     ("claim", "claimed less realised shrinkage, mean (points)", "5"),
     ("claim_size", "... mean of its size (points)", None),
     ("covered", "... realised within the stated interval", "85 %"),
+    ("claim_all", "... of all that was named: pairs, unknown, events", "4"),
+    ("covered_all", "... realised within the stated interval", "85 %"),
     ("worse", "named, and worse on an unseen motion", "1 %"),
     ("several", "more than one effect named for one", "3 %"),
     ("closed", "closable gap closed on an unseen motion, mean", "90 %"),
@@ -161,6 +167,7 @@ def write(records: Sequence[Mapping[str, Any]], folder: Path) -> dict[str, Any]:
         "compared": compared(document),
         "rows": table(document),
         "naming": naming(document),
+        "strengths": strengths(document),
         "effects": effects(document),
         "generators": by_generator(document),
         "confusion": reports.picture(
@@ -244,6 +251,21 @@ def effects(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     ]
 
 
+def strengths(document: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """How often the right name leads by how much a recalibration leaves of the effect."""
+    methods = {name: document["methods"][name]["by_strength"] for name in naming(document)}
+    names = [scores.strength_name(*ends) for ends in scores.STRENGTHS]
+    return [
+        {
+            "what": name,
+            "goal": "",
+            "cells": [_share(shares[name], method) if name in shares else "" for method, shares in methods.items()],
+        }
+        for name in names
+        if name in methods.get(OURS, {})
+    ]
+
+
 def naming(document: Mapping[str, Any]) -> list[str]:
     """The methods that name effects."""
     return [name for name, method_scores in document["methods"].items() if method_scores["per_effect"]]
@@ -255,6 +277,8 @@ def text(document: Mapping[str, Any]) -> str:
     shown = each if len(each) <= _MOST_LINES else [line for line in each if line["right"] is False][:_MOST_LINES]
     lines = [_sentence_of(line) for line in shown]
     lines += _aligned(["", "goal", *document["methods"]], table(document))
+    if by_strength := strengths(document):
+        lines += _aligned(["right name leads", "", *naming(document)], by_strength)
     if per_effect := effects(document):
         lines += _aligned(["right name leads", "goal", *naming(document)], per_effect)
     if generators := by_generator(document):

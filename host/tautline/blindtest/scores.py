@@ -18,6 +18,11 @@ STAGES: Mapping[str, str] = {name: name.split(".", 1)[0] for name in KNOWN}
 _BINS = 10
 _SAME = 1.001  # times a gap: no other one
 CLOSABLE = 1.5  # times the noise: a gap on the further motion that there is something to say of
+STRENGTHS = ((2.0, 5.0), (5.0, 20.0), (20.0, np.inf))  # times the noise, left after a recalibration
+_LEAST = 1e-4  # probability below which the log score punishes no more
+IMITATED = 1.3  # times the noise on the further motion: what is named stands for the cause as well as matters
+_LARGEST_SET = 3  # of effects that are a useful answer
+_SURE = 0.9
 
 
 @dataclass(frozen=True)
@@ -34,6 +39,7 @@ class Answer:
     interval: tuple[float, float] | None = None  # in which another motion's is stated to be
     realised: Mapping[str, float] | None = None  # gap on the further motion: before, after, floor
     names: bool = True  # else it only shrinks the gap
+    present: tuple[float, ...] = ()  # probability of each named effect to be there, given those before it
 
 
 @dataclass(frozen=True)
@@ -64,6 +70,7 @@ class Scores:
 
     top1: Share  # identifiable single effects whose name leads
     per_effect: Mapping[str, Share]
+    by_strength: Mapping[str, Share]  # of STRENGTHS
     in_set: Share  # ... that are named or among what cannot be told from what is named
     set_size: float | None  # of such sets, over the identifiable single effects for which one was named
     probability: float | None  # mean on the truth: identifiable single effects, unknown ones, none
@@ -75,15 +82,21 @@ class Scores:
     pairs: Share  # both effects named
     pairs_one: Share  # at least one of them
     left_out: Share  # called unknown by a library that lacks the effect
+    stood_for: Share  # ... or a set of three at most whose corrected model is within IMITATED on the further motion
+    left_out_sure: Share  # ... or named at 90 % or more without such a model
     overall: Share  # right verdicts over single, unknown and none
     claim: float | None  # mean of claimed less realised shrinkage, in points, where there is a gap to close
     claim_size: float | None  # mean of its absolute value
     covered: Share  # of these, within the stated interval
+    claim_all: float | None  # claim_size of all that was named: pairs, unknown and events too
+    covered_all: Share
     worse: Share  # whatever was named: leaves more of the further motion than without, and more than noise
     several: Share  # identifiable single effects for which one was named: more than one was
     closed: float | None  # mean share of the closable gap closed on the further motion, identifiable single effects
     closed_90: Share  # of these, at least 0.9
     calibration_error: float | None  # expected, of the leading probability
+    further_error: float | None  # ... of what is named beside the leading effect
+    log_score: float | None  # mean logarithm of the probability on the truth: single, unknown and none
     core_s: float | None  # per case
 
     def to_json(self) -> dict[str, Any]:
@@ -91,7 +104,8 @@ class Scores:
         for name in asdict(self):
             value = getattr(self, name)
             document[name] = value.to_json() if isinstance(value, Share) else value
-        document["per_effect"] = {name: share.to_json() for name, share in self.per_effect.items()}
+        for name in ("per_effect", "by_strength"):
+            document[name] = {of: share.to_json() for of, share in getattr(self, name).items()}
         return document
 
 
@@ -149,6 +163,7 @@ def answer_of(record: Mapping[str, Any]) -> Answer:
         float(document["gap"]["shrink"]),
         (float(low), float(high)),
         record["realised"],
+        present=tuple(float(effect["probability"]) for effect in document["effects"]) if named else (),
     )
 
 
@@ -157,8 +172,9 @@ def to_json(answer: Answer) -> dict[str, Any]:
 
 
 def from_json(document: Mapping[str, Any]) -> Answer:
-    sets = {"possible": frozenset(document["possible"]), "named": tuple(document["named"])}
-    return Answer(**{**document, **sets})
+    tuples = {name: tuple(document.get(name, ())) for name in ("named", "present")}
+    interval = tuple(document["interval"]) if document.get("interval") else None
+    return Answer(**{**document, **tuples, "possible": frozenset(document["possible"]), "interval": interval})
 
 
 def truth(label: Label) -> str:
@@ -191,22 +207,19 @@ def score(cases: Sequence[tuple[Label, Answer]]) -> Scores:
         name: _Tally([(label, answer) for label, answer in single.answers if label.effects == (name,)]).share(right)
         for name in KNOWN
     }
-    claims = [
-        (answer.claimed, done, answer.interval)
-        for _, answer in shrinking.answers
-        if (answer.named or not answer.names) and answer.claimed is not None
-        if (done := _realised(answer)) is not None and _can_close(answer)
-    ]
-    differences = [100.0 * (claimed - done) for claimed, done, _ in claims]
-    within = [interval[0] <= done <= interval[1] for _, done, interval in claims if interval is not None]
+    differences, within = _claims([answer for _, answer in shrinking.answers])
+    scored = [answer for label, answer in cases if counts(label) and label.kind != "left out"]
+    all_differences, all_within = _claims(scored)
+    on_truth = [a.probabilities.get(truth(x), 0.0) for x, a in one_cause.answers if a.probabilities]
     told = [a.realised for label, a in cases if counts(label) and a.named and a.realised is not None]
     closed = [share for _, answer in shrinking.answers if (share := _shrinkage(answer)) is not None]
     return Scores(
         top1=single.share(right),
         per_effect={name: share for name, share in per_effect.items() if share.of},
+        by_strength=_by_strength(single.answers),
         in_set=single.share(lambda label, answer: label.effects[0] in (answer.possible or answer.named)),
         set_size=_mean([len(a.possible or a.named) for _, a in single.answers if a.named]),
-        probability=_mean([a.probabilities.get(truth(x), 0.0) for x, a in one_cause.answers if a.probabilities]),
+        probability=_mean(on_truth),
         stage=single.share(lambda label, answer: answer.stage == STAGES[label.effects[0]]),
         unknown=unknown.share(right),
         false_known=unknown.share(lambda label, answer: bool(answer.named)),
@@ -215,15 +228,21 @@ def score(cases: Sequence[tuple[Label, Answer]]) -> Scores:
         pairs=groups["pair"].share(lambda label, answer: set(label.effects) <= set(answer.named)),
         pairs_one=groups["pair"].share(lambda label, answer: bool(set(label.effects) & set(answer.named))),
         left_out=groups["left out"].share(right),
+        stood_for=groups["left out"].share(lambda label, answer: right(label, answer) or _stands_for_it(answer)),
+        left_out_sure=groups["left out"].share(_wrongly_sure),
         overall=one_cause.share(right),
         claim=_mean(differences),
         claim_size=_mean([abs(d) for d in differences]),
         covered=Share(sum(within), len(within)),
+        claim_all=_mean([abs(d) for d in all_differences]),
+        covered_all=Share(sum(all_within), len(all_within)),
         worse=Share(sum(r["after"] > max(_SAME * r["before"], CLOSABLE * r["floor"]) for r in told), len(told)),
         several=Share(sum(len(a.named) > 1 for _, a in single.answers), sum(bool(a.named) for _, a in single.answers)),
         closed=_mean(closed),
         closed_90=Share(sum(share >= 0.9 for share in closed), len(closed)),
         calibration_error=_calibration_error(reliability(cases)),
+        further_error=_calibration_error(_further(cases)),
+        log_score=_mean([float(np.log(max(p, _LEAST))) for p in on_truth]),
         core_s=_mean([answer.core_s for label, answer in cases if label.kind != "left out"]),
     )
 
@@ -247,6 +266,44 @@ def paired(cases: Sequence[tuple[Label, Answer, Answer]]) -> dict[str, Paired]:
         for name, pairs in compared.items()
         if pairs
     }
+
+
+def strength_name(low: float, high: float) -> str:
+    return f"{low:g} to {high:g} times the noise" if np.isfinite(high) else f"above {low:g} times the noise"
+
+
+def _by_strength(single: Sequence[tuple[Label, Answer]]) -> dict[str, Share]:
+    found = {}
+    for low, high in STRENGTHS:
+        here = [(label, a) for label, a in single if low <= min(label.left) / label.noise_px < high]
+        if here:
+            found[strength_name(low, high)] = Share(sum(a.verdict == truth(label) for label, a in here), len(here))
+    return found
+
+
+def _claims(answers: Sequence[Answer]) -> tuple[list[float], list[bool]]:
+    """Claimed less realised shrinkage in points, and whether the realised is within the stated interval, of what names
+    something where the further motion has a gap to close."""
+    differences, within = [], []
+    for answer in answers:
+        done = _realised(answer)
+        if answer.claimed is None or done is None or not _can_close(answer) or (answer.names and not answer.named):
+            continue
+        differences.append(100.0 * (answer.claimed - done))
+        if answer.interval is not None:
+            within.append(answer.interval[0] <= done <= answer.interval[1])
+    return differences, within
+
+
+def _stands_for_it(answer: Answer) -> bool:
+    if not answer.named or answer.realised is None or len(answer.possible or answer.named) > _LARGEST_SET:
+        return False
+    return answer.realised["after"] <= IMITATED * answer.realised["floor"]
+
+
+def _wrongly_sure(_label: Label, answer: Answer) -> bool:
+    sure = (answer.probabilities or {}).get(answer.verdict, 0.0) >= _SURE
+    return bool(answer.named) and sure and not _stands_for_it(answer)
 
 
 def _realised(answer: Answer) -> float | None:
@@ -294,6 +351,21 @@ def reliability(cases: Sequence[tuple[Label, Answer]]) -> list[Bin]:
             leading = max(answer.probabilities, key=lambda name: (answer.probabilities or {})[name])
             stated.append(answer.probabilities[leading])
             right.append(leading == truth(label))
+    return _bins(stated, right)
+
+
+def _further(cases: Sequence[tuple[Label, Answer]]) -> list[Bin]:
+    """How often what is named beside the leading effect is there, over its probability."""
+    told = [
+        (stated, name in label.effects)
+        for label, answer in cases
+        if counts(label) and label.kind != "left out"
+        for name, stated in list(zip(answer.named, answer.present, strict=False))[1:]
+    ]
+    return _bins([stated for stated, _ in told], [there for _, there in told])
+
+
+def _bins(stated: Sequence[float], right: Sequence[bool]) -> list[Bin]:
     at = np.minimum((np.array(stated) * _BINS).astype(int), _BINS - 1)
     result = []
     for i in range(_BINS):

@@ -26,8 +26,11 @@ _EVEN = 0.01  # by which the two sides may be scaled differently: a rounded numb
 _OFF = 0.02  # of the picture's width: farther from the tip's path the marker is not where the rig puts it
 _FITS = 0.1  # of that distance is left where another scale is right
 _MARGIN_PX, _IN_A_ROW = 2.0, 3  # a marker outside of the picture, and frames in a row that show it there
+# How many of the rig's units one of another is, and what that one is called.
+_MISTAKEN = {"mm": ((1000.0, "metres"), (25.4, "inches"), (1e-3, "micrometres")), "deg": ((57.3, "radians"),)}
+_REACH_SLACK = 10.0  # of such a factor: a motion covers a part of the range
 _LEAST_REACH, _MOST_REACH = 0.02, 5.0  # of the range: beyond, the two are in different units
-_MOST_BEND_DEG = 1000.0  # three turns: no bending section's
+_LEAST_BEND_DEG, _MOST_BEND_DEG = 1.0, 1000.0  # three turns: no bending section's
 _LOST_ENDS_S, _LOST_ENDS = 3.0, 0.05  # of motion without frames, by which a camera may start late or stop early
 _SCATTERED = 0.15  # of the image's motion that the motor's position leaves unexplained: more is no backlash
 _RATE = 0.05  # by which a steady frame rate may differ from the rig's
@@ -63,20 +66,30 @@ def in_another_unit(reached: tuple[float, float], rig: Rig) -> bool:
 # ---- units
 
 
+def mistaken_unit(times: float, unit: str, slack: float) -> str:
+    """What values are in that have to be taken `times` to be in `unit`, known by a factor of `slack`; empty where that
+    is no unit that is mistaken for it."""
+    off, name = min((abs(np.log(max(times, 1e-12) / factor)), name) for factor, name in _MISTAKEN[unit])
+    return name if off < np.log(slack) else ""
+
+
 def _range(tracks: Sequence[Track], rig: Rig) -> list[Reason]:
     actuator = rig.actuator
     low, high = min(float(t.motor.q.min()) for t in tracks), max(float(t.motor.q.max()) for t in tracks)
     if in_another_unit((low, high), rig):
-        ratio = actuator.span / max(high - low, 1e-12)
-        thousand = "micrometres: write it in mm" if 300 < ratio < 30_000 else ""
-        thousand = "mm where the encoder counts micrometres" if 300 < 1 / ratio < 30_000 else thousand
-        hint = f" (is it in {thousand}?)" if thousand and actuator.unit == "mm" else ""
+        bends = _LEAST_BEND_DEG < float(np.ptp(coarse_range_deg(rig))) < _MOST_BEND_DEG
+        wrong, ratio = f"q_{actuator.unit} of motor.csv", actuator.span / max(high - low, 1e-12)
+        if not bends:  # the range is not in the unit that coarse.gain is per
+            wrong, ratio = "actuator.range", 1.0 / ratio
+        name = mistaken_unit(ratio, actuator.unit, _REACH_SLACK)
         return [
             Reason(
                 "range",
                 f"the motor goes from {low:.4g} to {high:.4g}, the rig's range is "
                 f"[{actuator.range[0]:g}, {actuator.range[1]:g}] {actuator.unit}",
-                f"give actuator.range in the unit of q{hint}",
+                f"{wrong} looks like {name}: write it in {actuator.unit}"
+                if name
+                else "give actuator.range in the unit of q",
                 fatal=True,
             )
         ]
@@ -250,7 +263,11 @@ def _duration(recording: Recording, track: Track, delay_s: float, offset_s: floa
             )
         ]
     what = f"{missing:.3g} s of the motion have no frames" if missing > slack else "the motor's record ends first"
-    return [Reason("duration", f"{says}: {what}", "start the camera first and stop it last")]
+    remedy = "start the camera first and stop it last"
+    if track.unit == "px" and recording.marker is not None and (untimed := recording.marker.untimed):
+        timed = len(recording.marker.t_s)
+        remedy = f"frames.csv lists {timed} of the video's {timed + untimed} frames: list every one"
+    return [Reason("duration", f"{says}: {what}", remedy)]
 
 
 def _unexplained(track: Track, delay_s: float) -> float:

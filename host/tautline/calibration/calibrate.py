@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from tautline.calibration import clock
 from tautline.calibration.acquisition import doubts as acquisition_doubts
-from tautline.calibration.acquisition import in_another_unit
+from tautline.calibration.acquisition import in_another_unit, mistaken_unit
 from tautline.calibration.backlash import WidthCurve, fit_widths
 from tautline.calibration.choice import JOINT, ONSETS, Choice, jumping, measuring
 from tautline.calibration.components import Components, separate
@@ -33,13 +33,16 @@ from tautline.calibration.remaining import Remaining, fit_remaining, morphologic
 from tautline.calibration.several import fit_elements, left
 from tautline.calibration.smooth import Domain, fit_jointly, fit_passes, freeze
 from tautline.calibration.worth import worth
+from tautline.core.session import Session
 from tautline.elements import SINGLE
 from tautline.errors import TautError
 from tautline.geometry import coarse_range_deg
 from tautline.model import Model
+from tautline.prediction import predict
 from tautline.quality import Quality, Reason
 from tautline.recording import Recording
 from tautline.rig import Rig
+from tautline.value import Value
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -53,6 +56,7 @@ _HELD_SHARE = 0.1  # of all frames: where more are left out the rest may be wron
 _ASTRAY = 2.5  # times what B and a path of any shape leave: f_remain in the rig's geometry
 _OF_ELEMENTS = frozenset({"phase.even", "image.side"})  # what several elements, or their number, stand for
 _BETWEEN_ELEMENTS = 0.003  # of B: what elements of a few shares leave, alike on every stroke
+_UNIT_SLACK = 1.6  # by which f_coarse's gain and f_remain's may part beside a unit that is mistaken
 _LIKELY_GAIN = (0.4, 2.5)  # of f_coarse's, between which f_remain's is no wrong scale
 _LIKELY_BEND = 0.5  # of f_coarse's span, by which f_remain may leave it
 _LARGE = 0.1  # of the image's motion (rms): a registration that is off by less still tells angles
@@ -65,9 +69,33 @@ class Options:
     remaining: Literal["direct", "morphological"] = "direct"
     elements: Literal["auto", "one"] = "auto"  # of the play: several where the data ask for them
 
+    def __post_init__(self) -> None:
+        for name, choices in get_type_hints(Options).items():
+            value, allowed = getattr(self, name), get_args(choices)
+            if get_origin(choices) is Literal and value not in allowed:
+                raise TautError(f"{name} {value!r} is not there: choose one of {', '.join(allowed)}")
+        if self.delay_s is not None and not np.isfinite(self.delay_s):
+            raise TautError(f"delay_s {self.delay_s} is no time: give seconds, or None to estimate it")
 
-@dataclass(frozen=True)
-class Calibration:
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Foretold(Value):
+    """What the calibrated model says of one recording, beside what was seen there. All (n,) or (n, k), k = 2 px or 1
+    deg."""
+
+    name: str
+    scene_s: Array  # on the motor's clock
+    seen: Array
+    predicted: Array
+
+    @property
+    def residual(self) -> Array:
+        """(n, k)"""
+        return self.seen - self.predicted
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Calibration(Value):
     model: Model
     onsets: tuple[Onset, ...]
     delay: Delay
@@ -79,6 +107,7 @@ class Calibration:
     notes: tuple[str, ...]
     names: tuple[str, ...] = field(default=())  # of the recordings
     offsets: Mapping[str, float] = field(default_factory=dict)  # by recording: the sensor's clock less the motor's
+    predicted: tuple[Foretold, ...] = ()  # of every frame that was used, by recording
 
     def to_json(self) -> dict[str, Any]:
         """What `taut calibrate --json` prints (formats: backlash, remaining, delay_s, onsets, and what was noted)."""
@@ -126,6 +155,14 @@ def onset_json(onset: Onset, names: Sequence[str]) -> dict[str, Any]:
     }
 
 
+def _foretold(model: Model, track: Track, delay_s: float) -> Foretold:
+    scene = track.scene_s(delay_s)
+    told = predict(model, track.reading, scene)
+    predicted = told.c_deg[:, None] if track.unit == "deg" else told.image_px
+    assert predicted is not None  # the marker was seen by the rig's camera
+    return Foretold(track.name, scene, track.y, predicted)
+
+
 def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
@@ -135,7 +172,7 @@ def calibrate(
 ) -> Calibration:
     """Measures B(q), f_remain and the delay from recordings of any motion. Raises TautError where nothing can be
     measured; says in notes and warnings what could not."""
-    options = options or Options()
+    options, recordings = options or Options(), Session(recordings).in_time()
     say = progress or (lambda share, what: None)
     say(0.0, "reading frames")
     every = observe(recordings, rig)
@@ -184,12 +221,12 @@ class _Session:
                 "record the calibration motion, and check the encoder and its unit"
             )
         self._release()
-        self.say(0.05, "image stops")
+        self.say(0.05, "measuring the delay")
         delay = self._delay()
-        self.say(0.15, "onsets")
+        self.say(0.15, "finding where the tip begins to move")
         onsets = find_onsets(self.tracks, self.rig, delay.delay_s, delay.sigma_s)
         curve = fit_widths(onsets, self.grid)
-        self.say(0.35, "passes")
+        self.say(0.35, "fitting the way up and down")
         joint, passes = self._smooth(onsets, delay, curve)
         if joint is not None and (joint.fit.fit_delay or joint.curves.delay_s != delay.delay_s):
             before, delay = delay, self._joint_delay(delay, joint)
@@ -210,7 +247,7 @@ class _Session:
             # The joint fit is so much sharper that the onsets' scatter about it is their own.
             spread = float(np.sqrt(np.clip(self.findings.evidence["onsets_against_joint_z2"], 1.0, 9.0)))
             onsets = [replace(o, sigma=o.sigma * spread) if o.used and o.kind == HINGE else o for o in onsets]
-        self.say(0.75, "f_remain")
+        self.say(0.75, "fitting f_remain")
         settled = joint.fit.settled_only if joint is not None else False
         remaining = self._remaining(width, delay.delay_s, settled) if self.choice.moves() else None
         self._comment(onsets, curve, remaining)
@@ -278,9 +315,9 @@ class _Session:
             joint = joint.fit.solve(replace(joint.curves, delay_s=delay.delay_s))
         if fit_delay and not joint.fit.fit_delay:
             joint.fit.delay_sigma_s = min(self._joint_delay(delay, joint).sigma_s, 1.0)
-        self.say(0.5, "what departs from a play")
+        self.say(0.5, "looking for what is no play")
         joint = self._separated(joint, onsets, curve)
-        self.say(0.6, "passes alone")
+        self.say(0.6, "fitting the passes alone")
         margin = 0.1 * float(np.median(joint.fit.width(joint.curves))) + 0.005 * self.domain.span
         passes = fit_passes(joint, margin)
         return joint, None if passes is None else as_many_as_independent(passes)
@@ -449,12 +486,22 @@ class _Session:
             self.findings.doubt(
                 "coarse",
                 f"the tip bends {gain:.3g} deg/{self.unit} where f_coarse says {self.rig.coarse.gain:.3g}",
-                "check actuator.unit, the encoder's scale, camera.fx_px and the marker's distance",
+                self._scale(ratio),
                 mild=self.camera and not self._misplaced(remaining.residual),
             )
         self.findings.evidence["residual"] = remaining.residual
         if self.camera and self._misplaced(remaining.residual):
             self._registration(remaining.residual, ratio, p, c)
+
+    def _scale(self, ratio: float) -> str:
+        """What to check where the tip bends `ratio` times what f_coarse says."""
+        if name := mistaken_unit(ratio, self.unit, _UNIT_SLACK):
+            return f"a motor in {name} looks like this: write q_{self.unit} of motor.csv in {self.unit}"
+        if self.camera:
+            return "check actuator.unit, the encoder's scale, camera.fx_px and the marker's distance"
+        if name := mistaken_unit(1.0 / ratio, "deg", _UNIT_SLACK):
+            return f"a sensor in {name} looks like this: write c_deg of angle.csv in deg"
+        return "check actuator.unit, the encoder's scale, coarse.gain, and that angle.csv is in deg"
 
     def _misplaced(self, residual: float) -> bool:
         """Whether the marker is not where camera, hand_eye and kinematics put it."""
@@ -498,6 +545,7 @@ class _Session:
         characteristic = self._characteristic(delay.delay_s)
         if self.components is not None:
             delay = replace(delay, sigma_s=float(np.hypot(delay.sigma_s, self.components.held_back_s)))
+        delay_s = delay.delay_s  # of the tracks
         aligned, delay = self.clock.with_delay(delay, self.nominal_s)
         if any(aligned.offsets_s) and delay.sigma_s > _TOLD_S:
             self.findings.doubt(
@@ -540,7 +588,7 @@ class _Session:
         model = replace(model, quality=Quality.of(self.findings.reasons), extra=extra)
         return Calibration(
             model, tuple(onsets), delay, source, curve, pass_width, pass_sigma, self.findings.evidence, notes, names,
-            aligned.offsets,
+            aligned.offsets, tuple(_foretold(model, track, delay_s) for track in self.tracks),
         )  # fmt: skip
 
     def _characteristic(self, delay_s: float) -> dict[str, Any]:

@@ -100,7 +100,7 @@ class Scene:
     def at_the_end(self) -> Scene:
         """The same frames, had all been taken when the session ended."""
         n = len(self.t)
-        last = int(self.recording.max(initial=0))
+        last = int(self.recording[np.argmax(self.time_s)]) if n else 0
         return replace(
             self, t=np.full(n, 0.5), time_s=np.full(n, self.time_s.max(initial=0.0)), recording=np.full(n, last)
         )
@@ -127,16 +127,14 @@ class Design:
 def scene_of(fitted: Fitted, curves: Curves, rig: Rig, clock: Array) -> Scene:
     """clock (2,): how far the sensor's clock departs, s, linear and quadratic over the session; taken out here."""
     fit = fitted.fit
-    begins, first, length = _session(fit.tracks)
+    first, length = _session(fit.tracks)
     tracks = on_clock(fit.tracks, clock)
     there = replace(fit, tracks=tracks, smoothing=fit.smoothing)
     rows, masks = there.residuals(curves)
     usual = max(float(np.median(there.width(curves))), 1e-3 * float(fit.grid[-1] - fit.grid[0]))
     pieces = [
-        _piece(there, curves, frozen, sim, r, mask, w, usual, rig, begin)
-        for frozen, sim, r, mask, w, begin in zip(
-            tracks, there.simulated, rows, masks, fitted.weights, begins, strict=True
-        )
+        _piece(there, curves, frozen, sim, r, mask, w, usual, rig)
+        for frozen, sim, r, mask, w in zip(tracks, there.simulated, rows, masks, fitted.weights, strict=True)
     ]
     before = 0
     for piece in pieces:
@@ -331,29 +329,25 @@ def _places(scene: Scene) -> Array:
 
 def on_clock(tracks: Sequence[Frozen], clock: Array) -> list[Frozen]:
     """The tracks with the departure of their clock (see `scene_of`) taken out."""
-    begins, first, length = _session(tracks)
+    first, length = _session(tracks)
     corrected = []
-    for frozen, begin in zip(tracks, begins, strict=True):
-        t = (frozen.track.t_s + begin - first) / length - 0.5
+    for frozen in tracks:
+        t = (frozen.track.t_s + frozen.track.session_s - first) / length - 0.5
         departs = clock[0] * t + clock[1] * (t**2 - 1 / 12)
         corrected.append(replace(frozen, track=replace(frozen.track, t_s=frozen.track.t_s - departs)))
     return corrected
 
 
-def _session(tracks: Sequence[Frozen]) -> tuple[list[float], float, float]:
-    """What is added to each track's times (recordings on clocks of their own follow each other), start and length."""
-    begins, end = [], -np.inf
-    for frozen in tracks:
-        t = frozen.track.t_s
-        begins.append(0.0 if t[0] >= end else float(end - t[0]))
-        end = float(t[-1]) + begins[-1]
-    first = float(tracks[0].track.t_s[0])
-    return begins, first, max(end - first, 1e-9)
+def _session(tracks: Sequence[Frozen]) -> tuple[float, float]:
+    """When the first frame of the session came, and how long it was until the last one."""
+    ends = [frozen.track.t_s[[0, -1]] + frozen.track.session_s for frozen in tracks]
+    first, last = float(np.min(ends)), float(np.max(ends))
+    return first, max(last - first, 1e-9)
 
 
 def _piece(
     fit: PlayFit, curves: Curves, frozen: Frozen, sim: Simulated, rows: Array, keep: Mask, weights: Array,
-    usual: float, rig: Rig, begin: float,
+    usual: float, rig: Rig,
 ) -> dict[str, Array]:  # fmt: skip
     """What `Scene` holds, of one track."""
     track = frozen.track
@@ -372,7 +366,7 @@ def _piece(
         return np.column_stack([np.interp(scene_s[keep], fine, _low_pass(course, tau) - course) for tau in times_s])
 
     return {
-        "time_s": track.t_s[keep] + begin,
+        "time_s": track.t_s[keep] + track.session_s,
         "p": p,
         "side": side,
         "slope": fit.follow.slope(curves.follow, p).reshape(len(p), curves.follow.shape[1]) * inverse[:, None],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -239,7 +240,7 @@ def floor_of(tracks: Sequence[Track], grid: Array, width: Array, sigma: Array, u
             Reason(
                 "rate",
                 f"the motor's samples are {period * 1e3:.0f} ms apart, its turns are known to {between:.2g} {unit}",
-                "log the motor at 100 Hz or more",
+                f"log the motor at {_faster_hz(period, between, _COARSE * usual)} Hz or more",
                 mild=between < _MUCH * usual,
             )
         )
@@ -275,6 +276,14 @@ def floor_of(tracks: Sequence[Track], grid: Array, width: Array, sigma: Array, u
             )
         )
     return Floor(float(np.sqrt(between**2 + scatter**2 + rounded**2 + rippled**2)), tuple(reasons))
+
+
+def _faster_hz(period_s: float, between: float, allowed: float) -> int:
+    """The rate at which straight lines between samples are within `allowed` of the motor's path, a round number: what
+    they are off by falls as the period does at a sharp turn, and with its square at others."""
+    least = between / allowed / period_s
+    decade = 10.0 ** math.floor(math.log10(least))
+    return round(decade * next(step for step in (1, 2, 5, 10) if step * decade >= least * (1.0 - 1e-9)))
 
 
 def _rounded(track: Track) -> float:

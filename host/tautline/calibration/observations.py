@@ -10,6 +10,7 @@ import numpy.typing as npt
 from scipy.ndimage import median_filter
 
 from tautline import _native
+from tautline.core.session import SessionClock
 from tautline.encoder import between_counts, reading_noise
 from tautline.errors import TautError
 from tautline.recording import Motor, Recording
@@ -40,6 +41,7 @@ class Track:
     motor_noise: float = 0.0  # of the motor's readings, unit of q, that was smoothed away
     stray: int = 0  # frames left out because they show the marker elsewhere for a moment
     held: int = 0  # left out because the sensor repeated the value before
+    session_s: float = 0.0  # added to its times to get the session's
 
     def only(self, frames: Mask | npt.NDArray[np.intp] | slice) -> Track:
         """With these of its frames."""
@@ -97,7 +99,7 @@ class Track:
 def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
     """One track per recording: its marker where it has one and the rig a camera, else its angle."""
     tracks = []
-    for recording in recordings:
+    for recording, session_s in zip(recordings, SessionClock.of(recordings).offset_s, strict=True):
         resolution = rig.actuator.encoder_resolution
         noise = reading_noise(recording.motor)
         motor = between_counts(recording.motor, resolution)
@@ -115,8 +117,7 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
             raise TautError(f"{recording.name}: marker positions need a rig with [camera]: add it to rig.toml")
         else:
             raise TautError(f"{recording.name}: holds no marker positions and no angles: track its video first")
-        if noise > resolution:
-            tracks[-1] = replace(tracks[-1], motor_noise=noise)
+        tracks[-1] = replace(tracks[-1], session_s=session_s, motor_noise=noise if noise > resolution else 0.0)
     units = {track.unit for track in tracks if len(track.t_s)}
     if len(units) > 1:
         raise TautError("some recordings hold a marker and some an angle only: calibrate with one kind")

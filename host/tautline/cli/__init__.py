@@ -3,43 +3,16 @@
 from __future__ import annotations
 
 import importlib
+import json
 import os
 import sys
 
 import click
+from click.shell_completion import CompletionItem
 
 from tautline import __version__
-from tautline.errors import TautError, of_system
-
-# Name, and the line that `taut --help` shows. Module tautline.cli.NAME holds a click command called `command`.
-COMMANDS = {
-    "boards": "list the boards that are attached, with their firmware and protocol",
-    "commission": "put a motor into service: polarity, scale, current, ends and servo gains, stored on the board",
-    "home": "find an axis' mechanical end at low drive, so that the board knows its position",
-    "clear": "clear a board's faults, and say which they were and what mends them",
-    "calibrate": "measure B(q) and f_remain from a recording, or live from a board and a camera",
-    "predict": "what a model says the tip does under a recorded motor motion",
-    "track": "how a model would have been kept calibrated while the instrument was used",
-    "compensate": "motor set-points that lead the tip along a trajectory, for any motor",
-    "diagnose": "where model and instrument part, which effect is the cause, how far the gap shrinks",
-    "flash": "load a model's tables into a board and read them back",
-    "follow": "follow a trajectory of the tip, with or without compensation",
-    "stream": "send tip set-points at 200 Hz or more, for teleoperation",
-    "import": "recordings out of a ROS bag, an MCAP file, a LeRobot data set or a CSV",
-    "record": "record motor, marker and video from a board and a camera",
-    "monitor": "watch a board's axes live",
-    "watch": "keep a model calibrated while the instrument is used, live",
-    "shapes": "remember a model for each shape of the shaft, and recall it",
-    "marker": "pick the marker's colour, once",
-    "simulate": "make a recording with a simulated instrument and endoscope",
-    "compare": "how B and f_remain changed between models",
-    "report": "write a model's report again",
-    "export": "write a recording, model or diagnosis for a log viewer, a simulator or a motor controller",
-    "explain": "what a message means: an effect, a reason, a fault, a key of rig.toml, a term",
-    "blindtest": "diagnose instruments whose effect is withheld, then open the labels and score",
-    "inject": "let a fault happen on a simulated board, and see what is said of it",
-    "demo": "the whole job on a simulated instrument, without hardware",
-}
+from tautline.cli._commands import COMMANDS, EXIT_STATUS, GROUPS, Said
+from tautline.errors import TautError, nearest, of_system
 
 
 class _Commands(click.Group):
@@ -51,11 +24,31 @@ class _Commands(click.Group):
             return None
         module = importlib.import_module(f"tautline.cli.{cmd_name}")
         command: click.Command = module.command
+        command.epilog = f"Example: {COMMANDS[cmd_name].example}"
         return command
 
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args[0] not in COMMANDS and (meant := nearest(args[0], COMMANDS)):
+            ctx.fail(f"No such command '{args[0]}': did you mean 'taut {meant}'?")
+        return super().resolve_command(ctx, args)
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        named = [CompletionItem(each.name, help=each.says) for each in COMMANDS.values()]
+        return [each for each in named if each.value.startswith(incomplete)] + click.Command.shell_complete(
+            self, ctx, incomplete
+        )
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        with formatter.section("Commands"):
-            formatter.write_dl(list(COMMANDS.items()))
+        wide = max(map(len, COMMANDS))
+        for title, commands in GROUPS.items():
+            with formatter.section(title):
+                formatter.write_dl([(f"{command.name:<{wide}}", command.says) for command in commands])
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Exit status"):
+            formatter.write_dl([(str(status), says) for status, says in EXIT_STATUS.items()])
 
 
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
@@ -65,30 +58,38 @@ def taut() -> None:
 
 
 def main() -> None:
-    """Exit status: 0 on success, 2 on a usage error, 3 on an unusable calibration, 1 otherwise, after one line that
-    says what to do.
+    """Exit status: EXIT_STATUS. With --json an error is a JSON object on stdout beside its line on stderr, where the
+    result is not there already; NO_COLOR takes the escapes out.
     TAUT_TRACEBACK=1 shows where an error that nobody foresaw comes from."""
+    said = Said()
     try:
-        taut(standalone_mode=False)
+        taut(standalone_mode=False, obj=said, color=False if os.environ.get("NO_COLOR") else None)
     except click.ClickException as error:
         error.show()
-        sys.exit(2 if isinstance(error, click.UsageError) else 1)
+        _end(said, error.format_message(), 2 if isinstance(error, click.UsageError) else 1)
     except (click.Abort, KeyboardInterrupt):
-        click.echo("taut: stopped", err=True)
-        sys.exit(1)
+        _fail(said, "stopped", 130)
     except TautError as error:
-        click.echo(f"taut: {error}", err=True)
-        sys.exit(error.status)
+        _fail(said, str(error), error.status)
     except BrokenPipeError:
         sys.exit(1)
     except OSError as error:
         if error.filename is None and os.environ.get("TAUT_TRACEBACK"):
             raise
-        click.echo(f"taut: {of_system(error)}", err=True)
-        sys.exit(1)
+        _fail(said, of_system(error), 1)
     except Exception as error:
         if os.environ.get("TAUT_TRACEBACK"):
             raise
         what = " ".join(str(error).split())
-        click.echo(f"taut: internal error, {type(error).__name__}: {what} (TAUT_TRACEBACK=1 shows where)", err=True)
-        sys.exit(1)
+        _fail(said, f"internal error, {type(error).__name__}: {what} (TAUT_TRACEBACK=1 shows where)", 1)
+
+
+def _fail(said: Said, what: str, status: int) -> None:
+    click.echo(f"taut: {what}", err=True)
+    _end(said, what, status)
+
+
+def _end(said: Said, what: str, status: int) -> None:
+    if "--json" in sys.argv and not said.result:
+        click.echo(json.dumps({"error": what, "status": status}))
+    sys.exit(status)

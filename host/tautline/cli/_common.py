@@ -14,6 +14,7 @@ from typing import Any
 
 import click
 
+from tautline.cli._commands import Said
 from tautline.errors import TautError, UnusableError
 from tautline.model import Model
 from tautline.plain import plain
@@ -37,6 +38,15 @@ def folder_option(name: str, help: str, required: bool = True) -> Callable[[Any]
     return click.option(name, type=click.Path(path_type=Path), required=required, help=help)
 
 
+compensation_option = click.option(
+    "--compensation",
+    "--mode",
+    "compensation",
+    type=click.Choice(["off", "backlash", "full"]),
+    default="full",
+    show_default=True,
+    help="off: f_coarse's inverse alone; backlash: f_coarse and B; full: f_remain and B.",
+)
 force_option = click.option("--force", is_flag=True, help="Use a model whose calibration is unusable all the same.")
 
 
@@ -58,14 +68,14 @@ def warn_unusable(model: Model, folder: Path) -> None:
 _COLOURS = {Verdict.GOOD: "green", Verdict.DOUBTFUL: "yellow", Verdict.UNUSABLE: "red"}
 
 
-def show_quality(quality: Quality) -> None:
-    """The verdict in colour on stderr, a line for each reason."""
+def quality_lines(quality: Quality) -> list[str]:
+    """The verdict in colour, and a line for each reason: what stands before a result."""
     word = click.style(quality.verdict.value, fg=_COLOURS[quality.verdict], bold=True)
-    log(f"taut: calibration {word}" + (": the stated sigmas cover" if quality.verdict is Verdict.GOOD else ""))
-    for reason in quality.reasons:
-        log(f"taut:   {click.style(reason.code, bold=True)} {reason}")
+    lines = [f"taut: calibration {word}" + (": the stated sigmas cover" if quality.verdict is Verdict.GOOD else "")]
+    lines += [f"taut:   {click.style(reason.code, bold=True)} {reason}" for reason in quality.reasons]
     if quality.reasons:
-        log(f"taut:   'taut explain {quality.reasons[0].code}' says more")
+        lines.append(f"taut:   'taut explain {quality.reasons[0].code}' says more")
+    return lines
 
 
 @contextmanager
@@ -100,14 +110,25 @@ def warn(text: str) -> None:
 
 def emit(result: Mapping[str, Any], as_json: bool, text: str) -> None:
     """The command's result on stdout: one JSON object, or text for a person."""
+    context = click.get_current_context(silent=True)
+    if context is not None and (said := context.find_object(Said)) is not None:
+        said.result = True
     click.echo(json.dumps(plain(result), allow_nan=False) if as_json else text)
+
+
+def read_rig(path: Path) -> Rig:
+    """A rig file that was named. Prints what may be misspelt in it."""
+    rig = Rig.load(path)
+    for said in rig.misspelt:
+        warn(f"{path}: {said}")
+    return rig
 
 
 def read_recordings(paths: Sequence[Path], rig_path: Path | None) -> tuple[list[Recording], Rig]:
     """Recordings and the rig that holds for them: --rig, else the one beside the first recording that has one.
     Prints their warnings."""
     if rig_path is not None:
-        rig = Rig.load(rig_path)
+        rig = read_rig(rig_path)
         recordings = load_all(paths, rig)
     else:
         rig = _own_rig(paths)

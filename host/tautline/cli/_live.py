@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tautline.cli._common import log, progress_bar
+from tautline.cli._common import log, progress_bar, read_rig
 from tautline.errors import TautError
 from tautline.model import MODEL_FILE, Model
-from tautline.rig import Rig
 from tautline.simulated.instrument import PRESETS
 
 if TYPE_CHECKING:
@@ -124,7 +123,7 @@ def opened(live: LiveOptions, rig_path: Path | None, seed: int = 0, model: Model
 
     if live.simulate is not None and live.simulate not in PRESETS and not (Path(live.simulate) / MODEL_FILE).is_file():
         raise click.UsageError(f"--simulate {live.simulate}: choose one of {', '.join(PRESETS)}, or a model's folder")
-    rig = Rig.load(rig_path) if rig_path is not None else (model.rig if model is not None else None)
+    rig = read_rig(rig_path) if rig_path is not None else (model.rig if model is not None else None)
     if live.simulate is None and rig is None:
         raise TautError("no rig: name the set-up's file with --rig")
     if model is not None and rig is not None and rig.actuator.unit != model.rig.actuator.unit:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,10 +14,29 @@ from tautline.blindtest.campaign import GROUPS, Order, Progress, left_out, order
 from tautline.blindtest.draws import KNOWN, UNKNOWN
 from tautline.blindtest.generators import CHOICES, chosen
 from tautline.blindtest.pool import pool
-from tautline.cli._common import emit, folder_option, json_option, progress_bar, warn
+from tautline.cli._common import emit, folder_option, json_option, log, progress_bar, warn
 
 _QUICK = Order(single=1, unknown=4, none=3, pairs=1, leave_one_out=0)
+_ENOUGH = 0.15  # of the work: from then on the rest can be told
 _QUICK_BASELINES = ("majority", "joint", "bic")
+
+
+def announcing(progress: Progress) -> Progress:
+    """The same, and once, where enough is done to tell, a line that says how long the rest takes."""
+    begun: list[tuple[float, float]] = []  # when a first report came, and of how much
+    told: list[float] = []
+
+    def report(done: float, text: str) -> None:
+        progress(done, text)
+        now_s = time.monotonic()
+        begun.extend([] if begun else [(now_s, done)])
+        first_s, before = begun[0]
+        if not told and done - before >= _ENOUGH:
+            left_s = (now_s - first_s) * (1.0 - done) / (done - before)
+            told.append(left_s)
+            log(f"taut: {text}; the rest takes about {max(1, round(left_s / 60.0))} min")
+
+    return report
 
 
 @click.command("blindtest")
@@ -73,7 +93,9 @@ _QUICK_BASELINES = ("majority", "joint", "bic")
     is_flag=True,
     help="Work no further: close the campaign with the cases that are diagnosed, and score what is there.",
 )
-@click.option("--quick", is_flag=True, help="Some 25 cases, two minutes on two cores.")
+@click.option(
+    "--quick", is_flag=True, help=f"{len(_QUICK.cases())} cases. How long it takes is said once some are diagnosed."
+)
 @click.option("--jobs", type=click.IntRange(1), help="Processes. Default: one on each core.")
 @click.option("--dask", "dask_address", metavar="ADDRESS", help="Work on a Dask cluster: its scheduler's address.")
 @json_option
@@ -117,7 +139,10 @@ def command(
     methods = compare.available(wanted if wanted is None else [name for name in wanted if name != "none"])
     for missing in sorted(set(METHODS) - set(methods)) if wanted is None else ():
         warn(f"without the baseline '{missing}', whose package is not there: pip install 'tautline[campaign]'")
-    with progress_bar("blind test") as progress, pool(jobs, dask_address) as workers:
+    if not stopped:
+        log(f"taut: {len(order.cases())} cases of seed {order.seed}; it may be stopped, and goes on where it was")
+    with progress_bar("blind test") as bar, pool(jobs, dask_address) as workers:
+        progress = announcing(bar)
 
         def within(low: float, high: float) -> Progress:
             return lambda done, text: progress(low + (high - low) * done, text)

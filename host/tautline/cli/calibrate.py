@@ -17,9 +17,9 @@ from tautline.cli._common import (
     json_option,
     log,
     progress_bar,
+    quality_lines,
     read_recordings,
     rig_option,
-    show_quality,
     warn,
 )
 from tautline.cli._live import LiveOptions, live_options, opened
@@ -102,13 +102,16 @@ def command(
         kept = kept or _free(out.absolute())
         calibration, lines, made = _live(kept, rig_path, out, options, as_json=as_json, **live)
     quality = calibration.model.quality
-    show_quality(quality)
+    verdict = quality_lines(quality)
+    if as_json:
+        log("\n".join(verdict))
+        verdict = []
     for note in calibration.notes:
         log(f"taut: {note}")
     result = {**calibration.to_json(), "model": out, "report": out / reports.FILE}
     if not recording_paths:
         result |= {"recording": kept, "motion": made}
-    emit(result, as_json, "\n".join([*lines, f"{out / reports.FILE} shows it."]))
+    emit(result, as_json, "\n".join([*verdict, *lines, f"{out / reports.FILE} shows it."]))
     if not quality.usable:
         raise UnusableError(f"{out}: written, but unusable: {quality.reasons[0]}")
 
@@ -174,7 +177,7 @@ def _live(
                 worst = in_words(reached.standing.worst, unit)
                 goal_said.append(f"From {low:.3g} to {high:.3g} {unit} its sigma is {worst} at most.")
     made |= {"seconds": motion.seconds, "reversals": motion.reversals, "frames": motion.frames}
-    log(f"taut: {motion.reversals} reversals in {motion.seconds:.0f} s, recorded in {kept}")
+    log(f"taut: {len(calibration.onsets)} reversals in {motion.seconds:.0f} s, recorded in {kept}")
     recordings = shifted([load(kept, calibration.model.rig)], calibration.offsets)
     return calibration, [*reports.save_model(calibration.model, recordings, out), *goal_said], made
 

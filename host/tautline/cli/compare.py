@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from tautline import reports
+from tautline import figures, reports
 from tautline.cli._common import emit, json_option
 from tautline.errors import TautError
 from tautline.model import Model
@@ -45,20 +46,25 @@ def _names(paths: tuple[Path, ...]) -> list[str]:
 def _table(rows: list[dict[str, object]], first: Model) -> str:
     unit = first.rig.actuator.unit
     table = Table(box=None, pad_edge=False)
-    columns = {
-        "model": "model",
-        f"B mean ({unit})": "width_mean",
-        "change": "width_change_mean",
-        "largest": "width_change_max",
-        f"at q ({unit})": "width_change_max_at",
-        "in sigma": "width_change_sigmas",
-        "f_remain (deg rms)": "remaining_change_rms_deg",
+    fine, times = figures.finer(unit)
+    columns = {  # key, times
+        "model": ("model", 1.0),
+        f"B mean ({unit})": ("width_mean", 1.0),
+        f"change ({fine})": ("width_change_mean", times),
+        f"largest ({fine})": ("width_change_max", times),
+        f"at q ({unit})": ("width_change_max_at", 1.0),
+        "in sigma": ("width_change_sigmas", 1.0),
+        "f_remain (deg rms)": ("remaining_change_rms_deg", 1.0),
     }
     for title in columns:
         table.add_column(title, justify="left" if title == "model" else "right", no_wrap=True)
     for row in rows:
-        table.add_row(*[value if isinstance(value := row[key], str) else f"{value:.4g}" for key in columns.values()])
+        table.add_row(*[_cell(row[key], factor) for key, factor in columns.values()])
     console = Console(width=120, color_system=None)
     with console.capture() as captured:
         console.print(table)
     return captured.get().rstrip()
+
+
+def _cell(value: object, factor: float) -> str:
+    return f"{factor * value:.4g}" if isinstance(value, int | float | np.number) else str(value)

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
-from tautline.cli._common import emit, json_option, progress_bar, warn, warn_unusable
-from tautline.compensation import MODES, RATES_HZ, compensate, read_trajectory, write_csv
+from tautline.cli._common import compensation_option, emit, json_option, progress_bar, warn, warn_unusable
+from tautline.compensation import RATES_HZ, compensate, read_trajectory, write_csv
 from tautline.model import Model
 from tautline.undone import left
 
@@ -32,13 +32,7 @@ from tautline.undone import left
     show_default=True,
     help="Set-points per second.",
 )
-@click.option(
-    "--mode",
-    type=click.Choice(list(MODES)),
-    default="full",
-    show_default=True,
-    help="off: f_coarse's inverse; backlash: f_coarse and B; full: f_remain and B.",
-)
+@compensation_option
 @click.option("--start-deg", type=float, help="Where the tip starts, on the centre line; default: the first c_deg.")
 @json_option
 def command(
@@ -46,7 +40,7 @@ def command(
     trajectory_path: Path,
     csv_path: Path,
     rate_hz: int,
-    mode: str,
+    compensation: str,
     start_deg: float | None,
     as_json: bool,
 ) -> None:
@@ -64,14 +58,14 @@ def command(
     for warning in warnings:
         warn(warning)
     with progress_bar("compensating") as progress:
-        points = compensate(model, t_s, c_deg, rate_hz, mode, start_deg, progress)
+        points = compensate(model, t_s, c_deg, rate_hz, compensation, start_deg, progress)
     actuator = model.rig.actuator
     write_csv(csv_path, actuator.unit, points, actuator.encoder_resolution)
     clipped = int(points.clipped.sum())
     if clipped:
         warn(f"{clipped} of {len(points.q)} set-points were clipped: beyond the table, the range or the speed")
     emit(
-        {"csv": csv_path, "rows": len(points.q), "clipped": clipped, "mode": mode, "rate_hz": rate_hz},
+        {"csv": csv_path, "rows": len(points.q), "clipped": clipped, "mode": compensation, "rate_hz": rate_hz},
         as_json,
         f"{csv_path}: {len(points.q)} set-points, {clipped} clipped",
     )

@@ -32,7 +32,7 @@ def run(
     """What was measured and gained; the recording, MODEL and report are in `out`."""
     from tautline import reports, tables
     from tautline.evidence import Evidence, Run
-    from tautline.folders import check_replaceable
+    from tautline.folders import check_replaceable, replaced
     from tautline.live.following import follow_run
     from tautline.live.setup import open_live
     from tautline.live.until import calibrate_until
@@ -51,15 +51,16 @@ def run(
             f"1  board {board.identity.serial} found over USB/IP: {board.identity.axes} axis, virtual time, "
             f"instrument '{instrument}'"
         )
-        calibration, reached = calibrate_until(live, recording_folder, progress=part(0.0, 0.55))
+        with replaced(recording_folder, "motor.csv") as fresh:  # of an earlier demo
+            calibration, reached = calibrate_until(live, fresh, progress=part(0.0, 0.55))
         model, motion = calibration.model, reached.motion
         say(
-            f"2  calibration motion: {motion.reversals} reversals in {motion.seconds:.0f} s of the board's time, "
-            f"marker tracked in {motion.frames - motion.lost_frames} of {motion.frames} frames"
+            f"2  calibration motion: {len(calibration.onsets)} reversals in {motion.seconds:.0f} s of the board's "
+            f"time, marker tracked in {motion.frames - motion.lost_frames} of {motion.frames} frames"
             + (f"; {reached.why}" if reached.why else "")
         )
         sentences = reports.save_model(model, [load(recording_folder, live.rig)], model_folder)
-        say("3  " + " ".join(sentences[:2]))
+        say(f"3  {model.quality.verdict.value}: {' '.join(sentences)}")
         blob = tables.encode(model, axis=live.axis)
         board.load_table(live.axis, blob, part(0.55, 0.6))
         say(f"4  tables flashed by DFU: {len(blob)} bytes, read back equal")
@@ -82,7 +83,7 @@ def run(
         "report": page,
         "model": model_folder,
         "recording": recording_folder,
-        "reversals": motion.reversals,
+        "reversals": len(calibration.onsets),
         "seconds": motion.seconds,
         "sigma": reached.standing.worst,
         "reached": reached.reached,

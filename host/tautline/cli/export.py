@@ -6,10 +6,9 @@ from pathlib import Path
 
 import click
 
-from tautline.cli._common import emit, json_option, log, progress_bar, rig_option, warn, warn_unusable
+from tautline.cli._common import emit, json_option, log, progress_bar, read_rig, rig_option, warn, warn_unusable
 from tautline.exporting import FORMATS, Mount, export
 from tautline.exporting.source import read
-from tautline.rig import Rig
 
 
 @click.command("export", epilog="Formats: " + "; ".join(f"{form.name}: {form.says}" for form in FORMATS) + ".")
@@ -46,7 +45,7 @@ def command(
 
     What the format cannot hold is said on stderr and in the file. Of a diagnosis the corrected model is exported.
     """
-    source = read(source_path, Rig.load(rig_path) if rig_path else None, beside)
+    source = read(source_path, read_rig(rig_path) if rig_path else None, beside)
     for warning in source.recording.warnings if source.recording else ():
         warn(warning)
     for _, model in source.models[-1:]:

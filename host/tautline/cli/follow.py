@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from tautline.cli._common import (
+    compensation_option,
     emit,
     folder_option,
     force_option,
@@ -35,13 +36,7 @@ from tautline.cli._live import (
 @click.argument("model_path", metavar="[MODEL]", required=False, type=click.Path(path_type=Path))
 @live_options
 @rig_option
-@click.option(
-    "--compensation",
-    type=click.Choice(["off", "backlash", "full"]),
-    default="full",
-    show_default=True,
-    help="off: the motor follows f_coarse's inverse; backlash: f_coarse and B; full: f_remain and B.",
-)
+@compensation_option
 @click.option(
     "--strength", type=click.FloatRange(0.0, 1.0), default=1.0, help="Share of the lost motion that is taken up."
 )

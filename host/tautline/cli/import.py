@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from tautline.cli._common import emit, folder_option, json_option, progress_bar, rig_option, warn
+from tautline.cli._common import emit, folder_option, json_option, progress_bar, read_rig, rig_option, warn
 from tautline.importing import (
     Listing,
     Roles,
@@ -18,7 +18,7 @@ from tautline.importing import (
     scan,
     told,
 )
-from tautline.rig import UNITS, Rig
+from tautline.rig import UNITS
 
 _LISTED = 60  # channels that a person is shown
 
@@ -48,7 +48,7 @@ def command(
 
     Without --motor and --tip (or --video) it lists what is there, proposes which is what, and prints the whole command.
     """
-    rig = Rig.load(rig_path) if rig_path is not None else None
+    rig = read_rig(rig_path) if rig_path is not None else None
     source = open_source(source_path, time_name)
     roles = Roles(motor or "", tip, commanded, load, video, joint)
     if motor is None or not (tip or video):

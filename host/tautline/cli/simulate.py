@@ -9,9 +9,9 @@ from pathlib import Path
 import click
 import numpy as np
 
-from tautline.cli._common import emit, folder_option, json_option, progress_bar, warn
+from tautline.cli._common import emit, folder_option, json_option, progress_bar, read_rig, warn
 from tautline.errors import TautError
-from tautline.rig import Actuator, Rig
+from tautline.rig import Actuator
 from tautline.simulated.endoscope import Endoscope, load_background
 from tautline.simulated.instrument import PRESETS, Instrument, of_name
 from tautline.simulated.simulate import run
@@ -162,7 +162,7 @@ def command(
 
     truth.csv holds the bending angle c and the play's centre p at the motor's times, truth.json B(q) and f_remain(q).
     """
-    rig = Rig.load(rig_path) if rig_path else None
+    rig = read_rig(rig_path) if rig_path else None
     made = of_name(instrument, rig, seed)
     rig = rig or made.rig
     video = video or lossless or background is not None

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tautline.cli._common import emit, force_option, json_option, refuse_unusable, rig_option, warn
+from tautline.cli._common import emit, force_option, json_option, read_rig, refuse_unusable, rig_option, warn
 from tautline.cli._live import (
     RECALLS,
     axis_option,
@@ -28,7 +28,6 @@ from tautline.cli._live import (
 )
 from tautline.errors import TautError
 from tautline.model import Model
-from tautline.rig import Rig
 
 if TYPE_CHECKING:
     from tautline.device.board import Board
@@ -148,7 +147,7 @@ def _opened(
 
     of_rig = model if model is not None or library is None else library.first()
     if camera is None or of_rig is None:
-        rig_of = None if rig_path is None else Rig.load(rig_path)
+        rig_of = None if rig_path is None else read_rig(rig_path)
         named = rig_of or (model.rig if model is not None else None)
         board = stack.enter_context(open_board(where or (named.actuator.board if named is not None else None)))
         if model is not None:
@@ -157,7 +156,7 @@ def _opened(
     from tautline.live.setup import open_live
     from tautline.vision.colour import MarkerColour
 
-    rig = of_rig.rig if rig_path is None else Rig.load(rig_path)
+    rig = of_rig.rig if rig_path is None else read_rig(rig_path)
     seen_as = MarkerColour.load(colour)
     live = stack.enter_context(open_live(board=where, camera=camera, rig=rig, axis=axis, colour=seen_as))
     if model is None and library is not None:

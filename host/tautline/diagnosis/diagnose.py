@@ -21,6 +21,7 @@ from tautline.diagnosis.segment import Segment, load_reference, prepare
 from tautline.effects.library.registration import with_registration
 from tautline.model import Effect, Model, monotone
 from tautline.recording import Recording
+from tautline.value import Value
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -30,8 +31,8 @@ _NO_NOISE = 0.8  # of a floor: a calibration that leaves less shows that it is n
 _STEADY = 0.5  # share of a gap's power that does not change within a recording
 
 
-@dataclass(frozen=True)
-class Diagnosis:
+@dataclass(frozen=True, eq=False, repr=False)
+class Diagnosis(Value):
     document: dict[str, Any]  # diagnosis.json
     nominal: Model
     corrected: Model
@@ -170,7 +171,7 @@ def _diagnosis(
     if repeated.HELD not in left_out:
         repeated.told(document, model, segments, fitter.load_reference)
     progress(1.0, "done")
-    corrected = _corrected(chosen.fit, segments[-1]) if named else model
+    corrected = _corrected(chosen.fit, max(segments[1:], key=lambda test: test.end_s)) if named else model
     corrected = replace(corrected, extra={**model.extra, "load_reference_mNm": fitter.load_reference})
     document["tip"] = tip.foretold(model, corrected) if named else None  # with the old tables, and with the new
     return Diagnosis(
@@ -288,7 +289,7 @@ def _corrected(fit: Fit, last: Segment) -> Model:
     model = fit.state.model
     model = with_registration(replace(model, c_deg=monotone(model.c_deg)), fit.state.static)
     values = fit.state.at(last, fit.hypothesis)
-    end = float(last.motor.t_s[-1]) + last.offset_s
+    end = last.end_s
     added = []
     for kind in fit.hypothesis.kinds:
         own = {p.name: values[p.name] for p in kind.parameters if p.name in values}

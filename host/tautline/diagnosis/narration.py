@@ -86,7 +86,8 @@ def sentence(document: Mapping[str, Any]) -> str:
         shrinks = "removes" if gap["shrink"] > 0.995 else f"shrinks by {percent(gap['shrink'])}"
         text = (
             f"{_capital(named)}: with {'it' if len(effects) == 1 else 'them'} in the model the gap {shrinks}, "
-            f"from {before} to {digits(gap['after'])}; on another motion expect {_between(gap['shrink_ci'])}."
+            f"from {before} to {digits(gap['after'])}{_but_noise(gap)}; on another motion expect "
+            f"{_between(gap['shrink_ci'])}."
         )
     others = [name for name in effects[0]["ambiguous_with"] if name not in {e["id"] for e in effects}]
     if others:
@@ -95,6 +96,14 @@ def sentence(document: Mapping[str, Any]) -> str:
     if document["signature"]:
         text += f" The gap is {document['signature']}."
     return text
+
+
+def _but_noise(gap: Mapping[str, Any]) -> str:
+    """Where less than all of it goes, and yet all that is no noise."""
+    above = gap.get("closable_shrink")
+    if above is None or above - gap["shrink"] < _NEAR:
+        return ""
+    return f", {percent(above)} of its power above the noise"
 
 
 def _brings(effect: Mapping[str, Any]) -> str:

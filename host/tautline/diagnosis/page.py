@@ -16,6 +16,8 @@ from tautline.diagnosis import narration, where
 from tautline.diagnosis.diagnose import Diagnosis
 from tautline.diagnosis.where import Condition
 from tautline.effects import BY_ID, STAGES, Parameter
+from tautline.explain import topics
+from tautline.model import Model
 
 FILE = "report.html"
 
@@ -71,7 +73,12 @@ def write(diagnosis: Diagnosis, folder: Path, known_as: str = "") -> Path:
             for name, p, closes in narration.rows(document, _CANDIDATES)
             if p >= narration.SHOWN
         ],
-        "parameters": [row for effect in document["effects"] for row in _parameters(effect, unit)],
+        "topics": [topics()[effect["id"]] for effect in document["effects"]],
+        "parameters": [
+            row
+            for effect in document["effects"]
+            for row in _parameters(effect, unit, width_now(diagnosis.nominal, diagnosis.corrected))
+        ],
         "moved": narration.moved(document),
         "tip": narration.tip(document),
         "tracker": narration.tracker(document),
@@ -111,16 +118,26 @@ def _chain(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     return stages
 
 
-def _parameters(effect: Mapping[str, Any], unit: str) -> list[dict[str, Any]]:
+def width_now(nominal: Model, corrected: Model) -> str:
+    """Where a width is named: what it came to, over what was measured."""
+    unit, inside = nominal.rig.actuator.unit, (nominal.q >= nominal.measured[0]) & (nominal.q <= nominal.measured[1])
+    was = float(nominal.width[inside].mean())
+    now = float(np.interp(nominal.q[inside], corrected.q, corrected.width).mean())
+    return f"{narration.digits(now)} {unit} in the mean, it was {narration.digits(was)}"
+
+
+def _parameters(effect: Mapping[str, Any], unit: str, width: str) -> list[dict[str, Any]]:
     kind = BY_ID[effect["id"]]
     if kind.of_joint and "column" in effect["parameters"]:
         kind = kind.of_joint(effect["parameters"]["column"])
     known = {p.name: p for p in kind.parameters if p.name in effect["parameters"]}
     known = dict([item for item in known.items() if item[0] not in kind.curve][:_PARAMETERS])
+    brought = [_row(effect, "brings", part["id"], False) for part in effect.get("brings", ())]
+    if effect["id"] == "transmission.backlash":
+        return [_row(effect, "B is now", width, True), *brought]
     if not known and "column" not in effect["parameters"]:
         return [_row(effect, "a curve", "", True)]
     shown = {name: value for name, value in effect["parameters"].items() if name in known or name == "column"}
-    brought = [_row(effect, "brings", part["id"], False) for part in effect.get("brings", ())]
     return [
         _row(
             effect,
@@ -250,6 +267,7 @@ def residuals(diagnosis: Diagnosis) -> Figure:
     ax.set_xlabel("time in the session (s)")
     ax.set_ylabel(f"residual ({diagnosis.document['unit']})")
     ax.set_ylim(bottom=0)
-    ax.set_xlim(float(tests[0].motor.t_s[0]) + tests[0].offset_s, float(tests[-1].motor.t_s[-1]) + tests[-1].offset_s)
+    ends = [segment.motor.t_s[[0, -1]] + segment.offset_s for segment in tests]
+    ax.set_xlim(float(np.min(ends)), float(np.max(ends)))
     ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, markerscale=4)
     return made

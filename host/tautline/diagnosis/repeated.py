@@ -19,21 +19,29 @@ Array = npt.NDArray[np.float64]
 HELD = "acquisition.held_samples"
 _SEEN = 0.1  # of the floor's power, by which repeats raise the gap's
 _SURE = 0.98
+_NINE_OF_TEN = 1.645  # standard errors: what happened once or twice by itself is a coincidence and no law
 
 
 def told(document: dict[str, Any], model: Model, segments: Sequence[Segment], load_reference: float) -> None:
     """Writes into a diagnosis.json what repeated samples add to the gap of `model`, and names them where they are much
     of it. segments: the calibration first."""
     squares, fresh, frames = 0.0, 0.0, 0
+    stalls: list[Array] = []  # a row each: its frames' squares, how many they are
     for segment in segments[1:]:
         left = np.mean(np.square(segment.observed - segment.predict(model, {}, load_reference)[1]), axis=1)
         squares += float(np.sum(left[segment.scored | segment.held]))
         fresh += float(np.sum(left[segment.scored]))
         frames += int(np.sum(segment.scored | segment.held))
+        at = np.flatnonzero(segment.held)
+        each = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if len(at) else []
+        stalls += [np.array([np.sum(left[stall]), len(stall)]) for stall in each]
     repeats = [int(s.held.sum()) / max(int((s.scored | s.held).sum()), 1) for s in segments]
     power, without = squares / frames, fresh / max(sum(int(s.scored.sum()) for s in segments[1:]), 1)
     floor2 = document["noise_floor"] ** 2
-    if power - without < _SEEN * floor2:
+    added = np.array([total - count * without for total, count in stalls])
+    # As likely as not there might have been none of a few: by a compound Poisson's standard error.
+    surely = float(np.sum(added)) - _NINE_OF_TEN * float(np.linalg.norm(added))
+    if surely < _SEEN * floor2 * frames:
         return
     share = (power - without) / max(power - floor2, 1e-300)  # of the gap
     alone = document["verdict"] == "none"

@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import effects
+from tautline.core.motor import MotorPath
+from tautline.core.session import SessionClock
 from tautline.effects import Path
-from tautline.encoder import straight_lines
 from tautline.errors import TautError
 from tautline.model import Model
 from tautline.prediction import settled_from
@@ -40,6 +41,11 @@ class Segment:
     @property
     def held(self) -> npt.NDArray[np.bool_]:
         return np.zeros_like(self.scored) if self.repeats is None else self.repeats
+
+    @property
+    def end_s(self) -> float:
+        """Of the recording, on the session's clock."""
+        return float(self.motor.t_s[-1]) + self.offset_s
 
     @property
     def unit(self) -> str:
@@ -89,12 +95,8 @@ def prepare(model: Model, calibration: Recording, tests: Sequence[Recording]) ->
     if not by_marker and not all(recording.angle is not None for recording in recordings):
         raise TautError("diagnose needs marker.csv (or a video) in every recording, or angle.csv in every one")
     segments = []
-    offset = end = 0.0
-    for i, recording in enumerate(recordings):
-        motor = straight_lines(recording.motor, model.rig.actuator.encoder_resolution)
-        # Recordings share one clock where their times do not overlap; else each follows the one before.
-        offset = 0.0 if i == 0 or motor.t_s[0] >= end else end - float(motor.t_s[0])
-        end = float(motor.t_s[-1]) + offset
+    for i, (recording, offset) in enumerate(zip(recordings, SessionClock.of(recordings).offset_s, strict=True)):
+        motor = MotorPath.of(recording.motor, model.rig.actuator.encoder_resolution).lines
         if by_marker:
             marker = recording.marker
             assert marker is not None

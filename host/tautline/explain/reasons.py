@@ -86,7 +86,7 @@ REASONS = (
         "The motor's log, or the frames, come too slowly or at another rate than the rig says.",
         "A turn that lies between two samples is not known: that is the same error in every stroke, which no scatter "
         "shows.",
-        "Log the motor at 100 Hz or more; set camera.frame_rate_hz to what the frames have.",
+        "Log the motor faster, the sentence says how fast; set camera.frame_rate_hz to what the frames have.",
         "rig.camera.frame_rate_hz",
     ),
     _reason(

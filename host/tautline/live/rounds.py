@@ -233,6 +233,27 @@ def next_round(
     return _round(means, means.low, means.high, (speed,) * passes, _CYCLES, _STROKE * means.span)
 
 
+def why_another(standing: Standing, until: float, unit: str, done: Sequence[Round | Strokes]) -> str:
+    """Why a round follows those that are done."""
+    if not standing.covered:
+        low, high = standing.missing
+        return f"B(q) is not measured from {low:.3g} to {high:.3g} {unit} yet"
+    here, wanted = in_words(standing.worst, unit), in_words(until, unit)
+    if standing.reached(until) and not both_made(done):
+        return f"sigma is {here} where {wanted} is wanted, but passes alone are not believed: turns at both ends first"
+    return f"sigma is {here} at {standing.where:.3g} {unit} where {wanted} is wanted"
+
+
+def no_longer(best: float, standing: Standing, until: float, unit: str) -> str:
+    """What is said of a goal that looked reached after an earlier round, whose worst sigma was `best`; else empty."""
+    if best > until or standing.reached(until):
+        return ""
+    return (
+        f"; sigma looked like {in_words(best, unit)} before, and what was measured since does not bear that out: the "
+        "larger one is kept"
+    )
+
+
 def _with_ends(standing: Standing, until: float) -> tuple[Place, ...]:
     """What is needed, and the ends where they are not in it; the low end first: there a pass back ends."""
     first, last = (Place(end, end, until) for end in standing.ends)

@@ -19,6 +19,8 @@ from tautline.live.rounds import (
     first_round,
     in_words,
     next_round,
+    no_longer,
+    why_another,
     why_not,
 )
 from tautline.live.session import Motion, Motions, check_rig, moving, probe
@@ -131,14 +133,18 @@ def _rounds(
         return both_made(rounds[:-1]) and fresh and view.standing is not None and view.standing.reached(until)
 
     rounds: list[Round | Strokes] = []
+    best = float("inf")  # of the sigmas after each round
     while True:
         standing = view.standing
         if standing is None or not rounds:
             wanted: Round | Strokes = first_round(means)
+            because = ""
         else:
             wanted = next_round(means, standing, until, rounds, view.seconds)
+            because = f" ({why_another(standing, until, view.unit, rounds)})"
+            best = min(best, standing.worst if standing.covered else best)
         rounds.append(wanted)
-        view.doing = f"round {len(rounds)}: {wanted.says(view.unit)}"
+        view.doing = f"round {len(rounds)}: {wanted.says(view.unit)}{because}"
         if isinstance(wanted, Strokes):
             motions.stroke(wanted, enough)
         else:
@@ -150,4 +156,4 @@ def _rounds(
             return rounds, ""
         why = why_not(view.standing, until, view.unit, watch.camera_view(), view.seconds, at_most_s, len(rounds))
         if why:
-            return rounds, why
+            return rounds, why + no_longer(best, view.standing, until, view.unit)

@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tautline import figures
-from tautline.recording import Recording, timeline
+from tautline.core.session import SessionClock
+from tautline.recording import Recording
 from tautline.tracking.replay import Tracked, off_by
 
 _STATES = {"trusted": "#d9efdf", "stale": "#fbe9b7", "adapting": "#d5e6f5"}
@@ -20,7 +21,7 @@ _MANY = 4000  # rows that are drawn
 def draw(tracked: Tracked, recordings: Sequence[Recording], unit: str) -> Figure:
     with mpl.rc_context(figures.STYLE):
         made, axes = figures.figure(9.0, 6.0, rows=3, sharex=True)
-        t_s = tracked.t_s + np.array(timeline(recordings).offset_s)[tracked.recording]
+        t_s = tracked.t_s + np.array(SessionClock.of(recordings).offset_s)[tracked.recording]
         some = np.unique(np.linspace(0, len(t_s) - 1, _MANY).astype(int))
         sensor = "px" if tracked.sensor == "marker" else "deg"
         off = off_by(tracked, recordings)

@@ -10,12 +10,11 @@ import numpy as np
 from tautline import _native
 from tautline.geometry import projection_rig
 from tautline.model import Model
-from tautline.rig import MARKER, Sensor
+from tautline.rig import Sensor
 
 _TURNS = 12
 _CLOSE, _STRIDE, _FARTHEST = 1e-8, 20.0, 180.0  # deg
 _LEAST_SLOPE = 1e-12
-_NOTHING = {"px": 0.05, "deg": 0.02}  # noise of a model that was not calibrated
 
 
 @dataclass(frozen=True)
@@ -37,13 +36,8 @@ class Projection:
 
     @cached_property
     def noise(self) -> float:
-        """Of one row, px or deg: what the calibration left, its sensor's noise."""
-        evidence = self.model.extra.get("evidence", {})
-        known = [evidence.get(name) for name in ("residual", "error")]
-        finite = [float(value) for value in known if value is not None and np.isfinite(value) and value > 0.0]
-        if finite and self.sensor == self.model.sensor:
-            return max(finite)
-        return _NOTHING["px" if self.sensor == MARKER else "deg"]
+        """Of one row, px or deg."""
+        return self.model.noise_of(self.sensor)
 
     @cached_property
     def _rig(self) -> np.ndarray:

@@ -14,9 +14,11 @@ import numpy.typing as npt
 from tautline.errors import TautError
 from tautline.folders import write_file
 from tautline.model import Model
-from tautline.recording import Angle, Marker, Motor, Recording
+from tautline.recording import Angle, Marker, Recording
 from tautline.rig import ANGLE, MARKER, Sensor
-from tautline.tracking.tracker import Change, LawTracker, Row, State
+from tautline.tracking.loop import Tracker
+from tautline.tracking.tracker import Change, Row, State
+from tautline.value import Value
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -25,8 +27,8 @@ COLUMNS = "recording,t_s,state,c_deg,u_px,v_px,offset,offset_sigma,scale,scale_s
 _REPORTED = 500  # rows between two reports of progress
 
 
-@dataclass(frozen=True)
-class Tracked:
+@dataclass(frozen=True, eq=False, repr=False)
+class Tracked(Value):
     """A row for each of the recordings' frames (or angles), invalid ones too; `t_s` are their arrival times."""
 
     recording: npt.NDArray[np.intp]
@@ -44,29 +46,20 @@ def replay(model: Model, recordings: Sequence[Recording], progress: Progress = l
     """The tracker's rows for recordings in the order given; what it learnt carries over. Each row is predicted from the
     motor up to that row's scene time and the rows before it."""
     sensor = _sensor(recordings)
-    tracker = LawTracker(model, sensor)
-    delay_s = model.delay_of(sensor)
+    tracker = Tracker(model, sensor)
     number, times, rows = [], [], []
     whole = sum(len(_frames(recording, sensor).t_s) for recording in recordings)
     for i, recording in enumerate(recordings):
         frames, motor = _frames(recording, sensor), recording.motor
-        tracker.begin()
-        others = _others(motor)
-        scene = frames.t_s - delay_s
-        taken = 0
+        if i:
+            tracker.begin()
+        tracker.motor(motor.t_s, motor.q, motor.translation_mm, motor.rotation_deg, motor.load_mNm)
         readings = _readings(frames)
-        for k, (at, arrival) in enumerate(zip(scene.tolist(), frames.t_s.tolist(), strict=True)):
-            upto = max(int(np.searchsorted(motor.t_s, at, side="right")), 1)
-            if upto > taken:
-                tracker.motor(motor.t_s[taken:upto], motor.q[taken:upto], others[taken:upto])
-                taken = upto
-            rows.append(tracker.predict(at, arrival))
-            reading = readings(k)
-            if reading is not None:
-                tracker.see(*reading) if sensor == MARKER else tracker.read(*reading)
+        for k, arrival in enumerate(frames.t_s.tolist()):
+            rows.append(tracker.see(arrival, *readings(k)))
             if len(rows) % _REPORTED == 0:
                 progress(len(rows) / whole, f"{recording.name}: {rows[-1].state}")
-        number.append(np.full(len(scene), i, dtype=np.intp))
+        number.append(np.full(len(frames.t_s), i, dtype=np.intp))
         times.append(frames.t_s)
     return Tracked(np.concatenate(number), np.concatenate(times), rows, tracker.changes, sensor)
 
@@ -113,21 +106,14 @@ def _frames(recording: Recording, sensor: Sensor) -> Marker | Angle:
     return frames
 
 
-def _others(motor: Motor) -> Array:
-    columns = (motor.translation_mm, motor.rotation_deg)
-    zero = np.zeros(len(motor.t_s))
-    load = np.full(len(motor.t_s), np.nan) if motor.load_mNm is None else motor.load_mNm
-    return np.column_stack([*(zero if column is None else column for column in columns), load])
-
-
-def _readings(frames: Marker | Angle) -> Callable[[int], tuple[float, ...] | None]:
+def _readings(frames: Marker | Angle) -> Callable[[int], tuple[float, ...]]:
     if isinstance(frames, Angle):
         seen, c = frames.seen, frames.c_deg
-        return lambda k: (float(c[k]),) if seen[k] else None
+        return lambda k: (float(c[k]),) if seen[k] else ()
     u, v, valid, sigma = frames.u_px, frames.v_px, frames.valid, frames.sigma_px
     if sigma is None:
-        return lambda k: (float(u[k]), float(v[k])) if valid[k] else None
-    return lambda k: (float(u[k]), float(v[k]), float(sigma[k])) if valid[k] else None
+        return lambda k: (float(u[k]), float(v[k])) if valid[k] else ()
+    return lambda k: (float(u[k]), float(v[k]), float(sigma[k])) if valid[k] else ()
 
 
 def write_csv(path: Path, tracked: Tracked) -> None:

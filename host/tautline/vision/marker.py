@@ -328,7 +328,7 @@ def track_video(video: Video, colour: MarkerColour | None = None, progress: Prog
     sure = of_one_marker(seen)
     rows = np.array([(s.u_px, s.v_px, s.sigma_px) for s in seen])
     u, v, sigma = np.where(sure[:, None], rows, np.nan)[timed].T
-    return Marker(np.array(t_s)[timed], u, v, sure[timed], sigma, frame_px=size)
+    return Marker(np.array(t_s)[timed], u, v, sure[timed], sigma, frame_px=size, untimed=int(np.sum(~timed)))
 
 
 def with_marker(recording: Recording, rig: Rig, progress: Progress | None = None) -> Recording:

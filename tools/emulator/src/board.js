@@ -2,6 +2,7 @@ import fs from 'node:fs';
 
 import { Chip } from './chip.js';
 import { Flash } from './flash.js';
+import { Locks } from './locks.js';
 import { Plant, STEP_US } from './plant.js';
 import { Probe } from './probe.js';
 import { SimulationClock } from './rp2040js.js';
@@ -119,6 +120,12 @@ export class Board {
         return this.runWhile(() => !this.usb.ready && this.chip !== null, ENUMERATION_US) && this.usb.ready;
     }
 
+    /** The longest time that interrupts were off since the last call, or since the first. */
+    locks() {
+        if (this.locked?.chip !== this.chip) this.locked = new Locks(this.chip, this.probe.usbQueue);
+        return this.locked.take();
+    }
+
     reset() {
         if (this.chip !== null) this.#stop();
         this.start();
@@ -133,6 +140,12 @@ export class Board {
         this.chip.writeUint16(trap, BRANCH_TO_SELF);
         core.PC = trap;
         core.waiting = false;
+    }
+
+    /** A debugger holds the core, and nothing else, until the next reset. */
+    halt() {
+        this.chip.lockedUp = true;
+        this.chip.watchdog.halted();
     }
 
     /**

@@ -122,7 +122,7 @@ export class Timer extends RPTimer {
     }
 }
 
-/** Bites once, and then stops: rp2040js's timer runs on and bites again. */
+/** Bites once, and then stops: rp2040js's timer runs on and bites again; and stands while a debugger holds the core, where it is told to. */
 export class Watchdog extends RPWatchdog {
     constructor(rp2040, name) {
         super(rp2040, name);
@@ -132,6 +132,14 @@ export class Watchdog extends RPWatchdog {
             this.alarm.enable = false;
             this.onBite();
         };
+    }
+
+    /** A debugger holds the core from now on. */
+    halted() {
+        if (this.pauseDbg0 || this.pauseDbg1 || this.pauseJtag) {
+            this.timer.enable = false;
+            this.alarm.enable = false;
+        }
     }
 }
 

@@ -2,8 +2,8 @@ import fs from 'node:fs';
 
 const SYMTAB = 2;
 
-/** Address of a symbol of a 32-bit little-endian ELF file. */
-export function symbol(file, name) {
+/** Address and size of a symbol of a 32-bit little-endian ELF file. */
+export function extent(file, name) {
     const elf = fs.readFileSync(file);
     const sections = elf.readUInt32LE(32);
     const [size, count] = [elf.readUInt16LE(46), elf.readUInt16LE(48)];
@@ -18,10 +18,16 @@ export function symbol(file, name) {
         const strings = section(table.link).offset;
         for (let at = table.offset; at < table.offset + table.length; at += 16) {
             const text = strings + elf.readUInt32LE(at);
-            if (elf.toString('latin1', text, elf.indexOf(0, text)) === name) return elf.readUInt32LE(at + 4);
+            if (elf.toString('latin1', text, elf.indexOf(0, text)) === name) {
+                return { at: elf.readUInt32LE(at + 4), size: elf.readUInt32LE(at + 8) };
+            }
         }
     }
     throw new Error(`${file} has no symbol ${name}`);
+}
+
+export function symbol(file, name) {
+    return extent(file, name).at;
 }
 
 /** A look at the firmware's own state, as a debug probe gives it; nothing in the board can tell. */
@@ -29,6 +35,7 @@ export class Probe {
     constructor(elf, layout) {
         this.board = symbol(elf, 'board');
         this.panic = symbol(elf, 'panic') & ~1;
+        this.usbQueue = ['tud_task_ext', 'dcd_event_handler'].map((name) => extent(elf, name)); // who takes, who puts
         const words = fs.readFileSync(layout);
         [this.axes, this.axisSize, this.mode, this.fault, this.current, this.bad] = [0, 4, 8, 12, 16, 20].map((at) => words.readUInt32LE(at));
     }

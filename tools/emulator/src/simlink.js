@@ -7,7 +7,7 @@ const LAG_US = 20000;
 const AXES = 4;
 const ILLS = ['well', 'blocked', 'unplugged', 'reversed', 'coarse', 'driver', 'supply']; // no jump: no encoder's edges do
 const HELP = 'not a request: advance US, state, realtime on|off, cut N, place AXIS Q8, inject AXIS ILL, unplug, plug, reset, hang, ' +
-    'crash hardfault|nmi|panic, quit';
+    'halt, crash hardfault|nmi|panic, locks, quit';
 
 const wallUs = () => Number(process.hrtime.bigint() / 1000n);
 
@@ -143,9 +143,14 @@ export class SimLink {
             case 'hang':
                 this.board.hang();
                 return ok();
+            case 'halt':
+                this.board.halt();
+                return ok();
             case 'crash':
                 if (!['hardfault', 'nmi', 'panic'].includes(words[0])) break;
                 return this.board.crash(words[0]);
+            case 'locks':
+                return this.board.locks();
             case 'quit':
                 setImmediate(() => this.onQuit());
                 return ok();

@@ -211,24 +211,55 @@ test('what has to be in time, or has to work without flash, runs from RAM', () =
     }
 });
 
-test('currents are first sampled just before the end of a PWM period', () => {
-    const board = booted();
+/** How long before the end of a PWM period each tick's first sample was taken, us. */
+function sampledBeforeTheEnd(board, ticks) {
     const { chip } = board;
-    const after = [];
+    const before = [];
     const sense = chip.adc.onADCRead;
     let first = true;
     chip.adc.onADCRead = (channel) => {
         const slice = chip.pwm.slices[2];
         const period = 50;
-        if (first) after.push(period - ((board.clock.nanos - slice.start) / 1000) % period);
+        if (first) before.push(period - ((board.clock.nanos - slice.start) / 1000) % period);
         first = false;
         sense(channel);
     };
-    for (let tick = 0; tick < 20; tick++) {
+    for (let tick = 0; tick < ticks; tick++) {
         first = true;
         board.run(board.nowUs + 200);
     }
-    assert.ok(after.every((us) => us > 0.1 && us < 1.5), `${Math.min(...after)} to ${Math.max(...after)} us before the end`);
+    chip.adc.onADCRead = sense;
+    return before;
+}
+
+function assertInPhase(before, when) {
+    assert.ok(before.every((us) => us > 0.1 && us < 1.5),
+        `${Math.min(...before)} to ${Math.max(...before)} us before the end ${when}`);
+}
+
+test('currents are first sampled just before the end of a PWM period', () => {
+    assertInPhase(sampledBeforeTheEnd(booted(), 20), 'from the start');
+});
+
+test('currents are sampled in the same phase after the control step was held up', () => {
+    const board = booted();
+    const timer = board.chip.peripherals[0x40054];
+    const write = timer.writeUint32.bind(timer);
+    let hold = 0; // us that the core is held up: an erase takes 45 ms and more, a program 0.4
+    timer.writeUint32 = (offset, value) => {
+        if (offset === 0x10 && hold > 0) {
+            board.clock.tick(1000 * hold);
+            hold = 0;
+        }
+        write(offset, value);
+    };
+    for (const us of [213, 437, 999.4, 45031, 180017]) {
+        hold = us;
+        board.run(board.nowUs + us + 1000);
+        assert.equal(hold, 0);
+        assertInPhase(sampledBeforeTheEnd(board, 20), `after ${us} us`);
+    }
+    assert.equal(board.starts, 1);
 });
 
 test('reading flash while it is not mapped is a fault, writing to it always', () => {

@@ -34,8 +34,7 @@ void tl_app_receive(tl_app_t *app, const uint8_t *bytes, size_t size);
 /// At most `room` bytes for the host; returns how many.
 size_t tl_app_transmit(tl_app_t *app, uint8_t *out, size_t room);
 
-/// A table from the host, as tl_tables.h has it; none is taken during a calibration, and a request to start one drops
-/// what has come.
+/// A table from the host, as tl_tables.h has it: it may come while an axis moves, but is taken into use with all off.
 tl_upload_t tl_app_table_data(tl_app_t *app, uint8_t axis, uint32_t offset, const uint8_t *bytes, size_t size);
 tl_upload_t tl_app_table_end(tl_app_t *app, uint8_t axis);
 void tl_app_table_abort(tl_app_t *app);

@@ -27,7 +27,8 @@
 #ifndef TL_AXIS_TICKS_MIN
 #define TL_AXIS_TICKS_MIN 1U
 #endif
-#define TL_AXIS_SAMPLES   16U ///< telemetry samples waiting for the task, a power of two
+/// Telemetry samples that wait for the task and the host, a power of two: half a second of them at 1 kHz.
+#define TL_AXIS_SAMPLES   512U
 #define TL_AXIS_RANGE_MAX (4000000 * TL_COUNT_ONE)
 
 /// Once a millisecond: from what the host asks for to the reference.
@@ -80,6 +81,8 @@ typedef struct {
     uint16_t supply_mv;
     int32_t fault_value;
     tl_us_t fault_us;
+    uint32_t alone_ms;  ///< held without a word of a host
+    tl_duty_q15_t sink; ///< drive that it loses each millisecond since that took too long; 0: it has not
 } tl_axis_guarded_t;
 
 /// A check of motor and encoder, or a search for an end, under way.
@@ -147,6 +150,7 @@ static inline bool tl_axis_is_following(const tl_axis_t *axis) {
     return axis->mode == TL_WIRE_MODE_FOLLOW_MOTOR || axis->mode == TL_WIRE_MODE_FOLLOW_TIP;
 }
 
+/// Control step, or the task under the port's lock.
 static inline void tl_axis_event(tl_axis_t *axis, tl_wire_event_code_t code) {
     axis->events = (uint8_t)(axis->events | (1U << code));
 }

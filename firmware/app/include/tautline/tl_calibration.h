@@ -16,10 +16,10 @@ typedef struct {
     tl_axis_t *axis; ///< NULL: none
     bool host_lost;  ///< it ends for that reason
     uint16_t reversals;
-    tl_calibration_work_t *work; ///< may be others' while `axis` is NULL; lost also by a start that is refused
+    tl_calibration_work_t work; ///< lost also by a start that is refused
 } tl_calibration_t;
 
-/// Why `request` cannot be, or 0 when the axis has begun to move. Task, under the lock; 64-bit divisions.
+/// Why `request` cannot be, or 0 when the axis has begun to move. Task, not under the lock; 64-bit divisions.
 uint8_t tl_calibration_start(tl_calibration_t *calibration, tl_axis_t *axis, const tl_wire_motion_start_t *request);
 
 /// A frame has come, whatever it shows: the host is there. Under the lock.

@@ -29,6 +29,9 @@ bool tl_outbox_send(tl_outbox_t *outbox, uint8_t type, uint16_t sequence, const 
 /// Room for one reply is left: a host that was busy for long is answered at once.
 bool tl_outbox_tell(tl_outbox_t *outbox, uint8_t type, const void *message);
 
+/// Whether tl_outbox_tell() would find room.
+bool tl_outbox_has_room(const tl_outbox_t *outbox, uint8_t type);
+
 /// At most `room` bytes; returns how many.
 size_t tl_outbox_take(tl_outbox_t *outbox, uint8_t *out, size_t room);
 

@@ -38,6 +38,9 @@ typedef struct {
 /// Limits in ticks, from Q8 counts/s and counts/s2 (clamped to the ranges above). Task; 64-bit divisions.
 tl_reference_limits_t tl_reference_limits(int32_t speed_q8_s, int32_t acceleration_q8_s2, uint32_t rate_hz);
 
+/// Its `speed` alone, for a rate of up to 65535 Hz.
+int32_t tl_reference_speed(int32_t speed_q8_s, uint32_t rate_hz);
+
 /// At rest at `q`; the range stays.
 void tl_reference_set(tl_reference_t *reference, tl_count_q8_t q);
 

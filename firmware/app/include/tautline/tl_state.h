@@ -8,7 +8,7 @@
 #include "tautline/tl_tables.h"
 
 #ifndef TL_APP_AXES
-#define TL_APP_AXES TL_WIRE_AXES_MAX ///< most that a port of this build has: 6.2 kB of RAM each
+#define TL_APP_AXES TL_WIRE_AXES_MAX ///< most that a port of this build has
 #endif
 _Static_assert(TL_APP_AXES >= 1 && TL_APP_AXES <= TL_WIRE_AXES_MAX, "axes of the app");
 
@@ -17,11 +17,8 @@ typedef struct {
     tl_axis_t axes[TL_APP_AXES];
     tl_tables_t tables;
     tl_calibration_t calibration;
-    union {
-        tl_calibration_work_t calibration; ///< while an axis calibrates
-        uint8_t upload[TL_TABLE_SIZE_MAX]; ///< else
-    } work;
-    uint8_t settings; ///< tl_wire_store_t
+    uint8_t upload[TL_TABLE_SIZE_MAX]; ///< of a table that comes, or what the settings are put together in
+    uint8_t settings;                  ///< tl_wire_store_t
     tl_wire_counters_t counters;
     tl_wire_parser_t parser;
     tl_outbox_t outbox;

@@ -2,7 +2,7 @@
 ///
 /// A table comes in pieces, is checked when it is whole, then stored, then used. One that is damaged or for another
 /// axis leaves the one in use alone; content is checked where that one is, with all motors off: whatever is wrong with
-/// it, that one is read from flash again. What comes shares memory with a calibration motion: none is taken during one.
+/// it, that one is read from flash again.
 #ifndef TAUTLINE_TL_TABLES_H
 #define TAUTLINE_TL_TABLES_H
 

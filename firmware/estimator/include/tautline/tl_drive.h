@@ -12,7 +12,7 @@
 ///
 /// Positions are encoder counts Q8 on the table's zero, commands deg Q16 (tl_fixed.h). Load and start from the same
 /// context as the step, or with it kept out: a table that is loaded while the axis runs is taken over at the end of the
-/// load, and the axis does not jump. Memory: 9.2 kB. Cost: tl_lookup_load()'s and tl_compensator.h's.
+/// load, and the axis does not jump. Memory: 10 kB. Cost: tl_lookup_load()'s and tl_compensator.h's.
 #ifndef TAUTLINE_TL_DRIVE_H
 #define TAUTLINE_TL_DRIVE_H
 

@@ -9,7 +9,7 @@
 /// core), never the other way round. Nothing blocks. For a reader on another core, hold the control loop's
 /// lock around it.
 ///
-/// Memory: 2 kB for each axis. Errors: a status, never an invented position.
+/// Memory: 2.1 kB for each axis. Errors: a status, never an invented position.
 #ifndef TAUTLINE_TL_HISTORY_H
 #define TAUTLINE_TL_HISTORY_H
 

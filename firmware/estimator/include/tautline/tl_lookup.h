@@ -5,7 +5,7 @@
 /// and mends it by what is then left (20 bits). All functions are pure but tl_lookup_load(); any number of readers may
 /// share a loaded table. To change tables, load into another tl_lookup_t and hand the control loop its pointer.
 ///
-/// Memory: 4.5 kB each, owned by the caller, no pointers inside. Cost on a Cortex-M0+ (-O2, no wait states): width and
+/// Memory: 4.8 kB each, owned by the caller, no pointers inside. Cost on a Cortex-M0+ (-O2, no wait states): width and
 /// angle 65 to 95 cycles, f's and Y's inverse 150, an envelope's 340, whatever the input. Loading takes 4 ms at most at
 /// 125 MHz, 7 ms with several plays.
 ///

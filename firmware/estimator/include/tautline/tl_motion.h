@@ -28,7 +28,7 @@
 ///
 /// Cost of a tick: bounded; some ten 64-bit additions and at most ten 64-bit products; no division.
 ///
-/// Memory: 200 bytes. Errors: tl_motion_start() refuses with a reason.
+/// Memory: 190 bytes. Errors: tl_motion_start() refuses with a reason.
 #ifndef TAUTLINE_TL_MOTION_H
 #define TAUTLINE_TL_MOTION_H
 

@@ -31,7 +31,7 @@
 /// Thread model: all calls for one detector from one thread, below the control loop; that only pushes the
 /// history.
 ///
-/// Memory: 1.6 kB for each axis; 1.4 kB of stack and 8.8 kB of code on a Cortex-M0+.
+/// Memory: 1.7 kB for each axis.
 ///
 /// Cost: bounded for every call, and all of it integers. It walks the history since the last frame (an entry
 /// a millisecond, at most 500) and the last `frames_max` + 2 samples once, at five knots: some 16 000

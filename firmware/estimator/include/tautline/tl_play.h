@@ -7,7 +7,8 @@
 /// lie on the same two envelopes.
 /// Call tl_play_step() on every encoder sample; samples may be any distance apart as long as the motor did not
 /// turn back between them. O(1): two compares inside the backlash, one inverse on an envelope, at most
-/// 520 cycles on a Cortex-M0+, 1200 with seven elements; no division. 60 bytes. Not for use by two threads at once.
+/// 520 cycles on a Cortex-M0+, 1200 with seven elements; no division. Memory: 64 bytes. Not for use by two threads at
+/// once.
 #ifndef TAUTLINE_TL_PLAY_H
 #define TAUTLINE_TL_PLAY_H
 

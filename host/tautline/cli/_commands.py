@@ -1,0 +1,145 @@
+"""What `taut` can do: its commands in groups, the line that `taut --help` shows of each, and how each is typed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Command:
+    """`module` tautline.cli.NAME holds a click command called `command`."""
+
+    name: str
+    says: str
+    example: str
+
+
+GROUPS: dict[str, tuple[Command, ...]] = {
+    "Begin": (
+        Command("demo", "the whole job on a simulated instrument, without hardware", "taut demo --out tautline-demo"),
+        Command(
+            "simulate",
+            "make a recording with a simulated instrument and endoscope",
+            "taut simulate --out session --reversals 12 --amplitude 2.5 --speed 4",
+        ),
+        Command(
+            "explain",
+            "what a message means: an effect, a reason, a fault, a key of rig.toml, a term",
+            "taut explain transmission.creep",
+        ),
+    ),
+    "Measure and use": (
+        Command(
+            "calibrate",
+            "measure B(q) and f_remain from a recording, or live from a board and a camera",
+            "taut calibrate session --rig rig.toml --out monday",
+        ),
+        Command(
+            "predict",
+            "what a model says the tip does under a recorded motor motion",
+            "taut predict monday session --csv predicted.csv",
+        ),
+        Command(
+            "compensate",
+            "motor set-points that lead the tip along a trajectory, for any motor",
+            "taut compensate monday --trajectory path.csv --csv q.csv",
+        ),
+        Command(
+            "diagnose",
+            "where model and instrument part, which effect is the cause, how far the gap shrinks",
+            "taut diagnose session tuesday --rig rig.toml --out diagnosis",
+        ),
+        Command(
+            "track",
+            "how a model would have been kept calibrated while the instrument was used",
+            "taut track monday session --csv rows.csv",
+        ),
+        Command("compare", "how B and f_remain changed between models", "taut compare monday friday"),
+        Command("report", "write a model's report again", "taut report monday"),
+        Command(
+            "shapes",
+            "remember a model for each shape of the shaft, and recall it",
+            "taut shapes list shapes",
+        ),
+    ),
+    "In and out": (
+        Command(
+            "import",
+            "recordings out of a ROS bag, an MCAP file, a LeRobot data set or a CSV",
+            "taut import log.mcap --rig rig.toml --out session",
+        ),
+        Command(
+            "export",
+            "write a recording, model or diagnosis for a log viewer, a simulator or a motor controller",
+            "taut export session --to mcap --out session.mcap",
+        ),
+        Command(
+            "rig",
+            "make a rig.toml: the camera from a board, its place from known angles, the rest by asking",
+            "taut rig --board board.avi --squares 8x6 --square-mm 4 --marker-mm 3 --motion known",
+        ),
+        Command("marker", "pick the marker's colour, once", "taut marker 0"),
+    ),
+    "With a board": (
+        Command("boards", "list the boards that are attached, with their firmware and protocol", "taut boards"),
+        Command(
+            "commission",
+            "put a motor into service: polarity, scale, current, ends and servo gains, stored on the board",
+            "taut commission --rig rig.toml",
+        ),
+        Command(
+            "home",
+            "find an axis' mechanical end at low drive, so that the board knows its position",
+            "taut home --rig rig.toml",
+        ),
+        Command("clear", "clear a board's faults, and say which they were and what mends them", "taut clear"),
+        Command("flash", "load a model's tables into a board and read them back", "taut flash monday"),
+        Command(
+            "follow",
+            "follow a trajectory of the tip, with or without compensation",
+            "taut follow monday --camera 0 --trajectory path.csv",
+        ),
+        Command("stream", "send tip set-points at 200 Hz or more, for teleoperation", "taut stream monday"),
+        Command(
+            "record",
+            "record motor, marker and video from a board and a camera",
+            "taut record --camera 0 --rig rig.toml --out session",
+        ),
+        Command("monitor", "watch a board's axes live", "taut monitor"),
+        Command(
+            "watch",
+            "keep a model calibrated while the instrument is used, live",
+            "taut watch monday --camera 0 --rig rig.toml",
+        ),
+    ),
+    "Try it out": (
+        Command(
+            "blindtest",
+            "diagnose instruments whose effect is withheld, then open the labels and score",
+            "taut blindtest --out campaign --quick",
+        ),
+        Command(
+            "inject",
+            "let a fault happen on a simulated board, and see what is said of it",
+            "taut inject STALL",
+        ),
+    ),
+}
+COMMANDS = {command.name: command for group in GROUPS.values() for command in group}
+
+
+@dataclass
+class Said:
+    """What of a command is out already: the context's object."""
+
+    result: bool = False
+
+
+# Of every command.
+EXIT_STATUS = {
+    0: "done",
+    1: "an error: one line on stderr says what is wrong and what to do",
+    2: "a command line that cannot be understood",
+    3: "a calibration that is unusable; what can be looked at is written",
+    130: "stopped by Ctrl-C; what was recorded so far is kept",
+}

@@ -1,0 +1,255 @@
+"""taut rig [--board PICTURES --motion RECORDING] --out rig.toml"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import click
+import cv2
+import matplotlib as mpl
+import numpy as np
+import tomli_w
+from matplotlib.figure import Figure
+
+from tautline import figures
+from tautline.cli._common import emit, json_option, log, progress_bar, warn
+from tautline.errors import TautError
+from tautline.folders import write_file
+from tautline.geometry import project
+from tautline.recording import load
+from tautline.rig import ANGLE, FORMAT, MARKER, Coarse, Rig, Sensor
+from tautline.rigging import (
+    DICTIONARIES,
+    Board,
+    HandEyeFit,
+    Intrinsics,
+    Places,
+    coarse,
+    hand_eye,
+    intrinsics,
+    places_of,
+    read_known,
+)
+from tautline.rigging import keys as rig_keys
+from tautline.vision.camera import sample_video
+from tautline.vision.marker import with_marker
+
+_VIEWS = 60  # of a video
+_FOCAL_SHARE = 0.005  # sigma of the focal length: it goes into every angle as it is
+_RIVAL = 9.0  # a pose that is as far off is left at 3 sigma
+_STRAYS = 2.0  # times what was stated
+
+
+class _Squares(click.ParamType):  # type: ignore[type-arg]
+    name = "ACROSSxDOWN"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        try:
+            across, down = (int(part) for part in str(value).lower().split("x"))
+        except ValueError:
+            self.fail(f"'{value}' are no squares: write how many across and down, as in 8x6", param, ctx)
+        return across, down
+
+
+@click.command("rig")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    default=Path("rig.toml"),
+    show_default=True,
+    help="The file to write; one that is there is kept unless --from names it.",
+)
+@click.option(
+    "--from", "start", type=click.Path(path_type=Path), help="A rig.toml to start from: what it says is not asked."
+)
+@click.option("--set", "given", multiple=True, metavar="KEY=VALUE", help="A key's value, as in actuator.range=-5,5.")
+@click.option("--sensor", type=click.Choice([MARKER, ANGLE]), help="What sees the tip: a camera, or an angle sensor.")
+@click.option("--board", multiple=True, type=click.Path(path_type=Path), help="A video or pictures of a ChArUco board.")
+@click.option("--squares", type=_Squares(), help="Of the board, across and down.")
+@click.option("--square-mm", type=click.FloatRange(0.0, min_open=True), help="A square's side, measured on the print.")
+@click.option("--marker-mm", type=click.FloatRange(0.0, min_open=True), help="The side of a marker in a square.")
+@click.option("--dictionary", type=click.Choice(sorted(DICTIONARIES)), default="4X4_50", show_default=True)
+@click.option("--motion", type=click.Path(path_type=Path), help="A recording in which the tip rests at known angles.")
+@click.option(
+    "--angles",
+    type=click.Path(path_type=Path),
+    help="CSV with t_s,c_deg: when the tip came to rest for a second, and at which angle.",
+)
+@click.option(
+    "--angle-sigma",
+    type=click.FloatRange(0.0),
+    default=0.5,
+    show_default=True,
+    help="How exactly the angles are known, deg.",
+)
+@json_option
+def command(
+    out: Path, start: Path | None, given: tuple[str, ...], sensor: Sensor | None, board: tuple[Path, ...],
+    squares: tuple[int, int] | None, square_mm: float | None, marker_mm: float | None, dictionary: str,
+    motion: Path | None, angles: Path | None, angle_sigma: float, as_json: bool,
+) -> None:  # fmt: skip
+    """Makes a rig.toml: measures what a board and a motion show, and asks for the rest.
+
+    --board gives the camera's intrinsics, --motion where it looks from and the coarse law. In a terminal each key that
+    is left is asked for; elsewhere it is named.
+    """
+    if out.exists() and (start is None or start.resolve() != out.resolve()):
+        raise TautError(f"{out}: is there already: go on from it with --from {out}, or name another with --out")
+    document: rig_keys.Document = Rig.load(start).to_document() if start is not None else {"format": FORMAT}
+    for text in given:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise TautError(f"--set {text}: write KEY=VALUE, as in actuator.range=-5,5")
+        rig_keys.put(document, *rig_keys.named(name.strip()), value)
+    sensor = sensor or (MARKER if board or motion or "camera" in document else _asked_sensor())
+    result: dict[str, Any] = {"file": out, "sensor": sensor}
+    told: list[str] = []
+    if board:
+        seen = _intrinsics(board, squares, square_mm, marker_mm, dictionary)
+        document["camera"] = {**document.get("camera", {}), **seen.camera()}
+        result["camera"] = {"sigma": seen.sigma, "rms_px": seen.rms_px, "views": seen.views, "of": seen.of}
+        told.append(seen.told())
+    if motion is not None:
+        for part in ("coarse", "hand_eye"):
+            document.pop(part, None)
+        _ask(document, sensor, without=("coarse", "hand_eye"))
+        places, found, line, left_deg = _moved(document, motion, angles, angle_sigma)
+        document["coarse"] = _rounded(asdict(line))
+        document["hand_eye"] = _rounded(asdict(found.hand_eye))
+        told += [
+            found.told(),
+            f"coarse: gain {line.gain:.4g} deg per {document['actuator']['unit']}, offset {line.offset:.3g} deg; "
+            f"{left_deg:.2g} deg are left, play among it",
+        ]
+        result["hand_eye"] = {
+            "sigma": found.sigma,
+            "left_px": found.left_px,
+            "strays": found.strays,
+            "angle_sigma_deg": [found.measures_deg.min(), found.measures_deg.max()],
+            "places": len(places.c_deg),
+        }
+    _ask(document, sensor)
+    document = rig_keys.complete(document, sensor)
+    rig = Rig.from_document(document, str(out))
+    write_file(out, tomli_w.dumps(document))
+    if motion is not None:
+        result["picture"] = picture = out.with_suffix(".png")
+        _picture(rig, places).savefig(picture, dpi=120)
+        told.append(f"look at {picture}: the curve passes through the marker's places, angles rise where they should")
+    emit(result, as_json, "\n".join([*told, f"{out} is whole: taut calibrate RECORDING --rig {out}"]))
+
+
+def _asked_sensor() -> Sensor:
+    if not sys.stdin.isatty():
+        return MARKER
+    return MARKER if click.confirm("Does a camera see a marker on the tip (else an angle sensor)?", True) else ANGLE
+
+
+def _ask(document: rig_keys.Document, sensor: Sensor, without: tuple[str, ...] = ()) -> None:
+    """Each key that is left, in a terminal; TautError with all of them elsewhere."""
+    left = [(section, key) for section, key in rig_keys.missing(document, sensor) if section.name not in without]
+    if left and not sys.stdin.isatty():
+        raise TautError(
+            "not known yet, with a value as an example"
+            + (" (--board measures the camera, --motion its place): " if sensor == MARKER else ": ")
+            + " ".join(f"--set {s.name}.{k.name}={_compact(rig_keys.example(k))}" for s, k in left)
+        )
+    section_said = ""
+    for section, key in left:
+        if section.name != section_said:
+            log(f"\n[{section.name}] {section.says}")
+            section_said = section.name
+        log(f"  {key.says}" + (f" (if it is wrong: {key.wrong})" if key.wrong else ""))
+        while True:
+            try:
+                text = click.prompt(f"  {section.name}.{key.name}, such as {rig_keys.example(key)}", err=True)
+                rig_keys.put(document, section, key, text)
+                break
+            except TautError as error:
+                log(f"  {error}")
+
+
+def _compact(text: str) -> str:
+    return text.replace(" ", "")
+
+
+def _intrinsics(
+    sources: tuple[Path, ...],
+    squares: tuple[int, int] | None,
+    square_mm: float | None,
+    marker_mm: float | None,
+    dictionary: str,
+) -> Intrinsics:
+    if squares is None or square_mm is None or marker_mm is None:
+        raise TautError("--board needs --squares, --square-mm and --marker-mm, as they are on the print")
+    pictures = []
+    for source in sources:
+        if cv2.haveImageReader(str(source)):
+            picture = cv2.imread(str(source), cv2.IMREAD_COLOR)
+            if picture is None:
+                raise TautError(f"{source}: cannot be read as a picture: is it whole?")
+            pictures.append(picture)
+        else:
+            pictures += sample_video(source, _VIEWS)
+    with progress_bar("board") as progress:
+        seen = intrinsics(pictures, Board(*squares, square_mm, marker_mm, dictionary), progress)
+    share = float(seen.sigma[0] / seen.values[0])
+    if share > _FOCAL_SHARE:
+        warn(f"the focal length is known to {100 * share:.1f} % only: tilt the board by 30 deg and more, both ways")
+    return seen
+
+
+def _moved(
+    document: rig_keys.Document, motion: Path, angles: Path | None, angle_sigma: float
+) -> tuple[Places, HandEyeFit, Coarse, float]:
+    known = read_known(angles or motion / "angles.csv")
+    unknown = {"rotation_deg": [0.0, 0.0, 0.0], "translation_mm": [0.0, 0.0, 0.0]}
+    so_far = Rig.from_document({**document, "coarse": {"gain": 1.0, "offset": 0.0}, "hand_eye": unknown}, "so far")
+    assert so_far.kinematics is not None and so_far.camera is not None
+    with progress_bar("marker") as progress:
+        recording = with_marker(load(motion, so_far), so_far, progress)
+    for text in recording.warnings:
+        warn(text)
+    places = places_of(recording, known)
+    line, left_deg = coarse(places)
+    found = hand_eye(places, so_far.kinematics, so_far.camera, angle_sigma)
+    if found.rival < _RIVAL:
+        warn("a pose from the other side of the instrument explains the places as well: spread the angles further")
+    if found.strays > _STRAYS:
+        warn(
+            f"the marker's places are {found.strays:.1f} times further off than pixels and angles of "
+            f"{angle_sigma:g} deg explain: are the angles' signs and the kinematics' lengths right?"
+        )
+    return places, found, line, left_deg
+
+
+def _rounded(section: dict[str, Any]) -> dict[str, Any]:
+    """To 9 digits, far below every sigma: a file that can be read."""
+
+    def short(value: float) -> float:
+        return float(f"{value:.9g}")
+
+    return {key: [short(x) for x in v] if isinstance(v, tuple) else short(v) for key, v in section.items()}
+
+
+@mpl.rc_context(figures.STYLE)
+def _picture(rig: Rig, places: Places) -> Figure:
+    """The camera's view: the marker's places with their angles, and the curve on which the rig expects them."""
+    assert rig.camera is not None
+    low, high = (f(axis=0) for f in (places.image_px.min, places.image_px.max))
+    half = 0.6 * float(np.max(high - low)) * np.array([1.0, 0.5]) + 10.0
+    (left, top), (right, bottom) = (low + high) / 2 - half, (low + high) / 2 + half
+    made, axes = figures.figure(7.0, 4.4)
+    ax = axes[0, 0]
+    curve = project(rig, np.linspace(places.c_deg.min(), places.c_deg.max(), 200))
+    ax.plot(*curve.T, color=figures.MODEL, linewidth=1.2, label="where rig.toml expects the marker")
+    ax.plot(*places.image_px.T, "o", color=figures.UP, markersize=4, label="where it was seen")
+    for c_deg, at in zip(places.c_deg, places.image_px, strict=True):
+        ax.annotate(f"{c_deg:.0f}°", at, (0, 7), textcoords="offset points", fontsize=8, ha="center")
+    ax.set(xlim=(left, right), ylim=(bottom, top), xlabel="u (px)", ylabel="v (px)")
+    ax.set_aspect("equal")
+    made.legend(loc="outside lower center", ncols=2)
+    return made

@@ -1,0 +1,50 @@
+"""Where a motor was: made of its readings in one place, for predict, diagnosis and exports."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.encoder import cut, straight_lines
+from tautline.recording import Motor
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class MotorPath:
+    """q(t) as straight lines between knots, held before the first and after the last; other axes ride along."""
+
+    readings: Motor  # up to the horizon
+    lines: Motor  # the knots
+
+    @classmethod
+    def of(cls, readings: Motor, resolution: float, until_s: float = np.inf) -> Self:
+        """By the readings up to a horizon, s; resolution: the encoder's step. The same readings make the same path."""
+        known = readings if until_s >= readings.t_s[-1] else cut(readings, until_s)
+        return cls(known, straight_lines(known, resolution))
+
+    def at(self, t_s: Array) -> Array:
+        """q at times (n,), its unit."""
+        return np.asarray(np.interp(t_s, self.lines.t_s, self.lines.q))
+
+    def others_at(self, t_s: Array) -> tuple[Array, Array]:
+        """translation (n,) mm and rotation (n,) deg; 0 where they are not recorded."""
+        columns = self.lines.translation_mm, self.lines.rotation_deg
+        translation, rotation = (
+            np.zeros_like(t_s) if values is None else np.asarray(np.interp(t_s, self.lines.t_s, values))
+            for values in columns
+        )
+        return translation, rotation
+
+    @cached_property
+    def sigma(self) -> float:
+        """One standard deviation of q(t), its unit, by the scatter of the readings: what the lines leave of them, less
+        as many of them as there are go into a line. How far lines are from a curved path, up to a count or what no
+        camera sees, is not in it."""
+        left = float(np.sqrt(np.mean((self.readings.q - self.at(self.readings.t_s)) ** 2)))
+        return left * float(np.sqrt(min(len(self.lines.t_s) / len(self.readings.t_s), 1.0)))

@@ -1,0 +1,120 @@
+"""A camera's intrinsics from pictures of a ChArUco board, by OpenCV's own functions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from tautline.errors import TautError
+from tautline.vision.marker import Progress
+
+Array = npt.NDArray[np.float64]
+DICTIONARIES = {
+    name.removeprefix("DICT_"): getattr(cv2.aruco, name)
+    for name in dir(cv2.aruco)
+    if name.startswith(("DICT_4X4", "DICT_5X5", "DICT_6X6", "DICT_7X7"))
+}
+_LEAST_CORNERS = 6  # of a view: a homography's four and two that check it
+_LEAST_VIEWS = 4  # two give five intrinsics; a view that is off must not decide
+
+
+@dataclass(frozen=True)
+class Board:
+    """A ChArUco board as it was printed: squares across and down, a square's and a marker's side in mm."""
+
+    columns: int
+    rows: int
+    square_mm: float
+    marker_mm: float
+    dictionary: str = "4X4_50"
+
+    def opencv(self) -> cv2.aruco.CharucoBoard:
+        """Raises TautError where no such board can be."""
+        if not 0.0 < self.marker_mm < self.square_mm:
+            raise TautError(
+                f"a marker of {self.marker_mm:g} mm does not lie within a square of {self.square_mm:g} mm: measure both"
+            )
+        dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARIES[self.dictionary])
+        try:
+            return cv2.aruco.CharucoBoard((self.columns, self.rows), self.square_mm, self.marker_mm, dictionary)
+        except cv2.error as error:
+            raise TautError(
+                f"no board of {self.columns} x {self.rows} squares can be made of {self.dictionary}: "
+                "it has 3 x 3 or more, and the dictionary a marker for every second one"
+            ) from error
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """With the standard deviation of each (cv2.calibrateCameraExtended's)."""
+
+    size: tuple[int, int]  # width, height, px
+    values: Array  # (9,): fx fy cx cy in px, k1 k2 p1 p2 k3
+    sigma: Array  # (9,)
+    rms_px: float  # of the corners about what is fitted
+    views: int  # that the board was found in
+    of: int
+
+    def camera(self) -> dict[str, Any]:
+        """The keys of rig.toml's [camera] that they give."""
+        width, height = self.size
+        fx, fy, cx, cy, *distortion = self.values.tolist()
+        keys = {"width_px": width, "height_px": height, "fx_px": fx, "fy_px": fy, "cx_px": cx, "cy_px": cy}
+        return {**keys, "distortion": distortion}
+
+    def told(self) -> str:
+        fx, fy, cx, cy = self.values[:4]
+        s = self.sigma
+        return (
+            f"camera: fx {fx:.1f} +- {s[0]:.1f}, fy {fy:.1f} +- {s[1]:.1f}, centre {cx:.1f} +- {s[2]:.1f}, "
+            f"{cy:.1f} +- {s[3]:.1f} px; {self.views} of {self.of} pictures show the board, "
+            f"its corners lie within {self.rms_px:.2g} px"
+        )
+
+
+def intrinsics(pictures: Sequence[npt.NDArray[Any]], board: Board, progress: Progress | None = None) -> Intrinsics:
+    """Of BGR or grey pictures of one size. k3 is fitted only where the corners ask for it by the Bayesian information
+    criterion: over a moderate view it is hardly told from k1 and k2. Raises TautError where too few show the board."""
+    opencv = board.opencv()
+    detector = cv2.aruco.CharucoDetector(opencv)
+    objects, images = [], []
+    size = (pictures[0].shape[1], pictures[0].shape[0])
+    for k, picture in enumerate(pictures):
+        if progress is not None:
+            progress(k / len(pictures), "looking for the board")
+        if (picture.shape[1], picture.shape[0]) != size:
+            raise TautError(
+                f"picture {k + 1} has {picture.shape[1]} x {picture.shape[0]} px, the first {size[0]} x {size[1]}: "
+                "take all of the size that is recorded later"
+            )
+        corners, ids, _, _ = detector.detectBoard(picture)
+        if ids is None or len(ids) < _LEAST_CORNERS:
+            continue
+        there, image = opencv.matchImagePoints(list(corners), ids)
+        if np.linalg.matrix_rank(there[:, 0, :2] - there[0, 0, :2], tol=1e-6) == 2:  # not all on a line
+            objects.append(there)
+            images.append(image)
+    if len(objects) < _LEAST_VIEWS:
+        raise TautError(
+            f"{len(objects)} of {len(pictures)} pictures show a ChArUco board of {board.columns} x {board.rows} "
+            f"squares of {board.dictionary}, {_LEAST_VIEWS} are needed: are --squares and --dictionary the print's, "
+            "and is it sharp?"
+        )
+    numbers = 2 * sum(len(o) for o in objects)
+    without, with_k3 = (_fit(objects, images, size, flags) for flags in (cv2.CALIB_FIX_K3, 0))
+    asked_for = 2.0 * numbers * np.log(without[0] / with_k3[0]) > np.log(numbers)
+    rms, values, sigma = with_k3 if asked_for else without
+    return Intrinsics(size, values, sigma, rms, len(objects), len(pictures))
+
+
+def _fit(objects: Any, images: Any, size: tuple[int, int], flags: int) -> tuple[float, Array, Array]:
+    rms, matrix, distortion, _, _, sigma, _, _ = cv2.calibrateCameraExtended(
+        objects, images, size, np.eye(3), np.zeros(5), flags=flags
+    )
+    values = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *distortion.ravel()[:5]])
+    return float(rms), values, np.asarray(sigma, dtype=float).ravel()[:9]

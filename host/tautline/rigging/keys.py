@@ -1,0 +1,64 @@
+"""The keys of rig.toml that nothing has told yet, and values as somebody types them."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from tautline.errors import TautError
+from tautline.rig import ANGLE, MARKER, SECTIONS, Sensor
+from tautline.schema import Key, Section
+
+Document = dict[str, Any]
+_OF: Mapping[Sensor, tuple[str, ...]] = {
+    MARKER: ("actuator", "coarse", "kinematics", "camera", "hand_eye"),
+    ANGLE: ("actuator", "coarse", "angle"),
+}
+
+
+def put(document: Document, section: Section, key: Key, text: str) -> None:
+    """A value as it is typed: TOML, a bare word, or numbers with commas. Raises TautError where the key refuses it."""
+    bare = text.strip()
+    if key.kind == "text" and not bare.startswith(('"', "'")):
+        bare = f'"{bare}"'
+    if key.kind == "numbers" and not bare.startswith("["):
+        bare = f"[{bare}]"
+    name = f"{section.name}.{key.name}"
+    try:
+        value = tomllib.loads(f"value = {bare}")["value"]
+    except tomllib.TOMLDecodeError as error:
+        raise TautError(f"{name} is {text!r}, expected {key.expected}, as in {example(key)}") from error
+    document.setdefault(section.name, {})[key.name] = _kept(key.read(value, name, "as given"))
+
+
+def named(name: str) -> tuple[Section, Key]:
+    """`section.key`. Raises TautError where rig.toml has no such key."""
+    section = SECTIONS.get(name.partition(".")[0])
+    key = next((k for k in section.keys if k.name == name.partition(".")[2]), None) if section else None
+    if section is None or key is None:
+        raise TautError(f"rig.toml has no key {name}: 'taut explain rig' lists them")
+    return section, key
+
+
+def missing(document: Mapping[str, Any], sensor: Sensor) -> Iterator[tuple[Section, Key]]:
+    """What a rig with this sensor needs and is not told, in the order of the file."""
+    for name in _OF[sensor]:
+        for key in SECTIONS[name].keys:
+            if key.needed and key.name not in document.get(name, {}):
+                yield SECTIONS[name], key
+
+
+def complete(document: Document, sensor: Sensor) -> Document:
+    """In the file's order, with the sensor's section though it may hold nothing."""
+    names = [name for name in SECTIONS if name in _OF[sensor]]
+    ordered = {"format": document["format"], **{name: document.get(name, {}) for name in names}}
+    return {**ordered, **{key: value for key, value in document.items() if key not in ordered}}
+
+
+def example(key: Key) -> str:
+    return ", ".join(f"{v:g}" for v in key.example) if isinstance(key.example, list) else str(key.example)
+
+
+def _kept(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value

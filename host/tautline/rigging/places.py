@@ -1,0 +1,79 @@
+"""A motion through known angles: where the marker and the motor stood at each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline import layouts
+from tautline.columns import read_columns
+from tautline.errors import TautError
+from tautline.recording import Recording
+from tautline.rig import Coarse
+
+Array = npt.NDArray[np.float64]
+SETTLES_S = 0.3  # after a stated time: a frame's age, and what rings
+STANDS_S = 1.0  # from a stated time on
+_LEAST_FRAMES = 5
+_LEAST_PLACES = 4  # a pose has six numbers and a place gives two; one place checks them
+_MOVES = 1e-2  # of the motor's travel: what moves more does not rest
+
+
+@dataclass(frozen=True)
+class Known:
+    """The tip came to rest at t_s (n,) on the recording's clock, at c_deg (n,)."""
+
+    t_s: Array
+    c_deg: Array
+
+
+@dataclass(frozen=True)
+class Places:
+    c_deg: Array  # (n,) as stated
+    image_px: Array  # (n, 2) the marker's mean
+    sigma_px: Array  # (n,) of that mean, of each coordinate
+    q: Array  # (n,) the motor's mean
+
+
+def read_known(file: Path) -> Known:
+    """A CSV with t_s,c_deg: a row for each angle at which the tip was brought to rest for a second."""
+    columns = read_columns(file, layouts.ANGLE.required(), layouts.ANGLE.header(), mend=False)
+    return Known(columns.rising_times(), columns.finite("c_deg"))
+
+
+def places_of(recording: Recording, known: Known) -> Places:
+    """Raises TautError where the tip did not rest, or the marker was not seen."""
+    marker, motor = recording.marker, recording.motor
+    if marker is None:
+        raise TautError(f"{recording.name}: holds no marker: record a video of the motion, or a marker.csv")
+    if len(known.t_s) < _LEAST_PLACES:
+        raise TautError(f"{len(known.t_s)} known angles, {_LEAST_PLACES} are needed, better 8: add rows to the file")
+    travel = float(np.ptp(motor.q))
+    image, sigma, q = [], [], []
+    for t_s, c_deg in zip(known.t_s.tolist(), known.c_deg.tolist(), strict=True):
+        rests = (motor.t_s >= t_s) & (motor.t_s <= t_s + STANDS_S)
+        seen = (marker.t_s >= t_s + SETTLES_S) & (marker.t_s <= t_s + STANDS_S) & marker.valid
+        what = f"{recording.name}: the rest at {t_s:g} s, {c_deg:g} deg,"
+        if rests.sum() < 2:
+            raise TautError(f"{what} lies outside of the motor's log: are the times those of its clock?")
+        if np.ptp(motor.q[rests]) > _MOVES * travel:
+            raise TautError(f"{what} is none: the motor moves in the {STANDS_S:g} s after it; say when it has stopped")
+        if seen.sum() < _LEAST_FRAMES:
+            raise TautError(f"{what} shows the marker in {seen.sum()} frames: it has to be in the picture there")
+        uv = np.column_stack([marker.u_px[seen], marker.v_px[seen]])
+        image.append(uv.mean(axis=0))
+        sigma.append(float(np.sqrt(uv.var(axis=0, ddof=1).mean() / seen.sum())))
+        q.append(float(motor.q[rests].mean()))
+    return Places(known.c_deg, np.array(image), np.array(sigma), np.array(q))
+
+
+def coarse(places: Places) -> tuple[Coarse, float]:
+    """f_coarse by least squares over the places, and the rms of what it leaves, deg: play and curvature are in it."""
+    if np.ptp(places.q) <= 0.0:
+        raise TautError("the motor stood at one place for all known angles: is the log that of the motion?")
+    gain, offset = np.polyfit(places.q, places.c_deg, 1)
+    left = places.c_deg - gain * places.q - offset
+    return Coarse(float(gain), float(offset)), float(np.sqrt(np.mean(left**2)))

@@ -1,0 +1,119 @@
+"""Where the camera is, from the marker's places at known angles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from tautline.errors import TautError
+from tautline.geometry import project_with_slope, tip_bend
+from tautline.rig import Actuator, Camera, Coarse, HandEye, Kinematics, Rig
+from tautline.rigging.places import Places
+
+Array = npt.NDArray[np.float64]
+_TRACKER_PX = 0.05  # what a marker is placed off by where it stands (docs/marker.md): no mean goes below it
+_LEAST_DEG = 1e-6
+_SINGULAR = 1e12  # condition of the scaled information: double precision has no pose left beyond it
+
+
+@dataclass(frozen=True)
+class HandEyeFit:
+    hand_eye: HandEye
+    sigma: Array  # (6,): rx ry rz in deg, x y z in mm
+    left_px: float  # rms per coordinate of what is left
+    strays: float  # the same over what was stated: 1 where pixels and angles are as exact as said
+    measures_deg: Array  # (m,) over the angles' range: sigma of an angle that is measured with this pose
+    rival: float  # the sum of squares that the other pose of a planar curve leaves more, in those of this one's spread
+
+    def told(self) -> str:
+        rx, ry, rz = self.hand_eye.rotation_deg
+        x, y, z = self.hand_eye.translation_mm
+        s = self.sigma
+        return (
+            f"hand_eye: rotation {rx:.2f} +- {s[0]:.2f}, {ry:.2f} +- {s[1]:.2f}, {rz:.2f} +- {s[2]:.2f} deg, "
+            f"translation {x:.2f} +- {s[3]:.2f}, {y:.2f} +- {s[4]:.2f}, {z:.2f} +- {s[5]:.2f} mm; angles that are "
+            f"measured with it: +- {self.measures_deg.min():.2g} to {self.measures_deg.max():.2g} deg"
+        )
+
+
+def hand_eye(places: Places, kinematics: Kinematics, camera: Camera, angle_sigma_deg: float) -> HandEyeFit:
+    """Least squares over the pose and the true angles, which are stated to `angle_sigma_deg`, from both poses that a
+    planar curve allows (cv2.SOLVEPNP_IPPE). Sigma grows with what is left above what was stated. Raises TautError where
+    the places do not tell a pose."""
+    sigma_px = np.hypot(places.sigma_px, _TRACKER_PX)
+    sigma_c = max(angle_sigma_deg, _LEAST_DEG)
+
+    def seen(pose: Array, c_deg: Array) -> tuple[Array, Array]:
+        return project_with_slope(_rig(kinematics, camera, pose), c_deg)
+
+    def residuals(x: Array) -> Array:
+        off = (seen(x[:6], x[6:])[0] - places.image_px) / sigma_px[:, None]
+        return np.concatenate([np.nan_to_num(off, nan=1e6).ravel(), (x[6:] - places.c_deg) / sigma_c])
+
+    starts = _starts(places, kinematics, camera)
+    fits = [least_squares(residuals, np.concatenate([s, places.c_deg]), x_scale="jac", method="lm") for s in starts]
+    fits.sort(key=lambda fit: float(fit.cost))
+    best = fits[0]
+    slopes = np.asarray(best.jac, dtype=float)
+    information: Array = slopes.T @ slopes
+    scale = np.sqrt(np.diag(information))
+    if not np.isfinite(best.cost) or np.linalg.cond(information / np.outer(scale, scale)) > _SINGULAR:
+        raise TautError("these angles do not tell where the camera is: spread 8 or more over the range")
+    strays = float(np.sqrt(2.0 * best.cost / (2 * len(places.c_deg) - 6)))
+    spread = max(strays, 1.0) ** 2
+    covariance: Array = np.linalg.inv(information)[:6, :6].astype(np.float64) * spread
+    pose = best.x[:6]
+    off = residuals(best.x)[: 2 * len(sigma_px)].reshape(-1, 2) * sigma_px[:, None]
+    apart = [fit for fit in fits[1:] if np.abs(fit.x[:6] - pose).max() > 1e-3 * np.abs(pose).max()]
+    return HandEyeFit(
+        _rig(kinematics, camera, pose).hand_eye or HandEye((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+        np.sqrt(np.diag(covariance)),
+        float(np.sqrt(np.mean(off**2))),
+        strays,
+        _measures(seen, pose, covariance, places.c_deg),
+        min((2.0 * float(fit.cost - best.cost) / spread for fit in apart), default=np.inf),
+    )
+
+
+def _rig(kinematics: Kinematics, camera: Camera, pose: Array) -> Rig:
+    rx, ry, rz, x, y, z = pose.tolist()
+    unused = Actuator("mm", (-1.0, 1.0), 1.0), Coarse(1.0, 0.0)
+    return Rig(*unused, kinematics, camera, HandEye((rx, ry, rz), (x, y, z)))
+
+
+def _starts(places: Places, kinematics: Kinematics, camera: Camera) -> list[Array]:
+    """(6,) rx ry rz, x y z of each pose that the planar curve allows."""
+    turned = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # the bending plane becomes z = 0
+    flat = tip_bend(kinematics, places.c_deg) @ turned.T
+    middle = flat.mean(axis=0)
+    _, turns, shifts, _ = cv2.solvePnPGeneric(
+        flat - middle, places.image_px, camera.matrix, np.array(camera.distortion), flags=cv2.SOLVEPNP_IPPE
+    )
+    starts = []
+    for turn, shift in zip(turns, shifts, strict=True):
+        matrix = cv2.Rodrigues(turn)[0]
+        angles = Rotation.from_matrix(matrix @ turned).as_euler("xyz", degrees=True)  # Rz Ry Rx, as in rig.toml
+        starts.append(np.concatenate([angles, shift.ravel() - matrix @ middle]))
+    return starts
+
+
+def _measures(
+    seen: Callable[[Array, Array], tuple[Array, Array]], pose: Array, covariance: Array, c_deg: Array
+) -> Array:
+    """Sigma of angles over the range: a pose that is off by dp moves the image by h_p dp, which is read as an angle
+    dc = -(h_c . h_p dp) / |h_c|^2."""
+    grid = np.linspace(c_deg.min(), c_deg.max(), 25)
+    slope = seen(pose, grid)[1]
+    step = 1e-4
+    reads = []
+    for one in np.eye(6) * step:
+        moved = (seen(pose + one, grid)[0] - seen(pose - one, grid)[0]) / (2.0 * step)
+        reads.append(-(slope * moved).sum(axis=1) / (slope * slope).sum(axis=1))
+    spread: Array = np.sqrt(np.einsum("kn,kl,ln->n", reads, covariance, reads))
+    return spread

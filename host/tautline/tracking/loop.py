@@ -1,0 +1,102 @@
+"""The tracker in a loop of one's own: motor samples as they come, frames as they arrive."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.errors import TautError
+from tautline.model import Model
+from tautline.rig import MARKER, Sensor
+from tautline.tracking.tracker import Change, LawTracker, Row, State
+
+Array = npt.NDArray[np.float64]
+
+
+class Tracker:
+    """Keeps a model calibrated while the instrument is used, row by row as `track` does from files.
+
+    `motor` takes the samples that came since, `see` a frame once the samples up to its scene time are there; each
+    returns what was predicted for the frame before it was seen. Of samples beyond a frame nothing is used for it, so
+    it does not matter how many come at once.
+    """
+
+    def __init__(self, model: Model, sensor: Sensor | None = None) -> None:
+        """sensor: default the one that was calibrated with. TautError where the model's rig has no camera for it."""
+        self.model, self.sensor = model, sensor or model.sensor
+        self._laws = LawTracker(model, self.sensor)
+        self._delay_s = model.delay_of(self.sensor)
+        self.begin()
+
+    def begin(self) -> None:
+        """Another recording: its clock and where the tip is may be others, what was learnt stays."""
+        self._laws.begin()
+        self._frame_s = -np.inf  # the last frame's arrival
+        self._t_s = np.empty(0)  # of samples; those after the last frame wait for the next one
+        self._moved = np.empty((0, 4))  # q, translation, rotation, load
+        self._taken = 0  # of them
+
+    def motor(
+        self,
+        t_s: npt.ArrayLike,
+        q: npt.ArrayLike,
+        translation_mm: npt.ArrayLike | None = None,
+        rotation_deg: npt.ArrayLike | None = None,
+        load_mNm: npt.ArrayLike | None = None,
+    ) -> None:
+        """Samples (n,) or one, in order of time; q in the rig's unit, what is None at rest. TautError for times that do
+        not rise, or values that are not finite."""
+        times = np.atleast_1d(np.asarray(t_s, dtype=float))
+        columns = [times, np.atleast_1d(np.asarray(q, dtype=float))]
+        for values, absent in ((translation_mm, 0.0), (rotation_deg, 0.0), (load_mNm, np.nan)):
+            given = np.full(len(times), absent) if values is None else np.atleast_1d(np.asarray(values, dtype=float))
+            columns.append(given)
+        if any(column.shape != times.shape for column in columns):
+            raise TautError("the motor's samples and their times differ in number")
+        if not (np.diff(times, prepend=self._t_s[-1:]) > 0.0).all() or not np.isfinite(columns[:4]).all():
+            raise TautError("the motor's times must rise, and its positions be finite: begin() starts another clock")
+        done = max(self._taken - 1, 0)  # the last stays: its time is the least that may come
+        self._t_s = np.concatenate([self._t_s[done:], times])
+        self._moved = np.concatenate([self._moved[done:], np.column_stack(columns[1:])])
+        self._taken -= done
+
+    def see(self, t_s: float, *seen: float) -> Row:
+        """What was predicted for the frame that arrived at t_s, s; then what it shows is learnt from: u, v (px) and, if
+        known, their sigma; c (deg) of an angle sensor; nothing where the tip was not seen. TautError for a frame before
+        the last one, or before any motor sample."""
+        scene_s = t_s - self._delay_s
+        self._hand_over(scene_s)
+        if not t_s > self._frame_s:
+            raise TautError(f"a frame at {t_s:g} s after one at {self._frame_s:g} s: give frames in order of time")
+        if seen and (self.sensor == MARKER) != (len(seen) > 1):
+            raise TautError("a marker is seen at u, v (and sigma) px, an angle sensor's reading is one c in deg")
+        self._frame_s = t_s
+        row = self._laws.predict(scene_s, t_s)
+        if seen:
+            self._laws.see(*seen) if self.sensor == MARKER else self._laws.read(*seen)
+        return row
+
+    def _hand_over(self, scene_s: float) -> None:
+        upto = int(np.searchsorted(self._t_s, scene_s, side="right"))
+        if not np.isfinite(self._frame_s):
+            if not len(self._t_s):
+                raise TautError("no motor sample came before the first frame: motor(t, q) goes first")
+            upto = max(upto, 1)
+        if upto > self._taken:
+            new = slice(self._taken, upto)
+            self._laws.motor(self._t_s[new], self._moved[new, 0], self._moved[new, 1:])
+            self._taken = upto
+
+    @property
+    def state(self) -> State:
+        return self._laws.state
+
+    @property
+    def changes(self) -> list[Change]:
+        """The states so far, and why each began."""
+        return self._laws.changes
+
+    @property
+    def compensation(self) -> float:
+        """The share of the calibrated B that may be taken up: the lower bound that the evidence allows."""
+        return self._laws.compensation

@@ -1,0 +1,78 @@
+"""Results as values: two are equal where all that they hold is, they can be pickled, and they print in a line."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+_SHOWN = 3  # items of a sequence
+
+
+class Value:
+    """For frozen dataclasses made with eq=False and repr=False. What is cached on them is no part of them."""
+
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other) and _same_fields(self, other)
+
+    __hash__ = None  # type: ignore[assignment]  # arrays have none
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
+
+    def __repr__(self) -> str:
+        shown = (f"{field.name}={_shown(getattr(self, field.name))}" for field in fields(self) if field.repr)  # type: ignore[arg-type]
+        return f"{type(self).__name__}({', '.join(shown)})"
+
+
+def same(one: Any, other: Any) -> bool:
+    """Whether two hold the same: arrays and dataclasses element by element, NaN being equal to itself, tuples and lists
+    by what is in them."""
+    if one is other:
+        return True
+    if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
+        return _same_arrays(one, other)
+    if is_dataclass(one):
+        return type(one) is type(other) and _same_fields(one, other)
+    if isinstance(one, Mapping):
+        return (
+            isinstance(other, Mapping)
+            and one.keys() == other.keys()
+            and all(same(value, other[key]) for key, value in one.items())
+        )
+    if isinstance(one, tuple | list):
+        alike = isinstance(other, tuple | list) and len(one) == len(other)
+        return alike and all(same(a, b) for a, b in zip(one, other, strict=True))
+    return bool(one == other) or (one != one and other != other)
+
+
+def _same_arrays(one: Any, other: Any) -> bool:
+    if not (isinstance(one, np.ndarray) and isinstance(other, np.ndarray) and one.dtype == other.dtype):
+        return False
+    return bool(np.array_equal(one, other, equal_nan=one.dtype.kind in "fc"))
+
+
+def _same_fields(one: Any, other: Any) -> bool:
+    return all(same(getattr(one, field.name), getattr(other, field.name)) for field in fields(one) if field.compare)
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        shape = "x".join(map(str, value.shape))
+        if value.dtype.kind not in "fiu" or not np.isfinite(value).any():
+            return f"<{shape}>"
+        return f"<{shape}: {np.nanmin(value):.4g} to {np.nanmax(value):.4g}>"
+    if isinstance(value, Enum):
+        return str(value.value)
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, str | int) or value is None:
+        return repr(value)
+    if isinstance(value, tuple | list) and len(value) <= _SHOWN:
+        return f"({', '.join(map(_shown, value))})"
+    if isinstance(value, tuple | list | Mapping):
+        return f"<{len(value)}>"
+    return f"<{type(value).__name__}>"

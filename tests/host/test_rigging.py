@@ -1,0 +1,273 @@
+"""taut rig: a rig.toml out of pictures of a board and a motion through known angles."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from cli_runner import Taut
+from reference_instrument import PLANT, RIG
+
+from tautline import trajectory
+from tautline.calibration.calibrate import calibrate
+from tautline.geometry import project
+from tautline.recording import save
+from tautline.rig import Camera, Rig
+from tautline.rigging import Board, Places, hand_eye, intrinsics
+from tautline.rigging import keys as rig_keys
+from tautline.simulated.simulate import run, simulate
+
+BOARD = Board(8, 6, 4.0, 3.0)
+LENS = replace(RIG.camera, fx_px=515.0, fy_px=512.0, cx_px=352.0, cy_px=281.0, distortion=(-0.22, 0.06, 6e-4, -4e-4, 0))
+ANGLES = np.linspace(-50.0, 50.0, 9)
+
+
+@pytest.fixture
+def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
+    return Taut(monkeypatch, capsys)
+
+
+def pictures(camera: Camera, count: int, seed: int) -> list[np.ndarray]:
+    """A board that is held before the camera: each pixel's ray meets its plane; nothing of OpenCV's calibration."""
+    rng = np.random.default_rng(seed)
+    fine = 40  # px a mm of the print
+    width, height = 8 * 4.0, 6 * 4.0
+    print_ = BOARD.opencv().generateImage((int(width * fine / 4), int(height * fine / 4)), marginSize=0).astype(float)
+    v, u = np.mgrid[0 : camera.height_px, 0 : camera.width_px]
+    rays = rays_of(camera, u.ravel().astype(float), v.ravel().astype(float))
+    made = []
+    for _ in range(count):
+        tilt = np.radians([rng.uniform(-35, 35), rng.uniform(-35, 35), rng.uniform(-20, 20)])
+        turn = cv2.Rodrigues(tilt)[0]
+        middle = turn @ np.array([width / 2, height / 2, 0.0])
+        at = np.array([rng.uniform(-6, 6), rng.uniform(-5, 5), rng.uniform(32, 48)]) - middle
+        normal = turn[:, 2]
+        there = rays * ((normal @ at) / (rays @ normal))[:, None] - at
+        x, y = there @ turn[:, 0], there @ turn[:, 1]
+        seen = (x > 0) & (x < width) & (y > 0) & (y < height)
+        grid = [c.reshape(u.shape).astype(np.float32) * fine / 4 - 0.5 for c in (x, y)]
+        picture = cv2.remap(cv2.GaussianBlur(print_, (0, 0), 1.2), *grid, cv2.INTER_LINEAR)
+        picture = np.where(seen.reshape(u.shape), picture, 140.0) + rng.normal(0, 2.0, u.shape)
+        made.append(np.clip(picture, 0, 255).astype(np.uint8))
+    return made
+
+
+def rays_of(camera: Camera, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """(n, 3) directions with z = 1: Brown and Conrady's equations, turned round by iteration."""
+    k1, k2, p1, p2, k3 = camera.distortion
+    xd, yd = (u - camera.cx_px) / camera.fx_px, (v - camera.cy_px) / camera.fy_px
+    x, y = xd.copy(), yd.copy()
+    for _ in range(50):
+        r2 = x * x + y * y
+        radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+        x = (xd - 2 * p1 * x * y - p2 * (r2 + 2 * x * x)) / radial
+        y = (yd - p1 * (r2 + 2 * y * y) - 2 * p2 * x * y) / radial
+    return np.column_stack([x, y, np.ones_like(x)])
+
+
+@pytest.fixture(scope="module")
+def board_pictures() -> list[np.ndarray]:
+    return pictures(LENS, 14, 3)
+
+
+def test_a_board_gives_the_camera_within_its_sigma(board_pictures):
+    found = intrinsics(board_pictures, BOARD)
+    true = np.array([LENS.fx_px, LENS.fy_px, LENS.cx_px, LENS.cy_px, *LENS.distortion])
+    assert found.views >= 12
+    off = (found.values - true)[:4]
+    assert np.all(np.abs(off) < np.maximum(4.0 * found.sigma[:4], 0.2)), (off, found.sigma[:4])
+    assert found.sigma[0] < 2.0
+    u, v = (g.ravel() for g in np.meshgrid(np.linspace(60, 660, 9), np.linspace(60, 516, 7)))
+    camera = replace(LENS, **{k: tuple(x) if isinstance(x, list) else x for k, x in found.camera().items()})
+    between = rays_of(camera, u, v) - rays_of(LENS, u, v)
+    assert np.abs(between).max() < 3e-3  # of the focal length: 0.17 deg at the picture's ends
+
+
+def places(angle_sigma: float, seed: int, noise_px: float = 0.05, rig: Rig = RIG) -> Places:
+    rng = np.random.default_rng(seed)
+    image = project(rig, ANGLES + rng.normal(0.0, angle_sigma, len(ANGLES))) + rng.normal(0, noise_px, (9, 2))
+    return Places(ANGLES, image, np.full(9, 1e-3), ANGLES / 12.0)
+
+
+POSE = np.array([*RIG.hand_eye.rotation_deg, *RIG.hand_eye.translation_mm])
+
+
+@pytest.mark.parametrize("angle_sigma", [0.02, 0.5])
+def test_known_angles_give_the_pose_within_its_sigma(angle_sigma):
+    z, measured = [], []
+    for seed in range(40):
+        found = hand_eye(places(angle_sigma, seed), RIG.kinematics, RIG.camera, angle_sigma)
+        pose = np.array([*found.hand_eye.rotation_deg, *found.hand_eye.translation_mm])
+        z.append((pose - POSE) / found.sigma)
+        measured.append(found.measures_deg.max())
+        assert found.rival > 100.0
+    rms = np.sqrt(np.mean(np.square(z), axis=0))
+    assert np.all((rms > 0.5) & (rms < 1.5)), rms
+    assert np.mean(measured) < 1.2 * max(angle_sigma, 0.05)
+
+
+@pytest.mark.parametrize("rotation", [(0.0, 60.0, 0.0), (25.0, 10.0, 120.0), (4.0, -3.0, 180.0)])
+def test_a_camera_may_look_from_anywhere(rotation):
+    rig = replace(RIG, hand_eye=replace(RIG.hand_eye, rotation_deg=rotation, translation_mm=(-2.0, 3.0, 40.0)))
+    found = hand_eye(places(0.02, 1, rig=rig), rig.kinematics, rig.camera, 0.02)
+    again = project(replace(rig, hand_eye=found.hand_eye), ANGLES) - project(rig, ANGLES)
+    assert np.abs(again).max() < 0.3
+
+
+def rests() -> tuple[trajectory.Trajectory, list[float]]:
+    """A motion that rests at nine places, and when each rest has begun, s."""
+    steps = np.linspace(-4.5, 4.5, 9)
+    t, q, when = [0.0], [-5.0], []
+    for at in steps:
+        for wait, to in ((1.2, at), (1.6, at)):
+            t.append(t[-1] + wait)
+            q.append(to)
+        when.append(t[-2] + 0.2)
+    grid = np.arange(0.0, t[-1], 0.004)
+    return trajectory.Trajectory(grid, np.interp(grid, t, q), 0 * grid, 0 * grid), when
+
+
+def known_motion(folder: Path) -> None:
+    motion, when = rests()
+    made = run(RIG, PLANT, motion, noise_px=0.05, seed=4)
+    save(made.recording, folder)
+    (folder / "rig.toml").unlink()
+    rows = [f"{t_s:.2f},{np.interp(t_s + 0.5, made.t_s, made.c_deg):.4f}" for t_s in when]
+    (folder / "angles.csv").write_text("t_s,c_deg\n" + "\n".join(rows) + "\n")
+
+
+GIVEN = [
+    "actuator.unit=mm", "actuator.range=-5, 5", "actuator.encoder_resolution=0.001",
+    "kinematics.bending_length_mm=18", "kinematics.tip_length_mm=6", "camera.frame_rate_hz=25", "camera.delay_s=0.08",
+]  # fmt: skip
+INTRINSICS = [
+    f"camera.{name}={','.join(str(v) for v in value) if isinstance(value, tuple) else value}"
+    for name, value in asdict(RIG.camera).items()
+    if name not in ("frame_rate_hz", "delay_s")
+]
+
+
+def given(texts: list[str]) -> list[str]:
+    return [part for text in texts for part in ("--set", text)]
+
+
+def test_a_motion_makes_a_rig_that_calibrates_as_the_true_one(taut: Taut, tmp_path: Path) -> None:
+    known_motion(tmp_path / "motion")
+    out = tmp_path / "rig.toml"
+    done = taut(
+        "rig",
+        "--out",
+        out,
+        "--motion",
+        tmp_path / "motion",
+        "--angle-sigma",
+        "0.05",
+        "--json",
+        *given(GIVEN + INTRINSICS),
+    )
+    assert done.code == 0, done.err
+    said = json.loads(done.out)
+    assert said["hand_eye"]["places"] == 9 and said["hand_eye"]["strays"] < 2.0
+    assert (tmp_path / "rig.png").stat().st_size > 10_000
+    made = Rig.load(out)
+    assert made.coarse.gain * RIG.coarse.gain > 0  # the direction
+    recording = simulate(RIG, PLANT, trajectory.back_and_forth(RIG.actuator, [0.5, 1.0], 1.6, 40, 4.0, 0.1), seed=7)
+    errors = []
+    for rig in (RIG, made):
+        model = calibrate([recording], rig).model
+        inside = (model.q > model.measured[0]) & (model.q < model.measured[1])
+        errors.append(float(np.sqrt(np.mean((model.width - PLANT.backlash(model.q))[inside] ** 2))))
+    assert errors[1] <= 1.3 * errors[0]
+
+
+def test_what_is_not_known_is_named_as_it_would_be_given(taut: Taut, tmp_path: Path) -> None:
+    done = taut("rig", "--out", tmp_path / "rig.toml", "--sensor", "angle", "--set", "actuator.unit=deg")
+    assert done.code == 1 and not (tmp_path / "rig.toml").exists()
+    assert "--set actuator.range=-5,5" in done.err and "camera" not in done.err
+    answers = [part for part in done.err.split() if "=" in part]
+    again = taut(
+        "rig", "--out", tmp_path / "rig.toml", "--sensor", "angle", "--set", "actuator.unit=deg", *given(answers)
+    )
+    assert again.code == 0 and Rig.load(tmp_path / "rig.toml").angle is not None
+
+
+def test_a_rig_that_is_there_is_kept(taut: Taut, tmp_path: Path) -> None:
+    RIG.save(tmp_path / "rig.toml")
+    done = taut("rig", "--out", tmp_path / "rig.toml")
+    assert done.code == 1 and f"--from {tmp_path / 'rig.toml'}" in done.err
+    done = taut("rig", "--out", tmp_path / "rig.toml", "--from", tmp_path / "rig.toml", "--set", "camera.delay_s=0.12")
+    assert done.code == 0
+    assert Rig.load(tmp_path / "rig.toml") == RIG.with_camera(delay_s=0.12)
+
+
+def test_a_terminal_is_asked_key_by_key_until_the_answer_fits(taut: Taut, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+    answers = iter(["mm", "5, -5, 1", "-5, 5", "0.001", "12", "0"])
+    monkeypatch.setattr("click.prompt", lambda *args, **kwargs: next(answers))
+    done = taut("rig", "--out", tmp_path / "rig.toml", "--sensor", "angle")
+    assert done.code == 0 and Rig.load(tmp_path / "rig.toml").actuator.range == (-5.0, 5.0)
+    assert "expected a list of 2 numbers" in done.err
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda rows: rows[:3], "4 are needed"),
+        (lambda rows: [*rows[:-1], "900,20"], "outside of the motor's log"),
+        (lambda rows: ["0.3,-50", *rows[1:]], "the motor moves"),
+        (lambda rows: [*rows[:-1], rows[-1].split(",")[0] + ",much"], "expected a number"),
+    ],
+)
+def test_angles_that_cannot_be_are_one_line(taut: Taut, tmp_path: Path, change, says) -> None:
+    known_motion(tmp_path / "motion")
+    file = tmp_path / "motion" / "angles.csv"
+    head, *rows = file.read_text().split()
+    file.write_text("\n".join([head, *change(rows)]) + "\n")
+    done = taut("rig", "--out", tmp_path / "rig.toml", "--motion", tmp_path / "motion", *given(GIVEN + INTRINSICS))
+    assert done.code == 1 and says in done.err and len(done.err.strip().splitlines()) == 1
+    assert not (tmp_path / "rig.toml").exists()
+
+
+def test_angles_with_the_wrong_sign_are_doubted(taut: Taut, tmp_path: Path) -> None:
+    known_motion(tmp_path / "motion")
+    file = tmp_path / "motion" / "angles.csv"
+    head, *rows = file.read_text().split()
+    rows[2] = rows[2].replace(",-", ",")
+    file.write_text("\n".join([head, *rows]) + "\n")
+    done = taut("rig", "--out", tmp_path / "rig.toml", "--motion", tmp_path / "motion", *given(GIVEN + INTRINSICS))
+    assert done.code == 0 and "the angles' signs" in done.err
+
+
+def test_a_board_on_the_command_line(taut: Taut, tmp_path: Path, board_pictures) -> None:
+    files = []
+    for k, picture in enumerate(board_pictures[:6]):
+        files.append(tmp_path / f"{k}.png")
+        cv2.imwrite(str(files[-1]), picture)
+    board = [part for file in files for part in ("--board", file)]
+    print_ = ["--squares", "8x6", "--square-mm", "4", "--marker-mm", "3"]
+    rest = [
+        *GIVEN,
+        "coarse.gain=12",
+        "coarse.offset=0",
+        "hand_eye.rotation_deg=4,-3,2",
+        "hand_eye.translation_mm=-4,5,14",
+    ]
+    done = taut("rig", "--out", tmp_path / "rig.toml", *board, *print_, *given(rest))
+    assert done.code == 0, done.err
+    assert abs(Rig.load(tmp_path / "rig.toml").camera.fx_px / LENS.fx_px - 1.0) < 0.02
+    wrong = ["--squares", "11x8", *print_[2:], "--dictionary", "6X6_250"]
+    done = taut("rig", "--out", tmp_path / "other.toml", *board, *wrong, *given(rest))
+    assert done.code == 1 and "0 of 6 pictures show a ChArUco board" in done.err
+
+
+def test_every_key_is_read_as_it_is_typed():
+    document = {"format": "rig/1"}
+    for text in (*GIVEN, *INTRINSICS):
+        name, _, value = text.partition("=")
+        rig_keys.put(document, *rig_keys.named(name), value)
+    assert document["actuator"] == {"unit": "mm", "range": [-5.0, 5.0], "encoder_resolution": 0.001}
+    assert {**document["camera"], "distortion": tuple(document["camera"]["distortion"])} == asdict(RIG.camera)
