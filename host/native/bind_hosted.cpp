@@ -91,13 +91,16 @@ void bind_hosted(nb::module_ &m) {
              "control steps until `us`, when each axis was at (q, current in mA, whether its drive has a fault)")
         .def("goal", &HostedBoard::goal, "axis"_a,
              "(q where its drive is to be, speed of the path there, whether it is on, whether in closed loop)")
-        .def("lead", [](HostedBoard &self, size_t axis, uint32_t us) { hosted_lead(self.board, self.checked(axis), us); },
-             "axis"_a, "us"_a, "set-points are planned so much ahead of their time")
+        .def(
+            "lead",
+            [](HostedBoard &self, size_t axis, uint32_t us) { hosted_lead(self.board, self.checked(axis), us); },
+            "axis"_a, "us"_a, "set-points are planned so much ahead of their time")
         .def("receive", &HostedBoard::receive, "data"_a, "us"_a, "whole frames, at `us`")
         .def("transmit", &HostedBoard::transmit)
         .def_prop_ro("flash",
                      [](const HostedBoard &self) {
-                         return nb::bytes(reinterpret_cast<const char *>(hosted_flash(self.board)), hosted_flash_size());
+                         return nb::bytes(reinterpret_cast<const char *>(hosted_flash(self.board)),
+                                          hosted_flash_size());
                      })
         .def_prop_ro("flash_writes", [](const HostedBoard &self) { return hosted_flash_writes(self.board); });
 }

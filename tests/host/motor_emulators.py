@@ -7,7 +7,6 @@ A drive is a position loop in first order with limits on speed and acceleration 
 from __future__ import annotations
 
 import contextlib
-import copy
 import os
 import pty
 import select
@@ -40,33 +39,44 @@ class Motor:
     acceleration_most: float = 400000.0
     goal: float = 0.0
     on: bool = False
-    held: bool = False
     speed: float = 0.0
+    ramp: float = 0.0  # of the goal, a millisecond, for so long
+    ramp_ms: int = 0
+    onwards: float = 0.0
     silent_s: float = 0.0  # since its bus said anything
     watchdog_s: float = 0.0  # after which it stops; 0: none
     tripped: bool = False
     goals: list[float] = field(default_factory=list)
+    course: list[float] = field(default_factory=list)  # each millisecond
 
     def heard(self) -> None:
         self.silent_s = 0.0
 
-    def aim(self, goal: float) -> None:
-        self.goal = goal
+    def aim(self, goal: float, within_s: float = 0.0, onwards: float = 0.0) -> None:
+        """`within_s`: in a straight line until then; `onwards`: and with that speed after it, counts/s."""
+        self.ramp_ms = max(round(1e3 * within_s), 1)
+        self.ramp, self.onwards = (goal - self.goal) / self.ramp_ms, onwards
         self.goals.append(goal)
 
-    def step(self) -> float:
-        """A millisecond on; where it is then."""
+    def rest(self) -> None:
+        """The goal is where it is."""
+        self.goal, self.ramp_ms, self.onwards = self.position, 0, 0.0
+
+    def step(self) -> None:
+        """A millisecond on."""
         self.silent_s += 1e-3
         if self.on and self.watchdog_s and self.silent_s > self.watchdog_s:
             self.tripped = True
+        self.goal += self.ramp if self.ramp_ms > 0 else 1e-3 * self.onwards
+        self.ramp_ms -= 1
         dt = 1e-3 / _SUB
         for _ in range(_SUB):
             wanted = (self.goal - self.position) / self.lag_s if self.on and not self.tripped else 0.0
             wanted = min(max(wanted, -self.speed_most), self.speed_most)
             most = self.acceleration_most * dt
             self.speed += min(max(wanted - self.speed, -most), most)
-            self.position += 0.0 if self.held else self.speed * dt
-        return self.position
+            self.position += self.speed * dt
+        self.course.append(self.position)
 
     @property
     def counts(self) -> int:
@@ -82,25 +92,25 @@ class Ills:
     damage: float = 0.0
     pulled: bool = False
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(4))
-    waiting: deque[bytes] = field(default_factory=deque)
+    waiting: deque[Any] = field(default_factory=deque)
 
-    def through(self, answer: bytes) -> list[bytes]:
-        """What arrives of it now."""
-        if self.pulled:
-            return []
+    def through(self, answer: Any) -> list[Any]:
+        """What arrives of it now, as long as nothing is damaged."""
         chance = self.rng.random()
-        if chance < self.drop:
+        if self.pulled or chance < self.drop:
             return []
         if chance < self.drop + self.delay:
             self.waiting.append(answer)
             return []
-        if chance < self.drop + self.delay + self.damage:
-            spoilt = bytearray(answer)
-            spoilt[len(spoilt) // 2] ^= 0x10
-            answer = bytes(spoilt)
         late = list(self.waiting)  # behind what was asked later
         self.waiting.clear()
         return [answer, *late]
+
+    def spoilt(self, answer: bytes) -> bytes:
+        if self.rng.random() >= self.damage:
+            return answer
+        at = int(self.rng.integers(len(answer)))
+        return answer[:at] + bytes([answer[at] ^ 0x10]) + answer[at + 1 :]
 
 
 class SerialBus:
@@ -123,7 +133,7 @@ class SerialBus:
                 self._buffer += data if not self.ills.pulled else b""
                 for answer in self._answer(self._buffer):
                     for piece in self.ills.through(answer):
-                        os.write(self._master, piece)
+                        os.write(self._master, self.ills.spoilt(piece))
                 self._busy = False
 
     def settle(self) -> None:
@@ -165,6 +175,9 @@ class DynamixelEmulator:
         struct.pack_into("<HII", table, 38, 1193, 0x7FFF, 1023)  # limits of current, acceleration, velocity
         struct.pack_into("<II", table, 48, 4095, 0)
         return table
+
+    def fail(self) -> None:
+        self.tables[0][70] = 0x20  # overload
 
     def _take(self, buffer: bytearray) -> Iterator[bytes]:
         while (start := buffer.find(b"\xff\xff\xfd\x00")) >= 0:
@@ -222,7 +235,7 @@ class DynamixelEmulator:
         if address == 116 and motor.on:
             motor.aim(float(struct.unpack("<i", data)[0]))
         if address == 64 and motor.on:
-            motor.goal = motor.position
+            motor.rest()
         return 0
 
     def close(self) -> None:
@@ -244,6 +257,9 @@ class FeetechEmulator:
         table = bytearray(96)
         table[0:2], table[3:5], table[5] = b"\x03\x09", struct.pack("<H", 777), index + 1
         return table
+
+    def fail(self) -> None:
+        self.tables[0][65] = 0x20  # overload
 
     def _take(self, buffer: bytearray) -> Iterator[bytes]:
         while (start := buffer.find(b"\xff\xff")) >= 0:
@@ -324,10 +340,8 @@ class CanBus:
                 self._marked.release()
             elif not self.ills.pulled:
                 for answer in self._answer(message):
-                    for piece in self.ills.through(bytes(answer.data)):
-                        answer = copy.copy(answer)
-                        answer.data = bytearray(piece)
-                        self._bus.send(answer)
+                    for piece in self.ills.through(answer):  # none is damaged: CAN has a check of its own
+                        self._bus.send(piece)
 
     def settle(self) -> None:
         """Waits until all that was sent has been taken in."""
@@ -362,6 +376,9 @@ class Cia402Emulator:
             objects |= {(parameters, 1): (4, 0), (parameters, 2): (1, 0)}
         return {"objects": objects, "operational": False, "target": None}
 
+    def fail(self) -> None:
+        self.nodes[0]["objects"][0x6041, 0], self.motors[0].on = (2, 0x08), False
+
     def _take(self, message: can.Message) -> Iterator[can.Message]:
         cob, data = message.arbitration_id, bytes(message.data)
         for i, (motor, node) in enumerate(zip(self.motors, self.nodes, strict=True)):
@@ -379,7 +396,7 @@ class Cia402Emulator:
                     control, target = node["target"]
                     self._control(motor, node, control)
                     if motor.on and objects[0x6060, 0][1] == 8:
-                        motor.aim(float(target))
+                        motor.aim(float(target), objects[0x60C2, 1][1] * 10.0 ** objects[0x60C2, 2][1])
                     node["target"] = None
                 yield from self._process_data(motor, node, number)
             elif cob == objects[0x1400, 1][1] and node["operational"]:
@@ -418,7 +435,7 @@ class Cia402Emulator:
             state = 0x23
         elif control & 0x0F == 0x0F and state == 0x23:
             state = 0x27
-            motor.goal = motor.position
+            motor.rest()
         elif control & 0x02 == 0:
             state = 0x40
         objects[0x6041, 0] = 2, state
@@ -458,6 +475,9 @@ class MoteusEmulator:
         self.motors, self._turn = motors, turn
         self.modes = [0 for _ in motors]
         self.bus = CanBus(self._take, fd=True)
+
+    def fail(self) -> None:
+        self.modes[0], self.motors[0].on = 1, False
 
     def _take(self, message: can.Message) -> Iterator[can.Message]:
         index = (message.arbitration_id & 0x7F) - 1
@@ -508,9 +528,11 @@ class MoteusEmulator:
         if mode == 0:
             self.modes[index], motor.on, motor.tripped = 0, False, False
         elif mode == 10 and self.modes[index] in (0, 10) and not motor.tripped:
+            if self.modes[index] == 0:
+                motor.rest()
             self.modes[index], motor.on, motor.watchdog_s = 10, True, written[0x027]
             motor.heard()
-            motor.aim(written[0x020] * self._turn)
+            motor.aim(written[0x020] * self._turn, onwards=written[0x021] * self._turn)
 
     def close(self) -> None:
         self.bus.close()
@@ -542,7 +564,8 @@ class Bench:
         for _ in range(int(amount) // _STEP_US):
             self.us += _STEP_US
             for motor, places in zip(self.motors, log, strict=True):
-                places.append(motor.step() * 256.0)
+                motor.step()
+                places.append(motor.position * 256.0)
             if self.us >= self._due_us:
                 self._due_us += 1e6 * self.link.period_s
                 self.link.cycle()

@@ -11,11 +11,11 @@
 extern "C" {
 #endif
 
-#define HOSTED_AXES     4U
-#define HOSTED_RATE_HZ  5000U
-#define HOSTED_NAME     16U
-#define HOSTED_SERIAL   32U
-#define HOSTED_LATE_US  100000U // a longer pause is no time that a motor was looked after: the board's rule for it holds
+#define HOSTED_AXES    4U
+#define HOSTED_RATE_HZ 5000U
+#define HOSTED_NAME    16U
+#define HOSTED_SERIAL  32U
+#define HOSTED_LATE_US 100000U // a longer pause is no time that a motor was looked after: the board's rule for it holds
 
 typedef struct hosted hosted_t;
 
@@ -26,7 +26,7 @@ typedef struct {
 } hosted_measured_t;
 
 typedef struct {
-    int32_t goal_q8; // counts, in the drive's own positions
+    int32_t goal_q8;    // counts, in the drive's own positions
     int32_t speed_q8_s; // of the path there
     bool on;
     bool moves; // it follows its path in closed loop

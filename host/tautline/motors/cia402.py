@@ -1,7 +1,7 @@
 """CANopen drives of profile CiA 402 in cyclic synchronous position mode, on any bus that python-can knows.
 
 A cycle is a SYNC, which the drives answer with where they are, and a set-point for each, which they take at the next
-SYNC. A count is the drive's own position unit, an increment of its encoder.
+SYNC and go to within a cycle. A count is the drive's own position unit, an increment of its encoder.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import canopen
 from canopen.sdo.exceptions import SdoAbortedError, SdoError
 
 from tautline.errors import TautError
-from tautline.motors.drives import Clock, Drive, DriveLimits, Measured, Missed
+from tautline.motors.drives import Clock, Drive, DriveLimits, Goal, Measured, Missed
 
 BAUD, RATE_HZ = 1_000_000, 250.0
 _ANSWER_S = 0.01
@@ -177,10 +177,10 @@ class Cia402:
         fault = f"drive {number} has a fault" if status & 0x08 else ""
         return Measured(t_s, float(counts), float(speed), share * self._rated_ma[number] / 1000.0, fault)
 
-    def set_positions(self, goals: Sequence[float | None]) -> None:
+    def set_positions(self, goals: Sequence[Goal | None]) -> None:
         for number, goal in zip(self._numbers, goals, strict=True):
             if goal is not None:
-                self._send(0x200 + number, struct.pack("<Hi", _OPERATE, round(goal)))
+                self._send(0x200 + number, struct.pack("<Hi", _OPERATE, round(goal.q)))
 
     def enable(self, axis: int, on: bool) -> None:
         number = self._numbers[axis]

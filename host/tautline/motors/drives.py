@@ -28,6 +28,12 @@ class Measured:
 
 
 @dataclass(frozen=True)
+class Goal:
+    q: float  # counts, where the drive is to be now
+    speed: float  # counts/s of the path there, for drives that go on with it until the next one
+
+
+@dataclass(frozen=True)
 class DriveLimits:
     """Of one drive, as it is configured."""
 
@@ -60,8 +66,8 @@ class Drives(Protocol):
     def measure(self) -> list[Measured]:
         """All of them. Missed where an answer did not come."""
 
-    def set_positions(self, goals: Sequence[float | None]) -> None:
-        """Where each drive is to be now, counts; None leaves one as it is."""
+    def set_positions(self, goals: Sequence[Goal | None]) -> None:
+        """Where each drive is to be; None leaves one as it is."""
 
     def enable(self, axis: int, on: bool) -> None:
         """On: holds where it is. Off: no torque."""

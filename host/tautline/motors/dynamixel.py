@@ -32,6 +32,8 @@ _MODEL, _FIRMWARE, _MODE = (0, 2), (6, 1), (11, 1)
 _CURRENT_LIMIT, _ACCELERATION_LIMIT, _VELOCITY_LIMIT = (38, 2), (40, 4), (44, 4)
 _HIGH, _LOW, _TORQUE, _BUS_WATCHDOG = (48, 4), (52, 4), (64, 1), (98, 1)
 _PROFILE_ACCELERATION, _PROFILE_VELOCITY, _GOAL, _POSITION = (108, 4), (112, 4), (116, 4), (132, 4)
+_ERRORS, _ASK_ERRORS = (70, 1), 25  # its hardware errors, asked for in each 25th cycle
+_ERROR_BITS = {0: "voltage", 2: "heat", 3: "encoder", 4: "electrical shock", 5: "overload"}
 _STATE = (126, 10)  # present current 2, velocity 4, position 4
 
 
@@ -45,6 +47,8 @@ class Dynamixel(SerialServos):
         self, bus: str, numbers: Sequence[int], baud: int, rate_hz: float, clock: Clock = time.monotonic
     ) -> None:
         self._unit_ma: dict[int, float] = {}
+        self._said = dict.fromkeys(numbers, "")
+        self._cycles = 0
         super().__init__(dynamixel_sdk, 2.0, bus, numbers, baud, clock)
 
     def describe(self, number: int) -> Drive:
@@ -62,10 +66,21 @@ class Dynamixel(SerialServos):
         limits = DriveLimits(low, high, speed, min(acceleration, _ACCELERATION * speed), current)
         return Drive(number, f"model {model}", str(self.read(number, _FIRMWARE)), _COUNTS_PER_TURN, limits, True)
 
+    def measure(self) -> list[Measured]:
+        measured = super().measure()
+        self._cycles += 1
+        if self._cycles % _ASK_ERRORS == 0:  # of one servo after the other
+            number = self.numbers[self._cycles // _ASK_ERRORS % len(self.numbers)]
+            bits = self.glance(number, _ERRORS)
+            if bits is not None:
+                self._said[number] = ", ".join(name for bit, name in _ERROR_BITS.items() if bits >> bit & 1)
+        return measured
+
     def measured(self, axis: int, t_s: float, state: bytes) -> Measured:
         current, velocity, position = struct.unpack("<hii", state)
-        unit = self._unit_ma[self.numbers[axis]]
-        return Measured(t_s, float(position), velocity * _COUNTS_PER_SPEED, current * unit)
+        number = self.numbers[axis]
+        current_ma = current * self._unit_ma[number]
+        return Measured(t_s, float(position), velocity * _COUNTS_PER_SPEED, current_ma, self._said[number])
 
     def encoded(self, goal: int) -> bytes:
         return struct.pack("<i", goal)

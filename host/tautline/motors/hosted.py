@@ -22,7 +22,7 @@ from tautline import _native
 from tautline.device import wire
 from tautline.device.link import BoardGone
 from tautline.errors import TautError
-from tautline.motors.drives import Clock, Drives, Measured, Missed
+from tautline.motors.drives import Clock, Drives, Goal, Measured, Missed
 
 _Q8 = 256.0
 _LOST_S = 0.1  # without an answer a drive is lost: the application's own longest pause, and most drives' watchdog
@@ -191,8 +191,9 @@ class HostedLink:
         self._note(began, t_s)
 
     def _tell(self, goals: list[tuple[int, int, bool, bool]]) -> None:
-        wanted: list[float | None] = [
-            goal / _Q8 / scale if on else None for (goal, _, on, _), scale in zip(goals, self._scales, strict=True)
+        wanted = [
+            Goal(goal / _Q8 / scale, speed / _Q8 / scale) if on else None
+            for (goal, speed, on, _), scale in zip(goals, self._scales, strict=True)
         ]
         for axis, (_, _, on, _) in enumerate(goals):
             if on != self._on[axis]:

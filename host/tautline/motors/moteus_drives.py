@@ -16,7 +16,7 @@ import can
 import moteus
 
 from tautline.errors import TautError
-from tautline.motors.drives import Clock, Drive, DriveLimits, Measured, Missed
+from tautline.motors.drives import Clock, Drive, DriveLimits, Goal, Measured, Missed
 
 BAUD, RATE_HZ = 1_000_000, 250.0
 _COUNTS_PER_TURN = 4096
@@ -104,10 +104,14 @@ class Moteus:
         current_ma = 1e3 * values[_Register.Q_CURRENT]
         return Measured(t_s, position * _COUNTS_PER_TURN, speed * _COUNTS_PER_TURN, current_ma, fault)
 
-    def set_positions(self, goals: Sequence[float | None]) -> None:
+    def set_positions(self, goals: Sequence[Goal | None]) -> None:
         self._cycle(
             [
-                controller.make_position(position=goal / _COUNTS_PER_TURN, velocity=0.0, watchdog_timeout=_WATCHDOG_S)
+                controller.make_position(
+                    position=goal.q / _COUNTS_PER_TURN,
+                    velocity=goal.speed / _COUNTS_PER_TURN,  # it goes on so until the next one
+                    watchdog_timeout=_WATCHDOG_S,
+                )
                 for controller, goal in zip(self._controllers, goals, strict=True)
                 if goal is not None
             ],

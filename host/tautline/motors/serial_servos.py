@@ -13,7 +13,7 @@ from typing import Any
 import serial
 
 from tautline.errors import TautError
-from tautline.motors.drives import Clock, Drive, Measured, Missed
+from tautline.motors.drives import Clock, Drive, Goal, Measured, Missed
 
 Register = tuple[int, int]  # address, size
 
@@ -79,6 +79,12 @@ class SerialServos:
         data: list[int] = self._insist(number, lambda: self._packets.readTxRx(self._port, number, *register))[0]
         return int.from_bytes(bytes(data), "little")
 
+    def glance(self, number: int, register: Register) -> int | None:
+        """Between two cycles: one try."""
+        data, result, _ = self._whole(lambda: self._packets.readTxRx(self._port, number, *register))
+        whole = result == self._sdk.COMM_SUCCESS and len(data) == register[1]
+        return int.from_bytes(bytes(data), "little") if whole else None
+
     def write(self, number: int, register: Register, value: int) -> None:
         address, size = register
         data = list((value & ((1 << 8 * size) - 1)).to_bytes(size, "little"))
@@ -123,11 +129,11 @@ class SerialServos:
             raise Missed("an answer is too short")
         return [self.measured(axis, t_s, state) for axis, state in enumerate(states)]
 
-    def set_positions(self, goals: Sequence[float | None]) -> None:
+    def set_positions(self, goals: Sequence[Goal | None]) -> None:
         self._writing.clearParam()
         for number, goal in zip(self.numbers, goals, strict=True):
             if goal is not None:
-                self._writing.addParam(number, list(self.encoded(round(goal))))
+                self._writing.addParam(number, list(self.encoded(round(goal.q))))
         self._whole(self._writing.txPacket)
 
     def stop(self) -> None:

@@ -1,0 +1,284 @@
+"""Motors of other makers, each by an emulator that speaks its bus' real bytes, with the simulated instrument behind it.
+
+In virtual time, as simulated boards are: what a driver leaves is compared with what the board leaves on the same
+instrument, with the same counts, log rate and limits of the motor.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cli_runner import Taut
+from motor_emulators import Bench, Cia402Emulator, DynamixelEmulator, FeetechEmulator, MoteusEmulator, Motor
+
+from tautline.device import wire
+from tautline.device.board import Board, find
+from tautline.device.link import BoardAddress, BoardGone
+from tautline.errors import TautError
+from tautline.live.following import follow_run
+from tautline.live.session import MotionOptions, calibrate_live, driving, move_to
+from tautline.live.setup import Live, PointSource, open_live
+from tautline.model import Model
+from tautline.motors import addresses
+from tautline.motors.hosted import HostedLink
+from tautline.simulated.instrument import Instrument, preset
+from tautline.simulated.simlink import SimulatedAxis
+
+RATE_HZ = 100.0
+SHORT = MotionOptions(cycles=3, speeds=(1.4,))
+EMULATORS: dict[str, tuple[Callable[[list[Motor]], Any], Motor]] = {
+    "dynamixel": (DynamixelEmulator, Motor()),
+    "feetech": (FeetechEmulator, Motor(speed_most=3400.0, acceleration_most=1e5, lag_s=0.02)),
+    "canopen": (Cia402Emulator, Motor(lag_s=0.004)),
+    "moteus": (MoteusEmulator, Motor(speed_most=2e4, acceleration_most=1e6, lag_s=0.005)),
+}
+every_kind = pytest.mark.parametrize("kind", EMULATORS)
+
+
+@dataclass
+class Setup:
+    live: Live
+    link: HostedLink
+    bench: Bench
+    motor: Motor
+    emulator: Any
+
+    @property
+    def speed_most(self) -> float:
+        return self.link.drives.drives[0].limits.speed
+
+
+@pytest.fixture(autouse=True)
+def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    return tmp_path / "state"
+
+
+def bus_of(kind: str, emulator: Any) -> str:
+    return emulator.bus.path if kind in ("dynamixel", "feetech") else f"virtual/{emulator.bus.channel}"
+
+
+@contextmanager
+def driven(kind: str, homed: bool = True, at: float = 0.0) -> Iterator[Setup]:
+    make, like = EMULATORS[kind]
+    motor = replace(like, goals=[], course=[], position=at)
+    instrument = preset("reference")
+    with ExitStack() as stack:
+        emulator = make([motor])
+        stack.callback(emulator.close)
+        bench = Bench([motor], emulator.bus.settle)
+        address = addresses.parse(f"{kind}:{bus_of(kind, emulator)}:1?rate={RATE_HZ:g}&baud=1000000")
+        drives = addresses.open_drives(address, clock=bench.clock)
+        link = HostedLink(drives, f"{kind}:emulated:1", RATE_HZ, clock=bench.clock, paced=False)
+        bench.serve(link)
+        board = stack.enter_context(Board(BoardAddress(link.where, None, False, (wire.wire.MAJOR, 0), lambda: link)))
+        if homed and not drives.drives[0].referenced:
+            board.ask("set_position", axis=0, q=0.0)
+        plant = SimulatedAxis(bench, instrument)  # type: ignore[arg-type]
+        yield Setup(Live(board, instrument.rig, 0, PointSource(plant), plant), link, bench, motor, emulator)
+
+
+def model_of(instrument: Instrument) -> Model:
+    q = np.linspace(*instrument.rig.actuator.range, 401)
+    width, c = instrument.backlash(q), instrument.bend(q)
+    return Model(instrument.rig, q, width, 0.001 + 0 * q, c, 0.08, instrument.rig.actuator.range)
+
+
+def error_um(model: Model, instrument: Instrument) -> float:
+    inside = (model.q > model.measured[0]) & (model.q < model.measured[1])
+    return float(1e3 * np.sqrt(np.mean((model.width - instrument.backlash(model.q))[inside] ** 2)))
+
+
+def a_trajectory(folder: Path) -> str:
+    """Turns at six places in 8 s, at up to 24 deg/s."""
+    t_s = np.linspace(0.0, 8.0, 401)
+    c_deg = 25.0 * np.sin(2 * np.pi * t_s / 10.0) + 4.0 * np.sin(2 * np.pi * t_s / 3.0)
+    np.savetxt(folder / "tip.csv", np.column_stack([t_s, c_deg]), delimiter=",", header="t_s,c_deg", comments="")
+    return str(folder / "tip.csv")
+
+
+@pytest.fixture(scope="module")
+def the_boards_error(tmp_path_factory: pytest.TempPathFactory) -> float:
+    """Of B, um, by the same motion with the same counts and the drivers' log rate."""
+    with open_live(simulate="reference", pictures=False) as live:
+        live.board._link.log_divider = round(1000 / RATE_HZ)
+        assert live.plant is not None
+        found, _ = calibrate_live(live, tmp_path_factory.mktemp("board") / "rec", SHORT)
+        return error_um(found.model, live.plant.instrument)
+
+
+def the_boards_tip(speed_most: float, acceleration_most: float, trajectory: str) -> float:
+    """deg rms of the tip, with true tables and a motor no faster than that."""
+    with open_live(simulate="reference", pictures=False) as live:
+        assert live.plant is not None
+        limits = dict(live.board.ask("get_limits", axis=0).values)
+        limits.update(
+            speed_s=min(speed_most, limits["speed_s"]),
+            acceleration_s2=min(acceleration_most, limits["acceleration_s2"]),
+        )
+        live.board.ask("limits", **limits)
+        return follow_run(live, trajectory, model=model_of(live.plant.instrument)).rms_deg
+
+
+@every_kind
+def test_the_main_job_is_done_as_well_as_on_a_board(kind: str, the_boards_error: float, tmp_path: Path) -> None:
+    trajectory = a_trajectory(tmp_path)
+    with driven(kind) as setup:
+        found, motion = calibrate_live(setup.live, tmp_path / "rec", SHORT)
+        off = follow_run(setup.live, trajectory, compensation="off", model=found.model)
+        full = follow_run(setup.live, trajectory, model=model_of(preset("reference")))
+        limits = setup.link.drives.drives[0].limits
+        steps = np.abs(np.diff(setup.motor.goals))
+        timing, lag_s = setup.link.timing, full.bus["lag_s"]
+    error = error_um(found.model, preset("reference"))
+    board_deg = the_boards_tip(limits.speed, limits.acceleration, trajectory)
+    print(
+        f"{kind:>9}: B {error:.2f} um, the board's {the_boards_error:.2f} ({error / the_boards_error:.2f} times); tip "
+        f"{off.rms_deg:.2f} to {full.rms_deg:.3f} deg, the board's {board_deg:.3f}; {1e3 * lag_s:.1f} ms behind, "
+        f"steps of {steps.max():.0f} counts at most, {timing.missed} of {timing.cycles} cycles missed"
+    )
+    assert motion.reversals >= 12 and found.model.quality.usable
+    assert error <= 1.5 * the_boards_error
+    assert full.rms_deg <= 1.5 * board_deg and full.rms_deg < 0.2 * off.rms_deg
+    assert full.counters["set_points_dropped"] == 0 and full.counters["telemetry_dropped"] == 0
+    # Two cycles' worth: one after a missed one.
+    assert steps.max() <= 2.0 * limits.speed / RATE_HZ + 1.0
+
+
+@every_kind
+def test_a_bus_that_drops_delays_reorders_and_spoils_is_survived(kind: str) -> None:
+    with driven(kind) as setup, driving(setup.live):
+        ills = setup.emulator.bus.ills
+        ills.drop, ills.delay, ills.damage = 0.03, 0.03, 0.03
+        setup.motor.goals.clear()
+        for q in (1.0, -1.0, 0.5):
+            move_to(setup.live, q, 2.0)
+            assert setup.motor.position == pytest.approx(1e3 * q, abs=5.0)
+        ills.drop = ills.delay = ills.damage = 0.0
+        steps = np.abs(np.diff(setup.motor.goals))
+        assert setup.link.timing.missed >= 5
+        assert steps.max() <= 2000.0 / RATE_HZ * 6 + 1.0  # of a path at 2 mm/s, five answers lost in a row
+
+
+@every_kind
+def test_a_pulled_cable_leaves_the_motor_at_rest_within_the_stated_time(kind: str) -> None:
+    with driven(kind) as setup:
+        live, motor = setup.live, setup.motor
+        with pytest.raises(BoardGone, match=r"come to rest by themselves"), driving(live):
+            live.board.ask("move", axis=0, q=4000.0, speed_s=2000.0)
+            live.wait(0.5)
+            assert motor.course[-1] - motor.course[-101] == pytest.approx(200.0, rel=0.1)
+            setup.emulator.bus.ills.pulled = True
+            pulled = len(motor.course)
+            live.wait(1.0)
+        for _ in range(1000):
+            motor.step()
+        away = np.flatnonzero(np.abs(np.array(motor.course[pulled:]) - motor.position) > 1.0)
+        rests_s, braking_s = 1e-3 * (away[-1] + 1), 8.0 * motor.lag_s
+        print(f"{kind:>9}: at rest {rests_s:.3f} s after the cable was pulled")
+        assert 0.0 < rests_s <= setup.link.drives.rest_s + 1.0 / RATE_HZ + braking_s
+
+
+@every_kind
+def test_a_drive_with_a_fault_stops_its_axis(kind: str) -> None:
+    with driven(kind) as setup, pytest.raises(TautError, match="the motor driver reports"), driving(setup.live):
+        setup.emulator.fail()
+        setup.live.wait(0.4)
+        setup.live.rest()
+
+
+def test_a_host_that_stalls_finds_its_motor_stopped(tmp_path: Path) -> None:
+    """Its set-points would jump: the board's own rule for control steps that come late holds."""
+    with driven("dynamixel") as setup, pytest.raises(TautError, match="control steps came late"), driving(setup.live):
+        setup.live.board.ask("move", axis=0, q=4000.0, speed_s=2000.0)
+        setup.live.wait(0.5)
+        sent, at = len(setup.motor.goals), setup.motor.position
+        for _ in range(150):
+            setup.bench.us += 1000
+            setup.motor.step()
+        setup.live.wait(0.1)
+        assert len(setup.motor.goals) <= sent + 1 and not setup.motor.on
+        assert setup.motor.position - at < 200.0
+        setup.live.rest()
+
+
+def test_a_drive_that_was_not_homed_is_not_driven_by_position() -> None:
+    with driven("canopen", homed=False) as setup, pytest.raises(TautError, match=r"taut home.*--at"):
+        follow_run(setup.live, "trapezoids", compensation="off")
+
+
+def test_tables_stay_with_the_motors(tmp_path: Path, state: Path) -> None:
+    with driven("dynamixel") as setup:
+        follow_run(setup.live, a_trajectory(tmp_path), model=model_of(preset("reference")))
+        blob = setup.live.board.read_table(0)
+    assert blob and len(list(state.rglob("*.bin"))) == 1
+    with driven("dynamixel") as setup:
+        assert setup.live.board.read_table(0) == blob
+
+
+def test_motors_at_other_places_than_zero_keep_their_counts() -> None:
+    with driven("feetech", at=1234.0) as setup, driving(setup.live):
+        assert setup.live.board.status(0).q == pytest.approx(1234.0, abs=150.0)  # its check moves a little
+        setup.live.wait(0.1)
+        assert min(setup.motor.goals) > 1000.0
+
+
+def test_by_the_wall_clock_from_the_command_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    taut = Taut(monkeypatch, capsys)
+    motor = Motor()
+    emulator = DynamixelEmulator([motor, Motor(position=70.0)])
+    where = f"dynamixel:{emulator.bus.path}:1,2?rate=50&baud=1000000"
+    rig = replace(preset("reference").rig, actuator=replace(preset("reference").rig.actuator, board=where))
+    rig.save(tmp_path / "rig.toml")
+    replace(model_of(preset("reference")), rig=rig).save(tmp_path / "model")
+    try:
+        listed = json.loads(taut("boards", "--board", where, "--json").out)
+        assert [axis["mode"] for axis in listed["boards"][0]["axes"]] == ["motor off", "motor off"]
+        assert listed["boards"][0]["bus"]["rate_hz"] == 50.0 and len(listed["boards"][0]["bus"]["drives"]) == 2
+        assert {driver["kind"] for driver in listed["drivers"]} == set(EMULATORS)
+        assert taut("flash", tmp_path / "model", "--json").code == 0
+        done = taut("record", "--rig", tmp_path / "rig.toml", "--out", tmp_path / "rec", "--duration", "0.5", "--json")
+        recorded = json.loads(done.out)
+        assert recorded["motor_samples"] > 5 and recorded["bus"]["cycles"] > 5
+    finally:
+        emulator.close()
+
+
+@pytest.mark.parametrize(
+    ("where", "says"),
+    [
+        ("dynamixel:", "names no bus"),
+        ("dynamixel:/dev/ttyUSB0:1,1", "different ones"),
+        ("feetech:/dev/ttyUSB0:1,2,3,4,5", "1 to 4"),
+        ("canopen:socketcan/can0:1?rate=5", "20 to 1000"),
+        ("moteus:socketcan/can0:1?speed=5", "rate=HZ"),
+    ],
+)
+def test_an_address_that_is_none_says_so(where: str, says: str) -> None:
+    with pytest.raises(TautError, match=says):
+        find(where)
+
+
+def test_a_library_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(addresses.KINDS, "dynamixel", replace(addresses.KINDS["dynamixel"], module="nothing"))
+    with pytest.raises(TautError, match=r"pip install 'tautline-robotics\[drivers\]'"):
+        find("dynamixel:/dev/ttyUSB0:1")
+
+
+@every_kind
+def test_nobody_there_is_one_line(kind: str) -> None:
+    emulator = EMULATORS[kind][0]([Motor()])
+    try:
+        with pytest.raises(TautError, match="check power"):
+            addresses.open_drives(addresses.parse(f"{kind}:{bus_of(kind, emulator)}:9?baud=1000000"))
+    finally:
+        emulator.close()
