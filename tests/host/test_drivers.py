@@ -26,7 +26,7 @@ from tautline.live.following import follow_run
 from tautline.live.session import MotionOptions, calibrate_live, driving, move_to
 from tautline.live.setup import Live, PointSource, open_live
 from tautline.model import Model
-from tautline.motors import addresses
+from tautline.motors import addresses, cia402, moteus_drives, serial_servos
 from tautline.motors.hosted import HostedLink
 from tautline.simulated.instrument import Instrument, preset
 from tautline.simulated.simlink import SimulatedAxis
@@ -40,6 +40,17 @@ EMULATORS: dict[str, tuple[Callable[[list[Motor]], Any], Motor]] = {
     "moteus": (MoteusEmulator, Motor(speed_most=2e4, acceleration_most=1e6, lag_s=0.005)),
 }
 every_kind = pytest.mark.parametrize("kind", EMULATORS)
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Answers are waited for by the wall clock, what they are for passes in virtual time: a busy machine loses none."""
+    for waits, name, long in (
+        (cia402, "_ANSWER_S", 0.2),
+        (moteus_drives, "_ANSWER_S", 0.2),
+        (serial_servos, "_ANSWER_MS", 200.0),
+    ):
+        monkeypatch.setattr(waits, name, long)
 
 
 @dataclass
