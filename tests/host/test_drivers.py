@@ -27,7 +27,9 @@ from tautline.live.session import MotionOptions, calibrate_live, driving, move_t
 from tautline.live.setup import Live, PointSource, open_live
 from tautline.model import Model
 from tautline.motors import addresses, cia402, moteus_drives, serial_servos
-from tautline.motors.hosted import HostedLink
+from tautline.motors.drives import all_off
+from tautline.motors.feetech import Feetech
+from tautline.motors.hosted import HostedLink, flash_file
 from tautline.simulated.instrument import Instrument, preset
 from tautline.simulated.simlink import SimulatedAxis
 
@@ -291,5 +293,99 @@ def test_nobody_there_is_one_line(kind: str) -> None:
     try:
         with pytest.raises(TautError, match="check power"):
             addresses.open_drives(addresses.parse(f"{kind}:{bus_of(kind, emulator)}:9?baud=1000000"))
+    finally:
+        emulator.close()
+
+
+def test_all_go_off_though_one_does_not_answer() -> None:
+    asked: list[int] = []
+
+    def enable(axis: int, on: bool) -> None:
+        asked.append(axis)
+        if axis == 0:
+            raise TautError("motor 1 does not answer")
+
+    with pytest.raises(TautError, match="motor 1"):
+        all_off(3, enable)
+    assert asked == [0, 1, 2]
+
+
+def test_a_thread_that_ends_switches_off_and_is_told_of() -> None:
+    emulator = DynamixelEmulator([Motor()])
+    try:
+        address = addresses.parse(f"dynamixel:{emulator.bus.path}:1?rate=50&baud=1000000")
+        drives = addresses.open_drives(address)
+        link = HostedLink(drives, address.where, address.rate_hz)
+        off: list[bool] = []
+        drives.stop = lambda: off.append(True)  # type: ignore[method-assign]
+        drives.measure = lambda: [][0]  # type: ignore[method-assign]
+        with pytest.raises(TautError, match="IndexError"):
+            while True:
+                link.read(5.0)
+        assert off
+        link.close()
+    finally:
+        emulator.close()
+
+
+def test_what_cannot_be_used_gives_its_bus_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    emulator = DynamixelEmulator([Motor()])
+    closed: list[bool] = []
+    try:
+        where = f"dynamixel:{emulator.bus.path}:1?baud=1000000"
+        file = flash_file(addresses.parse(where).where)
+        file.parent.mkdir(parents=True)
+        file.write_bytes(b"what somebody else left")
+        make = addresses.open_drives
+
+        def opened(address: addresses.Address) -> Any:
+            drives = make(address)
+            close = drives.close
+            monkeypatch.setattr(drives, "close", lambda: (closed.append(True), close()))
+            return drives
+
+        monkeypatch.setattr(addresses, "open_drives", opened)
+        with pytest.raises(TautError, match="remove it"):
+            find(where)[0].open()
+        assert closed
+    finally:
+        emulator.close()
+
+
+def test_a_feetech_goal_beyond_what_it_can_be_told_is_its_last() -> None:
+    encoded = Feetech.encoded
+    assert [encoded(None, q) for q in (5, -5, 40_000, -70_000)] == [  # type: ignore[arg-type]
+        b"\x05\x00",
+        b"\x05\x80",
+        b"\xff\x7f",
+        b"\xff\xff",
+    ]
+
+
+def test_a_servo_in_overload_is_switched_off() -> None:
+    """The byte of a Feetech's answer is its state, and refuses nothing."""
+    emulator = FeetechEmulator([Motor()])
+    try:
+        drives = addresses.open_drives(addresses.parse(f"feetech:{emulator.bus.path}:1?baud=1000000"))
+        drives.enable(0, True)
+        emulator.fail()
+        drives.enable(0, False)
+        drives.close()
+    finally:
+        emulator.close()
+
+
+@pytest.mark.parametrize(("rate", "told"), [(250.0, (4, -3)), (400.0, (25, -4)), (300.0, None)])
+def test_a_canopen_cycle_is_told_as_it_is(rate: float, told: tuple[int, int] | None) -> None:
+    emulator = Cia402Emulator([Motor()])
+    address = addresses.parse(f"canopen:virtual/{emulator.bus.channel}:1?rate={rate:g}&baud=1000000")
+    try:
+        if told is None:
+            with pytest.raises(TautError, match=r"whole 0\.1 ms"):
+                addresses.open_drives(address)
+        else:
+            addresses.open_drives(address).close()
+            objects = emulator.nodes[0]["objects"]
+            assert (objects[0x60C2, 1][1], objects[0x60C2, 2][1]) == told
     finally:
         emulator.close()

@@ -271,3 +271,14 @@ def test_every_key_is_read_as_it_is_typed():
         rig_keys.put(document, *rig_keys.named(name), value)
     assert document["actuator"] == {"unit": "mm", "range": [-5.0, 5.0], "encoder_resolution": 0.001}
     assert {**document["camera"], "distortion": tuple(document["camera"]["distortion"])} == asdict(RIG.camera)
+
+
+def test_an_angle_sensors_rig_goes_on_as_one(taut: Taut, tmp_path: Path) -> None:
+    first = tmp_path / "a.toml"
+    keys = ["actuator.unit=deg", "actuator.range=-5,5", "actuator.encoder_resolution=0.01"]
+    keys += ["coarse.gain=1", "coarse.offset=0"]
+    assert taut("rig", "--out", first, "--sensor", "angle", *given(keys)).code == 0
+    done = taut("rig", "--from", first, "--out", tmp_path / "b.toml", "--set", "angle.delay_s=0.01")
+    assert done.code == 0 and Rig.load(tmp_path / "b.toml").angle.delay_s == 0.01
+    done = taut("rig", "--out", tmp_path / "c.toml", "--sensor", "angle", "--motion", tmp_path)
+    assert done.code == 2 and "leave --sensor angle out" in done.err

@@ -278,10 +278,13 @@ def floor_of(tracks: Sequence[Track], grid: Array, width: Array, sigma: Array, u
     return Floor(float(np.sqrt(between**2 + scatter**2 + rounded**2 + rippled**2)), tuple(reasons))
 
 
+_FINEST = 1e-3  # of what is seen: no rate is told that would mend more
+
+
 def _faster_hz(period_s: float, between: float, allowed: float) -> int:
     """The rate at which straight lines between samples are within `allowed` of the motor's path, a round number: what
     they are off by falls as the period does at a sharp turn, and with its square at others."""
-    least = between / allowed / period_s
+    least = between / max(allowed, _FINEST * between) / period_s
     decade = 10.0 ** math.floor(math.log10(least))
     return round(decade * next(step for step in (1, 2, 5, 10) if step * decade >= least * (1.0 - 1e-9)))
 

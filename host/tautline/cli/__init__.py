@@ -24,7 +24,9 @@ class _Commands(click.Group):
             return None
         module = importlib.import_module(f"tautline.cli.{cmd_name}")
         command: click.Command = module.command
-        command.epilog = f"Example: {COMMANDS[cmd_name].example}"
+        example = f"Example: {COMMANDS[cmd_name].example}"
+        if example not in (command.epilog or ""):
+            command.epilog = "\n\n".join(filter(None, (command.epilog, example)))
         return command
 
     def resolve_command(

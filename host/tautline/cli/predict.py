@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from tautline.cli._common import emit, json_option, warn, warn_unusable
+from tautline.errors import TautError
 from tautline.model import Model
 from tautline.prediction import (
     COLUMNS,
@@ -20,6 +21,7 @@ from tautline.prediction import (
     write_csv,
 )
 from tautline.recording import load, load_motor
+from tautline.vision.marker import with_marker
 
 
 @click.command("predict")
@@ -55,14 +57,18 @@ def command(
         warn(warning)
     prediction = predict_with_sigma(model, motor, times.scene_s, start_deg)
     write_csv(csv_path, times, prediction)
-    off_deg = off_the_truth(model, recording_path, motor, times, prediction)
+    off_deg = None
+    try:
+        off_deg = off_the_truth(model, recording_path, motor, times, prediction)
+    except TautError as error:  # somebody else's file of that name
+        warn(f"{error}: the prediction is not held against it")
     result: dict[str, Any] = {"csv": csv_path, "rows": len(times.cells), "delay_s": times.delay_s}
     result["off_truth_deg"] = off_deg
     text = f"{csv_path}: {len(times.cells)} rows" + (
         "" if off_deg is None else f", {off_deg:.2g} deg rms off {TRUTH_FILE}"
     )
     if scores:
-        found = score(model, load(recording_path, model.rig), start_deg)
+        found = score(model, with_marker(load(recording_path, model.rig), model.rig), start_deg)
         result["score"] = asdict(found)
         text += (
             f", {found.rms:.3g} {found.unit} (rms) off what was seen: {found.over_sigma:.2f} of the stated sigma, "

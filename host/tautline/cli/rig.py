@@ -104,7 +104,11 @@ def command(
         if not equals:
             raise TautError(f"--set {text}: write KEY=VALUE, as in actuator.range=-5,5")
         rig_keys.put(document, *rig_keys.named(name.strip()), value)
-    sensor = sensor or (MARKER if board or motion or "camera" in document else _asked_sensor())
+    if sensor == ANGLE and (board or motion):
+        raise click.UsageError("--board and --motion are for a camera: leave --sensor angle out")
+    if sensor is None:
+        by_camera = bool(board or motion) or "camera" in document
+        sensor = MARKER if by_camera else ANGLE if "angle" in document else _asked_sensor()
     result: dict[str, Any] = {"file": out, "sensor": sensor}
     told: list[str] = []
     if board:
@@ -145,7 +149,11 @@ def command(
 def _asked_sensor() -> Sensor:
     if not sys.stdin.isatty():
         return MARKER
-    return MARKER if click.confirm("Does a camera see a marker on the tip (else an angle sensor)?", True) else ANGLE
+    return (
+        MARKER
+        if click.confirm("Does a camera see a marker on the tip (else an angle sensor)?", True, err=True)
+        else ANGLE
+    )
 
 
 def _ask(document: rig_keys.Document, sensor: Sensor, without: tuple[str, ...] = ()) -> None:

@@ -22,7 +22,7 @@ ENVIRONMENT = "TAUTLINE_BOARD"
 _OUT, _IN = 0x01, 0x81
 _CONTROL, _TABLES = 0, 1  # interfaces
 _READ_BYTES = 4096
-_WRITE_MS = 1000
+_WRITE_MS = 3000  # a board takes data within milliseconds; a host that stands still for a second is no fault of it
 
 
 class UsbLink:

@@ -6,6 +6,7 @@ import importlib
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import Any
 
 from tautline.device import wire
@@ -27,7 +28,7 @@ class Kind:
 
     @property
     def installed(self) -> bool:
-        return importlib.util.find_spec(self.package) is not None
+        return find_spec(self.package) is not None
 
 
 KINDS = {
@@ -107,6 +108,11 @@ def find_motors(where: str) -> list[BoardAddress]:
     address = parse(where)
 
     def opened() -> Link:
-        return HostedLink(open_drives(address), address.where, address.rate_hz)
+        drives = open_drives(address)
+        try:
+            return HostedLink(drives, address.where, address.rate_hz)
+        except BaseException:
+            drives.close()
+            raise
 
     return [BoardAddress(address.where, None, False, (wire.wire.MAJOR, wire.wire.MINOR), opened)]

@@ -16,7 +16,7 @@ import canopen
 from canopen.sdo.exceptions import SdoAbortedError, SdoError
 
 from tautline.errors import TautError
-from tautline.motors.drives import Clock, Drive, DriveLimits, Goal, Measured, Missed
+from tautline.motors.drives import Clock, Drive, DriveLimits, Goal, Measured, Missed, all_off
 
 BAUD, RATE_HZ = 1_000_000, 250.0
 _ANSWER_S = 0.01
@@ -26,7 +26,7 @@ _HOST, _HEARTBEAT_S, _LOST_MS = 0x7F, 0.02, 100  # the host as a node, what it s
 _CSP, _HOMING = 8, 6
 _QUICK_STOP = 3  # of the option for a lost connection
 _FAULT, _VOLTAGE_OFF, _SHUT_DOWN, _SWITCH_ON, _OPERATE = 0x80, 0x00, 0x06, 0x07, 0x0F
-_SWITCH_ON_DISABLED, _READY, _ON, _OPERATIONAL = 0x40, 0x21, 0x23, 0x27
+_READY, _ON, _OPERATIONAL = 0x21, 0x23, 0x27
 _ACCELERATION = 20.0  # where the drive limits none: from rest to its top speed in so much of a second, inverse
 _RANGE = 3_900_000.0  # where the drive limits none: what the application counts
 
@@ -116,8 +116,11 @@ class Cia402:
         self._map(number, 0x1A00, 0x1800, 0x180, [(*_STATUS, 16), (*_POSITION, 32)])
         self._map(number, 0x1A01, 0x1801, 0x280, [(*_VELOCITY, 32), (*_CURRENT, 16)])
         self._map(number, 0x1600, 0x1400, 0x200, [(*_CONTROL, 16), (*_TARGET, 32)])
-        self._write(number, _PERIOD, round(period_s * 1e3), 1)
-        self._write(number, _PERIOD_POWER, -3, 1)
+        power = -3 if abs(period_s * 1e3 - round(period_s * 1e3)) < 1e-6 else -4
+        if abs(period_s * 10**-power - (units := round(period_s * 10**-power))) > 1e-6:
+            raise TautError(f"canopen: a cycle of {1e3 * period_s:.4g} ms cannot be told: name a rate of whole 0.1 ms")
+        self._write(number, _PERIOD, units, 1)
+        self._write(number, _PERIOD_POWER, power, 1)
         self._write(number, _CONSUMER, _HOST << 16 | _LOST_MS, 4)
         self._write(number, _ON_LOSS, _QUICK_STOP, 2)
         self._write(number, _MODE, _HOMING, 1)
@@ -205,9 +208,11 @@ class Cia402:
                 )
 
     def stop(self) -> None:
-        for axis, number in enumerate(self._numbers):
-            self.enable(axis, False)
-            self._nodes[number].nmt.send_command(0x80)
+        try:
+            all_off(len(self._numbers), self.enable)
+        finally:
+            for node in self._nodes.values():
+                node.nmt.send_command(0x80)
 
     def close(self) -> None:
         self._network.disconnect()

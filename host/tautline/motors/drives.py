@@ -56,6 +56,18 @@ class Drive:
     referenced: bool  # it knows its position after being switched on
 
 
+def all_off(axes: int, enable: Callable[[int, bool], None]) -> None:
+    """Each, whatever the others answer. Raises what the first of them said that is not off."""
+    errors = []
+    for axis in range(axes):
+        try:
+            enable(axis, False)
+        except TautError as error:
+            errors.append(error)
+    if errors:
+        raise errors[0]
+
+
 class Drives(Protocol):
     """The drives of one bus, each an axis. Every call takes a bounded time."""
 

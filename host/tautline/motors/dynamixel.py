@@ -11,6 +11,7 @@ import time
 from collections.abc import Sequence
 
 import dynamixel_sdk
+import numpy as np
 
 from tautline.errors import TautError
 from tautline.motors.drives import Clock, Drive, DriveLimits, Measured
@@ -41,6 +42,7 @@ class Dynamixel(SerialServos):
     kind = "dynamixel"
     watchdog = "the servos' own bus watchdog"
     rest_s = _WATCHDOG_S
+    refusal = 0x7F  # its top bit says that there is a hardware error to be asked for
     state, goal = _STATE, _GOAL
 
     def __init__(
@@ -63,7 +65,8 @@ class Dynamixel(SerialServos):
         acceleration = self.read(number, _ACCELERATION_LIMIT) * _COUNTS_PER_ACCELERATION
         unit = self._unit_ma[number] = 0.0 if model in _NO_CURRENT else _MA.get(model, _MA_OTHERS)
         current = self.read(number, _CURRENT_LIMIT) * unit if unit else 0.0
-        limits = DriveLimits(low, high, speed, min(acceleration, _ACCELERATION * speed), current)
+        least = min(acceleration or np.inf, _ACCELERATION * speed)
+        limits = DriveLimits(low, high, speed, least, current)
         return Drive(number, f"model {model}", str(self.read(number, _FIRMWARE)), _COUNTS_PER_TURN, limits, True)
 
     def measure(self) -> list[Measured]:

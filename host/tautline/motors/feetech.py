@@ -34,6 +34,7 @@ class Feetech(SerialServos):
     kind = "feetech"
     watchdog = "they have none: each goes to its last set-point and holds it"
     rest_s = 0.0
+    refusal = 0  # the byte of an answer is the servo's state, which `measured` reads
     state, goal = _STATE, _GOAL
 
     def __init__(
@@ -58,7 +59,8 @@ class Feetech(SerialServos):
         return Measured(t_s, _signed(state[0:2]), _signed(state[2:4]), _signed(state[13:15]) * _MA, said)
 
     def encoded(self, goal: int) -> bytes:
-        """The sign is bit 15."""
+        """The sign is bit 15: what lies beyond is not asked for, and the axis notices that it is not there."""
+        goal = max(-0x7FFF, min(goal, 0x7FFF))
         return (abs(goal) | (0x8000 if goal < 0 else 0)).to_bytes(2, "little")
 
     def enable(self, axis: int, on: bool) -> None:

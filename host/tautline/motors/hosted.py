@@ -74,6 +74,9 @@ class HostedLink:
         self._squares = 0.0
         self._lags = [np.zeros(2) for _ in drives.drives]
         self._on = [False for _ in drives.drives]
+        for drive in drives.drives:
+            if not drive.limits.speed > 0.0:
+                raise TautError(f"{where}: motor {drive.number} has a speed limit of 0: set one with its maker's tools")
         self._file = flash_file(where)
         flash = self._file.read_bytes() if self._file.is_file() else b""
         self._scales = [_scale(drive.limits.speed) for drive in drives.drives]
@@ -81,7 +84,10 @@ class HostedLink:
         self._last_s = clock()
         most_ma = max(round(min(drive.limits.current_ma for drive in drives.drives)), 0)
         kind, _, serial = where.partition(":")
-        self._board = _native.HostedBoard(kind[:15], _serial(serial), min(most_ma, 0xFFFF), flash, first)
+        try:
+            self._board = _native.HostedBoard(kind[:15], _serial(serial), min(most_ma, 0xFFFF), flash, first)
+        except ValueError as error:
+            raise TautError(f"{self._file}: is no memory of such motors ({error}): remove it") from error
         self._writes = 0
         self._settle([q / _Q8 for q, _, _ in first])
         self._stop = threading.Event()
@@ -106,7 +112,8 @@ class HostedLink:
         return [(q, round(m.current_ma), bool(m.fault)) for q, m in zip(places, measured, strict=True)]
 
     def _settle(self, first: list[float]) -> None:
-        """The drives' own limits become the axes' settings, where none are stored; their positions are the axes'."""
+        """The drives' own limits become the axes' settings, where none are stored; their positions are the axes'. A
+        drive takes no duty that could sink: what it holds it holds until its host is lost, or says otherwise."""
         ask = self._converse
         ask("hello", protocol_major=wire.wire.MAJOR, protocol_minor=wire.wire.MINOR)
         fresh = ask("get_status", axis=0).settings == wire.code("STORES", "DEFAULT")
@@ -120,6 +127,7 @@ class HostedLink:
                     acceleration_s2=min(limits.acceleration * scale, _ACCELERATION_MOST), friction=_FRICTION / 32768,
                     following_error=max(_FOLLOWING_S * speed, 8.0), low_duty=_LOW_DUTY / 32768, current_ma=0,
                     feed_forward=min(max(round(1000.0 * _CHECK_PUSH / (_CHECK_SHARE * speed)), 1), 32767), arrive=4.0,
+                    hold_ms=0,
                 )  # fmt: skip
                 ask("settings", **settings)
             if drive.referenced:
@@ -152,7 +160,11 @@ class HostedLink:
             self._stop.wait(max(due - now, 0.0))
             try:
                 self.cycle()
-            except TautError:
+            except TautError as error:
+                self._end(error)
+                return
+            except Exception as error:  # nobody would drive them any more, or say so
+                self._end(TautError(f"{self.where}: {type(error).__name__}: {error}"))
                 return
 
     def cycle(self) -> None:
@@ -232,6 +244,14 @@ class HostedLink:
             self._arrived.notify_all()
         raise gone
 
+    def _end(self, error: TautError) -> None:
+        """All off, and whoever waits for the link is told."""
+        with contextlib.suppress(Exception):
+            self.drives.stop()
+        with self._arrived:
+            self._gone = self._gone or error
+            self._arrived.notify_all()
+
     def _keep(self) -> None:
         """What was stored goes to the file, whole or not at all."""
         if self._board.flash_writes == self._writes:
@@ -251,7 +271,7 @@ class HostedLink:
         if self._gone is not None:
             raise self._gone
         with self._lock:
-            self._board.receive(data, self._us(self._clock()))
+            self._board.receive(data, self._us(self._last_s))  # no later than the application's own last step
             self._keep()
             sent = self._board.transmit()
         self._give(sent)
@@ -287,9 +307,11 @@ class HostedLink:
         self._stop.set()
         if self._thread is not None:
             self._thread.join()
-        with contextlib.suppress(TautError):
-            self.drives.stop()
-        self.drives.close()
+        try:
+            with contextlib.suppress(TautError):
+                self.drives.stop()
+        finally:
+            self.drives.close()
 
 
 def _scale(speed: float) -> float:

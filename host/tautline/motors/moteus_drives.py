@@ -16,7 +16,7 @@ import can
 import moteus
 
 from tautline.errors import TautError
-from tautline.motors.drives import Clock, Drive, DriveLimits, Goal, Measured, Missed
+from tautline.motors.drives import Clock, Drive, DriveLimits, Goal, Measured, Missed, all_off
 
 BAUD, RATE_HZ = 1_000_000, 250.0
 _COUNTS_PER_TURN = 4096
@@ -123,8 +123,7 @@ class Moteus:
         self._cycle([self._controllers[axis].make_stop(query=True)], _FIRST_S)
 
     def stop(self) -> None:
-        for axis in range(len(self._numbers)):
-            self.enable(axis, False)
+        all_off(len(self._numbers), self.enable)
 
     def close(self) -> None:
         self._transport.close()

@@ -13,7 +13,7 @@ from typing import Any
 import serial
 
 from tautline.errors import TautError
-from tautline.motors.drives import Clock, Drive, Goal, Measured, Missed
+from tautline.motors.drives import Clock, Drive, Goal, Measured, Missed, all_off
 
 Register = tuple[int, int]  # address, size
 
@@ -28,6 +28,7 @@ class SerialServos:
     kind: str
     watchdog: str
     rest_s: float
+    refusal: int  # bits of an answer's error byte that refuse what was asked
     state: Register  # all that a sync read asks for
     goal: Register
 
@@ -89,8 +90,8 @@ class SerialServos:
         address, size = register
         data = list((value & ((1 << 8 * size) - 1)).to_bytes(size, "little"))
         error = self._insist(number, lambda: self._packets.writeTxRx(self._port, number, address, size, data))[-1]
-        if error & 0x7F:
-            why = self._packets.getRxPacketError(error & 0x7F)
+        if error & self.refusal:
+            why = self._packets.getRxPacketError(error & self.refusal)
             raise TautError(f"{self.kind} {number}: register {address} refused {value}: {why}")
 
     def _insist(self, number: int, ask: Callable[[], Any]) -> Any:
@@ -137,8 +138,7 @@ class SerialServos:
         self._whole(self._writing.txPacket)
 
     def stop(self) -> None:
-        for axis in range(len(self.numbers)):
-            self.enable(axis, False)
+        all_off(len(self.numbers), self.enable)
 
     def close(self) -> None:
         self._port.closePort()
