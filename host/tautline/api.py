@@ -328,18 +328,10 @@ def export(
     """
     from tautline.exporting import Mount
     from tautline.exporting import export as exported
-    from tautline.exporting.source import of_diagnosis, of_model, of_recording
+    from tautline.exporting.source import of
 
-    if isinstance(what, Recording):
-        source = of_recording(what, None, of_model(model) if model is not None else None)
-    else:
-        from tautline.model import Model as ModelType
-
-        source = (
-            of_model(what) if isinstance(what, ModelType) else of_diagnosis(what.nominal, what.corrected, what.document)
-        )
     mount = None if into is None else Mount(Path(into), actuator, tip, scale)
-    return exported(source, to, Path(out), mount=mount, axis=axis, progress=progress)
+    return exported(of(what, model), to, Path(out), mount=mount, axis=axis, progress=progress)
 
 
 def _several(recordings: Recording | Sequence[Recording]) -> list[Recording]:

@@ -12,6 +12,7 @@ import numpy as np
 import tomli_w
 
 from tautline.errors import TautError, nearest
+from tautline.folders import write_file
 from tautline.schema import Key, Section
 
 FORMAT = "rig/1"
@@ -319,7 +320,7 @@ class Rig:
         return document
 
     def save(self, path: str | Path) -> None:
-        Path(path).write_bytes(tomli_w.dumps(self.to_document()).encode())
+        write_file(Path(path), tomli_w.dumps(self.to_document()))
 
 
 def _wrong(where: str, name: str, says: str) -> TautError:

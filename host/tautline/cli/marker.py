@@ -12,7 +12,7 @@ import numpy as np
 
 from tautline.cli._common import emit, json_option, progress_bar
 from tautline.errors import TautError
-from tautline.vision.camera import VideoCamera, sample_video
+from tautline.vision.camera import VideoCamera, read_picture, sample_video
 from tautline.vision.colour import COLOUR_FILE, LARGEST_PX, MarkerColour, pick
 from tautline.vision.marker import MarkerTracker, Sighting, find_colour
 
@@ -110,10 +110,7 @@ def _pictures(source: str) -> tuple[list[np.ndarray], list[np.ndarray]]:
                 camera.read()
             pictures = [read[0] for _ in range(_STILL_FRAMES) if (read := camera.read())]
         return pictures, pictures[:: _STILL_FRAMES // 10]
-    if Path(source).is_file() and cv2.haveImageReader(source):
-        picture = cv2.imread(source, cv2.IMREAD_COLOR)
-        if picture is None:
-            raise TautError(f"{source}: cannot be read as a picture: is it whole?")
+    if (picture := read_picture(source)) is not None:
         return [picture], [picture]
     with VideoCamera(source) as camera:
         pictures = [read[0] for _ in range(_STILL_FRAMES) if (read := camera.read())]

@@ -8,17 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import click
-import cv2
-import matplotlib as mpl
-import numpy as np
-import tomli_w
-from matplotlib.figure import Figure
 
-from tautline import figures
 from tautline.cli._common import emit, json_option, log, progress_bar, warn
 from tautline.errors import TautError
-from tautline.folders import write_file
-from tautline.geometry import project
 from tautline.recording import load
 from tautline.rig import ANGLE, FORMAT, MARKER, Coarse, Rig, Sensor
 from tautline.rigging import (
@@ -34,13 +26,11 @@ from tautline.rigging import (
     read_known,
 )
 from tautline.rigging import keys as rig_keys
-from tautline.vision.camera import sample_video
+from tautline.rigging.picture import picture
+from tautline.vision.camera import read_picture, sample_video
 from tautline.vision.marker import with_marker
 
 _VIEWS = 60  # of a video
-_FOCAL_SHARE = 0.005  # sigma of the focal length: it goes into every angle as it is
-_RIVAL = 9.0  # a pose that is as far off is left at 3 sigma
-_STRAYS = 2.0  # times what was stated
 
 
 class _Squares(click.ParamType):  # type: ignore[type-arg]
@@ -136,13 +126,14 @@ def command(
             "places": len(places.c_deg),
         }
     _ask(document, sensor)
-    document = rig_keys.complete(document, sensor)
+    if sensor == ANGLE:
+        document.setdefault("angle", {})  # all of its keys may be left out
     rig = Rig.from_document(document, str(out))
-    write_file(out, tomli_w.dumps(document))
+    rig.save(out)
     if motion is not None:
-        result["picture"] = picture = out.with_suffix(".png")
-        _picture(rig, places).savefig(picture, dpi=120)
-        told.append(f"look at {picture}: the curve passes through the marker's places, angles rise where they should")
+        result["picture"] = shown = out.with_suffix(".png")
+        picture(rig, places).savefig(shown, dpi=120)
+        told.append(f"look at {shown}: the curve passes through the marker's places, angles rise where they should")
     emit(result, as_json, "\n".join([*told, f"{out} is whole: taut calibrate RECORDING --rig {out}"]))
 
 
@@ -195,18 +186,12 @@ def _intrinsics(
         raise TautError("--board needs --squares, --square-mm and --marker-mm, as they are on the print")
     pictures = []
     for source in sources:
-        if cv2.haveImageReader(str(source)):
-            picture = cv2.imread(str(source), cv2.IMREAD_COLOR)
-            if picture is None:
-                raise TautError(f"{source}: cannot be read as a picture: is it whole?")
-            pictures.append(picture)
-        else:
-            pictures += sample_video(source, _VIEWS)
+        one = read_picture(source)
+        pictures += sample_video(source, _VIEWS) if one is None else [one]
     with progress_bar("board") as progress:
         seen = intrinsics(pictures, Board(*squares, square_mm, marker_mm, dictionary), progress)
-    share = float(seen.sigma[0] / seen.values[0])
-    if share > _FOCAL_SHARE:
-        warn(f"the focal length is known to {100 * share:.1f} % only: tilt the board by 30 deg and more, both ways")
+    for text in seen.doubts:
+        warn(text)
     return seen
 
 
@@ -224,13 +209,8 @@ def _moved(
     places = places_of(recording, known)
     line, left_deg = coarse(places)
     found = hand_eye(places, so_far.kinematics, so_far.camera, angle_sigma)
-    if found.rival < _RIVAL:
-        warn("a pose from the other side of the instrument explains the places as well: spread the angles further")
-    if found.strays > _STRAYS:
-        warn(
-            f"the marker's places are {found.strays:.1f} times further off than pixels and angles of "
-            f"{angle_sigma:g} deg explain: are the angles' signs and the kinematics' lengths right?"
-        )
+    for text in found.doubts:
+        warn(text)
     return places, found, line, left_deg
 
 
@@ -241,23 +221,3 @@ def _rounded(section: dict[str, Any]) -> dict[str, Any]:
         return float(f"{value:.9g}")
 
     return {key: [short(x) for x in v] if isinstance(v, tuple) else short(v) for key, v in section.items()}
-
-
-@mpl.rc_context(figures.STYLE)
-def _picture(rig: Rig, places: Places) -> Figure:
-    """The camera's view: the marker's places with their angles, and the curve on which the rig expects them."""
-    assert rig.camera is not None
-    low, high = (f(axis=0) for f in (places.image_px.min, places.image_px.max))
-    half = 0.6 * float(np.max(high - low)) * np.array([1.0, 0.5]) + 10.0
-    (left, top), (right, bottom) = (low + high) / 2 - half, (low + high) / 2 + half
-    made, axes = figures.figure(7.0, 4.4)
-    ax = axes[0, 0]
-    curve = project(rig, np.linspace(places.c_deg.min(), places.c_deg.max(), 200))
-    ax.plot(*curve.T, color=figures.MODEL, linewidth=1.2, label="where rig.toml expects the marker")
-    ax.plot(*places.image_px.T, "o", color=figures.UP, markersize=4, label="where it was seen")
-    for c_deg, at in zip(places.c_deg, places.image_px, strict=True):
-        ax.annotate(f"{c_deg:.0f}°", at, (0, 7), textcoords="offset points", fontsize=8, ha="center")
-    ax.set(xlim=(left, right), ylim=(bottom, top), xlabel="u (px)", ylabel="v (px)")
-    ax.set_aspect("equal")
-    made.legend(loc="outside lower center", ncols=2)
-    return made

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tautline.errors import TautError
 from tautline.evidence import Evidence
@@ -13,6 +13,9 @@ from tautline.model import MODEL_FILE, Model
 from tautline.recording import Recording
 from tautline.recording import load as load_recording
 from tautline.rig import Rig
+
+if TYPE_CHECKING:
+    from tautline.diagnosis.diagnose import Diagnosis
 
 RECORDING, MODEL, DIAGNOSIS = "a recording", "a model", "a diagnosis"
 DIAGNOSIS_FILE, MOTOR_FILE = "diagnosis.json", "motor.csv"
@@ -54,6 +57,15 @@ def read(path: Path, rig: Rig | None = None, beside: Path | None = None) -> Sour
     raise TautError(
         f"{path}: holds no {MOTOR_FILE} (a recording), {MODEL_FILE} (a model) or {DIAGNOSIS_FILE} (a diagnosis)"
     )
+
+
+def of(what: Recording | Model | Diagnosis, beside: Model | None = None) -> Source:
+    """What is at hand already. `beside`: for a recording, the model whose predictions go along."""
+    if isinstance(what, Recording):
+        return of_recording(what, None, of_model(beside) if beside is not None else None)
+    if isinstance(what, Model):
+        return of_model(what)
+    return of_diagnosis(what.nominal, what.corrected, what.document)
 
 
 def of_recording(recording: Recording, rig: Rig | None = None, beside: Source | None = None) -> Source:

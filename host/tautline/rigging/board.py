@@ -21,6 +21,7 @@ DICTIONARIES = {
 }
 _LEAST_CORNERS = 6  # of a view: a homography's four and two that check it
 _LEAST_VIEWS = 4  # two give five intrinsics; a view that is off must not decide
+_FOCAL_SHARE = 0.005  # sigma of the focal length: it goes into every angle as it is
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,13 @@ class Intrinsics:
             f"{cy:.1f} +- {s[3]:.1f} px; {self.views} of {self.of} pictures show the board, "
             f"its corners lie within {self.rms_px:.2g} px"
         )
+
+    @property
+    def doubts(self) -> list[str]:
+        share = float(self.sigma[0] / self.values[0])
+        if share <= _FOCAL_SHARE:
+            return []
+        return [f"the focal length is known to {100 * share:.1f} % only: tilt the board by 30 deg and more, both ways"]
 
 
 def intrinsics(pictures: Sequence[npt.NDArray[Any]], board: Board, progress: Progress | None = None) -> Intrinsics:

@@ -49,13 +49,6 @@ def missing(document: Mapping[str, Any], sensor: Sensor) -> Iterator[tuple[Secti
                 yield SECTIONS[name], key
 
 
-def complete(document: Document, sensor: Sensor) -> Document:
-    """In the file's order, with the sensor's section though it may hold nothing."""
-    names = [name for name in SECTIONS if name in _OF[sensor]]
-    ordered = {"format": document["format"], **{name: document.get(name, {}) for name in names}}
-    return {**ordered, **{key: value for key, value in document.items() if key not in ordered}}
-
-
 def example(key: Key) -> str:
     return ", ".join(f"{v:g}" for v in key.example) if isinstance(key.example, list) else str(key.example)
 

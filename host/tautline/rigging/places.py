@@ -11,7 +11,7 @@ import numpy.typing as npt
 from tautline import layouts
 from tautline.columns import read_columns
 from tautline.errors import TautError
-from tautline.recording import Recording
+from tautline.recording import Angle, Recording
 from tautline.rig import Coarse
 
 Array = npt.NDArray[np.float64]
@@ -23,14 +23,6 @@ _MOVES = 1e-2  # of the motor's travel: what moves more does not rest
 
 
 @dataclass(frozen=True)
-class Known:
-    """The tip came to rest at t_s (n,) on the recording's clock, at c_deg (n,)."""
-
-    t_s: Array
-    c_deg: Array
-
-
-@dataclass(frozen=True)
 class Places:
     c_deg: Array  # (n,) as stated
     image_px: Array  # (n, 2) the marker's mean
@@ -38,13 +30,13 @@ class Places:
     q: Array  # (n,) the motor's mean
 
 
-def read_known(file: Path) -> Known:
-    """A CSV with t_s,c_deg: a row for each angle at which the tip was brought to rest for a second."""
+def read_known(file: Path) -> Angle:
+    """A CSV with t_s,c_deg: when the tip came to rest for a second, on the recording's clock, and at which angle."""
     columns = read_columns(file, layouts.ANGLE.required(), layouts.ANGLE.header(), mend=False)
-    return Known(columns.rising_times(), columns.finite("c_deg"))
+    return Angle(columns.rising_times(), columns.finite("c_deg"))
 
 
-def places_of(recording: Recording, known: Known) -> Places:
+def places_of(recording: Recording, known: Angle) -> Places:
     """Raises TautError where the tip did not rest, or the marker was not seen."""
     marker, motor = recording.marker, recording.motor
     if marker is None:

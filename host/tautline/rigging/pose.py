@@ -19,6 +19,8 @@ from tautline.rigging.places import Places
 Array = npt.NDArray[np.float64]
 _TRACKER_PX = 0.05  # what a marker is placed off by where it stands (docs/marker.md): no mean goes below it
 _LEAST_DEG = 1e-6
+_RIVAL = 9.0  # of its sum of squares: a pose that is as far off is left at 3 sigma
+_STRAYS = 2.0  # times what was stated
 _SINGULAR = 1e12  # condition of the scaled information: double precision has no pose left beyond it
 
 
@@ -29,6 +31,7 @@ class HandEyeFit:
     left_px: float  # rms per coordinate of what is left
     strays: float  # the same over what was stated: 1 where pixels and angles are as exact as said
     measures_deg: Array  # (m,) over the angles' range: sigma of an angle that is measured with this pose
+    angle_sigma_deg: float  # as it was stated
     rival: float  # the sum of squares that the other pose of a planar curve leaves more, in those of this one's spread
 
     def told(self) -> str:
@@ -40,6 +43,20 @@ class HandEyeFit:
             f"translation {x:.2f} +- {s[3]:.2f}, {y:.2f} +- {s[4]:.2f}, {z:.2f} +- {s[5]:.2f} mm; angles that are "
             f"measured with it: +- {self.measures_deg.min():.2g} to {self.measures_deg.max():.2g} deg"
         )
+
+    @property
+    def doubts(self) -> list[str]:
+        found = []
+        if self.rival < _RIVAL:
+            found.append(
+                "a pose from the other side of the instrument explains the places as well: spread the angles further"
+            )
+        if self.strays > _STRAYS:
+            found.append(
+                f"the marker's places are {self.strays:.1f} times further off than pixels and angles of "
+                f"{self.angle_sigma_deg:g} deg explain: are the angles' signs and the kinematics' lengths right?"
+            )
+        return found
 
 
 def hand_eye(places: Places, kinematics: Kinematics, camera: Camera, angle_sigma_deg: float) -> HandEyeFit:
@@ -72,19 +89,24 @@ def hand_eye(places: Places, kinematics: Kinematics, camera: Camera, angle_sigma
     off = residuals(best.x)[: 2 * len(sigma_px)].reshape(-1, 2) * sigma_px[:, None]
     apart = [fit for fit in fits[1:] if np.abs(fit.x[:6] - pose).max() > 1e-3 * np.abs(pose).max()]
     return HandEyeFit(
-        _rig(kinematics, camera, pose).hand_eye or HandEye((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+        _hand_eye(pose),
         np.sqrt(np.diag(covariance)),
         float(np.sqrt(np.mean(off**2))),
         strays,
         _measures(seen, pose, covariance, places.c_deg),
+        angle_sigma_deg,
         min((2.0 * float(fit.cost - best.cost) / spread for fit in apart), default=np.inf),
     )
 
 
-def _rig(kinematics: Kinematics, camera: Camera, pose: Array) -> Rig:
+def _hand_eye(pose: Array) -> HandEye:
     rx, ry, rz, x, y, z = pose.tolist()
+    return HandEye((rx, ry, rz), (x, y, z))
+
+
+def _rig(kinematics: Kinematics, camera: Camera, pose: Array) -> Rig:
     unused = Actuator("mm", (-1.0, 1.0), 1.0), Coarse(1.0, 0.0)
-    return Rig(*unused, kinematics, camera, HandEye((rx, ry, rz), (x, y, z)))
+    return Rig(*unused, kinematics, camera, _hand_eye(pose))
 
 
 def _starts(places: Places, kinematics: Kinematics, camera: Camera) -> list[Array]:

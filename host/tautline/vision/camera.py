@@ -110,6 +110,16 @@ class VideoCamera:
         self.close()
 
 
+def read_picture(path: str | Path) -> Array | None:
+    """A picture file, BGR; None where it is none, as a video is."""
+    if not (Path(path).is_file() and cv2.haveImageReader(str(path))):
+        return None
+    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if picture is None:
+        raise TautError(f"{path}: cannot be read as a picture: is it whole?")
+    return np.asarray(picture)
+
+
 def sample_video(path: Path, count: int) -> list[Array]:
     """About `count` frames from all over a video file, or its first ones where it does not know how long it is."""
     with VideoCamera(path) as camera:
