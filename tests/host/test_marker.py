@@ -18,7 +18,8 @@ from tautline.recording import Video
 from tautline.simulated.endoscope import Endoscope, Look, load_background
 from tautline.simulated.instrument import reference_rig
 from tautline.vision.colour import MarkerColour, pick
-from tautline.vision.marker import MarkerTracker, Sighting, find_colour, track_video
+from tautline.vision.marker import MarkerTracker, find_colour, track_video
+from tautline.vision.sighting import Sighting
 
 RIG = reference_rig()
 COLOURS = {

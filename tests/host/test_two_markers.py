@@ -13,7 +13,8 @@ from tautline.recording import Video
 from tautline.simulated.endoscope import Endoscope
 from tautline.simulated.instrument import reference_rig
 from tautline.vision.camera import VideoFile
-from tautline.vision.marker import MarkerTracker, Sighting, alike_but_still, find_colour, of_one_marker, track_video
+from tautline.vision.marker import MarkerTracker, alike_but_still, find_colour, of_one_marker, track_video
+from tautline.vision.sighting import Sighting
 
 FRAMES = 80
 COVERED = range(30, 42)

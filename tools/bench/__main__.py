@@ -1,4 +1,4 @@
-"""./run bench [--json], ./run bench videos, ./run bench faults, ./run bench importing"""
+"""./run bench [--json], ./run bench videos, ./run bench faults, bench importing, bench bare"""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import click
 from rich.console import Console
 from rich.table import Table
-from tools.bench import calibration, control_step, diagnosis, faults, importing, trackers, tracking, videos
+from tools.bench import bare, calibration, control_step, diagnosis, faults, importing, trackers, tracking, videos
 
 from tautline.cli._common import log, plain, progress_bar
 from tautline.errors import TautError
@@ -87,6 +87,7 @@ def main(context: click.Context, as_json: bool, frames: int) -> None:
 main.add_command(videos.command)
 main.add_command(faults.command)
 main.add_command(importing.command)
+main.add_command(bare.command)
 
 if __name__ == "__main__":
     main()

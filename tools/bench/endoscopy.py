@@ -416,6 +416,13 @@ def make(
 ) -> World:  # fmt: skip
     """Writes the recording, of a calibration or of use later. Returns the world that it is of."""
     world = World(condition, seed, background, use)
+    write(folder, world, say)
+    return world
+
+
+def write(folder: Path, world: World, say: Callable[[float], None] = lambda share: None) -> None:
+    """The recording of a world."""
+    condition = world.condition
     folder.mkdir(parents=True)
     (folder / "rig.toml").write_text(_rig(world), encoding="utf-8")
     counts = np.rint(world.q / COUNT_MM) * COUNT_MM
@@ -433,7 +440,6 @@ def make(
     grid = np.linspace(*RANGE_MM, 401)
     truth = {"backlash": {"q": grid.tolist(), "width": world.width(grid).tolist()}, "delay_s": DELAY_S}
     (folder / "truth.json").write_text(json.dumps(truth), encoding="utf-8")
-    return world
 
 
 def _rig(world: World) -> str:

@@ -14,12 +14,31 @@ from tautline.cli._common import emit, json_option, progress_bar
 from tautline.errors import TautError
 from tautline.vision.camera import VideoCamera, read_picture, sample_video
 from tautline.vision.colour import COLOUR_FILE, LARGEST_PX, MarkerColour, pick
-from tautline.vision.marker import MarkerTracker, Sighting, find_colour
+from tautline.vision.marker import MarkerTracker, find_colour
+from tautline.vision.patch import USUAL_PX
+from tautline.vision.region import REGION_FILE, Region
+from tautline.vision.sighting import Sighting
 
 _STILL_FRAMES = 60  # that are tracked to say how well the marker can be seen
 _SPREAD = 12  # frames from all over a video in which the marker is looked for
 _SEARCHED_LINES = 480  # of a picture, at least, in which it is looked for
 _WARM_UP = 15  # frames of a device that pass while it finds its exposure
+
+
+class _Square(click.ParamType):  # type: ignore[type-arg]
+    name = "U,V[,SIDE]"
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, float, float]:
+        try:
+            u, v, *side = (float(part) for part in str(value).split(","))
+            (long,) = side or (USUAL_PX,)
+        except ValueError:
+            self.fail(
+                f"'{value}' is no square of the picture: write U,V or U,V,SIDE in px, as in 312,240,36", param, ctx
+            )
+        return u, v, long
 
 
 class _Place(click.ParamType):  # type: ignore[type-arg]
@@ -39,19 +58,36 @@ class _Place(click.ParamType):  # type: ignore[type-arg]
     "--at", type=_Place(), help="Where the marker is in the first picture, px. Default: what stands out most."
 )
 @click.option(
+    "--region",
+    type=_Square(),
+    help="No marker: follow this place of the bare instrument, a square of SIDE px around U,V in the first picture, at "
+    f"its tip; SIDE is {USUAL_PX:g} if left out. The file is then {REGION_FILE}.",
+)
+@click.option(
     "--out",
     type=click.Path(path_type=Path, dir_okay=False),
     help=f"File for the colour. Default: {COLOUR_FILE} where it is looked for: beside a video, it is then used in "
     "by itself, else here, where --colour has it by default.",
 )
 @json_option
-def command(source: str, at: tuple[float, float] | None, out: Path | None, as_json: bool) -> None:
-    """Pick the marker's colour, once.
+def command(
+    source: str,
+    at: tuple[float, float] | None,
+    region: tuple[float, float, float] | None,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Pick the marker's colour, or the place of a bare instrument, once.
 
     SOURCE is a picture, a video, a camera (its number or device) or a stream's address. Beside --out goes a picture of
     what was found, as a PNG.
     """
-    out = out or _place(source)
+    if region is not None:
+        if at is not None:
+            raise click.UsageError("--at is a marker's place, --region one without a marker: give one of both")
+        _bare(source, region, out or _place(source, REGION_FILE), as_json)
+        return
+    out = out or _place(source, COLOUR_FILE)
     pictures, spread = _pictures(source)
     colour = pick(pictures[0], at) if at or len(spread) == 1 else _found(spread)
     if colour is None:
@@ -68,11 +104,7 @@ def command(source: str, at: tuple[float, float] | None, out: Path | None, as_js
     if not valid:
         raise TautError(f"{source}: a colour was found at {_where(colour)} but no marker: {seen[0].lost}; try --at U,V")
     first = seen.index(valid[0])
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        colour.save(out)
-    except OSError as error:
-        raise TautError(f"{out}: cannot be written ({error.strerror}): name another file with --out") from error
+    _save(colour, out)
     shown = out.with_suffix(".png")
     cv2.imwrite(str(shown), _drawn(pictures[first], colour, seen[first]))
     sigma = float(np.median([s.sigma_px for s in valid]))
@@ -96,10 +128,58 @@ def command(source: str, at: tuple[float, float] | None, out: Path | None, as_js
     emit(result, as_json, f"{text}\n{out} holds its colour; look at {shown} to see that it is the right one")
 
 
-def _place(source: str) -> Path:
-    """Where the colour is looked for without being named: beside a video, else in the working directory."""
+def _bare(source: str, square: tuple[float, float, float], out: Path, as_json: bool) -> None:
+    pictures, _ = _pictures(source)
+    region = Region(square[:2], square[2], np.asarray(pictures[0], dtype=np.uint8))
+    tracker = region.tracker()
+    with progress_bar("tracking") as progress:
+        seen = []
+        for k, picture in enumerate(pictures):
+            progress(k / len(pictures), "how well the place is followed")
+            seen.append(tracker.track(np.asarray(picture, dtype=np.uint8)))
+    valid = [s for s in seen if s.valid]
+    if not valid:
+        raise TautError(
+            f"{source}: the place cannot be followed from its first picture on: show another, or a larger one"
+        )
+    _save(region, out)
+    shown = out.with_suffix(".look.png")
+    cv2.imwrite(str(shown), _squared(pictures[0], region))
+    sigma = float(np.median([s.sigma_px for s in valid]))
+    result = {
+        "file": out, "picture": shown, "at_px": region.at, "side_px": region.side_px, "sigma_px": sigma,
+        "frames": len(seen), "frames_seen": len(valid),
+    }  # fmt: skip
+    text = (
+        f"a square of {region.side_px:g} px around {region.at[0]:g}, {region.at[1]:g} px, followed in {len(valid)} of "
+        f"the first {len(seen)} frames, each position good to {sigma:.3f} px\n{out} holds it; look at {shown} to see "
+        "that it lies on the instrument's tip"
+    )
+    emit(result, as_json, text)
+
+
+def _save(what: MarkerColour | Region, out: Path) -> None:
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        what.save(out)
+    except OSError as error:
+        raise TautError(f"{out}: cannot be written ({error.strerror}): name another file with --out") from error
+
+
+def _squared(picture: np.ndarray, region: Region) -> np.ndarray:
+    """The picture with the region drawn in, beside the region enlarged."""
+    drawn = picture.copy()
+    corners = np.rint(np.array(region.at) + 0.5 * region.side_px * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]))
+    cv2.polylines(drawn, [corners.astype(np.int32)], True, (255, 255, 255), 1, cv2.LINE_AA)
+    side = round(region.side_px)
+    large = cv2.getRectSubPix(picture, (side, side), region.at)
+    return np.hstack([drawn, cv2.resize(large, (picture.shape[0], picture.shape[0]), interpolation=cv2.INTER_NEAREST)])
+
+
+def _place(source: str, name: str) -> Path:
+    """Where the file is looked for without being named: beside a video, else in the working directory."""
     video = Path(source)
-    return (video.parent if video.is_file() and not cv2.haveImageReader(source) else Path()) / COLOUR_FILE
+    return (video.parent if video.is_file() and not cv2.haveImageReader(source) else Path()) / name
 
 
 def _pictures(source: str) -> tuple[list[np.ndarray], list[np.ndarray]]:

@@ -29,7 +29,8 @@ from tautline.simulated.instrument import of_name
 from tautline.simulated.simlink import DesktopBoard, SimLink, SimulatedAxis
 from tautline.vision.camera import FrameSource, SimulatedCamera, VideoCamera
 from tautline.vision.colour import MarkerColour, pick
-from tautline.vision.marker import MarkerTracker, Sighting
+from tautline.vision.marker import MarkerTracker
+from tautline.vision.sighting import Sighting
 from tautline.vision.timing import FrameTiming
 
 Array = np.ndarray

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import sqrt
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -17,6 +18,9 @@ from tautline.recording import Marker, Recording, Video
 from tautline.rig import Rig
 from tautline.vision.camera import VideoCamera, sample_video
 from tautline.vision.colour import COLOUR_FILE, MarkerColour, candidates, pick
+from tautline.vision.region import REGION_FILE, Region
+from tautline.vision.sighting import Sighting
+from tautline.vision.sighting import lost as _lost
 
 Array = np.ndarray
 Progress = Callable[[float, str], None]
@@ -40,25 +44,6 @@ _AS_OFTEN = 0.9  # as the colour that was picked first, another one has to find 
 _SURE_PX = 1e-3  # no position is said to be known better
 _SAMPLES = 24  # frames of a video that are looked at for its marker's colour
 _MARGIN_PX = 8.0  # of the region around the marker: edges are compared with what lies 5.5 px beyond them
-
-
-@dataclass(frozen=True)
-class Sighting:
-    """u, v and sigma_px (per coordinate) are NaN where the marker is lost; `lost` then says why, else it is empty."""
-
-    u_px: float
-    v_px: float
-    sigma_px: float
-    diameter_px: float
-    lost: str = ""
-
-    @property
-    def valid(self) -> bool:
-        return not self.lost
-
-
-def _lost(why: str) -> Sighting:
-    return Sighting(np.nan, np.nan, np.nan, np.nan, why)
 
 
 @dataclass(frozen=True)
@@ -290,17 +275,68 @@ def _moving_share(colour: MarkerColour, pictures: Sequence[Array]) -> float:
 def track_video(video: Video, colour: MarkerColour | None = None, progress: Progress | None = None) -> Marker:
     """The marker in every frame of a video, as marker.csv would have it: rows where it is lost are not valid.
 
-    colour: as picked with `taut marker`; default the marker.toml beside the video, else that of what stands out and
-    moves. Times are those of frames.csv, else the container's with the first frame at 0; frames that frames.csv does
-    not list have no time and give no row.
+    colour: as picked with `taut marker`; default the marker.toml beside the video, or its region.toml, a place of an
+    instrument without a marker; else the colour of what stands out and moves. Times are those of frames.csv, else the
+    container's with the first frame at 0; frames that frames.csv does not list have no time and give no row.
     """
+    region = Region.beside(video.path) if colour is None else None
+    if region is not None:
+        return _region_tracked(video, region, progress)
     beside = video.path.parent / COLOUR_FILE
     samples = sample_video(video.path, _SAMPLES)
     if colour is None:
         colour = MarkerColour.load(beside) if beside.is_file() else find_colour(samples)
     if colour is None:
-        raise TautError(f"{video.path}: no marker stands out: pick its colour with 'taut marker {video.path} --at U,V'")
-    tracker = MarkerTracker(colour, alike_but_still(colour, samples))
+        raise TautError(
+            f"{video.path}: no marker stands out: pick its colour with 'taut marker {video.path} --at U,V', or with "
+            "--region U,V a place to follow where there is no marker"
+        )
+    frames = _seen(video, MarkerTracker(colour, alike_but_still(colour, samples)), progress)
+    if not any(s.valid for s in frames.seen):
+        raise TautError(
+            f"{video.path}: no marker is seen in any of its {len(frames.seen)} frames: "
+            f"pick its colour with 'taut marker {video.path}', and --at U,V if it does not stand out"
+        )
+    return frames.rows(of_one_marker(frames.seen))
+
+
+def _region_tracked(video: Video, region: Region, progress: Progress | None) -> Marker:
+    """Twice: what the region looks like along its way, and what stays behind it, is known after the first time."""
+
+    def half(begins: float) -> Progress:
+        return lambda share, text: progress(begins + 0.5 * share, text) if progress else None
+
+    tracker = region.tracker()
+    _seen(video, tracker, half(0.0))
+    tracker.settle()
+    frames = _seen(video, tracker, half(0.5))
+    if not any(s.valid for s in frames.seen):
+        raise TautError(
+            f"{video.path}: the place of {REGION_FILE} is found in none of its {len(frames.seen)} frames: show it in "
+            f"this video with 'taut marker {video.path} --region U,V'"
+        )
+    return frames.rows(np.array([s.valid for s in frames.seen]))
+
+
+@dataclass(frozen=True)
+class _Frames:
+    t_s: Array  # of arrival; NaN where frames.csv does not name the frame
+    seen: list[Sighting]
+    size: tuple[int, int] | None
+
+    def rows(self, sure: npt.NDArray[np.bool_]) -> Marker:
+        """sure: which of them are right."""
+        timed = np.isfinite(self.t_s)
+        rows = np.array([(s.u_px, s.v_px, s.sigma_px) for s in self.seen])
+        u, v, sigma = np.where(sure[:, None], rows, np.nan)[timed].T
+        return Marker(self.t_s[timed], u, v, sure[timed], sigma, frame_px=self.size, untimed=int(np.sum(~timed)))
+
+
+class _Follows(Protocol):
+    def track(self, picture: Array) -> Sighting: ...
+
+
+def _seen(video: Video, tracker: _Follows, progress: Progress | None) -> _Frames:
     size: tuple[int, int] | None = None
     t_s: list[float] = []
     seen: list[Sighting] = []
@@ -319,16 +355,7 @@ def track_video(video: Video, colour: MarkerColour | None = None, progress: Prog
         raise TautError(
             f"{video.path}: its frames' times do not rise: give their arrival times in a frames.csv beside it"
         )
-    if not any(s.valid for s in seen):
-        raise TautError(
-            f"{video.path}: no marker is seen in any of its {len(seen)} frames: "
-            f"pick its colour with 'taut marker {video.path}', and --at U,V if it does not stand out"
-        )
-    timed = np.isfinite(t_s)
-    sure = of_one_marker(seen)
-    rows = np.array([(s.u_px, s.v_px, s.sigma_px) for s in seen])
-    u, v, sigma = np.where(sure[:, None], rows, np.nan)[timed].T
-    return Marker(np.array(t_s)[timed], u, v, sure[timed], sigma, frame_px=size, untimed=int(np.sum(~timed)))
+    return _Frames(np.array(t_s), seen, size)
 
 
 def with_marker(recording: Recording, rig: Rig, progress: Progress | None = None) -> Recording:

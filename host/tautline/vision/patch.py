@@ -1,0 +1,326 @@
+"""A place on a bare instrument, followed by what the surface around it looks like: no marker is needed.
+
+Corners around the place are found again in every frame (pyramidal Lucas-Kanade) from the nearest of several keyframes,
+not from the frame before: errors do not add up along a motion that comes back. What most of them do together, turned,
+scaled and shifted, is the instrument's motion (RANSAC); tissue that shows beside it goes otherwise and is left out.
+The place is the surface's only while that is seen: where the instrument turns another side to the camera it goes over
+to what is seen there, the same at the same bending angle.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import coo_array
+
+from tautline.errors import TautError
+from tautline.vision.sighting import Sighting, lost
+
+Array = npt.NDArray[np.floating[Any]]
+Picture = npt.NDArray[np.uint8]
+
+SMALLEST_PX, LARGEST_PX, USUAL_PX = 16.0, 400.0, 36.0  # side of the region
+
+_CORNERS, _CORNER_QUALITY, _APART = 80, 0.01, 3.0  # of a keyframe; px between them
+_FEWEST = 8  # corners that go together: three give the six parameters
+_WINDOW, _LEVELS = 15, 2  # of Lucas-Kanade: px, and pyramid levels above the picture
+_MARGIN_PX = 24.0  # around a region, which has not gone further than that from where it is expected
+_THERE_AND_BACK_PX = 0.5  # a corner that is not found again from where it was found was not found
+_TOGETHER_PX = 1.0  # from the common motion
+_TURNED_DEG, _SCALED = 5.0, 0.06  # from the nearest keyframe, from which a new one is taken
+_LEAST = 0.5  # times that, before a new one is taken for any reason
+_REACH = 2.0  # times that, within which a keyframe says something
+_KEYFRAMES = 128
+_SHARE = 0.25  # of a keyframe's corners that have to go together
+_FADES = 20  # of them that go together: with fewer a new keyframe is taken
+_APART_PX = 3.0  # that a region has to go for what stays behind to be told from it
+_OWN = 0.5  # of the pictures in which a corner of the region's own goes along
+_AWAY = 0.3  # of the region's side, the same
+_NEAREST = 2  # keyframes that say together where the region is
+_SHRINK = 2  # of pictures in which a lost region is looked for
+_TURNS_DEG = 60.0  # either way, that a region may be turned by in the first picture of another video
+_LIKE = 0.6  # correlation from which a place is tried
+_HELD = 1e-3  # pictures' worth that a keyframe is where it was taken
+_SURE_PX = 1e-3  # no position is said to be known better
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where the region is: its middle, px, and what it was turned and scaled by since it was picked."""
+
+    u: float
+    v: float
+    a: float = 1.0  # scale * cos(turn)
+    b: float = 0.0  # scale * sin(turn)
+
+    def then(self, motion: Array) -> Pose:
+        """motion (2, 3): of the picture, affine; what of it is no similarity moves the middle alone."""
+        c, s = 0.5 * float(motion[0, 0] + motion[1, 1]), 0.5 * float(motion[1, 0] - motion[0, 1])
+        u, v = motion @ (self.u, self.v, 1.0)
+        return Pose(float(u), float(v), c * self.a - s * self.b, s * self.a + c * self.b)
+
+    def to(self, other: Pose) -> Array:
+        """The similarity (2, 3) that takes this one to the other."""
+        size = self.a**2 + self.b**2
+        c = (other.a * self.a + other.b * self.b) / size
+        s = (other.b * self.a - other.a * self.b) / size
+        return np.array([[c, -s, other.u - c * self.u + s * self.v], [s, c, other.v - s * self.u - c * self.v]])
+
+    @property
+    def size(self) -> float:
+        """Against the first picture."""
+        return float(np.hypot(self.a, self.b))
+
+    @staticmethod
+    def mean(weighted: Sequence[tuple[float, Pose]]) -> Pose:
+        weights = np.array([weight for weight, _ in weighted])
+        rows = np.array([(pose.u, pose.v, pose.a, pose.b) for _, pose in weighted])
+        return Pose(*map(float, weights @ rows / weights.sum()))
+
+    def square(self, side_px: float) -> Array:
+        """The region's corners (4, 2), px."""
+        corners = 0.5 * side_px * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+        placed: Array = corners @ np.array([[self.a, self.b], [-self.b, self.a]]) / self.size + (self.u, self.v)
+        return placed
+
+    def unlike(self, other: Pose, side_px: float) -> float:
+        """1 where one has gone as far from the other as a keyframe is told by alone."""
+        motion = self.to(other)
+        turn = np.degrees(np.arctan2(motion[1, 0], motion[0, 0]))
+        scale = np.log(np.hypot(motion[1, 0], motion[0, 0]))
+        away = np.hypot(other.u - self.u, other.v - self.v) / (_AWAY * side_px)
+        return float(np.sqrt((turn / _TURNED_DEG) ** 2 + (scale / _SCALED) ** 2 + away**2))
+
+
+class _Keyframe:
+    """What the region and its surroundings looked like once, and the corners in it."""
+
+    def __init__(self, cut: Picture, corner: Array, pose: Pose, side_px: float) -> None:
+        """cut: of a grey picture, around the region; corner (2,): where it lies in it, px."""
+        self.picture, self.corner, self.pose, self._side_px = cut, corner, pose, side_px
+        mask = np.zeros(cut.shape, dtype=np.uint8)
+        cv2.fillConvexPoly(mask, np.rint(pose.square(side_px) - corner).astype(np.int32), 255)
+        found = cv2.goodFeaturesToTrack(cut, _CORNERS, _CORNER_QUALITY, _APART, mask=mask)
+        self.corners = np.empty((0, 2)) if found is None else found.reshape(-1, 2) + corner
+        self.together = len(self.corners)  # in the last picture
+        self._tried, self._met = np.zeros((2, len(self.corners)))  # away from here: and how often it went along
+
+    @classmethod
+    def of(cls, grey: Picture, pose: Pose, side_px: float) -> Self:
+        long = int(1.5 * side_px + 2.0 * _MARGIN_PX)
+        cut, corner = _cut(grey, pose.u, pose.v, (min(long, grey.shape[0]), min(long, grey.shape[1])))
+        return cls(cut.copy(), corner, pose, side_px)
+
+    def turned(self, turn_deg: float) -> _Keyframe:
+        """As it would look turned about the region's middle."""
+        pose = self.pose
+        warp = cv2.getRotationMatrix2D((pose.u - float(self.corner[0]), pose.v - float(self.corner[1])), -turn_deg, 1.0)
+        size = self.picture.shape[1], self.picture.shape[0]
+        picture = cv2.warpAffine(self.picture, warp, size, borderMode=cv2.BORDER_REPLICATE)
+        cos, sin = float(np.cos(np.radians(turn_deg))), float(np.sin(np.radians(turn_deg)))
+        there = Pose(pose.u, pose.v, cos * pose.a - sin * pose.b, sin * pose.a + cos * pose.b)
+        return _Keyframe(np.asarray(picture, dtype=np.uint8), self.corner, there, self._side_px)
+
+    @property
+    def square(self) -> Picture:
+        """Upright, around the region's middle."""
+        side = max(int(self._side_px), 2)
+        middle = self.pose.u - float(self.corner[0]), self.pose.v - float(self.corner[1])
+        return np.asarray(cv2.getRectSubPix(self.picture, (side, side), middle), dtype=np.uint8)
+
+    def seen_at(self, grey: Picture, expected: Pose) -> tuple[Pose, float] | None:
+        """The pose in another picture by the corners that go together there, and one standard deviation of its middle,
+        px a coordinate."""
+        motion = self.pose.to(expected)
+        cut, corner = _cut(grey, expected.u, expected.v, (self.picture.shape[0], self.picture.shape[1]))
+        if len(self.corners) < _FEWEST:
+            return None
+        start = (self.corners - self.corner).astype(np.float32)
+        guess = (self.corners @ motion[:, :2].T + motion[:, 2] - corner).astype(np.float32)
+        there, found = _followed(self.picture, cut, start, guess)
+        back, again = _followed(cut, self.picture, there, start)
+        kept = np.flatnonzero(found & again & (np.hypot(*(back - start).T) < _THERE_AND_BACK_PX))
+        if len(kept) < _FEWEST:
+            return None
+        places, here = there[kept] + corner, self.corners[kept]
+        fit, inliers = cv2.estimateAffine2D(
+            here, places, method=cv2.RANSAC, ransacReprojThreshold=_TOGETHER_PX, maxIters=300
+        )
+        together = np.flatnonzero(inliers)
+        if fit is None or len(together) < max(_FEWEST, _SHARE * len(self.corners)):
+            return None
+        self.together = len(together)
+        pose = self.pose.then(np.asarray(fit))
+        if np.hypot(pose.u - self.pose.u, pose.v - self.pose.v) > _APART_PX:
+            self._tried += 1
+            self._met[kept[together]] += 1
+        here, places = here[together], places[together]
+        left = places - here @ fit[:, :2].T - fit[:, 2]
+        scatter = float(np.sum(left**2)) / (2 * len(here) - 6)
+        away, lever = here - here.mean(axis=0), (self.pose.u, self.pose.v) - here.mean(axis=0)
+        sigma = float(np.sqrt(scatter * (1.0 / len(here) + lever @ lever / max(float(np.sum(away**2)), 1e-9))))
+        return pose, max(sigma, _SURE_PX)
+
+    def settle(self) -> bool:
+        """Forgets the corners that stayed behind where the region went. Whether enough are left to follow."""
+        own = self._met >= _OWN * self._tried
+        self.corners, self._tried, self._met = self.corners[own], self._tried[own], self._met[own]
+        return len(self.corners) >= _FEWEST
+
+
+def _cut(grey: Picture, u: float, v: float, size: tuple[int, int]) -> tuple[Picture, Array]:
+    """The picture (height, width = size) around a place, as far as it goes, and its corner (2,) in the whole."""
+    y0, x0 = (
+        int(np.clip(at - 0.5 * long, 0, whole - long)) for at, long, whole in zip((v, u), size, grey.shape, strict=True)
+    )
+    return grey[y0 : y0 + size[0], x0 : x0 + size[1]], np.array([x0, y0], dtype=float)
+
+
+def _followed(one: Picture, other: Picture, start: Array, guess: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
+    there, found, _ = cv2.calcOpticalFlowPyrLK(
+        one,
+        other,
+        start,
+        guess.copy(),
+        winSize=(_WINDOW, _WINDOW),
+        maxLevel=_LEVELS,
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )
+    return np.asarray(there), found.ravel() > 0
+
+
+class PatchTracker:
+    """Follows a region that was shown in one picture: `track` gives the place of its middle, as a marker's tracker
+    does. Some 3 ms a frame while it is followed.
+    """
+
+    def __init__(self, picture: Picture, at: tuple[float, float], side_px: float = USUAL_PX) -> None:
+        """picture: BGR, in which the region is a square of side_px around `at`, px. It should lie on the instrument's
+        tip, with as little of what is behind as can be."""
+        if not SMALLEST_PX <= side_px <= LARGEST_PX:
+            raise TautError(
+                f"a region of {side_px:g} px: between {SMALLEST_PX:g} and {LARGEST_PX:g} px can be followed"
+            )
+        height, width = picture.shape[:2]
+        if not (0 <= at[0] < width and 0 <= at[1] < height):
+            raise TautError(f"({at[0]:g}, {at[1]:g}) is outside of the picture of {width} x {height} px")
+        self.side_px = side_px
+        self._first = _Keyframe.of(_grey(picture), Pose(*at), side_px)
+        if len(self._first.corners) < _FEWEST:
+            raise TautError(
+                f"around {at[0]:g}, {at[1]:g} px there is hardly anything to follow: show a place with structure, or a "
+                "larger one"
+            )
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets where the region was, and all that was seen since it was shown."""
+        self._keyframes = [self._first]
+        self._learns = True
+        self._differ: list[tuple[int, int, float, float]] = []  # by how much two keyframes differ of one picture, px
+        self._poses: deque[Pose] = deque(maxlen=2)
+
+    def settle(self) -> None:
+        """After a motion: from now on the region is followed by what it has looked like, without what stayed behind.
+        The next picture may be any."""
+        self._agree()
+        self._keyframes = [key for key in self._keyframes if key.settle()] or [self._first]
+        self._learns = False
+        self._poses.clear()
+
+    def _agree(self) -> None:
+        """Moves the keyframes by what makes them say the same of the pictures that two of them saw, in least squares:
+        what one is off by is not handed on to those that were taken from it."""
+        if not self._differ:
+            return
+        i, j, off_u, off_v = np.array(self._differ).T
+        n, m = len(self._keyframes), len(i)
+        rows = np.arange(m)
+        told = coo_array((np.ones(m), (rows, i.astype(int))), (m, n)) - coo_array(
+            (np.ones(m), (rows, j.astype(int))), (m, n)
+        )
+        normal = (told.T @ told).toarray() + _HELD * np.eye(n)
+        normal[0, 0] += m  # the first one is where it was shown
+        by = -np.linalg.solve(normal, told.T @ np.column_stack([off_u, off_v]))
+        for keyframe, (u, v) in zip(self._keyframes, by, strict=True):
+            keyframe.pose = replace(keyframe.pose, u=keyframe.pose.u + float(u), v=keyframe.pose.v + float(v))
+
+    def track(self, picture: Picture) -> Sighting:
+        """The region in the next frame, BGR (height, width, 3) uint8."""
+        grey = _grey(picture)
+        found = self._near(grey, self._expected) if self._poses else None
+        if found is None:
+            self._poses.clear()
+            found = self._search(grey)
+        if found is None:
+            return lost("the region is not found")
+        pose, sigma = found
+        self._poses.append(pose)
+        return Sighting(pose.u, pose.v, sigma, self.side_px * pose.size)
+
+    @property
+    def _expected(self) -> Pose:
+        """The motion goes on as it went."""
+        before, last = self._poses[0], self._poses[-1]
+        return last.then(before.to(last))
+
+    def _near(self, grey: Picture, expected: Pose) -> tuple[Pose, float] | None:
+        """By the nearest keyframes, each the more the nearer it is: where one gives way to the next nothing jumps."""
+        ranked = sorted((key.pose.unlike(expected, self.side_px), i) for i, key in enumerate(self._keyframes))
+        found: list[tuple[float, Pose, float]] = []
+        told: list[int] = []
+        for unlike, i in ranked[: _NEAREST + 2]:
+            weight = max(_REACH - unlike, 0.0) ** 2
+            if found and (not weight or len(found) == _NEAREST):
+                break
+            seen = self._keyframes[i].seen_at(grey, expected)
+            if seen is not None:
+                found.append((max(weight, 1e-6), *seen))
+                told.append(i)
+        if not found:
+            return None
+        if self._learns and len(found) == 2:
+            (_, one, _), (_, other, _) = found
+            self._differ.append((told[0], told[1], one.u - other.u, one.v - other.v))
+        pose = Pose.mean([(weight, pose) for weight, pose, _ in found])
+        fades = ranked[0][0] > _LEAST and self._keyframes[ranked[0][1]].together < _FADES
+        if self._learns and (ranked[0][0] > 1.0 or fades) and len(self._keyframes) < _KEYFRAMES:
+            self._keyframes.append(_Keyframe.of(grey, pose, self.side_px))
+        total = sum(weight for weight, _, _ in found)
+        return pose, float(np.sqrt(sum((weight / total * sigma) ** 2 for weight, _, sigma in found)))
+
+    def _search(self, grey: Picture) -> tuple[Pose, float] | None:
+        """Over the whole frame, made smaller: the keyframe that looks most like a place of it; the first one turned as
+        well, as long as it is alone."""
+        small = _smaller(grey)
+        views = self._keyframes
+        if len(views) == 1:
+            turns = np.arange(-_TURNS_DEG, _TURNS_DEG + 1, 2 * _TURNED_DEG)
+            views = [self._first, *(self._first.turned(turn) for turn in turns.tolist() if turn)]
+        ranked = []
+        for view in views:
+            square = _smaller(view.square)
+            if square.shape[0] <= small.shape[0] and square.shape[1] <= small.shape[1]:
+                _, like, _, place = cv2.minMaxLoc(cv2.matchTemplate(small, square, cv2.TM_CCOEFF_NORMED))
+                ranked.append((like, _SHRINK * (np.array(place) + 0.5 * np.array(square.shape[::-1])), view))
+        ranked.sort(key=lambda entry: -entry[0])
+        for like, (u, v), view in ranked[:_NEAREST]:
+            found = view.seen_at(grey, replace(view.pose, u=float(u), v=float(v))) if like > _LIKE else None
+            if found is not None:
+                return found
+        return None
+
+
+def _smaller(grey: Picture) -> Picture:
+    small = cv2.resize(grey, None, fx=1 / _SHRINK, fy=1 / _SHRINK, interpolation=cv2.INTER_AREA)
+    return np.asarray(small, dtype=np.uint8)
+
+
+def _grey(picture: Picture) -> Picture:
+    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8)

@@ -1,0 +1,65 @@
+"""The place of an instrument without a marker that a video is followed by: shown once, kept beside the video."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+import cv2
+import numpy as np
+import tomli_w
+
+from tautline.errors import TautError
+from tautline.vision.camera import read_picture
+from tautline.vision.colour import COLOUR_FILE
+from tautline.vision.patch import PatchTracker, Picture
+
+FORMAT = "region/1"
+REGION_FILE = "region.toml"  # its name beside a video
+
+
+@dataclass(frozen=True)
+class Region:
+    """A place on the instrument as it was shown: a square in a picture that is kept beside the file."""
+
+    at: tuple[float, float]
+    side_px: float
+    picture: Picture  # BGR
+
+    @classmethod
+    def beside(cls, video: Path) -> Self | None:
+        """The video's own; None where it has none."""
+        path = video.parent / REGION_FILE
+        if not path.is_file():
+            return None
+        if (video.parent / COLOUR_FILE).is_file():
+            raise TautError(f"{path}: beside it is a {COLOUR_FILE}: is there a marker or not? Remove one of both")
+        return cls.load(path)
+
+    def tracker(self) -> PatchTracker:
+        return PatchTracker(self.picture, self.at, self.side_px)
+
+    def save(self, path: Path) -> None:
+        """And the picture as a PNG of the same name."""
+        shown = path.with_suffix(".png")
+        cv2.imwrite(str(shown), self.picture)
+        document = {"format": FORMAT, "at_px": list(self.at), "side_px": self.side_px, "picture": shown.name}
+        path.write_text(tomli_w.dumps(document), encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        again = "show the place again with 'taut marker VIDEO --region U,V'"
+        try:
+            document = tomllib.loads(path.read_text(encoding="utf-8"))
+            u, v = (float(x) for x in document["at_px"])
+            side, name = float(document["side_px"]), str(document["picture"])
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, KeyError, TypeError, ValueError) as error:
+            raise TautError(f"{path}: cannot be read as a place to follow ({error}): {again}") from error
+        if document.get("format") != FORMAT:
+            raise TautError(f"{path}: format is {document.get('format')!r}, expected '{FORMAT}': {again}")
+        picture = read_picture(path.parent / name)
+        if picture is None:
+            raise TautError(f"{path}: its picture {name} is not beside it: {again}")
+        return cls((u, v), side, np.asarray(picture, dtype=np.uint8))

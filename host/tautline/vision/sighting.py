@@ -1,0 +1,26 @@
+"""What a tracker says of one frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """u, v and sigma_px (per coordinate) are NaN where the marker is lost; `lost` then says why, else it is empty."""
+
+    u_px: float
+    v_px: float
+    sigma_px: float
+    diameter_px: float
+    lost: str = ""
+
+    @property
+    def valid(self) -> bool:
+        return not self.lost
+
+
+def lost(why: str) -> Sighting:
+    return Sighting(np.nan, np.nan, np.nan, np.nan, why)
