@@ -111,15 +111,15 @@ def test_a_client_in_another_process_leads_the_tip(tmp_path: Path, namespace: st
         clock = wall_clock(desktop.link())
         model = saved_model(tmp_path / "model")
         process = node(desktop, model, namespace, "-p", "update_rate:=100", camera=True)
-        assert client(namespace, tmp_path, 6.5).wait(40.0) == 0
-        process.send_signal(signal.SIGINT)
+        assert client(namespace, tmp_path, 4.5).wait(40.0) == 0
+        process.send_signal(signal.SIGTERM)
         out, _ = process.communicate(timeout=20.0)
         clock.need()
     assert process.returncode == 0
     result, heard = json.loads(out), heard_in(tmp_path)
     assert result["refused"] == result["unusable"] == 0
     assert result["sent"] >= 0.95 * len(heard.sent)
-    assert result["tracking"]["frames"] > 150
+    assert result["tracking"]["frames"] > 100
     the_tip_is_led(heard)
     the_tip_is_tracked(heard)
     states = [row["values"] for row in heard.rows["/diagnostics"]]
@@ -141,7 +141,7 @@ def the_tip_is_led(heard: Heard) -> None:
     p_mm = np.interp(np.degrees(np.interp(t_motor_s, t_s, c)), instrument().bend(grid), grid)
     speed = np.gradient(p_mm, t_motor_s)
     fast = np.degrees(AMPLITUDE_RAD) * 2.0 * np.pi / PERIOD_S / 12.4  # the sine's, mm/s of p
-    moves = (t_motor_s > began_s + 0.5) & (t_motor_s < began_s + 6.0) & (np.abs(speed) > 0.5 * fast)
+    moves = (t_motor_s > began_s + 0.5) & (t_motor_s < began_s + 4.4) & (np.abs(speed) > 0.5 * fast)
     for way in (1.0, -1.0):
         before = (1e3 * motor - p_mm)[moves & (np.sign(speed) == way)]
         assert len(before) > 100
@@ -195,10 +195,7 @@ def a_bag_of_it_is_the_same_recording(heard: Heard, namespace: str, folder: Path
     np.testing.assert_allclose(marker.v_px, [row["v"] for row in seen], atol=6e-5)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_it_ends_with_the_motor_at_rest_and_off(
-    tmp_path: Path, namespace: str, wall_clock: ClockOf, number: signal.Signals
-) -> None:
+def test_it_ends_with_the_motor_at_rest_and_off(tmp_path: Path, namespace: str, wall_clock: ClockOf) -> None:
     with referenced() as desktop:
         clock = wall_clock(desktop.link())
         process = node(desktop, saved_model(tmp_path / "model"), namespace, camera=False)
@@ -209,7 +206,7 @@ def test_it_ends_with_the_motor_at_rest_and_off(
         while np.ptp(places or [0]) < 256 * 400 and time.monotonic() < began + 30.0:
             time.sleep(0.02)
             places.append(link.ask("state")["q"][0])
-        process.send_signal(number)
+        process.send_signal(signal.SIGINT)
         out, _ = process.communicate(timeout=20.0)
         other.kill()
         other.wait()
