@@ -111,7 +111,7 @@ def test_a_client_in_another_process_leads_the_tip(tmp_path: Path, namespace: st
         clock = wall_clock(desktop.link())
         model = saved_model(tmp_path / "model")
         process = node(desktop, model, namespace, "-p", "update_rate:=100", camera=True)
-        assert client(namespace, tmp_path, 4.5).wait(40.0) == 0
+        assert client(namespace, tmp_path, 3.5).wait(40.0) == 0
         process.send_signal(signal.SIGTERM)
         out, _ = process.communicate(timeout=20.0)
         clock.need()
@@ -119,7 +119,7 @@ def test_a_client_in_another_process_leads_the_tip(tmp_path: Path, namespace: st
     result, heard = json.loads(out), heard_in(tmp_path)
     assert result["refused"] == result["unusable"] == 0
     assert result["sent"] >= 0.95 * len(heard.sent)
-    assert result["tracking"]["frames"] > 100
+    assert result["tracking"]["frames"] > 80
     the_tip_is_led(heard)
     the_tip_is_tracked(heard)
     states = [row["values"] for row in heard.rows["/diagnostics"]]
@@ -141,10 +141,10 @@ def the_tip_is_led(heard: Heard) -> None:
     p_mm = np.interp(np.degrees(np.interp(t_motor_s, t_s, c)), instrument().bend(grid), grid)
     speed = np.gradient(p_mm, t_motor_s)
     fast = np.degrees(AMPLITUDE_RAD) * 2.0 * np.pi / PERIOD_S / 12.4  # the sine's, mm/s of p
-    moves = (t_motor_s > began_s + 0.5) & (t_motor_s < began_s + 4.4) & (np.abs(speed) > 0.5 * fast)
+    moves = (t_motor_s > began_s + 0.5) & (t_motor_s < began_s + 3.4) & (np.abs(speed) > 0.5 * fast)
     for way in (1.0, -1.0):
         before = (1e3 * motor - p_mm)[moves & (np.sign(speed) == way)]
-        assert len(before) > 100
+        assert len(before) > 60
         # What remains is the motor's lead of the plan, 2.4 ms of at most 2.4 mm/s.
         assert np.median(before) == pytest.approx(way * 0.5 * WIDTH_MM, abs=0.01)
     # It rests where set-points have stopped.
@@ -158,7 +158,7 @@ def the_tip_is_tracked(heard: Heard) -> None:
     t_board_s, by_encoder = heard.joint("measured_js", "tip")
     inside = (t_s > t_board_s[0]) & (t_s < t_board_s[-1])
     off = seen[inside] - np.interp(t_s[inside], t_board_s, by_encoder)
-    assert inside.sum() > 100
+    assert inside.sum() > 80
     # 0.05 px of 1.3 px/deg, and a frame's time is known to a few ms of 0.5 rad/s: the camera has a clock of its own.
     assert np.sqrt(np.mean((off - np.median(off)) ** 2)) < 0.02
     assert len(heard.rows["tracked_px"]) == len(heard.rows["tracked_js"])
