@@ -15,6 +15,7 @@ from tautline.errors import TautError
 from tautline.vision.camera import VideoCamera, read_picture, sample_video
 from tautline.vision.colour import COLOUR_FILE, LARGEST_PX, MarkerColour, pick
 from tautline.vision.marker import MarkerTracker, Sighting, find_colour
+from tautline.vision.ros_camera import RosCamera, is_topic
 
 _STILL_FRAMES = 60  # that are tracked to say how well the marker can be seen
 _SPREAD = 12  # frames from all over a video in which the marker is looked for
@@ -112,7 +113,7 @@ def _pictures(source: str) -> tuple[list[np.ndarray], list[np.ndarray]]:
         return pictures, pictures[:: _STILL_FRAMES // 10]
     if (picture := read_picture(source)) is not None:
         return [picture], [picture]
-    with VideoCamera(source) as camera:
+    with RosCamera(source) if is_topic(source) else VideoCamera(source) as camera:
         pictures = [read[0] for _ in range(_STILL_FRAMES) if (read := camera.read())]
         is_file = camera.frames is not None
     if not pictures:

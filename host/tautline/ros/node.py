@@ -10,6 +10,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from tautline.device import wire
 from tautline.device.stream import SetPointStream
 from tautline.geometry import pose
 from tautline.live.in_use import Following
-from tautline.live.setup import Frame, Live, MarkerSource
+from tautline.live.setup import Frame, Live
 from tautline.model import Model
 from tautline.motors.ros_graph import Graph, library, sensor_qos
 from tautline.quality import Verdict
@@ -32,19 +33,15 @@ _CLOCK_READS = 3
 _DIAGNOSED_S = 1.0  # between two messages, as diagnostic tools expect
 
 
-class Seen:
-    """A marker source whose frames are published as they are looked at."""
+@dataclass
+class Shown(Following):
+    """A tracker whose frames are published as they come."""
 
-    def __init__(self, source: MarkerSource, told: Callable[[Frame], None]) -> None:
-        self._source, self._told = source, told
+    shown: Callable[[Frame], None] = lambda frame: None
 
-    def look(self) -> Frame:
-        frame = self._source.look()
-        self._told(frame)
-        return frame
-
-    def close(self) -> None:
-        self._source.close()
+    def seen(self, frame: Frame) -> None:
+        self.shown(frame)
+        super().seen(frame)
 
 
 class Node:
@@ -52,7 +49,6 @@ class Node:
     `run` sends and publishes."""
 
     def __init__(self, graph: Graph, parameters: Parameters, live: Live, model: Model) -> None:
-        """A camera's frames are published from now on."""
         self._graph, self.parameters, self._live, self._model = graph, parameters, live, model
         self.received = self.unusable = 0  # set-points: with a position of the joint, and without one
         self._newest: float | None = None  # rad, not sent on yet
@@ -69,7 +65,6 @@ class Node:
         if live.marker_source is not None:
             self._tracked = node.create_publisher(sensor.JointState, "tracked_js", 10)
             self._marker = node.create_publisher(geometry.PointStamped, "tracked_px", 10)
-            live.marker_source = Seen(live.marker_source, self._saw)
         live.board.listen("batch", self._batches.append)
         live.board.ask("telemetry", axis=live.axis, divider=1)
         node.create_subscription(sensor.JointState, "servo_jp", self._take, sensor_qos())
@@ -132,8 +127,8 @@ class Node:
         ):
             self._joints[name].publish(messages.joint_state(time_ns, positions))
 
-    def _saw(self, frame: Frame) -> None:
-        """The frame shows what was there a delay before it arrived."""
+    def saw(self, frame: Frame) -> None:
+        """Publishes where the frame shows the tip, a delay before it arrived. From any one thread."""
         seen = frame.sighting
         if not seen.valid:
             return
