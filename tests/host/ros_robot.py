@@ -122,6 +122,7 @@ class RosRobot:
             [0.0, *places],
             [0.0, *(self._unit * m.speed for m in reversed(self.motors))],
         )
+        self._states.publish(self._state(name=["gripper"], position=[0.5]))  # another broadcaster's
         for piece in self.bus.ills.through(message):  # none is damaged: DDS has a check of its own
             self._states.publish(piece)
 

@@ -323,11 +323,12 @@ def test_a_library_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatc
 
 
 @every_kind
-def test_nobody_there_is_one_line(kind: str) -> None:
+def test_nobody_there_is_one_line(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ros_joints, "_FIRST_S", 1.0)
     make, like = EMULATORS[kind]
     emulator = make([replace(like, goals=[], course=[])])
     try:
-        with pytest.raises(TautError, match=r"check power|no joint joint_9 in its states"):
+        with pytest.raises(TautError, match=r"check power|no joint joint_9 in .*, which names gripper, joint_1, wheel"):
             addresses.open_drives(addresses.parse(where(kind, emulator, 9, "rate=100")))
     finally:
         emulator.close()

@@ -30,8 +30,8 @@ def library(module: str) -> Any:
         raise TautError(f"ROS 2 ({module}) is not here: source its set-up, or run '{EXTRA}'") from error
 
 
-def sensor_qos(depth: int = 1) -> Any:
-    """The newest counts, from publishers of any reliability."""
+def sensor_qos(depth: int = 10) -> Any:
+    """From publishers of any reliability; more than one may be on a topic, and what is nobody's stands between."""
     qos = library("rclpy.qos")
     return qos.QoSProfile(depth=depth, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
 

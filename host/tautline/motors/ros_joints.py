@@ -42,6 +42,7 @@ class RosJoints:
         self._came = threading.Condition()
         self._newest: tuple[float, Any] | None = None  # when it was measured, s; the message
         self._used: Any = None
+        self._others: set[str] = set()  # joints in messages that have not all of ours
         self._places: list[float] = []  # of each joint, rad or m: measured last
         self._told: list[float | None] = [None for _ in names]  # set-points, while they are on
         self._description = ""
@@ -62,6 +63,9 @@ class RosJoints:
         self._graph.begin()
         where = "are they of this machine, of the same $ROS_DOMAIN_ID, and active?"
         if not self._until(lambda: self._newest is not None, _FIRST_S):
+            if self._others:
+                missing = ", ".join(name for name in self._names if name not in self._others)
+                raise TautError(f"ros: no joint {missing} in {states}, which names {', '.join(sorted(self._others))}")
             raise TautError(f"ros: no joint states came on {states}: {where}")
         self._kind = self._taken_by(commands, where)
         self._commands = node.create_publisher(self._message_type(), commands, 1)
@@ -102,7 +106,11 @@ class RosJoints:
         return there()
 
     def _take(self, message: Any) -> None:
-        """A state is as old as its stamp says, where that is of this machine's clock."""
+        """A state is as old as its stamp says, where that is of this machine's clock. What others of the robot say on
+        the topic, without these joints, is left out."""
+        if not set(self._names) <= set(message.name[: len(message.position)]):
+            self._others |= set(message.name)
+            return
         at = message.header.stamp
         age_s = 1e-9 * self._graph.node.get_clock().now().nanoseconds - (at.sec + 1e-9 * at.nanosec)
         with self._came:
@@ -123,10 +131,7 @@ class RosJoints:
         return [self._measured(axis, t_s, self._used) for axis in range(len(self._names))]
 
     def _measured(self, axis: int, t_s: float, message: Any) -> Measured:
-        name, names = self._names[axis], list(message.name)
-        if name not in names or names.index(name) >= len(message.position):
-            raise TautError(f"no joint {name} in its states, which name {', '.join(names) or 'none'}")
-        at = names.index(name)
+        at = list(message.name).index(self._names[axis])
         place = float(message.position[at])
         fault = "" if math.isfinite(place) else "its position is not known: is the hardware active?"
         if not fault:
