@@ -68,7 +68,7 @@ class RosJoints:
                 raise TautError(f"ros: no joint {missing} in {states}, which names {', '.join(sorted(self._others))}")
             raise TautError(f"ros: no joint states came on {states}: {where}")
         self._kind = self._taken_by(commands, where)
-        self._commands = node.create_publisher(self._message_type(), commands, 1)
+        self._commands = node.create_publisher(self._message_type(), commands, 10)
         self._until(lambda: self._commands.get_subscription_count() > 0, _FIRST_S)
         self._places = [math.nan for _ in self._names]
         if any(math.isnan(m.q) for m in self.measure()):
