@@ -19,6 +19,7 @@ class WallCamera:
     where its marker is. After `until_s` it is gone."""
 
     clock = "the host's monotonic clock"
+    dropped = 0
 
     def __init__(self, link: SimLink, instrument: Instrument, until_s: float = np.inf) -> None:
         self._link, self._instrument = link, instrument

@@ -7,27 +7,33 @@ instrument, with the same counts, log rate and limits of the motor.
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import numpy as np
 import pytest
 from cli_runner import Taut
 from motor_emulators import Bench, Cia402Emulator, DynamixelEmulator, FeetechEmulator, MoteusEmulator, Motor
+from ros_robot import Joint, RosRobot
 
 from tautline.device import wire
-from tautline.device.board import Board, find
+from tautline.device.board import Board, find, open_board
 from tautline.device.link import BoardAddress, BoardGone
 from tautline.errors import TautError
 from tautline.live.following import follow_run
 from tautline.live.session import MotionOptions, calibrate_live, driving, move_to
 from tautline.live.setup import Live, PointSource, open_live
 from tautline.model import Model
-from tautline.motors import addresses, cia402, moteus_drives, serial_servos
-from tautline.motors.drives import all_off
+from tautline.motors import addresses, cia402, moteus_drives, ros_joints, serial_servos
+from tautline.motors.drives import Goal, all_off
 from tautline.motors.feetech import Feetech
 from tautline.motors.hosted import HostedLink, flash_file
 from tautline.simulated.instrument import Instrument, preset
@@ -40,8 +46,12 @@ EMULATORS: dict[str, tuple[Callable[[list[Motor]], Any], Motor]] = {
     "feetech": (FeetechEmulator, Motor(speed_most=3400.0, acceleration_most=1e5, lag_s=0.02)),
     "canopen": (Cia402Emulator, Motor(lag_s=0.004)),
     "moteus": (MoteusEmulator, Motor(speed_most=2e4, acceleration_most=1e6, lag_s=0.005)),
+    "ros": (lambda motors: RosRobot(motors, f"/n{uuid4().hex[:12]}"), Joint()),
 }
-every_kind = pytest.mark.parametrize("kind", EMULATORS)
+HAS_ROS = find_spec("rclpy") is not None
+NO_ROS = pytest.mark.skipif(not HAS_ROS, reason="the index has no ROS 2 for this Python or machine")
+KINDS = [pytest.param(kind, marks=NO_ROS) if kind == "ros" else kind for kind in EMULATORS]
+every_kind = pytest.mark.parametrize("kind", KINDS)
 
 
 @pytest.fixture(autouse=True)
@@ -51,6 +61,7 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
         (cia402, "_ANSWER_S", 0.2),
         (moteus_drives, "_ANSWER_S", 0.2),
         (serial_servos, "_ANSWER_MS", 200.0),
+        (ros_joints, "_ANSWER_S", 0.1),
     ):
         monkeypatch.setattr(waits, name, long)
 
@@ -75,7 +86,28 @@ def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def bus_of(kind: str, emulator: Any) -> str:
-    return emulator.bus.path if kind in ("dynamixel", "feetech") else f"virtual/{emulator.bus.channel}"
+    return f"virtual/{emulator.bus.channel}" if kind in ("canopen", "moteus") else emulator.bus.path
+
+
+def where(kind: str, emulator: Any, number: int, options: str) -> str:
+    """The address of an emulated motor."""
+    if kind == "ros":
+        return f"ros:{bus_of(kind, emulator)}:joint_{number}?{options}"
+    return f"{kind}:{bus_of(kind, emulator)}:{number}?{options}&baud=1000000"
+
+
+def settled(kind: str, emulator: Any, drives: Any) -> None:
+    """A topic has no answer to wait for: what was published is counted."""
+    if kind != "ros":
+        return
+    publish, sent = drives._commands.publish, [emulator.bus.taken]
+
+    def counted(message: Any) -> None:
+        sent[0] += 1
+        publish(message)
+
+    drives._commands.publish = counted
+    emulator.bus.sent = lambda: sent[0]
 
 
 @contextmanager
@@ -87,8 +119,9 @@ def driven(kind: str, homed: bool = True, at: float = 0.0) -> Iterator[Setup]:
         emulator = make([motor])
         stack.callback(emulator.close)
         bench = Bench([motor], emulator.bus.settle)
-        address = addresses.parse(f"{kind}:{bus_of(kind, emulator)}:1?rate={RATE_HZ:g}&baud=1000000")
+        address = addresses.parse(where(kind, emulator, 1, f"rate={RATE_HZ:g}"))
         drives = addresses.open_drives(address, clock=bench.clock)
+        settled(kind, emulator, drives)
         link = HostedLink(drives, f"{kind}:emulated:1", RATE_HZ, clock=bench.clock, paced=False)
         bench.serve(link)
         board = stack.enter_context(Board(BoardAddress(link.where, None, False, (wire.wire.MAJOR, 0), lambda: link)))
@@ -273,7 +306,9 @@ def test_by_the_wall_clock_from_the_command_line(
         ("dynamixel:/dev/ttyUSB0:1,1", "different ones"),
         ("feetech:/dev/ttyUSB0:1,2,3,4,5", "1 to 4"),
         ("canopen:socketcan/can0:1?rate=5", "20 to 1000"),
-        ("moteus:socketcan/can0:1?speed=5", "rate=HZ"),
+        ("moteus:socketcan/can0:1?speed=5", "rate=HZ and baud=BAUD"),
+        ("ros:/joint_states,/commands:elbow?baud=5", "takes rate=HZ,"),
+        ("ros:/joint_states,/commands:a,b,c,d,e", "1 to 4"),
     ],
 )
 def test_an_address_that_is_none_says_so(where: str, says: str) -> None:
@@ -288,11 +323,13 @@ def test_a_library_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatc
 
 
 @every_kind
-def test_nobody_there_is_one_line(kind: str) -> None:
-    emulator = EMULATORS[kind][0]([Motor()])
+def test_nobody_there_is_one_line(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ros_joints, "_FIRST_S", 1.0)
+    make, like = EMULATORS[kind]
+    emulator = make([replace(like, goals=[], course=[])])
     try:
-        with pytest.raises(TautError, match="check power"):
-            addresses.open_drives(addresses.parse(f"{kind}:{bus_of(kind, emulator)}:9?baud=1000000"))
+        with pytest.raises(TautError, match=r"check power|no joint joint_9 in .*, which names gripper, joint_1, wheel"):
+            addresses.open_drives(addresses.parse(where(kind, emulator, 9, "rate=100")))
     finally:
         emulator.close()
 
@@ -373,6 +410,90 @@ def test_a_servo_in_overload_is_switched_off() -> None:
         drives.close()
     finally:
         emulator.close()
+
+
+@contextmanager
+def joints(motors: list[Motor], **options: bool) -> Iterator[tuple[RosRobot, Any]]:
+    robot = RosRobot(motors, f"/n{uuid4().hex[:12]}", **options)
+    drives = None
+    try:
+        names = ",".join(robot.names)
+        drives = addresses.open_drives(addresses.parse(f"ros:{robot.bus.path}:{names}"))
+        settled("ros", robot, drives)
+        yield robot, drives
+    finally:
+        if drives is not None:
+            drives.close()
+        robot.close()
+
+
+@NO_ROS
+@pytest.mark.parametrize(
+    ("sliding", "described", "counts", "per", "speed", "low"),
+    [
+        (False, True, 4096, "turn", 12000.0, -20000.0),  # as the robot has them, in counts
+        (True, True, 1_000_000, "m", 12000.0, -20000.0),
+        (False, False, 4096, "turn", 4096.0, None),
+    ],
+)
+def test_a_joints_kind_and_limits_are_its_descriptions(
+    sliding: bool, described: bool, counts: int, per: str, speed: float, low: float | None
+) -> None:
+    with joints([Joint(position=500.0)], sliding=sliding, described=described) as (_, drives):
+        drive = drives.drives[0]
+        assert (drive.counts_per_turn, drive.per, drive.referenced) == (counts, per, True)
+        assert drive.limits.speed == pytest.approx(speed)
+        if low is not None:
+            assert (drive.limits.q_low, drive.limits.q_high) == (pytest.approx(low), pytest.approx(-low))
+        assert drives.measure()[0].q == pytest.approx(500.0, abs=1e-6)
+
+
+@NO_ROS
+@pytest.mark.parametrize("by_name", [False, True])
+def test_a_joint_that_is_off_is_left_where_it_is(by_name: bool) -> None:
+    motors: list[Motor] = [Joint(position=100.0), Joint(position=-300.0)]
+    with joints(motors, by_name=by_name) as (robot, drives):
+        drives.enable(0, True)
+        drives.set_positions([Goal(150.0, 0.0), None])
+        robot.bus.settle()
+        assert motors[0].goals == pytest.approx([100.0, 150.0], abs=1e-6)
+        assert motors[1].goals == ([] if by_name else pytest.approx([-300.0, -300.0], abs=1e-6))
+        drives.enable(0, False)  # no force that grew: where it is
+        robot.bus.settle()
+        assert motors[0].goals[-1] == pytest.approx(100.0, abs=1e-6)
+
+
+@NO_ROS
+def test_a_robot_in_another_process_by_the_wall_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    namespace = f"/n{uuid4().hex[:12]}"
+    address = f"ros:{namespace}/joint_states,{namespace}/commands:joint_1?rate=50"
+    robot = subprocess.Popen(
+        [sys.executable, str(Path(__file__).with_name("ros_robot.py")), namespace], stdin=subprocess.PIPE
+    )
+    try:
+        with open_board(address) as board:
+            assert board.bus()["drives"] == ["joint_1: revolute, firmware -, 4096 counts a turn"]
+            board.switch_on(0)
+            board.ask("move", axis=0, q=300.0, speed_s=2000.0)
+            end = time.monotonic() + 10.0
+            while abs(board.status(0).q - 300.0) > 5.0 and time.monotonic() < end:
+                time.sleep(0.02)
+            assert board.status(0).q == pytest.approx(300.0, abs=5.0)
+    finally:
+        assert robot.stdin is not None
+        robot.stdin.close()
+        robot.wait(10.0)
+
+
+@NO_ROS
+@pytest.mark.parametrize(
+    ("bus", "says"), [("/joint_states", "name two topics"), (f"/n{uuid4().hex},/commands", "no joint states came")]
+)
+def test_topics_that_cannot_be_used_are_one_line(bus: str, says: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ros_joints, "_FIRST_S", 0.3)
+    with pytest.raises(TautError, match=says):
+        addresses.open_drives(addresses.parse(f"ros:{bus}:joint_1"))
 
 
 @pytest.mark.parametrize(("rate", "told"), [(250.0, (4, -3)), (400.0, (25, -4)), (300.0, None)])

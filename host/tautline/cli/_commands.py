@@ -101,6 +101,11 @@ GROUPS: dict[str, tuple[Command, ...]] = {
         ),
         Command("stream", "send tip set-points at 200 Hz or more, for teleoperation", "taut stream monday"),
         Command(
+            "ros",
+            "a ROS 2 node: compensated set-points, joint states, the tracked tip, the calibration's state",
+            "taut ros monday --camera 0 --ros-args -r __ns:=/left",
+        ),
+        Command(
             "record",
             "record motor, marker and video from a board and a camera",
             "taut record --camera 0 --rig rig.toml --out session",

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tautline.cli._common import log, progress_bar, read_rig
+from tautline.cli._common import log, progress_bar, read_rig, warn
 from tautline.errors import TautError
 from tautline.model import MODEL_FILE, Model
 from tautline.simulated.instrument import PRESETS
@@ -29,7 +29,7 @@ board_option = click.option(
 )
 axis_option = click.option("--axis", type=click.IntRange(0, 3), default=0, show_default=True, help="Axis of the board.")
 camera_option = click.option(
-    "--camera", metavar="SOURCE", help="Camera: a device number or path, or a stream's address."
+    "--camera", metavar="SOURCE", help="Camera: a device number or path, a stream's address, or ros:TOPIC."
 )
 colour_option = click.option(
     "--colour",
@@ -118,7 +118,7 @@ def live_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @contextmanager
 def opened(live: LiveOptions, rig_path: Path | None, seed: int = 0, model: Model | None = None) -> Iterator[Live]:
     """The live set-up that the options name. The rig is --rig's, else the model's, else the simulation's own."""
-    from tautline.live.setup import open_live
+    from tautline.live.setup import CameraSource, open_live
     from tautline.vision.colour import MarkerColour
 
     if live.simulate is not None and live.simulate not in PRESETS and not (Path(live.simulate) / MODEL_FILE).is_file():
@@ -142,6 +142,8 @@ def opened(live: LiveOptions, rig_path: Path | None, seed: int = 0, model: Model
         seed=seed,
     ) as setup:
         yield setup
+        if isinstance(setup.marker_source, CameraSource) and (dropped := setup.marker_source.dropped):
+            warn(f"{dropped} frames of the camera never came: ask it for fewer or smaller ones")
 
 
 def recalled(setup: Live, library: Library) -> tuple[Model, Path]:

@@ -25,7 +25,7 @@ def command(board: str | None, as_json: bool) -> None:
     their own are listed where --board or $TAUTLINE_BOARD names them; else the kinds that there are.
     """
     from tautline.device.board import find
-    from tautline.motors.addresses import EXTRA, KINDS
+    from tautline.motors.addresses import KINDS
 
     rows = [_describe(description) for description in find(board)]
     if board is not None and not rows:
@@ -37,9 +37,9 @@ def command(board: str | None, as_json: bool) -> None:
     lines = list(map(_text, rows)) or ["no board is attached"]
     if board is None:
         lines += ["", "motors on a bus of their own, as --board or a rig's actuator.board names them:"]
-        for driver in drivers:
-            missing = "" if driver["installed"] else f", not installed: {EXTRA}"
-            lines.append(f"  {driver['example']} ({driver['motors']}{missing})")
+        for kind in KINDS.values():
+            missing = "" if kind.installed else f", not installed: {kind.remedy}"
+            lines.append(f"  {kind.example} ({kind.says}{missing})")
     emit({"boards": rows, "drivers": drivers}, as_json, "\n".join(lines))
 
 

@@ -18,6 +18,7 @@ from tautline.vision.marker import MarkerTracker, find_colour
 from tautline.vision.patch import USUAL_PX
 from tautline.vision.region import REGION_FILE, Region
 from tautline.vision.sighting import Sighting
+from tautline.vision.ros_camera import RosCamera, is_topic
 
 _STILL_FRAMES = 60  # that are tracked to say how well the marker can be seen
 _SPREAD = 12  # frames from all over a video in which the marker is looked for
@@ -192,7 +193,7 @@ def _pictures(source: str) -> tuple[list[np.ndarray], list[np.ndarray]]:
         return pictures, pictures[:: _STILL_FRAMES // 10]
     if (picture := read_picture(source)) is not None:
         return [picture], [picture]
-    with VideoCamera(source) as camera:
+    with RosCamera(source) if is_topic(source) else VideoCamera(source) as camera:
         pictures = [read[0] for _ in range(_STILL_FRAMES) if (read := camera.read())]
         is_file = camera.frames is not None
     if not pictures:

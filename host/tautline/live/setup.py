@@ -31,6 +31,7 @@ from tautline.vision.camera import FrameSource, SimulatedCamera, VideoCamera
 from tautline.vision.colour import MarkerColour, pick
 from tautline.vision.marker import MarkerTracker
 from tautline.vision.sighting import Sighting
+from tautline.vision.ros_camera import RosCamera, is_topic
 from tautline.vision.timing import FrameTiming
 
 Array = np.ndarray
@@ -63,6 +64,11 @@ class CameraSource:
     ) -> None:
         """size (width, height): what the rig says that frames measure; any other is an error."""
         self._board, self._camera, self._tracker, self._size = board, camera, tracker, size
+
+    @property
+    def dropped(self) -> int:
+        """Frames that the camera took and that never came."""
+        return self._camera.dropped
 
     def look(self) -> Frame:
         taken = self._camera.read()
@@ -412,8 +418,7 @@ def open_live(
             source = int(camera) if isinstance(camera, str) and camera.isdigit() else camera
             size = None if rig.camera is None else (rig.camera.width_px, rig.camera.height_px)
             rate_hz = None if rig.camera is None else rig.camera.frame_rate_hz
-            live.marker_source = CameraSource(
-                opened, VideoCamera(source, size=size, rate_hz=rate_hz), MarkerTracker(colour), size
-            )
+            camera_of = RosCamera(str(source)) if is_topic(source) else VideoCamera(source, size=size, rate_hz=rate_hz)
+            live.marker_source = CameraSource(opened, camera_of, MarkerTracker(colour), size)
             stack.callback(live.marker_source.close)
         yield live

@@ -22,13 +22,19 @@ class Kind:
 
     module: str
     driver: str
-    package: str  # what is imported of the extra `drivers`
+    package: str  # what is imported of the extra
     says: str
     example: str
+    ids: str = r"\d+"  # how a motor is called on the bus
+    extra: str = "drivers"
 
     @property
     def installed(self) -> bool:
         return find_spec(self.package) is not None
+
+    @property
+    def remedy(self) -> str:
+        return f"pip install 'tautline-robotics[{self.extra}]'"
 
 
 KINDS = {
@@ -40,8 +46,16 @@ KINDS = {
         "cia402", "Cia402", "canopen", "CANopen drives, CiA 402 cyclic synchronous position", "canopen:socketcan/can0:1"
     ),
     "moteus": Kind("moteus_drives", "Moteus", "moteus", "moteus controllers", "moteus:socketcan/can0:1"),
+    "ros": Kind(
+        "ros_joints",
+        "RosJoints",
+        "rclpy",
+        "joints of a ROS 2 robot, by topics",
+        "ros:/joint_states,/position_controller/commands:elbow",
+        r"[^:,?]+",
+        "ros",
+    ),
 }
-EXTRA = "pip install 'tautline-robotics[drivers]'"
 _RATES_HZ = (20.0, 1000.0)
 
 
@@ -49,7 +63,7 @@ _RATES_HZ = (20.0, 1000.0)
 class Address:
     kind: str
     bus: str
-    numbers: tuple[int, ...]
+    numbers: tuple[int | str, ...]
     rate_hz: float
     baud: int
 
@@ -67,22 +81,24 @@ def parse(where: str) -> Address:
     name, _, options = where.partition("?")
     kind, _, rest = name.partition(":")
     module = _module(kind)
-    match = re.fullmatch(r"(.+?)(?::(\d+(?:,\d+)*))?", rest)
+    ids = KINDS[kind].ids
+    match = re.fullmatch(rf"(.+?)(?::({ids}(?:,{ids})*))?", rest)
     if not match:
         raise _wrong(where, kind, "names no bus")
-    numbers = tuple(int(n) for n in (match[2] or "1").split(","))
+    numbers = tuple(int(n) if n.isdecimal() else n for n in (match[2] or "1").split(","))
     if len(set(numbers)) != len(numbers) or not 1 <= len(numbers) <= wire.wire.AXES_MAX:
         raise _wrong(where, kind, f"names {len(numbers)} motors, and 1 to {wire.wire.AXES_MAX} different ones may be")
-    values: dict[str, float] = {"rate": module.RATE_HZ, "baud": module.BAUD}
+    values: dict[str, float] = {"rate": module.RATE_HZ} | ({"baud": module.BAUD} if module.BAUD else {})
     for part in filter(None, options.split("&")):
         key, _, value = part.partition("=")
         if key not in values or not re.fullmatch(r"\d+(\.\d+)?", value):
-            raise _wrong(where, kind, f"has '{part}', and takes rate=HZ and baud=BAUD")
+            takes = " and ".join(f"{name}={name.upper().replace('RATE', 'HZ')}" for name in values)
+            raise _wrong(where, kind, f"has '{part}', and takes {takes}")
         values[key] = float(value)
     low, high = _RATES_HZ
     if not low <= values["rate"] <= high:
         raise _wrong(where, kind, f"asks for {values['rate']:g} Hz, and {low:g} to {high:g} may be")
-    return Address(kind, match[1], numbers, values["rate"], round(values["baud"]))
+    return Address(kind, match[1], numbers, values["rate"], round(values.get("baud", 0)))
 
 
 def _wrong(where: str, kind: str, says: str) -> TautError:
@@ -94,7 +110,9 @@ def _module(kind: str) -> Any:
     try:
         return importlib.import_module(f"tautline.motors.{KINDS[kind].module}")
     except ModuleNotFoundError as error:
-        raise TautError(f"{kind}: its library ({KINDS[kind].package}) is not installed: run '{EXTRA}'") from error
+        raise TautError(
+            f"{kind}: its library ({KINDS[kind].package}) is not installed: run '{KINDS[kind].remedy}'"
+        ) from error
 
 
 def open_drives(address: Address, **options: Any) -> Drives:

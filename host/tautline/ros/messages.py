@@ -1,0 +1,66 @@
+"""What `taut ros` publishes, as ROS' own messages. Its units are radians, metres and seconds (REP 103)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from tautline.device import wire
+from tautline.motors.ros_graph import library
+from tautline.rig import Rig
+
+NS = 10**9
+
+
+def si(rig: Rig) -> float:
+    """Of the motor's unit: rad a deg, or m a mm."""
+    return math.radians(1.0) if rig.actuator.unit == "deg" else 1e-3
+
+
+def stamp(time_ns: int) -> Any:
+    return library("builtin_interfaces.msg").Time(sec=time_ns // NS, nanosec=time_ns % NS)
+
+
+def joint_state(time_ns: int, positions: Mapping[str, float], frame: str = "") -> Any:
+    """positions: rad or m, by joint."""
+    header = library("std_msgs.msg").Header(stamp=stamp(time_ns), frame_id=frame)
+    return library("sensor_msgs.msg").JointState(header=header, name=list(positions), position=list(positions.values()))
+
+
+def point(time_ns: int, u_px: float, v_px: float, sigma_px: float) -> Any:
+    """Where the marker is in the image: x and y in px, z how far off it may be."""
+    header = library("std_msgs.msg").Header(stamp=stamp(time_ns), frame_id="image")
+    geometry = library("geometry_msgs.msg")
+    return geometry.PointStamped(header=header, point=geometry.Point(x=u_px, y=v_px, z=sigma_px))
+
+
+def position_of(message: Any, joint: str) -> float | None:
+    """rad of the joint in a JointState; without names that of its only position. None where it has none that is
+    finite."""
+    names, positions = list(message.name), message.position
+    at = names.index(joint) if joint in names else 0 if not names and len(positions) == 1 else len(positions)
+    return float(positions[at]) if at < len(positions) and math.isfinite(positions[at]) else None
+
+
+def diagnostics(time_ns: int, name: str, board: str, level: str, says: str, values: Mapping[str, Any]) -> Any:
+    """level: OK, WARN or ERROR. Values that are None are left out."""
+    of = library("diagnostic_msgs.msg")
+    rows = [of.KeyValue(key=key, value=_text(value)) for key, value in values.items() if value is not None]
+    status = of.DiagnosticStatus(
+        level=getattr(of.DiagnosticStatus, level), name=name, message=says, hardware_id=board, values=rows
+    )
+    return of.DiagnosticArray(header=library("std_msgs.msg").Header(stamp=stamp(time_ns)), status=[status])
+
+
+def _text(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def axis_values(status: wire.Message) -> dict[str, Any]:
+    """Of the board's answer, for diagnostics."""
+    return {
+        "mode": wire.text("MODES", status.mode),
+        "fault": wire.text("FAULTS", status.fault) if status.fault else None,
+        "table": wire.text("TABLES", status.table),
+    }

@@ -1,0 +1,189 @@
+"""`taut ros`: set-points of the tip from a topic go through the tables of an axis; what motor and tip do comes back.
+
+Set-points are sent on as they come, once in a cycle, each once: the board leads the motor from one to the next, and
+brings it to rest where none comes. States are the board's telemetry, one sample a cycle, stamped by its own clock.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tautline import tables
+from tautline.device import wire
+from tautline.device.stream import SetPointStream
+from tautline.geometry import pose
+from tautline.live.in_use import Following
+from tautline.live.setup import Frame, Live
+from tautline.model import Model
+from tautline.motors.ros_graph import Graph, library, sensor_qos
+from tautline.quality import Verdict
+from tautline.rig import MARKER
+from tautline.ros import messages
+from tautline.ros.parameters import Parameters
+from tautline.tracking import State
+
+_CLOCK_READS = 3
+_DIAGNOSED_S = 1.0  # between two messages, as diagnostic tools expect
+
+
+@dataclass
+class Shown(Following):
+    """A tracker whose frames are published as they come."""
+
+    shown: Callable[[Frame], None] = lambda frame: None
+
+    def seen(self, frame: Frame) -> None:
+        self.shown(frame)
+        super().seen(frame)
+
+
+class Node:
+    """The topics of one axis. Messages come on the graph's thread, telemetry on the board's, frames on the camera's;
+    `run` sends and publishes."""
+
+    def __init__(self, graph: Graph, parameters: Parameters, live: Live, model: Model) -> None:
+        self._graph, self.parameters, self._live, self._model = graph, parameters, live, model
+        self.received = self.unusable = 0  # set-points: with a position of the joint, and without one
+        self._newest: float | None = None  # rad, not sent on yet
+        self._batches: deque[wire.Message] = deque()
+        self._published_us = -1
+        self._diagnosed_s = -math.inf
+        self._c_deg: float | None = None  # as the camera saw it last
+        sensor, geometry = library("sensor_msgs.msg"), library("geometry_msgs.msg")
+        node = graph.node
+        names = ("joint_states", "measured_js", "setpoint_js", "motor/setpoint_js")
+        self._joints = {name: node.create_publisher(sensor.JointState, name, 10) for name in names}
+        diagnostic = library("diagnostic_msgs.msg").DiagnosticArray
+        self._diagnostics = node.create_publisher(diagnostic, "/diagnostics", 10)
+        if live.marker_source is not None:
+            self._tracked = node.create_publisher(sensor.JointState, "tracked_js", 10)
+            self._marker = node.create_publisher(geometry.PointStamped, "tracked_px", 10)
+        live.board.listen("batch", self._batches.append)
+        live.board.ask("telemetry", axis=live.axis, divider=1)
+        node.create_subscription(sensor.JointState, "servo_jp", self._take, sensor_qos())
+
+    def run(self, ended: Callable[[], bool], following: Following | None = None) -> dict[str, Any]:
+        """Until `ended`; then the motor is at rest and off. What was sent, as `taut stream` says it. TautError where
+        the axis has a fault, or its board is gone."""
+        parameters = self.parameters
+        with SetPointStream(self._live.board, self._live.axis, parameters.timeout_s) as points:
+            self._graph.begin()
+            while not ended():
+                newest, self._newest = self._newest, None
+                if newest is not None and not points.send(math.degrees(newest)) and self._newest is None:
+                    self._newest = newest  # the axis is still coming to rest after a silence
+                self._publish()
+                self._diagnose(points, following)
+                points.pace(parameters.period_s)
+        return points.summary() | {"received": self.received, "unusable": self.unusable}
+
+    def _take(self, message: Any) -> None:
+        position = messages.position_of(message, self.parameters.joint)
+        if position is None:
+            self.unusable += 1
+            return
+        self.received += 1
+        self._newest = position
+
+    def _ros_ns(self, t_us: float) -> int:
+        """ROS time of a time of the board: by way of this host's monotonic clock, which the board's is aligned with."""
+        clock = self._graph.node.get_clock()
+        reads = [(time.monotonic_ns(), clock.now().nanoseconds, time.monotonic_ns()) for _ in range(_CLOCK_READS)]
+        before, now, after = min(reads, key=lambda read: read[2] - read[0])  # nothing came between
+        middle = (before + after) // 2
+        return int(now + 1000 * t_us - 1000 * self._live.board.clock.board_us(1e-9 * middle))
+
+    def _publish(self) -> None:
+        """One telemetry sample of each cycle, by the board's time."""
+        if not self._batches:
+            return
+        began_ns, period_us = self._ros_ns(0.0), round(1e6 * self.parameters.period_s)
+        while self._batches:
+            batch = self._batches.popleft()
+            if batch.axis != self._live.axis:
+                continue
+            for i in range(batch.count):
+                t_us = batch.t_us + i * batch.period_us
+                if t_us // period_us > self._published_us // period_us:
+                    self._published_us = t_us
+                    self._state(began_ns + 1000 * t_us, *(float(column[i]) for column in _columns(batch)))
+
+    def _state(self, time_ns: int, q: float, q_ref: float, c_deg: float, c_ref_deg: float) -> None:
+        tip, motor = self.parameters.joint, self.parameters.command_joint
+        unit = messages.si(self._live.rig) * self._live.resolution
+        c, goal = math.radians(c_deg), math.radians(c_ref_deg)
+        for name, positions in (
+            ("joint_states", {motor: unit * q, tip: c}),
+            ("measured_js", {tip: c}),
+            ("setpoint_js", {tip: goal}),
+            ("motor/setpoint_js", {motor: unit * q_ref}),
+        ):
+            self._joints[name].publish(messages.joint_state(time_ns, positions))
+
+    def saw(self, frame: Frame) -> None:
+        """Publishes where the frame shows the tip, a delay before it arrived. From any one thread."""
+        seen = frame.sighting
+        if not seen.valid:
+            return
+        time_ns = self._ros_ns(frame.t_us - 1e6 * self._model.delay_of(MARKER))
+        at = np.array([[seen.u_px, seen.v_px]])
+        self._c_deg = float(pose(self._model.rig, at, start_deg=self._c_deg)[0][0])
+        self._marker.publish(messages.point(time_ns, seen.u_px, seen.v_px, seen.sigma_px))
+        angle = {self.parameters.joint: math.radians(self._c_deg)}
+        self._tracked.publish(messages.joint_state(time_ns, angle))
+
+    def _diagnose(self, points: SetPointStream, following: Following | None) -> None:
+        now = time.monotonic()
+        if now < self._diagnosed_s + _DIAGNOSED_S:
+            return
+        self._diagnosed_s = now
+        board, row = self._live.board, None if following is None else following.row
+        status = board.status(self._live.axis)
+        level, says = self._level(status, following)
+        bus = board.bus()
+        values = {
+            "model": tables.model_id(self._model).hex(),
+            "verdict": self._model.quality.verdict.value,
+            "tracking": None if row is None else row.state.value,
+            "reason": row.reason if row is not None and row.reason else None,
+            "offset": None if row is None else row.offset,
+            "scale": None if row is None else row.scale,
+            **messages.axis_values(status),
+            "received": self.received,
+            "unusable": self.unusable,
+            "sent": points.sent,
+            "refused": points.refused,
+            "silences": points.silences,
+            **{f"bus_{key}": bus[key] for key in ("rate_hz", "jitter_s", "missed", "late", "lag_s") if key in bus},
+        }
+        name = f"{self._graph.name}: {self.parameters.joint}"
+        time_ns = self._graph.node.get_clock().now().nanoseconds
+        self._diagnostics.publish(messages.diagnostics(time_ns, name, board.where, level, says, values))
+
+    def _level(self, status: wire.Message, following: Following | None) -> tuple[str, str]:
+        verdict = self._model.quality.verdict
+        if status.fault:
+            return "ERROR", wire.fault(status)
+        if verdict is Verdict.UNUSABLE:
+            return "ERROR", "the model's calibration is unusable"
+        if following is not None:
+            row = following.row
+            if following.lost or following.beyond:
+                return "WARN", following.lost or following.beyond
+            if row is not None and row.state is not State.TRUSTED:
+                return "WARN", f"model {row.state.value}: {row.reason}"
+        if verdict is Verdict.DOUBTFUL:
+            return "WARN", "the model's calibration is doubtful"
+        return "OK", f"model {verdict.value}"
+
+
+def _columns(batch: wire.Message) -> tuple[Any, ...]:
+    """q and its set-point in counts, c and its set-point in deg."""
+    return batch.q, batch.q_ref, batch.c_est, batch.c_ref

@@ -1,0 +1,40 @@
+"""How many frames a camera took that never came: by the gaps between those that did."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+_INTERVALS, _FIRST = 51, 10  # of which the camera's period is told, at most and at least
+_KEPT = 0.9  # a frame, of what the last one came too late: jitter is made up for, a period that is a little off is not
+
+
+class Drops:
+    """Arrival times in, a count out. The camera's rate may change, and its clock be any."""
+
+    def __init__(self) -> None:
+        self._last_s: float | None = None
+        self._intervals: deque[float] = deque(maxlen=_INTERVALS)
+        self._behind = 0.0  # periods
+        self._missing = 0
+
+    def add(self, t_s: float) -> None:
+        """A frame arrived, after the last one."""
+        before, self._last_s = self._last_s, t_s
+        if before is None:
+            return
+        self._intervals.append(t_s - before)
+        intervals = np.array(self._intervals)
+        usual = float(np.median(intervals))
+        if len(intervals) < _FIRST or usual <= 0.0:
+            return
+        period = float(intervals.sum() / np.maximum(np.rint(intervals / usual), 1.0).sum())
+        self._behind = _KEPT * self._behind + (t_s - before) / period - 1.0
+        missing = round(self._behind)
+        self._behind -= missing
+        self._missing += missing
+
+    @property
+    def count(self) -> int:
+        return max(self._missing, 0)

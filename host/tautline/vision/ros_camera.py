@@ -1,0 +1,118 @@
+"""Images of a ROS 2 topic as a camera: `ros:/camera/image_raw`, raw or compressed."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from typing import Any, Self
+
+import cv2
+import numpy as np
+
+from tautline.errors import TautError
+from tautline.motors.ros_graph import Graph, library, sensor_qos
+from tautline.vision.drops import Drops
+
+Array = np.ndarray
+_PREFIX = "ros:"
+_FIRST_S, _NEXT_S, _OLDEST_S = 10.0, 5.0, 1.0
+_KEPT = 4  # frames that wait for who reads them
+_KINDS = {"sensor_msgs/msg/Image": "Image", "sensor_msgs/msg/CompressedImage": "CompressedImage"}
+_TO_BGR = {  # by encoding: channels, OpenCV's conversion
+    "bgr8": (3, None),
+    "rgb8": (3, cv2.COLOR_RGB2BGR),
+    "mono8": (1, cv2.COLOR_GRAY2BGR),
+    "bgra8": (4, cv2.COLOR_BGRA2BGR),
+    "rgba8": (4, cv2.COLOR_RGBA2BGR),
+}
+
+
+def is_topic(source: object) -> bool:
+    """Whether a camera's name is that of a topic."""
+    return isinstance(source, str) and source.startswith(_PREFIX)
+
+
+class RosCamera:
+    """A topic's frames as they come. Arrival times are of the host's monotonic clock: a message's own stamp, where that
+    is of this machine's clock, else when it came. Use it as a context manager."""
+
+    frames = None  # how many there are: a topic does not end
+
+    def __init__(self, source: str) -> None:
+        self.name, topic = source, source.removeprefix(_PREFIX)
+        self.clock = "not known before the first frame"
+        self._drops = Drops()
+        self._came = threading.Condition()
+        self._waiting: deque[tuple[float, Any]] = deque(maxlen=_KEPT)
+        self._graph = Graph("tautline_camera")
+        try:
+            kind = self._kind(topic)
+            self._graph.node.create_subscription(
+                getattr(library("sensor_msgs.msg"), kind), topic, self._take, sensor_qos(_KEPT)
+            )
+            self._graph.begin()
+        except BaseException:
+            self.close()
+            raise
+
+    def _kind(self, topic: str) -> str:
+        """The message of who publishes it."""
+        end = time.monotonic() + _FIRST_S
+        while time.monotonic() < end:
+            offered = {
+                info.topic_type for info in self._graph.node.get_publishers_info_by_topic(self._graph.topic(topic))
+            }
+            if found := sorted(offered & set(_KINDS)):
+                return _KINDS[found[0]]
+            if offered:
+                raise TautError(f"{self.name}: is of {', '.join(sorted(offered))}: name one of {' or '.join(_KINDS)}")
+            time.sleep(0.02)
+        raise TautError(f"{self.name}: nobody publishes it: is the camera's node running, of the same $ROS_DOMAIN_ID?")
+
+    @property
+    def dropped(self) -> int:
+        """Frames that never came, or that were not read in time."""
+        return self._drops.count
+
+    def _take(self, message: Any) -> None:
+        now = time.monotonic()
+        at = message.header.stamp
+        age_s = 1e-9 * self._graph.node.get_clock().now().nanoseconds - (at.sec + 1e-9 * at.nanosec)
+        stamped = 0.0 <= age_s < _OLDEST_S
+        self.clock = "the messages' stamps" if stamped else "the host's monotonic clock when the message came"
+        with self._came:
+            self._waiting.append((now - age_s if stamped else now, message))
+            self._came.notify()
+
+    def read(self) -> tuple[Array, float] | None:
+        """TautError where no frame comes any more, or where it is none that can be shown."""
+        with self._came:
+            if not self._came.wait_for(lambda: bool(self._waiting), _NEXT_S):
+                raise TautError(f"{self.name}: no more images: is its camera still there?")
+            arrival_s, message = self._waiting.popleft()
+        self._drops.add(arrival_s)
+        return self._picture(message), arrival_s
+
+    def _picture(self, message: Any) -> Array:
+        data = np.frombuffer(message.data, np.uint8)
+        if not hasattr(message, "encoding"):
+            decoded = cv2.imdecode(data, cv2.IMREAD_COLOR)
+            if decoded is None:
+                raise TautError(f"{self.name}: an image cannot be decoded (format '{message.format}')")
+            return np.asarray(decoded)
+        if message.encoding not in _TO_BGR:
+            raise TautError(f"{self.name}: images are {message.encoding}: one of {', '.join(_TO_BGR)} is wanted")
+        channels, code = _TO_BGR[message.encoding]
+        rows = data[: message.height * message.step].reshape(message.height, message.step)
+        pixels = rows[:, : message.width * channels].reshape(message.height, message.width, channels)
+        return np.ascontiguousarray(pixels) if code is None else np.asarray(cv2.cvtColor(pixels, code))
+
+    def close(self) -> None:
+        self._graph.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
