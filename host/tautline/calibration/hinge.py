@@ -1,8 +1,9 @@
 """Level, then a knot or a jump, then a path: where in the motor's travel the image begins to move.
 
 The path's shape is not known: f_remain, and B where it is steep, bend it. Its slope is a Wiener process over the
-travel (the prior of a cubic smoothing spline), whose variance is unknown as well and summed over. So a path that bends
-within the few frames of a quick stroke widens the knot's posterior and does not move it.
+travel (the prior of a cubic smoothing spline), whose variance is unknown as well and summed over. It starts at about
+the speed that it goes on with: else what creeps before the onset is taken for a slow start. So a path that bends within
+the few frames of a quick stroke widens the knot's posterior and does not move it.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ Array = npt.NDArray[np.float64]
 _KNOTS = 33  # candidates at once
 _PIECES = 10  # of the path, in each of which its second derivative is constant
 _BENDS = 7  # values of its standard deviation, evenly in its logarithm
-_LEAST_BEND, _MOST_BEND = 0.3, 3.0  # over the window: of the noise, nothing is seen of it; of the whole swing
+_LEAST_BEND, _MOST_BEND = 0.3, 2.0  # over the window: of the noise, nothing is seen of it; of the whole swing
+_SPREAD = 0.5  # of the logarithm of the start's slope over the path's mean slope
+_BACKWARDS = 1e-3  # a start against the path counts as this share of it
 _FLAT = 1e-9  # precision of what is fitted, in whitened units over the window
 
 
@@ -73,10 +76,11 @@ def _paths(x: Array, y: Array, knots: Array, *, jump: bool = False) -> _Paths:
     swing = max(float(np.sqrt(np.max(np.sum(centred**2, axis=1)))), 1.0)
     bends = np.geomspace(_LEAST_BEND, _MOST_BEND * swing, _BENDS)
     precision = np.full((_BENDS, 2 + _PIECES), _FLAT)
+    precision[:, 1] = (_MOST_BEND * swing) ** -2
     precision[:, 2:] = bends[:, None] ** -2
     columns = [np.stack([np.ones_like(unit), unit], axis=2), pieces]
     basis = np.concatenate(columns, axis=2)
-    volume = _log_volume(pieces, bends)  # level, slope and jump are fitted, the pieces integrated out
+    volume = _log_volume(basis, precision)  # a jump is fitted, all else integrated out
     if jump:
         basis = np.concatenate([basis, (beyond > 0)[..., None].astype(float)], axis=2)
         precision = np.column_stack([precision, np.full(_BENDS, _FLAT)])
@@ -87,14 +91,25 @@ def _paths(x: Array, y: Array, knots: Array, *, jump: bool = False) -> _Paths:
     squares = np.maximum(np.sum(centred**2) - np.sum(coefficients * right[:, None], axis=(2, 3)), 0.0)
     count = (len(x) - 2) * y.shape[1]
     noise = np.maximum(squares / count, 1.0)
-    surprise = count * np.log(noise) + squares / noise + y.shape[1] * volume
+    surprise = (
+        count * np.log(noise) + squares / noise + y.shape[1] * volume + _start(basis, coefficients, int(x.argmax()))
+    )
     return _Paths(surprise, coefficients, gram, precision, basis, centred)
 
 
-def _log_volume(pieces: Array, bends: Array) -> Array:
-    """(K, V) log determinant of the image's covariance in one channel, noise and pieces (K, n, pieces) together."""
-    gram = (pieces.transpose(0, 2, 1) @ pieces)[:, None] * bends[None, :, None, None] ** 2
-    return np.asarray(np.linalg.slogdet(gram + np.eye(_PIECES))[1])
+def _start(basis: Array, coefficients: Array, last: int) -> Array:
+    """(K, V) -2 log of the prior of the slope at the knot over the path's mean slope: log-normal around 1."""
+    slope = coefficients[:, :, 1]
+    way = np.einsum("kp,kvpc->kvc", basis[:, last, 1 : 2 + _PIECES], coefficients[:, :, 1 : 2 + _PIECES])
+    mean = way / np.maximum(basis[:, last, 1], 1e-9)[:, None, None]
+    share = np.sum(slope * mean, axis=2) / np.maximum(np.sum(mean**2, axis=2), 1e-12)
+    return np.asarray((np.log(np.clip(share, _BACKWARDS, None)) / _SPREAD) ** 2)
+
+
+def _log_volume(basis: Array, precision: Array) -> Array:
+    """(K, V) log determinant of the image's covariance in one channel, noise and what its columns add together."""
+    gram = (basis.transpose(0, 2, 1) @ basis)[:, None] + precision[None, :, :, None] * np.eye(precision.shape[1])
+    return np.asarray(np.linalg.slogdet(gram)[1] - np.log(precision).sum(axis=1))
 
 
 def _moments(knots: Array, surprise: Array) -> tuple[float, float]:
