@@ -60,7 +60,7 @@ def hinges(sigma_per_frame: float, repeats: int, seed: int, *, bends: bool = Fal
 
 @pytest.mark.parametrize("sigma_per_frame", [3.0, 6.0, 12.0, 40.0])
 def test_a_hinge_is_as_sharp_as_the_bound(sigma_per_frame):
-    over_bound, over_sigma = hinges(sigma_per_frame, 800, seed=int(17 * sigma_per_frame))
+    over_bound, over_sigma = hinges(sigma_per_frame, 400, seed=int(17 * sigma_per_frame))
     print(f"{sigma_per_frame:g} sigma/frame: {over_bound:.3f} x the Cramér-Rao bound, z {over_sigma:.2f}")
     assert over_bound < 1.1
     assert over_sigma < 1.12  # and less where it cannot know that the path is straight
@@ -68,14 +68,14 @@ def test_a_hinge_is_as_sharp_as_the_bound(sigma_per_frame):
 
 @pytest.mark.parametrize("sigma_per_frame", [3.0, 12.0, 40.0])
 def test_a_hinge_of_any_path_states_its_uncertainty(sigma_per_frame):
-    _, over_sigma = hinges(sigma_per_frame, 400, seed=int(19 * sigma_per_frame), bends=True)
+    _, over_sigma = hinges(sigma_per_frame, 300, seed=int(19 * sigma_per_frame), bends=True)
     print(f"{sigma_per_frame:g} sigma/frame, bent: z {over_sigma:.2f}")
     assert 0.88 < over_sigma < 1.12
 
 
 @pytest.mark.parametrize("sigma_per_frame", [0.15, 0.4, 1.0, 2.0])
 def test_a_slow_hinge_states_its_uncertainty(sigma_per_frame):
-    over_bound, over_sigma = hinges(sigma_per_frame, 500, seed=int(100 * sigma_per_frame))
+    over_bound, over_sigma = hinges(sigma_per_frame, 300, seed=int(100 * sigma_per_frame))
     print(f"{sigma_per_frame:g} sigma/frame: {over_bound:.3f} x the Cramér-Rao bound, z {over_sigma:.2f}")
     assert 0.7 < over_sigma < 1.2
 

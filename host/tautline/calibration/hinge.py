@@ -79,14 +79,15 @@ def _paths(x: Array, y: Array, knots: Array, *, jump: bool = False) -> _Paths:
     precision[:, 1] = (_MOST_BEND * swing) ** -2
     precision[:, 2:] = bends[:, None] ** -2
     columns = [np.stack([np.ones_like(unit), unit], axis=2), pieces]
-    basis = np.concatenate(columns, axis=2)
-    volume = _log_volume(basis, precision)  # a jump is fitted, all else integrated out
     if jump:
-        basis = np.concatenate([basis, (beyond > 0)[..., None].astype(float)], axis=2)
+        columns.append((beyond > 0)[..., None].astype(float))
         precision = np.column_stack([precision, np.full(_BENDS, _FLAT)])
+    basis = np.concatenate(columns, axis=2)
     transposed = basis.transpose(0, 2, 1)
     gram, right = transposed @ basis, transposed @ centred
     system = gram[:, None] + precision[None, :, :, None] * np.eye(precision.shape[1])
+    path = slice(2 + _PIECES)  # a jump is fitted, all else integrated out
+    volume = np.linalg.slogdet(system[..., path, path])[1] - np.log(precision[:, path]).sum(axis=1)
     coefficients = np.linalg.solve(system, np.broadcast_to(right[:, None], (*system.shape[:3], y.shape[1])))
     squares = np.maximum(np.sum(centred**2) - np.sum(coefficients * right[:, None], axis=(2, 3)), 0.0)
     count = (len(x) - 2) * y.shape[1]
@@ -104,12 +105,6 @@ def _start(basis: Array, coefficients: Array, last: int) -> Array:
     mean = way / np.maximum(basis[:, last, 1], 1e-9)[:, None, None]
     share = np.sum(slope * mean, axis=2) / np.maximum(np.sum(mean**2, axis=2), 1e-12)
     return np.asarray((np.log(np.clip(share, _BACKWARDS, None)) / _SPREAD) ** 2)
-
-
-def _log_volume(basis: Array, precision: Array) -> Array:
-    """(K, V) log determinant of the image's covariance in one channel, noise and what its columns add together."""
-    gram = (basis.transpose(0, 2, 1) @ basis)[:, None] + precision[None, :, :, None] * np.eye(precision.shape[1])
-    return np.asarray(np.linalg.slogdet(gram)[1] - np.log(precision).sum(axis=1))
 
 
 def _moments(knots: Array, surprise: Array) -> tuple[float, float]:
