@@ -16,6 +16,7 @@ import nbformat
 import numpy as np
 from matplotlib.figure import Figure
 from nbclient import NotebookClient
+from tools import explained
 
 from tautline import figures
 from tautline.evidence import Evidence, Run
@@ -24,6 +25,7 @@ from tautline.model import Model
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "examples"
 PICTURE = ROOT / "docs" / "pictures" / "report.png"
+EXPLAINED = {"calibration.md": explained.calibration, "diagnosis.md": explained.diagnosis}  # of docs/
 TIMEOUT_S = 600  # of a notebook's cell, on a machine that does much else
 
 
@@ -60,8 +62,8 @@ def run_notebook(path: Path) -> nbformat.NotebookNode:
 @click.option("--demo", type=click.Path(path_type=Path, exists=True), help="The folder of a 'taut demo'.")
 @click.argument("names", nargs=-1)
 def main(demo: Path | None, names: tuple[str, ...]) -> None:
-    """Makes all of them, or those of NAMES: report, and the examples by their file's name."""
-    everything = ["report", *(path.stem for path in sorted(EXAMPLES.glob("*.py"))), *notebooks()]
+    """Makes all of them, or those of NAMES: report, pages of docs, and the examples by their file's name."""
+    everything = ["report", *EXPLAINED, *(path.stem for path in sorted(EXAMPLES.glob("*.py"))), *notebooks()]
     for name in names or everything:
         if name == "report":
             with tempfile.TemporaryDirectory() as folder:
@@ -70,6 +72,10 @@ def main(demo: Path | None, names: tuple[str, ...]) -> None:
                     subprocess.run([sys.executable, "-m", "tautline", "demo", "--out", demo], check=True)
                 PICTURE.parent.mkdir(exist_ok=True)
                 readme_picture(demo / "model").savefig(PICTURE, dpi=90)
+        elif name in EXPLAINED:
+            made, says = EXPLAINED[name]()
+            made.savefig(PICTURE.with_name(name).with_suffix(".png"), dpi=90, metadata={"Description": says})
+            click.echo(says)
         elif name in notebooks():
             nbformat.write(run_notebook(EXAMPLES / f"{name}.ipynb"), EXAMPLES / f"{name}.ipynb")
         elif (EXAMPLES / f"{name}.py").is_file():

@@ -67,6 +67,9 @@ def test_a_release_is_whole(clone: Path, tmp_path: Path) -> None:
     subprocess.run([environment / "bin/pip", "install", "--quiet", out / wheels[0]], check=True)
     told = subprocess.run([environment / "bin/taut", "--version"], check=True, capture_output=True, text=True).stdout
     assert version in told
+    done = subprocess.run([environment / "bin/taut", "demo"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and "tables flashed" in done.stderr, done.stderr  # with the board that the wheel holds
+    assert (tmp_path / "tautline-demo" / "model" / "report.html").is_file()
 
     sums = dict(reversed(line.split("  ./")) for line in (out / "SHA256SUMS").read_text().splitlines())
     assert set(sums) == set(names) - {"SHA256SUMS"}

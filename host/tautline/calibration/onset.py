@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import _native
+from tautline.calibration.hinge import Hinge, fit_hinge, fit_jump
 from tautline.calibration.observations import Track, turning_hysteresis
 from tautline.rig import Rig
 
@@ -23,9 +24,7 @@ _LONGEST = 160  # frames after the onset that one hinge takes in
 _BEFORE = 24  # frames before the turn that tell when the image stopped
 _JUMP = 8.0  # sigma: a quantised sensor's steps are no jumps
 _JUMPS_TOGETHER = 8.0  # mean chi-square that jumps explain; 1 to 3 where there are none
-_SUDDEN = 0.35  # of the window's mean slope: a path that starts slower is no hinge but a bend
 _NOMINAL_S = 0.03  # standard deviation of a nominal delay
-_PER_TERM = 3.5  # chi-square that one more term of a path must explain: between AIC (2) and BIC (4.5)
 _DELAY_REACH_S = 0.12  # the delay is looked for this far around the nominal one
 _AROUND_S = np.array([-0.5, 0.5])  # of a stop: what the motor does in it, at any delay that is looked for
 _SETTLE_S = np.geomspace(0.2, 8.0, 16)  # time constants of a tip that creeps; the first one is a lag's
@@ -58,101 +57,6 @@ class Onset:
     @property
     def q_mean(self) -> float:
         return 0.5 * (self.q1 + self.q2)
-
-
-@dataclass(frozen=True)
-class Hinge:
-    """Level, then a knot, then a path: the knot's posterior mean and standard deviation."""
-
-    knot: float
-    sigma: float
-    chi2: float
-    freedom: int
-    slope: Array  # (channels,) of whitened y per unit of x, just after the knot
-
-
-# ---- least squares on many candidate knots at once
-
-
-def _profile(ramp: Array, order: int, y: Array, step: Array | None = None) -> tuple[Array, Array]:
-    """Best fits of level + ramp polynomial (+ jump) to y (n, channels) for K candidates at once.
-
-    ramp (K, n): distance beyond the candidate's knot, 0 before it. Returns sums of squares (K,) and coefficients
-    (K, 1 + order (+ 1), channels) of [level, ramp, ramp^2, ... (, jump)]."""
-    reach = np.maximum(np.abs(ramp).max(axis=1, keepdims=True), 1e-12)
-    unit = ramp / reach
-    columns = [np.ones_like(unit)] + [unit**k for k in range(1, order + 1)]
-    if step is not None:
-        columns.append(step)
-    basis = np.stack(columns, axis=2)
-    centre = y - y[:1]
-    transposed = basis.transpose(0, 2, 1)
-    gram = transposed @ basis
-    gram += 1e-11 * len(y) * np.eye(gram.shape[1])
-    right = transposed @ centre
-    coefficients = np.linalg.solve(gram, right)
-    squares = np.sum(centre**2) - np.sum(coefficients * right, axis=(1, 2))
-    coefficients[:, : 1 + order] /= reach[:, :, None] ** np.arange(order + 1)[None, :, None]
-    return np.maximum(squares, 0.0), coefficients
-
-
-def fit_hinge(x: Array, y: Array, order: int, low: float, high: float) -> Hinge:
-    """The knot, within [low, high], of y (n, channels; unit variance) = level before it, a polynomial of (x - knot)
-    without constant term after it. x (n,) is motor travel since the turn."""
-    grid = np.linspace(low, high, 49)
-    squares, coefficients = _ramp_profile(x, y, order, grid)
-    for _ in range(6):  # towards the likelihood's bulk, whatever its width
-        best = int(np.argmin(squares))
-        weight = np.exp(-0.5 * np.clip(squares - squares[best], 0, 200))
-        mean = float(weight @ grid / weight.sum())
-        spread = float(np.sqrt(weight @ (grid - mean) ** 2 / weight.sum()))
-        pitch = grid[1] - grid[0]
-        if spread > 2.0 * pitch:
-            break
-        reach = max(6.0 * spread, 3.0 * pitch)
-        centre = mean if spread > 0 else grid[best]
-        grid = np.linspace(max(low, centre - reach), min(high, centre + reach), 49)
-        if grid[-1] - grid[0] < 1e-9 * (high - low + 1e-12):
-            break
-        squares, coefficients = _ramp_profile(x, y, order, grid)
-    best = int(np.argmin(squares))
-    weight = np.exp(-0.5 * np.clip(squares - squares[best], 0, 200))
-    mean = float(weight @ grid / weight.sum())
-    spread = float(np.sqrt(weight @ (grid - mean) ** 2 / weight.sum()))
-    freedom = y.size - (1 + order) * y.shape[1] - 1
-    return Hinge(mean, spread, float(squares[best]), max(freedom, 1), coefficients[best, 1])
-
-
-def _ramp_profile(x: Array, y: Array, order: int, knots: Array) -> tuple[Array, Array]:
-    return _profile(np.maximum(x[None, :] - knots[:, None], 0.0), order, y)
-
-
-@dataclass(frozen=True)
-class Jump:
-    """Level, then a jump of unknown size: the frames bracket the onset."""
-
-    low: float
-    high: float
-    size: float  # of the jump, in sigma
-    chi2: float
-    freedom: int
-
-
-def fit_jump(x: Array, y: Array, order: int, low: float, high: float) -> Jump:
-    """As fit_hinge with a free jump at the knot: x of the last still and of the first moving frame. Where neighbouring
-    brackets fit almost as well (chi-square within 9), their union."""
-    edges = np.unique(x)
-    edges = edges[(edges >= low) & (edges <= high)]
-    if len(edges) < 2:
-        return Jump(low, high, 0.0, np.inf, 1)
-    knots = 0.5 * (edges[1:] + edges[:-1])
-    beyond = x[None, :] - knots[:, None]
-    squares, coefficients = _profile(np.maximum(beyond, 0.0), order, y, (beyond > 0).astype(float))
-    best = int(np.argmin(squares))
-    near = np.flatnonzero(squares < squares[best] + 9.0)
-    freedom = y.size - (2 + order) * y.shape[1] - 1
-    size = float(np.linalg.norm(coefficients[best, -1]))
-    return Jump(float(edges[near[0]]), float(edges[near[-1] + 1]), size, float(squares[best]), max(freedom, 1))
 
 
 # ---- strokes
@@ -327,18 +231,14 @@ def _onset(number: int, track: Track, before: _Stroke, after: _Stroke, rig: Rig,
     window = _fit_window(after)
     if window is None:
         return replace(nothing, reason="too few frames around the onset")
-    x, y, order, hinge = window
-    jump = fit_jump(
-        x, y, order, 0.0, max(hinge.knot * 1.5, after.travel[min(after.departure + 3, len(after.travel) - 1)])
-    )
-    inflate = max(1.0, hinge.chi2 / hinge.freedom)
-    gain = (hinge.chi2 - jump.chi2) / max(1.0, jump.chi2 / jump.freedom)
-    width = hinge.knot
-    sigma = hinge.sigma * np.sqrt(inflate)
+    x, y, hinge = window
+    jump = fit_jump(x, y, 0.0, max(hinge.knot * 1.5, after.travel[min(after.departure + 3, len(after.travel) - 1)]))
+    gain = hinge.surprise - jump.surprise
+    width, sigma = hinge.knot, max(hinge.sigma, 1e-9)
     kind = BRACKET if gain > 40.0 and jump.size > _JUMP else HINGE
     at = _time_at(track, after, width)
     onset = Onset(
-        number, after.start_s, at, after.direction, after.q1, after.q1 + after.direction * width, max(sigma, 1e-9),
+        number, after.start_s, at, after.direction, after.q1, after.q1 + after.direction * width, sigma,
         jump.low, jump.high, kind, True,
         slope=float(np.linalg.norm(hinge.slope * track.sigma[after.frames[0]])),
         jump=gain if jump.size > _JUMP else 0.0,
@@ -378,46 +278,22 @@ def _with_clock_and_counts(onset: Onset, track: Track, delay_sigma: float, resol
     return replace(onset, sigma=float(np.hypot(onset.sigma, extra)))
 
 
-def _fit_window(stroke: _Stroke) -> tuple[Array, Array, int, Hinge] | None:
-    """The longest window after the onset that a polynomial of order 3 or less follows within the noise, the best order
-    for it, and the hinge on it, averaged over the orders."""
+def _fit_window(stroke: _Stroke) -> tuple[Array, Array, Hinge] | None:
+    """The longest window after the onset that a path follows within the noise, and the hinge on it."""
     departure = stroke.departure
     assert departure is not None
     frames, travel, z = stroke.frames, stroke.travel, stroke.z
     after = min(len(frames) - departure, _LONGEST)
+    high = float(travel[min(departure + 2, len(travel) - 1)])
     while True:
         stop = departure + max(after, 4)
         x, y = travel[:stop], z[:stop]
-        top = min(3, max(1, (after - 2) // 3))
-        high = float(travel[min(departure + 2, len(travel) - 1)])
         if high <= 0 or len(x) < 5:
             return None
-        fits = [(order, fit_hinge(x, y, order, 0.0, high)) for order in range(1, top + 1)]
-        fits = [f for f in fits if f[0] == 1 or _sudden(x, y, f[1])]
-        good = [f for f in fits if f[1].chi2 < f[1].freedom + 3.0 * np.sqrt(2.0 * f[1].freedom)]
-        if good or after <= 8:
-            return x, y, *_averaged(good or fits, y)
+        hinge = fit_hinge(x, y, 0.0, high)
+        if after <= 8 or hinge.chi2 < hinge.freedom + 3.0 * np.sqrt(2.0 * hinge.freedom):
+            return x, y, hinge
         after = max(8, int(after * 0.6))
-
-
-def _averaged(fits: list[tuple[int, Hinge]], y: Array) -> tuple[int, Hinge]:
-    """Best order, and the knot averaged over the orders by what they explain: the path's own bend is not known."""
-    inflate = max(1.0, min(h.chi2 / h.freedom for _, h in fits))
-    score = np.array([h.chi2 / inflate + _PER_TERM * order * y.shape[1] for order, h in fits])
-    weight = np.exp(-0.5 * (score - score.min()))
-    weight /= weight.sum()
-    knots = np.array([h.knot for _, h in fits])
-    mean = float(weight @ knots)
-    spread = float(np.sqrt(weight @ (np.array([h.sigma for _, h in fits]) ** 2 + (knots - mean) ** 2)))
-    order, best = fits[int(np.argmin(score))]
-    return order, replace(best, knot=mean, sigma=spread)
-
-
-def _sudden(x: Array, y: Array, hinge: Hinge) -> bool:
-    """Whether the tip starts at about the speed that it goes on with."""
-    gone = y[-3:].mean(axis=0) - y[: max(1, int(np.sum(x < hinge.knot)))].mean(axis=0)
-    mean = gone / max(float(x[-3:].mean()) - hinge.knot, 1e-12)
-    return float(hinge.slope @ mean) > _SUDDEN * float(mean @ mean)
 
 
 def _time_at(track: Track, stroke: _Stroke, travel: float) -> float:
@@ -494,7 +370,21 @@ class _Turn:
         scene = self.arrival_s[None, :] - delays[:, None]
         behind = np.minimum(self.direction * (np.interp(scene, self.motor_t, self.motor_q) - self.q1), 0.0)
         behind = np.where(scene < self.turn_s, behind, 0.0)
-        return _profile(behind, self.order, self.z)[0]
+        return _profile(behind, self.order, self.z)
+
+
+def _profile(ramp: Array, order: int, y: Array) -> Array:
+    """Sums of squares (K,) of the best fits of level + polynomial of the ramp to y (n, channels). ramp (K, n): 0 where
+    the image stands still."""
+    unit = ramp / np.maximum(np.abs(ramp).max(axis=1, keepdims=True), 1e-12)
+    basis = np.stack([unit**k for k in range(order + 1)], axis=2)
+    centred = y - y[:1]
+    transposed = basis.transpose(0, 2, 1)
+    gram = transposed @ basis
+    gram += 1e-11 * len(y) * np.eye(gram.shape[1])
+    right = transposed @ centred
+    squares = np.sum(centred**2) - np.sum(np.linalg.solve(gram, right) * right, axis=(1, 2))
+    return np.asarray(np.maximum(squares, 0.0))
 
 
 def _stops(track: Track, rig: Rig, delay_s: float) -> list[_Turn]:

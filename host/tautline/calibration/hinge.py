@@ -1,0 +1,148 @@
+"""Level, then a knot or a jump, then a path: where in the motor's travel the image begins to move.
+
+The path's shape is not known: f_remain, and B where it is steep, bend it. Its slope is a Wiener process over the
+travel (the prior of a cubic smoothing spline), whose variance is unknown as well and summed over. It starts at about
+the speed that it goes on with: else what creeps before the onset is taken for a slow start. So a path that bends within
+the few frames of a quick stroke widens the knot's posterior and does not move it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+_KNOTS = 33  # candidates at once
+_PIECES = 10  # of the path, in each of which its second derivative is constant
+_BENDS = 7  # values of its standard deviation, evenly in its logarithm
+_LEAST_BEND, _MOST_BEND = 0.3, 2.0  # over the window: of the noise, nothing is seen of it; of the whole swing
+_SPREAD = 0.5  # of the logarithm of the start's slope over the path's mean slope
+_BACKWARDS = 1e-3  # a start against the path counts as this share of it
+_FLAT = 1e-9  # precision of what is fitted, in whitened units over the window
+
+
+@dataclass(frozen=True)
+class Hinge:
+    """Level, then a knot, then a path: the knot's posterior mean and standard deviation."""
+
+    knot: float
+    sigma: float
+    surprise: float  # -2 log of the likelihood at its best
+    chi2: float  # of what the path leaves
+    freedom: float
+    slope: Array  # (channels,) of whitened y per unit of x, just after the knot
+
+
+@dataclass(frozen=True)
+class Jump:
+    """Level, then a jump of unknown size: the frames bracket the onset."""
+
+    low: float
+    high: float
+    size: float  # of the jump, in sigma
+    surprise: float
+
+
+@dataclass(frozen=True)
+class _Paths:
+    """The best paths for K candidate knots and V bends."""
+
+    surprise: Array  # (K, V) -2 log likelihood, noise as much as is left but not below what is stated
+    coefficients: Array  # (K, V, columns, channels) of level, slope over the window, pieces (, jump)
+    gram: Array  # (K, columns, columns)
+    precision: Array  # (V, columns) prior
+    basis: Array  # (K, n, columns)
+    centred: Array  # (n, channels)
+
+    def left(self, k: int, v: int) -> tuple[float, float]:
+        """Chi-square of the residual and its degrees of freedom."""
+        rest = self.centred - self.basis[k] @ self.coefficients[k, v]
+        used = np.trace(np.linalg.solve(self.gram[k] + np.diag(self.precision[v]), self.gram[k]))
+        return float(np.sum(rest**2)), max(1.0, (len(rest) - float(used)) * rest.shape[1] - 1.0)
+
+
+def _paths(x: Array, y: Array, knots: Array, *, jump: bool = False) -> _Paths:
+    """x (n,) travel, y (n, channels) of unit variance, knots (K,)."""
+    reach = max(float(x.max()), 1e-12)
+    beyond = x[None, :] - knots[:, None]
+    unit = np.maximum(beyond, 0.0) / reach
+    edges = np.linspace(0.0, 1.0, _PIECES + 1)
+    bent = 0.5 * np.maximum(unit[..., None] - edges, 0.0) ** 2
+    pieces = (bent[..., :-1] - bent[..., 1:]) * np.sqrt(_PIECES)
+    centred = y - y[:1]
+    swing = max(float(np.sqrt(np.max(np.sum(centred**2, axis=1)))), 1.0)
+    bends = np.geomspace(_LEAST_BEND, _MOST_BEND * swing, _BENDS)
+    precision = np.full((_BENDS, 2 + _PIECES), _FLAT)
+    precision[:, 1] = (_MOST_BEND * swing) ** -2
+    precision[:, 2:] = bends[:, None] ** -2
+    columns = [np.stack([np.ones_like(unit), unit], axis=2), pieces]
+    if jump:
+        columns.append((beyond > 0)[..., None].astype(float))
+        precision = np.column_stack([precision, np.full(_BENDS, _FLAT)])
+    basis = np.concatenate(columns, axis=2)
+    transposed = basis.transpose(0, 2, 1)
+    gram, right = transposed @ basis, transposed @ centred
+    system = gram[:, None] + precision[None, :, :, None] * np.eye(precision.shape[1])
+    path = slice(2 + _PIECES)  # a jump is fitted, all else integrated out
+    volume = np.linalg.slogdet(system[..., path, path])[1] - np.log(precision[:, path]).sum(axis=1)
+    coefficients = np.linalg.solve(system, np.broadcast_to(right[:, None], (*system.shape[:3], y.shape[1])))
+    squares = np.maximum(np.sum(centred**2) - np.sum(coefficients * right[:, None], axis=(2, 3)), 0.0)
+    count = (len(x) - 2) * y.shape[1]
+    noise = np.maximum(squares / count, 1.0)
+    surprise = (
+        count * np.log(noise) + squares / noise + y.shape[1] * volume + _start(basis, coefficients, int(x.argmax()))
+    )
+    return _Paths(surprise, coefficients, gram, precision, basis, centred)
+
+
+def _start(basis: Array, coefficients: Array, last: int) -> Array:
+    """(K, V) -2 log of the prior of the slope at the knot over the path's mean slope: log-normal around 1."""
+    slope = coefficients[:, :, 1]
+    way = np.einsum("kp,kvpc->kvc", basis[:, last, 1 : 2 + _PIECES], coefficients[:, :, 1 : 2 + _PIECES])
+    mean = way / np.maximum(basis[:, last, 1], 1e-9)[:, None, None]
+    share = np.sum(slope * mean, axis=2) / np.maximum(np.sum(mean**2, axis=2), 1e-12)
+    return np.asarray((np.log(np.clip(share, _BACKWARDS, None)) / _SPREAD) ** 2)
+
+
+def _moments(knots: Array, surprise: Array) -> tuple[float, float]:
+    """Mean and standard deviation of the knot, whatever the bend."""
+    weight = np.exp(-0.5 * np.clip(surprise - surprise.min(), 0.0, 200.0)).sum(axis=1)
+    mean = float(weight @ knots / weight.sum())
+    return mean, float(np.sqrt(weight @ (knots - mean) ** 2 / weight.sum()))
+
+
+def fit_hinge(x: Array, y: Array, low: float, high: float) -> Hinge:
+    """The knot, within [low, high], of y (n, channels; unit variance, or more where more is left) = level before it, a
+    path from there after it. x (n,) is motor travel since the turn."""
+    knots = np.linspace(low, high, _KNOTS)
+    paths = _paths(x, y, knots)
+    mean, spread = _moments(knots, paths.surprise)
+    for _ in range(6):  # towards the likelihood's bulk, whatever its width
+        pitch = knots[1] - knots[0]
+        reach = max(6.0 * spread, 3.0 * pitch)
+        closer = np.linspace(max(low, mean - reach), min(high, mean + reach), _KNOTS)
+        if spread > 2.0 * pitch or closer[-1] - closer[0] < 1e-9 * (high - low + 1e-12):
+            break
+        knots, paths = closer, _paths(x, y, closer)
+        mean, spread = _moments(knots, paths.surprise)
+    k, v = (int(i) for i in np.unravel_index(np.argmin(paths.surprise), paths.surprise.shape))
+    slope = paths.coefficients[k, v, 1] / max(float(x.max()), 1e-12)
+    return Hinge(mean, spread, float(paths.surprise[k, v]), *paths.left(k, v), slope)
+
+
+def fit_jump(x: Array, y: Array, low: float, high: float) -> Jump:
+    """As fit_hinge with a free jump at the knot: x of the last still and of the first moving frame. Where neighbouring
+    brackets fit almost as well (twice the logarithm of the likelihood within 9), their union."""
+    edges = np.unique(x)
+    edges = edges[(edges >= low) & (edges <= high)]
+    if len(edges) < 2:
+        return Jump(low, high, 0.0, np.inf)
+    paths = _paths(x, y, 0.5 * (edges[1:] + edges[:-1]), jump=True)
+    each = paths.surprise.min(axis=1)
+    best = int(np.argmin(each))
+    near = np.flatnonzero(each < each[best] + 9.0)
+    size = float(np.linalg.norm(paths.coefficients[best, int(np.argmin(paths.surprise[best])), -1]))
+    return Jump(float(edges[near[0]]), float(edges[near[-1] + 1]), size, float(each[best]))
