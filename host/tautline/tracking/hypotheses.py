@@ -20,6 +20,7 @@ from tautline.tracking.fit import (
     Prior,
     Work,
     at_tip,
+    continued,
     envelopes,
     fitted,
     guess,
@@ -80,6 +81,7 @@ class Inference:
     early: bool = False  # too little was seen to judge
     narrower: bool = False  # and nothing else: from one reversal
     refines: bool = False  # the law in use, for as long as no other explains what was seen since that was learnt
+    nominal: LawFamily | None = None  # with what was seen beyond the measured range by that law
 
     @property
     def proposal(self) -> Inference | None:
@@ -206,7 +208,11 @@ def judge(
             case = yield from _Case.of(nominal, evidence.after(first), theta, origin, level)
         verdict = yield from _judged(case, adapting, posture, moved, proposal)
         if verdict.theta is not None:
-            verdict = replace(verdict, refines=verdict.refines or (moved and evidence is not stretches[0][0]))
+            refines = verdict.refines or (moved and evidence is not stretches[0][0])
+            further = nominal
+            if not verdict.narrower:
+                further = yield from continued(nominal, verdict.evidence, verdict.theta, level)
+            verdict = replace(verdict, nominal=further, refines=refines)
             break
     assert verdict is not None
     yield DECISION

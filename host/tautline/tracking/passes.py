@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tautline.tracking.law import OFFSET, Law, LawFamily
+from tautline.model import Model
+from tautline.tracking.law import OFFSET, Law
 
 Array = npt.NDArray[np.float64]
 
@@ -33,14 +34,14 @@ class Narrowing:
 class Passes:
     """The last pass of each place, each way. O(1) a frame, O(places) a question."""
 
-    def __init__(self, nominal: LawFamily, width: float) -> None:
+    def __init__(self, model: Model, width: float) -> None:
         """width: the mean B."""
-        self._nominal, self._cell = nominal, width / _CELLS
-        grid = nominal.model.q
+        self._model, self._cell = model, width / _CELLS
+        grid = model.q
         self._low = float(grid[0])
         count = int((float(grid[-1]) - self._low) / self._cell) + 1
         self.place = self._low + self._cell * np.arange(count)  # by the calibrated f_remain: where it is in the image
-        self._b = np.interp(self.place, grid, nominal.model.width)
+        self._b = np.interp(self.place, grid, model.width)
         self._of = np.full((2, 5, count), np.nan)  # way; way (q - place), sigma, squares off the track, ...
         self._law: Law | None = None  # of which the next two are
         self._by_law = self._half = self._b  # the places by that law, half of its B there
@@ -86,7 +87,7 @@ class Passes:
         on one of them. As much as it is ahead on both: what was seen before a change is where the law in use has it."""
         if law is not self._law:
             self._law = law
-            self._by_law = law.place(self._nominal.model.remaining(self.place))
+            self._by_law = law.place(self._model.remaining(self.place))
             self._half = 0.5 * np.interp(self._by_law, law.grid, law.width)
         half, shift = self._half, self._by_law - self.place - theta[OFFSET]
         late = self._of[:, _LATE] - half
