@@ -23,8 +23,8 @@ _TURNS = 8
 _NEIGHBOURS = 0.21  # of B: how far its share at one place is from that at the next
 _FADES, _FADED = 0.7, 0.06  # of what it has become at one place, beside it where it was not seen; and how surely
 _DONE = 1e-3  # of a standard deviation: steps below it
-_FOLLOWS = 0.5  # of the motor's way: a tip that moves so far with it lies on an envelope
-_SURE = 2.5  # standard deviations that a motion between two frames must have
+FOLLOWS, AHEAD = 0.5, 3.0  # of the motor's way, least and most: a tip that moves so far with it lies on an envelope
+SURE = 2.5  # standard deviations that a motion between two frames must have, and a tip be ahead both ways
 _WITHOUT = 0.03  # of the frames: left out of a rms, as outliers
 REACH, _UNSURE = 1.8, 0.3  # of B, that carries every element; until then none knows where they stand: it tells less
 _PIECE = 400  # knots simulated at once
@@ -51,9 +51,9 @@ def envelopes(evidence: WindowKnots, law: Law) -> Envelopes:
     q, y = evidence.q[evidence.seen], law.place(evidence.c_deg)
     sigma = evidence.sigma / np.abs(law.slope(y))
     by_q, by_y = np.diff(q), np.diff(y)
-    sure = _SURE * np.hypot(sigma[1:], sigma[:-1])
+    sure = SURE * np.hypot(sigma[1:], sigma[:-1])
     moves = (evidence.stroke[1:] == evidence.stroke[:-1]) & (np.abs(by_q) > sure)
-    moves &= (by_y * np.sign(by_q) > _FOLLOWS * np.abs(by_q)) & (np.abs(by_y) < 3.0 * np.abs(by_q))
+    moves &= (by_y * np.sign(by_q) > FOLLOWS * np.abs(by_q)) & (np.abs(by_y) < AHEAD * np.abs(by_q))
     moves[1:] &= moves[:-1]  # the first one may hold an onset
     if len(moves):
         moves[0] = False

@@ -38,7 +38,7 @@ _OF_BEFORE = 0.3, 0.5  # of what was left before: enough at once, enough where i
 _REFINES = 0.9  # of what the law in use leaves: worth a step where one is being learnt
 _HOLDS = 1.3  # times the level known so far, over the last strokes: nothing is to be learnt
 _LATELY, _LATELY_OF = 3, 0.6  # strokes, on which a law must leave so much less than others do
-_NOW, _STROKE = 2, 8  # strokes on each of which a law must leave less, frames that one has at least
+_NOW, STROKE_FRAMES = 2, 8  # strokes on each of which a law must leave less, frames that one has at least
 _AGAIN = 1.1, 1.3  # of what the fit leaves at most, of what the law in use leaves at least: the calibrated one holds
 _TURNS = 2  # reversals that must agree before anything but a narrower B is learnt
 _FORETOLD_TURNS = 3
@@ -153,7 +153,7 @@ class _Case:
     def on_each(self, z: Array, count: int, least: float = 0.0) -> bool:
         """Whether a law that leaves these residuals leaves less, in squares, on each of the last strokes."""
         strokes, frames = np.unique(self.evidence.stroke, return_counts=True)
-        parts = [self.evidence.stroke == k for k in strokes[frames >= _STROKE][-count:]]
+        parts = [self.evidence.stroke == k for k in strokes[frames >= STROKE_FRAMES][-count:]]
         return all(trimmed(self.z[part]) ** 2 - trimmed(z[part]) ** 2 >= least for part in parts)
 
     def prior(self) -> Prior:
@@ -169,7 +169,7 @@ class _Case:
         far = np.abs(self.z) > _DEPARTS * self.level
         run = far[:-2] & far[1:-1] & far[2:]
         first = int(run.argmax()) if run.any() else 0
-        return first if len(self.z) - first >= _STROKE else 0
+        return first if len(self.z) - first >= STROKE_FRAMES else 0
 
     @property
     def known(self) -> npt.NDArray[np.bool_]:

@@ -8,14 +8,13 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.model import Model
+from tautline.tracking.fit import AHEAD, FOLLOWS, SURE
 from tautline.tracking.law import OFFSET, Law
 
 Array = npt.NDArray[np.float64]
 
 _CELLS = 16  # in a mean B
 _WINDOW = 12  # cells that are judged together
-_FOLLOWS, _AHEAD = 0.5, 3.0  # of the motor's way: a tip that moves so far with it lies on an envelope
-_SURE = 2.5  # standard deviations that a motion between two frames must have, and the tip be ahead both ways
 _GAP = 1.0  # of B: frames of a pass that are farther apart leave a hole
 _OFF = 1.5  # standard deviations off the marker's track (rms): then it is no motion of the play
 _LEAST = 0.02  # of B, that is worth a message
@@ -64,9 +63,9 @@ class Passes:
         if last is None or last[4] != stroke or travel < float(np.interp(y, self.place, self._b)):
             return
         by_q, by_y = q - last[0], y - last[1]
-        if not abs(by_q) > _SURE * float(np.hypot(sigma, last[2])):
+        if not abs(by_q) > SURE * float(np.hypot(sigma, last[2])):
             return
-        self._moves = _FOLLOWS < by_y / by_q < _AHEAD
+        self._moves = FOLLOWS < by_y / by_q < AHEAD
         if not (self._moves and moved):  # the first one may hold an onset
             return
         way = 1.0 if by_q > 0.0 else -1.0
@@ -101,7 +100,7 @@ class Passes:
             return None
         off = _means(sigma) * np.minimum(np.sqrt(_means(self._of[:, _SPACING]) / length), 1.0)
         on_track = _means(self._of[:, _OFF_SQUARE]) < (_OFF * level) ** 2
-        first = np.flatnonzero((on_track & (mean < -_SURE * off)).all(0))
+        first = np.flatnonzero((on_track & (mean < -SURE * off)).all(0))
         if len(first) == 0:
             return None
         share = 2.0 * (late.max(0) + half) / self._b

@@ -20,7 +20,7 @@ from tautline.model import Model
 from tautline.rig import MARKER, Sensor
 from tautline.tracking.beyond import Beyond
 from tautline.tracking.fit import REACH, Work
-from tautline.tracking.hypotheses import Inference, judge
+from tautline.tracking.hypotheses import STROKE_FRAMES, Inference, judge
 from tautline.tracking.law import OFFSET, SCALE, SHAPE, TIP, LawFamily, unchanged
 from tautline.tracking.passes import Passes
 from tautline.tracking.path import MotorPath, knots
@@ -38,7 +38,7 @@ _WANDER_PACE, _WANDERS = 0.15, 5.0  # of that of squares of the tip's motion whi
 _CLIP = 16.0  # squares above it are taken as this: an outlier says no more
 _AMISS = 6.0  # running mean from which the model is stale
 _WELL = 2.2  # and below which it still held
-_STROKE_AMISS, _STROKE_FRAMES = 1.8, 8  # of a stroke, with so many frames; two of three make the model stale
+_STROKE_AMISS = 1.8  # of a stroke; two of three make the model stale
 _STROKE_SIGMAS = 3.0  # of what so few frames scatter: a stroke leaves that by chance
 _STROKE_WELL = 1.6
 _AFTER_TURN, _AFTER_AMISS, _AFTER_CLIP, _AFTER_FRAMES = 2.0, 4.0, 36.0, 5  # within so many B of a turn: the same there
@@ -285,7 +285,7 @@ class LawTracker:
         self._begins.append((self._stroke, self._window.end))
 
     def _end_stroke(self) -> None:
-        if self._stroke_count >= _STROKE_FRAMES:
+        if self._stroke_count >= STROKE_FRAMES:
             mean = self._stroke_sum / self._stroke_count
             self._end_after()
             by_chance = 1.0 + _STROKE_SIGMAS * np.sqrt(2.0 / self._stroke_count)
