@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from tautline import _native
-from tautline.tracking.law import OFFSET, PARAMETERS, PLACES, SCALE, SHAPE, SKEW, SPREAD, TIP, Law, LawFamily
+from tautline.tracking.beyond import OUTLYING, PLACES
+from tautline.tracking.law import OFFSET, PARAMETERS, SCALE, SHAPE, SKEW, SPREAD, TIP, Law, LawFamily
 from tautline.tracking.window import WindowKnots
 
 Array = npt.NDArray[np.float64]
@@ -21,12 +22,11 @@ Work = Generator[int, None, Found]  # before each piece it yields what that piec
 _TURNS = 8
 _NEIGHBOURS = 0.21  # of B: how far its share at one place is from that at the next
 _FADES, _FADED = 0.7, 0.06  # of what it has become at one place, beside it where it was not seen; and how surely
-_OUTLYING = 4.0  # standard deviations from which a frame counts as an outlier
 _DONE = 1e-3  # of a standard deviation: steps below it
-_FOLLOWS = 0.5  # of the motor's way: a tip that moves so far with it lies on an envelope
-_SURE = 2.5  # standard deviations that a motion between two frames must have
+FOLLOWS, AHEAD = 0.5, 3.0  # of the motor's way, least and most: a tip that moves so far with it lies on an envelope
+SURE = 2.5  # standard deviations that a motion between two frames must have, and a tip be ahead both ways
 _WITHOUT = 0.03  # of the frames: left out of a rms, as outliers
-_REACH, _UNSURE = 1.8, 0.3  # of B, that carries every element; until then none knows where they stand: it tells less
+REACH, _UNSURE = 1.8, 0.3  # of B, that carries every element; until then none knows where they stand: it tells less
 _PIECE = 400  # knots simulated at once
 
 
@@ -51,9 +51,9 @@ def envelopes(evidence: WindowKnots, law: Law) -> Envelopes:
     q, y = evidence.q[evidence.seen], law.place(evidence.c_deg)
     sigma = evidence.sigma / np.abs(law.slope(y))
     by_q, by_y = np.diff(q), np.diff(y)
-    sure = _SURE * np.hypot(sigma[1:], sigma[:-1])
+    sure = SURE * np.hypot(sigma[1:], sigma[:-1])
     moves = (evidence.stroke[1:] == evidence.stroke[:-1]) & (np.abs(by_q) > sure)
-    moves &= (by_y * np.sign(by_q) > _FOLLOWS * np.abs(by_q)) & (np.abs(by_y) < 3.0 * np.abs(by_q))
+    moves &= (by_y * np.sign(by_q) > FOLLOWS * np.abs(by_q)) & (np.abs(by_y) < AHEAD * np.abs(by_q))
     moves[1:] &= moves[:-1]  # the first one may hold an onset
     if len(moves):
         moves[0] = False
@@ -132,26 +132,55 @@ def simulated(
     y = law.place(evidence.c_deg)
     by_y = law.slope(y)
     scale = 1.0 / nominal.sigma(y, evidence.sigma / by_y)
-    reach = _REACH * float(np.interp(y[0], nominal.model.q, nominal.model.width))
-    carried = np.abs(evidence.q - evidence.q[0]) > reach
-    scale[: np.searchsorted(seen, carried.argmax() if carried.any() else len(carried))] *= _UNSURE
-    state = _native.TrackState(float(y[0]))
+    scale[: _carried(nominal, evidence, y)] *= _UNSURE
+    parts = yield from _followed(law.native, law.elements, evidence, theta, float(y[0]), with_slopes)
+    yield 15 + len(seen) // (12 if with_slopes else 200)
+    p, _, *by = (np.concatenate(column)[seen] for column in parts)
+    z = (y - p) * scale
+    if not with_slopes:
+        return z, np.empty((0, PARAMETERS))
+    slopes = np.empty((len(y), PARAMETERS))
+    slopes[:, : TIP.start] = -by[0]
+    slopes[:, TIP] = -(nominal.powers(y) / by_y).T
+    slopes *= scale[:, None]
+    return z, slopes
+
+
+def _followed(
+    native: Any, elements: int, evidence: WindowKnots, theta: Array, start: float, with_slopes: bool
+) -> Work[list[tuple[Array, ...]]]:
+    """What the native play says along the path, in pieces: p, moving and, with slopes, those."""
+    state = _native.TrackState(start)
     q = evidence.q + theta[OFFSET]
     parts = []
     for first in range(0, len(q), _PIECE):
         part = q[first : first + _PIECE]
-        yield 10 + (len(part) * (6 + 2 * law.elements) // 100 if with_slopes else len(part) // 12)
-        parts.append(law.native.run(state, part, with_slopes))
-    yield 15 + len(seen) // (12 if with_slopes else 200)
-    columns = list(zip(*parts, strict=True))  # p, moving and, with slopes, those
-    z = (y - np.concatenate(columns[0])[seen]) * scale
-    if not with_slopes:
-        return z, np.empty((0, PARAMETERS))
-    slopes = np.empty((len(y), PARAMETERS))
-    slopes[:, : TIP.start] = -np.concatenate(columns[2])[seen]
-    slopes[:, TIP] = -(nominal.powers(y) / by_y).T
-    slopes *= scale[:, None]
-    return z, slopes
+        yield 10 + (len(part) * (6 + 2 * elements) // 100 if with_slopes else len(part) // 12)
+        parts.append(native.run(state, part, with_slopes))
+    return list(zip(*parts, strict=True))
+
+
+def _carried(nominal: LawFamily, evidence: WindowKnots, y: Array) -> int:
+    """The first of the frames seen at which every element was carried."""
+    reach = REACH * float(np.interp(y[0], nominal.model.q, nominal.model.width))
+    carried = np.abs(evidence.q - evidence.q[0]) > reach
+    return int(np.searchsorted(evidence.seen, carried.argmax() if carried.any() else len(carried)))
+
+
+def continued(nominal: LawFamily, evidence: WindowKnots, theta: Array, level: float) -> Work[LawFamily]:
+    """With what is seen beyond the measured range, by the law that theta is everywhere."""
+    seen = evidence.seen
+    yield 150 + len(seen) // 20
+    law = nominal.law(theta)
+    y = law.place(evidence.c_deg)
+    if not nominal.beyond.curves(y).any():
+        return nominal
+    parts = yield from _followed(law.followed, law.elements, evidence, theta, float(y[0]), True)
+    yield 300
+    p, _, by = (np.concatenate(column)[seen] for column in parts)
+    sigma = level * nominal.sigma(y, evidence.sigma / law.slope(y)) * np.abs(law.slope(y))
+    sure = slice(_carried(nominal, evidence, y), None)
+    return nominal.with_frames(nominal, law, p[sure], by[sure, 1:], evidence.c_deg[sure], sigma[sure])
 
 
 def fitted(
@@ -169,7 +198,7 @@ def fitted(
     for _ in range(_TURNS):
         if not free:
             break
-        weight = _OUTLYING / np.maximum(np.abs(z), _OUTLYING)
+        weight = OUTLYING / np.maximum(np.abs(z), OUTLYING)
         slopes = by[:, picked]
         away = (theta - prior.mean)[picked]
         normal = slopes.T @ (slopes * weight[:, None]) + information
@@ -198,7 +227,7 @@ def fitted(
 
 def _cost(z: Array, theta: Array, prior: Prior, free: list[int], information: Array) -> float:
     size = np.abs(z)
-    robust = np.where(size < _OUTLYING, 0.5 * z * z, _OUTLYING * (size - 0.5 * _OUTLYING))
+    robust = np.where(size < OUTLYING, 0.5 * z * z, OUTLYING * (size - 0.5 * OUTLYING))
     away = (theta - prior.mean)[free]
     return float(np.sum(robust) + 0.5 * away @ information @ away)
 
@@ -212,7 +241,7 @@ def _covariance(evidence: WindowKnots, z: Array, slopes: Array, information: Arr
     begins = np.flatnonzero(np.diff(evidence.stroke, prepend=evidence.stroke[0] - 1))  # strokes are in order
     if len(begins) <= slopes.shape[1]:
         return np.asarray(2.0 * own * inverse)
-    limited = np.clip(z, -_OUTLYING, _OUTLYING)
+    limited = np.clip(z, -OUTLYING, OUTLYING)
     forces = np.add.reduceat(slopes * limited[:, None], begins)
     sandwich = inverse @ (forces.T @ forces) @ inverse * len(begins) / (len(begins) - slopes.shape[1])
     wider = np.diag(sandwich).sum() / np.diag(inverse).sum() > own

@@ -20,6 +20,7 @@ from tautline.tracking.fit import (
     Prior,
     Work,
     at_tip,
+    continued,
     envelopes,
     fitted,
     guess,
@@ -37,7 +38,7 @@ _OF_BEFORE = 0.3, 0.5  # of what was left before: enough at once, enough where i
 _REFINES = 0.9  # of what the law in use leaves: worth a step where one is being learnt
 _HOLDS = 1.3  # times the level known so far, over the last strokes: nothing is to be learnt
 _LATELY, _LATELY_OF = 3, 0.6  # strokes, on which a law must leave so much less than others do
-_NOW, _STROKE = 2, 8  # strokes on each of which a law must leave less, frames that one has at least
+_NOW, STROKE_FRAMES = 2, 8  # strokes on each of which a law must leave less, frames that one has at least
 _AGAIN = 1.1, 1.3  # of what the fit leaves at most, of what the law in use leaves at least: the calibrated one holds
 _TURNS = 2  # reversals that must agree before anything but a narrower B is learnt
 _FORETOLD_TURNS = 3
@@ -80,6 +81,7 @@ class Inference:
     early: bool = False  # too little was seen to judge
     narrower: bool = False  # and nothing else: from one reversal
     refines: bool = False  # the law in use, for as long as no other explains what was seen since that was learnt
+    nominal: LawFamily | None = None  # with what was seen beyond the measured range by that law
 
     @property
     def proposal(self) -> Inference | None:
@@ -151,7 +153,7 @@ class _Case:
     def on_each(self, z: Array, count: int, least: float = 0.0) -> bool:
         """Whether a law that leaves these residuals leaves less, in squares, on each of the last strokes."""
         strokes, frames = np.unique(self.evidence.stroke, return_counts=True)
-        parts = [self.evidence.stroke == k for k in strokes[frames >= _STROKE][-count:]]
+        parts = [self.evidence.stroke == k for k in strokes[frames >= STROKE_FRAMES][-count:]]
         return all(trimmed(self.z[part]) ** 2 - trimmed(z[part]) ** 2 >= least for part in parts)
 
     def prior(self) -> Prior:
@@ -167,7 +169,7 @@ class _Case:
         far = np.abs(self.z) > _DEPARTS * self.level
         run = far[:-2] & far[1:-1] & far[2:]
         first = int(run.argmax()) if run.any() else 0
-        return first if len(self.z) - first >= _STROKE else 0
+        return first if len(self.z) - first >= STROKE_FRAMES else 0
 
     @property
     def known(self) -> npt.NDArray[np.bool_]:
@@ -206,7 +208,11 @@ def judge(
             case = yield from _Case.of(nominal, evidence.after(first), theta, origin, level)
         verdict = yield from _judged(case, adapting, posture, moved, proposal)
         if verdict.theta is not None:
-            verdict = replace(verdict, refines=verdict.refines or (moved and evidence is not stretches[0][0]))
+            refines = verdict.refines or (moved and evidence is not stretches[0][0])
+            further = nominal
+            if not verdict.narrower:
+                further = yield from continued(nominal, verdict.evidence, verdict.theta, level)
+            verdict = replace(verdict, nominal=further, refines=refines)
             break
     assert verdict is not None
     yield DECISION

@@ -12,10 +12,10 @@ from scipy.interpolate import CubicSpline
 
 from tautline import _native
 from tautline.model import Model, allowed_width, interpolate, monotone
+from tautline.tracking.beyond import PLACES, Beyond
 
 Array = npt.NDArray[np.float64]
 
-PLACES = 12  # of the measured range, at which B may have changed by itself
 OFFSET, SCALE, SHAPE, SPREAD, SKEW = 0, 1, slice(2, 2 + PLACES), 2 + PLACES, 3 + PLACES
 TIP = slice(4 + PLACES, 7 + PLACES)  # deg: constant, slope and bend of the static law's change
 PARAMETERS = 7 + PLACES
@@ -35,10 +35,12 @@ def unchanged() -> Array:
 
 @dataclass(frozen=True)
 class Law:
-    """The model by one theta: `native` runs the play, B is `width` and f_remain `c_deg` on `grid`."""
+    """The model by one theta: `native` runs the play, B is `width` and f_remain `c_deg` on `grid`. `followed` runs the
+    same play with derivatives by what is added to B beyond the measured range, instead of those by theta."""
 
     grid: Array
     native: Any
+    followed: Any
     width: Array
     c_deg: Array
     elements: int = 1
@@ -63,10 +65,21 @@ class Law:
 
 @dataclass(frozen=True)
 class LawFamily:
-    """The calibrated play, of which others are made."""
+    """The calibrated play, of which others are made, with what was seen of it beyond the measured range."""
 
-    model: Model
+    beyond: Beyond
     _kept: dict[bytes, Law] = field(default_factory=dict, repr=False)
+
+    @property
+    def model(self) -> Model:
+        """As calibrated, on a grid that goes on beyond the actuator's range."""
+        return self.beyond.model
+
+    def learnt(self, beyond: Beyond) -> LawFamily:
+        """The same with more known of what is beyond."""
+        family = LawFamily(beyond)
+        family.__dict__["waves"] = self.waves  # they depend on the grid alone
+        return family
 
     @cached_property
     def waves(self) -> Array:
@@ -145,7 +158,7 @@ class LawFamily:
         return self._kept[key]
 
     def _made(self, theta: Array) -> Law:
-        model = self.model
+        model = self.beyond.known
         around = 1.0 + theta[SHAPE] @ self.waves
         width = allowed_width(model.q, theta[SCALE] * model.width * around)
         basis = np.vstack([model.width * around, theta[SCALE] * model.width * self.waves])
@@ -154,14 +167,26 @@ class LawFamily:
             c_deg = monotone(model.c_deg + theta[TIP] @ self.powers(model.q))
         _, away, weight = self._lots
         if model.elements.single and not theta[SPREAD] and not theta[SKEW]:
-            spread = np.zeros((2, 1))
-            one = np.ones(1)
-            return Law(model.q, _native.TrackModel(model.q, width, one, one, basis, spread), width, c_deg)
-        spread = np.vstack([away, away**2 - weight @ away**2])
-        shares = self.shares(theta)
-        shares = shares / (weight @ shares)  # B stays the distance between full strokes
+            spread, shares, weight = np.zeros((2, 1)), np.ones(1), np.ones(1)
+        else:
+            spread = np.vstack([away, away**2 - weight @ away**2])
+            shares = self.shares(theta)
+            shares = shares / (weight @ shares)  # B stays the distance between full strokes
         native = _native.TrackModel(model.q, width, shares, weight, basis, spread)
-        return Law(model.q, native, width, c_deg, len(shares), float(shares.max()))
+        further, none = theta[SCALE] * around * self.beyond.on_grid, np.empty((0, len(shares)))
+        followed = _native.TrackModel(model.q, width, shares, weight, further, none)
+        return Law(model.q, native, followed, width, c_deg, len(shares), float(shares.max()))
+
+    def with_frames(
+        self, about: LawFamily, law: Law, p: Array, by_width: Array, c_deg: Array, sigma: Array
+    ) -> LawFamily:
+        """With what frames tell of what is beyond: the tip is seen at c_deg (n,), with standard deviations of sigma,
+        where a law of the family `about` foretells p (n,), whose derivatives by what is added to B are by_width
+        (n, CURVES). Angles in deg."""
+        by = np.hstack([self.beyond.curves(p).T, law.slope(p)[:, None] * by_width])
+        off = c_deg - law.angle(p) + by @ (about.beyond.mean - self.beyond.mean)
+        told = by.any(1)
+        return self.learnt(self.beyond.seen(by[told], off[told], sigma[told])) if told.any() else self
 
     def gradual_start(self, theta: Array) -> Array:
         """theta with a little spread: derivatives by it exist only where there are several elements."""

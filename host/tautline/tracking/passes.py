@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tautline.tracking.law import OFFSET, Law, LawFamily
+from tautline.model import Model
+from tautline.tracking.fit import AHEAD, FOLLOWS, SURE
+from tautline.tracking.law import OFFSET, Law
 
 Array = npt.NDArray[np.float64]
 
 _CELLS = 16  # in a mean B
 _WINDOW = 12  # cells that are judged together
-_FOLLOWS, _AHEAD = 0.5, 3.0  # of the motor's way: a tip that moves so far with it lies on an envelope
-_SURE = 2.5  # standard deviations that a motion between two frames must have, and the tip be ahead both ways
 _GAP = 1.0  # of B: frames of a pass that are farther apart leave a hole
 _OFF = 1.5  # standard deviations off the marker's track (rms): then it is no motion of the play
 _LEAST = 0.02  # of B, that is worth a message
@@ -33,14 +33,14 @@ class Narrowing:
 class Passes:
     """The last pass of each place, each way. O(1) a frame, O(places) a question."""
 
-    def __init__(self, nominal: LawFamily, width: float) -> None:
+    def __init__(self, model: Model, width: float) -> None:
         """width: the mean B."""
-        self._nominal, self._cell = nominal, width / _CELLS
-        grid = nominal.model.q
+        self._model, self._cell = model, width / _CELLS
+        grid = model.q
         self._low = float(grid[0])
         count = int((float(grid[-1]) - self._low) / self._cell) + 1
         self.place = self._low + self._cell * np.arange(count)  # by the calibrated f_remain: where it is in the image
-        self._b = np.interp(self.place, grid, nominal.model.width)
+        self._b = np.interp(self.place, grid, model.width)
         self._of = np.full((2, 5, count), np.nan)  # way; way (q - place), sigma, squares off the track, ...
         self._law: Law | None = None  # of which the next two are
         self._by_law = self._half = self._b  # the places by that law, half of its B there
@@ -63,9 +63,9 @@ class Passes:
         if last is None or last[4] != stroke or travel < float(np.interp(y, self.place, self._b)):
             return
         by_q, by_y = q - last[0], y - last[1]
-        if not abs(by_q) > _SURE * float(np.hypot(sigma, last[2])):
+        if not abs(by_q) > SURE * float(np.hypot(sigma, last[2])):
             return
-        self._moves = _FOLLOWS < by_y / by_q < _AHEAD
+        self._moves = FOLLOWS < by_y / by_q < AHEAD
         if not (self._moves and moved):  # the first one may hold an onset
             return
         way = 1.0 if by_q > 0.0 else -1.0
@@ -86,7 +86,7 @@ class Passes:
         on one of them. As much as it is ahead on both: what was seen before a change is where the law in use has it."""
         if law is not self._law:
             self._law = law
-            self._by_law = law.place(self._nominal.model.remaining(self.place))
+            self._by_law = law.place(self._model.remaining(self.place))
             self._half = 0.5 * np.interp(self._by_law, law.grid, law.width)
         half, shift = self._half, self._by_law - self.place - theta[OFFSET]
         late = self._of[:, _LATE] - half
@@ -100,7 +100,7 @@ class Passes:
             return None
         off = _means(sigma) * np.minimum(np.sqrt(_means(self._of[:, _SPACING]) / length), 1.0)
         on_track = _means(self._of[:, _OFF_SQUARE]) < (_OFF * level) ** 2
-        first = np.flatnonzero((on_track & (mean < -_SURE * off)).all(0))
+        first = np.flatnonzero((on_track & (mean < -SURE * off)).all(0))
         if len(first) == 0:
             return None
         share = 2.0 * (late.max(0) + half) / self._b

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,12 +18,14 @@ from tautline import _native
 from tautline.errors import TautError
 from tautline.model import Model
 from tautline.rig import MARKER, Sensor
-from tautline.tracking.fit import Work
-from tautline.tracking.hypotheses import Inference, judge
+from tautline.tracking.beyond import Beyond
+from tautline.tracking.fit import REACH, Work
+from tautline.tracking.hypotheses import STROKE_FRAMES, Inference, judge
 from tautline.tracking.law import OFFSET, SCALE, SHAPE, TIP, LawFamily, unchanged
 from tautline.tracking.passes import Passes
 from tautline.tracking.path import MotorPath, knots
 from tautline.tracking.projection import AngleEstimate, Projection
+from tautline.tracking.visit import Visit
 from tautline.tracking.window import Window
 
 Array = npt.NDArray[np.float64]
@@ -35,7 +38,7 @@ _WANDER_PACE, _WANDERS = 0.15, 5.0  # of that of squares of the tip's motion whi
 _CLIP = 16.0  # squares above it are taken as this: an outlier says no more
 _AMISS = 6.0  # running mean from which the model is stale
 _WELL = 2.2  # and below which it still held
-_STROKE_AMISS, _STROKE_FRAMES = 1.8, 8  # of a stroke, with so many frames; two of three make the model stale
+_STROKE_AMISS = 1.8  # of a stroke; two of three make the model stale
 _STROKE_SIGMAS = 3.0  # of what so few frames scatter: a stroke leaves that by chance
 _STROKE_WELL = 1.6
 _AFTER_TURN, _AFTER_AMISS, _AFTER_CLIP, _AFTER_FRAMES = 2.0, 4.0, 36.0, 5  # within so many B of a turn: the same there
@@ -95,7 +98,8 @@ class LawTracker:
         if sensor == MARKER and not model.rig.has_camera:
             raise TautError("the model's rig has no camera: track an angle sensor's recordings, or calibrate with one")
         self.model, self.sensor = model, sensor
-        self.nominal, self.projection = LawFamily(model), Projection(model, sensor)
+        self._unseen = self.nominal = LawFamily(Beyond.unseen(model))
+        self.projection = Projection(model, sensor)
         low, high = model.measured
         inside = (model.q >= low) & (model.q <= high)
         width = model.width[inside] if inside.any() else model.width
@@ -112,13 +116,14 @@ class LawTracker:
         self._arrival_s = 0.0
         self._theta, self._sigma = unchanged(), self._own
         self._law = self._calibrated = self.nominal.law(self._theta)
-        self._passes = Passes(self.nominal, self._width)
+        self._passes = Passes(model, self._width)
         self._offset, self._scale = 0.0, 1.0
-        self._allowed = np.ones(len(model.q))  # share of the calibrated B that may be taken up at each place
+        self._allowed = np.ones(len(self.nominal.model.q))  # share of the calibrated B that may be taken up there
         self._dialled = ""  # why less is taken up than the law in use has
         self._level = 1.0  # of what the law in use leaves, in sigmas of the calibration's
         self._play = _native.TrackState(0.0)
         self._started = False
+        self._start_q = np.nan  # inf once every element was carried since
         self._placed = False  # where the tip was seen, as long as nothing has carried it
         self._pending: tuple[float, tuple[float, ...] | None] | None = None
         self._way, self._far, self._stroke = 0, np.nan, 0
@@ -145,6 +150,7 @@ class LawTracker:
         self._proposal: Inference | None = None
         self._stuck, self._stuck_in = 0, -1  # strokes without a law that explains them, and the last of them
         self._strange = 0  # frames at a recording's begin in which the tip was far off
+        self._visit: Visit | None = None
         self._quiet_s = -np.inf
         self._leans = [0.0, 0.0]  # running mean of what is left where a recording begins, and of its squares; deg
 
@@ -192,7 +198,7 @@ class LawTracker:
         q = path.ahead(scene_s)
         ahead = knots(self._window.last_q, path.between(scene_s), q)
         law = self._law
-        p = float(law.native.run(self._play.copy(), ahead + self._theta[OFFSET])[0][-1])
+        p = float(law.followed.run(self._play.copy(), ahead + self._theta[OFFSET])[0][-1])
         c = float(law.angle(p)) + self._expected()
         u = v = np.nan
         if self.model.rig.has_camera:
@@ -227,7 +233,7 @@ class LawTracker:
 
     def _start(self, q: float) -> None:
         self._play = _native.TrackState(q + float(self._theta[OFFSET]))
-        self._window.last_q = q
+        self._window.last_q = self._start_q = q
         self._started = True
 
     def _take_in(self) -> None:
@@ -239,8 +245,11 @@ class LawTracker:
         path = self._path
         q = path.at(scene_s)
         way = knots(self._window.last_q, path.between(scene_s), q)
-        p = float(self._law.native.run(self._play, way + self._theta[OFFSET])[0][-1])
+        before = self._play.copy()
+        ps, moving, _ = self._law.followed.run(self._play, way + self._theta[OFFSET], True)
+        p = float(ps[-1])
         path.forget(scene_s)
+        self._go_beyond(before, way, p, bool(moving[-1]))
         for knot in way.tolist():
             self._turned(knot)
         seen = None if reading is None else self._seen(scene_s, reading, p)
@@ -276,7 +285,7 @@ class LawTracker:
         self._begins.append((self._stroke, self._window.end))
 
     def _end_stroke(self) -> None:
-        if self._stroke_count >= _STROKE_FRAMES:
+        if self._stroke_count >= STROKE_FRAMES:
             mean = self._stroke_sum / self._stroke_count
             self._end_after()
             by_chance = 1.0 + _STROKE_SIGMAS * np.sqrt(2.0 / self._stroke_count)
@@ -340,6 +349,7 @@ class LawTracker:
         self._disturbed(seen)
         if self.state is not State.TRUSTED:
             self._dial_down()
+        self._look_beyond(seen, p)
         self._news += 1
         if self._stroke <= self._fresh_until:
             away = seen.c_deg - float(law.angle(p))
@@ -369,6 +379,32 @@ class LawTracker:
             wander = (seen.c_deg - c_deg) / float(np.hypot(sigma, self._rested[2]))
             self._wanders += _WANDER_PACE * (min(wander**2, _AFTER_CLIP) - self._wanders)
 
+    def _in_doubt_of_frames(self) -> bool:
+        """Whether something that is no play moves the tip, or did a short time ago."""
+        return self._arrival_s < self._quiet_s or max(self._off_track / _OFF_TRACK, self._wanders / _WANDERS) > 1.0
+
+    def _go_beyond(self, before: Any, way: Array, p: float, moving: bool) -> None:
+        """The tip went to p, its elements from where they were before: whether that is a stay beyond what the
+        calibration measured, of which a law that holds elsewhere can learn."""
+        if np.abs(way - self._start_q).max() > REACH * float(np.interp(p, self._law.grid, self._law.width)):
+            self._start_q = np.inf
+        placed = self.state is State.TRUSTED and self._start_q == np.inf
+        if not (placed and self.nominal.beyond.curves(p).any()):
+            self._visit = None
+            return
+        if self._visit is None or (self._visit.full and moving):
+            self._visit = Visit(self.nominal, before)
+        self._visit.move(way)
+
+    def _look_beyond(self, seen: AngleEstimate, p: float) -> None:
+        """What a frame foretold at p tells of it."""
+        if self._visit is None or self._visit.full or self._in_doubt_of_frames():
+            return
+        slope = float(self._law.slope(p))
+        sigma = self._level * abs(slope) * float(self.nominal.sigma(p, seen.sigma / slope))
+        self.nominal, self._play = self._visit.see(self.nominal, self._theta, seen.c_deg, sigma)
+        self._law = self.nominal.law(self._theta)
+
     def _expected(self) -> float:
         """What of the tip is off where a recording has just begun, deg: it most likely goes on, whatever its cause,
         until the other way of the motor tells a posture's offset from a width."""
@@ -394,7 +430,7 @@ class LawTracker:
         self._say(State.ADAPTING, f"transmission.offset: {self._offset:+.4g} or so, another posture")
 
     def _use(self, theta: Array) -> None:
-        self._theta, before = theta, self._law
+        self._theta, self._visit, before = theta, None, self._law
         self._law = self.nominal.law(theta)
         if self._law.most > before.most:  # what lay on its envelope need not any more
             self._passes.clear()
@@ -441,7 +477,7 @@ class LawTracker:
             fresh = self._stroke <= self._fresh_until
             least = _POSTURE * self._width if fresh else None
             state = adapting, least, moved, self._level
-            self._work = judge(self.nominal, evidence, self._theta, *state, self._proposal)
+            self._work = judge(self._unseen, evidence, self._theta, *state, self._proposal)
             self._due = 0
         try:
             spent = 0
@@ -481,22 +517,22 @@ class LawTracker:
     def _widen(self, passed: tuple[float, float]) -> None:
         """What may be taken up by the law in use: no more than before at places that were not passed both ways."""
         if np.any(self._theta[SHAPE]):
-            q, share = self.model.q, self.nominal.shares_of_width(self._law)
+            q, share = self.nominal.model.q, self.nominal.shares_of_width(self._law)
             seen = (q >= passed[0]) & (q <= passed[1])
             self._allowed = np.where(seen, share, np.minimum(share, self._allowed))
         else:
-            self._allowed = np.full(len(self.model.q), self._theta[SCALE])
+            self._allowed = np.full(len(self._allowed), self._theta[SCALE])
         self._undial()
 
     def _undial(self) -> None:
         self._dialled = ""
-        low, high = self.model.measured
-        inside = (self.model.q >= low) & (self.model.q <= high)
+        (low, high), q = self.model.measured, self.nominal.model.q
+        inside = (q >= low) & (q <= high)
         self._scale = float(np.min(self._allowed[inside])) if inside.any() else float(self._theta[SCALE])
 
     def _dial_down(self) -> None:
         """Less is taken up at once; the law in use goes on foretelling, as that is not known to be it everywhere."""
-        if self._arrival_s < self._quiet_s or max(self._off_track / _OFF_TRACK, self._wanders / _WANDERS) > 1.0:
+        if self._in_doubt_of_frames():
             return
         narrow = self._passes.narrowing(self._law, self._theta, self._level, self._anchor or 0)
         if narrow is not None and narrow.share < self._scale:
@@ -517,6 +553,8 @@ class LawTracker:
         elif anchor != self._anchor:
             self._anchor, self._origin = anchor, self._theta
         self._since = anchor
+        if verdict.nominal is not None:
+            self.nominal = verdict.nominal
         self._use(verdict.theta)
         self._sigma = (
             float(np.hypot(self._own[0], verdict.offset_sigma)),
@@ -526,7 +564,7 @@ class LawTracker:
         assert now is not None
         self._play = _native.TrackState(float(self._law.place(now.c_deg[0])))
         path = np.concatenate([now.q, self._window.skipped])
-        self._law.native.run(self._play, path + self._theta[OFFSET])
+        self._law.followed.run(self._play, path + self._theta[OFFSET], True)
         self._running = min(self._running, 1.0)
         self._amiss.clear()
         self._afters.clear()

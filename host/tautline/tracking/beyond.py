@@ -1,0 +1,80 @@
+"""What use shows of f_remain and B beyond the range that the calibration measured: there its tables are a guess.
+
+An offset moves the tip to such places. The guess is the mean of a prior: both curves bend as they do where they were
+measured, from their ends on. Each frame there tells more, given the law in use (Kalman's update).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.model import Model, allowed_width, monotone
+
+Array = npt.NDArray[np.float64]
+
+CURVES = 4  # of either table: linear and quadratic below what was measured, the same above
+PLACES = 12  # of the measured range, at which its curves bend, and B may have changed by itself
+_NODES = 96  # on either side: what is bent is within a fifth of a camera's noise of lines between so many
+_REACH = 0.5  # of the grid, on either side of it: further than an offset takes the tip
+OUTLYING = 4.0  # standard deviations from which a frame counts as an outlier, and tells less (Huber's cost)
+
+
+@dataclass(frozen=True)
+class Beyond:
+    """theta (2 CURVES,) ~ N(mean, covariance): what is added to f_remain, deg, then to B, unit of q."""
+
+    model: Model  # as calibrated, on a grid that goes on
+    mean: Array
+    covariance: Array
+
+    @classmethod
+    def unseen(cls, model: Model) -> Self:
+        """Before use showed anything. Standard deviations are those of each curve's slope, and of its change from
+        place to place, where it was measured."""
+        low, high = model.measured
+        span = float(model.q[-1] - model.q[0])
+        further = np.linspace(0.0, _REACH * span, _NODES + 1)[1:]
+        grid = np.concatenate([model.q[0] - further[::-1], model.q, model.q[-1] + further])
+        width, width_sigma = (np.interp(grid, model.q, values) for values in (model.width, model.width_sigma))
+        c_sigma = None if model.c_sigma is None else np.interp(grid, model.q, model.c_sigma)
+        on = replace(model, q=grid, width=width, width_sigma=width_sigma, c_deg=model.remaining(grid), c_sigma=c_sigma)
+        places = np.linspace(low, high, PLACES)
+        step = places[1] - places[0]
+        slopes = (np.diff(np.interp(places, model.q, values)) / step for values in (model.c_deg, model.width))
+        sigma = [(np.std(slope), np.std(np.diff(slope)) / step) * 2 for slope in slopes]
+        return cls(on, np.zeros(2 * CURVES), np.diag(np.square(np.concatenate(sigma))))
+
+    def curves(self, p: npt.ArrayLike) -> Array:
+        """(CURVES, n) at centre coordinates p; 0 where the calibration measured."""
+        low, high = self.model.measured
+        below, above = np.maximum(low - np.asarray(p), 0.0), np.maximum(np.asarray(p) - high, 0.0)
+        return np.stack([below, 0.5 * below**2, above, 0.5 * above**2])
+
+    @cached_property
+    def on_grid(self) -> Array:
+        """(CURVES, nodes)"""
+        return self.curves(self.model.q)
+
+    @cached_property
+    def known(self) -> Model:
+        """The model with what is known there."""
+        if not self.mean.any():
+            return self.model
+        more = self.mean.reshape(2, CURVES) @ self.on_grid
+        c_deg, width = self.model.c_deg + more[0], self.model.width + more[1]
+        return replace(self.model, c_deg=monotone(c_deg), width=allowed_width(self.model.q, width))
+
+    def seen(self, by: Array, off: Array, sigma: Array) -> Beyond:
+        """With frames that are off (n,) of what this foretold, their standard deviations, deg, and derivatives by theta
+        (n, 2 CURVES) of what is foretold."""
+        spread = np.sqrt(np.einsum("ni,ij,nj->n", by, self.covariance, by) + sigma**2)
+        precise = np.minimum(1.0, OUTLYING * spread / np.maximum(np.abs(off), 1e-300)) / sigma**2
+        weighted = by.T * precise
+        covariance = np.linalg.solve(np.eye(len(by.T)) + self.covariance @ (weighted @ by), self.covariance)
+        covariance = 0.5 * (covariance + covariance.T)
+        return replace(self, mean=self.mean + covariance @ (weighted @ off), covariance=covariance)

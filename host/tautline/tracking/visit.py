@@ -1,0 +1,45 @@
+"""A stay of the tip beyond the range that the calibration measured, while the law in use holds elsewhere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.tracking.law import OFFSET, LawFamily
+
+Array = npt.NDArray[np.float64]
+
+_FRAMES = 64  # that are looked at together: what one more costs stays below a frame's time
+
+
+@dataclass
+class Visit:
+    """All frames of the stay are told again with each new one: where the tip was carried to depends on what they tell.
+    `before` is what was known, `play` where the elements were when it began."""
+
+    before: LawFamily
+    play: Any
+    _path: list[float] = field(default_factory=list)
+    _frames: list[tuple[int, float, float]] = field(default_factory=list)  # where the path was, c, its sigma; deg
+
+    @property
+    def full(self) -> bool:
+        return len(self._frames) >= _FRAMES
+
+    def move(self, path: Array) -> None:
+        self._path += path.tolist()
+
+    def see(self, family: LawFamily, theta: Array, c_deg: float, sigma: float) -> tuple[LawFamily, Any]:
+        """With a frame where the path ends, by the law theta about what `family` knows: what is known now, and where
+        the elements are by that."""
+        self._frames.append((len(self._path) - 1, c_deg, sigma))
+        at, seen, sigmas = (np.array(column) for column in zip(*self._frames, strict=True))
+        q, law = np.array(self._path) + theta[OFFSET], family.law(theta)
+        p, _, by = law.followed.run(self.play.copy(), q, True)
+        family = self.before.with_frames(family, law, p[at], by[at, 1:], seen, sigmas)
+        play = self.play.copy()
+        family.law(theta).followed.run(play, q, True)
+        return family, play
