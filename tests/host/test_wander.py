@@ -93,6 +93,28 @@ def test_an_amplitude_is_another_by_as_much_as_it_was_made(lagging: Fitter, lag:
     assert float(np.diff(at @ factors)[0]) == pytest.approx(made, abs=max(4.0 * sigma, 0.05 * abs(made)))
 
 
+def test_a_small_effect_beside_a_large_one_is_measured_by_both(lagging: Fitter, lag: Fit) -> None:
+    """What the large one leaves because it is not exact is a large share of the small one."""
+    small = BY_ID["configuration.axis_coupling"]
+    amplitudes = {p.name: fraction * lagging.scale(p) for p, fraction in zip(small.amplitudes, (0.3, 0.3), strict=True)}
+    both = Fit(
+        lag.hypothesis.plus(small, Scope.TESTS),
+        replace(lag.state, values={**lag.state.values, **amplitudes}),
+        lag.residuals,
+    )
+    rows = lagging.linearised(both)
+    sizes = [both.state.values[s.key] * (s.parameter.name != "lag_second") for s in both.hypothesis.slots]
+    whole = sum(float(np.sum((row.columns[:, :, -len(sizes) :] @ np.array(sizes)) ** 2)) for row in rows)
+    places = wander._places(lagging, rows)
+    coupling = [row.columns[:, :, -2:] @ np.array(sizes[-2:]) for row in rows]
+    assert wander._power(coupling) < 0.5 * whole
+    functions, _ = wander._functions(places, coupling, whole)
+    assert np.sum([np.sum(each**2, axis=(0, 1)) for each in functions], axis=0) == pytest.approx(whole)
+    alone, beside = (wander.of_fit(lagging, fit, lagging.linearised(fit), LIMITS) for fit in (lag, both))
+    assert [of.id for of in beside] == [LAG, small.id]
+    assert np.ptp(beside[1].ends["time"][:, 3:]) > np.ptp(alone[0].ends["time"][:, 3:])
+
+
 def test_a_curve_over_the_place_is_not_asked_for_its_place(lagging: Fitter) -> None:
     name = "transmission.backlash"
     kind = BY_ID[name]

@@ -22,8 +22,8 @@ class Beyond:
 
 @dataclass(frozen=True)
 class Wander:
-    """By what share of itself an effect's amplitude is another elsewhere (wander.py): normal equations of m factors,
-    over the noise's power."""
+    """By what share of all that a hypothesis adds an effect's amplitude is another elsewhere (wander.py): normal
+    equations of m factors, over the noise's power."""
 
     id: str
     matrix: Array  # (m, m)

@@ -63,7 +63,7 @@ class Likelihoods:
             pairs = case.size[case.further] == size
             i, j = case.fewer[pairs], case.further[pairs]
             np.maximum.at(reached, i, reached[j] + np.where(case.scatters[i], far[j], 0.0) + by_chance[pairs])
-        self.of: Array = np.maximum(own + far, reached) + confined + self.steady
+        self.of: Array = np.maximum(own + far, reached) + confined + np.minimum(self.steady, 0.0)
         says_nothing = self._give_way
         self.of[says_nothing | (case.repeats & ~further)] = -np.inf
         # Now and then the best effect follows an unknown one as closely as if it were right.
@@ -71,6 +71,7 @@ class Likelihoods:
         stands_in = np.logaddexp(follows, np.log1p(-by.mimics) + log_sum(table + self._wrong) - price)
         stands_in = stands_in + np.where(case.measured, np.log(COINCIDES), 0.0)
         stands_in = stands_in + np.where(case.size > 0, self.prior, 0.0)
+        stands_in = stands_in - np.maximum(self.steady, 0.0)  # says nothing against there being no gap
         self.unknown = float(np.max(stands_in[~case.scatters & ~says_nothing]))
 
     @cached_property
@@ -89,7 +90,7 @@ class Likelihoods:
             i = best.get(frozenset({name}))
             if i is None:
                 return -np.inf
-            return -float(self._case.mean[i]) if by_power else float(self.of[i] - self.steady[i])
+            return -float(self._case.mean[i]) if by_power else float(self.of[i] - min(self.steady[i], 0.0))
 
         return max((alone(name), name) for name in self._case.leaders[key])[1]
 

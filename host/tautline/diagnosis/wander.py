@@ -2,7 +2,8 @@
 
 An effect that only imitates a cause can follow it closely, but with another amplitude elsewhere. So what each effect of
 a fit adds to the prediction is multiplied by a few functions of these; with the nominal model and all effects free
-beside them, their factors say by what share of itself the amplitude is another there.
+beside them, their factors say by how much the amplitude is another there, as a share of what all effects add together:
+what a large one leaves because it is not exact is a large share of a small one.
 """
 
 from __future__ import annotations
@@ -33,13 +34,17 @@ def of_fit(fitter: Fitter, fit: Fit, rows: Sequence[ScoredRows], limits: Sequenc
         return ()
     places = _places(fitter, rows)
     stiff = fitter.floor**2 * fitter.stiffness(fit.hypothesis)
-    found = []
+    signals = []
     for kind in fit.hypothesis.kinds:
         names = {parameter.name for parameter in kind.amplitudes}
         sizes = np.array([fit.state.values[s.key] if s.parameter.name in names else 0.0 for s in slots])
+        signals.append([row.columns[:, :, -len(slots) :] @ sizes for row in rows])
+    together = _power([np.sum(each, axis=0) for each in zip(*signals, strict=True)])
+    found = []
+    for kind, signal in zip(fit.hypothesis.kinds, signals, strict=True):
         # A curve over the place may be any.
         axes = {axis: at for axis, at in places.items() if not (kind.curve and axis == "place")}
-        functions, told = _functions(axes, [row.columns[:, :, -len(slots) :] @ sizes for row in rows])
+        functions, told = _functions(axes, signal, together)
         if not told:
             continue
         wider = [
@@ -87,9 +92,15 @@ def _within(values: Sequence[Array]) -> list[Array]:
     return [2.0 * (v - low) / max(high - low, 1e-300) - 1.0 for v in values]
 
 
-def _functions(places: dict[str, list[Array]], signals: Sequence[Array]) -> tuple[list[Array], dict[str, Array]]:
-    """Of each recording (n, k, m): an effect's signal (n, k) times functions of mean 0 and variance 1 over its own
-    power; and of each axis (2, m) what its own are at its low and at its high end."""
+def _power(signals: Sequence[Array]) -> float:
+    return sum(float(np.sum(signal**2)) for signal in signals)
+
+
+def _functions(
+    places: dict[str, list[Array]], signals: Sequence[Array], together: float
+) -> tuple[list[Array], dict[str, Array]]:
+    """Of each recording (n, k, m): an effect's signal (n, k) times functions of mean 0 over its own power, each of the
+    power of all effects `together`; and of each axis (2, m) what its own are at its low and at its high end."""
     power = [np.sum(signal**2, axis=1) for signal in signals]
     total = sum(float(np.sum(of)) for of in power)
     if total <= 0.0:
@@ -107,8 +118,9 @@ def _functions(places: dict[str, list[Array]], signals: Sequence[Array]) -> tupl
             mean = sum(float(of @ values) for of, values in zip(power, own, strict=True)) / total
             variance = sum(float(of @ (values - mean) ** 2) for of, values in zip(power, own, strict=True)) / total
             if variance > _SAME:
-                columns.append([(values - mean) / np.sqrt(variance) for values in own])
-                ends.append((name, (function(last) - mean) / np.sqrt(variance)))
+                scale = np.sqrt(together / total / variance)
+                columns.append([scale * (values - mean) for values in own])
+                ends.append((name, scale * (function(last) - mean)))
     told = {axis: np.column_stack([by * (of == axis) for of, by in ends]) for axis in dict(ends)}
     functions = [
         signal[:, :, None] * np.column_stack(each)[:, None, :]
