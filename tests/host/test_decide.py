@@ -179,7 +179,7 @@ def wandering(found: CaseEvidence, wanders: dict[tuple[str, ...], tuple[Wander, 
 
 @pytest.mark.parametrize(
     ("off", "known", "says"),
-    [(0.0, 0.01, "effect"), (0.02, 0.01, "effect"), (0.3, 0.3, "effect"), (0.3, 0.01, "unknown")],
+    [(0.0, 0.01, "effect"), (0.02, 0.01, "effect"), (0.6, 0.6, "effect"), (0.6, 0.01, "unknown")],
 )
 def test_an_effect_whose_amplitude_is_another_elsewhere_is_an_imitation(off, known, says):
     """Though it leaves no more than a right one; unless the data hardly tell."""
