@@ -63,7 +63,7 @@ class Likelihoods:
             pairs = case.size[case.further] == size
             i, j = case.fewer[pairs], case.further[pairs]
             np.maximum.at(reached, i, reached[j] + np.where(case.scatters[i], far[j], 0.0) + by_chance[pairs])
-        self.of: Array = np.maximum(own + far, reached) + confined + np.minimum(self.steady, 0.0)
+        self.of: Array = np.maximum(own + far, reached) + confined + self.steady
         says_nothing = self._give_way
         self.of[says_nothing | (case.repeats & ~further)] = -np.inf
         # Now and then the best effect follows an unknown one as closely as if it were right.
@@ -71,7 +71,6 @@ class Likelihoods:
         stands_in = np.logaddexp(follows, np.log1p(-by.mimics) + log_sum(table + self._wrong) - price)
         stands_in = stands_in + np.where(case.measured, np.log(COINCIDES), 0.0)
         stands_in = stands_in + np.where(case.size > 0, self.prior, 0.0)
-        stands_in = stands_in - np.maximum(self.steady, 0.0)  # says nothing against there being no gap
         self.unknown = float(np.max(stands_in[~case.scatters & ~says_nothing]))
 
     @cached_property
@@ -90,7 +89,7 @@ class Likelihoods:
             i = best.get(frozenset({name}))
             if i is None:
                 return -np.inf
-            return -float(self._case.mean[i]) if by_power else float(self.of[i] - min(self.steady[i], 0.0))
+            return -float(self._case.mean[i]) if by_power else float(self.of[i] - self.steady[i])
 
         return max((alone(name), name) for name in self._case.leaders[key])[1]
 
@@ -145,13 +144,13 @@ class Likelihoods:
     def steady(self) -> Array:
         """(hypotheses,) logarithm of how much likelier its effects' amplitudes are as those of right ones, the same at
         all places, speeds, times, sides and loads but for what no law has exactly, than as those of wrong ones, which
-        are others by any share of themselves. One that wanders is enough."""
+        are others by any share of themselves; 0 where that speaks for them. One that wanders is enough."""
         case, by = self._case, self.by
         right, wrong = (log_sum(case.wander + wander) for wander in (_exponential(by.wanders), _exponential(1.0)))
         each = right - np.logaddexp(np.log(by.mimics) + right, np.log1p(-by.mimics) + wrong)
-        least = np.full(len(case.size), np.inf)
+        least = np.zeros(len(case.size))  # some imitations are steady too, and noise has no amplitude
         np.minimum.at(least, case.wandering, each)
-        return np.where(np.isinf(least), 0.0, least)
+        return least
 
     def _up_to(self, most: float) -> Array:
         """Logarithms of SHARES' probabilities where any magnitude up to `most` may well be left; falling beyond."""
