@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tautline.diagnosis.decide import Decision, decide, that_help
 from tautline.diagnosis.hyperparameters import learnt
-from tautline.diagnosis.hypotheses import Beyond, CaseEvidence, Weighed
+from tautline.diagnosis.hypotheses import Beyond, CaseEvidence, Wander, Weighed
 from tautline.plain import plain
 
 FLOOR = 0.05
@@ -166,6 +166,55 @@ def test_rigid_motion_leaves_less_than_friction_may():
     """The same share left: a registration has one equation, a transmission has many."""
     known = {name: decide(evidence({(name,): 0.03}, before=1000.0)).unknown for name in (LAG, STATIC)}
     assert known[STATIC] > known[LAG]
+
+
+def amplitude(name: str, off: float, known: float) -> Wander:
+    """Another by the share `off` of itself from one speed to the next, which is known to `known`."""
+    return Wander(name, np.eye(1) / known**2, np.array([off]) / known**2, {"speed": np.array([[-1.0], [1.0]])})
+
+
+def wandering(found: CaseEvidence, wanders: dict[tuple[str, ...], tuple[Wander, ...]]) -> CaseEvidence:
+    return replace(found, hypotheses=tuple(replace(h, wanders=wanders.get(h.ids, ())) for h in found.hypotheses))
+
+
+@pytest.mark.parametrize(
+    ("off", "known", "says"),
+    [(0.0, 0.01, "effect"), (0.02, 0.01, "effect"), (0.6, 0.6, "effect"), (0.6, 0.01, "unknown")],
+)
+def test_an_effect_whose_amplitude_is_another_elsewhere_is_an_imitation(off, known, says):
+    """Though it leaves no more than a right one; unless the data hardly tell."""
+    found = evidence({(LAG,): 0.005, (CREEP,): 0.6, (DRIFT,): 0.9})
+    verdict = decide(wandering(found, {(LAG,): (amplitude(LAG, off, known),)}))
+    assert verdict.name == says and (verdict.leading[LAG] > 0.9) == (says == "effect")
+
+
+def test_a_steady_amplitude_says_nothing():
+    """Some imitations are steady too, and noise has none: what is hardly a gap is no likelier to be one."""
+    found = evidence({(LAG,): 0.1, (CREEP,): 0.9}, before=0.08)
+    before, after = decide(found), decide(wandering(found, {(LAG,): (amplitude(LAG, 0.0, 0.01),)}))
+    assert 0.1 < before.none < 0.9
+    assert (after.none, after.unknown, after.leading[LAG]) == (before.none, before.unknown, before.leading[LAG])
+
+
+def test_a_second_effect_accounts_for_an_amplitude_that_wanders():
+    found = evidence({(LAG,): 0.02, (DRIFT,): 0.9, (LAG, DRIFT): 0.01})
+    steady = amplitude(LAG, 0.0, 0.01), amplitude(DRIFT, 0.0, 0.01)
+    verdict = decide(wandering(found, {(LAG,): (amplitude(LAG, 0.5, 0.01),), (LAG, DRIFT): steady}))
+    assert verdict.named == (LAG, DRIFT)
+
+
+def test_of_a_set_one_that_wanders_is_enough():
+    found = evidence({(LAG,): 0.6, (DRIFT,): 0.9, (LAG, DRIFT): 0.001})
+    steady, other = amplitude(LAG, 0.0, 0.01), amplitude(DRIFT, 0.5, 0.01)
+    assert decide(found).named == (LAG, DRIFT)
+    assert decide(wandering(found, {(LAG, DRIFT): (steady, other)})).name == "unknown"
+
+
+@given(off=st.floats(0.0, 2.0), more=st.floats(0.01, 1.0), known=st.floats(0.003, 0.03))
+def test_the_more_it_wanders_the_less_it_is_believed(off, more, known):
+    found = evidence({(LAG,): 0.01, (CREEP,): 0.6})
+    said = [decide(wandering(found, {(LAG,): (amplitude(LAG, by, known),)})).unknown for by in (off, off + more)]
+    assert said[0] <= said[1] + 1e-9
 
 
 @pytest.mark.parametrize(("rival", "says"), [(-0.2, "effect"), (-3.0, "unknown")])

@@ -313,3 +313,12 @@ def test_what_has_no_path_and_shrinks_nothing_leaves_the_model_as_it_was():
     assert document["gap"]["shrink"] == 0.0 and document["gap"]["after_ci"] == document["gap"]["before_ci"]
     np.testing.assert_array_equal(found.corrected.c_deg, found.nominal.c_deg)
     assert found.corrected.effects and found.corrected.effects[0].id == "transmission.stick_slip"
+
+
+def test_what_a_cause_outside_of_the_library_resembles():
+    made = recordings({"creep_share": 0.12, "creep_time": 1.5})
+    document = diagnose(true_model(), made[0], made[1:2], left_out=("transmission.creep",)).document
+    assert document["verdict"] == "unknown" and 1 <= len(document["resembles"]) <= 3
+    nearest = document["resembles"][0]
+    assert nearest["closes"] == max(c["shrink"] for c in document["candidates"]) and nearest["says"]
+    assert nearest["says"] in narration.sentence(document)

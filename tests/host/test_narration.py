@@ -89,3 +89,11 @@ def test_a_width_is_told_in_the_motors_unit():
 def test_the_page_explains_what_it_names_and_is_not_contradicted_by_its_numbers():
     text = (Path(reports.__file__).parent / "templates" / "diagnosis.html").read_text()
     assert "nothing gets below" not in text and "<code>taut explain" not in text and "topic.mend" in text
+
+
+def test_why_an_unknown_cause_is_not_what_it_resembles():
+    made = document("unknown", 0.97, 0.0, 4.0)
+    assert "comes nearest and would close 97 %, but leaves what it could not" in narration.sentence(made)
+    made["resembles"] = [{"id": NAMES[0], "closes": 0.97, "says": "30 ms when slow, 80 ms when fast"}]
+    said = narration.sentence(made)
+    assert "would close 97 %, but would be another law elsewhere (30 ms when slow, 80 ms when fast)" in said

@@ -1,14 +1,17 @@
 """What is worked out for all hypotheses at once, against the same written out block by block."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import logsumexp
+from scipy.stats import multivariate_normal
 from scipy.stats import t as student
 
-from tautline.diagnosis.hypotheses import Beyond, CaseEvidence, Weighed
-from tautline.diagnosis.stacked import CONFINED, SHARES, Stacked
+from tautline.diagnosis.hypotheses import Beyond, CaseEvidence, Wander, Weighed
+from tautline.diagnosis.stacked import CONFINED, SHARES, WANDERS, Stacked
 
 FLOOR = 0.05
 LAG, OFFSET = "transmission.lag", "transmission.offset"
@@ -83,3 +86,22 @@ def test_a_block_is_student_distributed_about_what_is_predicted(seed, misfit, no
                 expected -= 0.5 * tells * np.log(predicted)
                 expected -= 0.5 * (freedom + tells) * np.log1p(tells * power / (freedom * predicted))
             assert value == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.integers(0, 10_000), st.integers(1, 6), st.floats(0.0, 2.0))
+def test_an_amplitude_wanders_by_normal_factors(seed, factors, share):
+    """Of white noise of variance 1 and of factors whose prior variances sum to the square of what it wanders by."""
+    rng = np.random.default_rng(seed)
+    columns = rng.normal(size=(12, factors)) * np.exp(rng.uniform(-2.0, 3.0, factors))
+    seen = share * columns @ rng.normal(size=factors) + rng.normal(size=12)
+    evidence = case(seed, 3)
+    wanders = (Wander(LAG, columns.T @ columns, columns.T @ seen, {}),)
+    weighed = [replace(h, wanders=wanders) if h.ids == (LAG,) else h for h in evidence.hypotheses]
+    stacked = Stacked(replace(evidence, hypotheses=tuple(weighed)))
+    assert stacked.wandering.tolist() == [1]
+    nothing = multivariate_normal.logpdf(seen, np.zeros(12), np.eye(12))
+    for by, told in zip(WANDERS[::6], stacked.wander[0, ::6], strict=True):
+        covariance = np.eye(12) + by**2 / factors * columns @ columns.T
+        expected = multivariate_normal.logpdf(seen, np.zeros(12), covariance) - nothing
+        assert told == pytest.approx(expected, rel=1e-6, abs=1e-6)

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import effects
-from tautline.diagnosis import confined, gap, heldout
+from tautline.diagnosis import confined, gap, heldout, wander
 from tautline.diagnosis.fit import Fit, Fitter, ParameterState, Scope, outlier_limit
 from tautline.diagnosis.hyperparameters import learnt
-from tautline.diagnosis.hypotheses import Beyond
+from tautline.diagnosis.hypotheses import Beyond, Wander
 from tautline.diagnosis.screen import Screened, screen
 from tautline.effects import SCATTERS, Kind
 
@@ -37,6 +37,7 @@ class Candidate:
     power: Array  # (blocks,) mean squares of `left`, outliers pulled in
     beyond: Beyond | None
     scatters: Mapping[str, float] = field(default_factory=dict)  # how much, of an effect without a path
+    wanders: tuple[Wander, ...] = ()
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -101,8 +102,10 @@ class Search:
         return self
 
     def judged(self, fit: Fit) -> Candidate:
-        left = heldout.residuals(self.fitter, fit, self.labels, self.limits)
-        return Candidate(fit, left, self.power(left), self.beyond(fit))
+        rows = self.fitter.linearised(fit)
+        left = heldout.residuals(self.fitter, fit.hypothesis, rows, self.labels, self.limits)
+        wanders = wander.of_fit(self.fitter, fit, rows, self.limits)
+        return Candidate(fit, left, self.power(left), self.beyond(fit), wanders=wanders)
 
     def beyond(self, fit: Fit, further: Sequence[Kind] = ()) -> Beyond | None:
         """What no law of the stages of the fit's effects and of `further` could leave of each block."""

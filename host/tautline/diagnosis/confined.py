@@ -38,11 +38,7 @@ def residuals(fitter: Fitter, fit: Fit, further: Sequence[Kind] = ()) -> list[Ar
     timed = any(kind.leaves == "time" for kind in kinds)
     if along and timed:
         return None
-    plain = fitter.rows(fit.state, fit.hypothesis)
-    own = fitter.effect_columns(fit.state, fit.hypothesis, plain)  # what an inexact law leaves has biased them
-    rows = [
-        replace(row, columns=np.concatenate([row.columns, more], axis=2)) for row, more in zip(plain, own, strict=True)
-    ]
+    rows = fitter.linearised(fit)  # their own parameters free: what an inexact law leaves has biased them
     scopes = list(zip(fit.hypothesis.kinds, fit.hypothesis.scopes, strict=True))
     for what, freedom in _FREEDOM.items():
         only = [only for kind, only in scopes if kind.leaves == what]

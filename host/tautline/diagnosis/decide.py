@@ -175,6 +175,12 @@ def that_help(evidence: CaseEvidence, verdict: Decision) -> Decision:
     )
 
 
+def wanders(evidence: CaseEvidence) -> list[bool]:
+    """Of each hypothesis, whether an effect's amplitude is another elsewhere, as a wrong one's rather than as a right
+    one's."""
+    return [bool(says < 0.0) for says in Likelihoods(Stacked(evidence), learnt().center).steady]
+
+
 def is_open(evidence: CaseEvidence, power: Array | float) -> bool:
     """Whether a fit leaves more than the noise and what a nominal model may leave of it."""
     return float(np.mean(power)) > (1.0 + learnt().center.calibration_excess) * evidence.floor**2

@@ -11,7 +11,20 @@ import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from tautline import effects
-from tautline.diagnosis import confounded, decide, flexible, gap, motion, moved, repeated, shapley, tip, tracker, where
+from tautline.diagnosis import (
+    confounded,
+    decide,
+    flexible,
+    gap,
+    motion,
+    moved,
+    repeated,
+    resembles,
+    shapley,
+    tip,
+    tracker,
+    where,
+)
 from tautline.diagnosis.candidates import Candidate, applicable
 from tautline.diagnosis.fit import Fit, Fitter, Scope, key
 from tautline.diagnosis.gather import Gathered, gather
@@ -170,6 +183,7 @@ def _diagnosis(
     confounded.told(document, hidden)
     if repeated.HELD not in left_out:
         repeated.told(document, model, segments, fitter.load_reference)
+    document["resembles"] = resembles.told(gathered, before_rms) if document["verdict"] == "unknown" else []
     progress(1.0, "done")
     corrected = _corrected(chosen.fit, max(segments[1:], key=lambda test: test.end_s)) if named else model
     corrected = replace(corrected, extra={**model.extra, "load_reference_mNm": fitter.load_reference})

@@ -345,6 +345,15 @@ class Fitter:
             per_segment.append(columns)
         return per_segment
 
+    def linearised(self, fit: Fit) -> list[ScoredRows]:
+        """Of each recording, at a fit: the columns of its slots behind the nominal's."""
+        plain = self.rows(fit.state, fit.hypothesis)
+        own = self.effect_columns(fit.state, fit.hypothesis, plain)
+        return [
+            replace(row, columns=np.concatenate([row.columns, columns], axis=2))
+            for row, columns in zip(plain, own, strict=True)
+        ]
+
     def moved_by(
         self,
         segment: Segment,

@@ -73,7 +73,11 @@ class _Weighing:
         nothing = np.zeros_like(candidate.power)
         self.candidates.append(candidate)
         self._weighed.append(
-            Weighed(candidate.ids, candidate.power, nothing, nothing, candidate.parameters, beyond=candidate.beyond)
+            Weighed(
+                *(candidate.ids, candidate.power, nothing, nothing, candidate.parameters),
+                beyond=candidate.beyond,
+                wanders=candidate.wanders,
+            )
         )
         if not events:
             return
@@ -144,6 +148,7 @@ class _Weighing:
                 parameters=candidate.parameters,
                 white=float(np.exp(min(0.0, float(np.mean((left.loss["memory"] - level)[level != 0.0]))))),
                 beyond=candidate.beyond,
+                wanders=candidate.wanders,
             )
         )
 
@@ -187,10 +192,10 @@ class _Weighing:
 
     def next_to_extend(self, size: int) -> Candidate | None:
         """The most probable hypothesis of so many effects with a path that has room for a further one, which may well
-        account for what their own stages cannot."""
+        account for what their own stages cannot, and for an amplitude that wanders."""
         evidence = self.evidence()
-        anyhow = replace(evidence, hypotheses=tuple(replace(h, beyond=None) for h in evidence.hypotheses))
-        verdict = decide.decide(anyhow, learnt().typical)
+        anyhow = tuple(replace(h, beyond=None, wanders=()) for h in evidence.hypotheses)
+        verdict = decide.decide(replace(evidence, hypotheses=anyhow), learnt().typical)
         for i in np.argsort(-verdict.posterior):
             ids = self.candidates[i].ids
             if len(ids) != size or ids in self._extended:

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnosis.fit import Fit, Fitter
+from tautline.diagnosis.fit import Fitter, Hypothesis, ScoredRows
 from tautline.nominal import Normal, Rows
 
 Array = npt.NDArray[np.float64]
@@ -23,15 +23,12 @@ _PER_OBSERVATION = ("p", "tip", "by_width", "by_follow", "by_c", "columns", "res
 Labels = Sequence[npt.NDArray[np.int64]]  # of each recording's scored observations: the number of their block
 
 
-def residuals(fitter: Fitter, fit: Fit, labels: Labels, limits: Sequence[float]) -> list[Array]:
-    """(scored, k) of each recording. limits: beyond these an observation is an outlier and pulls no more."""
-    plain = fitter.rows(fit.state, fit.hypothesis)
-    added = fitter.effect_columns(fit.state, fit.hypothesis, plain)
-    rows = [
-        replace(row, columns=np.concatenate([row.columns, columns], axis=2))
-        for row, columns in zip(plain, added, strict=True)
-    ]
-    matrix = fitter.floor**2 * fitter.stiffness(fit.hypothesis)
+def residuals(
+    fitter: Fitter, hypothesis: Hypothesis, rows: Sequence[ScoredRows], labels: Labels, limits: Sequence[float]
+) -> list[Array]:
+    """(scored, k) of each recording. rows: the fit's (Fitter.linearised). limits: beyond these an observation is an
+    outlier and pulls no more."""
+    matrix = fitter.floor**2 * fitter.stiffness(hypothesis)
     parts: list[list[tuple[npt.NDArray[np.bool_], Rows, Normal]]] = []
     for row, label, limit in zip(rows, labels, limits, strict=True):
         parts.append([])

@@ -21,6 +21,32 @@ class Beyond:
 
 
 @dataclass(frozen=True)
+class Wander:
+    """By what share of all that a hypothesis adds an effect's amplitude is another elsewhere (wander.py): normal
+    equations of m factors, over the noise's power."""
+
+    id: str
+    matrix: Array  # (m, m)
+    gradient: Array  # (m,)
+    ends: Mapping[str, Array]  # of each axis (2, m): what each factor adds at its low and at its high end
+
+    @property
+    def between(self) -> tuple[str, float, float]:
+        """The axis along which the amplitude is another most, and how many times itself it is at either end; the
+        factors as far as the data tell them from nothing (of a prior whose variances sum to 1)."""
+        size = len(self.gradient)
+        factors = np.linalg.solve(self.matrix + size * np.eye(size), self.gradient)
+        at = {axis: 1.0 + ends @ factors for axis, ends in self.ends.items()}
+        most = max(at, key=lambda axis: float(np.ptp(at[axis])))
+        return most, float(at[most][0]), float(at[most][1])
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any]) -> Wander:
+        ends = {axis: np.array(values) for axis, values in document["ends"].items()}
+        return cls(document["id"], np.array(document["matrix"]), np.array(document["gradient"]), ends)
+
+
+@dataclass(frozen=True)
 class Weighed:
     """One hypothesis: effects on top of the recalibrated nominal, in the order they were added; none is the nominal
     alone."""
@@ -33,12 +59,14 @@ class Weighed:
     white: float = 0.0  # 1: the scatter forgets from frame to frame, 0: it goes on
     beyond: Beyond | None = None  # None: the effects' stages could leave anything
     chance: float = 1.0  # of a law: of another effect to leave so much less though the law is right (exact.py)
+    wanders: tuple[Wander, ...] = ()  # of its effects that have a path
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> Weighed:
         beyond = document["beyond"] and Beyond(**{name: np.array(v) for name, v in document["beyond"].items()})
         arrays = {name: np.array(document[name]) for name in ("power", "scatter", "rival")}
-        return cls(**{**document, **arrays, "ids": tuple(document["ids"]), "beyond": beyond})
+        wanders = tuple(Wander.from_json(of) for of in document.get("wanders", ()))
+        return cls(**{**document, **arrays, "ids": tuple(document["ids"]), "beyond": beyond, "wanders": wanders})
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.special import log_expit, log_ndtr
 
 from tautline.diagnosis.hyperparameters import Hyperparameters
-from tautline.diagnosis.stacked import FOLLOWED, LAWS, SHARES, Stacked, log_sum
+from tautline.diagnosis.stacked import FOLLOWED, LAWS, SHARES, WANDERS, Stacked, log_sum
 from tautline.effects import EVENTS
 
 Array = npt.NDArray[np.float64]
@@ -63,7 +63,7 @@ class Likelihoods:
             pairs = case.size[case.further] == size
             i, j = case.fewer[pairs], case.further[pairs]
             np.maximum.at(reached, i, reached[j] + np.where(case.scatters[i], far[j], 0.0) + by_chance[pairs])
-        self.of: Array = np.maximum(own + far, reached) + confined
+        self.of: Array = np.maximum(own + far, reached) + confined + self.steady
         says_nothing = self._give_way
         self.of[says_nothing | (case.repeats & ~further)] = -np.inf
         # Now and then the best effect follows an unknown one as closely as if it were right.
@@ -80,15 +80,16 @@ class Likelihoods:
         return {key: max(same, key=of.__getitem__) for key, same in self._case.same.items()}
 
     def leader(self, key: frozenset[str], best: Mapping[frozenset[str], int]) -> str:
-        """Which effect of a set leads: the one that says most alone. Of a law nothing may be left, but what it leaves
-        beside others is not its own: there the one leads that leaves least. best: the hypothesis of each set."""
+        """Which effect of a set leads: the one that says most alone, where the others make its amplitude wander. Of a
+        law nothing may be left, but what it leaves beside others is not its own: there the one leads that leaves least.
+        best: the hypothesis of each set."""
         by_power = LAWS & key and not EVENTS & key
 
         def alone(name: str) -> float:
             i = best.get(frozenset({name}))
             if i is None:
                 return -np.inf
-            return -float(self._case.mean[i]) if by_power else float(self.of[i])
+            return -float(self._case.mean[i]) if by_power else float(self.of[i] - self.steady[i])
 
         return max((alone(name), name) for name in self._case.leaders[key])[1]
 
@@ -139,6 +140,18 @@ class Likelihoods:
         so_much = log_ndtr(-(np.log(share) - np.log(most)) / self.by.share_spread)
         return np.asarray(so_much + np.where(parts, 0.0, np.log(np.clip(after / left, 0.01, 1.0))))
 
+    @cached_property
+    def steady(self) -> Array:
+        """(hypotheses,) logarithm of how much likelier its effects' amplitudes are as those of right ones, the same at
+        all places, speeds, times, sides and loads but for what no law has exactly, than as those of wrong ones, which
+        are others by any share of themselves; 0 where that speaks for them. One that wanders is enough."""
+        case, by = self._case, self.by
+        right, wrong = (log_sum(case.wander + wander) for wander in (_exponential(by.wanders), _exponential(1.0)))
+        each = right - np.logaddexp(np.log(by.mimics) + right, np.log1p(-by.mimics) + wrong)
+        least = np.zeros(len(case.size))  # some imitations are steady too, and noise has no amplitude
+        np.minimum.at(least, case.wandering, each)
+        return least
+
     def _up_to(self, most: float) -> Array:
         """Logarithms of SHARES' probabilities where any magnitude up to `most` may well be left; falling beyond."""
         log: Array = -0.5 * np.square(np.maximum(np.log(SHARES / most), 0.0) / self.by.share_spread)
@@ -151,3 +164,9 @@ class Likelihoods:
             np.minimum(np.log(SHARES / self.by.unexplained_by_wrong), 0.0) / self.by.share_spread
         )
         return np.asarray(log - log_sum(log))
+
+
+def _exponential(mean: float) -> Array:
+    """Logarithms of WANDERS' probabilities."""
+    log: Array = np.log(WANDERS) - WANDERS / mean
+    return np.asarray(log - log_sum(log))

@@ -59,7 +59,7 @@ def sentence(document: Mapping[str, Any]) -> str:
         if near and near["shrink"] > max(_NEAR, again):
             return (
                 f"{what} of {before}, {times}: of the known effects {near['id']} comes nearest and would close "
-                f"{percent(near['shrink'])}, but leaves what it could not{seen}."
+                f"{percent(near['shrink'])}, but {_against(document, near['id'])}{seen}."
             )
         if again > _NEAR:
             return (
@@ -96,6 +96,12 @@ def sentence(document: Mapping[str, Any]) -> str:
     if document["signature"]:
         text += f" The gap is {document['signature']}."
     return text
+
+
+def _against(document: Mapping[str, Any], name: str) -> str:
+    """Why an unknown cause is not the effect that it resembles."""
+    says = next((entry["says"] for entry in document.get("resembles", ()) if entry["id"] == name), "")
+    return f"would be another law elsewhere ({says})" if says else "leaves what it could not"
 
 
 def _but_noise(gap: Mapping[str, Any]) -> str:

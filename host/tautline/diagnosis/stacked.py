@@ -24,6 +24,7 @@ INEXACT = 4.0  # times the floor's power that a nominal model may leave of its o
 CONFINED = 0.5  # probability that what a wrong effect leaves is confined to its stage as well
 FOLLOWED = 0.02  # share of a power above the floor: what leaves less of unseen blocks has followed a path
 SHARES = np.geomspace(1e-5, 1.0, 41)
+WANDERS = np.geomspace(3e-3, 3.0, 31)  # shares by which an amplitude may be another elsewhere
 _A_GAP = 2.0  # times the floor's power: no noise
 _DEGREES = 8.0  # of freedom, of a block's noise
 _WRONG_SHARES = (np.arange(10) + 0.5) / 10.0  # of blocks that a wrong effect disturbs
@@ -43,6 +44,16 @@ def _student(x: Array) -> Array:
     n = _DEGREES
     constant = gammaln(0.5 * (n + 1.0)) - gammaln(0.5 * n) - 0.5 * np.log(n * np.pi)
     return np.asarray(constant - 0.5 * (n + 1.0) * np.log1p(np.square(x) / n))
+
+
+def _wander(matrix: Array, gradient: Array) -> Array:
+    """(WANDERS,) logarithm of how much likelier an amplitude that wanders so far makes the data than one that does not:
+    factors (m,) of normal equations whose prior variances sum to the square of it."""
+    tells, ways = np.linalg.eigh(matrix / len(gradient))
+    squares, tells = np.square(ways.T @ gradient) / len(gradient), np.maximum(tells, 0.0)
+    variance = np.square(WANDERS)[:, None]
+    wider = 1.0 + variance * tells
+    return np.asarray(0.5 * np.sum(variance * squares / wider - np.log(wider), axis=1))
 
 
 def brought(ids: Collection[str]) -> frozenset[str]:
@@ -116,6 +127,9 @@ class Stacked:
         ]
         self.fewer, self.further = np.array(pairs, dtype=int).reshape(-1, 2).T
 
+        told = [(i, _wander(of.matrix, of.gradient)) for i, h in enumerate(hypotheses) for of in h.wanders]
+        self.wandering = np.array([i for i, _ in told], dtype=int)  # of each row of `wander` its hypothesis
+        self.wander = np.array([of for _, of in told]).reshape(-1, len(WANDERS))
         self._beyond: list[int] = []  # of each hypothesis the row of what is left beyond its stages; none: -1
         rows: dict[bytes, int] = {}  # hypotheses of one stage leave the same
         power, count = [], []

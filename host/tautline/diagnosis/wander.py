@@ -1,0 +1,154 @@
+"""Whether an effect is one law: whether its amplitude is the same at all places, speeds, times, sides and loads.
+
+An effect that only imitates a cause can follow it closely, but with another amplitude elsewhere. So what each effect of
+a fit adds to the prediction is multiplied by a few functions of these; with the nominal model and all effects free
+beside them, their factors say by how much the amplitude is another there, as a share of what all effects add together:
+what a large one leaves because it is not exact is a large share of a small one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import correlate
+
+from tautline.diagnosis.fit import Fit, Fitter, ScoredRows
+from tautline.diagnosis.hypotheses import Wander
+
+Array = npt.NDArray[np.float64]
+
+_ORDERS = {"place": 3, "speed": 2, "time": 2, "side": 1, "load": 1}  # of polynomials over each
+_MOVES = 0.05  # of a fast motor's speed: a slower one rests, and counts as what it did before
+_FAST, _ENDS = 0.95, (0.1, 0.9)  # quantiles: of its speeds; between which an amplitude is told
+_SAME = 1e-6  # variance of a function over an effect's own signal: one that is so constant there tells nothing
+
+
+def of_fit(fitter: Fitter, fit: Fit, rows: Sequence[ScoredRows], limits: Sequence[float]) -> tuple[Wander, ...]:
+    """Of each effect of a fit that adds anything. rows: the fit's (Fitter.linearised). limits: of each recording,
+    beyond which an observation pulls no more."""
+    slots = fit.hypothesis.slots
+    if not slots:
+        return ()
+    places = _places(fitter, rows)
+    stiff = fitter.floor**2 * fitter.stiffness(fit.hypothesis)
+    signals = []
+    for kind in fit.hypothesis.kinds:
+        names = {parameter.name for parameter in kind.amplitudes}
+        sizes = np.array([fit.state.values[s.key] if s.parameter.name in names else 0.0 for s in slots])
+        signals.append([row.columns[:, :, -len(slots) :] @ sizes for row in rows])
+    together = _power([np.sum(each, axis=0) for each in zip(*signals, strict=True)])
+    found = []
+    for kind, signal in zip(fit.hypothesis.kinds, signals, strict=True):
+        # A curve over the place may be any.
+        axes = {axis: at for axis, at in places.items() if not (kind.curve and axis == "place")}
+        functions, told = _functions(axes, signal, together)
+        if not told:
+            continue
+        wider = [
+            replace(row, columns=np.concatenate([row.columns, own], axis=2))
+            for row, own in zip(rows, functions, strict=True)
+        ]
+        parts = [
+            fitter.normal(row, weight=np.minimum(1.0, limit / np.maximum(np.abs(row.residual), 1e-12)))
+            for row, limit in zip(wider, limits, strict=True)
+        ]
+        matrix, gradient = (np.sum([getattr(part, of) for part in parts], axis=0) for of in ("matrix", "gradient"))
+        matrix[: len(stiff), : len(stiff)] += stiff
+        own, pull, step = _beside(matrix, gradient, len(stiff))
+        left = [
+            np.clip(row.residual - fitter.moved(row, step), -limit, limit)
+            for row, limit in zip(wider, limits, strict=True)
+        ]
+        noise = max(_independent(left), fitter.floor**2)
+        found.append(Wander(kind.id, own / noise, pull / noise, told))
+    return tuple(found)
+
+
+def _places(fitter: Fitter, rows: Sequence[ScoredRows]) -> dict[str, list[Array]]:
+    """What an amplitude may go with, of each recording's scored observations (n,): -1 to 1, the logarithm of a speed,
+    the load as it is. A rest is at the speed and on the side of the motion before it."""
+    segments = fitter.segments
+    speeds = [np.gradient(row.path.p, s.arrival_s) for s, row in zip(segments, rows, strict=True)]
+    fast = max(float(np.quantile(np.abs(np.concatenate(speeds)), _FAST)), 1e-300)
+    found: dict[str, list[Array]] = {name: [] for name in _ORDERS}
+    for segment, row, speed in zip(segments, rows, speeds, strict=True):
+        moving = np.abs(speed) > _MOVES * fast
+        last = np.maximum.accumulate(np.where(moving, np.arange(len(speed)), 0))[segment.scored]
+        motor = segment.motor
+        load = np.zeros_like(motor.t_s) if motor.load_mNm is None else motor.load_mNm
+        found["place"].append(row.path.p[segment.scored])
+        found["speed"].append(np.log(np.maximum(np.abs(speed[last]), _MOVES * fast)))
+        found["time"].append((segment.arrival_s + segment.offset_s)[segment.scored])
+        found["side"].append(np.sign(speed[last]))
+        found["load"].append(np.interp(segment.arrival_s, motor.t_s, load)[segment.scored])
+    return {name: _within(values) for name, values in found.items()}
+
+
+def _within(values: Sequence[Array]) -> list[Array]:
+    low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
+    return [2.0 * (v - low) / max(high - low, 1e-300) - 1.0 for v in values]
+
+
+def _power(signals: Sequence[Array]) -> float:
+    return sum(float(np.sum(signal**2)) for signal in signals)
+
+
+def _functions(
+    places: dict[str, list[Array]], signals: Sequence[Array], together: float
+) -> tuple[list[Array], dict[str, Array]]:
+    """Of each recording (n, k, m): an effect's signal (n, k) times functions of mean 0 over its own power, each of the
+    power of all effects `together`; and of each axis (2, m) what its own are at its low and at its high end."""
+    power = [np.sum(signal**2, axis=1) for signal in signals]
+    total = sum(float(np.sum(of)) for of in power)
+    if total <= 0.0:
+        return [], {}
+    columns: list[list[Array]] = []
+    ends: list[tuple[str, Array]] = []
+    weight = np.concatenate(power)
+    for name, values_of in places.items():
+        at = np.concatenate(values_of)
+        ranked = np.argsort(at)
+        last = at[ranked][np.searchsorted(np.cumsum(weight[ranked]), np.array(_ENDS) * total)]
+        for degree in range(1, _ORDERS[name] + 1):
+            function = np.polynomial.legendre.Legendre.basis(degree)
+            own = [function(values) for values in values_of]
+            mean = sum(float(of @ values) for of, values in zip(power, own, strict=True)) / total
+            variance = sum(float(of @ (values - mean) ** 2) for of, values in zip(power, own, strict=True)) / total
+            if variance > _SAME:
+                scale = np.sqrt(together / total / variance)
+                columns.append([scale * (values - mean) for values in own])
+                ends.append((name, scale * (function(last) - mean)))
+    told = {axis: np.column_stack([by * (of == axis) for of, by in ends]) for axis in dict(ends)}
+    functions = [
+        signal[:, :, None] * np.column_stack(each)[:, None, :]
+        for signal, each in zip(signals, zip(*columns, strict=True), strict=True)
+    ]
+    return functions, told
+
+
+def _beside(matrix: Array, gradient: Array, first: int) -> tuple[Array, Array, Array]:
+    """Normal equations of the unknowns from `first` on whatever the others are, and the step of all of them."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    scaled, pull = matrix * np.outer(scale, scale), scale * gradient
+    follows = np.linalg.pinv(scaled[:first, :first], rcond=1e-10, hermitian=True) @ scaled[:first, first:]
+    own = scaled[first:, first:] - follows.T @ scaled[:first, first:]
+    own_pull = pull[first:] - follows.T @ pull[:first]
+    step = scale * np.linalg.lstsq(scaled, pull, rcond=1e-10)[0]
+    of = scale[first:]
+    return own / np.outer(of, of), own_pull / of, step
+
+
+def _independent(left: Sequence[Array]) -> float:
+    """Power of what is left (n, k) of each recording, times how many numbers tell as much as one that is independent:
+    autocorrelations up to the first that is none."""
+    summed: Array = np.zeros(max(len(values) for values in left))
+    for values in left:
+        for column in values.T:
+            summed[: len(column)] += correlate(column, column, "full", "fft")[len(column) - 1 :]
+    ends = np.flatnonzero(summed <= 0.0)
+    until = int(ends[0]) if len(ends) else len(summed)
+    count = sum(values.size for values in left)
+    return float(2.0 * np.sum(summed[:until]) - summed[0]) / count
