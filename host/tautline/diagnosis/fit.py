@@ -48,6 +48,7 @@ _COARSE_FRAMES = 2500  # that a fit begins with
 _ROUGH_STEPS, _COARSE_STEPS, _FULL_STEPS = 3, 12, 8  # of each start, of the best one, of all observations
 _NOMINAL_STEPS = 16
 _FAR, _CURVES_FAR = 30.0, 2.0  # of a parameter's scale: its prior, and that of a curve's coefficients
+_KNOWN = 1e-6  # of the prior, which is a step's: where a simulator is the nominal it stays
 _RARE = 0.01  # a misfit that lasts longer than this share of a recording is no outlier
 
 
@@ -180,6 +181,9 @@ class Fitter:
         if self.px:
             prior += [np.full(3, 3.0), np.full(3, 2.0)]
         self._prior = np.concatenate([*prior, np.full(1, 0.02)])
+        self.from_start = all(s.drive is None for s in segments)  # else: a simulator has none of the library's effects
+        if not self.from_start:
+            self._prior *= _KNOWN
         self._bending = block_diag(
             curves.width.bending / (_ROUGH * span) ** 2, curves.follow.bending / (_ROUGH * gain * span) ** 2
         )

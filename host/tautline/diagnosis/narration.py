@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from tautline.diagnosis import simulator_words
 from tautline.diagnosis.confounded import DRIFT, LOAD
 from tautline.effects import BY_ID, EVENTS
 from tautline.undone import COUPLED
@@ -69,7 +70,9 @@ def sentence(document: Mapping[str, Any]) -> str:
         return f"{what} of {before}, {times}, that no known effect explains{seen}."
     effects = document["effects"]
     told = [
-        f"{BY_ID[e['id']].says}{_since(e)} ({e['id']}, {percent(e['probability'])} sure{_brings(e)})" for e in effects
+        f"{simulator_words.says(document, e['id'])}{_since(e)} "
+        f"({e['id']}, {percent(e['probability'])} sure{_brings(e)})"
+        for e in effects
     ]
     if len(effects) > _TOLD:
         rest = [f"{e['id']} ({percent(e['probability'])})" for e in effects[1:]]
@@ -212,6 +215,8 @@ def steps(document: Mapping[str, Any], folder: str) -> list[NextStep]:
                 f"by the wrong one ([hand_eye] of {folder}/corrected/rig.toml)."
             )
         )
+    if "simulator" in document:
+        return [*told, *map(NextStep, simulator_words.steps(document))]
     if effects and not event:
         told.append(
             NextStep(

@@ -111,7 +111,9 @@ class _Scan:
         tests, count = len(parts) - 1, len(kind.amplitudes)
         prior = self.fitter.floor**2 * self.fitter.curves(Hypothesis((kind,), (Scope.START,)))
         for scope in Scope:
-            if (scope == Scope.START and kind.nominal) or (scope == Scope.EACH and not (kind.each and tests > 1)):
+            if (scope == Scope.START and (kind.nominal or not self.fitter.from_start)) or (
+                scope == Scope.EACH and not (kind.each and tests > 1)
+            ):
                 continue
             summed = parts if scope == Scope.START else parts[1:]
             if scope == Scope.EACH:

@@ -11,6 +11,7 @@ from tautline.model import Model
 STAGES = ("actuator", "transmission", "configuration", "kinematics", "registration", "camera", "acquisition")
 _THROUGH_ANGLE = STAGES[:3]
 _TABLED = STAGES[3:]  # these only change how the tip is seen
+SIMULATOR = "simulator"  # before them, where a user's simulator stands in the motor's place: its own parameters
 
 # A model that holds an effect of these parameters as it is at a time of the session, s.
 Holds = Callable[[Model, Mapping[str, float], float], Model]
@@ -91,7 +92,7 @@ class Kind:
 
     @property
     def through_angle(self) -> bool:
-        return self.stage in _THROUGH_ANGLE
+        return self.stage in (SIMULATOR, *_THROUGH_ANGLE)
 
     @property
     def on_board(self) -> bool:
@@ -106,3 +107,23 @@ def six(prefix: str) -> tuple[Parameter, ...]:
     turn = tuple(Parameter(f"{prefix}_r{axis}", "deg", 0.5) for axis in "xyz")
     move = tuple(Parameter(f"{prefix}_{axis}", "mm", 0.2) for axis in "xyz")
     return turn + move
+
+
+def simulator_id(parameter: str) -> str:
+    """Of an effect, and of its only parameter: a change of a simulator's own one, which is declared by this name."""
+    return f"{SIMULATOR}.{parameter}"
+
+
+def of_simulator(
+    parameter: str, unit: str = "", spread: float = 1.0, low: float = float("-inf"), high: float = float("inf")
+) -> Kind:
+    """The effect of a simulator's parameter that is another one on the robot. spread, low, high: of its change."""
+    name = simulator_id(parameter)
+    return Kind(
+        name,
+        (Parameter(name, unit, spread, low=low, high=high),),
+        says=f"the simulator's {parameter} is not the robot's",
+        tell="It is told by the whole course of the motion, as the simulator shows it with another value: what looks "
+        "alike is named beside it.",
+        mend="Put the value that is named into the simulator.",
+    )
