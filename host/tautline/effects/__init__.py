@@ -6,7 +6,7 @@ owns all that is known of it; adding one is a module of library/, and a file of 
 tip by laws of its own.
 """
 
-from tautline.effects.kind import SIMULATOR, STAGES, Event, Kind, Parameter, of_simulator, simulator_id
+from tautline.effects.kind import SIMULATOR, STAGES, Event, Kind, Parameter, Transform, of_simulator, simulator_id
 from tautline.effects.library import BY_ID, EVENTS, LIBRARY, OWNER, SCATTERS
 from tautline.effects.simulation import (
     NATIVE,
@@ -38,6 +38,7 @@ __all__ = [
     "Kind",
     "Parameter",
     "Path",
+    "Transform",
     "follow",
     "image",
     "image_with_slopes",

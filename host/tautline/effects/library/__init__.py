@@ -1,5 +1,6 @@
-"""The library: every module here offers `EFFECTS`, a tuple of descriptors. Its parts in C, if it has any, are in
-host/native/effects/, where the parameters that move the tip are explained, or in projection.h."""
+"""The library: every module here offers `EFFECTS`, a tuple of descriptors, and other distributions may add to it
+(tautline.effects.outside). Its parts in C, if it has any, are in host/native/effects/, where the parameters that move
+the tip are explained, or in projection.h."""
 
 from __future__ import annotations
 
@@ -8,6 +9,7 @@ import pkgutil
 from collections.abc import Iterator, Mapping
 
 from tautline.effects.kind import SIMULATOR, STAGES, Kind, of_simulator
+from tautline.effects.outside import added
 
 
 class _ById(Mapping[str, Kind]):
@@ -32,6 +34,7 @@ _FOUND: list[Kind] = [
     for module in pkgutil.iter_modules(__path__)
     for kind in importlib.import_module(f"{__name__}.{module.name}").EFFECTS
 ]
+_FOUND += added(_FOUND)
 LIBRARY: tuple[Kind, ...] = tuple(sorted(_FOUND, key=lambda kind: (STAGES.index(kind.stage), kind.id)))
 BY_ID: Mapping[str, Kind] = _ById(LIBRARY)
 OWNER: Mapping[str, Kind] = {
