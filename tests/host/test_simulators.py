@@ -92,7 +92,7 @@ def test_a_site_is_the_sum_of_the_free_hinges_above_it(folder):
         pytest.param({"damping": 0.15}, {"simulator.elbow.damping", "simulator.servo.kv"}, marks=pytest.mark.long),
         ({"frictionloss": 0.05}, {"simulator.elbow.frictionloss"}),
         pytest.param({"kp": 1.5}, {"simulator.servo.kp"}, marks=pytest.mark.long),
-        ({"delay_s": 0.03}, {"simulator.servo.delay", "acquisition.delay"}),
+        pytest.param({"delay_s": 0.03}, {"simulator.servo.delay", "acquisition.delay"}, marks=pytest.mark.long),
     ],
     ids=lambda value: "-".join(value) if isinstance(value, dict) else "",
 )

@@ -284,7 +284,8 @@ def text(document: Mapping[str, Any], folder: str) -> str:
     if document["verdict"] == "effect":
         lines.append(f"  gap after       {digits(gap['after']):>8} {unit} rms ({digits(low)} to {digits(high)})")
     again = document["gap_recalibrated"]["before"]
-    lines.append(f"  recalibrated    {digits(again):>8} {unit} rms (B, f_remain and registration refitted on all)")
+    if "simulator" not in document:  # that is not calibrated
+        lines.append(f"  recalibrated    {digits(again):>8} {unit} rms (B, f_remain and registration refitted on all)")
     lines.append(f"  noise           {digits(document['noise_floor']):>8} {unit} rms")
     if moved(document):
         lines += ["", f"  {moved(document)}"]

@@ -12,9 +12,7 @@ def says(document: Mapping[str, Any], name: str) -> str:
     """Of an effect: what is there; of a simulator's parameter with both values."""
     for parameter in _named(document):
         if simulator_id(parameter["name"]) == name:
-            return (
-                f"{parameter['name']} is {parameter['nominal']:.3g} in the simulator, on the robot {_value(parameter)}"
-            )
+            return f"the simulator has {parameter['name']} {parameter['nominal']:.3g}, the robot {_value(parameter)}"
     return BY_ID[name].says
 
 

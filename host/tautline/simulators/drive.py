@@ -27,10 +27,14 @@ class Drive:
 
     def __init__(self, simulator: Simulator, motor: Motor, rig: Rig) -> None:
         """The log is the command where there is one, else the encoder's path."""
-        self._simulator, self._coarse = simulator, rig.coarse
+        self._simulator, self._rig, self._coarse = simulator, rig, rig.coarse
         self._ids = {simulator_id(each.name): each.name for each in simulator.parameters}
         self._log = _log(motor, rig)
         self._known: OrderedDict[tuple[float, ...], Motor] = OrderedDict()
+
+    def along(self, motor: Motor) -> Drive:
+        """Of another log."""
+        return Drive(self._simulator, motor, self._rig)
 
     def motor(self, parameters: Mapping[str, Any]) -> Motor:
         """Knots of straight lines. parameters: by effects' names, how far they are off the simulator's own."""

@@ -27,6 +27,7 @@ Array = npt.NDArray[np.float64]
 
 KIND = "mjcf"
 PER_UNIT = {"mm": 1e-3, "deg": math.radians(1.0)}  # m or rad of a control, per unit of q
+_UNITS = {True: ("Nm", "rad"), False: ("N", "m")}  # of a hinge, of a slide or a tendon
 _SETTLE_S = 2.0  # at the first control, before the log begins
 _DELAY_S = 0.02  # a change that a user would notice
 _DAMPED = 0.2  # share of critical damping: the same, where a joint has none
@@ -96,12 +97,18 @@ class Mjcf:
 
     @cached_property
     def _joints(self) -> tuple[str, ...]:
+        names = [name for name, _ in self._hinges]
+        if self._joint is not None:
+            names.append(str(self._model.joint(self._joint).name))
+        return tuple(dict.fromkeys(names))
+
+    @cached_property
+    def _joint(self) -> int | None:
+        """That the actuator drives; None where it pulls something else."""
         import mujoco
 
-        names = [name for name, _ in self._hinges]
-        if self._model.actuator_trntype[self._index] == mujoco.mjtTrn.mjTRN_JOINT:
-            names.append(str(self._model.joint(int(self._model.actuator_trnid[self._index, 0])).name))
-        return tuple(dict.fromkeys(names))
+        drives = self._model.actuator_trntype[self._index] == mujoco.mjtTrn.mjTRN_JOINT
+        return int(self._model.actuator_trnid[self._index, 0]) if drives else None
 
     def _declared(self) -> Iterator[Declared]:
         import mujoco
@@ -116,7 +123,7 @@ class Mjcf:
             inertia = float(whole[at, at])
             stiff = kp or inertia / _DELAY_S**2
             rotary = model.joint(name).type[0] == mujoco.mjtJoint.mjJNT_HINGE
-            force, per = ("Nm", "rad") if rotary else ("N", "m")
+            force, per = _UNITS[rotary]
             damping, friction = float(model.dof_damping[at]), float(model.dof_frictionloss[at])
             armature = float(model.dof_armature[at])
             light = 2.0 * _DAMPED * math.sqrt(stiff * inertia)
@@ -126,8 +133,10 @@ class Mjcf:
         if self._is_servo:
             kv = -float(model.actuator_biasprm[self._index, 2])
             usual = 2.0 * _DAMPED * math.sqrt(kp * float(np.max(np.diag(whole))))
-            yield Declared(f"{self.actuator}.kp", "of its force, per unit of its length", kp, 0.5 * kp, 0.01 * kp)
-            yield Declared(f"{self.actuator}.kv", "of its force, per unit of its speed", kv, kv or usual, 0.0)
+            rotary = self._joint is not None and model.jnt_type[self._joint] == mujoco.mjtJoint.mjJNT_HINGE
+            force, per = _UNITS[rotary]
+            yield Declared(f"{self.actuator}.kp", f"{force}/{per}", kp, 0.5 * kp, 0.01 * kp)
+            yield Declared(f"{self.actuator}.kv", f"{force} s/{per}", kv, kv or usual, 0.0)
         yield Declared(f"{self.actuator}.delay", "s", 0.0, _DELAY_S, 0.0, _DELAY_MOST_S)
 
     def _set(self, parameters: Mapping[str, float]) -> mujoco.MjModel:
@@ -155,9 +164,8 @@ class Mjcf:
         if model.nkey:
             mujoco.mj_resetDataKeyframe(model, data, 0)
         index = self._index
-        if self._is_servo and model.actuator_trntype[index] == mujoco.mjtTrn.mjTRN_JOINT:
-            joint = int(model.actuator_trnid[index, 0])
-            data.qpos[model.jnt_qposadr[joint]] = control / model.actuator_gear[index, 0]
+        if self._is_servo and self._joint is not None:
+            data.qpos[model.jnt_qposadr[self._joint]] = control / model.actuator_gear[index, 0]
         mujoco.mj_forward(model, data)
         return data
 
