@@ -159,6 +159,15 @@ def test_a_shift_at_each_place_is_that_shift(seed, by):
     np.testing.assert_allclose(told["output"], plain.c_deg + by, atol=1e-9)
 
 
+def test_a_law_of_time_has_the_sessions(monkeypatch):
+    law = own("output", lambda t_s, c, values: c + values["transmission.own_by"] * t_s)
+    monkeypatch.setattr(simulation, "_TRANSFORMED", (law,))
+    motor = Motor(np.arange(4.0), np.zeros(4))
+    by = {"transmission.own_by": 0.5}
+    first, later = (effects.follow(MODEL, motor, motor.t_s, by, clock_offset_s=at).c_deg for at in (0.0, 100.0))
+    np.testing.assert_allclose(later - first, 50.0, atol=1e-9)
+
+
 def test_a_law_that_gives_no_numbers_is_said_to(monkeypatch):
     monkeypatch.setattr(simulation, "_TRANSFORMED", (own("output", lambda t_s, c, values: c[:-1]),))
     motor = Motor(np.arange(3.0), np.zeros(3))
