@@ -85,6 +85,30 @@ def test_a_site_is_the_sum_of_the_free_hinges_above_it(folder):
     assert arm.tip(still(20.0), {})[-1] == pytest.approx(0.75 * driven, abs=0.3)  # equalities are soft
 
 
+URDF = """<robot name="arm">
+  <link name="base"><inertial><mass value="1"/>
+    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="fore"><inertial><origin xyz="0 0 -0.1"/><mass value="0.1"/>
+    <inertia ixx="0.001" iyy="0.001" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="elbow" type="revolute"><parent link="base"/><child link="fore"/><axis xyz="0 1 0"/>
+    <limit lower="-3" upper="3" effort="10" velocity="10"/></joint>
+</robot>
+"""
+
+
+def test_a_urdf_has_a_servo_on_the_joint_that_is_named(folder):
+    """Critically damped at 10 Hz about 0.001 + 0.1 x 0.1^2 kg m^2: kp = 0.002 (20 pi)^2, sagging by its weight."""
+    (folder / "arm.urdf").write_text(URDF)
+    arm = mjcf.simulator(folder / "arm.urdf", "elbow", "joint:elbow")
+    declared = {each.name: each.nominal for each in arm.parameters}
+    kp = 0.002 * (20.0 * math.pi) ** 2
+    assert declared["elbow.kp"] == pytest.approx(kp) and declared["elbow.kv"] == pytest.approx(kp / (10.0 * math.pi))
+    c = np.radians(arm.tip(still(30.0), {})[-1])
+    assert kp * (math.radians(30.0) - c) == pytest.approx(0.1 * 9.81 * 0.1 * math.sin(c), abs=1e-4)
+    with pytest.raises(TautError, match="name a joint that a servo shall hold"):
+        mjcf.simulator(folder / "arm.urdf", "servo", "joint:elbow")
+
+
 @pytest.mark.parametrize(
     ("fault", "named"),
     [

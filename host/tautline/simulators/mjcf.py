@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from tautline.errors import TautError
 from tautline.recording import Motor
-from tautline.simulators.scene import read, tip_of
+from tautline.simulators.scene import read, tip_of, with_servo
 from tautline.simulators.simulator import Declared, Simulator
 
 if TYPE_CHECKING:
@@ -76,6 +76,8 @@ class Mjcf:
     @cached_property
     def _model(self) -> mujoco.MjModel:
         model = read(self.path)
+        if not model.nu:
+            return with_servo(self.path, self.actuator)
         names = [model.actuator(i).name for i in range(model.nu)]
         if self.actuator not in names:
             raise TautError(f"{self.path}: has no actuator {self.actuator}, but {', '.join(names) or 'none at all'}")
@@ -172,8 +174,8 @@ class Mjcf:
 
 def simulator(path: str | Path, actuator: str, tip: str, unit: str = "deg", scale: float | None = None) -> Simulator:
     """An MJCF or URDF file as a simulator. actuator: its control is the motor's position times `scale` (default: rad
-    of a deg, m of a mm). tip: joint:NAME, or site:NAME, the sum of the free hinges above it. TautError names what is
-    not in the file."""
+    of a deg, m of a mm); in a file without any a joint, which a servo then holds. tip: joint:NAME, or site:NAME, the
+    sum of the free hinges above it. TautError names what is not in the file."""
     if find_spec("mujoco") is None:
         raise TautError(
             "--simulator needs the package mujoco: pip install 'tautline-robotics[simulator]', or pip install mujoco"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from tautline.errors import TautError
 if TYPE_CHECKING:
     import mujoco
 
+_SERVO_HZ = 10.0  # of an arm's usual servo: what it has is told by the robot
 _PARALLEL = 0.999  # cosine between axes that count as one
 
 
@@ -23,6 +25,29 @@ def read(path: Path) -> mujoco.MjModel:
         return mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:
         raise TautError(f"{path}: MuJoCo cannot read it ({' '.join(str(error).split())})") from error
+
+
+def with_servo(path: Path, joint: str) -> mujoco.MjModel:
+    """A file without actuators, as a URDF is, with a position servo of the joint's name on it: critically damped, at
+    _SERVO_HZ with what the joint carries in the file's own pose. TautError where there is no such joint."""
+    import mujoco
+
+    bare = read(path)
+    if joint not in joints_of(bare):
+        names = ", ".join(filter(None, joints_of(bare)))
+        raise TautError(f"{path}: has no actuators: name a joint that a servo shall hold with --actuator, {names}")
+    data = mujoco.MjData(bare)
+    mujoco.mj_forward(bare, data)
+    whole = np.zeros((bare.nv, bare.nv))
+    mujoco.mj_fullM(bare, data, whole)
+    at = int(bare.joint(joint).dofadr[0])
+    rate = 2.0 * math.pi * _SERVO_HZ
+    kp, kv = float(whole[at, at]) * rate**2, 2.0 * float(whole[at, at]) * rate
+    spec = mujoco.MjSpec.from_file(str(path))
+    servo = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    servo.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+    servo.gainprm[0], servo.biasprm[1], servo.biasprm[2] = kp, -kp, -kv
+    return spec.compile()
 
 
 def joints_of(model: mujoco.MjModel) -> list[str]:
