@@ -271,6 +271,7 @@ def diagnose_simulator(
     robots: Recording | Sequence[Recording],
     rig: Rig | None = None,
     progress: Progress = _silent,
+    workers: int = 1,
 ) -> Diagnosis:
     """What a simulator of your own lacks, and which of its parameters are not the robot's, with their values.
 
@@ -282,12 +283,13 @@ def diagnose_simulator(
         library's effects act on it, and the simulator's parameters are further ones, differentiated by differences.
 
     simulator: tautline.simulators.mjcf.simulator(FILE, ACTUATOR, TIP), or a tautline.simulators.Simulator around any
-    function. robots: with the motor's log or command, and what was seen. rig: default the recordings' own.
+    function. robots: with the motor's log or command, and what was seen. rig: default the recordings' own. workers:
+    processes in which a slow simulator is run side by side; the result is the same.
     """
     from tautline.diagnosis.simulated import diagnose_simulator as diagnosed
 
     several = _several(robots)
-    return diagnosed(simulator, several, _rig_of(several, rig), progress)
+    return diagnosed(simulator, several, _rig_of(several, rig), progress, workers)
 
 
 def report(

@@ -59,6 +59,13 @@ Progress = Callable[[float, str], None]
 @click.option(
     "--scale", type=float, help="With --simulator: of the control, per unit of q; default 0.001 for mm, pi/180 for deg."
 )
+@click.option(
+    "--workers",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="With --simulator: processes in which a slow one is run side by side; the result is the same.",
+)
 @live_options
 @click.option(
     "--most", type=click.IntRange(min=1), default=5, show_default=True, help="Live: recordings, after which it ends."
@@ -76,6 +83,7 @@ def command(
     actuator: str | None,
     tip: str | None,
     scale: float | None,
+    workers: int,
     live: LiveOptions,
     most: int,
     kept: Path | None,
@@ -93,7 +101,7 @@ def command(
         if is_live or live.camera is not None:
             raise click.UsageError("--simulator needs recordings: the rig's own camera is what sees the tip")
         robots = [path for path in (calibration_path, *test_paths) if path is not None]
-        _tell(_with_simulator(simulator, actuator, tip, scale, robots, rig_path, out), out, as_json)
+        _tell(_with_simulator(simulator, actuator, tip, scale, workers, robots, rig_path, out), out, as_json)
         return
     if actuator is not None or tip is not None or scale is not None:
         raise click.UsageError("--actuator, --tip and --scale go with --simulator")
@@ -134,6 +142,7 @@ def _with_simulator(
     actuator: str | None,
     tip: str | None,
     scale: float | None,
+    workers: int,
     paths: list[Path],
     rig_path: Path | None,
     out: Path,
@@ -143,7 +152,9 @@ def _with_simulator(
     robots, rig = read_recordings(paths, rig_path)
     with progress_bar("diagnosing") as progress:
         simulator = _simulator(name, actuator, tip, scale, rig)
-        diagnosis = diagnose_simulator(simulator, robots, rig, lambda fraction, text: progress(0.95 * fraction, text))
+        diagnosis = diagnose_simulator(
+            simulator, robots, rig, lambda fraction, text: progress(0.95 * fraction, text), workers
+        )
         progress(0.96, "writing the report")
         save(diagnosis, out)
     return diagnosis

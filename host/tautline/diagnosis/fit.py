@@ -238,6 +238,8 @@ class Fitter:
         """Of each recording."""
         slope_b = np.gradient(state.model.width, state.model.q)
         slope_f = np.gradient(state.model.c_deg, state.model.q)
+        for segment in self.segments:
+            segment.ask(state.at(segment, hypothesis))
         return [self._rows(segment, state, hypothesis, slope_b, slope_f) for segment in self.segments]
 
     def _rows(
@@ -336,16 +338,21 @@ class Fitter:
 
     def effect_columns(self, state: ParameterState, hypothesis: Hypothesis, rows: Sequence[ScoredRows]) -> list[Array]:
         """Of each recording (n, k, m) by difference quotients, one column for each of the hypothesis' slots."""
-        per_segment = []
+        slots, per_segment = hypothesis.slots, []
+        steps = [_DIFFERENCE * self.scale(slot.parameter) for slot in slots]
+        there = [
+            replace(state, values={**state.values, slot.key: state.values[slot.key] + step})
+            for slot, step in zip(slots, steps, strict=True)
+        ]
+        for segment in self.segments:
+            for stepped in there:
+                segment.ask(stepped.at(segment, hypothesis))
         for segment, row in zip(self.segments, rows, strict=True):
-            slots = hypothesis.slots
             columns = np.zeros((*row.residual.shape, len(slots)))
             for i, slot in enumerate(slots):
                 if slot.holds_in(segment):
-                    step = _DIFFERENCE * self.scale(slot.parameter)
-                    there = replace(state, values={**state.values, slot.key: state.values[slot.key] + step})
-                    moved = self.moved_by(segment, there, hypothesis, slot.parameter, row, row.residual)
-                    columns[:, :, i] = moved / step
+                    moved = self.moved_by(segment, there[i], hypothesis, slot.parameter, row, row.residual)
+                    columns[:, :, i] = moved / steps[i]
             per_segment.append(columns)
         return per_segment
 

@@ -57,6 +57,11 @@ class Segment:
     def sensor(self) -> Sensor:
         return MARKER if self.unit == "px" else ANGLE
 
+    def ask(self, parameters: Mapping[str, Any]) -> None:
+        """That `follow` will be called with these, where a simulator takes its time."""
+        if self.drive is not None:
+            self.drive.ask(parameters)
+
     def follow(self, model: Model, parameters: Mapping[str, Any], load_reference: float) -> Path:
         """Where the tip is at the observations."""
         scene = self.arrival_s - model.delay_of(self.sensor)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -51,7 +52,9 @@ class SimulatedNominal:
         }
 
 
-def nominal(simulator: Simulator, robots: Sequence[Recording], rig: Rig) -> SimulatedNominal:
+def nominal(
+    simulator: Simulator, robots: Sequence[Recording], rig: Rig, pool: Executor | None = None
+) -> SimulatedNominal:
     """robots: recordings with angle.csv, or with marker.csv where the rig has a camera. TautError where there is none,
     and for what the simulator cannot do."""
     if not robots:
@@ -59,7 +62,9 @@ def nominal(simulator: Simulator, robots: Sequence[Recording], rig: Rig) -> Simu
     by_marker = rig.has_camera and all(robot.marker is not None for robot in robots)
     if not by_marker and any(robot.angle is None for robot in robots):
         raise TautError("a simulator is compared with marker.csv (or a video) in every recording, or with angle.csv")
-    drives = [Drive(simulator, robot.motor, rig) for robot in robots]
+    drives = [Drive(simulator, robot.motor, rig, pool) for robot in robots]
+    for drive in drives:
+        drive.ask({})
     tests = [replace(robot, motor=drive.motor({})) for robot, drive in zip(robots, drives, strict=True)]
     model = _model(simulator, rig, by_marker)
     calibration = replace(_shown(model, tests[0], by_marker), name="simulator")
