@@ -13,12 +13,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tautline as tl
-from tautline import tables
+from tautline import tables, trajectory
 from tautline.diagnosis.simulated import diagnose_simulator
 from tautline.errors import TautError
+from tautline.geometry import project
 from tautline.model import Model
 from tautline.prediction import foretold, predict
-from tautline.recording import Angle, Motor, Recording
+from tautline.recording import Angle, Marker, Motor, Recording
+from tautline.simulated.instrument import reference_rig
 from tautline.simulators import Declared, Simulator, mjcf, side_by_side
 from tautline.simulators.drive import Drive
 from tautline.simulators.nominal import nominal as simulated_nominal
@@ -180,6 +182,29 @@ def test_any_callable_is_a_simulator_and_its_parameter_an_answer(folder):
     assert "simulator.tau" in leading and len(leading) <= 3
     told = {each["name"]: each["value"] for each in found["simulator"]["parameters"]}
     assert told.get("tau", 0.12) == pytest.approx(0.12, rel=0.02)
+
+
+@pytest.mark.long
+def test_with_a_camera_the_simulated_tip_is_seen_by_the_rigs_own():
+    """The follower moves 12 deg per mm of cable; the marker is seen with 0.05 px of noise, 80 ms late."""
+    rig, gain = reference_rig(), 12.0
+
+    def bends(motor, parameters):
+        return gain * first_order(motor, parameters)
+
+    def seen(seed):
+        course = trajectory.random_smooth(rig.actuator, 5.0, 16.0, seed)
+        t_s, arrival_s = np.arange(0.0, 16.0, 0.005), np.arange(0.2, 16.0, 0.04)
+        motor = Motor(t_s, np.interp(t_s, course.t_s, course.q))
+        px = project(rig, np.interp(arrival_s - 0.08, t_s, bends(motor, {"tau": 0.12})))
+        u, v = (px + np.random.default_rng(seed).normal(0.0, 0.05, px.shape)).T
+        return Recording(f"robot{seed}", motor, marker=Marker(arrival_s, u, v, np.isfinite(u)))
+
+    found = diagnose_simulator(Simulator(bends, FOLLOWER.parameters), [seen(1), seen(2)], rig).document
+    first = found["effects"][0]
+    assert found["unit"] == "px" and first["id"] == "simulator.tau" and len(first["ambiguous_with"]) <= 2
+    assert found["simulator"]["parameters"][0]["value"] == pytest.approx(0.12, rel=0.01)
+    assert found["gap"]["after"] < 1.1 * 0.05
 
 
 def test_what_the_simulator_has_not_is_an_effect_of_the_library_around_it(folder):
