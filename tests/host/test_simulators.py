@@ -309,3 +309,11 @@ def test_a_model_whose_simulator_was_a_function_of_the_session_says_so(folder):
     model = simulated_nominal(anonymous, [followed(folder, 0.05)], arms.rig(folder)).model
     with pytest.raises(TautError, match="function of a session"):
         predict(model, still(1.0), np.array([0.5]))
+
+
+def test_an_unstable_trial_writes_nothing_where_the_user_works(folder, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    arm = mjcf.simulator(arms.write(folder / "stiff.xml", step_s=0.02), "servo", "joint:elbow")
+    t = np.linspace(0.0, 2.0, 200)
+    arm.tip(Motor(t, 30.0 * np.sin(9.0 * t)), {"servo.kp": 3e5})
+    assert not list(tmp_path.iterdir())

@@ -6,6 +6,7 @@ import copy
 import hashlib
 import math
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.util import find_spec
@@ -61,7 +62,8 @@ class Mjcf:
         control[:, self._index] = self.scale * np.interp(late, motor.t_s, motor.q)
         first = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
         mujoco.mj_getState(model, data, first, mujoco.mjtState.mjSTATE_FULLPHYSICS)
-        states, _ = rollout.rollout(model, data, first[None], control[None])
+        with _silent():
+            states, _ = rollout.rollout(model, data, first[None], control[None])
         # A state is behind the step of its control; its first number is the time.
         angle = np.zeros(steps)
         for name, sign in self._hinges:
@@ -193,6 +195,20 @@ def simulator(path: str | Path, actuator: str, tip: str, unit: str = "deg", scal
         "scale": scale,
     }
     return Simulator(made.simulate, made.parameters, source)
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """MuJoCo writes its warnings into the working directory. Where a trial of a parameter is unstable it begins again,
+    and what comes of that fits nothing."""
+    import mujoco
+
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 def digest(path: Path) -> str:
