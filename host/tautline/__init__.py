@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from tautline.api import calibrate as calibrate
     from tautline.api import compensate as compensate
     from tautline.api import diagnose as diagnose
+    from tautline.api import diagnose_simulator as diagnose_simulator
     from tautline.api import encode as encode
     from tautline.api import export as export
     from tautline.api import import_recording as import_recording
@@ -85,6 +86,7 @@ _PUBLIC = {
     "calibrate": "api",
     "compensate": "api",
     "diagnose": "api",
+    "diagnose_simulator": "api",
     "encode": "api",
     "import_recording": "api",
     "export": "api",

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from tautline.importing import Imported, Proposal
     from tautline.model import Model
     from tautline.prediction import Prediction
+    from tautline.simulators import Simulator
     from tautline.tables import Limits
     from tautline.tracking import Tracked
 
@@ -263,6 +264,32 @@ def diagnose(
     named = ", ".join(f"{each['id']} ({each['probability']:.2f})" for each in found.document["effects"])
     _log.info("%s%s", found.document["verdict"], f": {named}" if named else "")
     return found
+
+
+def diagnose_simulator(
+    simulator: Simulator,
+    robots: Recording | Sequence[Recording],
+    rig: Rig | None = None,
+    progress: Progress = _silent,
+    workers: int = 1,
+) -> Diagnosis:
+    """What a simulator of your own lacks, and which of its parameters are not the robot's, with their values.
+
+    Shapes: as diagnose's; `.document["simulator"]["parameters"]` has name, unit, nominal and value of what was named.
+    Units: those that the simulator declares; gaps in px or deg as diagnose's.
+    Errors: TautError where a recording has nothing to compare, where nothing can be scored, and for what the simulator
+        gives that is no angle.
+    Source: docs/diagnosis.md: the simulated tip takes the motor's place, with no backlash and f_remain = f_coarse; the
+        library's effects act on it, and the simulator's parameters are further ones, differentiated by differences.
+
+    simulator: tautline.simulators.mjcf.simulator(FILE, ACTUATOR, TIP), or a tautline.simulators.Simulator around any
+    function. robots: with the motor's log or command, and what was seen. rig: default the recordings' own. workers:
+    processes in which a slow simulator is run side by side; the result is the same.
+    """
+    from tautline.diagnosis.simulated import diagnose_simulator as diagnosed
+
+    several = _several(robots)
+    return diagnosed(simulator, several, _rig_of(several, rig), progress, workers)
 
 
 def report(

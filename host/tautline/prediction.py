@@ -20,6 +20,7 @@ from tautline.geometry import project_with_slope
 from tautline.model import Model, allowed_width
 from tautline.recording import Motor, Recording
 from tautline.rig import ANGLE, MARKER, Sensor
+from tautline.simulators.source import path_of
 from tautline.value import Value
 
 Array = npt.NDArray[np.float64]
@@ -56,7 +57,7 @@ def predict(model: Model, motor: Motor, scene_s: npt.ArrayLike, start_deg: float
     """At scene times (n,) on the motor's clock, in any order. The tip starts on the centre line, c = f_remain(q[0]), or
     at start_deg; q is held before the first and after the last motor sample."""
     scene = np.asarray(scene_s, dtype=float)
-    seen = Chain(model).at(MotorPath.of(motor, model.rig.actuator.encoder_resolution), scene, start_deg)
+    seen = Chain(model).at(path_of(model, motor), scene, start_deg)
     return Prediction(seen.c_deg, seen.image_px)
 
 
@@ -67,7 +68,7 @@ def predict_with_sigma(
     path and, unless start_deg is given, of where the tip lay in its backlash at first goes through the chain to each
     row; beside it stands what the calibration left, its noise among it."""
     scene = np.asarray(scene_s, dtype=float)
-    path = MotorPath.of(motor, model.rig.actuator.encoder_resolution)
+    path = path_of(model, motor)
     told = Chain(model).at(path, scene, start_deg)
     known = _known(model, path, start_deg)
 

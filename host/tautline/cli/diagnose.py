@@ -1,4 +1,4 @@
-"""taut diagnose CALIBRATION TEST [TEST ...], or --live"""
+"""taut diagnose CALIBRATION TEST [TEST ...], ROBOT [ROBOT ...] with --simulator, or --live"""
 
 from __future__ import annotations
 
@@ -24,11 +24,14 @@ from tautline.diagnosis import narration
 from tautline.diagnosis.diagnose import diagnose
 from tautline.diagnosis.folder import DOCUMENT, save
 from tautline.diagnosis.recorded import calibrated
+from tautline.diagnosis.simulated import diagnose_simulator
 from tautline.folders import check_replaceable
 from tautline.recording import Recording, load
 from tautline.rig import Rig
+from tautline.simulators import Simulator, mjcf, source
 
 if TYPE_CHECKING:
+    from tautline.diagnosis.diagnose import Diagnosis
     from tautline.live.asking import Asked
 
 Progress = Callable[[float, str], None]
@@ -46,6 +49,23 @@ Progress = Callable[[float, str], None]
     help="Record the motion that tells most, diagnose, and go on until one answer has 95 % or nothing that could be "
     "recorded would help: with --board and --camera, or --simulate. Without CALIBRATION the axis is calibrated first.",
 )
+@click.option(
+    "--simulator",
+    help="Your simulator in the calibration's place: MJCF or URDF, with --actuator and --tip, or MODULE:NAME of a "
+    "tautline.simulators.Simulator. Every recording is then one of the robot.",
+)
+@click.option("--actuator", help="With --simulator: its actuator whose control is q (or q_cmd, where it was recorded).")
+@click.option("--tip", help="With --simulator: what bends, joint:NAME or site:NAME.")
+@click.option(
+    "--scale", type=float, help="With --simulator: of the control, per unit of q; default 0.001 for mm, pi/180 for deg."
+)
+@click.option(
+    "--workers",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="With --simulator: processes in which a slow one is run side by side; the result is the same.",
+)
 @live_options
 @click.option(
     "--most", type=click.IntRange(min=1), default=5, show_default=True, help="Live: recordings, after which it ends."
@@ -59,6 +79,11 @@ def command(
     rig_path: Path | None,
     out: Path,
     is_live: bool,
+    simulator: str | None,
+    actuator: str | None,
+    tip: str | None,
+    scale: float | None,
+    workers: int,
     live: LiveOptions,
     most: int,
     kept: Path | None,
@@ -68,9 +93,18 @@ def command(
     """Where model and instrument part, which effect is the cause, and how far the gap shrinks.
 
     CALIBRATION may be a recording of a simulator and each TEST one of the robot: the diagnosis then says what the
-    simulator lacks.
+    simulator lacks. With --simulator it is run here, by the robot's own motor logs, and its own parameters are among
+    what may be named.
     """
     check_replaceable(out, DOCUMENT)
+    if simulator is not None:
+        if is_live or live.camera is not None:
+            raise click.UsageError("--simulator needs recordings: the rig's own camera is what sees the tip")
+        robots = [path for path in (calibration_path, *test_paths) if path is not None]
+        _tell(_with_simulator(simulator, actuator, tip, scale, workers, robots, rig_path, out), out, as_json)
+        return
+    if actuator is not None or tip is not None or scale is not None:
+        raise click.UsageError("--actuator, --tip and --scale go with --simulator")
     if is_live:
         if live.camera is None and live.simulate is None:
             raise click.UsageError("--live needs --camera SOURCE (and a board), or --simulate")
@@ -95,8 +129,43 @@ def command(
         )
         progress(0.96, "writing the report")
         save(diagnosis, out)
+    _tell(diagnosis, out, as_json)
+
+
+def _tell(diagnosis: Diagnosis, out: Path, as_json: bool) -> None:
     emit(diagnosis.document, as_json, narration.text(diagnosis.document, str(out)))
     _lead(diagnosis.document)
+
+
+def _with_simulator(
+    name: str,
+    actuator: str | None,
+    tip: str | None,
+    scale: float | None,
+    workers: int,
+    paths: list[Path],
+    rig_path: Path | None,
+    out: Path,
+) -> Diagnosis:
+    if not paths:
+        raise click.UsageError("name at least one recording of the robot")
+    robots, rig = read_recordings(paths, rig_path)
+    with progress_bar("diagnosing") as progress:
+        simulator = _simulator(name, actuator, tip, scale, rig)
+        diagnosis = diagnose_simulator(
+            simulator, robots, rig, lambda fraction, text: progress(0.95 * fraction, text), workers
+        )
+        progress(0.96, "writing the report")
+        save(diagnosis, out)
+    return diagnosis
+
+
+def _simulator(name: str, actuator: str | None, tip: str | None, scale: float | None, rig: Rig) -> Simulator:
+    if not Path(name).suffix and ":" in name:
+        return source.of_python(name)
+    if actuator is None or tip is None:
+        raise click.UsageError("--simulator FILE needs --actuator A and --tip joint:J or site:S")
+    return mjcf.simulator(name, actuator, tip, rig.actuator.unit, scale)
 
 
 def _lead(document: Mapping[str, Any]) -> None:

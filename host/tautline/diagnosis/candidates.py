@@ -15,7 +15,7 @@ from tautline.diagnosis.fit import Fit, Fitter, ParameterState, Scope, outlier_l
 from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.hypotheses import Beyond, Wander
 from tautline.diagnosis.screen import Screened, screen
-from tautline.effects import SCATTERS, Kind
+from tautline.effects import SCATTERS, SIMULATOR, Kind
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -147,8 +147,10 @@ class Search:
         leading = list(seen)[:refits]
         for name, scopes in seen.items():
             best, *rest = scopes.values()
-            # A linear step tells little of parts of the nominal model: the recalibrated one has moved half way.
-            if name in leading or (both_scopes and best.kind.nominal):
+            # A linear step tells little of parts of the nominal model: the recalibrated one has moved half way; and of
+            # a simulator's parameters, which it need not be straight in.
+            few = best.kind.nominal or best.kind.stage == SIMULATOR
+            if name in leading or (both_scopes and few):
                 refit(best)
             for other in rest if both_scopes and best.kind.each else []:
                 refit(other)

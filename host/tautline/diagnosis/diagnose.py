@@ -30,10 +30,11 @@ from tautline.diagnosis.fit import Fit, Fitter, Scope, key
 from tautline.diagnosis.gather import Gathered, gather
 from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.hypotheses import CaseEvidence
-from tautline.diagnosis.segment import Segment, load_reference, prepare
+from tautline.diagnosis.segment import Segment, load_reference, prepare, sensed
 from tautline.effects.library.registration import with_registration
 from tautline.model import Effect, Model, monotone
 from tautline.recording import Recording
+from tautline.simulators.nominal import SimulatedNominal
 from tautline.value import Value
 
 Array = npt.NDArray[np.float64]
@@ -63,22 +64,32 @@ def diagnose(
     tests: Sequence[Recording],
     progress: Progress = lambda fraction, text: None,
     left_out: Collection[str] = (),
+    simulated: SimulatedNominal | None = None,
 ) -> Diagnosis:
-    """`model` is what `calibration` gave. `left_out`: effects that the library shall not know. Raises TautError where
-    nothing can be scored."""
+    """`model` is what `calibration` gave. `left_out`: effects that the library shall not know. `simulated`: where
+    model, calibration and tests are a simulator's. Raises TautError where nothing can be scored."""
     with threadpool_limits(1, "blas"):  # its systems are small: threads that wait for each other cost 10 times more
-        return _diagnosis(model, calibration, tests, progress, left_out)
+        return _diagnosis(model, calibration, tests, progress, left_out, simulated)
 
 
 def _diagnosis(
-    model: Model, calibration: Recording, tests: Sequence[Recording], progress: Progress, left_out: Collection[str]
+    model: Model,
+    calibration: Recording,
+    tests: Sequence[Recording],
+    progress: Progress,
+    left_out: Collection[str],
+    simulated: SimulatedNominal | None,
 ) -> Diagnosis:
     progress(0.0, "preparing")
-    segments = prepare(model, calibration, tests)
+    segments = prepare(model, calibration, tests, simulated.drives if simulated else ())
     tracked = tracker.without(model, segments, load_reference(calibration)) if _are_videos(calibration, tests) else None
     segments, moving = (tracked.segments, tracked.noise) if tracked is not None else (segments, 0.0)
     fitter = Fitter(model, segments, load_reference(calibration))
     frozen = fitter.residuals(fitter.start(), fitter.nothing)
+    if simulated is not None:
+        segments[0] = sensed(segments[0], gap.noise_floor(segments[1:], frozen[1:]))
+        fitter = Fitter(model, segments, load_reference(calibration))
+        frozen = fitter.residuals(fitter.start(), fitter.nothing)
     fitter.floor = max(gap.noise_floor(segments, frozen), moving)
     if tracked is not None:
         fitter.doubt, fitter.unsteady = tracked.doubt, tracked.unsteady
@@ -88,7 +99,7 @@ def _diagnosis(
     floor = gap.noise_floor(segments, base.residuals)
     left = max(gap.rms(frozen[:1]), gap.counted(segments), gap.jitters(base.residuals[1:]))
     floor = fitter.floor = max(left if left < _NO_NOISE * floor else floor, moving)
-    kinds = applicable(fitter, left_out)
+    kinds = [*applicable(fitter, left_out), *(simulated.kinds if simulated else ())]
     hidden = confounded.hidden(kinds, segments)
     kinds = [kind for kind in kinds if kind.id not in hidden]
 
@@ -187,7 +198,11 @@ def _diagnosis(
     progress(1.0, "done")
     corrected = _corrected(chosen.fit, max(segments[1:], key=lambda test: test.end_s)) if named else model
     corrected = replace(corrected, extra={**model.extra, "load_reference_mNm": fitter.load_reference})
-    document["tip"] = tip.foretold(model, corrected) if named else None  # with the old tables, and with the new
+    # With the old tables, and with the new: a simulator's are for no board.
+    document["tip"] = tip.foretold(model, corrected) if named and simulated is None else None
+    if simulated is not None:
+        document["simulator"] = simulated.to_json(document["effects"])
+    segments = [replace(segment, drive=None) for segment in segments]  # what was simulated is in motor and residuals
     return Diagnosis(
         document, model, corrected, following, segments, list(before), list(after), conditions, gathered.evidence
     )

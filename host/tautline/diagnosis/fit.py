@@ -48,6 +48,7 @@ _COARSE_FRAMES = 2500  # that a fit begins with
 _ROUGH_STEPS, _COARSE_STEPS, _FULL_STEPS = 3, 12, 8  # of each start, of the best one, of all observations
 _NOMINAL_STEPS = 16
 _FAR, _CURVES_FAR = 30.0, 2.0  # of a parameter's scale: its prior, and that of a curve's coefficients
+_KNOWN = 1e-6  # of the prior, which is a step's: where a simulator is the nominal it stays
 _RARE = 0.01  # a misfit that lasts longer than this share of a recording is no outlier
 
 
@@ -180,6 +181,9 @@ class Fitter:
         if self.px:
             prior += [np.full(3, 3.0), np.full(3, 2.0)]
         self._prior = np.concatenate([*prior, np.full(1, 0.02)])
+        self.from_start = all(s.drive is None for s in segments)  # else: a simulator has none of the library's effects
+        if not self.from_start:
+            self._prior *= _KNOWN
         self._bending = block_diag(
             curves.width.bending / (_ROUGH * span) ** 2, curves.follow.bending / (_ROUGH * gain * span) ** 2
         )
@@ -234,6 +238,8 @@ class Fitter:
         """Of each recording."""
         slope_b = np.gradient(state.model.width, state.model.q)
         slope_f = np.gradient(state.model.c_deg, state.model.q)
+        for segment in self.segments:
+            segment.ask(state.at(segment, hypothesis))
         return [self._rows(segment, state, hypothesis, slope_b, slope_f) for segment in self.segments]
 
     def _rows(
@@ -332,16 +338,21 @@ class Fitter:
 
     def effect_columns(self, state: ParameterState, hypothesis: Hypothesis, rows: Sequence[ScoredRows]) -> list[Array]:
         """Of each recording (n, k, m) by difference quotients, one column for each of the hypothesis' slots."""
-        per_segment = []
+        slots, per_segment = hypothesis.slots, []
+        steps = [_DIFFERENCE * self.scale(slot.parameter) for slot in slots]
+        there = [
+            replace(state, values={**state.values, slot.key: state.values[slot.key] + step})
+            for slot, step in zip(slots, steps, strict=True)
+        ]
+        for segment in self.segments:
+            for stepped in there:
+                segment.ask(stepped.at(segment, hypothesis))
         for segment, row in zip(self.segments, rows, strict=True):
-            slots = hypothesis.slots
             columns = np.zeros((*row.residual.shape, len(slots)))
             for i, slot in enumerate(slots):
                 if slot.holds_in(segment):
-                    step = _DIFFERENCE * self.scale(slot.parameter)
-                    there = replace(state, values={**state.values, slot.key: state.values[slot.key] + step})
-                    moved = self.moved_by(segment, there, hypothesis, slot.parameter, row, row.residual)
-                    columns[:, :, i] = moved / step
+                    moved = self.moved_by(segment, there[i], hypothesis, slot.parameter, row, row.residual)
+                    columns[:, :, i] = moved / steps[i]
             per_segment.append(columns)
         return per_segment
 

@@ -52,6 +52,8 @@ def _simulated(fitter: Fitter, fit: Fit, motion: Trajectory) -> np.ndarray:
     scene = np.arange(0.0, motion.duration_s, 0.04)
     test = fitter.segments[-1]
     values = fit.state.at(test, fit.hypothesis)
+    if test.drive is not None:
+        motor = test.drive.along(motor).motor(values)
     path = simulate(fit.state.model, motor, scene, values, clock_offset_s=test.end_s)
     return path.image_px if fitter.px else path.c_deg[:, None]
 

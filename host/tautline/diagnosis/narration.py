@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from tautline.diagnosis import simulator_words
 from tautline.diagnosis.confounded import DRIFT, LOAD
 from tautline.effects import BY_ID, EVENTS
 from tautline.undone import COUPLED
@@ -69,7 +70,9 @@ def sentence(document: Mapping[str, Any]) -> str:
         return f"{what} of {before}, {times}, that no known effect explains{seen}."
     effects = document["effects"]
     told = [
-        f"{BY_ID[e['id']].says}{_since(e)} ({e['id']}, {percent(e['probability'])} sure{_brings(e)})" for e in effects
+        f"{simulator_words.says(document, e['id'])}{_since(e)} "
+        f"({e['id']}, {percent(e['probability'])} sure{_brings(e)})"
+        for e in effects
     ]
     if len(effects) > _TOLD:
         rest = [f"{e['id']} ({percent(e['probability'])})" for e in effects[1:]]
@@ -218,6 +221,8 @@ def steps(document: Mapping[str, Any], folder: str) -> list[NextStep]:
                 f"by the wrong one ([hand_eye] of {folder}/corrected/rig.toml)."
             )
         )
+    if "simulator" in document:
+        return [*told, *map(NextStep, simulator_words.steps(document))]
     if effects and not event:
         told.append(
             NextStep(
@@ -285,7 +290,8 @@ def text(document: Mapping[str, Any], folder: str) -> str:
     if document["verdict"] == "effect":
         lines.append(f"  gap after       {digits(gap['after']):>8} {unit} rms ({digits(low)} to {digits(high)})")
     again = document["gap_recalibrated"]["before"]
-    lines.append(f"  recalibrated    {digits(again):>8} {unit} rms (B, f_remain and registration refitted on all)")
+    if "simulator" not in document:  # that is not calibrated
+        lines.append(f"  recalibrated    {digits(again):>8} {unit} rms (B, f_remain and registration refitted on all)")
     lines.append(f"  noise           {digits(document['noise_floor']):>8} {unit} rms")
     if moved(document):
         lines += ["", f"  {moved(document)}"]

@@ -12,11 +12,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tautline import figures, reports
-from tautline.diagnosis import narration, where
+from tautline.diagnosis import narration, simulator_words, where
 from tautline.diagnosis.diagnose import Diagnosis
 from tautline.diagnosis.where import Condition
-from tautline.effects import BY_ID, STAGES, Parameter
-from tautline.explain import topics
+from tautline.effects import BY_ID, SIMULATOR, STAGES, Parameter
+from tautline.explain import of_effect
 from tautline.model import Model
 
 FILE = "report.html"
@@ -65,7 +65,7 @@ def write(diagnosis: Diagnosis, folder: Path, known_as: str = "") -> Path:
         "candidates": [
             {
                 "name": name,
-                "says": BY_ID[name].says if name in BY_ID else "",
+                "says": simulator_words.says(document, name) if name in BY_ID else "",
                 "percent": narration.percent(p),
                 "width": f"{100 * p:.1f}",
                 "closes": closes,
@@ -73,11 +73,11 @@ def write(diagnosis: Diagnosis, folder: Path, known_as: str = "") -> Path:
             for name, p, closes in narration.rows(document, _CANDIDATES)
             if p >= narration.SHOWN
         ],
-        "topics": [topics()[effect["id"]] for effect in document["effects"]],
+        "topics": [of_effect(effect["id"]) for effect in document["effects"]],
         "parameters": [
             row
             for effect in document["effects"]
-            for row in _parameters(effect, unit, width_now(diagnosis.nominal, diagnosis.corrected))
+            for row in _parameters(document, effect, unit, width_now(diagnosis.nominal, diagnosis.corrected))
         ],
         "moved": narration.moved(document),
         "tip": narration.tip(document),
@@ -103,7 +103,7 @@ def _chain(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     named = {effect["id"].split(".")[0] for effect in document["effects"]}
     marked = document["where"]["stage"]
     stages = []
-    for stage in STAGES:
+    for stage in (*((SIMULATOR,) if "simulator" in document else ()), *STAGES):
         of_stage = [c for c in document["candidates"] if c["id"].startswith(stage + ".")]
         closes = max((c["shrink"] for c in of_stage), default=0.0)
         share = sum(e["shrink"] for e in document["effects"] if e["id"].startswith(stage + "."))
@@ -126,7 +126,9 @@ def width_now(nominal: Model, corrected: Model) -> str:
     return f"{narration.digits(now)} {unit} in the mean, it was {narration.digits(was)}"
 
 
-def _parameters(effect: Mapping[str, Any], unit: str, width: str) -> list[dict[str, Any]]:
+def _parameters(document: Mapping[str, Any], effect: Mapping[str, Any], unit: str, width: str) -> list[dict[str, Any]]:
+    if own := simulator_words.values(document, effect["id"]):
+        return [_row(effect, *own, True)]
     kind = BY_ID[effect["id"]]
     if kind.of_joint and "column" in effect["parameters"]:
         kind = kind.of_joint(effect["parameters"]["column"])

@@ -15,8 +15,18 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
-from tautline.diagnosis.fit import STATIC_COLUMNS, Fit, Fitter, Hypothesis, Scope, ScoredRows, inside, key
-from tautline.effects import Kind, Parameter
+from tautline.diagnosis.fit import (
+    STATIC_COLUMNS,
+    Fit,
+    Fitter,
+    Hypothesis,
+    ParameterState,
+    Scope,
+    ScoredRows,
+    inside,
+    key,
+)
+from tautline.effects import SIMULATOR, Kind, Parameter
 from tautline.nominal import Normal
 
 Array = npt.NDArray[np.float64]
@@ -44,6 +54,9 @@ def screen(fitter: Fitter, base: Fit, kinds: Iterable[Kind], limits: Sequence[fl
     cut to. Effects that the nominal absorbs are left out."""
     scan = _Scan(fitter.coarse, base, limits)
     screened: list[Screened] = []
+    kinds = list(kinds)
+    for kind in kinds:
+        scan.ask(kind)
     for kind in kinds:
         if base.hypothesis.find(kind.id) is None:
             starts = sorted(scan.kind(kind), key=lambda entry: -entry.gain)
@@ -95,12 +108,28 @@ class _Scan:
         hypothesis = base.hypothesis.plus(kind, Scope.START)
         per_segment = [np.empty((*here.shape, len(kind.amplitudes))) for here in self.here]
         for i, parameter in enumerate(kind.amplitudes):
-            step = sign * parameter.probe * fitter.scale(parameter)
-            values = {**base.state.values, **shapes, **{p.name: 0.0 for p in kind.amplitudes}, parameter.name: step}
-            state = replace(base.state, values=values)
+            state, step = self._probed(kind, parameter, shapes, sign)
             for segment, row, here, columns in zip(fitter.segments, self.rows, self.here, per_segment, strict=True):
                 columns[:, :, i] = fitter.moved_by(segment, state, hypothesis, parameter, row, here) / step
         return per_segment
+
+    def _probed(
+        self, kind: Kind, parameter: Parameter, shapes: Mapping[str, float], sign: float
+    ) -> tuple[ParameterState, float]:
+        """Where a small amplitude leads, and how small it is."""
+        step = sign * parameter.probe * self.fitter.scale(parameter)
+        others = {p.name: 0.0 for p in kind.amplitudes}
+        values = {**self.base.state.values, **shapes, **others, parameter.name: step}
+        return replace(self.base.state, values=values), step
+
+    def ask(self, kind: Kind) -> None:
+        """Of a simulator for what the kind's columns need."""
+        if kind.stage == SIMULATOR:
+            hypothesis = self.base.hypothesis.plus(kind, Scope.START)
+            for parameter in kind.amplitudes:
+                state, _ = self._probed(kind, parameter, {}, 1.0)
+                for segment in self.fitter.segments:
+                    segment.ask(state.at(segment, hypothesis))
 
     def _score(self, kind: Kind, shapes: Mapping[str, float], columns: Sequence[Array], sign: float) -> list[Screened]:
         parts = [
@@ -111,7 +140,9 @@ class _Scan:
         tests, count = len(parts) - 1, len(kind.amplitudes)
         prior = self.fitter.floor**2 * self.fitter.curves(Hypothesis((kind,), (Scope.START,)))
         for scope in Scope:
-            if (scope == Scope.START and kind.nominal) or (scope == Scope.EACH and not (kind.each and tests > 1)):
+            if (scope == Scope.START and (kind.nominal or not self.fitter.from_start)) or (
+                scope == Scope.EACH and not (kind.each and tests > 1)
+            ):
                 continue
             summed = parts if scope == Scope.START else parts[1:]
             if scope == Scope.EACH:

@@ -18,6 +18,7 @@ from tautline.model import Model
 from tautline.prediction import settled_from
 from tautline.recording import Motor, Recording
 from tautline.rig import ANGLE, MARKER, Sensor
+from tautline.simulators.drive import Drive
 
 Array = npt.NDArray[np.float64]
 
@@ -37,6 +38,7 @@ class Segment:
     calibration: bool
     number: int = 1  # of the recording, the calibration is 0
     repeats: npt.NDArray[np.bool_] | None = None  # (n,) that would be scored were they no repetition of the one before
+    drive: Drive | None = None  # of a simulator that stands in the motor's place
 
     @property
     def held(self) -> npt.NDArray[np.bool_]:
@@ -55,11 +57,17 @@ class Segment:
     def sensor(self) -> Sensor:
         return MARKER if self.unit == "px" else ANGLE
 
+    def ask(self, parameters: Mapping[str, Any]) -> None:
+        """That `follow` will be called with these, where a simulator takes its time."""
+        if self.drive is not None:
+            self.drive.ask(parameters)
+
     def follow(self, model: Model, parameters: Mapping[str, Any], load_reference: float) -> Path:
         """Where the tip is at the observations."""
         scene = self.arrival_s - model.delay_of(self.sensor)
+        motor = self.motor if self.drive is None else self.drive.motor(parameters)
         return effects.follow(
-            model, self.motor, scene, parameters, load_reference=load_reference, clock_offset_s=self.offset_s
+            model, motor, scene, parameters, load_reference=load_reference, clock_offset_s=self.offset_s
         )
 
     def seen(self, model: Model, parameters: Mapping[str, Any], path: Path) -> Array:
@@ -82,21 +90,33 @@ class Segment:
         return replace(self, scored=self.scored & keep)
 
 
+def sensed(simulated: Segment, noise: float) -> Segment:
+    """What a simulator shows, seen with the robot's own sensor: white noise of this deviation, the same each time. Else
+    it would be told from the robot by its noise alone."""
+    off = np.random.default_rng(0).normal(0.0, noise, simulated.observed.shape)
+    return replace(simulated, observed=simulated.observed + off)
+
+
 def load_reference(calibration: Recording) -> float:
     """mNm at which a model calibrated on it holds."""
     load = calibration.motor.load_mNm
     return 0.0 if load is None else float(np.median(load))
 
 
-def prepare(model: Model, calibration: Recording, tests: Sequence[Recording]) -> list[Segment]:
-    """The calibration first. px where every recording has a marker, else deg where every one has an angle."""
+def prepare(
+    model: Model, calibration: Recording, tests: Sequence[Recording], drives: Sequence[Drive] = ()
+) -> list[Segment]:
+    """The calibration first. px where every recording has a marker, else deg where every one has an angle. drives: of
+    each, where the recordings' motor is a simulator's tip."""
     recordings = [calibration, *tests]
     by_marker = model.rig.has_camera and all(recording.marker is not None for recording in recordings)
     if not by_marker and not all(recording.angle is not None for recording in recordings):
         raise TautError("diagnose needs marker.csv (or a video) in every recording, or angle.csv in every one")
     segments = []
     for i, (recording, offset) in enumerate(zip(recordings, SessionClock.of(recordings).offset_s, strict=True)):
-        motor = MotorPath.of(recording.motor, model.rig.actuator.encoder_resolution).lines
+        drive = drives[i] if drives else None
+        path = MotorPath.of(recording.motor, model.rig.actuator.encoder_resolution) if drive is None else None
+        motor = path.lines if path else recording.motor
         if by_marker:
             marker = recording.marker
             assert marker is not None
@@ -129,6 +149,7 @@ def prepare(model: Model, calibration: Recording, tests: Sequence[Recording]) ->
                 i == 0,
                 i,
                 repeats,
+                drive,
             )
         )
     return segments

@@ -6,7 +6,7 @@ owns all that is known of it; adding one is a module of library/, and a file of 
 tip by laws of its own.
 """
 
-from tautline.effects.kind import STAGES, Event, Kind, Parameter
+from tautline.effects.kind import SIMULATOR, STAGES, Event, Kind, Parameter, Transform, of_simulator, simulator_id
 from tautline.effects.library import BY_ID, EVENTS, LIBRARY, OWNER, SCATTERS
 from tautline.effects.simulation import (
     NATIVE,
@@ -31,18 +31,22 @@ __all__ = [
     "OWNER",
     "PROJECTION",
     "SCATTERS",
+    "SIMULATOR",
     "STAGES",
     "Event",
     "ImagePath",
     "Kind",
     "Parameter",
     "Path",
+    "Transform",
     "follow",
     "image",
     "image_with_slopes",
     "of_model",
+    "of_simulator",
     "of_this_version",
     "see",
     "simulate",
+    "simulator_id",
     "tabled",
 ]

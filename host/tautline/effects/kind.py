@@ -6,11 +6,19 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+import numpy.typing as npt
+
 from tautline.model import Model
 
 STAGES = ("actuator", "transmission", "configuration", "kinematics", "registration", "camera", "acquisition")
-_THROUGH_ANGLE = STAGES[:3]
+THROUGH_ANGLE = STAGES[:3]
 _TABLED = STAGES[3:]  # these only change how the tip is seen
+SIMULATOR = "simulator"  # before them, where a user's simulator stands in the motor's place: its own parameters
+
+Array = npt.NDArray[np.float64]
+# (session times (n,) s, rising; what comes in (n,); the effect's parameters) -> what goes out (n,)
+Run = Callable[[Array, Array, Mapping[str, float]], Array]
 
 # A model that holds an effect of these parameters as it is at a time of the session, s.
 Holds = Callable[[Model, Mapping[str, float], float], Model]
@@ -44,6 +52,15 @@ class Event:
 
 
 @dataclass(frozen=True)
+class Transform:
+    """An effect's law in Python, of another distribution's (tautline.effects.outside); what it does with all its
+    amplitudes at zero is never asked. It is differentiated by differences, by its own parameters."""
+
+    place: Literal["input", "state", "output"]  # of q, of the tip's p before f_remain, of c in deg
+    run: Run
+
+
+@dataclass(frozen=True)
 class Kind:
     """An effect of the library. `amplitudes` at zero: absent."""
 
@@ -72,6 +89,7 @@ class Kind:
     simple: Kind | None = None  # the same with fewer parameters, where what is beside it could do the rest
     each: bool = False  # it alone may be another in every recording
     scan: Literal["probe", "period", "moment"] = "probe"  # how its shapes are screened
+    transform: Transform | None = None  # None: the library's own C or tables simulate it
     # What it could do whatever its equations are, beside moving the tip through the angle (diagnosis/confined.py).
     leaves: Literal["", "lens", "plane", "channel", "time"] = ""
 
@@ -91,7 +109,7 @@ class Kind:
 
     @property
     def through_angle(self) -> bool:
-        return self.stage in _THROUGH_ANGLE
+        return self.stage in (SIMULATOR, *THROUGH_ANGLE)
 
     @property
     def on_board(self) -> bool:
@@ -106,3 +124,23 @@ def six(prefix: str) -> tuple[Parameter, ...]:
     turn = tuple(Parameter(f"{prefix}_r{axis}", "deg", 0.5) for axis in "xyz")
     move = tuple(Parameter(f"{prefix}_{axis}", "mm", 0.2) for axis in "xyz")
     return turn + move
+
+
+def simulator_id(parameter: str) -> str:
+    """Of an effect, and of its only parameter: a change of a simulator's own one, which is declared by this name."""
+    return f"{SIMULATOR}.{parameter}"
+
+
+def of_simulator(
+    parameter: str, unit: str = "", spread: float = 1.0, low: float = float("-inf"), high: float = float("inf")
+) -> Kind:
+    """The effect of a simulator's parameter that is another one on the robot. spread, low, high: of its change."""
+    name = simulator_id(parameter)
+    return Kind(
+        name,
+        (Parameter(name, unit, spread, low=low, high=high),),
+        says=f"the simulator's {parameter} is not the robot's",
+        tell="It is told by the whole course of the motion, as the simulator shows it with another value: what looks "
+        "alike is named beside it.",
+        mend="Put the value that is named into the simulator.",
+    )

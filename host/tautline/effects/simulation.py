@@ -4,13 +4,14 @@ seen (projection.h)."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from tautline import _native
+from tautline.effects.kind import Kind
 from tautline.effects.library import BY_ID, LIBRARY, SCATTERS
 from tautline.errors import TautError
 from tautline.geometry import projection_rig
@@ -22,6 +23,7 @@ Array = npt.NDArray[np.float64]
 NATIVE = frozenset(name for name, *_ in _native.effect_parameters)  # what moves the tip
 PROJECTION = frozenset(name for name, *_ in _native.projection_parameters)  # what changes where it is seen
 _TABLED = tuple(form for kind in LIBRARY if kind.in_tables for form in kind.forms)
+_TRANSFORMED = tuple(kind for kind in LIBRARY if kind.transform)
 _MEANS = frozenset(kind.event.mean for kind in LIBRARY if kind.event)
 
 
@@ -100,11 +102,70 @@ def follow(
 ) -> Path:
     """Where the tip is, as in `simulate`."""
     model = tabled(model, parameters)
+    outside = [kind for kind in _TRANSFORMED if any(parameters.get(p.name) for p in kind.amplitudes)]
     scene = np.asarray(scene_s, dtype=float) - parameters.get("delay", 0.0)
     if rate := parameters.get("clock_rate", 0.0):
         scene = scene - rate * (scene - motor.t_s[0])
     order = np.argsort(scene, kind="stable") if len(scene) > 1 and (np.diff(scene) < 0).any() else None
     rising = scene if order is None else scene[order]
+    if outside:
+        path = _transformed(outside, model, motor, rising, parameters, start_deg, load_reference, clock_offset_s)
+    else:
+        path = _moved(model, motor, rising, parameters, start_deg, load_reference, clock_offset_s)
+    return path if order is None else _at(path, np.argsort(order, kind="stable"))
+
+
+def _at(path: Path, which: npt.NDArray[np.int64]) -> Path:
+    return Path(*(None if values is None else values[which] for values in vars(path).values()))  # type: ignore[arg-type]
+
+
+def _transformed(
+    outside: list[Kind],
+    model: Model,
+    motor: Motor,
+    rising: Array,
+    parameters: Mapping[str, Any],
+    start_deg: float | None,
+    load_reference: float,
+    clock_offset_s: float,
+) -> Path:
+    """As `_moved`, with the laws of other distributions at every knot of the motor and every time that is asked for.
+    What they do to dc / df_remain is not in `gain`: a fit's steps of the nominal are that much less straight."""
+    course = np.union1d(motor.t_s, rising)
+
+    def through(place: str, values: Array) -> Array:
+        for kind in outside:
+            if kind.transform and kind.transform.place == place:
+                own = {p.name: float(parameters[p.name]) for p in kind.parameters if p.name in parameters}
+                values = np.asarray(kind.transform.run(course + clock_offset_s, values, own), dtype=float)
+                if values.shape != course.shape or not np.isfinite(values).all():
+                    raise TautError(f"{kind.id}: its law gave no {len(course)} numbers: mend its distribution's run()")
+        return values
+
+    translation, rotation, load = (
+        None if values is None else np.interp(course, motor.t_s, values)
+        for values in (motor.translation_mm, motor.rotation_deg, motor.load_mNm)
+    )
+    joints = {name: np.interp(course, motor.t_s, values) for name, values in motor.extra.items()}
+    q = through("input", np.interp(course, motor.t_s, motor.q))
+    driven = Motor(course, q, None, translation, rotation, load, joints)
+    path = _moved(model, driven, course, parameters, start_deg, load_reference, clock_offset_s)
+    tip = through("state", path.tip)
+    c_deg = path.c_deg + path.gain * (model.remaining(tip) - model.remaining(path.tip))
+    path = replace(path, tip=tip, c_deg=through("output", c_deg))
+    return _at(path, np.searchsorted(course, rising))
+
+
+def _moved(
+    model: Model,
+    motor: Motor,
+    rising: Array,
+    parameters: Mapping[str, Any],
+    start_deg: float | None,
+    load_reference: float,
+    clock_offset_s: float,
+) -> Path:
+    """At rising times, as the library's own laws move it."""
     translation, rotation = (
         None if values is None else np.interp(rising, motor.t_s, values)
         for values in (motor.translation_mm, motor.rotation_deg)
@@ -123,11 +184,7 @@ def follow(
         clock_offset_s,
         np.nan if start_deg is None else float(model.remaining_inverse(start_deg)),
     )
-    columns = (rising, translation, rotation, *moved)
-    if order is None:
-        return Path(*columns)
-    back = np.argsort(order, kind="stable")
-    return Path(*(None if values is None else values[back] for values in columns))  # type: ignore[arg-type]
+    return Path(rising, translation, rotation, *moved)
 
 
 def tabled(model: Model, parameters: Mapping[str, Any]) -> Model:

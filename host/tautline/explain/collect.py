@@ -26,6 +26,8 @@ def find(name: str) -> Topic:
     """By its code, its last part or another name, in any case; TautError with the nearest ones where there is none."""
     known = topics()
     wanted = name.strip().strip("[]").casefold()
+    if wanted.startswith("simulator."):
+        return of_effect(wanted)
     exact = [topic for topic in known.values() if topic.code.casefold() == wanted]
     other = [topic for topic in known.values() if wanted in _names(topic)]
     if exact or other:
@@ -40,6 +42,11 @@ def find(name: str) -> Topic:
     raise TautError(f"nothing is called '{name}'{hint or ':'} 'taut explain' lists all that there is")
 
 
+def of_effect(name: str) -> Topic:
+    """By its id: a simulator's parameters share one."""
+    return topics()["simulator" if name.startswith("simulator.") else name]
+
+
 def link(code: str) -> str:
     """The command that explains a code, "" where nothing does."""
     return f"taut explain {code}" if code in topics() else ""
@@ -50,8 +57,17 @@ def _names(topic: Topic) -> set[str]:
 
 
 def _effects() -> Iterator[Topic]:
-    from tautline.effects import LIBRARY
+    from tautline.effects import LIBRARY, SIMULATOR, of_simulator
 
+    own = of_simulator("NAME")
+    yield Topic(
+        SIMULATOR,
+        "effect",
+        f"{own.says[:1].upper()}{own.says[1:]}: {own.id} of a diagnosis with --simulator, NAME being a parameter of it "
+        "such as elbow.damping or servo.kp.",
+        own.tell,
+        own.mend,
+    )
     for kind in LIBRARY:
         event = (
             f"Mend the cause, {kind.event.cause}: no table and no model takes its {kind.event.what} away."

@@ -1,21 +1,42 @@
-"""The library: every module here offers `EFFECTS`, a tuple of descriptors. Its parts in C, if it has any, are in
-host/native/effects/, where the parameters that move the tip are explained, or in projection.h."""
+"""The library: every module here offers `EFFECTS`, a tuple of descriptors, and other distributions may add to it
+(tautline.effects.outside). Its parts in C, if it has any, are in host/native/effects/, where the parameters that move
+the tip are explained, or in projection.h."""
 
 from __future__ import annotations
 
 import importlib
 import pkgutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
-from tautline.effects.kind import STAGES, Kind
+from tautline.effects.kind import SIMULATOR, STAGES, Kind, of_simulator
+from tautline.effects.outside import added
+
+
+class _ById(Mapping[str, Kind]):
+    """The library's effects, and beyond those a simulator's parameters: they are known by their names."""
+
+    def __init__(self, kinds: tuple[Kind, ...]) -> None:
+        self._kinds = {kind.id: kind for kind in kinds}
+
+    def __getitem__(self, name: str) -> Kind:
+        stage, _, parameter = name.partition(".")
+        return of_simulator(parameter) if stage == SIMULATOR and parameter else self._kinds[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._kinds)
+
+    def __len__(self) -> int:
+        return len(self._kinds)
+
 
 _FOUND: list[Kind] = [
     kind
     for module in pkgutil.iter_modules(__path__)
     for kind in importlib.import_module(f"{__name__}.{module.name}").EFFECTS
 ]
+_FOUND += added(_FOUND)
 LIBRARY: tuple[Kind, ...] = tuple(sorted(_FOUND, key=lambda kind: (STAGES.index(kind.stage), kind.id)))
-BY_ID: Mapping[str, Kind] = {kind.id: kind for kind in LIBRARY}
+BY_ID: Mapping[str, Kind] = _ById(LIBRARY)
 OWNER: Mapping[str, Kind] = {
     parameter.name: kind for kind in LIBRARY for form in kind.forms for parameter in form.parameters
 }

@@ -11,6 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.errors import TautError
+from tautline.simulators.mjcf import PER_UNIT
+from tautline.simulators.scene import joints_of, read, tip_of
 
 if TYPE_CHECKING:
     from tautline.exporting.export import Mount
@@ -18,9 +20,7 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 
 OWN = "taut_"  # how the names of what is added begin
-_PARALLEL = 0.999  # cosine between axes that count as one
 _POSES = 9  # of the tip, over its range, in which its inertia and load are looked at
-_PER_UNIT = {"mm": 1e-3, "deg": math.radians(1.0)}  # m or rad of a control, per unit of q
 
 
 @dataclass(frozen=True)
@@ -42,17 +42,14 @@ def look(mount: Mount, unit: str, motor: tuple[float, float], tip_rad: Array) ->
 
     if not mount.into.is_file():
         raise TautError(f"{mount.into}: there is no such file: name your MJCF with --into")
-    scale = _PER_UNIT[unit] if mount.scale is None else mount.scale
+    scale = PER_UNIT[unit] if mount.scale is None else mount.scale
     if not (math.isfinite(scale) and scale != 0.0):
         raise TautError(f"--scale {scale:g}: expected what the control is per {unit} of q, not 0")
-    try:
-        model = mujoco.MjModel.from_xml_path(str(mount.into))
-    except ValueError as error:
-        raise TautError(f"{mount.into}: MuJoCo cannot read it ({' '.join(str(error).split())})") from error
-    if taken := [name for name in _joints(model) if name.startswith(OWN)]:
+    model = read(mount.into)
+    if taken := [name for name in joints_of(model) if name.startswith(OWN)]:
         raise TautError(f"{mount.into}: {taken[0]} is in it already: export into the MJCF as it was before")
     _check_actuator(model, mount, scale, unit, motor)
-    tip = _tip(model, mount)
+    tip = tip_of(model, mount.into, mount.tip)
     data = mujoco.MjData(model)
     rest = sum(sign * float(data.qpos[model.joint(name).qposadr[0]]) for name, sign in tip)
     inertia, load = _carried(model, tip, tip_rad)
@@ -70,55 +67,6 @@ def _check_actuator(model: Any, mount: Mount, scale: float, unit: str, motor: tu
             f"{mount.into}: {mount.actuator} takes {actuator.ctrlrange[0]:g} to {actuator.ctrlrange[1]:g}, but the "
             f"motor's range is {low:g} to {high:g} there: give --scale, what the control is per {unit} of q"
         )
-
-
-def _joints(model: Any) -> list[str]:
-    return [str(model.joint(i).name) for i in range(model.njnt)]
-
-
-def _tip(model: Any, mount: Mount) -> tuple[tuple[str, float], ...]:
-    """A hinge; or those above a site that turn about one axis and have no actuator of their own."""
-    import mujoco
-
-    kind, _, name = mount.tip.partition(":")
-    if kind not in ("joint", "site") or not name:
-        raise TautError(f"--tip {mount.tip}: expected joint:NAME or site:NAME")
-    hinge = mujoco.mjtJoint.mjJNT_HINGE
-    if kind == "joint":
-        hinges = [each for each in _joints(model) if model.joint(each).type[0] == hinge]
-        if name not in hinges:
-            raise TautError(
-                f"{mount.into}: has no hinge {name}, but {', '.join(filter(None, hinges)) or 'none at all'}"
-            )
-        return ((name, 1.0),)
-    sites = [str(model.site(i).name) for i in range(model.nsite)]
-    if name not in sites:
-        raise TautError(f"{mount.into}: has no site {name}, but {', '.join(filter(None, sites)) or 'none at all'}")
-    driven = {
-        int(model.actuator_trnid[i, 0])
-        for i in range(model.nu)
-        if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
-    }
-    above: list[int] = []
-    body = int(model.site(name).bodyid[0])
-    while body:
-        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
-        above[:0] = [i for i in range(first, first + count) if model.jnt_type[i] == hinge and i not in driven]
-        body = int(model.body_parentid[body])
-    if not above:
-        raise TautError(f"{mount.into}: no free hinge is above the site {name}: name what bends with --tip joint:NAME")
-    if unnamed := [i for i in above if not model.joint(i).name]:
-        raise TautError(f"{mount.into}: hinge {unnamed[0]} above the site {name} has no name: give it one")
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    along = data.xaxis[above] @ data.xaxis[above[0]]
-    if (np.abs(along) < _PARALLEL).any():
-        other = model.joint(above[int(np.argmin(np.abs(along)))]).name
-        raise TautError(
-            f"{mount.into}: {other} and {model.joint(above[0]).name} above the site {name} turn about different axes: "
-            "name what bends with --tip joint:NAME"
-        )
-    return tuple((str(model.joint(i).name), float(np.sign(share))) for i, share in zip(above, along, strict=True))
 
 
 def _carried(model: Any, tip: tuple[tuple[str, float], ...], tip_rad: Array) -> tuple[float, float]:

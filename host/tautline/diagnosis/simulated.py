@@ -1,0 +1,39 @@
+"""A diagnosis with a user's simulator in the motor's place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from tautline.diagnosis.diagnose import Diagnosis, diagnose
+from tautline.recording import Recording
+from tautline.rig import Rig
+from tautline.simulators.nominal import nominal
+from tautline.simulators.side_by_side import pool
+from tautline.simulators.simulator import Simulator
+from tautline.vision.marker import with_marker
+
+Progress = Callable[[float, str], None]
+
+
+def diagnose_simulator(
+    simulator: Simulator,
+    robots: Sequence[Recording],
+    rig: Rig,
+    progress: Progress = lambda fraction, text: None,
+    workers: int = 1,
+) -> Diagnosis:
+    """What the robots' recordings show and the simulator under the same motions does not. workers: processes in which
+    it is run side by side; the result is the same. TautError where a recording holds nothing to compare, where nothing
+    can be scored, and for what the simulator cannot do."""
+    progress(0.0, "simulating")
+    seen = [with_marker(robot, rig, progress) for robot in robots]
+    with pool(simulator, workers) as processes:
+        found = nominal(simulator, seen, rig, processes)
+        progress(0.05, "simulated")
+        return diagnose(
+            found.model,
+            found.calibration,
+            found.tests,
+            lambda fraction, text: progress(0.05 + 0.95 * fraction, text),
+            simulated=found,
+        )

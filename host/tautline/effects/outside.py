@@ -1,0 +1,61 @@
+"""Effects of other distributions: entry points of the group `tautline.effects`, each a tuple of descriptors whose laws
+are in Python.
+
+    [project.entry-points."tautline.effects"]
+    breath = "my_effects:EFFECTS"
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.metadata import EntryPoint, entry_points
+
+from tautline.effects.kind import STAGES, THROUGH_ANGLE, Kind
+from tautline.errors import TautError
+
+GROUP = "tautline.effects"
+
+
+def added(known: Sequence[Kind]) -> list[Kind]:
+    """Of all installed distributions, by their names. TautError where one cannot be taken, or says what `known` does
+    already."""
+    found: list[Kind] = []
+    for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.name):
+        for kind in _loaded(entry):
+            _check(entry, kind, [*known, *found])
+            found.append(kind)
+    return found
+
+
+def _loaded(entry: EntryPoint) -> Sequence[Kind]:
+    try:
+        kinds = entry.load()
+    except Exception as error:  # of somebody else's module: anything
+        raise TautError(f"{_named(entry)} cannot be imported ({error}): mend or uninstall it") from error
+    if not isinstance(kinds, tuple) or not all(isinstance(kind, Kind) for kind in kinds):
+        raise TautError(f"{_named(entry)} is no tuple of tautline.effects.Kind: mend or uninstall it")
+    return kinds
+
+
+def _check(entry: EntryPoint, kind: Kind, known: Sequence[Kind]) -> None:
+    def refuse(why: str) -> TautError:
+        return TautError(f"{_named(entry)}: {kind.id} {why}: mend or uninstall it")
+
+    if kind.stage not in THROUGH_ANGLE or kind.id.count(".") != 1:
+        raise refuse(f"is no STAGE.NAME of {', '.join(STAGES[:3])}")
+    if kind.transform is None or not kind.amplitudes:
+        raise refuse("needs a transform and at least one amplitude")
+    if kind.holds is not None or kind.event is not None or kind.in_tables or kind.undone:
+        raise refuse("can be no event, and in no table of a model or a board")
+    if not (kind.says and kind.tell.endswith(".") and kind.mend.endswith(".")):
+        raise refuse("needs says, and tell and mend in sentences: 'taut explain' prints them")
+    if any(kind.id == other.id for other in known):
+        raise refuse("is there already")
+    names = {parameter.name for other in known for form in other.forms for parameter in form.parameters}
+    if taken := sorted(names & {parameter.name for parameter in kind.parameters}):
+        raise refuse(f"has a parameter {taken[0]} that another effect has")
+
+
+def _named(entry: EntryPoint) -> str:
+    distribution = entry.dist.name if entry.dist else "an unknown distribution"
+    return f"the effects {entry.name} ({entry.value}) of {distribution}"

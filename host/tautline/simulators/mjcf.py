@@ -1,0 +1,219 @@
+"""MuJoCo as the simulator: the user's own MJCF or URDF, one actuator of it driven by the motor's log."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.errors import TautError
+from tautline.recording import Motor
+from tautline.simulators.scene import read, tip_of, with_servo
+from tautline.simulators.simulator import Declared, Simulator
+
+if TYPE_CHECKING:
+    import mujoco
+
+Array = npt.NDArray[np.float64]
+
+KIND = "mjcf"
+PER_UNIT = {"mm": 1e-3, "deg": math.radians(1.0)}  # m or rad of a control, per unit of q
+_UNITS = {True: ("Nm", "rad"), False: ("N", "m")}  # of a hinge, of a slide or a tendon
+_SETTLE_S = 2.0  # at the first control, before the log begins
+_DELAY_S = 0.02  # a change that a user would notice
+_DAMPED = 0.2  # share of critical damping: the same, where a joint has none
+_STUCK_RAD = 5e-3  # by which the servo is off where friction that the file does not have holds the joint
+_DELAY_MOST_S = 0.5
+
+
+@dataclass(frozen=True)
+class Mjcf:
+    """One actuator and one tip of a file."""
+
+    path: Path
+    actuator: str
+    tip: str  # joint:NAME, or site:NAME: the free hinges above it
+    scale: float  # of the control, per unit of q
+
+    def simulate(self, motor: Motor, parameters: Mapping[str, float]) -> Array:
+        """(n,) deg at motor.t_s (n,): steps of the file's own time step, the log interpolated to them. It begins at
+        rest at the first control."""
+        import mujoco
+        from mujoco import rollout
+
+        model = self._set(parameters)
+        step = float(model.opt.timestep)
+        begin = float(motor.t_s[0]) - _SETTLE_S
+        steps = math.ceil((float(motor.t_s[-1]) - begin) / step) + 1
+        t_s = begin + step * np.arange(steps)
+        late = t_s - parameters[f"{self.actuator}.delay"]
+        data = self._begun(model, self.scale * float(motor.q[0]))
+        control = np.tile(data.ctrl, (steps, 1))
+        control[:, self._index] = self.scale * np.interp(late, motor.t_s, motor.q)
+        first = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
+        mujoco.mj_getState(model, data, first, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        with _silent():
+            states, _ = rollout.rollout(model, data, first[None], control[None])
+        # A state is behind the step of its control; its first number is the time.
+        angle = np.zeros(steps)
+        for name, sign in self._hinges:
+            angle += sign * states[0, :, 1 + int(model.joint(name).qposadr[0])]
+        return np.asarray(np.degrees(np.interp(motor.t_s, t_s + step, angle)))
+
+    @cached_property
+    def parameters(self) -> tuple[Declared, ...]:
+        """Of the actuator, of the joint that it drives and of the tip's hinges."""
+        return tuple(self._declared())
+
+    @cached_property
+    def _model(self) -> mujoco.MjModel:
+        model = read(self.path)
+        if not model.nu:
+            return with_servo(self.path, self.actuator)
+        names = [model.actuator(i).name for i in range(model.nu)]
+        if self.actuator not in names:
+            raise TautError(f"{self.path}: has no actuator {self.actuator}, but {', '.join(names) or 'none at all'}")
+        return model
+
+    @cached_property
+    def _hinges(self) -> tuple[tuple[str, float], ...]:
+        return tip_of(self._model, self.path, self.tip)
+
+    @cached_property
+    def _index(self) -> int:
+        return int(self._model.actuator(self.actuator).id)
+
+    @property
+    def _is_servo(self) -> bool:
+        """Whether it holds a position: a force of kp (control - length) - kv speed."""
+        gain, bias = self._model.actuator_gainprm[self._index], self._model.actuator_biasprm[self._index]
+        return bool(gain[0] > 0.0 and bias[1] == -gain[0])
+
+    @cached_property
+    def _joints(self) -> tuple[str, ...]:
+        names = [name for name, _ in self._hinges]
+        if self._joint is not None:
+            names.append(str(self._model.joint(self._joint).name))
+        return tuple(dict.fromkeys(names))
+
+    @cached_property
+    def _joint(self) -> int | None:
+        """That the actuator drives; None where it pulls something else."""
+        import mujoco
+
+        drives = self._model.actuator_trntype[self._index] == mujoco.mjtTrn.mjTRN_JOINT
+        return int(self._model.actuator_trnid[self._index, 0]) if drives else None
+
+    def _declared(self) -> Iterator[Declared]:
+        import mujoco
+
+        model, data = self._model, mujoco.MjData(self._model)
+        mujoco.mj_forward(model, data)
+        whole = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, whole)
+        kp = float(model.actuator_gainprm[self._index, 0]) if self._is_servo else 0.0
+        for name in self._joints:
+            at = int(model.joint(name).dofadr[0])
+            inertia = float(whole[at, at])
+            stiff = kp or inertia / _DELAY_S**2
+            rotary = model.joint(name).type[0] == mujoco.mjtJoint.mjJNT_HINGE
+            force, per = _UNITS[rotary]
+            damping, friction = float(model.dof_damping[at]), float(model.dof_frictionloss[at])
+            armature = float(model.dof_armature[at])
+            light = 2.0 * _DAMPED * math.sqrt(stiff * inertia)
+            yield Declared(f"{name}.damping", f"{force} s/{per}", damping, damping or light, 0.0)
+            yield Declared(f"{name}.frictionloss", force, friction, friction or _STUCK_RAD * stiff, 0.0)
+            yield Declared(f"{name}.armature", "kg m^2" if rotary else "kg", armature, armature or inertia, 0.0)
+        if self._is_servo:
+            kv = -float(model.actuator_biasprm[self._index, 2])
+            usual = 2.0 * _DAMPED * math.sqrt(kp * float(np.max(np.diag(whole))))
+            rotary = self._joint is not None and model.jnt_type[self._joint] == mujoco.mjtJoint.mjJNT_HINGE
+            force, per = _UNITS[rotary]
+            yield Declared(f"{self.actuator}.kp", f"{force}/{per}", kp, 0.5 * kp, 0.01 * kp)
+            yield Declared(f"{self.actuator}.kv", f"{force} s/{per}", kv, kv or usual, 0.0)
+        yield Declared(f"{self.actuator}.delay", "s", 0.0, _DELAY_S, 0.0, _DELAY_MOST_S)
+
+    def _set(self, parameters: Mapping[str, float]) -> mujoco.MjModel:
+        """A model with these values, and what follows from them."""
+        import mujoco
+
+        model = copy.copy(self._model)
+        for name in self._joints:
+            at = int(model.joint(name).dofadr[0])
+            model.dof_damping[at] = parameters[f"{name}.damping"]
+            model.dof_frictionloss[at] = parameters[f"{name}.frictionloss"]
+            model.dof_armature[at] = parameters[f"{name}.armature"]
+        if self._is_servo:
+            kp = parameters[f"{self.actuator}.kp"]
+            model.actuator_gainprm[self._index, 0], model.actuator_biasprm[self._index, 1] = kp, -kp
+            model.actuator_biasprm[self._index, 2] = -parameters[f"{self.actuator}.kv"]
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        return model
+
+    def _begun(self, model: mujoco.MjModel, control: float) -> mujoco.MjData:
+        """In the file's first key frame, if it has any, with the driven joint where it is told to be."""
+        import mujoco
+
+        data = mujoco.MjData(model)
+        if model.nkey:
+            mujoco.mj_resetDataKeyframe(model, data, 0)
+        index = self._index
+        if self._is_servo and self._joint is not None:
+            data.qpos[model.jnt_qposadr[self._joint]] = control / model.actuator_gear[index, 0]
+        mujoco.mj_forward(model, data)
+        return data
+
+
+def simulator(path: str | Path, actuator: str, tip: str, unit: str = "deg", scale: float | None = None) -> Simulator:
+    """An MJCF or URDF file as a simulator. actuator: its control is the motor's position times `scale` (default: rad
+    of a deg, m of a mm); in a file without any a joint, which a servo then holds. tip: joint:NAME, or site:NAME, the
+    sum of the free hinges above it. TautError names what is not in the file."""
+    if find_spec("mujoco") is None:
+        raise TautError(
+            "--simulator needs the package mujoco: pip install 'tautline-robotics[simulator]', or pip install mujoco"
+        )
+    scale = PER_UNIT[unit] if scale is None else scale
+    if not (math.isfinite(scale) and scale != 0.0):
+        raise TautError(f"--scale {scale:g}: expected what the control is per {unit} of q, not 0")
+    made = Mjcf(Path(path), actuator, tip, scale)
+    source = {
+        "kind": KIND,
+        "path": str(Path(path).resolve()),
+        "sha256": digest(Path(path)),
+        "actuator": actuator,
+        "tip": tip,
+        "scale": scale,
+    }
+    return Simulator(made.simulate, made.parameters, source)
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """MuJoCo writes its warnings into the working directory. Where a trial of a parameter is unstable it begins again,
+    and what comes of that fits nothing."""
+    import mujoco
+
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
+def digest(path: Path) -> str:
+    """TautError where it cannot be read."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise TautError(f"{path}: cannot be read ({error.strerror}): name your MJCF with --simulator") from error

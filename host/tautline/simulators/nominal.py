@@ -1,0 +1,99 @@
+"""A simulator as the nominal of a diagnosis: what it shows under the robots' own motions stands for a calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from tautline import effects
+from tautline.errors import TautError
+from tautline.model import SIMULATOR, Model
+from tautline.recording import Angle, Marker, Recording
+from tautline.rig import ANGLE, MARKER, Rig
+from tautline.simulators.drive import Drive
+from tautline.simulators.simulator import Simulator
+
+_POINTS = 257  # of the model's tables
+_NEVER = 1e3  # of the range: how little is known of a backlash that nobody measured
+
+
+@dataclass(frozen=True)
+class SimulatedNominal:
+    """What a diagnosis takes in place of a calibrated model."""
+
+    model: Model  # no backlash, f_remain = f_coarse, over the simulated tip's coordinate
+    calibration: Recording  # what the simulator shows under the first robot's motion
+    tests: tuple[Recording, ...]  # the robot's, with the simulated tip's coordinate in the motor's place
+    drives: tuple[Drive, ...]  # of the calibration, then of each test
+    simulator: Simulator
+
+    @property
+    def kinds(self) -> tuple[effects.Kind, ...]:
+        """One for each of the simulator's parameters."""
+        return tuple(
+            effects.of_simulator(p.name, p.unit, p.spread, p.low - p.nominal, p.high - p.nominal)
+            for p in self.simulator.parameters
+        )
+
+    def to_json(self, named: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+        """What simulated, and of its parameters those among the effects that a diagnosis named, with both values."""
+        changes = {name: value for effect in named for name, value in effect["parameters"].items()}
+        return {
+            "source": dict(self.simulator.source),
+            "parameters": [
+                {"name": p.name, "unit": p.unit, "nominal": p.nominal, "value": p.nominal + changes[key]}
+                for p in self.simulator.parameters
+                if (key := effects.simulator_id(p.name)) in changes
+            ],
+        }
+
+
+def nominal(
+    simulator: Simulator, robots: Sequence[Recording], rig: Rig, pool: Executor | None = None
+) -> SimulatedNominal:
+    """robots: recordings with angle.csv, or with marker.csv where the rig has a camera. TautError where there is none,
+    and for what the simulator cannot do."""
+    if not robots:
+        raise TautError("name at least one recording of the robot")
+    by_marker = rig.has_camera and all(robot.marker is not None for robot in robots)
+    if not by_marker and any(robot.angle is None for robot in robots):
+        raise TautError("a simulator is compared with marker.csv (or a video) in every recording, or with angle.csv")
+    drives = [Drive(simulator, robot.motor, rig, pool) for robot in robots]
+    for drive in drives:
+        drive.ask({})
+    tests = [replace(robot, motor=drive.motor({})) for robot, drive in zip(robots, drives, strict=True)]
+    model = _model(simulator, rig, by_marker)
+    calibration = replace(_shown(model, tests[0], by_marker), name="simulator")
+    return SimulatedNominal(model, calibration, tuple(tests), (drives[0], *drives), simulator)
+
+
+def _model(simulator: Simulator, rig: Rig, by_marker: bool) -> Model:
+    low, high = rig.actuator.range
+    q = np.linspace(low, high, _POINTS)
+    sensor = MARKER if by_marker else ANGLE
+    return Model(
+        rig,
+        q,
+        np.zeros(_POINTS),
+        np.full(_POINTS, _NEVER * rig.actuator.span),
+        rig.coarse.gain * q + rig.coarse.offset,
+        rig.nominal_delay_s(sensor),
+        (low, high),
+        extra={SIMULATOR: dict(simulator.source)},
+        sensor=sensor,
+    )
+
+
+def _shown(model: Model, test: Recording, by_marker: bool) -> Recording:
+    """The simulator's own marker or angle, at the times of the robot's, without noise."""
+    seen = test.marker if by_marker else test.angle
+    assert seen is not None  # nominal has looked
+    path = effects.simulate(model, test.motor, seen.t_s - model.delay_s, {})
+    if not by_marker:
+        return replace(test, marker=None, angle=Angle(seen.t_s, path.c_deg), video=None)
+    u, v = path.image_px.T
+    return replace(test, marker=Marker(seen.t_s, u, v, np.isfinite(u)), angle=None, video=None)

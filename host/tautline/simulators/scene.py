@@ -1,0 +1,99 @@
+"""An MJCF as it is: read, and what of it bends."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tautline.errors import TautError
+
+if TYPE_CHECKING:
+    import mujoco
+
+_SERVO_HZ = 10.0  # of an arm's usual servo: what it has is told by the robot
+_PARALLEL = 0.999  # cosine between axes that count as one
+
+
+def read(path: Path) -> mujoco.MjModel:
+    """MJCF or URDF. TautError where it is none."""
+    import mujoco
+
+    try:
+        return mujoco.MjModel.from_xml_path(str(path))
+    except ValueError as error:
+        raise TautError(f"{path}: MuJoCo cannot read it ({' '.join(str(error).split())})") from error
+
+
+def with_servo(path: Path, joint: str) -> mujoco.MjModel:
+    """A file without actuators, as a URDF is, with a position servo of the joint's name on it: critically damped, at
+    _SERVO_HZ with what the joint carries in the file's own pose. TautError where there is no such joint."""
+    import mujoco
+
+    bare = read(path)
+    if joint not in joints_of(bare):
+        names = ", ".join(filter(None, joints_of(bare)))
+        raise TautError(f"{path}: has no actuators: name a joint that a servo shall hold with --actuator, {names}")
+    data = mujoco.MjData(bare)
+    mujoco.mj_forward(bare, data)
+    whole = np.zeros((bare.nv, bare.nv))
+    mujoco.mj_fullM(bare, data, whole)
+    at = int(bare.joint(joint).dofadr[0])
+    rate = 2.0 * math.pi * _SERVO_HZ
+    kp, kv = float(whole[at, at]) * rate**2, 2.0 * float(whole[at, at]) * rate
+    spec = mujoco.MjSpec.from_file(str(path))
+    servo = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    servo.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+    servo.gainprm[0], servo.biasprm[1], servo.biasprm[2] = kp, -kp, -kv
+    return spec.compile()
+
+
+def joints_of(model: mujoco.MjModel) -> list[str]:
+    """The names of all."""
+    return [str(model.joint(i).name) for i in range(model.njnt)]
+
+
+def tip_of(model: mujoco.MjModel, path: Path, named: str) -> tuple[tuple[str, float], ...]:
+    """The hinges, each with the sign with which it counts: joint:NAME, or site:NAME for those above it that turn about
+    one axis and have no actuator of their own. TautError names what is not there."""
+    import mujoco
+
+    kind, _, name = named.partition(":")
+    if kind not in ("joint", "site") or not name:
+        raise TautError(f"--tip {named}: expected joint:NAME or site:NAME")
+    hinge = mujoco.mjtJoint.mjJNT_HINGE
+    if kind == "joint":
+        hinges = [each for each in joints_of(model) if model.joint(each).type[0] == hinge]
+        if name not in hinges:
+            raise TautError(f"{path}: has no hinge {name}, but {', '.join(filter(None, hinges)) or 'none at all'}")
+        return ((name, 1.0),)
+    sites = [str(model.site(i).name) for i in range(model.nsite)]
+    if name not in sites:
+        raise TautError(f"{path}: has no site {name}, but {', '.join(filter(None, sites)) or 'none at all'}")
+    driven = {
+        int(model.actuator_trnid[i, 0])
+        for i in range(model.nu)
+        if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
+    }
+    above: list[int] = []
+    body = int(model.site(name).bodyid[0])
+    while body:
+        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        above[:0] = [i for i in range(first, first + count) if model.jnt_type[i] == hinge and i not in driven]
+        body = int(model.body_parentid[body])
+    if not above:
+        raise TautError(f"{path}: no free hinge is above the site {name}: name what bends with --tip joint:NAME")
+    if unnamed := [i for i in above if not model.joint(i).name]:
+        raise TautError(f"{path}: hinge {unnamed[0]} above the site {name} has no name: give it one")
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    along = data.xaxis[above] @ data.xaxis[above[0]]
+    if (np.abs(along) < _PARALLEL).any():
+        other = model.joint(above[int(np.argmin(np.abs(along)))]).name
+        raise TautError(
+            f"{path}: {other} and {model.joint(above[0]).name} above the site {name} turn about different axes: "
+            "name what bends with --tip joint:NAME"
+        )
+    return tuple((str(model.joint(i).name), float(np.sign(share))) for i, share in zip(above, along, strict=True))

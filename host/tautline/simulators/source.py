@@ -1,0 +1,52 @@
+"""A simulator found again by what a model remembers of it."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+
+from tautline.core.motor import MotorPath
+from tautline.errors import TautError
+from tautline.model import SIMULATOR, Model
+from tautline.recording import Motor
+from tautline.simulators import mjcf
+from tautline.simulators.drive import Drive
+from tautline.simulators.simulator import Simulator
+
+_PYTHON = "python"
+
+
+def of_python(name: str) -> Simulator:
+    """MODULE:NAME, a Simulator that some module of the user's holds. TautError where there is none."""
+    module, _, attribute = name.partition(":")
+    try:
+        found = getattr(importlib.import_module(module), attribute)
+    except (ImportError, AttributeError) as error:
+        raise TautError(f"--simulator {name}: {error}: expected MODULE:NAME, which Python can import") from error
+    if not isinstance(found, Simulator):
+        raise TautError(f"--simulator {name}: is no tautline.simulators.Simulator, but {type(found).__name__}")
+    return Simulator(found.simulate, found.parameters, {"kind": _PYTHON, "name": name})
+
+
+def opened(model: Model) -> Simulator:
+    """TautError where the model remembers none, or that has gone or changed since."""
+    source = model.extra.get(SIMULATOR) or {}
+    if source.get("kind") == _PYTHON:
+        return of_python(source["name"])
+    if source.get("kind") != mjcf.KIND:
+        raise TautError("the model's simulator was a function of a session: give its Simulator a source to find it by")
+    path = Path(source["path"])
+    if mjcf.digest(path) != source["sha256"]:
+        raise TautError(f"{path}: is not the file that was diagnosed: diagnose again, or put that back")
+    unit = model.rig.actuator.unit
+    return mjcf.simulator(path, source["actuator"], source["tip"], unit, source["scale"])
+
+
+def path_of(model: Model, motor: Motor) -> MotorPath:
+    """The coordinate that a model's tables are over: the motor's path, or where the simulator that the model begins
+    with puts the tip."""
+    if SIMULATOR not in model.extra:
+        return MotorPath.of(motor, model.rig.actuator.encoder_resolution)
+    values = {name: value for effect in model.effects for name, value in effect.parameters.items()}
+    driven = Drive(opened(model), motor, model.rig).motor(values)
+    return MotorPath(driven, driven)
