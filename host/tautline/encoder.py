@@ -80,13 +80,19 @@ def _between(motor: Motor, resolution: float) -> tuple[Motor, _Steps | None]:
 def swings(motor: Motor) -> bool:
     """Whether the motor itself goes to and fro from sample to sample: neighbouring third differences of white readings
     go together by -3/4, of a motor that trembles more."""
+    return _beside_white(motor) < -_CLEARLY
+
+
+def _beside_white(motor: Motor) -> float:
+    """By how many standard errors neighbouring third differences go together more than those of white readings: less
+    than 0 where the motor trembles, far above where it only bends; 0 of too few."""
     third = np.diff(motor.q, 3)
     if len(third) < _FEWEST:
-        return False
+        return 0.0
     usual = float(np.sqrt(np.median(third**2) / 0.455))
     third = np.clip(third, -4.0 * usual, 4.0 * usual)
     together = float(third[1:] @ third[:-1]) / max(float(third @ third), 1e-30)
-    return bool(together < -0.75 - _CLEARLY / np.sqrt(len(third)))
+    return float((together + 0.75) * np.sqrt(len(third)))
 
 
 def count_of(motor: Motor, resolution: float) -> float:
@@ -220,7 +226,8 @@ def _jumps(motor: Motor, resolution: float) -> Driven | None:
     if len(motor.q) < _CHANGES[0] or unsure <= _EXACTLY * float(np.ptp(motor.q)) or swings(motor):
         return None
     if steps is None:
-        return driven(motor.t_s, motor.q, noise, rounded=False) if noise <= _SCATTERS * resolution else None
+        noisy = noise <= _SCATTERS * resolution and _beside_white(motor) < _CLEARLY
+        return driven(motor.t_s, motor.q, noise, rounded=False) if noisy else None
     lines = _even_lines(motor, resolution)
     away = float(np.abs(np.interp(motor.t_s, lines.t_s, lines.q) - motor.q).max())
     if away <= _AGREES * steps.count + _STRAYS * noise:

@@ -170,6 +170,18 @@ def test_a_servo_of_4096_counts_makes_no_width_by_speed(hertz):
     assert not any("rate_dependent" in reason.code for reason in found.model.quality.reasons)
 
 
+def test_a_bent_command_is_no_noise():
+    """A sine's third differences are large at 50 Hz, and neighbours are alike; white noise's are opposite."""
+    t_s = np.arange(0.0, 30.0, 0.02)
+    q = 30.0 * np.sin(3.0 * t_s) * np.cos(0.4 * t_s)
+    assert white_noise(q) > 1e-5 * np.ptp(q)
+    path = MotorPath.of(Motor(t_s, q), 0.088)
+    np.testing.assert_allclose(path.at(t_s), q, atol=1e-9)
+    read = q + np.random.default_rng(2).normal(0.0, 0.03, len(q))
+    off = MotorPath.of(Motor(t_s, read), 0.088).at(t_s) - q
+    assert np.sqrt(np.mean(off**2)) < 0.03
+
+
 def test_calibration_and_prediction_have_one_motion_of_it():
     """Nothing is replaced: what a calibration works on is the path that predict takes, to a rounding."""
     recording = record(Motion.through(TURNS, 20.0), motor_hz=50.0)
