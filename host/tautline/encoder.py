@@ -223,7 +223,9 @@ def _jumping(motor: Motor, resolution: float) -> Driven | None:
 def _jumps(motor: Motor, resolution: float) -> Driven | None:
     steps, noise = _steps_of(motor, resolution), white_noise(motor.q)
     unsure = noise if steps is None else steps.count
-    if len(motor.q) < _CHANGES[0] or unsure <= _EXACTLY * float(np.ptp(motor.q)) or swings(motor):
+    if len(motor.q) < _CHANGES[0] or unsure <= _EXACTLY * float(np.ptp(motor.q)):
+        return None
+    if noise >= unsure and swings(motor):  # less is an encoder's own steps
         return None
     if steps is None:
         noisy = noise <= _SCATTERS * resolution and _beside_white(motor) < _CLEARLY
