@@ -11,6 +11,7 @@ import numpy.typing as npt
 from scipy.linalg import solveh_banded
 
 from tautline import _native
+from tautline.driven import Driven, driven, white_noise
 from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
@@ -31,20 +32,23 @@ _CHANGES = 24, 4  # of the count, most and least, that tell how a motor slows do
 _FITS = 0.3  # counts rms: an encoder's step scatters by 0.29
 _FEWEST, _CLEARLY = 100, 5.0  # readings that tell whether a motor trembles; standard errors of what they share
 _LAST = 2.0  # samples: within so many of a stop no knot tells a speed
+_EXACTLY = 1e-6  # of the motor's travel: readings with finer noise or steps are what they say
+_AGREES, _STRAYS = 2.5, 5.0  # counts, and standard deviations of their noise, that readings are from a motor's path
 
 
 def between_counts(motor: Motor, resolution: float) -> Motor:
     """The motor with positions between an encoder's counts: it passes the boundary of two counts where the reading
     changes and is at a count's centre in between; a rest stays at the centre. Positions that are no multiples of the
     resolution are left as they are. Readings that scatter by more than a count, or that pass coarse counts about as
-    fast as they come, are smoothed: a play follows their extremes."""
-    return _between(motor, resolution)[0]
+    fast as they come, are smoothed: a play follows their extremes. A motor whose speed jumps is on its path."""
+    path = _jumping(motor, resolution)
+    return _between(motor, resolution)[0] if path is None else _sampled(motor, straight_lines(motor, resolution))
 
 
 def _between(motor: Motor, resolution: float) -> tuple[Motor, _Steps | None]:
     """`between_counts`, and the steps by which the readings tell stops and turns."""
     steps = _steps_of(motor, resolution)
-    noise = reading_noise(motor) / (resolution if steps is None else steps.count)
+    noise = white_noise(motor.q) / (resolution if steps is None else steps.count)
     if (noise > _SCATTERS and not swings(motor)) or _skips(motor, steps):
         return replace(motor, q=_smoothed(motor.q)), steps if noise < _OWN_STEPS else None
     if steps is None:
@@ -73,30 +77,29 @@ def _between(motor: Motor, resolution: float) -> tuple[Motor, _Steps | None]:
     return replace(motor, q=steps.zero + steps.count * np.interp(t, knots_t[order], knots_q[order])), steps
 
 
-def reading_noise(motor: Motor) -> float:
-    """Standard deviation of white noise on q, its unit, from third differences; an even encoder's steps give up to half
-    a count."""
-    third = np.diff(motor.q, 3)
-    return float(np.sqrt(np.median(third**2) / 0.455 / 20.0)) if len(third) else 0.0
-
-
 def swings(motor: Motor) -> bool:
     """Whether the motor itself goes to and fro from sample to sample: neighbouring third differences of white readings
     go together by -3/4, of a motor that trembles more."""
+    return _beside_white(motor) < -_CLEARLY
+
+
+def _beside_white(motor: Motor) -> float:
+    """By how many standard errors neighbouring third differences go together more than those of white readings: less
+    than 0 where the motor trembles, far above where it only bends; 0 of too few."""
     third = np.diff(motor.q, 3)
     if len(third) < _FEWEST:
-        return False
+        return 0.0
     usual = float(np.sqrt(np.median(third**2) / 0.455))
     third = np.clip(third, -4.0 * usual, 4.0 * usual)
     together = float(third[1:] @ third[:-1]) / max(float(third @ third), 1e-30)
-    return bool(together < -0.75 - _CLEARLY / np.sqrt(len(third)))
+    return float((together + 0.75) * np.sqrt(len(third)))
 
 
 def count_of(motor: Motor, resolution: float) -> float:
     """The encoder's step as the readings show it, their unit; where they show none, by how much they scatter, up to the
     rig's."""
     steps = _steps_of(motor, resolution)
-    return min(resolution, float(np.sqrt(12.0)) * reading_noise(motor)) if steps is None else steps.count
+    return min(resolution, float(np.sqrt(12.0)) * white_noise(motor.q)) if steps is None else steps.count
 
 
 @dataclass(frozen=True)
@@ -142,7 +145,7 @@ def between_samples(motor: Motor) -> float:
     bend = np.abs(np.diff(motor.q, 2)) / 8.0
     if len(bend) < 3:
         return float("inf")
-    return float(max(float(np.quantile(bend, 0.98)) - 2.0 * reading_noise(motor), 0.0))
+    return float(max(float(np.quantile(bend, 0.98)) - 2.0 * white_noise(motor.q), 0.0))
 
 
 def _smoothed(q: Array) -> Array:
@@ -196,9 +199,57 @@ def cut(motor: Motor, until_s: float) -> Motor:
 
 
 _lines: WeakKeyDictionary[Motor, dict[float, Motor]] = WeakKeyDictionary()
+_paths: WeakKeyDictionary[Motor, dict[float, Driven | None]] = WeakKeyDictionary()
 
 
 def _straight_lines(motor: Motor, resolution: float) -> Motor:
+    path = _jumping(motor, resolution)
+    if path is not None:
+        rested = _rested(path)
+        keep = _thinned(path.t_s, [(rested, float(np.median(path.sigma)))])
+        return _with_others(motor, path.t_s[keep], rested[keep], np.zeros(int(keep.sum()), dtype=bool))
+    return _even_lines(motor, resolution)
+
+
+def _jumping(motor: Motor, resolution: float) -> Driven | None:
+    """The path of a motor whose speed jumps: readings contradict lines that let it stop at a constant acceleration, or
+    have noise and no steps, though less than the rig's. None of any other."""
+    known = _paths.setdefault(motor, {})
+    if resolution not in known:
+        known[resolution] = _jumps(motor, resolution)
+    return known[resolution]
+
+
+def _jumps(motor: Motor, resolution: float) -> Driven | None:
+    steps, noise = _steps_of(motor, resolution), white_noise(motor.q)
+    unsure = noise if steps is None else steps.count
+    if len(motor.q) < _CHANGES[0] or unsure <= _EXACTLY * float(np.ptp(motor.q)):
+        return None
+    if noise >= unsure and swings(motor):  # less is an encoder's own steps
+        return None
+    if steps is None:
+        noisy = noise <= _SCATTERS * resolution and _beside_white(motor) < _CLEARLY
+        return driven(motor.t_s, motor.q, noise, rounded=False) if noisy else None
+    lines = _even_lines(motor, resolution)
+    away = float(np.abs(np.interp(motor.t_s, lines.t_s, lines.q) - motor.q).max())
+    if away <= _AGREES * steps.count + _STRAYS * noise:
+        return None
+    return driven(motor.t_s, motor.q, steps.count, rounded=True)
+
+
+def _sampled(motor: Motor, lines: Motor) -> Motor:
+    """Its lines, with knots at its samples too."""
+    t_s = np.union1d(lines.t_s, motor.t_s)
+
+    def taken(values: Array | None) -> Array | None:
+        return None if values is None else np.interp(t_s, lines.t_s, values)
+
+    extra = {name: np.interp(t_s, lines.t_s, values) for name, values in lines.extra.items()}
+    translation, rotation, load = map(taken, (lines.translation_mm, lines.rotation_deg, lines.load_mNm))
+    return Motor(t_s, np.interp(t_s, lines.t_s, lines.q), None, translation, rotation, load, extra)
+
+
+def _even_lines(motor: Motor, resolution: float) -> Motor:
     smooth, steps = _between(motor, resolution)
     if smooth is motor:
         return _without_idle(motor)
@@ -206,6 +257,25 @@ def _straight_lines(motor: Motor, resolution: float) -> Motor:
     tolerance = (_TOLERANCE_COUNTS + (0.0 if steps is None else _STEPS)) * count
     tolerance = _COARSE_LINES * travel if count > _COARSE * travel else tolerance
     t_s, q, fixed = _knots(smooth, tolerance, [] if steps is None else _stops(motor, steps))
+    return _with_others(motor, t_s, q, fixed, smooth.q)
+
+
+def _rested(path: Driven) -> Array:
+    """The path's positions, one for each rest: while the motor is too slow to go further than is known of it."""
+    slow = np.abs(np.diff(path.q)) * _REST_S < path.sigma[1:] * np.diff(path.t_s)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], slow, [False]]).astype(int)))
+    q = path.q.copy()
+    for first, last in edges.reshape(-1, 2).tolist():
+        rest = slice(first, last + 1)
+        if path.t_s[last] - path.t_s[first] > _REST_S and np.ptp(q[rest]) < 2.0 * float(np.median(path.sigma[rest])):
+            q[rest] = np.mean(q[rest])
+    return q
+
+
+def _with_others(
+    motor: Motor, t_s: Array, q: Array, fixed: npt.NDArray[np.bool_], smooth: Array | None = None
+) -> Motor:
+    """Knots (n,) of q, joined by those of the other columns; levelled to smooth, one of each sample, if given."""
     others = [motor.translation_mm, motor.rotation_deg, motor.load_mNm]
     swing = 0.0 if motor.load_mNm is None else _TOLERANCE_LOAD * float(np.ptp(motor.load_mNm))
     tolerances = zip(others, (_TOLERANCE_MM, _TOLERANCE_DEG, swing), strict=True)
@@ -221,7 +291,7 @@ def _straight_lines(motor: Motor, resolution: float) -> Motor:
     def taken(values: Array | None) -> Array | None:
         return None if values is None else np.interp(t_s, motor.t_s, values)
 
-    level = _levelled(motor.t_s, smooth.q, t_s, q, fixed)
+    level = q if smooth is None else _levelled(motor.t_s, smooth, t_s, q, fixed)
     joints = {name: np.interp(t_s, motor.t_s, values) for name, values in motor.joints.items()}
     return Motor(t_s, level, None, taken(others[0]), taken(others[1]), taken(others[2]), joints)
 

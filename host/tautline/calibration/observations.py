@@ -11,7 +11,8 @@ from scipy.ndimage import median_filter
 
 from tautline import _native
 from tautline.core.session import SessionClock
-from tautline.encoder import between_counts, reading_noise
+from tautline.driven import white_noise
+from tautline.encoder import between_counts
 from tautline.errors import TautError
 from tautline.recording import Motor, Recording
 from tautline.rig import ANGLE, MARKER, Rig, Sensor
@@ -101,7 +102,7 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
     tracks = []
     for recording, session_s in zip(recordings, SessionClock.of(recordings).offset_s, strict=True):
         resolution = rig.actuator.encoder_resolution
-        noise = reading_noise(recording.motor)
+        noise = white_noise(recording.motor.q)
         motor = between_counts(recording.motor, resolution)
         marker, angle = recording.marker, recording.angle
         if marker is not None and rig.has_camera:

@@ -1,0 +1,126 @@
+"""Where a motor was between and behind its readings: a Gaussian path, with its standard deviation at every time.
+
+Its speed is constant but for rare, large changes: the increments of a Cauchy process. Each reading is the path with
+white noise, rounded to the encoder's step. Neither the noise nor how rare a change is has to be known: the noise is the
+likeliest, and of ever rarer changes those are taken under which readings that are left out are likeliest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline import _native
+
+Array = npt.NDArray[np.float64]
+
+_GRID_S = 0.004  # between nodes at most: finer than a camera's frames by far
+_NO_NOISE = 1e-3  # of a step: less is none
+_LEAST_NOISE = 0.2  # of a step, to begin with
+_RARER = 0.1  # times the square of the usual change, a sweep
+_RAREST = 1e-9  # square of the usual change in a node's time, of a step: what double precision carries
+_SWEEPS = 48  # at most
+_SETTLED = 1e-3  # log probability of a reading that one more sweep must bring
+
+
+@dataclass(frozen=True, eq=False)
+class Driven:
+    """Posterior of a motor's path. Between its nodes it is straight."""
+
+    t_s: Array  # (n,) rising
+    q: Array  # (n,) mean, unit of the readings
+    sigma: Array  # (n,) one standard deviation
+    noise: float  # standard deviation of the readings' white noise, their unit; rounding is not in it
+
+
+def driven(t_s: Array, q: Array, step: float, *, rounded: bool) -> Driven:
+    """By readings q (n,) at rising times t_s (n,), at least four. step: the encoder's, or about their noise where they
+    are not rounded."""
+    begin_s, end_s = float(t_s[0]), float(t_s[-1])
+    t_s, readings = _grouped(t_s, q)
+    usual_s = float(np.median(np.diff(t_s)))
+    parts = max(int(np.ceil(usual_s / _GRID_S - 1e-6)), 1)
+    size = len(readings)
+    nodes = np.interp(np.arange((size - 1) * parts + 1) / parts, np.arange(size), t_s)
+    read = np.zeros(len(nodes), dtype=np.uint8)
+    read[::parts] = 1
+    zero = float(readings[0])
+    reading = np.zeros(len(nodes))
+    reading[::parts] = (readings - zero) / step
+    steps = np.diff(nodes) / usual_s
+    found = _swept(steps, reading, read, rounded)
+    mean, sigma = found.mean.copy(), found.sigma
+    # Where neighbours were taken together it ends half of them early: it goes on as it went.
+    ends = np.clip(np.array([begin_s - nodes[0], end_s - nodes[-1]]), [-_GRID_S, 0.0], [0.0, _GRID_S])
+    mean[[0, -1]] += ends * np.diff(mean)[[0, -1]] / np.diff(nodes)[[0, -1]]
+    nodes[[0, -1]] += ends
+    nodes, mean, sigma = _cornered(nodes, mean, sigma)
+    return Driven(nodes, zero + step * mean, step * sigma, step * found.noise)
+
+
+@dataclass(frozen=True)
+class _Swept:
+    """told: log probability of the readings, each left out in turn; the rest of nodes (n,), in the encoder's steps."""
+
+    told: float
+    mean: Array
+    sigma: Array
+    noise: float
+
+
+def _swept(steps: Array, reading: Array, read: npt.NDArray[np.uint8], rounded: bool) -> _Swept:
+    """steps (n - 1): times between nodes, in a usual one."""
+    size, seen = len(reading), np.flatnonzero(read)
+    noise = max(white_noise(reading[seen]), _LEAST_NOISE if rounded else _NO_NOISE)
+    state = np.interp(np.arange(size), seen, reading[seen])
+    precision = read / (noise**2 + (1.0 / 12.0 if rounded else 0.0))
+    force = precision * reading
+    jumped, variance = np.full(size, -1.0), np.zeros(size)
+    jump, before = max(noise, _LEAST_NOISE) ** 2, -np.inf
+    best = _Swept(-np.inf, state.copy(), np.full(size, noise), noise)
+    for _ in range(_SWEEPS):
+        holds, scatter, told = _native.sweep(
+            steps, reading, read, 0.5 if rounded else 0.0, noise, jump, state, precision, force, jumped, variance
+        )
+        if not holds or not np.isfinite(told):
+            break
+        noise = max(scatter, _NO_NOISE)
+        if told > best.told:
+            best = _Swept(told, state.copy(), np.sqrt(variance), noise)
+        if jump == _RAREST and told - before < _SETTLED * len(seen):
+            break
+        jump, before = max(_RARER * jump, _RAREST), told
+    return best
+
+
+def _cornered(t_s: Array, q: Array, sigma: Array) -> tuple[Array, Array, Array]:
+    """A jump of speed between two nodes shows as one at either: it is where the lines beside them meet."""
+    jump = np.diff(np.diff(q) / np.diff(t_s))  # at nodes 1 to n - 2
+    pair = np.where(jump[1:] * jump[:-1] > 0.0, np.abs(jump[1:] + jump[:-1]), 0.0)
+    around = np.concatenate([[0.0], pair, [0.0]])
+    left = np.flatnonzero((pair > around[:-2]) & (pair >= around[2:])) + 1
+    share = jump[left] / (jump[left - 1] + jump[left])
+    after_s = share * (t_s[left + 1] - t_s[left])
+    t_s, q = t_s.copy(), q.copy()
+    q[left] += after_s * (q[left] - q[left - 1]) / (t_s[left] - t_s[left - 1])
+    t_s[left] += after_s
+    return np.delete(t_s, left + 1), np.delete(q, left + 1), np.delete(sigma, left + 1)
+
+
+def white_noise(q: Array) -> float:
+    """Standard deviation of white noise on readings (n,) of a smooth motion, their unit, from third differences; 0 of
+    fewer than four."""
+    third = np.diff(q, 3)
+    # The median of a chi-squared variable is 0.455, and 20 the sum of a third difference's squares.
+    return float(np.sqrt(np.median(third**2) / 0.455 / 20.0)) if len(third) else 0.0
+
+
+def _grouped(t_s: Array, q: Array) -> tuple[Array, Array]:
+    """Means of neighbours that come faster than nodes; each is as near to the path's mean as readings are to it."""
+    many = int(_GRID_S / float(np.median(np.diff(t_s))) + 1e-6)
+    if many < 2 or len(q) < 4 * many:
+        return t_s, q
+    first = np.arange(0, len(q) - many + 1, many)
+    count = np.diff(np.append(first, len(q)))
+    return np.add.reduceat(t_s, first) / count, np.add.reduceat(q, first) / count

@@ -1,0 +1,192 @@
+"""Motors that stop and turn at once, and readings with noise and no steps: where the motor was, and what it makes of B.
+
+The plants share nothing with the library: a play in plain numpy, motions drawn at random, logs at 50 to 250 Hz."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from angle_plant import RIG, Motion, record, tip, width
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tautline import _native
+from tautline.calibration.calibrate import Calibration, calibrate
+from tautline.calibration.observations import observe
+from tautline.core.motor import MotorPath
+from tautline.driven import driven, white_noise
+from tautline.model import Model
+from tautline.prediction import predict
+from tautline.recording import Angle, Motor, Recording
+from tautline.rig import Actuator, AngleSensor, Coarse, Rig
+
+COUNT = RIG.actuator.encoder_resolution
+TURNS = (0, 30, -20, 25, -30, 10, -5, 20, -33, 33, 0)
+
+
+def error_of(found: Calibration, truth) -> tuple[float, float]:
+    """rms error of B, its unit, and its ratio to the sigma that is stated."""
+    model = found.model
+    inside = (model.q > model.measured[0]) & (model.q < model.measured[1])
+    off = model.width[inside] - truth(model.q[inside])
+    return float(np.sqrt(np.mean(off**2))), float(np.sqrt(np.mean((off / model.width_sigma[inside]) ** 2)))
+
+
+def jerky(rng: np.random.Generator, turns: int, speed: float, reach: float, dwell_s: float) -> Motion:
+    """Strokes at one speed to random places, with no time to speed up, 1 kHz."""
+    ends = np.concatenate([[0.0], rng.uniform(-reach, reach, turns)])
+    steps = np.abs(np.diff(ends)) / speed
+    t_s = np.concatenate([[0.0], np.cumsum(np.column_stack([np.full(turns, dwell_s), steps]).ravel())])
+    at = np.arange(0.0, t_s[-1], 1e-3)
+    return Motion(at, np.interp(at, t_s, np.repeat(ends, 2)[:-1]))
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 1000), st.integers(3, 12), st.booleans())
+def test_a_sweep_is_the_gaussian_that_its_equations_say(seed, size, rounded):
+    """Against a dense solution; readings that are not rounded leave their noise as they are."""
+    rng = np.random.default_rng(seed)
+    step, q = rng.uniform(0.5, 2.0, size - 1), rng.normal(0.0, 3.0, size)
+    read = (rng.uniform(size=size) < 0.7).astype(np.uint8)
+    read[[0, -1]] = 1
+    precision = read / 0.4**2
+    jumped = np.where(rng.uniform(size=size) < 0.5, -1.0, rng.uniform(0.1, 2.0, size))
+    change = np.zeros((size - 2, size))
+    for k in range(1, size - 1):
+        mean = 0.5 * (step[k - 1] + step[k])
+        change[k - 1, k - 1 : k + 2] = np.array([1 / step[k - 1], -1 / step[k - 1] - 1 / step[k], 1 / step[k]]) / mean
+    jump = 0.3
+    weight = np.where(jumped < 0, 1 / jump, 2 / (jump + jumped))[1:-1]
+    dense = np.linalg.inv(np.diag(precision) + change.T @ (weight[:, None] * change))
+    state, variance, squares = np.zeros(size), np.zeros(size), jumped.copy()
+    holds, noise, told = _native.sweep(
+        step, q, read, 0.5 if rounded else 0.0, 0.4, jump, state, precision.copy(), precision * q, squares, variance
+    )
+    assert holds and noise > 0 and np.isfinite(told)
+    np.testing.assert_allclose(state, dense @ (precision * q), rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(variance, np.diag(dense), rtol=1e-6)
+    expected = np.square(change @ state) + np.diag(change @ dense @ change.T)
+    np.testing.assert_allclose(squares[1:-1], expected, rtol=1e-6)
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 1000), st.sampled_from([50.0, 100.0, 200.0]), st.floats(3.0, 30.0))
+def test_corners_between_samples_are_found(seed, hertz, speed):
+    """Within three counts; an interpolated log cuts a corner by up to a quarter of a sample's way."""
+    motion = jerky(np.random.default_rng(seed), 8, speed, 35.0, 0.3)
+    stride = round(1000.0 / hertz)
+    t_s, q = motion.t_s[::stride], np.round(motion.q[::stride] / COUNT) * COUNT
+    path = driven(t_s, q, COUNT, rounded=True)
+    known = motion.t_s <= t_s[-1]
+    off = np.abs(np.interp(motion.t_s, path.t_s, path.q) - motion.q)[known]
+    assert np.sqrt(np.mean(off**2)) < 0.5 * COUNT
+    assert np.mean(off > 3.0 * COUNT) < 0.01
+    assert (np.diff(path.t_s) > 0).all() and path.t_s[0] == t_s[0] and path.t_s[-1] == pytest.approx(t_s[-1])
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 1000), st.floats(0.002, 0.05))
+def test_noise_of_readings_is_no_motion_and_its_size_is_found(seed, noise):
+    rng = np.random.default_rng(seed)
+    motion = jerky(rng, 10, 4.0, 10.0, 0.3)
+    t_s, q = motion.t_s[::4], motion.q[::4] + rng.normal(0.0, noise, len(motion.q[::4]))
+    path = driven(t_s, q, white_noise(q), rounded=False)
+    off = np.interp(t_s, path.t_s, path.q) - motion.q[::4]
+    assert path.noise == pytest.approx(noise, rel=0.1)
+    assert np.sqrt(np.mean(off**2)) < 0.35 * noise
+    sigma = np.interp(t_s, path.t_s, path.sigma)
+    assert 0.5 < np.sqrt(np.mean((off / sigma) ** 2)) < 2.0
+
+
+@pytest.mark.parametrize("um", [2.0, 5.0])
+def test_noise_below_the_rigs_step_bends_no_width(um):
+    """A joint of 10 mm with B of 0.5 mm, white noise on its motor's readings, 250 Hz: without a step in them."""
+    rng = np.random.default_rng(7)
+    rig = Rig(Actuator("mm", (-6.0, 6.0), 0.01), Coarse(10.0, 0.0))
+    motion = jerky(rng, 14, 1.2, 5.0, 0.1)
+    half = 0.25
+    state, tips = 0.0, np.empty(len(motion.q))
+    for k, at in enumerate(motion.q.tolist()):
+        state = min(max(state, at - half), at + half)
+        tips[k] = state
+    arrival = np.arange(0.1, motion.t_s[-1] - 0.05, 1 / 60)
+    c = 10.0 * np.interp(arrival - 0.03, motion.t_s, tips) + rng.normal(0.0, 0.02, len(arrival))
+    read = motion.q[::4] + rng.normal(0.0, 1e-3 * um, len(motion.q[::4]))
+    found = calibrate([Recording("joint", Motor(motion.t_s[::4], read), angle=Angle(arrival, c), rig=rig)], rig)
+    off, over_sigma = error_of(found, lambda q: 2 * half + 0.0 * q)
+    print(f"{um:g} um: B {1e3 * off:.2f} um off, {over_sigma:.2f} sigma")
+    assert off < 5e-3 and over_sigma < 3.0
+
+
+def test_a_motor_that_turns_at_once_is_known_at_50_hz():
+    found = calibrate([record(Motion.through(), motor_hz=50.0, sensor_hz=60.0, delay_s=0.03)], RIG)
+    off, over_sigma = error_of(found, width)
+    print(f"B {off:.4f} deg off, {over_sigma:.2f} sigma; delay {1e3 * found.model.delay_s:.2f} ms of 30")
+    assert off < 0.01 and over_sigma < 3.0
+    assert abs(found.model.delay_s - 0.03) < 5e-4
+
+
+def true_model() -> Model:
+    q = np.linspace(-40.0, 40.0, 1025)
+    bend = 0.95 * q + 2.0 * np.sin(q / 20.0)
+    return Model(RIG, q, width(q), np.full(len(q), 0.01), bend, 0.0, (-35.0, 35.0))
+
+
+@pytest.mark.parametrize("hertz", [50.0, 100.0, 200.0])
+def test_the_tip_of_a_motor_that_turns_at_once_is_foretold(hertz):
+    motion = Motion.through(TURNS, 20.0)
+    stride = round(1000.0 / hertz)
+    motor = Motor(motion.t_s[::stride], np.round(motion.q[::stride] / COUNT) * COUNT)
+    settled = (motion.t_s > 4.0) & (motion.t_s < motor.t_s[-1])
+    off = (predict(true_model(), motor, motion.t_s).c_deg - tip(motion.q))[settled]
+    print(f"{hertz:g} Hz: {np.sqrt(np.mean(off**2)):.4f} deg rms, {np.abs(off).max():.4f} at most")
+    assert np.abs(off).max() < 0.02
+
+
+@pytest.mark.parametrize("hertz", [50.0, 100.0])
+def test_a_servo_of_4096_counts_makes_no_width_by_speed(hertz):
+    rng = np.random.default_rng(5)
+    count, b = 0.088, 6.0
+    rig = Rig(Actuator("deg", (-60.0, 60.0), count), Coarse(1.0, 0.0), angle=AngleSensor(0.02))
+    t_s, q = [0.0], [0.0]
+    for i, end in enumerate(rng.uniform(-50.0, 50.0, 16).tolist()):
+        t_s += [t_s[-1] + abs(end - q[-1]) / (10.0, 25.0, 60.0)[i % 3], 0.0]
+        t_s[-1] = t_s[-2] + 0.2
+        q += [end, end]
+    at = np.arange(0.0, t_s[-1], 1e-3)
+    positions = np.interp(at, t_s, q)
+    state, tips = 0.0, np.empty(len(at))
+    for k, position in enumerate(positions.tolist()):
+        state = min(max(state, position - b / 2), position + b / 2)
+        tips[k] = state
+    arrival = np.arange(0.1, at[-1] - 0.05, 1 / 60)
+    c = np.interp(arrival - 0.02, at, 0.9 * tips + 3.0 * np.sin(tips / 30.0)) + rng.normal(0.0, 0.03, len(arrival))
+    stride = round(1000.0 / hertz)
+    motor = Motor(at[::stride], np.round(positions[::stride] / count) * count)
+    found = calibrate([Recording("servo", motor, angle=Angle(arrival, c), rig=rig)], rig)
+    off, over_sigma = error_of(found, lambda places: b + 0.0 * places)
+    print(f"{hertz:g} Hz: B {off:.4f} deg of {b:g} off, {over_sigma:.2f} sigma")
+    assert off < 0.05 and over_sigma < 3.0
+    assert not any("rate_dependent" in reason.code for reason in found.model.quality.reasons)
+
+
+def test_a_bent_command_is_no_noise():
+    """A sine's third differences are large at 50 Hz, and neighbours are alike; white noise's are opposite."""
+    t_s = np.arange(0.0, 30.0, 0.02)
+    q = 30.0 * np.sin(3.0 * t_s) * np.cos(0.4 * t_s)
+    assert white_noise(q) > 1e-5 * np.ptp(q)
+    path = MotorPath.of(Motor(t_s, q), 0.088)
+    np.testing.assert_allclose(path.at(t_s), q, atol=1e-9)
+    read = q + np.random.default_rng(2).normal(0.0, 0.03, len(q))
+    off = MotorPath.of(Motor(t_s, read), 0.088).at(t_s) - q
+    assert np.sqrt(np.mean(off**2)) < 0.03
+
+
+def test_calibration_and_prediction_have_one_motion_of_it():
+    """Nothing is replaced: what a calibration works on is the path that predict takes, to a rounding."""
+    recording = record(Motion.through(TURNS, 20.0), motor_hz=50.0)
+    track, path = observe([recording], RIG)[0], MotorPath.of(recording.motor, COUNT)
+    at = np.linspace(recording.motor.t_s[0], recording.motor.t_s[-1], 5000)
+    np.testing.assert_allclose(track.motor_at(at), path.at(at), atol=1e-9)
+    whole = MotorPath.of(replace(recording.motor), COUNT)
+    assert np.array_equal(whole.lines.q, path.lines.q)  # the same readings, the same path
