@@ -5,6 +5,7 @@ const ENCODER_PIN = [0, 2, 12, 14];          // A of each axis, B beside it
 const SENSE_PINS = [22, 24, 25];             // of the multiplexer, lowest first
 const DEAD_TIME_US = 0.45;                   // DRV8833: neither side conducts while it switches over
 const SHUNT_OHM = 0.47;
+const ESTOP_PIN = 16;
 const SUPPLY_ADDRESS = 4;
 const FAULT_ADDRESS = 5;
 const ADC_VOLT = 3.3;
@@ -58,6 +59,7 @@ export class Plant {
         this.pins = [0, 0, 0, 0];    // the count that the pins show
         this.supplyVolt = 6;
         this.driverFault = false;
+        this.estopClosed = false;
         this.ills = ENCODER_PIN.map(() => 'well');
         this.encoders = ENCODER_PIN.map(() => ({ scale: 1, from: 0 })); // counts for each one shown, beginning there
         this.timeUs = 0;
@@ -121,6 +123,7 @@ export class Plant {
             this.#turn(axis);
         });
         if (running && this.edges.length > 0) this.#schedule();
+        if (running) this.#pull();
         this.timeUs += STEP_US;
         if (this.timeUs % LOG_US === 0) this.log.push(this.motors.map((_, axis) => this.trueQ8(axis)));
     }
@@ -166,6 +169,11 @@ export class Plant {
         this.chip.drive(ENCODER_PIN[axis] + 1, (state & 2) !== 0);
     }
 
+    /** A stop button that is pressed pulls its pin low; else the pin's own pull-up holds it high. */
+    #pull() {
+        this.chip.drive(ESTOP_PIN, !this.estopClosed && this.chip.gpio[ESTOP_PIN].pullupEnabled);
+    }
+
     /** What drives the motor now, -1 to 1. */
     duty(axis) {
         return this.chip === null ? 0 : this.#bridge(axis).duty;
@@ -181,6 +189,7 @@ export class Plant {
         this.ills[axis] = ill;
         this.driverFault = ill === 'driver';
         this.supplyVolt = ill === 'supply' ? 2.5 : 6;
+        this.estopClosed = ill === 'estop';
         this.encoders[axis] = { scale: { coarse: 8, unplugged: Infinity }[ill] ?? 1, from: shown };
         this.pinZero[axis] = Math.floor(this.motors[axis].position) - shown;
     }
