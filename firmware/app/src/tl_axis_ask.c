@@ -469,9 +469,11 @@ TL_FAST uint8_t tl_axis_home(tl_axis_t *axis, const tl_wire_home_t *request) {
     return 0;
 }
 
-// Milliseconds until the sender is silent: silence after the time of its last set-point.
+// Milliseconds until the sender is silent: silence after the time of its last set-point, or after now where control
+// steps came so late that this has passed.
 static TL_FAST uint32_t patience(const tl_axis_t *axis, tl_us_t now_us) {
-    return (uint32_t)(tl_stream_end(&axis->plan.stream) - now_us) / PLAN_US + axis->guard.silence_ms;
+    const tl_us_t end_us = tl_stream_end(&axis->plan.stream);
+    return (end_us > now_us ? (uint32_t)(end_us - now_us) / PLAN_US : 0U) + axis->guard.silence_ms;
 }
 
 // Where a follower of the tip begins: the forward play, and how the table was moved.
