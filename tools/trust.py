@@ -38,8 +38,8 @@ class Target:
 TARGETS = {
     "wire": Target("bytes on the bus, message by message", 200_000, 1024),
     "table": Target("table blobs with all sections, and look-ups in them", 200_000, 4096),
-    "changes": Target("a compensator while tables, modes and loads change", 2_000, 1024),
-    "onset": Target("the onset detector, any motor and camera", 3_000, 512),
+    "changes": Target("a compensator while tables, modes and loads change", 4_000, 1024),
+    "onset": Target("the onset detector, any motor and camera", 4_000, 512),
 }
 
 
@@ -84,7 +84,7 @@ def _result(name: str, said: list[str], code: int) -> Result:
     if code != 0:
         why = re.search(r"broken: .*|runtime error: .*|SUMMARY: .*", text)
         left = re.search(r"Test unit written to (\S+)", text)
-        replay = f"; again by {HARNESSES.relative_to(ROOT)}/fuzz_{name} {left[1]}" if left else ""
+        replay = f"; again by {HARNESSES.relative_to(ROOT)}/fuzz_{name} {Path(left[1]).relative_to(ROOT)}" if left else ""
         broken = (why[0] if why else f"ended with {code}") + replay
     return Result(
         name,

@@ -79,6 +79,7 @@ export class Plant {
         this.edges = [];
         this.edgeAlarm = this.clock.createAlarm(() => this.#edge());
         this.motors.forEach((_, axis) => this.#show(axis));
+        chip.drive(ESTOP_PIN, !this.estopClosed); // its pull-up holds it high
         chip.adc.onADCRead = (channel) => {
             chip.adc.currentChannel = channel;
             chip.adc.channelValues[3] = this.#sensed();
@@ -123,7 +124,6 @@ export class Plant {
             this.#turn(axis);
         });
         if (running && this.edges.length > 0) this.#schedule();
-        if (running) this.#pull();
         this.timeUs += STEP_US;
         if (this.timeUs % LOG_US === 0) this.log.push(this.motors.map((_, axis) => this.trueQ8(axis)));
     }
@@ -169,11 +169,6 @@ export class Plant {
         this.chip.drive(ENCODER_PIN[axis] + 1, (state & 2) !== 0);
     }
 
-    /** A stop button that is pressed pulls its pin low; else the pin's own pull-up holds it high. */
-    #pull() {
-        this.chip.drive(ESTOP_PIN, !this.estopClosed && this.chip.gpio[ESTOP_PIN].pullupEnabled);
-    }
-
     /** What drives the motor now, -1 to 1. */
     duty(axis) {
         return this.chip === null ? 0 : this.#bridge(axis).duty;
@@ -190,6 +185,7 @@ export class Plant {
         this.driverFault = ill === 'driver';
         this.supplyVolt = ill === 'supply' ? 2.5 : 6;
         this.estopClosed = ill === 'estop';
+        this.chip?.drive(ESTOP_PIN, !this.estopClosed);
         this.encoders[axis] = { scale: { coarse: 8, unplugged: Infinity }[ill] ?? 1, from: shown };
         this.pinZero[axis] = Math.floor(this.motors[axis].position) - shown;
     }
