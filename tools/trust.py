@@ -84,7 +84,9 @@ def _result(name: str, said: list[str], code: int) -> Result:
     if code != 0:
         why = re.search(r"broken: .*|runtime error: .*|SUMMARY: .*", text)
         left = re.search(r"Test unit written to (\S+)", text)
-        replay = f"; again by {HARNESSES.relative_to(ROOT)}/fuzz_{name} {Path(left[1]).relative_to(ROOT)}" if left else ""
+        replay = (
+            f"; again by {HARNESSES.relative_to(ROOT)}/fuzz_{name} {Path(left[1]).relative_to(ROOT)}" if left else ""
+        )
         broken = (why[0] if why else f"ended with {code}") + replay
     return Result(
         name,
