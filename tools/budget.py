@@ -43,6 +43,8 @@ LOOPS = {
     "come_late": (AXES,),
     "tl_elements_ahead": (6,),  # as many elements as a table has, but the first
     "tl_elements_behind": (7,),
+    "tl_stop_watch": (AXES, AXES),
+    "tl_stop_group": (AXES,),
     "tl_undo_angle": (3,),  # joints
     "tl_axis_watch": (3,),  # the same
     "tl_undo_late": (4,),  # followers
@@ -66,8 +68,17 @@ BEGIN = "tl_path_begin"  # where axis->slot is 0, and there the job is the first
 WATCH, GUARD, FAIL = "tl_axis_watch", "tl_axis_guard", "tl_axis_fail"  # an axis that fails is off from then on
 TRIAL = "try_out"  # of moves, homing and checks
 LATE = "come_late"  # a tick that comes late has been waited for already
+STOP = "tl_stop_watch"  # of all axes, in the last tick of a millisecond
 GUARD_LATER = 1  # ticks from an axis' watch to its guard (tl_app.c)
-PORT = ("port_encoder", "port_drive", "port_current_ma", "port_time_us", "port_supply_mv", "port_driver_fault")
+PORT = (
+    "port_encoder",
+    "port_drive",
+    "port_current_ma",
+    "port_time_us",
+    "port_supply_mv",
+    "port_driver_fault",
+    "port_estop_closed",
+)
 EACH_STEP = ("port_encoder", "port_drive")
 STAND_IN_PORT = (
     "read_encoder",
@@ -207,7 +218,7 @@ class Stack:
 
 
 def bound(code: Code, ports: Sequence[str], **known: int) -> Bound:
-    calls_port = re.compile(r"tl_axis_|drive$|tl_app_control$")
+    calls_port = re.compile(r"tl_axis_|tl_stop_|drive$|tl_app_control$")
     return Bound(
         code,
         Knowledge(
@@ -248,17 +259,19 @@ def ticks(
 ) -> list[int]:
     """Bounds of the control interrupt's cycles in each tick of a millisecond, where AXES axes follow by tables; with
     measured values in place of the bounds of a step, watch or guard, the registers' cycles included."""
-    if gone := [name for name in (*JOBS, BEGIN, WATCH, GUARD, FAIL, LATE, TRIAL) if name not in image.starts]:
+    if gone := [name for name in (*JOBS, BEGIN, WATCH, GUARD, FAIL, LATE, TRIAL, STOP) if name not in image.starts]:
         raise SystemExit(f"budget: no function {', '.join(gone)} in the image: mend JOBS")
     count = CONTROL_HZ // 1000
     jobs = [*JOBS, *[""] * (count - len(JOBS))]
     # An axis that fails for a late tick does so after more than a hundred lost periods: nobody waits for that one.
-    tick = bound(image, PORT, **{STEP: 0, WATCH: 0, GUARD: 0, LATE: NEVER}).of(CONTROL) + EXCEPTION
+    tick = bound(image, PORT, **{STEP: 0, WATCH: 0, GUARD: 0, STOP: 0, LATE: NEVER}).of(CONTROL) + EXCEPTION
     steps = [step_bound(image, PORT, job, **{CALIBRATION: NEVER, **plays}) if step is None else step for job in jobs]
     watch = bound(image, PORT, **plays).of(WATCH) if watch is None else watch
     guard = bound(image, PORT, **{FAIL: NEVER, TRIAL: NEVER}).of(GUARD) if guard is None else guard
+    stop = bound(image, PORT, **{FAIL: NEVER}).of(STOP)
     return [
         tick
+        + (stop if (at + 1) % count == count - 1 else 0)
         + sum(steps[(at - axis) % count] for axis in range(AXES))
         + (watch if (at + 1) % count < AXES else 0)
         + (guard if (at + 1 - GUARD_LATER) % count < AXES else 0)

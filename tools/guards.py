@@ -9,16 +9,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 RANDOM = "tests/c/test_random.c::test_whatever_happens_an_axis_keeps_its_word"
-SAFETY, AXIS, LINK, STORE = (f"tests/c/test_{name}.c::test_" for name in ("safety", "axis", "link", "store"))
+SAFETY, AXIS, LINK, STORE, STOPS = (
+    f"tests/c/test_{name}.c::test_" for name in ("safety", "axis", "link", "store", "stop")
+)
 IMAGE = "tools/emulator/test/image.test.js::"
 EVERY_POINT = "tests/board/test_every_point.py::test_whatever_goes_wrong_at_any_point"
 COMMISSION, COMMANDS = (f"tests/board/test_{name}.py::test_" for name in ("commission", "commands"))
 PAGE, C_FILES = (f"tests/host/test_{name}.py::test_" for name in ("safety_page", "firmware_sources"))
 EMULATED, BUILT = (f"tests/firmware/test_{name}.py::test_" for name in ("emulated_board", "image"))
 
-ASK, GUARD, REST, APP, COMMAND, TABLES, SETTINGS = (
+ASK, GUARD, REST, STOP, APP, COMMAND, TABLES, SETTINGS = (
     f"firmware/app/src/tl_{name}.c"
-    for name in ("axis_ask", "axis_guard", "axis_rest", "app", "command", "tables", "settings")
+    for name in ("axis_ask", "axis_guard", "axis_rest", "stop", "app", "command", "tables", "settings")
 )
 HEADERS = "firmware/app/include/tautline/"
 RP2040 = "firmware/port/rp2040/"
@@ -134,6 +136,9 @@ _APP = (
     _one("a sender that is silent", AXIS + "a_silent_sender_brings_the_axis_to_rest_and_holds",
          GUARD, "return tl_axis_is_following(axis) || axis->mode == TL_WIRE_MODE_MOVE ||",
          "return axis->mode == TL_WIRE_MODE_MOVE ||"),
+    _one("a sender that is silent after a late request",
+         AXIS + "a_sender_that_is_silent_after_a_late_request_is_noticed",
+         ASK, "return (end_us > now_us ?", "return (end_us != now_us ?"),
     _one("a hold that ends", SAFETY + "a_motor_that_holds_alone_lets_go_slowly",
          GUARD, "++guard->alone_ms < axis->settings.hold_ms", "++guard->alone_ms > 0"),
     _one("a hold that ends slowly", SAFETY + "a_motor_that_holds_alone_lets_go_slowly",
@@ -144,6 +149,18 @@ _APP = (
          APP, "        tl_axis_silence(axis);\n"),
     _one("safe_stop", AXIS + "safe_stop_works_from_every_state",
          COMMAND, "        tl_axis_fail(axis, TL_WIRE_FAULT_STOPPED, 0, now_us);\n", "        (void)now_us;\n"),
+    _one("a group goes off", STOPS + "an_axis_takes_its_group_with_it",
+         STOP, "        tl_stop_group(&axes[i], now_us);\n", "        (void)now_us;\n"),
+    _one("a fault that is cleared at once", STOPS + "a_fault_that_is_cleared_at_once_takes_its_group_all_the_same",
+         ASK, "    tl_stop_group(axis, now_us); //", "    (void)now_us; //"),
+    _one("a group stays off", STOPS + "a_group_is_driven_again_once_the_first_fault_is_cleared",
+         ASK, "if (tl_stop_group_has_fault(axis)) {", "if (false) {"),
+    _one("the stop input", STOPS + "the_stop_input_switches_every_axis_off_and_stays",
+         STOP, "axis->guard.estop_ms == ESTOP_MS &&", "false &&"),
+    _one("a stop that stays", STOPS + "the_stop_input_switches_every_axis_off_and_stays",
+         ASK, "axis->fault == TL_WIRE_FAULT_ESTOP && tl_stop_is_pressed(axis)", "false"),
+    _one("an open contact", STOPS + "a_stop_input_that_opens_stops_where_it_is_wired_so",
+         STOP, "closed != (axis->settings.estop == TL_WIRE_ESTOP_OPEN)", "closed"),
     _one("late control steps", AXIS + "late_control_steps_fault_a_driven_axis_only",
          APP, "since_us > LATE_FAULT &&", "false &&"),
     _one("the watchdog watches the control step", AXIS + "the_watchdog_is_fed_only_while_control_steps_go_on",

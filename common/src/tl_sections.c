@@ -175,9 +175,12 @@ static bool is_sides(const tl_table_t *t) {
         return false;
     }
     for (unsigned i = 0; i <= TL_TABLE_LAST; i++) {
+        if (tl_outside(s->late[i], 0, PLACE_MAX)) {
+            return false;
+        }
         const int32_t falls = i > 0 ? s->late[i - 1U] - s->late[i] : 0;
         const int32_t travel_log2 = s->step_log2 + (i < 5U ? 0 : ((int32_t)i - 3) / 2); // of the last piece
-        if (tl_outside(s->late[i], 0, PLACE_MAX) || tl_outside(falls, 0, (int32_t)1 << travel_log2)) {
+        if (tl_outside(falls, 0, (int32_t)1 << travel_log2)) {
             return false;
         }
     }

@@ -205,6 +205,7 @@ void bind_wire(nb::module_ &m) {
     LIST("EVENTS", TL_WIRE_EVENTS)
     LIST("BOOTS", TL_WIRE_BOOTS)
     LIST("STORES", TL_WIRE_STORES)
+    LIST("ESTOPS", TL_WIRE_ESTOPS)
 
     wire.def("encode", &encode, nb::arg("name"), nb::arg("sequence"), nb::arg("fields"),
              "The whole frame of a message; every field must be given. ValueError names the field that does not fit.");

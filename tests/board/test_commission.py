@@ -138,6 +138,7 @@ INJECTED = {
     "jump": ("ENCODER", 0.05),
     "driver": ("DRIVER", 0.05),
     "supply": ("SUPPLY", 0.08),
+    "estop": ("ESTOP", 0.1),
     "silence": ("HOST_LOST", 1.1),
     "cable": (None, 0.1),
 }
@@ -180,7 +181,9 @@ def test_commission_measures_the_motor_and_stores_what_it_found(bench: Bench) ->
         before = dict(live.board.ask("get_settings", axis=0).values)
         lazy = before | {"proportional": 300, "derivative": 200, "feed_forward": 1200, "friction": 0.03}
         live.board.ask("settings", **(lazy | {"key": wire.wire.KEY}), timeout_s=5.0)
-        found = commission(live, lambda question: True, said.append, Homing(), 350, "SN-7")
+        found = commission(
+            live, lambda question: True, said.append, Homing(), {"current_ma": 350, "instrument": "SN-7"}
+        )
         assert off(live.board) and live.board.status(0).fault == 0
         # The motor's own: motor.c's free speed, and a friction between sliding and static.
         assert found.speed_s == pytest.approx(20000.0, rel=0.05) and 0.03 < found.friction < 0.05

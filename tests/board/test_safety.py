@@ -50,6 +50,44 @@ def test_driver_and_supply(board: Board, bench: Bench, ill: str, fault: str) -> 
     board.switch_on(0, bench.run)
 
 
+def test_the_stop_input(board: Board, bench: Bench) -> None:
+    board.switch_on(0, bench.run)
+    bench.sim.ask("inject 0 estop")
+    assert fault_after(bench, board, 0.1) == "ESTOP" and flag(board, "ESTOP")
+    assert all(board.status(axis).fault == wire.code("FAULTS", "ESTOP") for axis in range(board.axes))
+    with pytest.raises(BoardRefused, match="release the stop button"):
+        board.ask("clear_fault", axis=0)
+    mend(bench, board)
+    board.switch_on(0, bench.run)
+    # A contact that opens: nothing is wired, as where its wire is broken.
+    board.ask("enable", axis=0, on=0)
+    bench.run(0.1)
+    for axis in range(1, board.axes):
+        board.ask("clear_fault", axis=axis)
+    kept = dict(board.ask("get_settings", axis=0).values)
+    opens = {"key": wire.wire.KEY, "estop": wire.code("ESTOPS", "OPEN")}
+    board.ask("settings", **(kept | opens), timeout_s=5.0)
+    assert fault_after(bench, board, 0.1) == "ESTOP"
+    board.ask("settings", **(kept | {"key": wire.wire.KEY}), timeout_s=5.0)
+    mend(bench, board)
+    board.switch_on(0, bench.run)
+
+
+def test_a_group_goes_off_together(board: Board, bench: Bench) -> None:
+    if board.axes < 2:
+        pytest.skip("a board of one axis has no group")
+    for axis in (0, 1):
+        kept = dict(board.ask("get_settings", axis=axis).values)
+        board.ask("settings", **(kept | {"key": wire.wire.KEY, "group": 1}), timeout_s=5.0)
+    for axis in (0, 1):
+        board.switch_on(axis, bench.run)
+    board.ask("safe_stop", axis=1)
+    assert fault_after(bench, board, 0.1) == "GROUP" and board.status(0).fault_value == 1
+    mend(bench, board)
+    with pytest.raises(BoardRefused, match="another axis of its group"):
+        board.ask("enable", axis=0, on=1)
+
+
 @pytest.mark.parametrize(
     ("ill", "fault"), [("well", "NONE"), ("reversed", "REVERSED"), ("unplugged", "UNMOVED"), ("coarse", "SCALE")]
 )

@@ -26,6 +26,7 @@ typedef struct {
     bool stuck;    // the encoders,
     int32_t shown; // at this
     bool driver_fault[TL_WIRE_AXES_MAX];
+    bool estop_closed;
     uint16_t supply_mv;
     double lag_s;                     // of a motor's speed, by its inertia
     double winding_s;                 // of its current; 0: at once
@@ -76,6 +77,10 @@ static uint16_t fake_supply(void *context) {
 }
 static bool fake_driver_fault(void *context, uint8_t axis) {
     return ((fake_t *)context)->driver_fault[axis];
+}
+
+static bool fake_estop_closed(void *context) {
+    return ((fake_t *)context)->estop_closed;
 }
 
 static bool fake_operate(fake_t *f) {
@@ -170,6 +175,7 @@ static inline void fake_start(uint8_t axes, tl_wire_boot_t boot) {
                             .current_ma = fake_current,
                             .supply_mv = fake_supply,
                             .driver_fault = fake_driver_fault,
+                            .estop_closed = fake_estop_closed,
                             .flash_read = fake_read,
                             .flash_erase = fake_erase,
                             .flash_program = fake_program,

@@ -192,6 +192,25 @@ static void test_a_silent_sender_brings_the_axis_to_rest_and_holds(void) {
     TEST_ASSERT_EQUAL(1, heard[TL_WIRE_COUNTERS].counters.set_points_dropped);
 }
 
+// A request may come well after the last control step: a board over other makers' drives steps when they answer.
+static void test_a_sender_that_is_silent_after_a_late_request_is_noticed(void) {
+    for (int points = 0; points < 2; points++) {
+        fake_new(2);
+        fake_ready();
+        fake_enable(0, 1);
+        fake.t_us += points == 0 ? 10000 : 0; // beyond what is planned ahead
+        TEST_ASSERT_EQUAL(0, follow(0, 0));
+        if (points > 0) {
+            fake.t_us += 10000;
+            TEST_ASSERT_EQUAL(-1, set_point(0, TL_COUNT_ONE, fake.t_us - 5000));
+        }
+        fake_run_ms(150);
+        const tl_wire_status_t status = fake_status(0);
+        TEST_ASSERT_EQUAL(TL_WIRE_MODE_HOLD, status.mode);
+        TEST_ASSERT_TRUE((status.flags & TL_WIRE_FLAG_SILENT) != 0);
+    }
+}
+
 static void test_losing_the_bus_while_following_comes_to_rest_at_once(void) {
     fake_enable(0, 1);
     follow(0, 0);
@@ -642,6 +661,7 @@ int main(void) {
     RUN_TEST(test_a_watchdog_restart_is_told_and_latched);
     RUN_TEST(test_the_watchdog_is_fed_only_while_control_steps_go_on);
     RUN_TEST(test_a_silent_sender_brings_the_axis_to_rest_and_holds);
+    RUN_TEST(test_a_sender_that_is_silent_after_a_late_request_is_noticed);
     RUN_TEST(test_losing_the_bus_while_following_comes_to_rest_at_once);
     RUN_TEST(test_set_points_are_joined_by_straight_lines_in_time);
     RUN_TEST(test_set_points_without_a_time_are_smoothed);

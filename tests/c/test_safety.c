@@ -664,24 +664,33 @@ static void test_how_long_it_holds_alone_is_a_setting(void) {
     TEST_ASSERT_EQUAL(TL_WIRE_MODE_HOLD, app.axes[0].mode);
 }
 
-// Settings that firmware stored before hold_ms was one of them are in force all the same.
+// Settings that firmware stored before the last of them were there are in force all the same: of protocol 2.2 without
+// group and estop, two bytes, of 2.1 without hold_ms, four more.
 static void test_settings_of_earlier_firmware_are_read(void) {
-    const size_t size = TL_WIRE_HEADER_SIZE + TL_WIRE_SIZE_SETTINGS + TL_WIRE_CRC_SIZE;
-    uint8_t blob[TL_WIRE_AXES_MAX * (TL_WIRE_HEADER_SIZE + TL_WIRE_SIZE_SETTINGS + TL_WIRE_CRC_SIZE)];
-    for (uint8_t i = 0; i < TL_WIRE_AXES_MAX; i++) {
-        tl_wire_settings_t own = tl_axis_default_settings(&fake_port, i);
-        own.stall_ms = 222;
-        own.hold_ms = 5;
-        uint8_t frame[TL_WIRE_FRAME_MAX];
-        tl_wire_frame(frame, TL_WIRE_SETTINGS, 0, &own);
-        memcpy(blob + i * (size - 4U), frame, size - 4U);
+    static const size_t lacks[] = {2U, 6U};
+    for (unsigned era = 0; era < 2U; era++) {
+        const size_t size = TL_WIRE_HEADER_SIZE + TL_WIRE_SIZE_SETTINGS + TL_WIRE_CRC_SIZE - lacks[era];
+        uint8_t blob[TL_WIRE_AXES_MAX * TL_WIRE_FRAME_MAX];
+        for (uint8_t i = 0; i < TL_WIRE_AXES_MAX; i++) {
+            tl_wire_settings_t own = tl_axis_default_settings(&fake_port, i);
+            own.stall_ms = 222;
+            own.hold_ms = 5000;
+            own.group = 3;
+            own.estop = TL_WIRE_ESTOP_OPEN;
+            uint8_t frame[TL_WIRE_FRAME_MAX];
+            tl_wire_frame(frame, TL_WIRE_SETTINGS, 0, &own);
+            memcpy(blob + i * size, frame, size - TL_WIRE_CRC_SIZE);
+            memset(blob + (i + 1U) * size - TL_WIRE_CRC_SIZE, 0xA5, TL_WIRE_CRC_SIZE); // the slot has its own
+        }
+        TEST_ASSERT_TRUE(tl_store_write(&fake_port, TL_STORE_SETTINGS, 0U, blob, (uint16_t)(TL_WIRE_AXES_MAX * size)));
+        fake_start(2, TL_WIRE_BOOT_POWER);
+        TEST_ASSERT_EQUAL(TL_WIRE_STORE_NEWEST, fake_status(0).settings);
+        const tl_wire_settings_t read = settings();
+        TEST_ASSERT_EQUAL(222, read.stall_ms);
+        TEST_ASSERT_EQUAL(era == 0 ? 5000 : 60000, read.hold_ms);
+        TEST_ASSERT_EQUAL(0, read.group);
+        TEST_ASSERT_EQUAL(TL_WIRE_ESTOP_CLOSED, read.estop);
     }
-    const uint16_t all = (uint16_t)(TL_WIRE_AXES_MAX * (size - 4U));
-    TEST_ASSERT_TRUE(tl_store_write(&fake_port, TL_STORE_SETTINGS, 0U, blob, all));
-    fake_start(2, TL_WIRE_BOOT_POWER);
-    TEST_ASSERT_EQUAL(TL_WIRE_STORE_NEWEST, fake_status(0).settings);
-    TEST_ASSERT_EQUAL(222, settings().stall_ms);
-    TEST_ASSERT_EQUAL(60000, settings().hold_ms);
 }
 
 // -- the encoder while nobody looks -----------------------------------------------------------------------------

@@ -279,6 +279,8 @@ static void test_unfit_content_is_refused_with_its_reason(void) {
     REFUSED(BAD_DELAY, t.delay_us = TL_TABLE_DELAY_MAX_US + 1);
     REFUSED(OK, t.delay_us = TL_TABLE_DELAY_MAX_US);
     REFUSED(BAD_COARSE, t.coarse_c_max = t.coarse_c_min);
+    REFUSED(BAD_SIDES,
+            (t.has = TL_TABLE_HAS_sides, t.sides.side = 1, t.sides.late[0] = 3680, t.sides.late[1] = INT32_MIN));
     REFUSED(BAD_COARSE, (t.coarse_c_min = 1, t.coarse_c_max = 0)); // falls where f rises
     REFUSED(BAD_RESERVED, (t.nodes = 0, t.step_log2 = 0));
     REFUSED(BAD_RESERVED, (t.nodes = 0, t.q0 = 0));

@@ -29,7 +29,7 @@ extern "C" {
 #endif
 
 #define TL_WIRE_MAJOR            2
-#define TL_WIRE_MINOR            2
+#define TL_WIRE_MINOR            3
 #define TL_WIRE_USB_VENDOR       0x1209U ///< pid.codes
 #define TL_WIRE_USB_PRODUCT      0x0001U ///< its test product: for development, never to be sold under
 #define TL_WIRE_USB_MANUFACTURER "tautline"
@@ -161,7 +161,9 @@ extern "C" {
     F(u16, stall_ms, "driven for so long with the motor still is a stall, 20 to 5000")                                 \
     F(u16, supply_low_mv, "motor supply below it faults a driven axis; 0: not watched")                                \
     A(text, instrument, 8, "serial of the instrument that is mounted; empty: tables of any are taken")                 \
-    F(u32, hold_ms, "held for so long without a word of a host the drive sinks to nothing within a second; 0: never")
+    F(u32, hold_ms, "held for so long without a word of a host the drive sinks to nothing within a second; 0: never")  \
+    F(u8, group, "axes of one group go off together where one of them faults, 1 to 4; 0: of none")                     \
+    F(u8, estop, "TL_WIRE_ESTOPS: how the stop input is wired; as many axes as have it wired so stop by it")
 
 #define TL_WIRE_FIELDS_GET_SETTINGS(F, A) F(u8, axis, "")
 
@@ -430,6 +432,8 @@ extern "C" {
     C(22, NOT_REFERENCED, "the axis does not know its position: home it, or say where it stands")                      \
     C(23, BEYOND_SETTINGS, "wider than the settings stored on the board: change those, or ask for less")               \
     C(24, BEYOND_TABLE, "further from the calibrated table than it allows: calibrate again, or flash wider limits")    \
+    C(25, GROUP, "another axis of its group has a fault: see to that one, and clear it, first")                        \
+    C(26, ESTOP, "the stop input is still active: release the stop button, then clear again")                          \
     C(30, TABLE_SIZE, "the table is too long, or its parts are not in order: send it again")                           \
     C(31, TABLE_REFUSED, "the table was refused: the axis' status says why")                                           \
     C(32, SESSION, "the board has restarted: say hello first")
@@ -454,7 +458,9 @@ extern "C" {
     C(15, SCALE, "the motor turned at another speed than the gains say (counts/s): check encoder and feed_forward")    \
     C(16, UNMOVED, "at low drive the encoder saw no motion: check motor and encoder plugs, supply, and what blocks")   \
     C(17, NO_END, "no end was found within the reach (counts gone): check the direction, or allow more reach")         \
-    C(18, SETTINGS, "the settings in flash are damaged: commission the axis again")
+    C(18, SETTINGS, "the settings in flash are damaged: commission the axis again")                                    \
+    C(19, GROUP, "another axis of its group has a fault (axis): see to that one, then clear both")                     \
+    C(20, ESTOP, "stopped by the stop input: release the stop button, or say how it is wired, then clear the fault")
 
 #define TL_WIRE_MODES(C)                                                                                               \
     C(0, OFF, "motor off")                                                                                             \
@@ -474,6 +480,10 @@ extern "C" {
     C(2, OLDER, "those before: the newest are damaged")                                                                \
     C(3, BAD, "none of those stored is whole: the port's defaults")
 
+#define TL_WIRE_ESTOPS(C)                                                                                              \
+    C(0, CLOSED, "closed, or low, is a stop: a contact that closes. Nothing wired is none")                            \
+    C(1, OPEN, "open, or high, is a stop: a contact that opens. A broken wire stops, too")
+
 #define TL_WIRE_TABLES(C)                                                                                              \
     C(0, NONE, "none: identity")                                                                                       \
     C(1, NEWEST, "the newest stored one")                                                                              \
@@ -492,7 +502,8 @@ extern "C" {
     C(0x0100, SILENT, "the last sender went silent")                                                                   \
     C(0x0200, REFERENCED, "the position is known")                                                                     \
     C(0x0400, CHECKED, "motor and encoder agree in sign and scale")                                                    \
-    C(0x0800, DRIVER_FAULT, "the motor driver reports a fault (nFAULT)")
+    C(0x0800, DRIVER_FAULT, "the motor driver reports a fault (nFAULT)")                                               \
+    C(0x1000, ESTOP, "the stop input is active")
 
 #define TL_WIRE_MOTIONS(C)                                                                                             \
     C(0, IDLE, "never started")                                                                                        \
@@ -560,6 +571,7 @@ enum { TL_WIRE_MESSAGES(TL_WIRE_SIZE_) }; ///< bytes of payload
 #define TL_WIRE_EVENT_(code, NAME, text)  TL_WIRE_EVENT_##NAME = (code),
 #define TL_WIRE_BOOT_(code, NAME, text)   TL_WIRE_BOOT_##NAME = (code),
 #define TL_WIRE_STORE_(code, NAME, text)  TL_WIRE_STORE_##NAME = (code),
+#define TL_WIRE_ESTOP_(code, NAME, text)  TL_WIRE_ESTOP_##NAME = (code),
 TL_WIRE_CODES_(REASONS, reason, TL_WIRE_REASON_)
 TL_WIRE_CODES_(FAULTS, fault, TL_WIRE_FAULT_)
 TL_WIRE_CODES_(MODES, mode, TL_WIRE_MODE_)
@@ -569,6 +581,7 @@ TL_WIRE_CODES_(MOTIONS, motion, TL_WIRE_MOTION_)
 TL_WIRE_CODES_(EVENTS, event_code, TL_WIRE_EVENT_)
 TL_WIRE_CODES_(BOOTS, boot, TL_WIRE_BOOT_)
 TL_WIRE_CODES_(STORES, store, TL_WIRE_STORE_)
+TL_WIRE_CODES_(ESTOPS, estop, TL_WIRE_ESTOP_)
 
 /// Whether a list has this code: tl_wire_is_fault() and so on. A code given twice does not compile.
 #define TL_WIRE_CASE_(code, NAME, text) case (code):
@@ -589,6 +602,7 @@ TL_WIRE_IS_(MOTIONS, motion)
 TL_WIRE_IS_(EVENTS, event_code)
 TL_WIRE_IS_(BOOTS, boot)
 TL_WIRE_IS_(STORES, store)
+TL_WIRE_IS_(ESTOPS, estop)
 
 /// Bytes of payload of a message of this type, 0 where the type is unknown. O(1).
 size_t tl_wire_size(uint8_t type);

@@ -11,6 +11,7 @@
 #include "tautline/tl_fast.h"
 #include "tautline/tl_report.h"
 #include "tautline/tl_settings.h"
+#include "tautline/tl_stop.h"
 
 #define POLL_US       1000U
 #define FRAME_IDLE_US 20000U // after which the rest of a frame does not come any more
@@ -210,6 +211,9 @@ TL_FAST void tl_app_control(tl_app_t *app) {
     const uint32_t later = app->slot + (app->slot < GUARD_LATER ? ticks : 0U);
     for (uint32_t i = ticks > GUARD_LATER ? later - GUARD_LATER : app->slot; i < port->axes; i += ticks) {
         tl_axis_guard(&app->axes[i], now_us);
+    }
+    if (app->slot + 1U == ticks) { // with four axes the only tick in which none is watched
+        tl_stop_watch(app->axes, now_us);
     }
     app->steps = app->steps + 1U;
 }

@@ -5,6 +5,7 @@
 #include "tautline/tl_axis_guard.h"
 #include "tautline/tl_axis_rest.h"
 #include "tautline/tl_fast.h"
+#include "tautline/tl_stop.h"
 
 #define AT_ONCE_US 50000U // longest time that a set-point without one takes
 #define PLAN_US    (1000000U / TL_AXIS_PLAN_HZ)
@@ -100,7 +101,9 @@ uint8_t tl_axis_check_settings(const tl_port_t *port, const tl_wire_settings_t *
     const bool sound = is_sound(port, &limits) && settings->low_duty_q15 >= 0 &&
                        settings->low_duty_q15 <= settings->duty_q15 && settings->arrive_q8 >= TL_COUNT_ONE &&
                        settings->arrive_q8 <= TL_AXIS_RANGE_MAX && settings->stall_ms >= 20U &&
-                       settings->stall_ms <= 5000U && settings->hold_ms <= TL_AXIS_HOLD_MAX_MS;
+                       settings->stall_ms <= 5000U && settings->hold_ms <= TL_AXIS_HOLD_MAX_MS &&
+                       settings->group <= TL_WIRE_AXES_MAX && tl_wire_is_estop(settings->estop) &&
+                       (settings->estop == TL_WIRE_ESTOP_CLOSED || port->estop_closed != NULL);
     return sound ? 0 : TL_WIRE_REASON_RANGE;
 }
 
@@ -363,6 +366,9 @@ TL_FAST uint8_t tl_axis_enable(tl_axis_t *axis) {
     if (axis->fault != TL_WIRE_FAULT_NONE) {
         return TL_WIRE_REASON_FAULT;
     }
+    if (tl_stop_group_has_fault(axis)) {
+        return TL_WIRE_REASON_GROUP;
+    }
     if (axis->mode == TL_WIRE_MODE_OFF) {
         switch_on(axis);
         if (axis->checked) {
@@ -463,9 +469,11 @@ TL_FAST uint8_t tl_axis_home(tl_axis_t *axis, const tl_wire_home_t *request) {
     return 0;
 }
 
-// Milliseconds until the sender is silent: silence after the time of its last set-point.
+// Milliseconds until the sender is silent: silence after the time of its last set-point, or after now where control
+// steps came so late that this has passed.
 static TL_FAST uint32_t patience(const tl_axis_t *axis, tl_us_t now_us) {
-    return (uint32_t)(tl_stream_end(&axis->plan.stream) - now_us) / PLAN_US + axis->guard.silence_ms;
+    const tl_us_t end_us = tl_stream_end(&axis->plan.stream);
+    return (end_us > now_us ? (uint32_t)(end_us - now_us) / PLAN_US : 0U) + axis->guard.silence_ms;
 }
 
 // Where a follower of the tip begins: the forward play, and how the table was moved.
@@ -574,7 +582,11 @@ TL_FAST_LOCKED uint8_t tl_axis_calibrate(tl_axis_t *axis, tl_motion_t *motion, t
     return reason;
 }
 
-TL_FAST uint8_t tl_axis_clear_fault(tl_axis_t *axis) {
+TL_FAST uint8_t tl_axis_clear_fault(tl_axis_t *axis, tl_us_t now_us) {
+    if (axis->fault == TL_WIRE_FAULT_ESTOP && tl_stop_is_pressed(axis)) {
+        return TL_WIRE_REASON_ESTOP;
+    }
+    tl_stop_group(axis, now_us); // also for one that came and is cleared within a millisecond
     axis->fault = TL_WIRE_FAULT_NONE;
     axis->guard.fault_us = 0;
     axis->guard.fault_value = 0;

@@ -1,6 +1,7 @@
 #include "tautline/tl_axis_watch.h"
 
 #include "tautline/tl_fast.h"
+#include "tautline/tl_stop.h"
 
 #include <stdatomic.h>
 
@@ -22,6 +23,7 @@ TL_FAST uint16_t tl_axis_flags(const tl_axis_t *axis) {
     flags |= axis->referenced ? TL_WIRE_FLAG_REFERENCED : 0U;
     flags |= axis->checked ? TL_WIRE_FLAG_CHECKED : 0U;
     flags |= axis->guard.driver_ms != 0 ? TL_WIRE_FLAG_DRIVER_FAULT : 0U;
+    flags |= tl_stop_is_pressed(axis) ? TL_WIRE_FLAG_ESTOP : 0U;
     return (uint16_t)flags;
 }
 

@@ -161,7 +161,7 @@ static TL_FAST uint8_t of_one_moment(tl_app_t *app, uint8_t type, const tl_wire_
         tl_axis_fail(axis, TL_WIRE_FAULT_STOPPED, 0, now_us);
         return 0;
     case TL_WIRE_CLEAR_FAULT:
-        return tl_axis_clear_fault(axis);
+        return tl_axis_clear_fault(axis, now_us);
     case TL_WIRE_MOVE:
         return tl_axis_move(axis, &of->move);
     case TL_WIRE_JOG:

@@ -52,6 +52,11 @@ static bool port_driver_fault(void *context, uint8_t axis) {
     return plant_driver_fault(&plant, axis);
 }
 
+static bool port_estop_closed(void *context) {
+    (void)context;
+    return plant.estop_closed;
+}
+
 // Counts an operation; false when the power is cut in it.
 static bool operate(void) {
     state.flash_operations++;
@@ -149,6 +154,7 @@ bool board_open(const board_options_t *options) {
         .current_ma = port_current,
         .supply_mv = port_supply,
         .driver_fault = port_driver_fault,
+        .estop_closed = port_estop_closed,
         .flash_read = port_read,
         .flash_erase = port_erase,
         .flash_program = port_program,

@@ -148,7 +148,7 @@ static void inject(net_connection_t *connection, char *argument) {
     }
     if (second == NULL || !number(argument, 0, board_app()->port->axes - 1, &axis) || !plant_ill_of(second, &ill)) {
         refuse(connection,
-               "inject takes an axis and well, blocked, unplugged, reversed, coarse, jump, driver or supply");
+               "inject takes an axis and well, blocked, unplugged, reversed, coarse, jump, driver, supply or estop");
         return;
     }
     board_inject((uint8_t)axis, ill);

@@ -68,6 +68,11 @@ static bool port_driver_fault(void *context, uint8_t axis) {
     return plant_driver_fault(&world.plant, axis);
 }
 
+static bool port_estop_closed(void *context) {
+    (void)context;
+    return world.plant.estop_closed;
+}
+
 static void port_flash_read(void *context, uint32_t offset, uint8_t *out, size_t size) {
     (void)context;
     world_flash_read(offset, out, size);
@@ -192,6 +197,7 @@ static void start(void) {
         .current_ma = port_current_ma,
         .supply_mv = port_supply_mv,
         .driver_fault = port_driver_fault,
+        .estop_closed = port_estop_closed,
         .flash_read = port_flash_read,
         .flash_erase = port_flash_erase,
         .flash_program = port_flash_program,

@@ -45,6 +45,7 @@ enum {
     WATCHDOG_MS = 250,
     WATCHDOG_FLASH_MS = 800, // an erase takes 0.4 s at worst
     FLASH_TIMEOUT_MS = 100,
+    ESTOP_PIN = MOTOR2040_TX_PIN, // GP16 on the board's connector, beside a ground
 };
 
 static struct {
@@ -101,6 +102,11 @@ static bool __not_in_flash_func(port_driver_fault)(void *context, uint8_t axis) 
     (void)context;
     (void)axis; // one line for all drivers
     return board.sensed[BRIDGE_FAULT] != 0;
+}
+
+static bool __not_in_flash_func(port_estop_closed)(void *context) {
+    (void)context;
+    return (sio_hw->gpio_in & 1u << ESTOP_PIN) == 0;
 }
 
 typedef struct {
@@ -256,7 +262,9 @@ static tl_wire_boot_t boot_reason(void) {
 int main(void) {
     const tl_wire_boot_t boot = boot_reason();
     bridge_init();
-    quadrature_init(encoder_pins, TAUTLINE_AXES);
+    gpio_init(ESTOP_PIN);
+    gpio_pull_up(ESTOP_PIN);
+    quadrature_init(encoder_pins, TAUTLINE_AXES); // waits until its pull-ups have settled, too
     pico_get_unique_board_id_string(board.serial, sizeof(board.serial));
     board.port = (tl_port_t){
         .name = "rp2040",
@@ -273,6 +281,7 @@ int main(void) {
         .current_ma = port_current_ma,
         .supply_mv = port_supply_mv,
         .driver_fault = port_driver_fault,
+        .estop_closed = port_estop_closed,
         .flash_read = port_flash_read,
         .flash_erase = port_flash_erase,
         .flash_program = port_flash_program,

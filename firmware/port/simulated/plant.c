@@ -75,6 +75,7 @@ void plant_place(plant_t *plant, uint8_t axis, int32_t q_q8) {
 void plant_inject(plant_t *plant, uint8_t axis, plant_ill_t ill) {
     const int32_t shown = plant_encoder(plant, axis);
     plant->supply_mv = ill == PLANT_SUPPLY ? SUPPLY_LOW : SUPPLY_MV;
+    plant->estop_closed = ill == PLANT_ESTOP;
     plant->ills[axis] = ill;
     plant->motors[axis].blocked = ill == PLANT_BLOCKED;
     // Whatever was or is wrong with the encoder, it goes on from what it shows; but for a jump.
@@ -84,8 +85,8 @@ void plant_inject(plant_t *plant, uint8_t axis, plant_ill_t ill) {
 }
 
 bool plant_ill_of(const char *name, plant_ill_t *ill) {
-    static const char *const names[] = {"well",   "blocked", "unplugged", "reversed",
-                                        "coarse", "jump",    "driver",    "supply"};
+    static const char *const names[] = {"well", "blocked", "unplugged", "reversed", "coarse",
+                                        "jump", "driver",  "supply",    "estop"};
     for (unsigned i = 0; i < sizeof(names) / sizeof(names[0]); i++) {
         if (strcmp(name, names[i]) == 0) {
             *ill = (plant_ill_t)i;

@@ -13,7 +13,7 @@
 
 // It stays until it is taken back.
 typedef enum {
-    PLANT_WELL,      // takes back all that is wrong with an axis, and with the supply
+    PLANT_WELL,      // takes back all that is wrong with an axis, and with supply and stop button
     PLANT_BLOCKED,   // the motor is held fast
     PLANT_UNPLUGGED, // the encoder shows nothing any more
     PLANT_REVERSED,  // the motor's wires are swapped
@@ -21,11 +21,13 @@ typedef enum {
     PLANT_JUMP,      // the encoder jumps, once
     PLANT_DRIVER,    // the driver reports a fault
     PLANT_SUPPLY,    // the supply is low
+    PLANT_ESTOP,     // the stop button, a contact that closes, is pressed
 } plant_ill_t;
 
 typedef struct {
     uint8_t axes;
     uint16_t supply_mv;
+    bool estop_closed;
     motor_t motors[TL_WIRE_AXES_MAX];
     int32_t encoder_zero[TL_WIRE_AXES_MAX]; // counters begin at 0 with each start
     plant_ill_t ills[TL_WIRE_AXES_MAX];

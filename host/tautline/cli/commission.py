@@ -21,6 +21,14 @@ from tautline.errors import TautError
 @click.option("--current", type=click.IntRange(1), help="Limit of the motor's current, mA. Default: as it is.")
 @click.option("--instrument", default="", help="Serial of the instrument, 8 letters at most: other tables are refused.")
 @click.option(
+    "--group", type=click.IntRange(0, 4), help="Axes of one group go off together; 0: of none. Default: as it is."
+)
+@click.option(
+    "--estop",
+    type=click.Choice(["closed", "open"]),
+    help="Which state of the stop input stops the axis; open: a broken wire does, too. Default: as it is.",
+)
+@click.option(
     "--out",
     type=click.Path(path_type=Path),
     default=Path("commission.png"),
@@ -38,6 +46,8 @@ def command(
     end: float | None,
     current: int | None,
     instrument: str,
+    group: int | None,
+    estop: str | None,
     out: Path,
     yes: bool,
     as_json: bool,
@@ -47,9 +57,11 @@ def command(
     Each part is asked for before the motor moves; Ctrl-C ends it with the motor at rest. The range is the rig's.
     """
     from tautline import figures
+    from tautline.device import wire
     from tautline.live.commission import commission
     from tautline.live.homing import Homing
 
+    stops = None if estop is None else wire.code("ESTOPS", estop.upper())
     if len(instrument.encode()) > 8:
         raise click.UsageError("--instrument takes 8 letters at most")
     with opened(LiveOptions(board, axis, None, Path(), simulate, None), rig_path) as live:
@@ -60,8 +72,7 @@ def command(
             (lambda question: True) if yes else (lambda question: click.confirm(question, err=True)),
             log,
             Homing(-1 if way == "low" else 1, end),
-            current,
-            instrument,
+            {"current_ma": current, "instrument": instrument or None, "group": group, "estop": stops},
         )
         serial = live.board.identity.serial
     try:

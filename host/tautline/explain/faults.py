@@ -27,6 +27,10 @@ LOOK = {
     "are for.",
     "UNMOVED": "The check at low drive saw nothing: plug, supply, or something that blocks.",
     "NO_END": "Homing went its whole reach and nothing stopped it.",
+    "GROUP": "The axes of a group hold one instrument between them, as antagonists do: none is driven while another "
+    "has a fault. That one's own fault says what happened.",
+    "ESTOP": "Somebody pressed the stop button, or its wire is broken where it is one that opens. The settings say how "
+    "it is wired: 'taut commission --estop'.",
     "SETTINGS": "Both copies of the settings are damaged: the axis works with none.",
 }
 AFTER = "Then 'taut clear' and run the command again; 'taut home' where the position is not known any more."

@@ -81,9 +81,10 @@ class _Tape:
 
 
 def commission(
-    live: Live, agree: Agree, say: Say, homing: Homing | None = None, current_ma: int | None = None, serial: str = ""
+    live: Live, agree: Agree, say: Say, homing: Homing | None = None, wanted: dict[str, Any] | None = None
 ) -> Commissioned:
-    """The whole walk. `agree` is asked before anything moves or is stored, `say` is told what was found.
+    """The whole walk. `agree` is asked before anything moves or is stored, `say` is told what was found. `wanted`:
+    settings that nothing measures, as the board has them; None leaves one as it is.
 
     TautError where something is wrong, with what mends it, or where it was not agreed to: the settings then stay, but
     for the range, which is the rig's."""
@@ -92,11 +93,8 @@ def commission(
     board.check_fault(axis)
     before = dict(board.ask("get_settings", axis=axis).values)
     low, high = (q / live.resolution for q in live.rig.actuator.range)
-    commissioned = Commissioned(
-        before, before | {"q_low": low, "q_high": high, "instrument": serial or before["instrument"]}
-    )
-    if current_ma is not None:
-        commissioned.settings["current_ma"] = current_ma
+    asked = {name: value for name, value in (wanted or {}).items() if value is not None}
+    commissioned = Commissioned(before, before | {"q_low": low, "q_high": high} | asked)
 
     _agreed(agree, "The motor turns a little either way. Is the instrument free to move?")
     _check(live)

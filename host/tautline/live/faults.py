@@ -35,6 +35,7 @@ FAULTS = {
     "jump": Fault("the encoder jumps, once", "inject {axis} jump"),
     "driver": Fault("the motor driver reports a fault", "inject {axis} driver"),
     "supply": Fault("the motors' supply is low", "inject {axis} supply"),
+    "estop": Fault("the stop button is pressed", "inject {axis} estop"),
     "silence": Fault("the host says nothing any more", None),
     "cable": Fault("the USB cable is pulled", "unplug"),
 }

@@ -5,6 +5,7 @@ const ENCODER_PIN = [0, 2, 12, 14];          // A of each axis, B beside it
 const SENSE_PINS = [22, 24, 25];             // of the multiplexer, lowest first
 const DEAD_TIME_US = 0.45;                   // DRV8833: neither side conducts while it switches over
 const SHUNT_OHM = 0.47;
+const ESTOP_PIN = 16;
 const SUPPLY_ADDRESS = 4;
 const FAULT_ADDRESS = 5;
 const ADC_VOLT = 3.3;
@@ -58,6 +59,7 @@ export class Plant {
         this.pins = [0, 0, 0, 0];    // the count that the pins show
         this.supplyVolt = 6;
         this.driverFault = false;
+        this.estopClosed = false;
         this.ills = ENCODER_PIN.map(() => 'well');
         this.encoders = ENCODER_PIN.map(() => ({ scale: 1, from: 0 })); // counts for each one shown, beginning there
         this.timeUs = 0;
@@ -77,6 +79,7 @@ export class Plant {
         this.edges = [];
         this.edgeAlarm = this.clock.createAlarm(() => this.#edge());
         this.motors.forEach((_, axis) => this.#show(axis));
+        chip.drive(ESTOP_PIN, !this.estopClosed); // its pull-up holds it high
         chip.adc.onADCRead = (channel) => {
             chip.adc.currentChannel = channel;
             chip.adc.channelValues[3] = this.#sensed();
@@ -181,6 +184,8 @@ export class Plant {
         this.ills[axis] = ill;
         this.driverFault = ill === 'driver';
         this.supplyVolt = ill === 'supply' ? 2.5 : 6;
+        this.estopClosed = ill === 'estop';
+        this.chip?.drive(ESTOP_PIN, !this.estopClosed);
         this.encoders[axis] = { scale: { coarse: 8, unplugged: Infinity }[ill] ?? 1, from: shown };
         this.pinZero[axis] = Math.floor(this.motors[axis].position) - shown;
     }

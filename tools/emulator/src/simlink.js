@@ -5,7 +5,7 @@ const SLICE_US = 1000;
 const TURN_US = 4000; // of the wall clock, after which USB and sockets have theirs
 const LAG_US = 20000;
 const AXES = 4;
-const ILLS = ['well', 'blocked', 'unplugged', 'reversed', 'coarse', 'driver', 'supply']; // no jump: no encoder's edges do
+const ILLS = ['well', 'blocked', 'unplugged', 'reversed', 'coarse', 'driver', 'supply', 'estop']; // no jump: no encoder's edges do
 const HELP = 'not a request: advance US, state, realtime on|off, cut N, place AXIS Q8, inject AXIS ILL, unplug, plug, reset, hang, ' +
     'halt, crash hardfault|nmi|panic, locks, quit';
 

@@ -152,6 +152,7 @@ test('lines that rise slowly after the pull-ups went on are no edges', () => {
     const pads = 0x4001c004;
     board.plant.alarm.cancel();
     assert.ok(board.runWhile(() => (board.chip.readUint32(pads + 4 * 15) & PULL_UP) === 0, 500e3));
+    assert.ok(board.chip.readUint32(pads + 4 * 16) & PULL_UP); // the stop input's: nothing wired is no stop
     board.run(board.nowUs + 300);
     for (const axis of [0, 1, 2, 3]) show(board, axis, 0b11);
     assert.ok(board.waitForUsb());
@@ -216,19 +217,17 @@ function sampledBeforeTheEnd(board, ticks) {
     const { chip } = board;
     const before = [];
     const sense = chip.adc.onADCRead;
-    let first = true;
+    const period = 50;
+    let last = board.clock.nanos; // several samples a step: the first is the one after a pause
     chip.adc.onADCRead = (channel) => {
-        const slice = chip.pwm.slices[2];
-        const period = 50;
-        if (first) before.push(period - ((board.clock.nanos - slice.start) / 1000) % period);
-        first = false;
+        const { nanos } = board.clock;
+        if (nanos - last > 100e3) before.push(period - ((nanos - chip.pwm.slices[2].start) / 1000) % period);
+        last = nanos;
         sense(channel);
     };
-    for (let tick = 0; tick < ticks; tick++) {
-        first = true;
-        board.run(board.nowUs + 200);
-    }
+    board.run(board.nowUs + 200 * ticks);
     chip.adc.onADCRead = sense;
+    assert.ok(before.length >= ticks - 2);
     return before;
 }
 

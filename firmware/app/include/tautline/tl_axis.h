@@ -5,6 +5,7 @@
 ///   is met at that time.
 /// - tl_axis_watch.h and tl_axis_guard.h, once a millisecond each, after the motors have their duty: forward play,
 ///   history and telemetry; what puts an axis into its safe state, checks it and homes it.
+/// - tl_stop.h, once a millisecond for all axes: what stops those that are well themselves.
 /// - tl_axis_rest.h: what brings an axis to rest, for all of these.
 /// - tl_axis_ask.h: what a host asks for. The task, under the port's lock.
 ///
@@ -69,6 +70,7 @@ typedef struct {
     uint8_t swing_way;       ///< the last limit, as tl_actuator_pushed() has it
     uint8_t supply_ms;       ///< too low
     uint8_t driver_ms;       ///< it reports a fault
+    uint8_t estop_ms;        ///< the stop input is active (tl_stop.h)
     uint8_t still_ms;        ///< a move is at its target
     uint8_t pushed;          ///< limits of the last millisecond, likewise
     uint8_t unseen_ms;       ///< that it has shown nothing new, in closed loop; up to 20

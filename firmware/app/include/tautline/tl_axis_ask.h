@@ -39,7 +39,7 @@ uint8_t tl_axis_set_point(tl_axis_t *axis, const tl_wire_set_point_t *request, t
 uint8_t tl_axis_set_strength(tl_axis_t *axis, int32_t strength_q15);
 uint8_t tl_axis_adapt(tl_axis_t *axis, const tl_wire_adapt_t *request);
 uint8_t tl_axis_load(tl_axis_t *axis, const tl_wire_load_t *request);
-uint8_t tl_axis_clear_fault(tl_axis_t *axis);
+uint8_t tl_axis_clear_fault(tl_axis_t *axis, tl_us_t now_us);
 
 /// Not under the lock: these take it themselves, where they need it.
 uint8_t tl_axis_follow(tl_axis_t *axis, const tl_wire_follow_t *request, tl_us_t now_us);

@@ -52,6 +52,9 @@ typedef struct {
     uint16_t (*supply_mv)(void *context);
     /// Whether the motor driver of an axis reports a fault (nFAULT). Control step. NULL: it cannot.
     bool (*driver_fault)(void *context, uint8_t axis);
+    /// Whether the input for a stop button is closed: low, and high by a pull-up where nothing is wired. Control step.
+    /// NULL: there is none.
+    bool (*estop_closed)(void *context);
 
     /// Reads from the region for tables and settings, TL_PORT_FLASH_REGION bytes, at any offset within it. Task.
     void (*flash_read)(void *context, uint32_t offset, uint8_t *out, size_t size);

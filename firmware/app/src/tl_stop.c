@@ -1,0 +1,59 @@
+#include "tautline/tl_stop.h"
+
+#include "tautline/tl_axis_rest.h"
+#include "tautline/tl_fast.h"
+
+#define ESTOP_MS 3U // a contact that bounces, or a disturbance, is shorter
+
+static inline bool of_one_group(const tl_axis_t *axis, const tl_axis_t *other) {
+    return other != axis && axis->settings.group != 0 && other->settings.group == axis->settings.group;
+}
+
+// One that went off with its group names the first; the others name that one, too.
+static inline bool has_own_fault(const tl_axis_t *axis) {
+    return axis->fault != TL_WIRE_FAULT_NONE && axis->fault != TL_WIRE_FAULT_GROUP;
+}
+
+TL_FAST void tl_stop_group(const tl_axis_t *axis, tl_us_t now_us) {
+    if (axis->settings.group == 0 || !has_own_fault(axis)) {
+        return;
+    }
+    tl_axis_t *other = (tl_axis_t *)axis - axis->index;
+    for (uint8_t i = 0; i < axis->port->axes; i++, other++) {
+        if (of_one_group(axis, other) && other->mode != TL_WIRE_MODE_OFF) {
+            tl_axis_fail(other, TL_WIRE_FAULT_GROUP, axis->index, now_us);
+        }
+    }
+}
+
+TL_FAST bool tl_stop_group_has_fault(const tl_axis_t *axis) {
+    const tl_axis_t *other = axis - axis->index;
+    for (uint8_t i = 0; i < axis->port->axes; i++, other++) {
+        if (of_one_group(axis, other) && has_own_fault(other)) {
+            return true;
+        }
+    }
+    return false;
+}
+
+static void watch_input(tl_axis_t *axis, bool closed, tl_us_t now_us) {
+    const bool stops = closed != (axis->settings.estop == TL_WIRE_ESTOP_OPEN);
+    const uint8_t ms = axis->guard.estop_ms;
+    axis->guard.estop_ms = (uint8_t)(!stops ? 0U : ms < ESTOP_MS ? ms + 1U : ESTOP_MS);
+    if (axis->guard.estop_ms == ESTOP_MS && axis->fault == TL_WIRE_FAULT_NONE) {
+        tl_axis_fail(axis, TL_WIRE_FAULT_ESTOP, 0, now_us);
+    }
+}
+
+TL_FAST void tl_stop_watch(tl_axis_t *axes, tl_us_t now_us) {
+    const tl_port_t *port = axes->port;
+    if (port->estop_closed != NULL) {
+        const bool closed = port->estop_closed(port->context);
+        for (uint8_t i = 0; i < port->axes; i++) {
+            watch_input(&axes[i], closed, now_us);
+        }
+    }
+    for (uint8_t i = 0; i < port->axes; i++) {
+        tl_stop_group(&axes[i], now_us);
+    }
+}

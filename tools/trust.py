@@ -1,0 +1,146 @@
+"""Runs the harnesses of tests/fuzz with libFuzzer under ASan and UBSan, and prints executions and what they reached.
+
+    python tools/trust.py [--seconds S] [--keep] [TARGET...]
+
+Without --seconds each target has the executions of ./run test trust, always the same ones: its seed is fixed. With it
+each runs for so long, with inputs that nobody has tried; --keep adds those that reach something new to
+tests/fuzz/corpus. What breaks a promise is left in build/fuzz/found, with the line that replays it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.progress import Progress, TaskID
+
+ROOT = Path(__file__).resolve().parents[1]
+HARNESSES = ROOT / "build" / "fuzz" / "tests" / "fuzz"
+FOUND = ROOT / "build" / "fuzz" / "found"
+CORPUS = ROOT / "tests" / "fuzz" / "corpus"
+AT_ONCE = 2
+
+
+@dataclass(frozen=True)
+class Target:
+    what: str
+    runs: int  # of ./run test trust
+    longest: int  # bytes of an input
+
+
+TARGETS = {
+    "wire": Target("bytes on the bus, message by message", 200_000, 1024),
+    "table": Target("table blobs with all sections, and look-ups in them", 200_000, 4096),
+    "changes": Target("a compensator while tables, modes and loads change", 4_000, 1024),
+    "onset": Target("the onset detector, any motor and camera", 4_000, 512),
+}
+
+
+@dataclass(frozen=True)
+class Result:
+    name: str
+    executions: int
+    reached: int  # edges of harness and library
+    edges: int
+    inputs: int  # that are kept
+    broken: str  # what, and how to replay it; empty: nothing
+
+
+def run(name: str, seconds: int | None, keep: bool, progress: Progress, task: TaskID) -> Result:
+    """One target. Its corpus grows in a folder of its own, so that a run with a fixed seed always does the same."""
+    target = TARGETS[name]
+    kept = CORPUS / name
+    amount = [f"-runs={target.runs}", "-seed=1"] if seconds is None else [f"-max_total_time={seconds}"]
+    with tempfile.TemporaryDirectory() as grown:
+        command = [str(HARNESSES / f"fuzz_{name}"), *amount, f"-max_len={target.longest}", "-len_control=0"]
+        command += ["-print_final_stats=1", f"-artifact_prefix={FOUND}/{name}-", grown, str(kept)]
+        said: list[str] = []
+        with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, errors="replace") as process:
+            assert process.stderr is not None
+            for line in process.stderr:
+                said.append(line)
+                if match := re.match(r"#(\d+)\t", line):
+                    progress.update(task, completed=int(match[1]))
+        result = _result(name, said, process.returncode)
+        if keep and not result.broken:
+            _merge(name, Path(grown), kept)
+    progress.update(task, completed=result.executions, total=result.executions)
+    return result
+
+
+def _result(name: str, said: list[str], code: int) -> Result:
+    text = "".join(said)
+    executions = re.findall(r"number_of_executed_units: (\d+)", text) or re.findall(r"^#(\d+)\t", text, re.MULTILINE)
+    reached = re.findall(r"cov: (\d+)", text)
+    edges = re.search(r"Loaded \d+ modules\s+\((\d+) inline", text)
+    broken = ""
+    if code != 0:
+        why = re.search(r"broken: .*|runtime error: .*|SUMMARY: .*", text)
+        left = re.search(r"Test unit written to (\S+)", text)
+        replay = (
+            f"; again by {HARNESSES.relative_to(ROOT)}/fuzz_{name} {Path(left[1]).relative_to(ROOT)}" if left else ""
+        )
+        broken = (why[0] if why else f"ended with {code}") + replay
+    return Result(
+        name,
+        int(executions[-1]) if executions else 0,
+        int(reached[-1]) if reached else 0,
+        int(edges[1]) if edges else 0,
+        len(list((CORPUS / name).iterdir())),
+        broken,
+    )
+
+
+def _merge(name: str, grown: Path, kept: Path) -> None:
+    """As few inputs as reach what all of them do."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [
+            str(HARNESSES / f"fuzz_{name}"),
+            "-set_cover_merge=1",
+            "-use_counters=0",
+            folder,
+            str(kept),
+            str(grown),
+        ]
+        subprocess.run(command, check=True, capture_output=True)
+        for path in kept.iterdir():
+            path.unlink()
+        for path in Path(folder).iterdir():
+            shutil.copy(path, kept / path.name)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("targets", nargs="*", metavar="TARGET", help=f"of {', '.join(TARGETS)}; all of them")
+    parser.add_argument("--seconds", type=int, help="for each target, instead of a fixed number of executions")
+    parser.add_argument("--keep", action="store_true", help="adds what reaches something new to tests/fuzz/corpus")
+    options = parser.parse_args()
+    if unknown := set(options.targets) - TARGETS.keys():
+        parser.error(f"no target {', '.join(sorted(unknown))}: choose of {', '.join(TARGETS)}")
+    names = options.targets or list(TARGETS)
+    FOUND.mkdir(parents=True, exist_ok=True)
+    with Progress(transient=True) as progress, ThreadPoolExecutor(AT_ONCE) as pool:
+        tasks = {
+            name: progress.add_task(name, total=TARGETS[name].runs if options.seconds is None else None)
+            for name in names
+        }
+        results = list(pool.map(lambda name: run(name, options.seconds, options.keep, progress, tasks[name]), names))
+    print(f"{'target':9s}{'executions':>12s}{'edges reached':>16s}{'kept inputs':>13s}")
+    for each in results:
+        edges = f"{each.reached} of {each.edges}"
+        print(f"{each.name:9s}{each.executions:12d}{edges:>16s}{each.inputs:13d}  {TARGETS[each.name].what}")
+    for each in results:
+        if each.broken:
+            print(f"{each.name}: {each.broken}")
+    return 1 if any(each.broken for each in results) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
