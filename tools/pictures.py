@@ -24,6 +24,8 @@ from tautline.model import Model
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "examples"
 PICTURE = ROOT / "docs" / "pictures" / "report.png"
+PAGE_PICTURE = PICTURE.with_name("live-page.png")
+_PAGE_PX = 1200  # wide
 TIMEOUT_S = 600  # of a notebook's cell, on a machine that does much else
 
 
@@ -46,6 +48,23 @@ def readme_picture(model_folder: Path) -> Figure:
     return made
 
 
+def page_picture(file: Path) -> None:
+    """The live page in the middle of a calibration of the simulated instrument."""
+    from tools import browser  # the only picture that needs one: tools/setup browser
+
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        browser.page("--simulate", "--out", Path(folder) / "model") as (address, _),
+        browser.browser(_PAGE_PX) as seen,
+    ):
+        seen.get(address)
+        browser.press(seen, "start")
+        browser.until(lambda: len(seen.find_elements("css selector", "#backlash path.up, #backlash path.down")) >= 6)
+        browser.press(seen, "rest")
+        browser.until(lambda: browser.text(seen, "doing") == "at rest")
+        browser.whole_page(seen, _PAGE_PX, file)
+
+
 def run_notebook(path: Path) -> nbformat.NotebookNode:
     """The notebook, run in a kernel of its own from an empty folder, with its outputs; an error in a cell is raised."""
     notebook = nbformat.read(path, as_version=4)
@@ -61,7 +80,7 @@ def run_notebook(path: Path) -> nbformat.NotebookNode:
 @click.argument("names", nargs=-1)
 def main(demo: Path | None, names: tuple[str, ...]) -> None:
     """Makes all of them, or those of NAMES: report, and the examples by their file's name."""
-    everything = ["report", *(path.stem for path in sorted(EXAMPLES.glob("*.py"))), *notebooks()]
+    everything = ["report", "live-page", *(path.stem for path in sorted(EXAMPLES.glob("*.py"))), *notebooks()]
     for name in names or everything:
         if name == "report":
             with tempfile.TemporaryDirectory() as folder:
@@ -70,6 +89,8 @@ def main(demo: Path | None, names: tuple[str, ...]) -> None:
                     subprocess.run([sys.executable, "-m", "tautline", "demo", "--out", demo], check=True)
                 PICTURE.parent.mkdir(exist_ok=True)
                 readme_picture(demo / "model").savefig(PICTURE, dpi=90)
+        elif name == "live-page":
+            page_picture(PAGE_PICTURE)
         elif name in notebooks():
             nbformat.write(run_notebook(EXAMPLES / f"{name}.ipynb"), EXAMPLES / f"{name}.ipynb")
         elif (EXAMPLES / f"{name}.py").is_file():

@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from reference_instrument import RIG, moved, saved_recording
 
 from tautline.calibration.calibrate import calibrate
 from tautline.errors import TautError
+from tautline.live.rounds import Standing
 from tautline.live.setup import Frame
 from tautline.live.watch import View
 from tautline.live_page import shown
@@ -291,6 +293,25 @@ def test_what_is_missing_is_said() -> None:
         "seen in both directions over 50 % of the range",
         "the marker is mostly lost from 0 to 5 mm",
     ]
+
+
+@pytest.mark.parametrize(
+    ("nodes", "says"),
+    [
+        ((0.3, 0.7), "measured only from {0:.3g} to {1:.3g} mm"),
+        ((0.0, 0.7), "not measured from {1:.3g} to 5 mm"),
+        (None, "not measured from -5 to 5 mm"),
+    ],
+)
+def test_what_is_not_measured_is_said(recording: Recording, nodes: tuple[float, float] | None, says: str) -> None:
+    """nodes: from which to which of q's nodes, as shares of them, B is measured."""
+    found = calibrate([recording], RIG)
+    q = found.model.q
+    measured = (0.0, 0.0) if nodes is None else (float(q[int(nodes[0] * len(q))]), float(q[int(nodes[1] * len(q))]))
+    view = View(-5.0, 5.0, "mm", 3e-3)
+    view.rising[:, 0] = view.falling[:, 0] = 1
+    view.standing = Standing.of(replace(found, model=replace(found.model, measured=measured)), -5.0, 5.0, 3e-3)
+    assert f"B is {says.format(*measured)}" in shown.missing(view)
 
 
 def test_a_marker_that_is_lost_has_no_place_and_no_angle() -> None:

@@ -66,7 +66,9 @@ def missing(view: View) -> list[str]:
         said.append(f"the marker is mostly lost from {low:.3g} to {high:.3g} {unit}")
     if standing is None or view.until is None:
         return said
-    if not standing.covered:
+    if standing.missing == (view.low, view.high) and standing.ends != standing.missing:
+        said.append(f"B is measured only from {standing.ends[0]:.3g} to {standing.ends[1]:.3g} {unit}")
+    elif not standing.covered:
         said.append(f"B is not measured from {standing.missing[0]:.3g} to {standing.missing[1]:.3g} {unit}")
     said += [
         f"sigma is {in_words(place.sigma, unit)} from {place.low:.3g} to {place.high:.3g} {unit}"

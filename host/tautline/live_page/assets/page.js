@@ -72,10 +72,12 @@ function drawBacklash() {
     if (band.length) svg.append(make("path", { class: "band", d: path([...edge(1), ...edge(-1).reverse()]) + "Z" }));
   }
   for (const o of found) if (o.width <= top) svg.append(make("path", { class: "board", d: `M${x(o.q) - 3} ${y(o.width)}h6m-3 -3v6` }));
-  for (const o of onsets.filter((o) => o.used && o.sigma !== null))
-    svg.append(make("line", { class: o.direction > 0 ? "bar q" : "bar c", x1: x(o.q), x2: x(o.q), y1: y(Math.max(o.width - 2 * o.sigma, 0)), y2: y(Math.min(o.width + 2 * o.sigma, top)) }));
-  for (const o of onsets)
-    if (o.width <= top) svg.append(make("path", { class: o.used ? (o.direction > 0 ? "up" : "down") : "hollow", d: triangle(x(o.q), y(o.width), o.direction > 0) }));
+  for (const o of onsets.filter((o) => o.width <= top)) {
+    const way = o.direction > 0 ? "up" : "down", told = 2 * (o.sigma ?? Infinity) <= o.width; // a wider bar says nothing: it is faint, without
+    if (o.used && told)
+      svg.append(make("line", { class: `bar ${way}`, x1: x(o.q), x2: x(o.q), y1: y(o.width - 2 * o.sigma), y2: y(Math.min(o.width + 2 * o.sigma, top)) }));
+    svg.append(make("path", { class: o.used ? way : "hollow", "fill-opacity": told ? 1 : 0.3, d: triangle(x(o.q), y(o.width), o.direction > 0) }));
+  }
   if (known.length) svg.append(make("path", { class: "curve", d: path(known.map(([q, w]) => [x(q), y(w)])) }));
   if (frame && frame.q !== null) svg.append(make("line", { class: "now", x1: x(frame.q), x2: x(frame.q), y1: y(0), y2: y(top) }));
   const used = onsets.filter((o) => o.used).length;
