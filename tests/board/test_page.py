@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from tautline.live.setup import Live, open_live
 from tautline.live.until import Goal, calibrate_until
 from tautline.live.watch import View
 from tautline.live_page.desk import RUNNING, Desk
-from tautline.live_page.work import Calibrating, attend
+from tautline.live_page.work import Calibrating, Watching, attend
 from tautline.model import Model
 from tautline.recording import load
 from tautline.simulated.instrument import preset
@@ -81,7 +82,7 @@ def test_a_rest_in_the_middle_changes_nothing_but_the_time(bench: Bench, tmp_pat
     recording = load(tmp_path / "rec")
     assert recording.marker is not None
     gap = np.flatnonzero(np.diff(recording.marker.t_s) > 3.5)
-    assert len(gap) == 1  # the rest is not recorded
+    assert len(gap) == 1 and np.diff(recording.motor.t_s).max() > 3.5  # the rest is not recorded
 
 
 def test_a_rest_takes_nothing_of_the_time_that_a_calibration_may_last(bench: Bench, tmp_path: Path) -> None:
@@ -137,6 +138,77 @@ def test_onsets_are_shown_as_the_board_finds_them(bench: Bench, tmp_path: Path) 
     assert sum(between) > 3
     found = person.events.newer(0, 0.0)[1]["progress"]["onsets"]
     assert found and all(abs(o["width"] - instrument.backlash(o["q"])) < 0.25 for o in found if o["used"])
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.3])
+def test_while_it_watches_the_page_says_whether_the_model_still_holds(bench: Bench, scale: float) -> None:
+    """The instrument has `scale` times the model's backlash."""
+    instrument = preset("davinci", seed=2)
+    q = np.linspace(-5.0, 5.0, 101)
+    width = instrument.backlash(q) / scale
+    model = Model(instrument.rig, q, width, np.full_like(q, 2e-3), instrument.bend(q), 0.08, (-4.5, 4.5))
+    states: list[str] = []
+    with live_on(bench, instrument) as live:
+        work = Watching(live, model, "smooth", speed=4.0, duration_s=20.0)
+        desk = Desk(work.rig, work.about)
+        with desk.watched():
+            desk.start()
+            publish = desk.events.publish
+
+            def published(topic: str, what: Any) -> None:
+                if topic == "holds":
+                    states.append(what["state"])
+                publish(topic, what)
+
+            desk.events.publish = published  # type: ignore[method-assign]
+            attend(desk, work, over=lambda: not desk.begun)
+        latest = desk.events.newer(0, 0.0)[1]
+        assert off(live.board)
+    assert len(states) > 400 and latest["frame"]["q"] is not None
+    assert latest["holds"]["scale"] == pytest.approx(scale, abs=0.05)
+    assert (set(states) == {"trusted"}) == (scale == 1.0), set(states)
+    assert latest["fit"]["width"][80] == pytest.approx(float(np.interp(latest["fit"]["q"][80], q, width)))
+    assert "watched" in latest["state"]["says"]
+
+
+def test_stop_ends_watching_with_the_axis_at_rest(bench: Bench) -> None:
+    instrument = preset("davinci", seed=2)
+    q = np.linspace(-5.0, 5.0, 101)
+    model = Model(
+        instrument.rig, q, instrument.backlash(q), np.full_like(q, 2e-3), instrument.bend(q), 0.08, (-4.5, 4.5)
+    )
+    with live_on(bench, instrument) as live:
+        work = Watching(live, model, "smooth", speed=4.0)
+        desk = Desk(work.rig, work.about)
+        publish, count = desk.events.publish, [0]
+
+        def published(topic: str, what: Any) -> None:
+            publish(topic, what)
+            count[0] += topic == "holds"
+            if count[0] == 50:
+                desk.stop()
+
+        desk.events.publish = published  # type: ignore[method-assign]
+        with desk.watched():
+            desk.start()
+            attend(desk, work, over=lambda: not desk.begun)
+        assert off(live.board) and 50 <= count[0] <= 52
+
+
+def test_a_motion_that_is_watched_ends_where_no_page_is_open(bench: Bench) -> None:
+    instrument = preset("davinci", seed=2)
+    q = np.linspace(-5.0, 5.0, 101)
+    model = Model(
+        instrument.rig, q, instrument.backlash(q), np.full_like(q, 2e-3), instrument.bend(q), 0.08, (-4.5, 4.5)
+    )
+    with live_on(bench, instrument) as live:
+        work = Watching(live, model, "smooth", speed=4.0)
+        desk = Desk(work.rig, work.about, unwatched_s=0.2)
+        desk.start()
+        desk.rest()
+        assert desk.events.newer(0, 0.0)[1]["state"]["state"] == RUNNING  # nothing could go on after it
+        attend(desk, work, over=lambda: not desk.begun)
+        assert off(live.board) and 0 < desk.events.newer(0, 0.0)[1]["holds"]["t_s"] < 55.0
 
 
 @contextmanager

@@ -166,7 +166,6 @@ def test_a_recording_is_played_to_the_calibration_that_it_gives(recording: Recor
         }  # fmt: skip
         assert following("state")["state"] == READY
         assert page.post("start") == 200
-        assert following("state")["state"] == RUNNING
         until(lambda: not desk.begun)
     latest = desk.events.newer(0, 0.0)[1]
     whole = calibrate([recording], RIG)
@@ -182,7 +181,7 @@ def test_a_recording_is_played_to_the_calibration_that_it_gives(recording: Recor
 
 
 def test_stop_ends_it_and_start_begins_again(recording: Recording) -> None:
-    with attended(recording, pace=1.0) as (page, desk), page.open() as following:
+    with attended(recording, pace=1.0) as (page, desk), page.open():
         page.post("start")
         until(lambda: "frame" in desk.events.newer(0, 0.0)[1])
         page.post("stop")
@@ -191,7 +190,6 @@ def test_stop_ends_it_and_start_begins_again(recording: Recording) -> None:
         before = desk.events.newer(0, 0.0)[1]["frame"]["t_s"]
         page.post("start")
         until(lambda: desk.events.newer(0, 0.0)[1]["frame"]["t_s"] < before)
-        assert following("state")["state"] == READY
 
 
 def test_at_rest_no_frame_is_played_and_then_it_goes_on(recording: Recording) -> None:

@@ -7,10 +7,29 @@ from typing import Any
 
 import click
 
-from tautline.cli._common import emit, folder_option, json_option, log, progress_bar, read_recordings, rig_option
-from tautline.cli._live import LiveOptions, free_recording, live_options, opened, seed_option, sigma_of, until_option
+from tautline.cli._common import (
+    emit,
+    folder_option,
+    json_option,
+    log,
+    progress_bar,
+    read_recordings,
+    rig_option,
+    warn_unusable,
+)
+from tautline.cli._live import (
+    LiveOptions,
+    free_recording,
+    live_options,
+    motion_option,
+    opened,
+    seed_option,
+    sigma_of,
+    speed_option,
+    until_option,
+)
 from tautline.folders import check_replaceable
-from tautline.model import MODEL_FILE
+from tautline.model import MODEL_FILE, Model
 
 
 @click.command("live")
@@ -26,6 +45,15 @@ from tautline.model import MODEL_FILE
     show_default=True,
     help="Of a recording: times its own speed.",
 )
+@click.option(
+    "--watch",
+    "watched",
+    metavar="MODEL",
+    type=click.Path(path_type=Path),
+    help="Live: as 'taut watch MODEL', whether the model still holds while the instrument is used.",
+)
+@motion_option("whatever drives it; with --watch alone")
+@speed_option
 @seed_option
 @json_option
 def command(
@@ -35,13 +63,16 @@ def command(
     out: Path | None,
     until: str | None,
     pace: float,
+    watched: Path | None,
+    motion: str,
+    speed: float | None,
     seed: int,
     as_json: bool,
 ) -> None:
     """Calibrate in a browser on this machine, or watch a recording again: picture, q and c, onsets, B(q) as it grows.
 
     The page's address is told on stderr; nothing moves before its Start. Ctrl-C stops what runs, and ends the page
-    where nothing does.
+    where nothing does. --watch shows whether a model still holds instead.
     """
     if recording_path is not None:
         if live.simulate is not None or live.camera is not None:
@@ -50,6 +81,10 @@ def command(
     else:
         if live.camera is None and live.simulate is None:
             raise click.UsageError("name a RECORDING to play, or for a live calibration --camera SOURCE or --simulate")
+        if watched is not None:
+            result = _watch(live, rig_path, watched, motion, speed, seed)
+            emit(result, as_json, result["says"] or "nothing was started")
+            return
         if out is None:
             raise click.UsageError("a live calibration writes a model: name its folder with --out")
         check_replaceable(out, MODEL_FILE)
@@ -68,6 +103,17 @@ def _calibrate(live: LiveOptions, rig_path: Path | None, out: Path, until: str |
         says = _attended(work)
     quality = None if work.found is None else work.found.model.quality.to_json()
     return {"says": says, "model": None if work.found is None else out, "quality": quality}
+
+
+def _watch(
+    live: LiveOptions, rig_path: Path | None, path: Path, motion: str, speed: float | None, seed: int
+) -> dict[str, Any]:
+    from tautline.live_page.work import Watching
+
+    model = Model.load(path)
+    warn_unusable(model, path)
+    with opened(live, rig_path, seed, model=model) as setup, setup.interruptible():
+        return {"says": _attended(Watching(setup, model, motion, speed, seed=seed)), "model": path}
 
 
 def _replay(path: Path, rig_path: Path | None, pace: float) -> dict[str, Any]:

@@ -44,6 +44,7 @@ class Desk:
         """about: what the page says of the session, as it is shown. unwatched_s: without a page, until it rests."""
         self.events, self.pictures = Stream(), Stream()
         self._rig, self._unwatched_s = rig, unwatched_s
+        self._rests = not about.get("watch", False)
         self._changed = threading.Condition()
         self._state, self._stop, self._says = READY, False, ""
         self._picked: tuple[float, float] | None = None
@@ -66,8 +67,9 @@ class Desk:
                 self._enter(RUNNING)
 
     def rest(self) -> None:
+        """Where there is something that can go on after it: not while a model is watched."""
         with self._changed:
-            if self._state == RUNNING:
+            if self._state == RUNNING and self._rests:
                 self._enter(RESTING)
 
     def stop(self) -> None:
@@ -117,12 +119,17 @@ class Desk:
                 self._let_go, self._stop = lambda: None, False
                 self._enter(READY)
 
+    @property
+    def unwatched(self) -> bool:
+        """No page is open, and none was for a while."""
+        with self._changed:
+            return self._pages == 0 and time.monotonic() - self._left_s > self._unwatched_s
+
     def resting(self) -> bool:
         """Whether the axis is to stand still. Where the last page is gone, so is its stop: then it rests until a page
         says start."""
         with self._changed:
-            gone = self._pages == 0 and time.monotonic() - self._left_s > self._unwatched_s
-            if gone and self._state == RUNNING:
+            if self.unwatched and self._state == RUNNING:
                 self._enter(RESTING, "no page is open: it rests until Start")
             if self._state != RESTING:
                 return False
@@ -152,6 +159,10 @@ class Desk:
         if view.calibration is not None and view.calibrated_s != self._calibrated_s:
             self._calibrated_s = view.calibrated_s
             self.events.publish("fit", shown.fit(view.calibration, view.calibrated_s))
+        self.check_stop()
+
+    def check_stop(self) -> None:
+        """Raises Stopped where that was asked for."""
         if self._stop:
             raise Stopped
 

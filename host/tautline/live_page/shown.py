@@ -11,7 +11,9 @@ from tautline.geometry import pose
 from tautline.live.rounds import in_words
 from tautline.live.setup import Frame
 from tautline.live.watch import View, in_short
+from tautline.model import Model
 from tautline.rig import Rig
+from tautline.tracking import Row
 
 _NODES = 161  # of B(q), as it is drawn
 
@@ -80,28 +82,40 @@ def missing(view: View) -> list[str]:
 
 def fit(calibration: Calibration, seconds: float) -> dict[str, Any]:
     """B(q) with its band, the onsets and the verdict of a calibration of the first `seconds`."""
-    model = calibration.model
-    low, high = model.measured
-    q = np.linspace(low, high, _NODES) if low < high else np.zeros(0)
-    quality = model.quality
-    return {
+    return backlash(calibration.model) | {
         "seconds": seconds,
-        "q": q.tolist(),
-        "width": _each(np.interp(q, model.q, model.width)),
-        "sigma": _each(np.interp(q, model.q, model.width_sigma)),
-        "measured": [low, high],
-        "delay_ms": 1e3 * model.delay_s,
         "onsets": [
             {"q": o.q_mean, "width": o.width, "sigma": _finite(o.sigma), "direction": o.direction, "used": o.used}
             for o in calibration.onsets
             if np.isfinite(o.width)
         ],
-        "verdict": quality.verdict.value,
+    }
+
+
+def backlash(model: Model) -> dict[str, Any]:
+    """B(q) with its band and the verdict of a model, from no time and without onsets."""
+    low, high = model.measured
+    q = np.linspace(low, high, _NODES) if low < high else np.zeros(0)
+    return {
+        "seconds": None,
+        "q": q.tolist(),
+        "width": _each(np.interp(q, model.q, model.width)),
+        "sigma": _each(np.interp(q, model.q, model.width_sigma)),
+        "measured": [low, high],
+        "delay_ms": 1e3 * model.delay_s,
+        "onsets": [],
+        "verdict": model.quality.verdict.value,
         "reasons": [
             {"code": reason.code, "says": reason.says, "remedy": reason.remedy, "mild": reason.mild}
-            for reason in quality.reasons
+            for reason in model.quality.reasons
         ],
     }
+
+
+def holds(row: Row, t_s: float) -> dict[str, Any]:
+    """Whether the model still holds at a frame, and what was learnt: an offset in the rig's unit, a scale of B."""
+    numbers = {name: _finite(float(getattr(row, name))) for name in ("offset", "offset_sigma", "scale", "scale_sigma")}
+    return {"t_s": t_s, "state": row.state.value, "reason": row.reason} | numbers
 
 
 def _each(values: np.ndarray) -> list[float | None]:

@@ -1,4 +1,5 @@
-"""What the page starts: a calibration of what is connected, or a recording played again. One thread runs it all."""
+"""What the page starts: a calibration of what is connected, a model in use, or a recording played again. One thread
+runs it all."""
 
 from __future__ import annotations
 
@@ -12,12 +13,16 @@ from tautline import reports
 from tautline.calibration.calibrate import Calibration
 from tautline.errors import TautError
 from tautline.live.rounds import in_words
-from tautline.live.setup import Live
+from tautline.live.setup import Frame, Live
+from tautline.live.tracking import watch
 from tautline.live.until import Goal, calibrate_until
-from tautline.live_page.desk import Desk
+from tautline.live_page import shown
+from tautline.live_page.desk import Desk, Stopped
 from tautline.live_page.replay import replay
+from tautline.model import Model
 from tautline.recording import Recording, load, shifted
 from tautline.rig import Rig
+from tautline.tracking import Row
 from tautline.vision.colour import pick
 
 _POLL_S = 0.02
@@ -65,11 +70,7 @@ class Calibrating:
     def idle(self, desk: Desk) -> None:
         if (place := desk.picked()) is not None:
             self._pick(desk, place)
-        began_s = time.monotonic()
-        frame = self.live.look()
-        desk.show_frame(frame, self.live.board.status(self.live.axis).q * self.live.resolution)
-        if self.live.virtual and self.live.rig.camera is not None:  # time is the board's: no faster than it would be
-            time.sleep(max(began_s + 1.0 / self.live.rig.camera.frame_rate_hz - time.monotonic(), 0.0))
+        _look(desk, self.live)
 
     def run(self, desk: Desk) -> str:
         kept = self.recording()
@@ -103,6 +104,51 @@ class Calibrating:
 
 
 @dataclass
+class Watching:
+    """A model in use, as `taut watch` keeps it; nothing is moved unless `motion` says so. That ends where no page is
+    open, which would have its stop."""
+
+    live: Live
+    model: Model
+    motion: str = "none"
+    speed: float | None = None
+    duration_s: float | None = None
+    seed: int = 0
+
+    @property
+    def rig(self) -> Rig:
+        return self.live.rig
+
+    @property
+    def about(self) -> dict[str, Any]:
+        return {"title": f"Watch a model in use on axis {self.live.axis}", "live": True, "watch": True}
+
+    def idle(self, desk: Desk) -> None:
+        _look(desk, self.live)
+
+    def run(self, desk: Desk) -> str:
+        desk.events.publish("fit", shown.backlash(self.model))
+
+        def told(row: Row, t_s: float) -> None:
+            desk.events.publish("holds", shown.holds(row, t_s))
+
+        def seen(frame: Frame, q: float) -> None:
+            desk.show_frame(frame, q)
+            desk.check_stop()
+            if self.motion != "none" and desk.unwatched:
+                raise Stopped
+
+        result = watch(
+            self.live, self.model, self.motion, speed=self.speed, duration_s=self.duration_s, seed=self.seed,
+            told=told, shown=seen,
+        )  # fmt: skip
+        return f"watched {result['seconds']:.1f} s, {result['frames']} frames: {result['state'] or 'none was tracked'}"
+
+    def let_go(self) -> None:
+        self.live.let_go()
+
+
+@dataclass
 class Replaying:
     """A recording, from its beginning each time."""
 
@@ -124,6 +170,15 @@ class Replaying:
 
     def let_go(self) -> None:
         """Nothing moves."""
+
+
+def _look(desk: Desk, live: Live) -> None:
+    """A frame while nothing runs; where time is the board's, no faster than a camera would be."""
+    began_s = time.monotonic()
+    frame = live.look()
+    desk.show_frame(frame, live.board.status(live.axis).q * live.resolution)
+    if live.virtual and live.rig.camera is not None:
+        time.sleep(max(began_s + 1.0 / live.rig.camera.frame_rate_hz - time.monotonic(), 0.0))
 
 
 def attend(

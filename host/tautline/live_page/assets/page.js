@@ -1,4 +1,4 @@
-// The live page. It holds no knowledge of its own: what the server publishes by topic (about, state, frame, progress, fit) is drawn.
+// The live page. It holds no knowledge of its own: what the server publishes by topic (about, state, frame, progress, fit, holds) is drawn.
 const $ = (id) => document.getElementById(id);
 const shown = { about: null, state: null, progress: null, fit: null, frame: null };
 const trace = []; // {t_s, q, c_deg} of the last seconds
@@ -137,6 +137,8 @@ const topics = {
     document.title = `${about.title} – taut live`;
     $("title").textContent = about.title;
     document.body.classList.toggle("replay", !about.live);
+    document.body.classList.toggle("watch", Boolean(about.watch));
+    if (about.watch) $("verdict-title").textContent = "Verdict of its calibration";
   },
   state({ state, says }) {
     $("state").textContent = STATES[state];
@@ -149,7 +151,8 @@ const topics = {
     if (state === "running" && !shown.began) trace.length = 0;
     if (state === "ready") $("doing").textContent = "";
     shown.began = state !== "ready";
-    const picks = state === "ready" && shown.about?.live;
+    const picks = state === "ready" && shown.about?.live && !shown.about.watch;
+    if (shown.about?.watch) $("rest").hidden = true;
     $("picture").classList.toggle("picks", picks);
     $("hint").textContent = picks ? "Click on the marker to pick its colour; with the keyboard: arrow keys, then Enter." : "";
   },
@@ -165,13 +168,20 @@ const topics = {
     const strong = document.createElement("strong");
     strong.textContent = fit.verdict;
     $("verdict").className = `verdict ${fit.verdict}`;
-    $("verdict").replaceChildren(strong, ` from the first ${fit.seconds.toFixed(1)} s, the image ${fit.delay_ms.toFixed(0)} ms late`);
+    const from = fit.seconds === null ? "" : ` from the first ${fit.seconds.toFixed(1)} s,`;
+    $("verdict").replaceChildren(strong, `${from} the image ${fit.delay_ms.toFixed(0)} ms late`);
     list("reasons", fit.reasons.map(({ code, says, remedy }) => {
       const name = document.createElement("code");
       name.textContent = code;
       return [name, ` ${says}: ${remedy}`];
     }), "no doubts");
     drawBacklash();
+  },
+  holds({ state, reason, offset, offset_sigma, scale, scale_sigma }) {
+    $("holds").textContent = state;
+    $("holds").className = `state ${state}`;
+    $("reason").textContent = reason;
+    $("learnt").textContent = `offset ${fixed(offset, 4, "")} ± ${fixed(offset_sigma, 4, shown.about?.unit ?? "")}, B times ${fixed(scale, 3, "")} ± ${fixed(scale_sigma, 3, "")}`;
   },
   frame(frame) {
     $("q").textContent = fixed(frame.q, 3, shown.about?.unit ?? "");
@@ -181,6 +191,7 @@ const topics = {
     trace.push(frame);
     while (trace[0].t_s < frame.t_s - TRACE_S) trace.shift();
     soon(drawTrace);
+    soon(drawBacklash); // where the motor is
   },
 };
 
