@@ -57,9 +57,14 @@ def test_a_rest_in_the_middle_changes_nothing_but_the_time(bench: Bench, tmp_pat
     """It rests for 4 s of board time in the first round, which is then made whole; B is as good as without."""
     instrument = preset("davinci", seed=2)
     rested: list[tuple[float, float]] = []  # board time and q at rest
+    between: list[int] = []  # the board's onsets that were shown while no calibration came
+    last = [0.0, 0.0]
 
     def does(person: Person, view: View) -> None:
         assert view.frame is not None or view.frames == 0
+        if view.calibrated_s == last[0]:
+            between.append(len(view.onsets) - int(last[1]))
+        last[:] = view.calibrated_s, len(view.onsets)
         if view.doing.startswith("round 1") and view.seconds > 6.0 and not rested:
             person.rest()
         elif view.doing == "at rest":
@@ -73,6 +78,9 @@ def test_a_rest_in_the_middle_changes_nothing_but_the_time(bench: Bench, tmp_pat
         person = Person(work, does)
         run(person, work)
         assert off(live.board) and person.says().startswith("done")
+    found = person.events.newer(0, 0.0)[1]["progress"]["onsets"]
+    assert sum(between) > 3
+    assert found and all(abs(o["width"] - instrument.backlash(o["q"])) < 0.25 for o in found if o["used"])
     t_s, q = np.array(rested).T
     assert t_s[-1] - t_s[0] > 4.0 and np.ptp(q) < 4.0  # counts
     model = Model.load(tmp_path / "model")
@@ -82,9 +90,12 @@ def test_a_rest_in_the_middle_changes_nothing_but_the_time(bench: Bench, tmp_pat
     recording = load(tmp_path / "rec")
     assert recording.marker is not None
     gap = np.flatnonzero(np.diff(recording.marker.t_s) > 3.5)
+    again = calibrate([recording], live.rig).model  # as the command would, from the recording alone
+    assert np.array_equal(again.width, model.width)
     assert len(gap) == 1 and np.diff(recording.motor.t_s).max() > 3.5  # the rest is not recorded
 
 
+@pytest.mark.long
 def test_a_rest_takes_nothing_of_the_time_that_a_calibration_may_last(bench: Bench, tmp_path: Path) -> None:
     began: list[float] = []
 
@@ -118,26 +129,6 @@ def test_stop_brings_the_axis_to_rest_whatever_it_does(bench: Bench, tmp_path: P
         assert live.board.status(0).q == pytest.approx(q, abs=1.0)
     assert "the axis is at rest" in person.says() and "taut calibrate" in person.says()
     assert not (tmp_path / "model").exists() and len(load(tmp_path / "rec").motor.t_s) > 100
-
-
-def test_onsets_are_shown_as_the_board_finds_them(bench: Bench, tmp_path: Path) -> None:
-    """Not with the next calibration only."""
-    between: list[int] = []  # onsets that came while no calibration did
-    last = [0.0, 0.0]
-
-    def does(person: Person, view: View) -> None:
-        if view.calibrated_s == last[0]:
-            between.append(len(view.onsets) - int(last[1]))
-        last[:] = view.calibrated_s, len(view.onsets)
-
-    instrument = preset("davinci", seed=2)
-    with live_on(bench, instrument) as live:
-        work = calibrating(live, tmp_path)
-        person = Person(work, does)
-        run(person, work)
-    assert sum(between) > 3
-    found = person.events.newer(0, 0.0)[1]["progress"]["onsets"]
-    assert found and all(abs(o["width"] - instrument.backlash(o["q"])) < 0.25 for o in found if o["used"])
 
 
 @pytest.mark.parametrize("scale", [1.0, 1.3])
@@ -257,21 +248,3 @@ def test_the_board_is_told_from_another_thread_though_nobody_looks(bench: Bench)
         for _ in range(50):
             bench.sim.ask("advance 20000")
         assert off(live.board)
-
-
-def test_a_recording_that_rested_is_calibrated_alike_by_the_command(bench: Bench, tmp_path: Path) -> None:
-    again = False
-
-    def does(person: Person, view: View) -> None:
-        nonlocal again
-        if view.doing.startswith("round 1") and not again:
-            again = True
-            person.rest()
-        elif view.doing == "at rest":
-            person.start()
-
-    with live_on(bench, preset("davinci", seed=2)) as live:
-        work = calibrating(live, tmp_path)
-        run(Person(work, does), work)
-        assert work.found is not None
-        assert np.array_equal(calibrate([load(tmp_path / "rec")], live.rig).model.width, work.found.model.width)
