@@ -26,6 +26,8 @@ ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "examples"
 PICTURE = ROOT / "docs" / "pictures" / "report.png"
 EXPLAINED = {"calibration.md": explained.calibration, "diagnosis.md": explained.diagnosis}  # of docs/
+PAGE_PICTURE = PICTURE.with_name("live-page.png")
+_PAGE_PX = 1200  # wide
 TIMEOUT_S = 600  # of a notebook's cell, on a machine that does much else
 
 
@@ -48,6 +50,23 @@ def readme_picture(model_folder: Path) -> Figure:
     return made
 
 
+def page_picture(file: Path) -> None:
+    """The live page in the middle of a calibration of the simulated instrument."""
+    from tools import browser  # the only picture that needs one: tools/setup browser
+
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        browser.page("--simulate", "--out", Path(folder) / "model") as (address, _),
+        browser.browser(_PAGE_PX) as seen,
+    ):
+        seen.get(address)
+        browser.press(seen, "start")
+        browser.until(lambda: len(seen.find_elements("css selector", "#backlash path.up, #backlash path.down")) >= 6)
+        browser.press(seen, "rest")
+        browser.until(lambda: browser.text(seen, "doing") == "at rest")
+        browser.whole_page(seen, _PAGE_PX, file)
+
+
 def run_notebook(path: Path) -> nbformat.NotebookNode:
     """The notebook, run in a kernel of its own from an empty folder, with its outputs; an error in a cell is raised."""
     notebook = nbformat.read(path, as_version=4)
@@ -62,8 +81,9 @@ def run_notebook(path: Path) -> nbformat.NotebookNode:
 @click.option("--demo", type=click.Path(path_type=Path, exists=True), help="The folder of a 'taut demo'.")
 @click.argument("names", nargs=-1)
 def main(demo: Path | None, names: tuple[str, ...]) -> None:
-    """Makes all of them, or those of NAMES: report, pages of docs, and the examples by their file's name."""
-    everything = ["report", *EXPLAINED, *(path.stem for path in sorted(EXAMPLES.glob("*.py"))), *notebooks()]
+    """Makes all of them, or those of NAMES: report, live-page, pages of docs, and the examples by their file's name."""
+    examples = (path.stem for path in sorted(EXAMPLES.glob("*.py")))
+    everything = ["report", "live-page", *EXPLAINED, *examples, *notebooks()]
     for name in names or everything:
         if name == "report":
             with tempfile.TemporaryDirectory() as folder:
@@ -76,6 +96,8 @@ def main(demo: Path | None, names: tuple[str, ...]) -> None:
             made, says = EXPLAINED[name]()
             made.savefig(PICTURE.with_name(name).with_suffix(".png"), dpi=90, metadata={"Description": says})
             click.echo(says)
+        elif name == "live-page":
+            page_picture(PAGE_PICTURE)
         elif name in notebooks():
             nbformat.write(run_notebook(EXAMPLES / f"{name}.ipynb"), EXAMPLES / f"{name}.ipynb")
         elif (EXAMPLES / f"{name}.py").is_file():

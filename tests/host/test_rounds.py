@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from tautline.calibration.calibrate import Calibration
 from tautline.calibration.onset import Delay
+from tautline.cli._live import sigma_of
 from tautline.cli._picture import calibration_picture, picture, standing
-from tautline.cli.calibrate import sigma_of
 from tautline.live.rounds import (
     FEWEST,
     CameraView,

@@ -10,7 +10,18 @@ from typing import Any
 import click
 from rich.console import Console
 from rich.table import Table
-from tools.bench import bare, calibration, control_step, diagnosis, faults, importing, trackers, tracking, videos
+from tools.bench import (
+    bare,
+    calibration,
+    control_step,
+    diagnosis,
+    faults,
+    importing,
+    live_page,
+    trackers,
+    tracking,
+    videos,
+)
 
 from tautline.cli._common import log, plain, progress_bar
 from tautline.errors import TautError
@@ -48,6 +59,7 @@ def main(context: click.Context, as_json: bool, frames: int) -> None:
         ("calibration", "calibration", calibration.run),
         ("diagnosis", "diagnosis", diagnosis.run),
         ("tracking", "tracking in use", tracking.run),
+        ("live_page", "the live page's server", live_page.run),
     ]
     for key, title, part in parts:
         log(f"{title} ...")

@@ -35,6 +35,11 @@ GROUPS: dict[str, tuple[Command, ...]] = {
             "taut calibrate session --rig rig.toml --out monday",
         ),
         Command(
+            "live",
+            "calibrate in a browser on this machine, or watch a recording again",
+            "taut live --simulate --out monday",
+        ),
+        Command(
             "predict",
             "what a model says the tip does under a recorded motor motion",
             "taut predict monday session --csv predicted.csv",

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import functools
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,6 +59,14 @@ speed_option = click.option(
     "--speed", type=click.FloatRange(min=0.0, min_open=True), help="Of a shape, the rig's unit per second."
 )
 seed_option = click.option("--seed", type=int, default=0, help="Of the shape 'smooth', and of the simulation.")
+
+
+until_option = click.option(
+    "--until",
+    metavar="SIGMA",
+    help="Live: go on until B(q) is known as well as this everywhere, one standard deviation: 3um, 0.003mm, 0.05deg; a "
+    "bare number is in um, or deg on such a rig.  [default: 3um, or 0.05 % of a range in deg]",
+)
 
 
 def motion_option(none: str) -> Callable[..., Any]:
@@ -115,9 +125,33 @@ def live_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return wrapped
 
 
+def free_recording(out: Path) -> Path:
+    """OUT-recording, or with the next number that no folder has."""
+    names = (f"{out.name}-recording{number}" for number in chain([""], (f"-{i}" for i in count(2))))
+    return next(path for name in names if not (path := out.with_name(name)).exists())
+
+
+def sigma_of(text: str, unit: str) -> float:
+    """The goal in the rig's unit, from a number with or without a unit."""
+    matched = re.fullmatch(r"\s*([0-9.]+(?:e[-+]?\d+)?)\s*(um|µm|mm|deg|)\s*", text)
+    try:
+        value = float(matched[1]) if matched else 0.0
+    except ValueError:
+        value = 0.0
+    if not matched or value <= 0.0:
+        raise click.UsageError(f"--until {text}: a number above 0 is wanted, with its unit: 3um, 0.003mm or 0.05deg")
+    named = matched[2] or ("um" if unit == "mm" else unit)
+    if (named == "deg") != (unit == "deg"):
+        raise click.UsageError(f"--until {text}: the rig's motor counts in {unit}")
+    return value * 1e-3 if named in ("um", "µm") else value
+
+
 @contextmanager
-def opened(live: LiveOptions, rig_path: Path | None, seed: int = 0, model: Model | None = None) -> Iterator[Live]:
-    """The live set-up that the options name. The rig is --rig's, else the model's, else the simulation's own."""
+def opened(
+    live: LiveOptions, rig_path: Path | None, seed: int = 0, model: Model | None = None, picks: bool = False
+) -> Iterator[Live]:
+    """The live set-up that the options name. The rig is --rig's, else the model's, else the simulation's own. picks:
+    a camera may be opened before the marker's colour is known."""
     from tautline.live.setup import CameraSource, open_live
     from tautline.vision.colour import MarkerColour
 
@@ -131,13 +165,15 @@ def opened(live: LiveOptions, rig_path: Path | None, seed: int = 0, model: Model
             f"{rig_path}: its motor is in {rig.actuator.unit}, the model's in {model.rig.actuator.unit}: name the rig "
             "that the model was calibrated with, or leave --rig out"
         )
+    named = live.camera is not None and live.simulate is None and (live.colour.exists() or not picks)
     with open_live(
         board=live.board,
         camera=live.camera,
         simulate=live.simulate,
         rig=rig,
         axis=live.axis,
-        colour=MarkerColour.load(live.colour) if live.camera is not None and live.simulate is None else None,
+        colour=MarkerColour.load(live.colour) if named else None,
+        picks=picks,
         at=live.at,
         seed=seed,
     ) as setup:

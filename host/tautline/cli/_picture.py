@@ -13,7 +13,7 @@ from rich.text import Text
 
 from tautline.cli._common import log
 from tautline.live.rounds import in_words
-from tautline.live.watch import BINS, View
+from tautline.live.watch import BINS, View, in_short
 
 if TYPE_CHECKING:
     from tautline.live.watch import Show
@@ -38,27 +38,12 @@ def picture(view: View) -> list[Text]:
         styles = [_style(value, view.until) for value in sigma]
         lines += [*_curve(width, styles, view.unit), _sigmas(sigma, styles, view)]
     lines.append(_axis(view))
-    return [*lines, *(Text(part) for part in _seen_and_known(view))]
+    return [*lines, *(Text(part) for part in in_short(view))]
 
 
 def standing(view: View) -> str:
     """In one line: what was seen and what is known by now."""
-    return ": ".join(_seen_and_known(view))
-
-
-def _seen_and_known(view: View) -> tuple[str, str]:
-    seen = f"{view.seconds:.1f} s, {view.frames - view.lost} of {view.frames} frames, {view.reversals} reversals"
-    if view.calibration is None:
-        return seen, "too early to tell B(q)"
-    low, high = view.calibration.model.measured
-    known = f"B(q) from {low:.3g} to {high:.3g} {view.unit}"
-    if view.standing is None or view.until is None:
-        return seen, known
-    wanted = f"wanted {in_words(view.until, view.unit)}"
-    worst = view.standing.worst
-    if not np.isfinite(worst):
-        return seen, f"B(q) is not known anywhere yet, {wanted}"
-    return seen, f"{known}, sigma {in_words(worst, view.unit)} at worst (at {view.standing.where:.3g}), {wanted}"
+    return ": ".join(in_short(view))
 
 
 def _heading(view: View) -> Text:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from itertools import chain, count
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,7 +20,7 @@ from tautline.cli._common import (
     rig_option,
     warn,
 )
-from tautline.cli._live import LiveOptions, live_options, opened
+from tautline.cli._live import LiveOptions, free_recording, live_options, opened, sigma_of, until_option
 from tautline.errors import UnusableError
 from tautline.folders import check_replaceable
 from tautline.live.rounds import in_words
@@ -50,12 +48,7 @@ from tautline.vision.marker import with_marker
     help="f_remain: fitted directly, or the paper's central fibre of the characteristic as an image.",
 )
 @live_options
-@click.option(
-    "--until",
-    metavar="SIGMA",
-    help="Live: go on until B(q) is known as well as this everywhere, one standard deviation: 3um, 0.003mm, 0.05deg; a "
-    "bare number is in um, or deg on such a rig.  [default: 3um, or 0.05 % of a range in deg]",
-)
+@until_option
 @click.option(
     "--at-most",
     "at_most_s",
@@ -99,7 +92,7 @@ def command(
     else:
         if live["live"].camera is None and live["live"].simulate is None:
             raise click.UsageError("name a RECORDING, or for a live calibration --camera SOURCE or --simulate")
-        kept = kept or _free(out.absolute())
+        kept = kept or free_recording(out.absolute())
         calibration, lines, made = _live(kept, rig_path, out, options, as_json=as_json, **live)
     quality = calibration.model.quality
     verdict = quality_lines(quality)
@@ -114,12 +107,6 @@ def command(
     emit(result, as_json, "\n".join([*verdict, *lines, f"{out / reports.FILE} shows it."]))
     if not quality.usable:
         raise UnusableError(f"{out}: written, but unusable: {quality.reasons[0]}")
-
-
-def _free(out: Path) -> Path:
-    """OUT-recording, or with the next number that no folder has."""
-    names = (f"{out.name}-recording{number}" for number in chain([""], (f"-{i}" for i in count(2))))
-    return next(path for name in names if not (path := out.with_name(name)).exists())
 
 
 def _from_recordings(
@@ -180,18 +167,3 @@ def _live(
     log(f"taut: {len(calibration.onsets)} reversals in {motion.seconds:.0f} s, recorded in {kept}")
     recordings = shifted([load(kept, calibration.model.rig)], calibration.offsets)
     return calibration, [*reports.save_model(calibration.model, recordings, out), *goal_said], made
-
-
-def sigma_of(text: str, unit: str) -> float:
-    """The goal in the rig's unit, from a number with or without a unit."""
-    matched = re.fullmatch(r"\s*([0-9.]+(?:e[-+]?\d+)?)\s*(um|µm|mm|deg|)\s*", text)
-    try:
-        value = float(matched[1]) if matched else 0.0
-    except ValueError:
-        value = 0.0
-    if not matched or value <= 0.0:
-        raise click.UsageError(f"--until {text}: a number above 0 is wanted, with its unit: 3um, 0.003mm or 0.05deg")
-    named = matched[2] or ("um" if unit == "mm" else unit)
-    if (named == "deg") != (unit == "deg"):
-        raise click.UsageError(f"--until {text}: the rig's motor counts in {unit}")
-    return value * 1e-3 if named in ("um", "µm") else value

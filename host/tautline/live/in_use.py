@@ -21,8 +21,11 @@ from tautline.rig import MARKER
 from tautline.shapes import Library, Seen, Shape
 from tautline.tracking import LawTracker, Row, State
 
+Array = np.ndarray
+
 BLEND_S = 0.5  # over which the board moves its tables
 _NEWS_COUNTS, _NEWS_SCALE = 1.0, 0.002  # smaller changes are not worth a message
+_BATCHES = 100  # of telemetry that are kept: the delay's and more
 _AGAIN_S = 1.0  # a board that lost its host meanwhile has forgotten: it is told again
 
 
@@ -95,6 +98,7 @@ class Following:
     told: Callable[[Row, float], None] = lambda row, t_s: None
     mover: TableMover | None = None
     library: Library | None = None  # whose shapes are looked for
+    shown: Callable[[Frame, float], None] = lambda frame, q: None  # a frame that was tracked, the motor at its scene
     known: Shape | None = field(init=False, default=None)  # the shape that the shaft has now, where that is another
     tracker: LawTracker = field(init=False)
     row: Row | None = field(init=False, default=None)
@@ -118,6 +122,7 @@ class Following:
         self._delay_s = self.model.delay_of(MARKER)
         self._waiting: list[Frame] = []  # for the telemetry of their scene
         self._batches: deque[wire.Message] = deque()  # a board's reader is another thread
+        self._path: deque[tuple[Array, Array]] = deque(maxlen=_BATCHES)
         self._newest_s = -np.inf
         self._squares, self._counted = 0.0, 0
         self._looked_at: tuple[float, ...] = ()
@@ -133,8 +138,16 @@ class Following:
             q = np.array([batch.q[i] for i in range(batch.count)]) * self.live.resolution
             fresh = t_s > self._newest_s
             if fresh.any():
+                self._path.append((t_s[fresh], q[fresh]))
                 self.tracker.motor(t_s[fresh], q[fresh])
                 self._newest_s = float(t_s[-1])
+
+    def motor_at(self, t_s: float) -> float:
+        """q at a time not long ago, the rig's unit; NaN before the first sample."""
+        for times, q in reversed(self._path):
+            if times[0] <= t_s:
+                return float(np.interp(t_s, times, q))
+        return float("nan")
 
     def seen(self, frame: Frame) -> None:
         """A frame; those whose scene the telemetry has reached are tracked."""
@@ -160,6 +173,7 @@ class Following:
             self.unseen += 1
         self._recognise(self.row)
         self.told(self.row, arrival_s)
+        self.shown(frame, self.motor_at(arrival_s - self._delay_s))
 
     def _recognise(self, row: Row) -> None:
         """Another shape of the library, where what was learnt is its."""

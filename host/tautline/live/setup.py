@@ -37,6 +37,7 @@ from tautline.vision.timing import FrameTiming
 Array = np.ndarray
 _STEP_S = 0.02
 _FLUSH_FRAMES = 25  # so much of a recording is lost where the power goes
+_UNPICKED = Sighting(np.nan, np.nan, np.nan, np.nan, "the marker's colour is not picked yet")
 _SLICE_S = 0.1  # of virtual time, between which the board's telemetry is taken in
 
 
@@ -53,6 +54,9 @@ class MarkerSource(Protocol):
     def look(self) -> Frame:
         """Waits for the next frame. TautError at the end of the source."""
 
+    def use(self, colour: MarkerColour) -> None:
+        """From the next frame on this is the marker."""
+
     def close(self) -> None: ...
 
 
@@ -60,9 +64,10 @@ class CameraSource:
     """A real camera. Arrival times are of the host's monotonic clock and become board time by round trips."""
 
     def __init__(
-        self, board: Board, camera: FrameSource, tracker: MarkerTracker, size: tuple[int, int] | None = None
+        self, board: Board, camera: FrameSource, tracker: MarkerTracker | None, size: tuple[int, int] | None = None
     ) -> None:
-        """size (width, height): what the rig says that frames measure; any other is an error."""
+        """tracker: None finds nothing before `use`. size (width, height): what the rig says that frames measure; any
+        other is an error."""
         self._board, self._camera, self._tracker, self._size = board, camera, tracker, size
 
     @property
@@ -82,7 +87,11 @@ class CameraSource:
                 "set the camera to the rig's size, or calibrate it at this one and write that into rig.toml"
             )
         self._board.align(1)
-        return Frame(self._board.clock.board_us(arrival_s), self._tracker.track(picture), picture)
+        seen = _UNPICKED if self._tracker is None else self._tracker.track(picture)
+        return Frame(self._board.clock.board_us(arrival_s), seen, picture)
+
+    def use(self, colour: MarkerColour) -> None:
+        self._tracker = MarkerTracker(colour)
 
     def close(self) -> None:
         self._camera.close()
@@ -100,6 +109,9 @@ class LockstepSource:
         self._plant.advance_to(self._camera.next_arrival_s)
         picture, arrival_s = self._camera.read()
         return Frame(round(arrival_s * 1e6), self._tracker.track(picture), picture)
+
+    def use(self, colour: MarkerColour) -> None:
+        self._tracker = MarkerTracker(colour)
 
     def close(self) -> None:
         self._camera.close()
@@ -121,6 +133,9 @@ class PointSource:
         u, v = self._plant.marker(np.array([scene_s]))[0] + self._rng.normal(0.0, self._noise, 2)
         return Frame(round(arrival_s * 1e6), Sighting(float(u), float(v), self._noise, 15.0), None)
 
+    def use(self, colour: MarkerColour) -> None:
+        """It has no colour: it is found all the same."""
+
     def close(self) -> None:
         """Nothing is held."""
 
@@ -136,6 +151,11 @@ class Live:
     plant: SimulatedAxis | None = None
     stopping: bool = False  # Ctrl-C came
     feeding: bool = False  # frames go on to the board: during its calibration motion
+
+    @property
+    def virtual(self) -> bool:
+        """Whether time stands still between two messages."""
+        return self.plant is not None
 
     @property
     def resolution(self) -> float:
@@ -227,6 +247,12 @@ class Live:
             self.wait(_STEP_S)
             waited += _STEP_S
 
+    def let_go(self) -> None:
+        """From another thread: a board that has a reader of its own is told at once to rest and switch the motor off,
+        though a camera hangs. Whoever drives it learns that as it looks next."""
+        if not self.virtual:
+            self.board.ask("enable", axis=self.axis, on=0)
+
     def release(self) -> None:
         """Brings the axis to rest within its limits and switches the motor off, from whatever it does."""
         self.board.ask("enable", axis=self.axis, on=0)
@@ -288,6 +314,15 @@ class Recorder:
     def _write(self, file: IO[str], name: str, row: str) -> None:
         file.write(row + "\n")
         self._rows[name].append(tuple(float(value or "nan") for value in row.split(",")))
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Inside, nothing is written: what comes is dropped."""
+        self._paused = True
+        try:
+            yield
+        finally:
+            self._paused = False
 
     def so_far(self) -> Recording:
         """What the files hold, the numbers as they are written there. From any thread."""
@@ -362,6 +397,7 @@ def open_live(
     colour: MarkerColour | None = None,
     at: float | None = None,
     pictures: bool = True,
+    picks: bool = False,
     seed: int = 0,
 ) -> Iterator[Live]:
     """`simulate` names an instrument preset, or the folder of a model whose effects it then has, and starts a desktop
@@ -369,6 +405,7 @@ def open_live(
 
     at: where the motor is, the rig's unit; else the board's reference holds, and a simulated one begins at 0.
     pictures: False replaces the rendered endoscope by the marker's projection, which is faster.
+    picks: a camera may be opened without a colour, which `use` names later.
     """
     with ExitStack() as stack:
         if simulate is not None:
@@ -413,12 +450,13 @@ def open_live(
         if at is not None:
             opened.ask("set_position", axis=axis, q=at / live.resolution)
         if camera is not None:
-            if colour is None:
+            if colour is None and not picks:
                 raise TautError("the marker's colour is not known: pick it once with 'taut marker'")
             source = int(camera) if isinstance(camera, str) and camera.isdigit() else camera
             size = None if rig.camera is None else (rig.camera.width_px, rig.camera.height_px)
             rate_hz = None if rig.camera is None else rig.camera.frame_rate_hz
             camera_of = RosCamera(str(source)) if is_topic(source) else VideoCamera(source, size=size, rate_hz=rate_hz)
-            live.marker_source = CameraSource(opened, camera_of, MarkerTracker(colour), size)
+            tracker = None if colour is None else MarkerTracker(colour)
+            live.marker_source = CameraSource(opened, camera_of, tracker, size)
             stack.callback(live.marker_source.close)
         yield live

@@ -7,7 +7,7 @@ from typing import Any
 
 from tautline.live.following import follow, motor_trajectory, step
 from tautline.live.in_use import Following
-from tautline.live.setup import Live
+from tautline.live.setup import Frame, Live
 from tautline.model import Model
 from tautline.shapes import Library
 from tautline.tracking import Row
@@ -26,10 +26,12 @@ def watch(
     library: Library | None = None,
     told: Callable[[Row, float], None] = lambda row, t_s: None,
     progress: Progress = None,
+    shown: Callable[[Frame, float], None] = lambda frame, q: None,
 ) -> dict[str, Any]:
     """Tracks while the motor follows `motion` (as in `record`), or whatever drives it. Ctrl-C ends it, and is no
-    failure; so does duration_s. `library`: its shapes are looked for."""
-    following = Following(live, model, told, library=library)
+    failure; so does duration_s. `library`: its shapes are looked for. `shown`: each frame, with
+    the motor at the time that it shows."""
+    following = Following(live, model, told, library=library, shown=shown)
     plan = None if motion == "none" else motor_trajectory(live, motion, speed, duration_s or 60.0, seed)
     began = live.now_us()
     with live.interruptible():

@@ -64,11 +64,13 @@ def calibrate_until(
     video: bool = False,
     show: Show | None = None,
     progress: Callable[[float, str], None] | None = None,
+    resting: Callable[[], bool] = lambda: False,
 ) -> tuple[Calibration, Reached]:
     """Fast passes over the range, then rounds where B(q) is known worst. Recorded in `folder`, and what comes of it is
     what `calibrate` makes of that recording.
 
-    Stopped at any time (Ctrl-C, an error), the axis comes to rest and what was recorded so far stays.
+    Stopped at any time (Ctrl-C, an error), the axis comes to rest and what was recorded so far stays. While `resting`
+    says so it rests with its motor on, from the end of the stroke that it makes; then the round is made again.
     """
     check_rig(live)
     goal = goal or Goal()
@@ -88,7 +90,7 @@ def calibrate_until(
         goal.speeds,
     )  # fmt: skip
     with moving(live, folder, low, high, video) as motions:
-        view = View(low, high, unit, until, "checking scale and sign")
+        view = View(low, high, unit, until, "checking scale and sign", onsets=motions.made.onsets)
 
         def shown(view: View) -> None:
             if show:
@@ -104,14 +106,14 @@ def calibrate_until(
                 watch.frame(frame, 0)
 
             probe(live, seen, means.speeds[0])
-            rounds, why = _rounds(motions, watch, means, until, goal.at_most_s)
+            rounds, why = _rounds(motions, watch, means, until, goal.at_most_s, resting)
         calibration, standing = view.calibration, view.standing
     assert calibration is not None and standing is not None
     return calibration, Reached(motions.made, tuple(rounds), standing, until, why)
 
 
 def _rounds(
-    motions: Motions, watch: Watch, means: Means, until: float, at_most_s: float
+    motions: Motions, watch: Watch, means: Means, until: float, at_most_s: float, resting: Callable[[], bool]
 ) -> tuple[list[Round | Strokes], str]:
     """Rounds until the goal is reached; the rounds and why it was not."""
     view = watch.view
@@ -128,7 +130,7 @@ def _rounds(
                 f"the marker was last seen {view.seconds - lost_since[0]:.0f} s ago: bring it into view, or pick its "
                 f"colour again with 'taut marker'; what was recorded is in {motions.made.folder}"
             )
-        if view.seconds > at_most_s:
+        if view.seconds > at_most_s or resting():
             return True
         return both_made(rounds[:-1]) and fresh and view.standing is not None and view.standing.reached(until)
 
@@ -145,10 +147,14 @@ def _rounds(
             best = min(best, standing.worst if standing.covered else best)
         rounds.append(wanted)
         view.doing = f"round {len(rounds)}: {wanted.says(view.unit)}{because}"
-        if isinstance(wanted, Strokes):
-            motions.stroke(wanted, enough)
-        else:
-            motions.run(wanted, enough)
+        while True:
+            if isinstance(wanted, Strokes):
+                motions.stroke(wanted, enough)
+            else:
+                motions.run(wanted, enough)
+            if not resting():
+                break
+            watch.rest(resting)
         motions.still()
         watch.settle()
         assert view.standing is not None

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
+from typing import Any, Protocol
 
 import numpy as np
 
 from tautline.calibration.calibrate import Calibration, Options, calibrate
 from tautline.errors import TautError
-from tautline.live.rounds import CameraView, Standing
-from tautline.live.setup import Frame, Live, Recorder
+from tautline.live.rounds import CameraView, Standing, in_words
+from tautline.live.setup import Frame
+from tautline.recording import Recording
+from tautline.rig import Rig
 
 Array = np.ndarray
 
@@ -40,6 +43,9 @@ class View:
     calibration: Calibration | None = None  # from a recording of `calibrated_s`
     standing: Standing | None = None
     calibrated_s: float = 0.0
+    frame: Frame | None = None  # the latest
+    q: float = float("nan")  # of the motor, at the time that the frame shows
+    onsets: list[dict[str, Any]] = field(default_factory=list)  # as the board finds them, see Motion
 
     @property
     def coverage(self) -> float:
@@ -66,6 +72,49 @@ class View:
 Show = Callable[[View], None]
 
 
+def in_short(view: View) -> tuple[str, str]:
+    """What was seen, and what is known by now, a line each."""
+    seen = f"{view.seconds:.1f} s, {view.frames - view.lost} of {view.frames} frames, {view.reversals} reversals"
+    if view.calibration is None:
+        return seen, "too early to tell B(q)"
+    low, high = view.calibration.model.measured
+    known = f"B(q) from {low:.3g} to {high:.3g} {view.unit}"
+    if view.standing is None or view.until is None:
+        return seen, known
+    wanted = f"wanted {in_words(view.until, view.unit)}"
+    worst = view.standing.worst
+    if not np.isfinite(worst):
+        return seen, f"B(q) is not known anywhere yet, {wanted}"
+    return seen, f"{known}, sigma {in_words(worst, view.unit)} at worst (at {view.standing.where:.3g}), {wanted}"
+
+
+class Watched(Protocol):
+    """Where frames come from: a Live, or a recording that is played again."""
+
+    @property
+    def rig(self) -> Rig: ...
+
+    @property
+    def virtual(self) -> bool:
+        """Whether time stands still between two frames."""
+
+    def now_us(self) -> int: ...
+
+    def look(self) -> Frame: ...
+
+
+class Kept(Protocol):
+    """What there is of the recording: a Recorder, or the part of a recording that was played."""
+
+    def add(self, frame: Frame) -> None: ...
+
+    def motor_at(self, t_s: float) -> float: ...
+
+    def so_far(self) -> Recording: ...
+
+    def paused(self) -> AbstractContextManager[None]: ...
+
+
 class Watch:
     """Takes in every frame and calibrates what was recorded so far, again and again.
 
@@ -74,7 +123,7 @@ class Watch:
     """
 
     def __init__(
-        self, live: Live, recorder: Recorder, view: View, options: Options | None = None, show: Show | None = None
+        self, live: Watched, recorder: Kept, view: View, options: Options | None = None, show: Show | None = None
     ) -> None:
         self.view = view
         self._live, self._recorder, self._options, self._show = live, recorder, options, show
@@ -83,7 +132,7 @@ class Watch:
         self._rested: tuple[float, float] | None = None  # where the marker was in the frame before, at rest
         self._steps: list[tuple[float, float]] = []  # of a marker at rest, px from frame to frame
         self._due_s = _FIRST_FIT_S
-        self._pool = ThreadPoolExecutor(1, "calibration") if live.plant is None else None
+        self._pool = None if live.virtual else ThreadPoolExecutor(1, "calibration")
         self._fit: Future[tuple[Calibration, float]] | None = None
 
     def close(self) -> None:
@@ -97,6 +146,7 @@ class Watch:
         view.frames += 1
         view.lost += not frame.sighting.valid
         view.reversals = reversals
+        view.frame = frame
         self._cover(frame)
         fresh = self._take()
         if self._fit is None and view.seconds >= self._due_s:
@@ -116,6 +166,18 @@ class Watch:
             self._idle()
         if self._show is not None:
             self._show(self.view)
+
+    def rest(self, resting: Callable[[], bool]) -> None:
+        """Until `resting` no longer holds the axis stands still: that time counts for nothing and is not recorded."""
+        began_us, doing = self._live.now_us(), self.view.doing
+        self.view.doing = "at rest"
+        with self._recorder.paused():
+            while resting():
+                self.view.frame = self._live.look()
+                if self._show is not None:
+                    self._show(self.view)
+        self._began_us += self._live.now_us() - began_us
+        self.view.doing = doing
 
     def camera_view(self) -> CameraView:
         """What the camera made of it so far."""
@@ -159,7 +221,7 @@ class Watch:
         """Counts the positions from the frame before to this one, at the time that the frame shows."""
         view = self.view
         q = self._recorder.motor_at(frame.t_us * 1e-6 - self._live.rig.delay_s)
-        before, self._last_q = self._last_q, q
+        before, self._last_q, view.q = self._last_q, q, q
         place = np.array([before, q] if before < q else [q, before])
         if not np.isfinite(place).all():
             return

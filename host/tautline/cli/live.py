@@ -1,0 +1,145 @@
+"""taut live [RECORDING]"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from tautline.cli._common import (
+    emit,
+    folder_option,
+    json_option,
+    log,
+    progress_bar,
+    read_recordings,
+    rig_option,
+    warn_unusable,
+)
+from tautline.cli._live import (
+    LiveOptions,
+    free_recording,
+    live_options,
+    motion_option,
+    opened,
+    seed_option,
+    sigma_of,
+    speed_option,
+    until_option,
+)
+from tautline.folders import check_replaceable
+from tautline.model import MODEL_FILE, Model
+
+
+@click.command("live")
+@click.argument("recording_path", metavar="[RECORDING]", required=False, type=click.Path(path_type=Path))
+@live_options
+@rig_option
+@folder_option("--out", "Live: the MODEL folder to write; what is recorded is kept beside it.", required=False)
+@until_option
+@click.option(
+    "--pace",
+    type=click.FloatRange(min=0.0, min_open=True),
+    default=1.0,
+    show_default=True,
+    help="Of a recording: times its own speed.",
+)
+@click.option(
+    "--watch",
+    "watched",
+    metavar="MODEL",
+    type=click.Path(path_type=Path),
+    help="Live: as 'taut watch MODEL', whether the model still holds while the instrument is used.",
+)
+@motion_option("whatever drives it; with --watch alone")
+@speed_option
+@seed_option
+@json_option
+def command(
+    recording_path: Path | None,
+    live: LiveOptions,
+    rig_path: Path | None,
+    out: Path | None,
+    until: str | None,
+    pace: float,
+    watched: Path | None,
+    motion: str,
+    speed: float | None,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Calibrate in a browser on this machine, or watch a recording again: picture, q and c, onsets, B(q) as it grows.
+
+    The page's address is told on stderr; nothing moves before its Start. Ctrl-C stops what runs, and ends the page
+    where nothing does. --watch shows whether a model still holds instead.
+    """
+    if recording_path is not None:
+        if live.simulate is not None or live.camera is not None:
+            raise click.UsageError("a RECORDING is played again, --camera and --simulate are live: choose one of them")
+        result = _replay(recording_path, rig_path, pace)
+    else:
+        if live.camera is None and live.simulate is None:
+            raise click.UsageError("name a RECORDING to play, or for a live calibration --camera SOURCE or --simulate")
+        if watched is not None:
+            result = _watch(live, rig_path, watched, motion, speed, seed)
+            emit(result, as_json, result["says"] or "nothing was started")
+            return
+        if out is None:
+            raise click.UsageError("a live calibration writes a model: name its folder with --out")
+        check_replaceable(out, MODEL_FILE)
+        result = _calibrate(live, rig_path, out, until, seed)
+    emit(result, as_json, result["says"] or "nothing was started")
+
+
+def _calibrate(live: LiveOptions, rig_path: Path | None, out: Path, until: str | None, seed: int) -> dict[str, Any]:
+    from tautline.live.until import Goal
+    from tautline.live_page.work import Calibrating
+
+    with opened(live, rig_path, seed, picks=True) as setup, setup.interruptible():
+        goal = Goal(None if until is None else sigma_of(until, setup.rig.actuator.unit))
+        keeps = live.colour if live.simulate is None else None
+        work = Calibrating(setup, out, lambda: free_recording(out.absolute()), goal, keeps)
+        says = _attended(work)
+    quality = None if work.found is None else work.found.model.quality.to_json()
+    return {"says": says, "model": None if work.found is None else out, "quality": quality}
+
+
+def _watch(
+    live: LiveOptions, rig_path: Path | None, path: Path, motion: str, speed: float | None, seed: int
+) -> dict[str, Any]:
+    from tautline.live_page.work import Watching
+
+    model = Model.load(path)
+    warn_unusable(model, path)
+    with opened(live, rig_path, seed, model=model) as setup, setup.interruptible():
+        return {"says": _attended(Watching(setup, model, motion, speed, seed=seed)), "model": path}
+
+
+def _replay(path: Path, rig_path: Path | None, pace: float) -> dict[str, Any]:
+    from tautline.live_page.work import Replaying
+    from tautline.vision.marker import with_marker
+
+    recordings, rig = read_recordings([path], rig_path)
+    with progress_bar("tracking") as progress:
+        recording = with_marker(recordings[0], rig, progress)
+    return {"says": _attended(Replaying(recording, rig, pace)), "recording": path}
+
+
+def _attended(work: Any) -> str:
+    """Serves the page until Ctrl-C; what was said last."""
+    from tautline.live_page.desk import Desk
+    from tautline.live_page.server import serving
+    from tautline.live_page.work import attend
+
+    said = [""]
+
+    def told(text: str) -> None:
+        said[0] = text
+        log(f"taut: {text}")
+
+    desk = Desk(work.rig, work.about)
+    with serving(desk) as server:
+        log(f"taut: {server.address} (on this machine alone; Ctrl-C ends it)")
+        attend(desk, work, told)
+    return said[0]

@@ -1,0 +1,126 @@
+"""What of a View goes to the page, as JSON documents. Positions and widths in the rig's unit, angles in deg."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from tautline.calibration.calibrate import Calibration
+from tautline.geometry import pose
+from tautline.live.rounds import in_words
+from tautline.live.setup import Frame
+from tautline.live.watch import View, in_short
+from tautline.model import Model
+from tautline.rig import Rig
+from tautline.tracking import Row
+
+_NODES = 161  # of B(q), as it is drawn
+
+
+def bent(rig: Rig, frame: Frame) -> float | None:
+    """The bending angle at which the marker would be nearest to where it was seen, deg."""
+    if not frame.sighting.valid:
+        return None
+    return _finite(float(pose(rig, [(frame.sighting.u_px, frame.sighting.v_px)])[0][0]))
+
+
+def moment(frame: Frame, q: float, c_deg: float | None) -> dict[str, Any]:
+    """One frame: when it arrived, the motor at the time that it shows, the angle, the marker in px."""
+    seen = frame.sighting
+    return {
+        "t_s": frame.t_us * 1e-6,
+        "q": _finite(q),
+        "c_deg": c_deg,
+        "u_px": _finite(seen.u_px),
+        "v_px": _finite(seen.v_px),
+        "diameter_px": _finite(seen.diameter_px),
+        "lost": seen.lost,
+    }
+
+
+def progress(view: View) -> dict[str, Any]:
+    """What is being done, what was seen, what is missing."""
+    seen, known = in_short(view)
+    return {
+        "doing": view.doing,
+        "seen": seen,
+        "known": known,
+        "share": view.share,
+        "rising": view.rising.tolist(),
+        "falling": view.falling.tolist(),
+        "missing": missing(view),
+        "onsets": [
+            {"q": 0.5 * (o["q1"] + o["q2"]), "width": o["width"], "direction": o["direction"], "used": o["used"]}
+            for o in view.onsets
+        ],
+    }
+
+
+def missing(view: View) -> list[str]:
+    """What stands between what is known and the goal, a sentence each."""
+    unit, standing = view.unit, view.standing
+    said = []
+    if view.coverage < 1.0:
+        said.append(f"seen in both directions over {100 * view.coverage:.0f} % of the range")
+    low, high = view.unseen
+    if low < high:
+        said.append(f"the marker is mostly lost from {low:.3g} to {high:.3g} {unit}")
+    if standing is None or view.until is None:
+        return said
+    if standing.missing == (view.low, view.high) and standing.ends != standing.missing:
+        said.append(f"B is measured only from {standing.ends[0]:.3g} to {standing.ends[1]:.3g} {unit}")
+    elif not standing.covered:
+        said.append(f"B is not measured from {standing.missing[0]:.3g} to {standing.missing[1]:.3g} {unit}")
+    said += [
+        f"sigma is {in_words(place.sigma, unit)} from {place.low:.3g} to {place.high:.3g} {unit}"
+        for place in standing.need
+        if place.sigma > view.until
+    ]
+    return said
+
+
+def fit(calibration: Calibration, seconds: float) -> dict[str, Any]:
+    """B(q) with its band, the onsets and the verdict of a calibration of the first `seconds`."""
+    return backlash(calibration.model) | {
+        "seconds": seconds,
+        "onsets": [
+            {"q": o.q_mean, "width": o.width, "sigma": _finite(o.sigma), "direction": o.direction, "used": o.used}
+            for o in calibration.onsets
+            if np.isfinite(o.width)
+        ],
+    }
+
+
+def backlash(model: Model) -> dict[str, Any]:
+    """B(q) with its band and the verdict of a model, from no time and without onsets."""
+    low, high = model.measured
+    q = np.linspace(low, high, _NODES) if low < high else np.zeros(0)
+    return {
+        "seconds": None,
+        "q": q.tolist(),
+        "width": _each(np.interp(q, model.q, model.width)),
+        "sigma": _each(np.interp(q, model.q, model.width_sigma)),
+        "measured": [low, high],
+        "delay_ms": 1e3 * model.delay_s,
+        "onsets": [],
+        "verdict": model.quality.verdict.value,
+        "reasons": [
+            {"code": reason.code, "says": reason.says, "remedy": reason.remedy, "mild": reason.mild}
+            for reason in model.quality.reasons
+        ],
+    }
+
+
+def holds(row: Row, t_s: float) -> dict[str, Any]:
+    """Whether the model still holds at a frame, and what was learnt: an offset in the rig's unit, a scale of B."""
+    numbers = {name: _finite(float(getattr(row, name))) for name in ("offset", "offset_sigma", "scale", "scale_sigma")}
+    return {"t_s": t_s, "state": row.state.value, "reason": row.reason} | numbers
+
+
+def _each(values: np.ndarray) -> list[float | None]:
+    return [_finite(float(value)) for value in values]
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None

@@ -1,0 +1,41 @@
+"""From the session's thread to any number of pages: the latest of each topic."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+
+class Stream:
+    """Nothing queues up: a reader that is slow gets the newest of each topic, and misses what came between."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._count = 0
+        self._latest: dict[str, tuple[int, Any]] = {}
+        self._closed = False
+
+    def publish(self, topic: str, what: Any) -> None:
+        """`what` is read by other threads from now on: it does not change any more."""
+        with self._changed:
+            self._count += 1
+            self._latest[topic] = (self._count, what)
+            self._changed.notify_all()
+
+    def newer(self, after: int, timeout_s: float) -> tuple[int, dict[str, Any]]:
+        """What was published after number `after`, by topic, oldest first, and the newest number; waits for it. Empty
+        when the time is up or the stream closed."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._count > after or self._closed, timeout_s)
+            fresh = sorted((number, topic, what) for topic, (number, what) in self._latest.items() if number > after)
+        return (fresh[-1][0] if fresh else after), {topic: what for _, topic, what in fresh}
+
+    def close(self) -> None:
+        """Whoever waits is let go."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+    @property
+    def closed(self) -> bool:
+        return self._closed

@@ -1,0 +1,337 @@
+"""The live page without a board: what is published, who is let in, and a recording that is played again."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cli_runner import Taut
+from reference_instrument import RIG, moved, saved_recording
+
+from tautline.calibration.calibrate import calibrate
+from tautline.errors import TautError
+from tautline.live.rounds import Standing
+from tautline.live.setup import Frame
+from tautline.live.watch import View
+from tautline.live_page import shown
+from tautline.live_page.desk import READY, RESTING, RUNNING, Desk, Stopped
+from tautline.live_page.replay import Played, replay
+from tautline.live_page.server import LOOPBACK, PageServer, serving
+from tautline.live_page.stream import Stream
+from tautline.live_page.work import Replaying, attend
+from tautline.recording import Recording, load, save
+from tautline.vision.marker import Sighting
+
+PACE = 1e6  # as fast as it goes
+WAIT_S = 20.0  # for what takes a fraction of a second on an idle machine
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return moved([-4.0, 1.0, -1.0, 3.0, 0.0, 4.0, -4.0, 4.0, -4.0], 4.0)
+
+
+class Page:
+    """What a browser does, by hand."""
+
+    def __init__(self, server: PageServer) -> None:
+        self.server, self.token = server, server.token
+
+    def ask(
+        self, path: str, method: str = "GET", body: str | None = None, **headers: str
+    ) -> tuple[int, bytes, dict[str, str]]:
+        line = http.client.HTTPConnection(LOOPBACK, self.server.server_address[1], timeout=WAIT_S)
+        try:
+            line.request(method, path, body, headers)
+            answer = line.getresponse()
+            return answer.status, answer.read(), dict(answer.getheaders())
+        finally:
+            line.close()
+
+    def post(self, what: str, body: str = "{}") -> int:
+        return self.ask(f"/{self.token}/{what}", "POST", body)[0]
+
+    @contextmanager
+    def open(self) -> Iterator[Callable[[str], Any]]:
+        """The page is open inside; gives the next document of a topic."""
+        line = http.client.HTTPConnection(LOOPBACK, self.server.server_address[1], timeout=WAIT_S)
+        line.request("GET", f"/{self.token}/events")
+        answer = line.getresponse()
+        assert answer.status == 200 and answer.getheader("Content-Type") == "text/event-stream"
+
+        def following(topic: str) -> Any:
+            while answer.readline().decode().strip() != f"event: {topic}":
+                pass
+            return json.loads(answer.readline().decode().removeprefix("data: "))
+
+        try:
+            yield following
+        finally:
+            answer.close()
+            line.close()
+
+
+@contextmanager
+def attended(recording: Recording, pace: float = PACE, unwatched_s: float = WAIT_S) -> Iterator[tuple[Page, Desk]]:
+    work = Replaying(recording, RIG, pace)
+    desk, over = Desk(RIG, work.about, unwatched_s), threading.Event()
+    with serving(desk) as server:
+        thread = threading.Thread(target=attend, args=(desk, work, lambda text: None, over.is_set))
+        thread.start()
+        try:
+            yield Page(server), desk
+        finally:
+            over.set()
+            desk.stop()
+            thread.join(WAIT_S)
+            assert not thread.is_alive()
+
+
+def until(holds: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + WAIT_S
+    while not holds():
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+
+
+def test_a_slow_reader_gets_the_newest_of_each_topic_and_nothing_twice() -> None:
+    stream = Stream()
+    for k in range(5):
+        stream.publish("frame", k)
+    stream.publish("state", "running")
+    stream.publish("frame", 5)
+    at, fresh = stream.newer(0, 0.0)
+    assert list(fresh.items()) == [("state", "running"), ("frame", 5)]
+    assert stream.newer(at, 0.0) == (at, {})
+    stream.publish("fit", "b")
+    assert stream.newer(at, 0.0)[1] == {"fit": "b"}
+
+
+def test_a_reader_waits_for_what_is_new_and_is_let_go_at_the_end() -> None:
+    stream, got = Stream(), []
+    reader = threading.Thread(target=lambda: got.extend([stream.newer(0, WAIT_S)[1], stream.newer(1, WAIT_S)[1]]))
+    reader.start()
+    stream.publish("frame", 1)
+    until(lambda: len(got) == 0 or got[0] == {"frame": 1})
+    stream.close()
+    reader.join(WAIT_S)
+    assert got == [{"frame": 1}, {}]
+
+
+def test_only_who_has_the_token_gets_anything_and_only_the_pages_own_files(recording: Recording) -> None:
+    with attended(recording) as (page, desk):
+        assert page.server.server_address[0] == "127.0.0.1"
+        assert page.server.address == f"http://127.0.0.1:{page.server.server_address[1]}/{page.token}/"
+        assert len(page.token) >= 20
+        for name, kind in (("", "text/html"), ("page.js", "text/javascript"), ("page.css", "text/css")):
+            status, body, headers = page.ask(f"/{page.token}/{name}")
+            assert status == 200 and body and headers["Content-Type"].startswith(kind)
+            assert "default-src 'none'" in headers["Content-Security-Policy"] and headers["Cache-Control"] == "no-store"
+        for path in (
+            "/", "/page.js", f"/{page.token}", f"/{page.token[:-1]}/", f"/{page.token}x/", "*", "//",
+            f"/{page.token}/../desk.py", f"/{page.token}/desk.py", f"/{page.token}//etc/passwd",
+            f"/{page.token}/%2e%2e/work.py",
+        ):  # fmt: skip
+            status, body, _ = page.ask(path)
+            assert (status, body) == (404, b""), path
+        assert page.ask("/wrong/start", "POST", "{}")[0] == 404 and desk.begun is False
+        other = "rebound.example:80"
+        assert page.ask(f"/{page.token}/", Host=other)[0] == 403
+        assert page.ask(f"/{page.token}/start", "POST", "{}", Host=other)[0] == 403 and desk.begun is False
+        assert page.ask(f"/{page.token}/", Host="localhost:1234")[0] == 200  # at the other end of a tunnel
+
+
+@pytest.mark.parametrize(
+    "body", ["[1]", "{", '{"u_px": "a", "v_px": 1}', '{"u_px": 1}', '{"u_px": 1, "v_px": 1' + " " * 300 + "}"]
+)
+def test_what_is_no_place_picks_nothing(recording: Recording, body: str) -> None:
+    with attended(recording) as (page, desk):
+        assert page.post("pick", body) == 400
+        assert desk.picked() is None
+
+
+def test_a_recording_is_played_to_the_calibration_that_it_gives(recording: Recording) -> None:
+    with attended(recording) as (page, desk), page.open() as following:
+        assert following("about") | {"title": "", "range": [], "c_range": []} == {
+            "title": "", "live": False, "unit": "mm", "range": [], "c_range": [],
+        }  # fmt: skip
+        assert following("state")["state"] == READY
+        assert page.post("start") == 200
+        until(lambda: not desk.begun)
+    latest = desk.events.newer(0, 0.0)[1]
+    whole = calibrate([recording], RIG)
+    fit, last = latest["fit"], latest["frame"]
+    q = np.array(fit["q"])
+    assert np.array_equal(fit["width"], np.interp(q, whole.model.q, whole.model.width))
+    assert np.array_equal(fit["sigma"], np.interp(q, whole.model.q, whole.model.width_sigma))
+    assert fit["verdict"] == whole.model.quality.verdict
+    assert [o["width"] for o in fit["onsets"]] == [o.width for o in whole.onsets if np.isfinite(o.width)]
+    assert recording.marker is not None and last["t_s"] == pytest.approx(recording.marker.t_s[-1], abs=1e-6)
+    assert last["u_px"] == recording.marker.u_px[-1]
+    assert "was played" in latest["state"]["says"]
+
+
+def test_stop_ends_it_and_start_begins_again(recording: Recording) -> None:
+    with attended(recording, pace=1.0) as (page, desk), page.open():
+        page.post("start")
+        until(lambda: "frame" in desk.events.newer(0, 0.0)[1])
+        page.post("stop")
+        until(lambda: not desk.begun)
+        assert desk.events.newer(0, 0.0)[1]["state"] == {"state": READY, "says": "stopped"}
+        before = desk.events.newer(0, 0.0)[1]["frame"]["t_s"]
+        page.post("start")
+        until(lambda: desk.events.newer(0, 0.0)[1]["frame"]["t_s"] < before)
+
+
+def test_at_rest_no_frame_is_played_and_then_it_goes_on(recording: Recording) -> None:
+    def now() -> dict[str, Any]:
+        return desk.events.newer(0, 0.0)[1]
+
+    with attended(recording, pace=1.0) as (page, desk), page.open():
+        page.post("start")
+        until(lambda: "frame" in now())
+        page.post("rest")
+        until(lambda: now().get("progress", {}).get("doing") == "at rest")
+        at = now()["frame"]["t_s"]
+        time.sleep(0.3)
+        assert now()["frame"]["t_s"] == at and now()["state"]["state"] == RESTING
+        page.post("start")
+        until(lambda: now()["frame"]["t_s"] > at)
+
+
+def test_where_the_last_page_is_gone_it_rests_until_start(recording: Recording) -> None:
+    with attended(recording, pace=1.0, unwatched_s=0.1) as (page, desk):
+        with page.open(), page.open():
+            page.post("start")
+            until(lambda: "frame" in desk.events.newer(0, 0.0)[1])
+            time.sleep(0.3)
+            assert desk.events.newer(0, 0.0)[1]["state"]["state"] == RUNNING
+        until(lambda: desk.events.newer(0, 0.0)[1]["state"]["state"] == RESTING)
+        with page.open() as following:
+            assert "no page is open" in following("state")["says"]
+            page.post("start")
+            assert following("state")["state"] == RUNNING
+
+
+def test_stop_reaches_the_board_from_the_pages_thread_while_a_camera_hangs() -> None:
+    desk, told = Desk(RIG, {}), threading.Event()
+    desk.start()
+    with desk.running(told.set):
+        asked = threading.Thread(target=desk.stop)  # nothing looks at a frame meanwhile
+        asked.start()
+        asked.join(WAIT_S)
+        assert told.is_set()
+        with pytest.raises(Stopped):
+            desk.show(View(-5.0, 5.0, "mm"))
+    desk.start()
+    desk.show(View(-5.0, 5.0, "mm"))  # the next one is not stopped by it
+
+
+def test_a_board_that_is_gone_is_no_error_of_stops() -> None:
+    def gone() -> None:
+        raise TautError("the board is gone")
+
+    desk = Desk(RIG, {})
+    desk.start()
+    with desk.running(gone):
+        desk.stop()
+
+
+def test_what_was_played_is_never_ahead_of_its_frame(recording: Recording) -> None:
+    played = Played(recording, RIG)
+    for k in range(played.frames - 1):
+        frame = played.play(lambda t_s: None)
+        part = played.so_far()
+        assert part.marker is not None and len(part.marker.t_s) == k + 1
+        assert part.motor.t_s[-1] <= frame.t_us * 1e-6 + 1e-6 and len(part.motor.q) == len(part.motor.t_s)
+    played.play(lambda t_s: None)
+    assert played.so_far() is recording
+
+
+def test_pictures_are_those_of_their_frames(tmp_path: Path) -> None:
+    """A video whose frames are numbered by their brightness, some of which have no time."""
+    cv2 = pytest.importorskip("cv2")
+    folder = saved_recording(tmp_path / "run")
+    marker = load(folder).marker
+    assert marker is not None
+    writer = cv2.VideoWriter(str(folder / "video.mkv"), cv2.VideoWriter.fourcc(*"FFV1"), 25.0, (32, 32))
+    for k in range(20):
+        writer.write(np.full((32, 32, 3), 10 * k, np.uint8))
+    writer.release()
+    rows = [f"{k},{marker.t_s[k]:.6f}" for k in range(20) if k != 7]
+    (folder / "frames.csv").write_text("\n".join(["frame,t_s", *rows]) + "\n")
+    seen: list[int] = []
+
+    def show(view: View) -> None:
+        assert view.frame is not None and view.frame.picture is not None
+        seen.append(int(view.frame.picture[16, 16, 1]))
+        if len(seen) == 20:
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        replay(load(folder), RIG, show, lambda: False, PACE)
+    assert seen == [10 * (k if k != 7 else 6) for k in range(20)]
+
+
+def test_what_is_missing_is_said() -> None:
+    view = View(-5.0, 5.0, "mm", 3e-3)
+    assert shown.missing(view) == ["seen in both directions over 0 % of the range"]
+    view.rising[:, 0] = view.falling[:, 0] = 1
+    view.falling[24:, :] = (0, 3)
+    assert shown.missing(view) == [
+        "seen in both directions over 50 % of the range",
+        "the marker is mostly lost from 0 to 5 mm",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("nodes", "says"),
+    [
+        ((0.3, 0.7), "measured only from {0:.3g} to {1:.3g} mm"),
+        ((0.0, 0.7), "not measured from {1:.3g} to 5 mm"),
+        (None, "not measured from -5 to 5 mm"),
+    ],
+)
+def test_what_is_not_measured_is_said(recording: Recording, nodes: tuple[float, float] | None, says: str) -> None:
+    """nodes: from which to which of q's nodes, as shares of them, B is measured."""
+    found = calibrate([recording], RIG)
+    q = found.model.q
+    measured = (0.0, 0.0) if nodes is None else (float(q[int(nodes[0] * len(q))]), float(q[int(nodes[1] * len(q))]))
+    view = View(-5.0, 5.0, "mm", 3e-3)
+    view.rising[:, 0] = view.falling[:, 0] = 1
+    view.standing = Standing.of(replace(found, model=replace(found.model, measured=measured)), -5.0, 5.0, 3e-3)
+    assert f"B is {says.format(*measured)}" in shown.missing(view)
+
+
+def test_a_marker_that_is_lost_has_no_place_and_no_angle() -> None:
+    lost = Frame(1_000_000, Sighting(np.nan, np.nan, np.nan, np.nan, "no marker of this colour"), None)
+    assert shown.bent(RIG, lost) is None
+    document = shown.moment(lost, float("nan"), None)
+    assert json.loads(json.dumps(document, allow_nan=False))["lost"] == "no marker of this colour"
+    assert document["u_px"] is None and document["q"] is None
+
+
+@pytest.fixture
+def taut(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Taut:
+    return Taut(monkeypatch, capsys)
+
+
+def test_what_cannot_be_shown_is_told_before_a_page_is_served(taut: Taut, tmp_path: Path, recording: Recording) -> None:
+    folder = tmp_path / "run"
+    save(recording, folder)
+    for words, says in (
+        (["live"], "name a RECORDING to play"),
+        (["live", folder, "--simulate"], "choose one of them"),
+        (["live", "--simulate"], "--out"),
+    ):
+        done = taut(*words)
+        assert done.code == 2 and says in done.err
