@@ -17,8 +17,8 @@ from tautline.vision.colour import COLOUR_FILE, LARGEST_PX, MarkerColour, pick
 from tautline.vision.marker import MarkerTracker, find_colour
 from tautline.vision.patch import USUAL_PX
 from tautline.vision.region import REGION_FILE, Region
-from tautline.vision.sighting import Sighting
 from tautline.vision.ros_camera import RosCamera, is_topic
+from tautline.vision.sighting import Sighting
 
 _STILL_FRAMES = 60  # that are tracked to say how well the marker can be seen
 _SPREAD = 12  # frames from all over a video in which the marker is looked for

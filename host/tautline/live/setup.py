@@ -30,8 +30,8 @@ from tautline.simulated.simlink import DesktopBoard, SimLink, SimulatedAxis
 from tautline.vision.camera import FrameSource, SimulatedCamera, VideoCamera
 from tautline.vision.colour import MarkerColour, pick
 from tautline.vision.marker import MarkerTracker
-from tautline.vision.sighting import Sighting
 from tautline.vision.ros_camera import RosCamera, is_topic
+from tautline.vision.sighting import Sighting
 from tautline.vision.timing import FrameTiming
 
 Array = np.ndarray
