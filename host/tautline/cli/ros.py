@@ -62,9 +62,9 @@ def command(
 
     Where set-points stop for longer than cmd_timeout the motor comes to rest; Ctrl-C ends with the motor off.
     """
-    from tautline.live.in_use import TableMover, beside, load_tables
+    from tautline.live.in_use import Following, TableMover, beside, load_tables
     from tautline.motors.ros_graph import Graph
-    from tautline.ros.node import Node, Shown
+    from tautline.ros.node import Node
     from tautline.ros.parameters import Parameters
 
     if ros_arguments and not of_ros:
@@ -81,7 +81,8 @@ def command(
         load_tables(live.board, axis, model)
         node = Node(graph, parameters, live, model)
         if camera is not None:
-            following = stack.enter_context(beside(Shown(live, model, mover=TableMover(live), shown=node.saw)))
+            follows = Following(live, model, mover=TableMover(live), shown=lambda frame, _: node.saw(frame))
+            following = stack.enter_context(beside(follows))
         log(f"taut: the node {graph.name} waits for set-points on {graph.topic('servo_jp')}")
         result = node.run(ended, following)
     tracking = None if following is None else following.summary()

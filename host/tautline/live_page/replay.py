@@ -19,7 +19,7 @@ from tautline.live.watch import Show, View, Watch
 from tautline.recording import Angle, Marker, Motor, Recording
 from tautline.rig import Rig
 from tautline.vision.camera import VideoCamera
-from tautline.vision.marker import Sighting
+from tautline.vision.sighting import Sighting
 
 Array = np.ndarray
 Series = TypeVar("Series", Motor, Marker, Angle)

@@ -10,7 +10,6 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -31,17 +30,6 @@ from tautline.tracking import State
 
 _CLOCK_READS = 3
 _DIAGNOSED_S = 1.0  # between two messages, as diagnostic tools expect
-
-
-@dataclass
-class Shown(Following):
-    """A tracker whose frames are published as they come."""
-
-    shown: Callable[[Frame], None] = lambda frame: None
-
-    def seen(self, frame: Frame) -> None:
-        self.shown(frame)
-        super().seen(frame)
 
 
 class Node:
