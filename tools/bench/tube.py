@@ -155,9 +155,13 @@ class BareWorld(World):
         point = middle[:, None] + TUBE_MM * out
         normal = out + (np.sin(bend)[:, None] * ahead)[:, None]
         facing = -np.sum(normal * point, axis=2) / np.sqrt(np.sum(point * point, axis=2))
+        brightest = np.maximum(facing.max(axis=1, keepdims=True), 1e-3)
+        glint = (
+            self.scene.glint * np.clip(facing / brightest, 0.0, 1.0) ** 60
+        )  # along the line that faces the camera most
         seen = facing > 0.02
-        point, facing, brightness = point[seen], facing[seen], brightness[seen]
-        light = 150.0 * brightness * (0.25 + 0.75 * facing) + self.scene.glint * facing**60
+        point, facing, brightness, glint = point[seen], facing[seen], brightness[seen], glint[seen]
+        light = 150.0 * brightness * (0.25 + 0.75 * facing) + glint
         u, v = self._image(point).T
         height, width = shape
         left, top = np.floor(u).astype(int), np.floor(v).astype(int)
