@@ -121,13 +121,15 @@ class SerialBus:
         tty.setraw(self._slave)
         self.path, self.ills = os.ttyname(self._slave), Ills()
         self._answer, self._buffer, self._busy = answer, bytearray(), False
+        self._ended, self._end = os.pipe()
         self._thread = threading.Thread(target=self._serve, daemon=True)
         self._thread.start()
 
     def _serve(self) -> None:
         with contextlib.suppress(OSError, ValueError):
             while True:
-                select.select([self._master], [], [])
+                if self._ended in select.select([self._master, self._ended], [], [])[0]:
+                    return
                 self._busy = True
                 data = os.read(self._master, 4096)
                 self._buffer += data if not self.ills.pulled else b""
@@ -142,9 +144,10 @@ class SerialBus:
             time.sleep(2e-5)
 
     def close(self) -> None:
-        os.close(self._slave)  # what serves sees it, and ends
-        with contextlib.suppress(OSError):
-            os.close(self._master)
+        os.write(self._end, b"x")
+        self._thread.join()  # else it would wait on a number that is another bus' by then, and take its bytes
+        for end in (self._slave, self._master, self._ended, self._end):
+            os.close(end)
 
 
 # -- Dynamixel, protocol 2 --------------------------------------------------------------------------------------------
