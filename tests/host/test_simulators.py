@@ -16,14 +16,20 @@ import tautline as tl
 from tautline import tables, trajectory
 from tautline.diagnosis.simulated import diagnose_simulator
 from tautline.errors import TautError
+from tautline.exporting import export
+from tautline.exporting.log import of_source
+from tautline.exporting.source import of_model, of_recording
 from tautline.geometry import project
 from tautline.model import Model
 from tautline.prediction import foretold, predict
-from tautline.recording import Angle, Marker, Motor, Recording
+from tautline.recording import Angle, Marker, Motor, Recording, load
+from tautline.rig import ANGLE
 from tautline.simulated.instrument import reference_rig
 from tautline.simulators import Declared, Simulator, mjcf, side_by_side
 from tautline.simulators.drive import Drive
 from tautline.simulators.nominal import nominal as simulated_nominal
+from tautline.simulators.source import path_of
+from tautline.tracking import LawTracker
 
 pytest.importorskip("mujoco")
 
@@ -234,15 +240,33 @@ def test_a_diagnosis_by_command_predicts_with_the_simulator_and_its_new_value(fo
     told = taut("predict", out / "corrected", tmp_path / "robot3", "--csv", tmp_path / "c.csv")
     assert told.code == 0, told.err
     robot = arms.robot(folder, 3, 6.0, kp=1.5)
-    seen = np.genfromtxt(tmp_path / "c.csv", delimiter=",", names=True)["c_deg"]
-    assert np.std(seen - robot.angle.c_deg) < 1.2 * arms.NOISE_DEG
-    with pytest.raises(TautError, match="over its tip"):
-        tables.encode(Model.load(out / "corrected"))
+    rows = np.genfromtxt(tmp_path / "c.csv", delimiter=",", names=True)
+    assert np.std(rows["c_deg"] - robot.angle.c_deg) < 1.2 * arms.NOISE_DEG
+    assert rows["c_sigma_deg"].max() < 1.0
+    check_where_it_goes(Model.load(out / "corrected"), load(tmp_path / "robot3", arms.rig(tmp_path)), tmp_path)
     arm.write_text(arm.read_text().replace('kp="3.0"', 'kp="4.0"'))
     assert "is not the file that was diagnosed" in taut.refuses(
         "predict", out / "corrected", tmp_path / "robot3", "--csv", tmp_path / "c.csv"
     )
     assert taut("explain", "simulator.servo.kp").code == 0
+
+
+def check_where_it_goes(corrected, robot, tmp_path):
+    """What knows the motor alone refuses it, and a log's p is the simulated tip in its play, here of no width."""
+    with pytest.raises(TautError, match="over its tip"):
+        tables.encode(corrected)
+    with pytest.raises(TautError, match="over its tip"):
+        LawTracker(corrected, ANGLE)
+    for name in ("linuxcnc", "marlin", "fluidnc", "klipper", "mjcf"):
+        with pytest.raises(TautError, match="begins with a simulator"):
+            export(of_model(corrected), name, tmp_path / "never")
+    told = next(s for s in of_source(of_recording(robot, None, of_model(corrected))).series if "prediction" in s.name)
+    lines = path_of(corrected, robot.motor).lines
+    p = np.interp(told.t_s - corrected.delay_of(ANGLE), lines.t_s, lines.q)
+    inside = np.isfinite(told.columns["p_deg"])
+    assert (
+        inside.any() and np.abs(told.columns["p_deg"] - p)[inside].max() < 0.01 < np.abs(robot.motor.q - lines.q).max()
+    )
 
 
 def test_what_is_asked_for_is_simulated_elsewhere_and_the_same(folder, nominal):

@@ -12,6 +12,7 @@ from tautline.errors import TautError
 from tautline.exporting import constants, csv_files, linuxcnc, log
 from tautline.exporting.formats import BY_NAME, EXTRA, Format
 from tautline.exporting.source import Source
+from tautline.model import SIMULATOR
 
 Progress = Callable[[float, str], None]
 
@@ -78,6 +79,11 @@ def export(
 def _check(form: Format, source: Source, mount: Mount | None, axis: str | None) -> None:
     if source.kind not in form.takes:
         raise TautError(f"{source.name}: is {source.kind}: --to {form.name} takes {' or '.join(form.takes)}")
+    if source.models and (form.axis or form.name == "mjcf") and SIMULATOR in source.model.extra:
+        raise TautError(
+            f"{source.name}: begins with a simulator, its B is over that one's tip and not the motor: calibrate, and "
+            "export that model"
+        )
     for module, package in form.needs:
         if importlib.util.find_spec(module) is None:
             raise TautError(

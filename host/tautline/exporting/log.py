@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tautline.core.motor import MotorPath
 from tautline.errors import TautError
 from tautline.evidence import STAGES, Evidence
 from tautline.exporting.source import MODEL, Source
@@ -18,6 +17,7 @@ from tautline.model import play_at as play
 from tautline.prediction import predict
 from tautline.recording import Recording, Video
 from tautline.rig import ANGLE, MARKER
+from tautline.simulators.source import path_of
 
 Array = npt.NDArray[np.float64]
 
@@ -123,7 +123,7 @@ def _foretold(recording: Recording, name: str, model: Model, unit: str) -> list[
     t_s = motor.t_s + model.delay_of(sensor) if rows is None else rows.t_s
     scene = t_s - model.delay_of(sensor)
     told = predict(model, motor, scene)
-    lines = MotorPath.of(motor, model.rig.actuator.encoder_resolution).lines
+    lines = path_of(model, motor).lines
     columns = {
         f"q_{unit}": np.interp(scene, motor.t_s, motor.q),
         f"p_{unit}": play(lines.t_s, lines.q, scene, model.play, np.nan),

@@ -18,7 +18,6 @@ from tautline.simulators.drive import Drive
 from tautline.simulators.simulator import Simulator
 
 _POINTS = 257  # of the model's tables
-_NEVER = 1e3  # of the range: how little is known of a backlash that nobody measured
 
 
 @dataclass(frozen=True)
@@ -79,7 +78,7 @@ def _model(simulator: Simulator, rig: Rig, by_marker: bool) -> Model:
         rig,
         q,
         np.zeros(_POINTS),
-        np.full(_POINTS, _NEVER * rig.actuator.span),
+        np.zeros(_POINTS),  # a simulator's own chain is known
         rig.coarse.gain * q + rig.coarse.offset,
         rig.nominal_delay_s(sensor),
         (low, high),

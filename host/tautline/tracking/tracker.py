@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from tautline import _native
 from tautline.errors import TautError
-from tautline.model import Model
+from tautline.model import SIMULATOR, Model
 from tautline.rig import MARKER, Sensor
 from tautline.tracking.beyond import Beyond
 from tautline.tracking.fit import REACH, Work
@@ -97,6 +97,10 @@ class LawTracker:
     def __init__(self, model: Model, sensor: Sensor) -> None:
         if sensor == MARKER and not model.rig.has_camera:
             raise TautError("the model's rig has no camera: track an angle sensor's recordings, or calibrate with one")
+        if SIMULATOR in model.extra:
+            raise TautError(
+                "a model that begins with a simulator is over its tip, not the motor: calibrate, track that"
+            )
         self.model, self.sensor = model, sensor
         self._unseen = self.nominal = LawFamily(Beyond.unseen(model))
         self.projection = Projection(model, sensor)
@@ -167,7 +171,7 @@ class LawTracker:
         self._well = self._since = self._recording_entry = self._window.end
         self._anchor, self._work, self._proposal = None, None, None
         self._running = 1.0
-        self._strange = 0
+        self._strange, self._visit = 0, None
         self._quiet_s = -np.inf
         self._leans = [0.0, 0.0]
         self._offset_before = self._offset
