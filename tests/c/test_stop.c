@@ -128,6 +128,46 @@ static void test_a_group_is_driven_again_once_the_first_fault_is_cleared(void) {
     TEST_ASSERT_EQUAL(TL_WIRE_MODE_HOLD, fake_status(1).mode);
 }
 
+// One bears a load and one does not, as antagonists do; `later` begins its time alone so much after the other.
+static int largest_fall(uint8_t loaded, uint8_t free, uint32_t ticks, uint32_t later_ms) {
+    fake_new(AXES);
+    TEST_ASSERT_EQUAL(0, store(loaded, 1, TL_WIRE_ESTOP_CLOSED));
+    TEST_ASSERT_EQUAL(0, store(free, 1, TL_WIRE_ESTOP_CLOSED));
+    fake.load = 0.3;
+    fake.friction = 0.02;
+    all_hold();
+    int before = 0, most = 0;
+    for (uint32_t step = 0; app.axes[loaded].fault == TL_WIRE_FAULT_NONE; step++) {
+        TEST_ASSERT_TRUE(step < 63U * FAKE_HZ);
+        fake.position[free] = 0.5;
+        fake.speed[free] = 0.0;
+        fake_step();
+        if (step == FAKE_HZ + ticks) { // anywhere in a millisecond
+            tl_axis_hear(&app.axes[free]);
+            tl_axis_hear(&app.axes[loaded]);
+        } else if (step == FAKE_HZ + ticks + later_ms * FAKE_HZ / 1000U) {
+            tl_axis_hear(&app.axes[loaded]);
+        }
+        if (step % (FAKE_HZ / 1000U) == 0 && step > 30U * FAKE_HZ) {
+            most = before - fake.duty[loaded] > most ? before - fake.duty[loaded] : most;
+        }
+        before = step % (FAKE_HZ / 1000U) == 0 ? fake.duty[loaded] : before;
+    }
+    assert_off(free, TL_WIRE_FAULT_HOST_LOST, 0);
+    assert_off(loaded, TL_WIRE_FAULT_HOST_LOST, 0);
+    return most;
+}
+
+static void test_a_group_that_holds_alone_lets_go_slowly(void) {
+    for (uint8_t loaded = 0; loaded < AXES; loaded++) {
+        for (uint32_t ticks = 0; ticks < FAKE_HZ / 1000U; ticks++) {
+            TEST_ASSERT_LESS_THAN(100, largest_fall(loaded, (uint8_t)((loaded + 1U) % AXES), ticks, 0));
+        }
+    }
+    TEST_ASSERT_LESS_THAN(100, largest_fall(1, 0, 0, 700)); // it came to rest later
+    TEST_ASSERT_LESS_THAN(100, largest_fall(0, 1, 0, 700));
+}
+
 static void test_the_stop_input_switches_every_axis_off_and_stays(void) {
     all_hold();
     move_all();
@@ -208,6 +248,7 @@ int main(void) {
     RUN_TEST(test_axes_without_a_group_are_apart);
     RUN_TEST(test_a_fault_that_is_cleared_at_once_takes_its_group_all_the_same);
     RUN_TEST(test_a_group_is_driven_again_once_the_first_fault_is_cleared);
+    RUN_TEST(test_a_group_that_holds_alone_lets_go_slowly);
     RUN_TEST(test_the_stop_input_switches_every_axis_off_and_stays);
     RUN_TEST(test_the_stop_input_stops_homing_checks_and_axes_that_are_off);
     RUN_TEST(test_a_stop_input_that_opens_stops_where_it_is_wired_so);

@@ -14,13 +14,23 @@ static inline bool has_own_fault(const tl_axis_t *axis) {
     return axis->fault != TL_WIRE_FAULT_NONE && axis->fault != TL_WIRE_FAULT_GROUP;
 }
 
+// Where a hold ended for want of a host, one that holds lets go slowly, too: it may bear a load yet.
+static inline bool sinks_too(const tl_axis_t *axis, tl_axis_t *other) {
+    if (axis->fault != TL_WIRE_FAULT_HOST_LOST || axis->guard.sink == 0 || other->mode != TL_WIRE_MODE_HOLD ||
+        other->settings.hold_ms == 0) {
+        return false;
+    }
+    other->guard.alone_ms = other->settings.hold_ms;
+    return true;
+}
+
 TL_FAST void tl_stop_group(const tl_axis_t *axis, tl_us_t now_us) {
     if (axis->settings.group == 0 || !has_own_fault(axis)) {
         return;
     }
     tl_axis_t *other = (tl_axis_t *)axis - axis->index;
     for (uint8_t i = 0; i < axis->port->axes; i++, other++) {
-        if (of_one_group(axis, other) && other->mode != TL_WIRE_MODE_OFF) {
+        if (of_one_group(axis, other) && other->mode != TL_WIRE_MODE_OFF && !sinks_too(axis, other)) {
             tl_axis_fail(other, TL_WIRE_FAULT_GROUP, axis->index, now_us);
         }
     }
