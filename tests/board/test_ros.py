@@ -195,6 +195,28 @@ def a_bag_of_it_is_the_same_recording(heard: Heard, namespace: str, folder: Path
     np.testing.assert_allclose(marker.v_px, [row["v"] for row in seen], atol=6e-5)
 
 
+@pytest.mark.wall_clock
+def test_a_robot_in_another_process(namespace: str) -> None:
+    """Its joint as the motor: tests/host/ros_robot.py."""
+    address = f"ros:{namespace}/joint_states,{namespace}/commands:joint_1?rate=50"
+    robot = subprocess.Popen(
+        [sys.executable, str(HERE.parent / "host" / "ros_robot.py"), namespace], stdin=subprocess.PIPE
+    )
+    try:
+        with open_board(address) as board:
+            assert board.bus()["drives"] == ["joint_1: revolute, firmware -, 4096 counts a turn"]
+            board.switch_on(0)
+            board.ask("move", axis=0, q=300.0, speed_s=2000.0)
+            end = time.monotonic() + 10.0
+            while abs(board.status(0).q - 300.0) > 5.0 and time.monotonic() < end:
+                time.sleep(0.02)
+            assert board.status(0).q == pytest.approx(300.0, abs=5.0)
+    finally:
+        assert robot.stdin is not None
+        robot.stdin.close()
+        robot.wait(10.0)
+
+
 def test_it_ends_with_the_motor_at_rest_and_off(tmp_path: Path, namespace: str, wall_clock: ClockOf) -> None:
     with referenced() as desktop:
         clock = wall_clock(desktop.link())

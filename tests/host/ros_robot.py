@@ -21,7 +21,7 @@ import numpy as np
 from motor_emulators import Ills, Motor
 
 _STATE_STEPS, _TURN, _WAIT_S = 10, 4096, 2.0
-_URDF = """<robot name="robot"><joint name="{name}" type="{kind}"><limit {limit}/></joint></robot>"""
+_URDF = """<joint name="{name}" type="{kind}"><limit {limit}/></joint>"""
 
 
 @dataclass
@@ -80,16 +80,14 @@ class RosRobot:
             self._node = rclpy.create_node("robot", context=self._context)
             kept = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
             self._states = self._node.create_publisher(JointState, f"{namespace}/joint_states", 10)
-            self._described = self._node.create_publisher(String, f"{namespace}/robot_description", kept)
+            self._string, self._kept, self._description = String, kept, f"{namespace}/robot_description"
             if by_name:
                 self._node.create_subscription(JointState, f"{namespace}/commands", self._take_named, 10)
             else:
                 self._node.create_subscription(Float64MultiArray, f"{namespace}/commands", self._take, 10)
+        self._kind = "prismatic" if sliding else "revolute"
         if described:
-            limit = f'lower="{-20000 * self._unit}" upper="{20000 * self._unit}" '
-            limit += f'velocity="{motors[0].speed_most * self._unit}" effort="1"'
-            kind = "prismatic" if sliding else "revolute"
-            self._described.publish(String(data=_URDF.format(name=self.names[0], kind=kind, limit=limit)))
+            self.describe(self.names)
         self._failed = False
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
@@ -108,6 +106,15 @@ class RosRobot:
         while not self.motors[0].course and not self._closed:
             self.say()
             time.sleep(1e-3 * _STATE_STEPS)
+
+    def describe(self, names: list[str]) -> None:
+        """Publishes its description; without names a publisher is there that says nothing."""
+        described = self._node.create_publisher(self._string, self._description, self._kept)
+        limit = f'lower="{-20000 * self._unit}" upper="{20000 * self._unit}" '
+        limit += f'velocity="{self.motors[0].speed_most * self._unit}" effort="1"'
+        joints = [_URDF.format(name=name, kind=self._kind, limit=limit) for name in names]
+        if joints:
+            described.publish(self._string(data=f'<robot name="robot">{"".join(joints)}</robot>'))
 
     def fail(self) -> None:
         """Its hardware is deactivated: its broadcaster knows no position any more."""

@@ -7,8 +7,7 @@ instrument, with the same counts, log rate and limits of the motor.
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -25,7 +24,7 @@ from motor_emulators import Bench, Cia402Emulator, DynamixelEmulator, FeetechEmu
 from ros_robot import Joint, RosRobot
 
 from tautline.device import wire
-from tautline.device.board import Board, find, open_board
+from tautline.device.board import Board, find
 from tautline.device.link import BoardAddress, BoardGone
 from tautline.errors import TautError
 from tautline.live.following import follow_run
@@ -464,26 +463,53 @@ def test_a_joint_that_is_off_is_left_where_it_is(by_name: bool) -> None:
 
 
 @NO_ROS
-def test_a_robot_in_another_process_by_the_wall_clock(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    namespace = f"/n{uuid4().hex[:12]}"
-    address = f"ros:{namespace}/joint_states,{namespace}/commands:joint_1?rate=50"
-    robot = subprocess.Popen(
-        [sys.executable, str(Path(__file__).with_name("ros_robot.py")), namespace], stdin=subprocess.PIPE
-    )
+def test_a_joint_that_is_off_does_not_give_way_to_its_load() -> None:
+    motors: list[Motor] = [Joint(), Joint(position=-300.0)]
+    with joints(motors) as (robot, drives):
+        drives.stop()  # none was on: nothing is said
+        drives.enable(0, True)
+        for sag in range(1, 6):
+            motors[1].position = -300.0 - sag
+            until_measured(drives, 1, -300.0 - sag)
+            drives.set_positions([Goal(10.0 * sag, 0.0), None])
+        robot.bus.settle()
+        assert len(motors[0].goals) == 6 and motors[1].goals == pytest.approx([-300.0] * 6, abs=1e-6)
+
+
+def until_measured(drives: Any, axis: int, q: float) -> None:
+    end = time.monotonic() + 5.0
+    while abs(drives.measure()[axis].q - q) > 1e-3:
+        assert time.monotonic() < end
+
+
+@NO_ROS
+def test_a_description_that_is_found_late_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ros_joints, "_DESCRIBED_S", 10.0)
+    robot = RosRobot([Joint()], f"/n{uuid4().hex[:12]}", sliding=True, described=False)
+    later = threading.Timer(1.0, robot.describe, [robot.names])
+    later.start()
     try:
-        with open_board(address) as board:
-            assert board.bus()["drives"] == ["joint_1: revolute, firmware -, 4096 counts a turn"]
-            board.switch_on(0)
-            board.ask("move", axis=0, q=300.0, speed_s=2000.0)
-            end = time.monotonic() + 10.0
-            while abs(board.status(0).q - 300.0) > 5.0 and time.monotonic() < end:
-                time.sleep(0.02)
-            assert board.status(0).q == pytest.approx(300.0, abs=5.0)
+        drives = addresses.open_drives(addresses.parse(f"ros:{robot.bus.path}:joint_1"))
+        assert drives.drives[0].per == "m"
+        drives.close()
     finally:
-        assert robot.stdin is not None
-        robot.stdin.close()
-        robot.wait(10.0)
+        later.join()
+        robot.close()
+
+
+@NO_ROS
+@pytest.mark.parametrize(("names", "says"), [([], "published but did not come"), (["elbow"], "has no joint joint_1")])
+def test_a_description_that_does_not_say_it_is_no_joint_without_an_end(
+    names: list[str], says: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ros_joints, "_DESCRIBED_S", 0.5 if not names else 10.0)
+    robot = RosRobot([Joint()], f"/n{uuid4().hex[:12]}", described=False)
+    robot.describe(names)
+    try:
+        with pytest.raises(TautError, match=says):
+            addresses.open_drives(addresses.parse(f"ros:{robot.bus.path}:joint_1"))
+    finally:
+        robot.close()
 
 
 @NO_ROS

@@ -43,7 +43,8 @@ class RosJoints:
         self._newest: tuple[float, Any] | None = None  # when it was measured, s; the message
         self._used: Any = None
         self._others: set[str] = set()  # joints in messages that have not all of ours
-        self._places: list[float] = []  # of each joint, rad or m: measured last
+        self._places: list[float] = []  # of each joint, rad or m: measured last,
+        self._rests: list[float] = []  # and when it was switched off
         self._told: list[float | None] = [None for _ in names]  # set-points, while they are on
         self._description = ""
         self._counts: list[float] = []  # of each joint, a rad or m
@@ -55,29 +56,48 @@ class RosJoints:
             raise
 
     def _open(self, states: str, commands: str) -> None:
+        description = self._listen(states)
+        where = "are they of this machine, of the same $ROS_DOMAIN_ID, and active?"
+        self._find_joints(states, where)
+        self._kind = self._taken_by(commands, where)
+        self._commands = self._graph.node.create_publisher(self._message_type(), commands, 10)
+        self._until(lambda: self._commands.get_subscription_count() > 0, _FIRST_S)
+        self._places = [math.nan for _ in self._names]
+        if any(math.isnan(m.q) for m in self.measure()):
+            raise TautError(f"ros: {states} has no position of {', '.join(self._names)}: is the hardware active?")
+        self._rests = list(self._places)
+        described = self._read_description(description)
+        self.drives = [_drive(name, described.get(name, {})) for name in self._names]
+        self._counts = [float(drive.counts_per_turn) / (1.0 if drive.per == "m" else math.tau) for drive in self.drives]
+
+    def _listen(self, states: str) -> str:
+        """The description's topic."""
         node, qos = self._graph.node, library("rclpy.qos")
         node.create_subscription(library("sensor_msgs.msg").JointState, states, self._take, sensor_qos())
         kept = qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
         description = f"{states.rpartition('/')[0]}/{_DESCRIPTION}"
         node.create_subscription(library("std_msgs.msg").String, description, self._describe, kept)
         self._graph.begin()
-        where = "are they of this machine, of the same $ROS_DOMAIN_ID, and active?"
+        return description
+
+    def _find_joints(self, states: str, where: str) -> None:
         if not self._until(lambda: self._newest is not None, _FIRST_S):
             if self._others:
                 missing = ", ".join(name for name in self._names if name not in self._others)
                 raise TautError(f"ros: no joint {missing} in {states}, which names {', '.join(sorted(self._others))}")
             raise TautError(f"ros: no joint states came on {states}: {where}")
-        self._kind = self._taken_by(commands, where)
-        self._commands = node.create_publisher(self._message_type(), commands, 10)
-        self._until(lambda: self._commands.get_subscription_count() > 0, _FIRST_S)
-        self._places = [math.nan for _ in self._names]
-        if any(math.isnan(m.q) for m in self.measure()):
-            raise TautError(f"ros: {states} has no position of {', '.join(self._names)}: is the hardware active?")
-        if node.count_publishers(description):
-            self._until(lambda: bool(self._description), _DESCRIBED_S)
+
+    def _read_description(self, topic: str) -> dict[str, dict[str, str]]:
+        """Empty where nobody publishes one: who does may be found a moment later than the states are."""
+        if not self._until(lambda: bool(self._description), _DESCRIBED_S):
+            if self._graph.node.count_publishers(topic):
+                raise TautError(f"ros: {topic} is published but did not come: run the command again")
+            return {}
         described = _described(self._description)
-        self.drives = [_drive(name, described.get(name, {})) for name in self._names]
-        self._counts = [float(drive.counts_per_turn) / (1.0 if drive.per == "m" else math.tau) for drive in self.drives]
+        for name in self._names:
+            if name not in described:
+                raise TautError(f"ros: {topic} has no joint {name}: check its name")
+        return described
 
     def _taken_by(self, commands: str, where: str) -> str:
         """The message that the subscribers of set-points take."""
@@ -148,8 +168,8 @@ class RosJoints:
 
     def _send(self) -> None:
         message = self._message_type()()
-        if self._kind == _ARRAY:  # those that are off stay where they are
-            message.data = [here if told is None else told for told, here in zip(self._told, self._places, strict=True)]
+        if self._kind == _ARRAY:  # those that are off stay where they were: the newest place gives way under a load
+            message.data = [rest if told is None else told for told, rest in zip(self._told, self._rests, strict=True)]
         else:
             on = [(name, told) for name, told in zip(self._names, self._told, strict=True) if told is not None]
             message.name, message.position = [name for name, _ in on], [told for _, told in on]
@@ -158,7 +178,9 @@ class RosJoints:
 
     def enable(self, axis: int, on: bool) -> None:
         """A topic switches no torque: on and off, the joint is to stay where it is, without a force that grew."""
-        self._told[axis] = self._places[axis]
+        if not on and self._told[axis] is None:
+            return
+        self._told[axis] = self._rests[axis] = self._places[axis]
         self._send()
         if not on:
             self._told[axis] = None
