@@ -56,7 +56,7 @@ def driven(t_s: Array, q: Array, step: float, *, rounded: bool) -> Driven:
     mean[[0, -1]] += ends * np.diff(mean)[[0, -1]] / np.diff(nodes)[[0, -1]]
     nodes[[0, -1]] += ends
     nodes, mean, sigma = _cornered(nodes, mean, sigma)
-    return Driven(nodes, zero + step * mean, step * sigma, step * found.noise)
+    return Driven(nodes, zero + step * mean, step * sigma, step * found.noise * float(np.sqrt(len(q) / size)))
 
 
 @dataclass(frozen=True)

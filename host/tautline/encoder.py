@@ -199,6 +199,7 @@ def cut(motor: Motor, until_s: float) -> Motor:
 
 
 _lines: WeakKeyDictionary[Motor, dict[float, Motor]] = WeakKeyDictionary()
+_evens: WeakKeyDictionary[Motor, dict[float, Motor]] = WeakKeyDictionary()
 _paths: WeakKeyDictionary[Motor, dict[float, Driven | None]] = WeakKeyDictionary()
 
 
@@ -228,7 +229,8 @@ def _jumps(motor: Motor, resolution: float) -> Driven | None:
     if noise >= unsure and swings(motor):  # less is an encoder's own steps
         return None
     if steps is None:
-        noisy = noise <= _SCATTERS * resolution and _beside_white(motor) < _CLEARLY
+        told = len(motor.q) >= _FEWEST + 3  # as many third differences tell noise from a bend
+        noisy = told and noise <= _SCATTERS * resolution and _beside_white(motor) < _CLEARLY
         return driven(motor.t_s, motor.q, noise, rounded=False) if noisy else None
     lines = _even_lines(motor, resolution)
     away = float(np.abs(np.interp(motor.t_s, lines.t_s, lines.q) - motor.q).max())
@@ -250,6 +252,14 @@ def _sampled(motor: Motor, lines: Motor) -> Motor:
 
 
 def _even_lines(motor: Motor, resolution: float) -> Motor:
+    known = _evens.setdefault(motor, {})
+    if resolution not in known:
+        known[resolution] = _even(motor, resolution)
+    return known[resolution]
+
+
+def _even(motor: Motor, resolution: float) -> Motor:
+    """Lines that let the motor stop and start at a constant acceleration."""
     smooth, steps = _between(motor, resolution)
     if smooth is motor:
         return _without_idle(motor)

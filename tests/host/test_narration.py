@@ -82,7 +82,8 @@ def test_a_width_is_told_in_the_motors_unit():
     q = np.linspace(-5.0, 5.0, 101)
     models = [Model(RIG, q, np.full(101, b), 0.01 + 0 * q, PLANT.bend(q), 0.08, (-4.0, 4.0)) for b in (0.4, 0.253)]
     width = page.width_now(*models)
-    (row,) = page._parameters(explained(0.88, 1.0)["effects"][0], "mm", width)
+    document = explained(0.88, 1.0)
+    (row,) = page._parameters(document, document["effects"][0], "mm", width)
     assert (row["name"], row["value"]) == ("B is now", "0.253 mm in the mean, it was 0.4")
 
 

@@ -1,5 +1,6 @@
 """An offset moves the tip to where the calibration measured nothing: what is seen there is learnt, and nothing else."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -18,6 +19,7 @@ from tautline.simulated.simulate import run
 from tautline.tracking import off_by, replay
 from tautline.tracking.beyond import CURVES, Beyond
 from tautline.tracking.law import LawFamily, unchanged
+from tautline.tracking.visit import Visit
 
 NOISE_PX = 0.05
 RATIO = 1.1  # of what is left to the noise, from the tenth reversal on
@@ -143,3 +145,21 @@ def test_derivatives_by_what_is_added_to_the_width_are_those_of_differences(seed
         differences = (told(mean + step)[0] - told(mean - step)[0]) / 2e-6
         same = np.abs(differences - slopes[:, i]) < 1e-4 * (1 + np.abs(slopes[:, i]))
         assert same.mean() > 0.97  # not where a turn or a node of the table is passed within the step
+
+
+def test_a_model_that_was_measured_at_one_place_is_tracked():
+    model = replace(calibrated(1), measured=(0.5, 0.5))
+    whole = of_name("random", None, 1)
+    way = trajectory.trapezoids(whole.rig.actuator, 2.0, 3.0, 3, 20.0, 0.2)
+    tracked = replay(model, [run(whole.rig, whole, way, seed=1).recording])
+    assert np.isfinite(tracked.column("c_deg")).all()
+
+
+def test_a_long_stay_that_nobody_saw_costs_no_more():
+    """Two thousand turns within the backlash while the marker is hidden."""
+    family = Beyond.unseen(calibrated(1))
+    visit = Visit(LawFamily(family), None)
+    for _ in range(2000):
+        visit.move(np.array([0.1, -0.1]))
+    assert visit.full
+    assert len(visit._path) <= 514

@@ -176,9 +176,10 @@ def that_help(evidence: CaseEvidence, verdict: Decision) -> Decision:
 
 
 def wanders(evidence: CaseEvidence) -> list[bool]:
-    """Of each hypothesis, whether an effect's amplitude is another elsewhere, as a wrong one's rather than as a right
-    one's."""
-    return [bool(says < 0.0) for says in Likelihoods(Stacked(evidence), learnt().center).steady]
+    """Of each hypothesis, whether an effect's amplitude is clearly another elsewhere, as a wrong one's rather than as a
+    right one's."""
+    by = learnt().center
+    return [bool(says < np.log(by.mimics)) for says in Likelihoods(Stacked(evidence), by).steady]
 
 
 def is_open(evidence: CaseEvidence, power: Array | float) -> bool:

@@ -36,6 +36,8 @@ class Beyond:
     def unseen(cls, model: Model) -> Self:
         """Before use showed anything. Standard deviations are those of each curve's slope, and of its change from
         place to place, where it was measured."""
+        if not model.measured[1] > model.measured[0]:  # one place, or none: nothing is beyond it
+            model = replace(model, measured=(float(model.q[0]), float(model.q[-1])))
         low, high = model.measured
         span = float(model.q[-1] - model.q[0])
         further = np.linspace(0.0, _REACH * span, _NODES + 1)[1:]

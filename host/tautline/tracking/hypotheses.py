@@ -209,7 +209,7 @@ def judge(
         verdict = yield from _judged(case, adapting, posture, moved, proposal)
         if verdict.theta is not None:
             refines = verdict.refines or (moved and evidence is not stretches[0][0])
-            further = nominal
+            further = None  # a narrower one keeps what is known beyond the range
             if not verdict.narrower:
                 further = yield from continued(nominal, verdict.evidence, verdict.theta, level)
             verdict = replace(verdict, nominal=further, refines=refines)

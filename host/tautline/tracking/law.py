@@ -90,10 +90,7 @@ class LawFamily:
 
     @cached_property
     def places(self) -> Array:
-        low, high = self.model.measured
-        if not high > low:
-            low, high = float(self.model.q[0]), float(self.model.q[-1])
-        return np.linspace(low, high, PLACES)
+        return np.linspace(*self.model.measured, PLACES)
 
     def powers(self, p: npt.ArrayLike) -> Array:
         """(3, n): what a constant, a slope and a bend of f_remain's change are at p; 1 at the ends of the measured

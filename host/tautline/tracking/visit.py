@@ -12,7 +12,7 @@ from tautline.tracking.law import OFFSET, LawFamily
 
 Array = npt.NDArray[np.float64]
 
-_FRAMES = 64  # that are looked at together: what one more costs stays below a frame's time
+_FRAMES, _KNOTS = 64, 512  # that are looked at together: what one more costs stays below a frame's time
 
 
 @dataclass
@@ -27,10 +27,11 @@ class Visit:
 
     @property
     def full(self) -> bool:
-        return len(self._frames) >= _FRAMES
+        return len(self._frames) >= _FRAMES or len(self._path) >= _KNOTS
 
     def move(self, path: Array) -> None:
-        self._path += path.tolist()
+        if not self.full:
+            self._path += path.tolist()
 
     def see(self, family: LawFamily, theta: Array, c_deg: float, sigma: float) -> tuple[LawFamily, Any]:
         """With a frame where the path ends, by the law theta about what `family` knows: what is known now, and where

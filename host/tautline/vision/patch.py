@@ -164,7 +164,8 @@ class _Keyframe:
         left = places - here @ fit[:, :2].T - fit[:, 2]
         scatter = float(np.sum(left**2)) / (2 * len(here) - 6)
         away, lever = here - here.mean(axis=0), (self.pose.u, self.pose.v) - here.mean(axis=0)
-        sigma = float(np.sqrt(scatter * (1.0 / len(here) + lever @ lever / max(float(np.sum(away**2)), 1e-9))))
+        spread = away.T @ away + 1e-9 * np.eye(2)
+        sigma = float(np.sqrt(scatter * (1.0 / len(here) + lever @ np.linalg.solve(spread, lever))))
         return pose, max(sigma, _SURE_PX)
 
     def settle(self) -> bool:
@@ -210,7 +211,7 @@ class PatchTracker:
         height, width = picture.shape[:2]
         if not (0 <= at[0] < width and 0 <= at[1] < height):
             raise TautError(f"({at[0]:g}, {at[1]:g}) is outside of the picture of {width} x {height} px")
-        self.side_px = side_px
+        self.side_px, self._shape = side_px, picture.shape[:2]
         self._first = _Keyframe.of(_grey(picture), Pose(*at), side_px)
         if len(self._first.corners) < _FEWEST:
             raise TautError(
@@ -252,7 +253,13 @@ class PatchTracker:
             keyframe.pose = replace(keyframe.pose, u=keyframe.pose.u + float(u), v=keyframe.pose.v + float(v))
 
     def track(self, picture: Picture) -> Sighting:
-        """The region in the next frame, BGR (height, width, 3) uint8."""
+        """The region in the next frame, BGR (height, width, 3) uint8, of the size that it was shown in."""
+        if picture.shape[:2] != self._shape:
+            (height, width), (shown_height, shown_width) = picture.shape[:2], self._shape
+            raise TautError(
+                f"frames are {width} x {height} px, the place was shown in one of {shown_width} x {shown_height}: "
+                "show it again with 'taut marker VIDEO --region U,V'"
+            )
         grey = _grey(picture)
         found = self._near(grey, self._expected) if self._poses else None
         if found is None:
