@@ -61,8 +61,8 @@ class Page:
         return self.ask(f"/{self.token}/{what}", "POST", body)[0]
 
     @contextmanager
-    def open(self) -> Iterator[Callable[[str], Any]]:
-        """The page is open inside; gives the next document of a topic."""
+    def open(self, awake: bool = True) -> Iterator[Callable[[str], Any]]:
+        """The page is open inside, and says so where it is awake; gives the next document of a topic."""
         line = http.client.HTTPConnection(LOOPBACK, self.server.server_address[1], timeout=WAIT_S)
         line.request("GET", f"/{self.token}/events")
         answer = line.getresponse()
@@ -73,9 +73,21 @@ class Page:
                 pass
             return json.loads(answer.readline().decode().removeprefix("data: "))
 
+        gone = threading.Event()
+
+        def here() -> None:
+            while not gone.wait(0.02):
+                self.post("here")
+
+        posts = threading.Thread(target=here)
+        if awake:
+            posts.start()
         try:
             yield following
         finally:
+            gone.set()
+            if awake:
+                posts.join()
             answer.close()
             line.close()
 
@@ -127,7 +139,9 @@ def test_a_reader_waits_for_what_is_new_and_is_let_go_at_the_end() -> None:
     assert got == [{"frame": 1}, {}]
 
 
-def test_only_who_has_the_token_gets_anything_and_only_the_pages_own_files(recording: Recording) -> None:
+def test_only_who_has_the_token_gets_anything_and_only_the_pages_own_files(
+    recording: Recording, capsys: pytest.CaptureFixture[str]
+) -> None:
     with attended(recording) as (page, desk):
         assert page.server.server_address[0] == "127.0.0.1"
         assert page.server.address == f"http://127.0.0.1:{page.server.server_address[1]}/{page.token}/"
@@ -147,6 +161,11 @@ def test_only_who_has_the_token_gets_anything_and_only_the_pages_own_files(recor
         other = "rebound.example:80"
         assert page.ask(f"/{page.token}/", Host=other)[0] == 403
         assert page.ask(f"/{page.token}/start", "POST", "{}", Host=other)[0] == 403 and desk.begun is False
+        assert page.ask(f"/{page.token}/", Host="[")[0] == 400 and page.ask("/wrong/", Host="[")[0] == 404
+        assert page.ask("ftp://[/")[0] == 404
+        assert page.ask(f"/{page.token}/picture?after=%C2%B2")[0] == 400
+        assert page.ask(f"/{page.token}/start", "POST", **{"Content-Length": "\xb2"})[0] == 400 and desk.begun is False
+        assert capsys.readouterr().err == ""
         assert page.ask(f"/{page.token}/", Host="localhost:1234")[0] == 200  # at the other end of a tunnel
 
 
@@ -209,17 +228,58 @@ def test_at_rest_no_frame_is_played_and_then_it_goes_on(recording: Recording) ->
 
 
 def test_where_the_last_page_is_gone_it_rests_until_start(recording: Recording) -> None:
-    with attended(recording, pace=1.0, unwatched_s=0.1) as (page, desk):
+    with attended(recording, pace=1.0, unwatched_s=0.4) as (page, desk):
         with page.open(), page.open():
             page.post("start")
             until(lambda: "frame" in desk.events.newer(0, 0.0)[1])
-            time.sleep(0.3)
+            time.sleep(0.6)
             assert desk.events.newer(0, 0.0)[1]["state"]["state"] == RUNNING
         until(lambda: desk.events.newer(0, 0.0)[1]["state"]["state"] == RESTING)
         with page.open() as following:
             assert "no page is open" in following("state")["says"]
             page.post("start")
             assert following("state")["state"] == RUNNING
+
+
+def test_a_page_that_does_not_answer_is_none(recording: Recording) -> None:
+    with attended(recording, pace=1.0, unwatched_s=0.1) as (page, desk), page.open(awake=False) as following:
+        assert following("alive") == {}
+        page.post("start")
+        until(lambda: desk.events.newer(0, 0.0)[1]["state"]["state"] == RESTING)
+        assert following("alive") == {}  # it is asked again
+
+
+def test_a_stop_that_came_before_it_began_and_one_that_failed_are_not_lost(recording: Recording) -> None:
+    ran: list[str] = []
+
+    class Moving(Replaying):
+        def run(self, desk: Desk) -> str:
+            ran.append("run")
+            return "ran"
+
+    work = Moving(recording, RIG)
+    desk, asked = Desk(RIG, work.about), []
+    desk.start()
+    desk.stop()
+    attend(desk, work, over=lambda: not desk.begun)
+    assert not ran and desk.events.newer(0, 0.0)[1]["state"] == {"state": READY, "says": "stopped"}
+    desk.start()
+    with desk.running(lambda: asked.append("let go")):
+        desk.stop()
+        desk.stop()
+    assert asked == ["let go", "let go"]
+
+
+def test_what_was_found_before_is_not_shown_of_what_runs() -> None:
+    desk = Desk(RIG, {})
+    desk.events.publish("fit", {"verdict": "reliable"})
+    for _ in range(2):
+        desk.start()
+        with desk.running(lambda: None):
+            at, fresh = desk.events.newer(0, 0.0)
+            assert fresh["fit"] is None
+            desk.show(View(-5.0, 5.0, "mm"))
+            assert "progress" in desk.events.newer(at, 0.0)[1]
 
 
 def test_stop_reaches_the_board_from_the_pages_thread_while_a_camera_hangs() -> None:

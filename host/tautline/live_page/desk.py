@@ -48,7 +48,8 @@ class Desk:
         self._changed = threading.Condition()
         self._state, self._stop, self._says = READY, False, ""
         self._picked: tuple[float, float] | None = None
-        self._pages, self._left_s = 0, time.monotonic()
+        self._nearby = 0  # pages of this process
+        self._heard_s = time.monotonic()
         self._let_go: Callable[[], None] = lambda: None
         self._shown_s = float("-inf")
         self._calibrated_s = 0.0
@@ -73,9 +74,9 @@ class Desk:
                 self._enter(RESTING)
 
     def stop(self) -> None:
-        """Ends what runs. A real board is told at once."""
+        """Ends what runs. A real board is told at once, and again where it is asked again: it may not have heard."""
         with self._changed:
-            if self._state not in (RUNNING, RESTING):
+            if self._state == READY:
                 return
             self._stop = True
             self._enter(STOPPING)
@@ -89,17 +90,22 @@ class Desk:
             if self._state == READY:
                 self._picked = (u_px, v_px)
 
+    def here(self) -> None:
+        """A page is open. It says so again and again: one that sleeps, or behind a tunnel that broke, does not."""
+        with self._changed:
+            self._heard_s = time.monotonic()
+
     @contextmanager
     def watched(self) -> Iterator[None]:
-        """A page is open inside."""
+        """A page of this process is open inside: it need not say so."""
         with self._changed:
-            self._pages += 1
+            self._nearby += 1
         try:
             yield
         finally:
             with self._changed:
-                self._pages -= 1
-                self._left_s = time.monotonic()
+                self._nearby -= 1
+                self._heard_s = time.monotonic()
 
     # -- the session's side ------------------------------------------------------------------------------------------
 
@@ -111,7 +117,8 @@ class Desk:
     def running(self, let_go: Callable[[], None]) -> Iterator[None]:
         """What was started runs inside. let_go: brings the board to rest from another thread."""
         with self._changed:
-            self._let_go, self._calibrated_s = let_go, 0.0
+            self._let_go, self._calibrated_s, self._shown_s = let_go, 0.0, float("-inf")
+        self.events.publish("fit", None)  # what was found before is not of this
         try:
             yield
         finally:
@@ -123,7 +130,7 @@ class Desk:
     def unwatched(self) -> bool:
         """No page is open, and none was for a while."""
         with self._changed:
-            return self._pages == 0 and time.monotonic() - self._left_s > self._unwatched_s
+            return self._nearby == 0 and time.monotonic() - self._heard_s > self._unwatched_s
 
     def resting(self) -> bool:
         """Whether the axis is to stand still. Where the last page is gone, so is its stop: then it rests until a page

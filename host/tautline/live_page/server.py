@@ -10,6 +10,7 @@ import json
 import secrets
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from http import HTTPStatus
@@ -35,7 +36,7 @@ _HEADERS = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
-_ALIVE_S = 1.0  # between two signs of life; a page that went is noticed by the second
+_ALIVE_S = 1.0  # between two questions whether the page is there
 _PICTURE_S = 5.0  # that a request waits for the next picture
 _QUALITY = 80  # of JPEG
 _MOST_BYTES = 200  # of what a page may send
@@ -101,7 +102,10 @@ class _Handler(BaseHTTPRequestHandler):
         if name is None:
             return
         desk = self.server.desk
-        orders: dict[str, Callable[[], None]] = {"start": desk.start, "rest": desk.rest, "stop": desk.stop}
+        orders: dict[str, Callable[[], None]] = {
+            "start": desk.start, "rest": desk.rest, "stop": desk.stop, "here": desk.here,
+        }  # fmt: skip
+        desk.here()
         sent = self._sent()
         if sent is None:
             self._refuse(HTTPStatus.BAD_REQUEST)
@@ -116,11 +120,15 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _asked(self) -> str | None:
         """What is behind the token; None, and refused, without it, or by a name that is not this machine's."""
-        _, _, behind = urlsplit(self.path).path.partition("/")
+        _, _, behind = self.path.partition("?")[0].partition("/")
         token, slash, name = behind.partition("/")
-        host = urlsplit(f"//{self.headers.get('Host', '')}").hostname
         if not hmac.compare_digest(token.encode(), self.server.token.encode()) or not slash:
             self._refuse(HTTPStatus.NOT_FOUND)
+            return None
+        try:
+            host = urlsplit(f"//{self.headers.get('Host', '')}").hostname
+        except ValueError:
+            self._refuse(HTTPStatus.BAD_REQUEST)
             return None
         if host not in (LOOPBACK, "localhost"):
             self._refuse(HTTPStatus.FORBIDDEN)
@@ -129,30 +137,37 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _sent(self) -> dict[str, Any] | None:
         """The JSON object of a request, empty where it has none; None for anything else."""
-        length = self.headers.get("Content-Length", "0")
-        if not length.isdigit() or int(length) > _MOST_BYTES:
+        length = _whole(self.headers.get("Content-Length", "0"))
+        if length is None or length > _MOST_BYTES:
             return None
         try:
-            sent = json.loads(self.rfile.read(int(length)) or b"{}")
+            sent = json.loads(self.rfile.read(length) or b"{}")
         except ValueError:
             return None
         return sent if isinstance(sent, dict) else None
 
     def _events(self) -> None:
-        """Server-sent events: the latest of each topic, then what is new, for as long as the page is there."""
+        """Server-sent events: the latest of each topic, then what is new, for as long as the page is there. It is to
+        answer `alive`: a write to one that sleeps fails only minutes later."""
         self._head(HTTPStatus.OK, {"Content-Type": "text/event-stream", "Connection": "close"})
         self.close_connection = True
-        events, at = self.server.desk.events, 0
-        with self.server.desk.watched(), suppress(OSError):
+        events, at, due_s = self.server.desk.events, 0, 0.0
+        self.server.desk.here()
+        with suppress(OSError):
             while not events.closed:
-                at, fresh = events.newer(at, _ALIVE_S)
+                at, fresh = events.newer(at, max(due_s - time.monotonic(), 0.0))
                 told = "".join(map(_event, fresh, fresh.values()))
-                self.wfile.write((told or ": alive\n\n").encode())
+                if time.monotonic() >= due_s:
+                    told, due_s = told + _event("alive", {}), time.monotonic() + _ALIVE_S
+                self.wfile.write(told.encode())
 
     def _picture(self) -> None:
         """The first picture after the one that the page has: a page that is slow gets fewer, none wait."""
-        after = parse_qs(urlsplit(self.path).query).get("after", ["0"])[0]
-        at, fresh = self.server.desk.pictures.newer(int(after) if after.isdigit() else 0, _PICTURE_S)
+        after = _whole(parse_qs(self.path.partition("?")[2]).get("after", ["0"])[0])
+        if after is None:
+            self._refuse(HTTPStatus.BAD_REQUEST)
+            return
+        at, fresh = self.server.desk.pictures.newer(after, _PICTURE_S)
         if not fresh:
             self._answer(b"", "image/jpeg", HTTPStatus.NO_CONTENT)
             return
@@ -177,6 +192,11 @@ class _Handler(BaseHTTPRequestHandler):
         for key, value in {**_HEADERS, **headers}.items():
             self.send_header(key, value)
         self.end_headers()
+
+
+def _whole(text: str) -> int | None:
+    """A count of 9 digits at most, None for anything else."""
+    return int(text) if text.isascii() and text.isdecimal() and len(text) < 10 else None
 
 
 def _event(topic: str, what: Any) -> str:

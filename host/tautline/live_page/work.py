@@ -204,6 +204,7 @@ def attend(
 
 def _ran(desk: Desk, work: Work) -> str:
     try:
+        desk.check_stop()  # that came before it began
         return work.run(desk)
     except KeyboardInterrupt:
         return "stopped"

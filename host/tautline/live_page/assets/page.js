@@ -147,7 +147,7 @@ const topics = {
     $("start").disabled = !["ready", "resting"].includes(state);
     $("start").textContent = state === "resting" ? "Go on" : "Start";
     $("rest").disabled = state !== "running";
-    $("stop").disabled = !["running", "resting"].includes(state);
+    $("stop").disabled = !["running", "resting", "stopping"].includes(state);
     if (state === "running" && !shown.began) trace.length = 0;
     if (state === "ready") $("doing").textContent = "";
     shown.began = state !== "ready";
@@ -165,6 +165,13 @@ const topics = {
     drawBacklash();
   },
   fit(fit) {
+    if (!fit) { // begun again
+      $("verdict").className = "verdict";
+      $("verdict").textContent = "none yet";
+      $("reasons").replaceChildren();
+      drawBacklash();
+      return;
+    }
     const strong = document.createElement("strong");
     strong.textContent = fit.verdict;
     $("verdict").className = `verdict ${fit.verdict}`;
@@ -206,6 +213,7 @@ function connect() {
   const source = new EventSource("events");
   for (const [topic, take] of Object.entries(topics))
     source.addEventListener(topic, (event) => { shown[topic] = JSON.parse(event.data); take(shown[topic]); });
+  source.addEventListener("alive", () => ask("here").catch(() => {}));
   source.addEventListener("error", () => topics.state({ state: "lost", says: "The page has lost taut: is it still running? The axis comes to rest by itself." }));
   source.addEventListener("open", () => shown.state && topics.state(shown.state));
 }
