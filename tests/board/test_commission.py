@@ -227,6 +227,34 @@ def test_commission_does_nothing_that_was_not_agreed_to(bench: Bench, agreed: in
             assert 0.01 < np.ptp(q) < 0.5
 
 
+def test_a_stop_button_that_opens_is_wired_for_every_axis(bench: Bench) -> None:
+    """Released it is closed, which the settings of a new board take for pressed."""
+    opens, estop = wire.code("ESTOPS", "OPEN"), wire.code("FAULTS", "ESTOP")
+    bench.sim.ask("inject 0 estop")
+    bench.run(0.1)
+    asked: list[str] = []
+
+    def agree(question: str) -> bool:
+        asked.append(question)
+        return len(asked) <= agreed
+
+    with live_on(bench, preset("reference")) as live:
+        axes = range(live.board.axes)
+        for agreed in (0, 2):  # the wiring, the check
+            assert all(live.board.status(axis).fault == estop for axis in axes)
+            asked.clear()
+            with pytest.raises(TautError, match="stopped as you said"):
+                commission(live, agree, lambda text: None, wanted={"estop": opens})
+            assert len(asked) == agreed + 1
+        assert all(live.board.ask("get_settings", axis=axis).estop == opens for axis in axes)
+        assert not any(live.board.status(axis).fault for axis in axes)
+        bench.sim.ask("inject 0 well")  # pressed
+        bench.run(0.1)
+        assert all(live.board.status(axis).fault == estop for axis in axes)
+        with pytest.raises(TautError, match=r"axis 0 has stopped.*taut clear"):
+            commission(live, lambda question: True, lambda text: None, wanted={"estop": opens})
+
+
 @pytest.mark.parametrize(("ill", "remedy"), [("reversed", "swap the motor's two wires"), ("unplugged", "plugs")])
 def test_commission_says_what_is_wired_wrongly(bench: Bench, ill: str, remedy: str) -> None:
     bench.sim.ask(f"inject 0 {ill}")

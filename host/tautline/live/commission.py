@@ -27,6 +27,7 @@ _UNSOUND = ("OSCILLATION", "FOLLOWING", "CURRENT")  # faults that too high or to
 _GAIN_MAX = 32767
 _CENTRE, _STEP = 0.3, 0.02  # of the range: where it moves, from the end that was found, and how far for a step
 _WAY, _SPEEDS = 0.3, (0.1, 0.3)  # of the range to see friction, and of the top speed
+_STOP_S = 0.02  # until the board has seen its stop input anew
 _SETTLE_S, _AFTER_S = 0.3, 0.1  # after a step; of that, what is drawn and counted
 
 
@@ -87,13 +88,15 @@ def commission(
     settings that nothing measures, as the board has them; None leaves one as it is.
 
     TautError where something is wrong, with what mends it, or where it was not agreed to: the settings then stay, but
-    for the range, which is the rig's."""
+    for the range, which is the rig's, and how the stop input is wired, which comes first."""
     board, axis, unit = live.board, live.axis, live.rig.actuator.unit
     board.check_axis(axis)
+    asked = {name: value for name, value in (wanted or {}).items() if value is not None}
+    if "estop" in asked:
+        _wire_stop(live, agree, asked["estop"])
     board.check_fault(axis)
     before = dict(board.ask("get_settings", axis=axis).values)
     low, high = (q / live.resolution for q in live.rig.actuator.range)
-    asked = {name: value for name, value in (wanted or {}).items() if value is not None}
     commissioned = Commissioned(before, before | {"q_low": low, "q_high": high} | asked)
 
     _agreed(agree, "The motor turns a little either way. Is the instrument free to move?")
@@ -131,6 +134,22 @@ def commission(
 def _agreed(agree: Agree, question: str) -> None:
     if not agree(question):
         raise TautError("stopped as you said: the gains on the board are as before. Run it again when all is ready")
+
+
+def _wire_stop(live: Live, agree: Agree, estop: int) -> None:
+    """The stop input is the board's: all axes have it wired alike. Until they do, a button that opens counts as
+    pressed."""
+    board, axes = live.board, range(live.board.axes)
+    kept = [dict(board.ask("get_settings", axis=axis).values) for axis in axes]
+    if all(settings["estop"] == estop for settings in kept):
+        return
+    _agreed(agree, "Store for every axis of the board which state of the stop input stops it?")
+    for settings in kept:
+        _store(live, settings | {"estop": estop})
+    live.wait(_STOP_S)
+    for axis in axes:
+        if board.status(axis).fault == wire.code("FAULTS", "ESTOP"):
+            board.ask("clear_fault", axis=axis)
 
 
 def _check(live: Live) -> None:
