@@ -172,6 +172,14 @@ def test_a_place_without_structure_is_refused() -> None:
         PatchTracker(flat, (400.0, 100.0), SIDE)
 
 
+def test_a_video_of_another_size_is_refused() -> None:
+    rng = np.random.default_rng(8)
+    shown = picture(120.0, 110.0, 0.0, 0.0, rng)
+    tracker = PatchTracker(shown, (120.0, 110.0), SIDE)
+    with pytest.raises(TautError, match="frames are 170 x 130 px, the place was shown in one of 340 x 260"):
+        tracker.track(cv2.resize(shown, None, fx=0.5, fy=0.5))
+
+
 @pytest.fixture(scope="module")
 def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("bare") / "video.mkv"
