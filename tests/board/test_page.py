@@ -176,7 +176,7 @@ def test_stop_ends_watching_with_the_axis_at_rest(bench: Bench) -> None:
         def published(topic: str, what: Any) -> None:
             publish(topic, what)
             count[0] += topic == "holds"
-            if count[0] == 50:
+            if topic == "holds" and count[0] == 50:
                 desk.stop()
 
         desk.events.publish = published  # type: ignore[method-assign]

@@ -35,6 +35,7 @@ def test_watch_tells_whether_the_model_still_holds(tmp_path, scale):
     replace(model, width=scale * model.width).save(tmp_path / "instrument")
     with open_live(simulate=str(tmp_path / "instrument"), pictures=False) as live:
         result = watch(live, model, "smooth", speed=4.0, duration_s=25.0)
+        assert not live.board._listeners["batch"]  # what comes is no longer gathered
     assert result["frames"] > 500
     if scale == 1.0:
         assert result["state"] == "trusted" and not result["changes"]

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import click
 import numpy as np
@@ -30,11 +34,14 @@ from tautline.live.rounds import (
     why_another,
     why_not,
 )
+from tautline.live.setup import Frame
+from tautline.live.until import _rounds
 from tautline.live.watch import BINS, View
 from tautline.model import Model
 from tautline.quality import Quality, Reason
 from tautline.rig import Actuator
 from tautline.simulated.instrument import reference_rig
+from tautline.vision.marker import Sighting
 
 UNTIL = 3e-3
 MEANS = Means.of(-5.0, 5.0, 25.0, 16.0, 200.0)
@@ -274,3 +281,29 @@ def test_a_goal_that_was_reached_once_and_is_not_any_more_is_told() -> None:
     assert "looked like 1.7 µm" in no_longer(1.7e-3, noisy, UNTIL, "mm")
     assert no_longer(4e-3, noisy, UNTIL, "mm") == "" and no_longer(float("inf"), noisy, UNTIL, "mm") == ""
     assert no_longer(1e-3, Standing.of(found(sigma_with()), -5.0, 5.0, UNTIL), UNTIL, "mm") == ""
+
+
+def test_a_round_that_a_rest_broke_off_is_made_again_though_the_rest_is_over_before_its_stroke() -> None:
+    answers = [False, True, False]  # of `resting`, then False
+    tried: list[bool] = []  # whether each ran to its end
+    rests: list[bool] = []
+    view = View(-5.0, 5.0, "mm", UNTIL)
+
+    def resting() -> bool:
+        return answers.pop(0) if answers else False
+
+    def run(wanted: Round | Strokes, enough: Callable[[Frame], bool]) -> None:
+        broken = [enough(Frame(0, Sighting(1.0, 1.0, 0.1, 16.0, ""), None)) for _ in range(3)]
+        tried.append(not any(broken))
+
+    def settle() -> None:
+        view.standing = Standing.of(found(np.asarray(1e-3)), -5.0, 5.0, UNTIL)
+
+    made = SimpleNamespace(reversals=0, folder=Path("rec"))
+    motions = SimpleNamespace(made=made, run=run, stroke=run, still=lambda: None)
+    watch = SimpleNamespace(
+        view=view, frame=lambda frame, reversals: False, settle=settle, camera_view=lambda: CLEAR,
+        rest=lambda resting: rests.append(resting()),
+    )  # fmt: skip
+    rounds, why = _rounds(cast(Any, motions), cast(Any, watch), MEANS, UNTIL, 60.0, resting)
+    assert tried == [False, *([True] * len(rounds))] and len(rests) == 1 and not why

@@ -190,6 +190,10 @@ class Board:
         """Calls `listener` with each unasked message of this name: batch, onset, progress, event."""
         self._listeners[name].append(listener)
 
+    def forget(self, name: str, listener: Listener) -> None:
+        """No longer calls a listener. One that listens no more, or never did, is left alone."""
+        self._listeners[name] = [other for other in self._listeners[name] if other != listener]
+
     def tell(self, name: str, **values: Any) -> None:
         """Sends a message that has no answer; a refusal shows up in `refused`."""
         self.tell_all(name, [values])

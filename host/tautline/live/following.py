@@ -235,6 +235,8 @@ def follow_run(
     finally:
         if recorder is not None:
             recorder.__exit__()
+        if following is not None:
+            following.close()
     counters = board.counters()
     if folder is not None:
         rows = np.column_stack([sent_s, plan])

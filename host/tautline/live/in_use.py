@@ -129,6 +129,10 @@ class Following:
         self.live.board.listen("batch", self._batches.append)
         self.live.board.ask("telemetry", axis=self.live.axis, divider=1)
 
+    def close(self) -> None:
+        """What the board sends is no longer gathered."""
+        self.live.board.forget("batch", self._batches.append)
+
     def _take_in(self) -> None:
         while self._batches:
             batch = self._batches.popleft()
@@ -243,3 +247,4 @@ def beside(following: Following) -> Iterator[Following]:
     finally:
         ended.set()
         thread.join(timeout=5.0)
+        following.close()

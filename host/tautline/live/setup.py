@@ -294,6 +294,7 @@ class Recorder:
 
     def __exit__(self, *_: object) -> None:
         self._paused = True
+        self._live.board.forget("batch", self._batch)
         for file in (self._motor, self._marker, self._frames):
             if file is not None:
                 file.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import closing
 from typing import Any
 
 from tautline.live.following import follow, motor_trajectory, step
@@ -31,10 +32,9 @@ def watch(
     """Tracks while the motor follows `motion` (as in `record`), or whatever drives it. Ctrl-C ends it, and is no
     failure; so does duration_s. `library`: its shapes are looked for. `shown`: each frame, with
     the motor at the time that it shows."""
-    following = Following(live, model, told, library=library, shown=shown)
-    plan = None if motion == "none" else motor_trajectory(live, motion, speed, duration_s or 60.0, seed)
-    began = live.now_us()
-    with live.interruptible():
+    with closing(Following(live, model, told, library=library, shown=shown)) as following, live.interruptible():
+        plan = None if motion == "none" else motor_trajectory(live, motion, speed, duration_s or 60.0, seed)
+        began = live.now_us()
         try:
             if plan is not None:
                 follow(live, *plan, tip=False, seen=following.seen, progress=progress)

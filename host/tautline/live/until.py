@@ -106,6 +106,8 @@ def calibrate_until(
                 watch.frame(frame, 0)
 
             probe(live, seen, means.speeds[0])
+            if resting():
+                watch.rest(resting)
             rounds, why = _rounds(motions, watch, means, until, goal.at_most_s, resting)
         calibration, standing = view.calibration, view.standing
     assert calibration is not None and standing is not None
@@ -118,6 +120,7 @@ def _rounds(
     """Rounds until the goal is reached; the rounds and why it was not."""
     view = watch.view
     lost_since: list[float] = []  # when the marker was last seen, where it is not now
+    halted = False  # the round was broken off for a rest, which may be over before its stroke is
 
     def enough(frame: Frame) -> bool:
         fresh = watch.frame(frame, motions.made.reversals)
@@ -130,7 +133,9 @@ def _rounds(
                 f"the marker was last seen {view.seconds - lost_since[0]:.0f} s ago: bring it into view, or pick its "
                 f"colour again with 'taut marker'; what was recorded is in {motions.made.folder}"
             )
-        if view.seconds > at_most_s or resting():
+        nonlocal halted
+        halted = resting() or halted
+        if view.seconds > at_most_s or halted:
             return True
         return both_made(rounds[:-1]) and fresh and view.standing is not None and view.standing.reached(until)
 
@@ -148,11 +153,12 @@ def _rounds(
         rounds.append(wanted)
         view.doing = f"round {len(rounds)}: {wanted.says(view.unit)}{because}"
         while True:
+            halted = False
             if isinstance(wanted, Strokes):
                 motions.stroke(wanted, enough)
             else:
                 motions.run(wanted, enough)
-            if not resting():
+            if not halted and not resting():
                 break
             watch.rest(resting)
         motions.still()
