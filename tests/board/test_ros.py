@@ -6,9 +6,10 @@ import json
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ from tautline.cli import taut
 from tautline.device import wire
 from tautline.device.board import open_board
 from tautline.model import Model
+from tautline.motors.ros_graph import Graph, library
 from tautline.recording import load
 from tautline.simulated.instrument import reference_rig
 from tautline.simulated.simlink import DesktopBoard
@@ -193,6 +195,24 @@ def a_bag_of_it_is_the_same_recording(heard: Heard, namespace: str, folder: Path
     assert marker.t_s[0] - recording.motor.t_s[0] == pytest.approx(t_seen_s[0] - t_s[0], abs=3e-6)
     np.testing.assert_allclose(marker.u_px, [row["u"] for row in seen], atol=6e-5)
     np.testing.assert_allclose(marker.v_px, [row["v"] for row in seen], atol=6e-5)
+
+
+@pytest.mark.wall_clock
+def test_a_fault_ends_it_though_no_set_point_comes(tmp_path: Path, namespace: str) -> None:
+    with referenced() as desktop, Graph("watcher") as graph:
+        runs = threading.Event()
+        kind = library("sensor_msgs.msg").JointState
+        graph.node.create_subscription(kind, f"{namespace}/joint_states", lambda _: runs.set(), 10)
+        graph.begin()
+        process = node(desktop, saved_model(tmp_path / "model"), namespace, camera=False)
+        try:
+            assert runs.wait(30.0)
+            with closing(desktop.link()) as link:
+                link.ask("inject 0 estop")
+            assert process.wait(10.0) == 1
+        finally:
+            process.kill()
+            process.communicate()
 
 
 @pytest.mark.wall_clock

@@ -38,6 +38,9 @@ class JointState:
         (JointState(["shaft"], [1.0]), None),
         (JointState(["shaft", "tip"], [1.0]), None),
         (JointState(["tip"], [math.nan]), None),
+        (JointState(["tip"], [-math.inf]), None),
+        (JointState(["tip"], [1e6]), None),  # no angle of the board
+        (JointState(["tip"], [-499.0]), -499.0),
         (JointState(["tip"], [math.inf]), None),
         (JointState(), None),
     ],

@@ -11,6 +11,7 @@ from tautline.motors.ros_graph import library
 from tautline.rig import Rig
 
 NS = 10**9
+_FARTHEST = 500.0  # rad: the board's angles end at 32768 deg, which is 571 rad
 
 
 def si(rig: Rig) -> float:
@@ -37,10 +38,10 @@ def point(time_ns: int, u_px: float, v_px: float, sigma_px: float) -> Any:
 
 def position_of(message: Any, joint: str) -> float | None:
     """rad of the joint in a JointState; without names that of its only position. None where it has none that is
-    finite."""
+    finite, or one that no board's angle holds."""
     names, positions = list(message.name), message.position
     at = names.index(joint) if joint in names else 0 if not names and len(positions) == 1 else len(positions)
-    return float(positions[at]) if at < len(positions) and math.isfinite(positions[at]) else None
+    return float(positions[at]) if at < len(positions) and abs(positions[at]) < _FARTHEST else None
 
 
 def diagnostics(time_ns: int, name: str, board: str, level: str, says: str, values: Mapping[str, Any]) -> Any:

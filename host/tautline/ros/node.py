@@ -154,6 +154,8 @@ class Node:
         name = f"{self._graph.name}: {self.parameters.joint}"
         time_ns = self._graph.node.get_clock().now().nanoseconds
         self._diagnostics.publish(messages.diagnostics(time_ns, name, board.where, level, says, values))
+        if status.fault:
+            board.check_fault(self._live.axis)
 
     def _level(self, status: wire.Message, following: Following | None) -> tuple[str, str]:
         verdict = self._model.quality.verdict
