@@ -32,6 +32,7 @@ from tautline.vision.timing import FrameTiming
 
 NO_ROS = pytest.mark.skipif(find_spec("rclpy") is None, reason="the index has no ROS 2 for this Python or machine")
 SECONDS, AGE_S = 20.0, 0.2
+_NOW_S = 1000.0  # where the clock stands still
 
 
 @given(
@@ -61,12 +62,35 @@ def test_a_steady_camera_drops_nothing_whatever_its_rate_is_by_this_clock() -> N
     assert 0 < drops.count < 51  # the intervals of which the period is told
 
 
+@pytest.mark.parametrize("rate_hz", [1.0, 5.0, 30.0, 120.0])
+def test_frames_that_nobody_read_are_not_lost_by_the_camera(rate_hz: float) -> None:
+    drops, t_s = Drops(), 0.0
+    for pause_s in (0.0, 6.0, 30.0):
+        t_s += pause_s
+        for _ in range(40):
+            t_s += 1.0 / rate_hz
+            drops.add(t_s)
+    assert drops.count == 0
+    drops.add(t_s + 4.0 / rate_hz)
+    assert drops.count == 3
+
+
+def test_a_camera_that_becomes_much_slower_still_tells_what_it_lost() -> None:
+    drops, t_s = Drops(), 0.0
+    for period_s in (*[1 / 30] * 40, *[0.5] * 40):
+        t_s += period_s
+        drops.add(t_s)
+    assert drops.count == 0
+    drops.add(t_s + 1.5)
+    assert drops.count == 2
+
+
 class Device:
     """Frames every 4 ms by the driver's own stamps; `lost` of them never come."""
 
     def __init__(self, lost: set[int]) -> None:
         self._taken = iter([k for k in range(40) if k not in lost])
-        self._began_s, self._k = time.monotonic() - 0.5, 0
+        self._k = 0
 
     def isOpened(self) -> bool:
         return True
@@ -75,7 +99,7 @@ class Device:
         return True
 
     def get(self, key: int) -> float:
-        return 1e3 * (self._began_s + 0.004 * self._k)
+        return 1e3 * (_NOW_S - 0.5 + 0.004 * self._k)
 
     def grab(self) -> bool:
         self._k = next(self._taken)
@@ -92,6 +116,7 @@ def test_a_session_tells_what_its_camera_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(cv2, "VideoCapture", lambda source: Device({15, 22, 23}))
+    monkeypatch.setattr("tautline.vision.camera.time.monotonic", lambda: _NOW_S)
     saved_model(tmp_path / "model")
 
     @contextmanager

@@ -7,6 +7,7 @@ from collections import deque
 import numpy as np
 
 _INTERVALS, _FIRST = 51, 10  # of which the camera's period is told, at most and at least
+_PAUSE_S, _PAUSE = 0.4, 5.0  # longer, and so many periods: nobody read; a camera loses single frames
 _KEPT = 0.9  # a frame, of what the last one came too late: jitter is made up for, a period that is a little off is not
 
 
@@ -24,6 +25,10 @@ class Drops:
         before, self._last_s = self._last_s, t_s
         if before is None:
             return
+        if self._paused(t_s - before):
+            self._intervals.clear()
+            self._behind = 0.0
+            return
         self._intervals.append(t_s - before)
         intervals = np.array(self._intervals)
         usual = float(np.median(intervals))
@@ -34,6 +39,11 @@ class Drops:
         missing = round(self._behind)
         self._behind -= missing
         self._missing += missing
+
+    def _paused(self, gap_s: float) -> bool:
+        if len(self._intervals) < _FIRST:
+            return False
+        return gap_s > max(_PAUSE_S, _PAUSE * float(np.median(self._intervals)))
 
     @property
     def count(self) -> int:
