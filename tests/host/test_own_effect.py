@@ -118,6 +118,17 @@ def test_a_distribution_that_cannot_be_taken_is_one_line_that_names_it(tmp_path)
     assert "rocking (rocking:EFFECTS) of rocking cannot be imported" in done.stderr
 
 
+def test_a_module_that_is_imported_before_tautline_is_told_what_to_do(tmp_path):
+    environment = installed(tmp_path, MODULE)
+    for lines, says in (
+        ("import rocking", "put 'import tautline.effects' before it"),
+        ("import tautline.effects, rocking", ""),
+    ):
+        command = [sys.executable, "-c", lines]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        assert bool(done.returncode) == bool(says) and says in done.stderr, done.stderr
+
+
 def made() -> Model:
     rig, instrument = reference_rig(), preset("reference", reference_rig())
     return Model(rig, GRID, instrument.backlash(GRID), np.full(101, 0.003), instrument.bend(GRID), 0.08, (-4.0, 4.0))

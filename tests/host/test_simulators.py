@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import sys
 from dataclasses import replace
 
 import arms
@@ -25,7 +26,7 @@ from tautline.prediction import foretold, predict
 from tautline.recording import Angle, Marker, Motor, Recording, load
 from tautline.rig import ANGLE
 from tautline.simulated.instrument import reference_rig
-from tautline.simulators import Declared, Simulator, mjcf, side_by_side
+from tautline.simulators import Declared, Simulator, mjcf, side_by_side, source
 from tautline.simulators.drive import Drive
 from tautline.simulators.nominal import nominal as simulated_nominal
 from tautline.simulators.source import path_of
@@ -299,6 +300,28 @@ def save(robot: Recording, into):
         ("angle.csv", "t_s,c_deg", (robot.angle.t_s, robot.angle.c_deg)),
     ):
         np.savetxt(into / name, np.column_stack(values), delimiter=",", header=columns, comments="", fmt="%.9f")
+
+
+def test_a_module_of_a_package_in_the_working_directory_is_no_file(folder, taut, tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "path", [each for each in sys.path if each])
+    monkeypatch.chdir(tmp_path)
+    save(arms.robot(folder, 0, 6.0), tmp_path / "robot")
+    arms.rig(tmp_path)
+    package = tmp_path / "pkg_of_arms"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "sims.py").write_text(
+        "from tautline.simulators import Declared, Simulator\n"
+        "ARM = Simulator(lambda motor, values: motor.q, (Declared('tau', 's', 0.05, 0.02),))\n"
+    )
+    (package / "broken.py").write_text("raise ValueError('of\\nits own')\n")
+    assert source.is_python("pkg_of_arms.sims:ARM") and not source.is_python("arm.xml")
+    assert [each.name for each in source.of_python("pkg_of_arms.sims:ARM").parameters] == ["tau"]
+    words = ("robot", "--rig", "rig.toml", "--out", "out")
+    assert "is no tautline.simulators.Simulator" in taut.refuses(
+        "diagnose", "--simulator", "pkg_of_arms.sims:Declared", *words
+    )
+    assert "ValueError: of its own" in taut.refuses("diagnose", "--simulator", "pkg_of_arms.broken:ARM", *words)
 
 
 def test_what_is_wrong_is_said_with_what_to_do(folder, nominal, taut, tmp_path):

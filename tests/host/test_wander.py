@@ -1,6 +1,8 @@
 """An effect's amplitude that is another elsewhere is found where it is, and one that is not is called steady."""
 
 from dataclasses import asdict, replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from tautline.diagnosis import resembles, wander
 from tautline.diagnosis.fit import Fit, Fitter, Hypothesis, Scope
 from tautline.diagnosis.hypotheses import Wander
 from tautline.diagnosis.segment import prepare
-from tautline.effects import BY_ID
+from tautline.effects import BY_ID, of_simulator
 from tautline.plain import plain
 
 NOISE = 0.05
@@ -145,6 +147,15 @@ def test_memory_makes_numbers_tell_less() -> None:
 def test_it_is_told_in_the_effects_own_unit(lag: Fit) -> None:
     size = lag.state.values["lag"]
     assert resembles._says(lag, "speed", 0.03 / size, 0.08 / size) == "30 ms when slow, 80 ms when fast"
+
+
+def test_of_a_simulators_parameter_the_change_is_told(lag: Fit) -> None:
+    kind = of_simulator("servo.kp")
+    fit: Any = SimpleNamespace(
+        hypothesis=SimpleNamespace(kinds=(kind,)),
+        state=SimpleNamespace(values={kind.id: -1.0}, model=lag.state.model),
+    )
+    assert resembles._says(fit, "speed", 0.5, 1.5) == "changed by -0.5 when slow, -1.5 when fast"
 
 
 def test_it_is_kept_without_loss(lagging: Fitter, lag: Fit) -> None:

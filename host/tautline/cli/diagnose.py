@@ -161,7 +161,7 @@ def _with_simulator(
 
 
 def _simulator(name: str, actuator: str | None, tip: str | None, scale: float | None, rig: Rig) -> Simulator:
-    if not Path(name).suffix and ":" in name:
+    if source.is_python(name):
         return source.of_python(name)
     if actuator is None or tip is None:
         raise click.UsageError("--simulator FILE needs --actuator A and --tip joint:J or site:S")

@@ -10,6 +10,7 @@ from tautline.diagnosis import decide, gap
 from tautline.diagnosis.fit import Fit
 from tautline.diagnosis.gather import Gathered
 from tautline.diagnosis.narration import digits
+from tautline.effects import SIMULATOR
 
 _MOST = 3
 _ENDS: Mapping[str, tuple[str, str]] = {  # of the axes of wander.py
@@ -36,7 +37,8 @@ def told(gathered: Gathered, before: float) -> list[dict[str, Any]]:
 
 
 def _says(fit: Fit, axis: str, low: float, high: float) -> str:
-    """The amplitude at both ends of an axis, in its own unit where it is one number."""
+    """The amplitude at both ends of an axis, in its own unit where it is one number; of a simulator's parameter that is
+    its change."""
     kind = fit.hypothesis.kinds[0]
     name, unit = kind.amplitudes[0].name, kind.amplitudes[0].unit
     if len(kind.amplitudes) == 1 and name in fit.state.values:
@@ -46,4 +48,5 @@ def _says(fit: Fit, axis: str, low: float, high: float) -> str:
     else:
         sizes = [f"{digits(times)} times itself" for times in (low, high)]
     first, last = _ENDS[axis]
-    return f"{sizes[0]} {first}, {sizes[1]} {last}"
+    changed = "changed by " if kind.stage == SIMULATOR else ""
+    return f"{changed}{sizes[0]} {first}, {sizes[1]} {last}"

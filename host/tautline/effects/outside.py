@@ -7,6 +7,7 @@ are in Python.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from importlib.metadata import EntryPoint, entry_points
 
@@ -31,10 +32,19 @@ def _loaded(entry: EntryPoint) -> Sequence[Kind]:
     try:
         kinds = entry.load()
     except Exception as error:  # of somebody else's module: anything
+        if _begun(entry):
+            raise TautError(
+                f"{_named(entry)} cannot be taken while it is being imported: put 'import tautline.effects' before it"
+            ) from error
         raise TautError(f"{_named(entry)} cannot be imported ({error}): mend or uninstall it") from error
     if not isinstance(kinds, tuple) or not all(isinstance(kind, Kind) for kind in kinds):
         raise TautError(f"{_named(entry)} is no tuple of tautline.effects.Kind: mend or uninstall it")
     return kinds
+
+
+def _begun(entry: EntryPoint) -> bool:
+    """Whether its module is being imported: it has begun, and it was what asked for tautline."""
+    return bool(getattr(getattr(sys.modules.get(entry.module), "__spec__", None), "_initializing", False))
 
 
 def _check(entry: EntryPoint, kind: Kind, known: Sequence[Kind]) -> None:

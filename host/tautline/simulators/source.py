@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib
+import re
+import sys
 from pathlib import Path
 
 from tautline.core.motor import MotorPath
@@ -14,15 +16,25 @@ from tautline.simulators.drive import Drive
 from tautline.simulators.simulator import Simulator
 
 _PYTHON = "python"
+_NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")  # MODULE:NAME
+
+
+def is_python(name: str) -> bool:
+    """Whether it names what `of_python` takes, and no file."""
+    return _NAME.fullmatch(name) is not None
 
 
 def of_python(name: str) -> Simulator:
-    """MODULE:NAME, a Simulator that some module of the user's holds. TautError where there is none."""
+    """MODULE:NAME, a Simulator that some module of the user's holds, beside or below the working directory too.
+    TautError where there is none."""
     module, _, attribute = name.partition(":")
+    if (here := str(Path.cwd())) not in sys.path:
+        sys.path.insert(0, here)  # as `python -m` has it
     try:
         found = getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError) as error:
-        raise TautError(f"--simulator {name}: {error}: expected MODULE:NAME, which Python can import") from error
+    except Exception as error:  # of somebody else's module: anything
+        says = " ".join(f"{type(error).__name__}: {error}".split())
+        raise TautError(f"--simulator {name}: {says}: expected MODULE:NAME, which Python can import") from error
     if not isinstance(found, Simulator):
         raise TautError(f"--simulator {name}: is no tautline.simulators.Simulator, but {type(found).__name__}")
     return Simulator(found.simulate, found.parameters, {"kind": _PYTHON, "name": name})
