@@ -111,6 +111,23 @@ def test_a_rest_takes_nothing_of_the_time_that_a_calibration_may_last(bench: Ben
     assert made.reached and made.motion.seconds > 60.0
 
 
+def test_a_rest_that_is_asked_for_while_it_is_checked_begins_no_round(bench: Bench, tmp_path: Path) -> None:
+    done: list[str] = []
+
+    def does(person: Person, view: View) -> None:
+        done.append(view.doing)
+        if view.doing.startswith("checking"):
+            person.rest()
+        else:
+            person.stop()
+
+    with live_on(bench, preset("davinci", seed=2)) as live:
+        work = calibrating(live, tmp_path)
+        run(Person(work, does), work)
+        assert off(live.board)
+    assert done[0].startswith("checking") and done[-1] == "at rest" and len(set(done)) == 2
+
+
 @pytest.mark.parametrize("when", ["checking", "round 1", "at rest", "round 2"])
 def test_stop_brings_the_axis_to_rest_whatever_it_does(bench: Bench, tmp_path: Path, when: str) -> None:
     def does(person: Person, view: View) -> None:
