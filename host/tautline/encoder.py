@@ -232,7 +232,7 @@ def _jumps(motor: Motor, resolution: float) -> Driven | None:
         told = len(motor.q) >= _FEWEST + 3  # as many third differences tell noise from a bend
         noisy = told and noise <= _SCATTERS * resolution and _beside_white(motor) < _CLEARLY
         return driven(motor.t_s, motor.q, noise, rounded=False) if noisy else None
-    lines = _even_lines(motor, resolution)
+    lines = _even_lines(Motor(motor.t_s, motor.q), resolution)  # another channel's knots make no motor even
     away = float(np.abs(np.interp(motor.t_s, lines.t_s, lines.q) - motor.q).max())
     if away <= _AGREES * steps.count + _STRAYS * noise:
         return None

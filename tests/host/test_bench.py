@@ -14,7 +14,7 @@ from click.testing import CliRunner
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from tools.bench import __main__ as bench
-from tools.bench import calibration, control_step, diagnosis, endoscopy, faults, trackers, videos
+from tools.bench import calibration, control_step, diagnosis, endoscopy, faults, live_page, trackers, videos
 
 from tautline.vision.colour import pick
 from tautline.vision.marker import MarkerTracker
@@ -26,6 +26,7 @@ def test_the_command_prints_its_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(control_step, "run", lambda: [("control step, fixed point", 60.0, "ns")])
     monkeypatch.setattr(calibration, "run", lambda: [("calibration of it", 6.0, "s")])
     monkeypatch.setattr(diagnosis, "run", lambda: [("blind case, nothing wrong", 2.0, "core s")])
+    monkeypatch.setattr(live_page, "_SECONDS", 0.5)
     said = json.loads(CliRunner().invoke(bench.main, ["--json"]).stdout)
     assert said["trackers"][0]["frames_per_s"] == 50_000 and said["notes"] == ["one is missing"]
     text = CliRunner().invoke(bench.main, []).stdout

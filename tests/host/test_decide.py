@@ -199,13 +199,13 @@ def test_a_steady_amplitude_says_nothing():
 def test_a_second_effect_accounts_for_an_amplitude_that_wanders():
     found = evidence({(LAG,): 0.02, (DRIFT,): 0.9, (LAG, DRIFT): 0.01})
     steady = amplitude(LAG, 0.0, 0.01), amplitude(DRIFT, 0.0, 0.01)
-    verdict = decide(wandering(found, {(LAG,): (amplitude(LAG, 0.5, 0.01),), (LAG, DRIFT): steady}))
+    verdict = decide(wandering(found, {(LAG,): (amplitude(LAG, 0.8, 0.01),), (LAG, DRIFT): steady}))
     assert verdict.named == (LAG, DRIFT)
 
 
 def test_of_a_set_one_that_wanders_is_enough():
     found = evidence({(LAG,): 0.6, (DRIFT,): 0.9, (LAG, DRIFT): 0.001})
-    steady, other = amplitude(LAG, 0.0, 0.01), amplitude(DRIFT, 0.5, 0.01)
+    steady, other = amplitude(LAG, 0.0, 0.01), amplitude(DRIFT, 0.8, 0.01)
     assert decide(found).named == (LAG, DRIFT)
     assert decide(wandering(found, {(LAG, DRIFT): (steady, other)})).name == "unknown"
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import http.client
 import threading
 import time
+from contextlib import closing
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -54,28 +55,30 @@ def run() -> list[tuple[str, float, str]]:
         address = urlsplit(server.address)
 
         def watch() -> None:
-            line = http.client.HTTPConnection(address.netloc, timeout=10.0)
             after = "0"
-            while not over.is_set():
-                line.request("GET", f"{address.path}picture?after={after}")
-                answer = line.getresponse()
-                body = answer.read()
-                if answer.status == 200:
-                    after = answer.headers["Taut-Number"]
-                    got[0], size[0] = got[0] + 1, size[0] + len(body)
+            with closing(http.client.HTTPConnection(address.netloc, timeout=10.0)) as line:
+                while not over.is_set():
+                    line.request("GET", f"{address.path}picture?after={after}")
+                    answer = line.getresponse()
+                    body = answer.read()
+                    if answer.status == 200:
+                        after = answer.headers["Taut-Number"]
+                        got[0], size[0] = got[0] + 1, size[0] + len(body)
 
         def listen() -> None:
-            line = http.client.HTTPConnection(address.netloc, timeout=10.0)
-            line.request("GET", f"{address.path}events")
-            answer = line.getresponse()
-            while not over.is_set() and answer.readline():
-                pass
+            with closing(http.client.HTTPConnection(address.netloc, timeout=10.0)) as line:
+                line.request("GET", f"{address.path}events")
+                with line.getresponse() as answer:
+                    while not over.is_set() and answer.readline():
+                        pass
 
         readers = [threading.Thread(target=reader, daemon=True) for reader in (watch, listen)]
         for reader in readers:
             reader.start()
         frames, late, beside_s = tracked(desk)
         over.set()
+        readers[0].join()
+    readers[1].join()  # it reads to the end of the events
     return [
         ("camera", frames / _SECONDS, "frames/s"),
         ("pictures that a page gets beside the tracking", got[0] / _SECONDS, "frames/s"),

@@ -26,7 +26,7 @@ from tautline.errors import TautError
 @click.option(
     "--estop",
     type=click.Choice(["closed", "open"]),
-    help="Which state of the stop input stops the axis; open: a broken wire does, too. Default: as it is.",
+    help="Which state of the stop input stops the axes, all of them; open: a broken wire does, too. Default: as it is.",
 )
 @click.option(
     "--out",

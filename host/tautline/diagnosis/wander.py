@@ -121,6 +121,8 @@ def _functions(
                 scale = np.sqrt(together / total / variance)
                 columns.append([scale * (values - mean) for values in own])
                 ends.append((name, scale * (function(last) - mean)))
+    if not columns:
+        return [], {}
     told = {axis: np.column_stack([by * (of == axis) for of, by in ends]) for axis in dict(ends)}
     functions = [
         signal[:, :, None] * np.column_stack(each)[:, None, :]
