@@ -104,7 +104,8 @@ def test_a_demo_again_takes_the_place_of_the_first(taut: Taut, tmp_path: Path, m
     saved_model(out / "model")
     before = files(out)
     identity = SimpleNamespace(serial="DESKTOP", axes=1)
-    board = SimpleNamespace(identity=identity, log_divider=1, listen=lambda *_: None, ask=lambda *_, **__: None)
+    nothing = {name: lambda *_, **__: None for name in ("listen", "forget", "ask")}
+    board = SimpleNamespace(identity=identity, log_divider=1, **nothing)
 
     @contextmanager
     def opened(**_: object) -> Iterator[Any]:

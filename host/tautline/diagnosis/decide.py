@@ -22,6 +22,7 @@ Array = npt.NDArray[np.float64]
 
 FURTHER = 0.8  # probability of a further effect, given those before: who mends what is right loses more than by waiting
 MOVED = 0.2  # share of what a recalibration closes from which on a part of it is named
+CLEARLY = 10.0  # times likelier as a wrong effect's, from which an amplitude is told to be another elsewhere
 HELPS = 0.7  # standard errors of the mean over blocks; one block alone that shows an effect is 1
 
 
@@ -178,8 +179,7 @@ def that_help(evidence: CaseEvidence, verdict: Decision) -> Decision:
 def wanders(evidence: CaseEvidence) -> list[bool]:
     """Of each hypothesis, whether an effect's amplitude is clearly another elsewhere, as a wrong one's rather than as a
     right one's."""
-    by = learnt().center
-    return [bool(says < np.log(by.mimics)) for says in Likelihoods(Stacked(evidence), by).steady]
+    return [bool(says < -np.log(CLEARLY)) for says in Likelihoods(Stacked(evidence), learnt().center).steady]
 
 
 def is_open(evidence: CaseEvidence, power: Array | float) -> bool:
