@@ -163,7 +163,7 @@ def the_tip_is_tracked(heard: Heard) -> None:
     assert inside.sum() > 80
     # 0.05 px of 1.3 px/deg, and a frame's time is known to a few ms of 0.5 rad/s: the camera has a clock of its own.
     assert np.sqrt(np.mean((off - np.median(off)) ** 2)) < 0.02
-    assert len(heard.rows["tracked_px"]) == len(heard.rows["tracked_js"])
+    assert abs(len(heard.rows["tracked_px"]) - len(heard.rows["tracked_js"])) <= 1  # the client ends between two
 
 
 def a_bag_of_it_is_the_same_recording(heard: Heard, namespace: str, folder: Path) -> None:
