@@ -100,7 +100,8 @@ def import_recording(
 ) -> list[Imported]:
     """Recordings out of another program's file, as `taut import` writes them.
 
-    Shapes: one Imported for each recording that was written: `.folder`, `.rows` of motor.csv, `.warnings`.
+    Shapes: one Imported for each recording that was written: `.folder`, `.rows` of motor.csv, `.warnings`. What an
+        episode was left out for is logged as a warning, and kept in import.toml.
     Units: a channel is NAME, NAME:UNIT (rad, m, Nm, tick, ...) or NAME:FACTOR; q is written in `unit` or the rig's.
     Errors: TautError where a channel is missing, empty or, by a ratio, in another unit than was said, where times are
         those of two clocks, and for a file that is cut; nothing is written then.
@@ -114,7 +115,10 @@ def import_recording(
 
     roles = importing.Roles(motor, (tip,) if isinstance(tip, str) else tuple(tip), command, load, video, tuple(joints))
     opened = importing.open_source(source, time)
-    return importing.import_episodes(opened, Path(folder), roles, progress, unit, rig, episode)[0]
+    written, skipped = importing.import_episodes(opened, Path(folder), roles, progress, unit, rig, episode)
+    for text in skipped:
+        _log.warning("%s", text)
+    return written
 
 
 def calibrate(

@@ -1,10 +1,13 @@
-"""The live page over a board: a whole calibration by start, rest and stop, and a marker that is picked by a click."""
+"""The live page over a board: a whole calibration by start, rest and stop, a marker that is picked by a click, a
+diagnosis."""
 
 from __future__ import annotations
 
+import json
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +16,18 @@ import pytest
 from test_calibration import live_on, off
 
 from conftest import Bench
+from tautline import trajectory
 from tautline.calibration.calibrate import calibrate
-from tautline.live.setup import Live, open_live
+from tautline.diagnosis import narration
+from tautline.live.setup import Frame, Live, open_live
 from tautline.live.until import Goal, calibrate_until
 from tautline.live.watch import View
 from tautline.live_page.desk import RUNNING, Desk
-from tautline.live_page.work import Calibrating, Watching, attend
-from tautline.model import Model
+from tautline.live_page.work import Calibrating, Diagnosing, Watching, attend
+from tautline.model import Effect, Model
 from tautline.recording import load
-from tautline.simulated.instrument import preset
+from tautline.simulated.instrument import Corrected, preset, reference_rig
+from tautline.simulated.simulate import simulate
 from tautline.vision.colour import MarkerColour
 
 pytestmark = pytest.mark.minutes
@@ -265,3 +271,83 @@ def test_the_board_is_told_from_another_thread_though_nobody_looks(bench: Bench)
         for _ in range(50):
             bench.sim.ask("advance 20000")
         assert off(live.board)
+
+
+def diagnosing(bench: Bench, folder: Path, lag_s: float) -> AbstractContextManager[Diagnosing]:
+    """A lag that came after the calibration."""
+    rig = reference_rig()
+    calibration = simulate(
+        rig, preset("reference", rig), trajectory.back_and_forth(rig.actuator, [0.8], 2.0, 12, 6.0), seed=3
+    )
+    found = calibrate([calibration], rig)
+    late = Effect("transmission.lag", {"lag": lag_s, "lag_second": 0.0})
+    lagging = Corrected(replace(found.model, effects=(late,)), "lagging")
+
+    @contextmanager
+    def opened() -> Iterator[Diagnosing]:
+        with live_on(bench, lagging, rig) as live:
+            yield Diagnosing(live, found, [calibration], folder / "diagnosis", lambda: folder / "recordings", most=1)
+
+    return opened()
+
+
+class Onlooker(Desk):
+    """A page that is closed, or says stop, at a frame; and what was seen of the motor while it rested."""
+
+    def __init__(self, work: Diagnosing, at: int, does: Callable[[Onlooker], None]) -> None:
+        super().__init__(work.rig, work.about, unwatched_s=0.0)
+        self.live, self.at, self.does, self.page = work.live, at, does, ExitStack()
+        self.frames, self.rested = 0, []
+
+    def show_frame(self, frame: Frame, q: float) -> None:
+        super().show_frame(frame, q)
+        self.frames += 1
+        if self.frames == self.at:
+            self.does(self)
+
+    def resting(self) -> bool:
+        rests = super().resting()
+        if rests:
+            self.rested.append(off(self.live.board))
+            self.stop()
+        return rests
+
+    def run(self, work: Diagnosing) -> dict[str, Any]:
+        with self.page:
+            self.page.enter_context(self.watched())
+            self.start()
+            attend(self, work, over=lambda: not self.begun)
+        return self.events.newer(0, 0.0)[1]
+
+
+def test_a_diagnosis_by_the_page(bench: Bench, tmp_path: Path) -> None:
+    with diagnosing(bench, tmp_path, 0.12) as work:
+        latest = Onlooker(work, 0, lambda page: None).run(work)
+        assert off(work.live.board) and work.found is not None
+    told, document = latest["diagnosis"], work.found.diagnosis.document
+    assert told["answers"][0]["id"] == document["effects"][0]["id"] == "transmission.lag"
+    assert told["says"] == narration.sentence(document) and told["led"] == [str(work.found.answers[0])]
+    assert told["why"] and told["next"] == "" and latest["state"]["says"].startswith(told["why"])
+    assert json.loads(json.dumps(latest["diagnosis"], allow_nan=False)) == told
+    assert (tmp_path / "diagnosis" / "report.html").is_file()
+    assert load(tmp_path / "recordings" / "test-1").marker is not None
+    assert latest["fit"]["onsets"] and latest["doing"]["share"] == 1.0
+
+
+def test_stop_ends_a_diagnosis_and_no_motion_follows(bench: Bench, tmp_path: Path) -> None:
+    with diagnosing(bench, tmp_path, 0.12) as work:
+        page = Onlooker(work, 40, Desk.stop)
+        latest = page.run(work)
+        assert off(work.live.board)
+    assert latest["state"]["says"] == "stopped" and page.frames == 40 and work.found is None
+    assert len(load(tmp_path / "recordings" / "test-1").marker.t_s) == 40
+
+
+def test_a_motion_without_a_page_ends_and_the_next_waits_for_one(bench: Bench, tmp_path: Path) -> None:
+    with diagnosing(bench, tmp_path, 0.02) as work:
+        work.most = 2
+        page = Onlooker(work, 300, lambda page: page.page.close())
+        latest = page.run(work)
+        assert off(work.live.board)
+    assert page.rested == [True] and page.frames == 300, latest
+    assert latest["diagnosis"]["next"] and not (tmp_path / "recordings" / "test-2").exists()

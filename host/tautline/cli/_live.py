@@ -127,7 +127,16 @@ def live_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 def free_recording(out: Path) -> Path:
     """OUT-recording, or with the next number that no folder has."""
-    names = (f"{out.name}-recording{number}" for number in chain([""], (f"-{i}" for i in count(2))))
+    return _free(out, "recording")
+
+
+def free_recordings(out: Path) -> Path:
+    """OUT-recordings, for several, or with the next number that no folder has."""
+    return _free(out, "recordings")
+
+
+def _free(out: Path, what: str) -> Path:
+    names = (f"{out.name}-{what}{number}" for number in chain([""], (f"-{i}" for i in count(2))))
     return next(path for name in names if not (path := out.with_name(name)).exists())
 
 

@@ -20,6 +20,7 @@ from tautline.cli._common import (
 from tautline.cli._live import (
     LiveOptions,
     free_recording,
+    free_recordings,
     live_options,
     motion_option,
     opened,
@@ -28,6 +29,7 @@ from tautline.cli._live import (
     speed_option,
     until_option,
 )
+from tautline.diagnosis.folder import DOCUMENT
 from tautline.folders import check_replaceable
 from tautline.model import MODEL_FILE, Model
 
@@ -36,7 +38,9 @@ from tautline.model import MODEL_FILE, Model
 @click.argument("recording_path", metavar="[RECORDING]", required=False, type=click.Path(path_type=Path))
 @live_options
 @rig_option
-@folder_option("--out", "Live: the MODEL folder to write; what is recorded is kept beside it.", required=False)
+@folder_option(
+    "--out", "Live: the MODEL or DIAGNOSIS folder to write; what is recorded is kept beside it.", required=False
+)
 @until_option
 @click.option(
     "--pace",
@@ -52,6 +56,13 @@ from tautline.model import MODEL_FILE, Model
     type=click.Path(path_type=Path),
     help="Live: as 'taut watch MODEL', whether the model still holds while the instrument is used.",
 )
+@click.option(
+    "--diagnose",
+    "diagnosed",
+    metavar="CALIBRATION",
+    type=click.Path(path_type=Path),
+    help="Live: as 'taut diagnose --live CALIBRATION', which effect is the cause, until one answer is sure.",
+)
 @motion_option("whatever drives it; with --watch alone")
 @speed_option
 @seed_option
@@ -64,6 +75,7 @@ def command(
     until: str | None,
     pace: float,
     watched: Path | None,
+    diagnosed: Path | None,
     motion: str,
     speed: float | None,
     seed: int,
@@ -72,7 +84,7 @@ def command(
     """Calibrate in a browser on this machine, or watch a recording again: picture, q and c, onsets, B(q) as it grows.
 
     The page's address is told on stderr; nothing moves before its Start. Ctrl-C stops what runs, and ends the page
-    where nothing does. --watch shows whether a model still holds instead.
+    where nothing does. --watch shows whether a model still holds instead, --diagnose which effect is missing in it.
     """
     if recording_path is not None:
         if live.simulate is not None or live.camera is not None:
@@ -81,14 +93,19 @@ def command(
     else:
         if live.camera is None and live.simulate is None:
             raise click.UsageError("name a RECORDING to play, or for a live calibration --camera SOURCE or --simulate")
+        if watched is not None and diagnosed is not None:
+            raise click.UsageError("--watch and --diagnose are two pages: choose one of them")
         if watched is not None:
             result = _watch(live, rig_path, watched, motion, speed, seed)
             emit(result, as_json, result["says"] or "nothing was started")
             return
         if out is None:
-            raise click.UsageError("a live calibration writes a model: name its folder with --out")
-        check_replaceable(out, MODEL_FILE)
-        result = _calibrate(live, rig_path, out, until, seed)
+            raise click.UsageError("what is found is kept: name a folder for it with --out")
+        check_replaceable(out, MODEL_FILE if diagnosed is None else DOCUMENT)
+        if diagnosed is not None:
+            result = _diagnose(live, rig_path, diagnosed, out, seed)
+        else:
+            result = _calibrate(live, rig_path, out, until, seed)
     emit(result, as_json, result["says"] or "nothing was started")
 
 
@@ -114,6 +131,23 @@ def _watch(
     warn_unusable(model, path)
     with opened(live, rig_path, seed, model=model) as setup, setup.interruptible():
         return {"says": _attended(Watching(setup, model, motion, speed, seed=seed)), "model": path}
+
+
+def _diagnose(live: LiveOptions, rig_path: Path | None, path: Path, out: Path, seed: int) -> dict[str, Any]:
+    from tautline.diagnosis.recorded import calibrated
+    from tautline.live_page.work import Diagnosing
+
+    recordings, rig = read_recordings([path], rig_path)
+    with progress_bar("calibrating") as progress:
+        calibration, recordings = calibrated(recordings, rig, progress)
+    warn_unusable(calibration.model, path)
+    with opened(live, rig_path, seed, model=calibration.model) as setup, setup.interruptible():
+        work = Diagnosing(setup, calibration, recordings, out, lambda: free_recordings(out.absolute()))
+        says = _attended(work)
+    found = work.found
+    if found is None:
+        return {"says": says, "diagnosis": None}
+    return {"says": says, "diagnosis": out, "verdict": found.diagnosis.document["verdict"], "sure": found.sure}
 
 
 def _replay(path: Path, rig_path: Path | None, pace: float) -> dict[str, Any]:

@@ -194,6 +194,17 @@ class Board:
         """No longer calls a listener. One that listens no more, or never did, is left alone."""
         self._listeners[name] = [other for other in self._listeners[name] if other != listener]
 
+    @contextlib.contextmanager
+    def listening(self, **listeners: Listener) -> Iterator[None]:
+        """Listens inside: a listener by its message's name."""
+        for name, listener in listeners.items():
+            self.listen(name, listener)
+        try:
+            yield
+        finally:
+            for name, listener in listeners.items():
+                self.forget(name, listener)
+
     def tell(self, name: str, **values: Any) -> None:
         """Sends a message that has no answer; a refusal shows up in `refused`."""
         self.tell_all(name, [values])

@@ -16,7 +16,7 @@ from tautline.diagnosis.motion import NextMotion
 from tautline.diagnosis.narration import percent
 from tautline.errors import TautError
 from tautline.live.following import record
-from tautline.live.setup import Live
+from tautline.live.setup import Frame, Live
 from tautline.recording import Recording, load
 
 SURE = 0.95
@@ -26,6 +26,14 @@ _NO_NEWS = 0.02  # of a probability: a motion that moves it by less has told not
 _FIRST = "trapezoids"  # nothing is known yet that one could ask for
 
 Progress = Callable[[float, str], None]
+Answered = Callable[[Diagnosis, "Leading", str], None]
+
+
+def answers_of(document: Mapping[str, Any]) -> dict[str, float]:
+    """The probability of each effect, by its id, of "none" and of "unknown"."""
+    probabilities = {c["id"]: float(c["probability"]) for c in document["candidates"]}
+    none, unknown = float(document["probability_none"]), float(document["probability_unknown"])
+    return probabilities | {"none": none, "unknown": unknown}
 
 
 @dataclass(frozen=True)
@@ -37,10 +45,9 @@ class Leading:
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> Leading:
-        choices = {c["id"]: float(c["probability"]) for c in document["candidates"]}
-        choices |= {"none": document["probability_none"], "unknown": document["probability_unknown"]}
-        name = max(choices, key=lambda name: choices[name])
-        return cls(name, float(choices[name]))
+        probabilities = answers_of(document)
+        name = max(probabilities, key=lambda name: probabilities[name])
+        return cls(name, probabilities[name])
 
     def __str__(self) -> str:
         return f"{self.name} ({percent(self.probability)})"
@@ -96,9 +103,13 @@ def diagnose_live(
     most: int = 5,
     progress: Progress = lambda fraction, text: None,
     told: Callable[[str], None] = lambda text: None,
+    seen: Callable[[Frame], None] = lambda frame: None,
+    answered: Answered = lambda diagnosis, leading, why: None,
 ) -> Asked:
     """`calibration` on the motor's clock, and what `found` gave; `tests` were recorded before. What is recorded here
-    is kept in `folder`. `told`: a line after every recording. Ctrl-C ends a recording early, and it is diagnosed."""
+    is kept in `folder`. `told`: a line after every recording. `seen`: every frame. `answered`: after every recording
+    the diagnosis, what leads, and why it ends, empty where another one is made. Ctrl-C ends a recording early, and it
+    is diagnosed."""
     if folder.exists() and any(folder.iterdir()):
         raise TautError(f"{folder}: is not empty: name another folder for the recordings with --recordings")
     folder.mkdir(parents=True, exist_ok=True)
@@ -115,6 +126,7 @@ def diagnose_live(
             noise = float(diagnosis.document["noise_floor"])
             why = why_stop(answers, asked, following, noise, most + bool(tests))
             told(f"{_what(made, asked)}: {answers[-1]}" + (f"; next {following.why}" if following and not why else ""))
+            answered(diagnosis, answers[-1], why)
             if why:
                 return Asked(diagnosis, tuple(made), tuple(answers), why)
         path = folder / f"test-{len(made) + 1}"
@@ -123,13 +135,13 @@ def diagnose_live(
             what = str(folder / f"{path.name}-{MOTION}")
             motion.table(following.motion, live.rig.actuator.unit).to_csv(what, index=False, float_format="%.6f")
         asked.append(following.why if following else _FIRST)
-        _recorded(live, path, what, progress)
+        record(live, path, what, seen=seen, progress=_as_of(path.name, progress))
         made.append(path)
         known += on_motor_clock([load(path, live.rig)], live.rig)
 
 
-def _recorded(live: Live, path: Path, what: str, progress: Progress) -> None:
-    record(live, path, what, progress=lambda fraction, text: progress(fraction, f"recording {path.name}"))
+def _as_of(name: str, progress: Progress) -> Progress:
+    return lambda fraction, text: progress(fraction, f"recording {name}")
 
 
 def _what(made: Sequence[Path], asked: Sequence[str]) -> str:

@@ -282,30 +282,32 @@ def record(
     duration_s: float = 60.0,
     video: bool = False,
     seed: int = 0,
+    seen: Callable[[Frame], None] = lambda frame: None,
     progress: Progress = None,
 ) -> dict[str, Any]:
-    """Records motor and marker while the motor follows `motion`, or is off. Ctrl-C ends it, and is no failure."""
+    """Records motor and marker while the motor follows `motion`, or is off. Ctrl-C, which `seen` may raise, ends it and
+    is no failure."""
     counts = {"frames": 0, "lost_frames": 0}
     samples = [0]
 
-    def seen(frame: Frame) -> None:
+    def taken(frame: Frame) -> None:
         recorder.add(frame)
         counts["frames"] += 1
         counts["lost_frames"] += not frame.sighting.valid
+        seen(frame)
 
     def batch(message: wire.Message) -> None:
         samples[0] += message.count if message.axis == live.axis else 0
 
-    live.board.listen("batch", batch)
     live.board.counters(clear=True)
     plan = None if motion == "none" else motor_trajectory(live, motion, speed, duration_s, seed)
     began = live.now_us()
-    with Recorder(live, folder, video) as recorder, live.interruptible():
+    with live.board.listening(batch=batch), Recorder(live, folder, video) as recorder, live.interruptible():
         try:
             if plan is not None:
-                follow(live, *plan, tip=False, seen=seen, progress=progress)
+                follow(live, *plan, tip=False, seen=taken, progress=progress)
             while plan is None and (passed := (live.now_us() - began) * 1e-6) < duration_s:
-                step(live, seen)
+                step(live, taken)
                 if progress:
                     progress(passed / duration_s, "recording")
         except KeyboardInterrupt:

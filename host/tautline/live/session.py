@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -182,8 +182,10 @@ class Motions:
         self.permille = 0
         self._before = 0  # reversals of the rounds before this one
         self._state = _RUNNING[0]
-        live.board.listen("progress", self._took)
-        live.board.listen("onset", self._onset)
+
+    def listening(self) -> AbstractContextManager[None]:
+        """What the board says of it is taken inside."""
+        return self.live.board.listening(progress=self._took, onset=self._onset)
 
     def _took(self, message: wire.Message) -> None:
         self._state, self.permille = message.state, message.permille
@@ -271,7 +273,8 @@ def moving(live: Live, folder: Path, low: float, high: float, video: bool) -> It
         set_range(live, low, high)
         motions = Motions(live, recorder, made)
         try:
-            yield motions
+            with motions.listening():
+                yield motions
         except BaseException as error:
             live.feeding = False
             _stop(live)

@@ -44,7 +44,7 @@ class Desk:
         """about: what the page says of the session, as it is shown. unwatched_s: without a page, until it rests."""
         self.events, self.pictures = Stream(), Stream()
         self._rig, self._unwatched_s = rig, unwatched_s
-        self._rests = not about.get("watch", False)
+        self._rests = about.get("rests", True)
         self._changed = threading.Condition()
         self._state, self._stop, self._says = READY, False, ""
         self._picked: tuple[float, float] | None = None
@@ -68,7 +68,7 @@ class Desk:
                 self._enter(RUNNING)
 
     def rest(self) -> None:
-        """Where there is something that can go on after it: not while a model is watched."""
+        """Where there is something that can go on after it."""
         with self._changed:
             if self._state == RUNNING and self._rests:
                 self._enter(RESTING)
@@ -166,6 +166,11 @@ class Desk:
         if view.calibration is not None and view.calibrated_s != self._calibrated_s:
             self._calibrated_s = view.calibrated_s
             self.events.publish("fit", shown.fit(view.calibration, view.calibrated_s))
+        self.check_stop()
+
+    def doing(self, share: float, text: str) -> None:
+        """What is being done, and how much of it is. Raises Stopped where that was asked for."""
+        self.events.publish("doing", {"doing": text, "share": share})
         self.check_stop()
 
     def check_stop(self) -> None:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from tautline.calibration.calibrate import Calibration
+from tautline.diagnosis.narration import SHOWN, sentence
 from tautline.geometry import pose
+from tautline.live.asking import Leading, answers_of
 from tautline.live.rounds import in_words
 from tautline.live.setup import Frame
 from tautline.live.watch import View, in_short
@@ -80,8 +83,8 @@ def missing(view: View) -> list[str]:
     return said
 
 
-def fit(calibration: Calibration, seconds: float) -> dict[str, Any]:
-    """B(q) with its band, the onsets and the verdict of a calibration of the first `seconds`."""
+def fit(calibration: Calibration, seconds: float | None) -> dict[str, Any]:
+    """B(q) with its band, the onsets and the verdict of a calibration of the first `seconds`, None: of all there is."""
     return backlash(calibration.model) | {
         "seconds": seconds,
         "onsets": [
@@ -109,6 +112,20 @@ def backlash(model: Model) -> dict[str, Any]:
             {"code": reason.code, "says": reason.says, "remedy": reason.remedy, "mild": reason.mild}
             for reason in model.quality.reasons
         ],
+    }
+
+
+def diagnosis(document: Mapping[str, Any], answers: Sequence[Leading], why: str) -> dict[str, Any]:
+    """What may be the cause, likeliest first, what led after each recording, and what is recorded next. why: nothing
+    is, empty where something is."""
+    following = document["next_motion"]
+    probable = sorted(answers_of(document).items(), key=lambda item: -item[1])
+    return {
+        "says": sentence(document),
+        "answers": [{"id": name, "probability": p} for name, p in probable if p >= SHOWN],
+        "led": [str(leading) for leading in answers],
+        "next": "" if why or not following else following["why"],
+        "why": why,
     }
 
 

@@ -1,17 +1,20 @@
-"""What the page starts: a calibration of what is connected, a model in use, or a recording played again. One thread
-runs it all."""
+"""What the page starts: a calibration of what is connected, a diagnosis of it, a model in use, or a recording played
+again. One thread runs it all."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
 from tautline import reports
 from tautline.calibration.calibrate import Calibration
+from tautline.diagnosis.diagnose import Diagnosis
+from tautline.diagnosis.folder import save
 from tautline.errors import TautError
+from tautline.live.asking import Asked, Leading, diagnose_live
 from tautline.live.rounds import in_words
 from tautline.live.setup import Frame, Live
 from tautline.live.tracking import watch
@@ -121,7 +124,8 @@ class Watching:
 
     @property
     def about(self) -> dict[str, Any]:
-        return {"title": f"Watch a model in use on axis {self.live.axis}", "live": True, "watch": True}
+        title = f"Watch a model in use on axis {self.live.axis}"
+        return {"title": title, "live": True, "watch": True, "rests": False}
 
     def idle(self, desk: Desk) -> None:
         _look(desk, self.live)
@@ -143,6 +147,60 @@ class Watching:
             told=told, shown=seen,
         )  # fmt: skip
         return f"watched {result['seconds']:.1f} s, {result['frames']} frames: {result['state'] or 'none was tracked'}"
+
+    def let_go(self) -> None:
+        self.live.let_go()
+
+
+@dataclass
+class Diagnosing:
+    """A live diagnosis, as `taut diagnose --live` makes it. A motion ends where no page is open, which would have its
+    stop; the next one waits for a page."""
+
+    live: Live
+    calibration: Calibration
+    recorded: Sequence[Recording]  # on the motor's clock: that of the calibration, then tests that were made before
+    out: Path
+    recordings: Callable[[], Path]  # a folder that is not there yet
+    most: int = 5
+    found: Asked | None = None
+
+    @property
+    def rig(self) -> Rig:
+        return self.live.rig
+
+    @property
+    def about(self) -> dict[str, Any]:
+        title = f"Diagnose {self.rig.actuator.instrument or 'an instrument'} on axis {self.live.axis}"
+        return {"title": title, "live": True, "diagnose": True, "rests": False}
+
+    def idle(self, desk: Desk) -> None:
+        _look(desk, self.live)
+
+    def run(self, desk: Desk) -> str:
+        answers: list[Leading] = []
+        desk.events.publish("fit", shown.fit(self.calibration, None))
+        desk.events.publish("diagnosis", None)
+
+        def seen(frame: Frame) -> None:
+            desk.show_frame(frame, _motor(self.live))
+            desk.check_stop()
+            if desk.unwatched:
+                raise Stopped
+
+        def answered(diagnosis: Diagnosis, leading: Leading, why: str) -> None:
+            answers.append(leading)
+            desk.events.publish("diagnosis", shown.diagnosis(diagnosis.document, answers, why))
+            while not why and desk.resting():
+                desk.check_stop()
+
+        asked = diagnose_live(
+            self.live, self.calibration, self.recorded[0], self.recorded[1:], self.recordings(), self.most,
+            progress=desk.doing, seen=seen, answered=answered,
+        )  # fmt: skip
+        save(asked.diagnosis, self.out)
+        self.found = asked
+        return f"{asked.why}; {self.out / reports.FILE} shows it"
 
     def let_go(self) -> None:
         self.live.let_go()
@@ -176,9 +234,14 @@ def _look(desk: Desk, live: Live) -> None:
     """A frame while nothing runs; where time is the board's, no faster than a camera would be."""
     began_s = time.monotonic()
     frame = live.look()
-    desk.show_frame(frame, live.board.status(live.axis).q * live.resolution)
+    desk.show_frame(frame, _motor(live))
     if live.virtual and live.rig.camera is not None:
         time.sleep(max(began_s + 1.0 / live.rig.camera.frame_rate_hz - time.monotonic(), 0.0))
+
+
+def _motor(live: Live) -> float:
+    """q now, the rig's unit."""
+    return float(live.board.status(live.axis).q) * live.resolution
 
 
 def attend(

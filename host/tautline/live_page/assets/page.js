@@ -1,4 +1,4 @@
-// The live page. It holds no knowledge of its own: what the server publishes by topic (about, state, frame, progress, fit, holds) is drawn.
+// The live page. It holds no knowledge of its own: what the server publishes by topic (about, state, frame, doing, progress, fit, holds, diagnosis) is drawn.
 const $ = (id) => document.getElementById(id);
 const shown = { about: null, state: null, progress: null, fit: null, frame: null };
 const trace = []; // {t_s, q, c_deg} of the last seconds
@@ -138,7 +138,9 @@ const topics = {
     $("title").textContent = about.title;
     document.body.classList.toggle("replay", !about.live);
     document.body.classList.toggle("watch", Boolean(about.watch));
-    if (about.watch) $("verdict-title").textContent = "Verdict of its calibration";
+    document.body.classList.toggle("diagnose", Boolean(about.diagnose));
+    $("rest").hidden = about.rests === false;
+    if (about.watch || about.diagnose) $("verdict-title").textContent = "Verdict of its calibration";
   },
   state({ state, says }) {
     $("state").textContent = STATES[state];
@@ -151,10 +153,31 @@ const topics = {
     if (state === "running" && !shown.began) trace.length = 0;
     if (state === "ready") $("doing").textContent = "";
     shown.began = state !== "ready";
-    const picks = state === "ready" && shown.about?.live && !shown.about.watch;
-    if (shown.about?.watch) $("rest").hidden = true;
+    const picks = state === "ready" && shown.about?.live && !shown.about.watch && !shown.about.diagnose;
     $("picture").classList.toggle("picks", picks);
     $("hint").textContent = picks ? "Click on the marker to pick its colour; with the keyboard: arrow keys, then Enter." : "";
+  },
+  doing({ doing, share }) {
+    if (!shown.began) return;
+    $("doing").textContent = doing;
+    $("share").value = share;
+  },
+  diagnosis(found) {
+    $("cause").textContent = found ? found.says : "nothing was recorded yet";
+    $("next").textContent = found?.next ? `What tells most comes next: ${found.next}.` : "";
+    $("led").replaceChildren(...(found ? found.led : []).map((leading, k) => {
+      const li = document.createElement("li");
+      li.textContent = `after recording ${k + 1}: ${leading}`;
+      return li;
+    }));
+    $("answers").replaceChildren(...(found ? found.answers : []).flatMap(({ id, probability }) => {
+      const name = document.createElement("dt"), value = document.createElement("dd"), bar = document.createElement("i");
+      name.textContent = id;
+      value.textContent = `${(100 * probability).toFixed(0)} %`;
+      bar.style.width = `${100 * probability}%`;
+      value.append(bar);
+      return [name, value];
+    }));
   },
   progress(progress) {
     $("doing").textContent = progress.doing;
