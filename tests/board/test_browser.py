@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import re
 import signal
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -17,7 +18,9 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from tools import browser as tool
 
-from tautline.model import Model
+from tautline.live.setup import open_live
+from tautline.live.until import calibrate_until
+from tautline.model import Effect, Model
 from tautline.simulated.instrument import preset
 
 pytestmark = [
@@ -114,3 +117,30 @@ def test_stop_and_the_keyboard(tmp_path: Path) -> None:
         tool.until(lambda: "was played" in tool.text(seen, "says"))
         assert tool.text(seen, "verdict") != "none yet"
         assert json.loads(seen.execute_script("return JSON.stringify(document.body.className)")) == "replay"
+
+
+@pytest.mark.parametrize(("width", "dark"), [(1200, False), (400, True)], ids=["1200-light", "400-dark"])
+def test_a_diagnosis_by_the_page(tmp_path: Path, width: int, dark: bool) -> None:
+    """A lag that came after the calibration, until it is sure or no motion helps."""
+    with open_live(simulate="reference", seed=3) as live:
+        found, _ = calibrate_until(live, tmp_path / "calibration")
+    late = Effect("transmission.lag", {"lag": 0.12, "lag_second": 0.0})
+    replace(found.model, effects=(late,)).save(tmp_path / "lagging")
+    words = "--simulate", tmp_path / "lagging", "--diagnose", tmp_path / "calibration", "--out", tmp_path / "found"
+    with tool.page(*words) as (address, process), tool.browser(width, dark) as seen:
+        seen.get(address)
+        tool.press(seen, "start")
+        tool.until(lambda: tool.text(seen, "doing").startswith("recording"))
+        assert not seen.find_element(By.ID, "rest").is_displayed()
+        assert tool.text(seen, "cause") == "nothing was recorded yet"
+        tool.until(lambda: tool.text(seen, "state") == "ready")
+        tool.whole_page(seen, width, tmp_path / f"diagnosis-{width}.png")
+        names = [e.text for e in seen.find_elements(By.CSS_SELECTOR, "#answers dt")]
+        assert names[0] == "transmission.lag" and "transmission.lag" in tool.text(seen, "cause")
+        assert tool.text(seen, "led").startswith("after recording 1:")
+        assert seen.execute_script(OVERFLOW) == []
+        assert min(seen.execute_script(CONTRAST))[0] >= 4.5, min(seen.execute_script(CONTRAST))
+        assert seen.get_log("browser") == []
+        process.send_signal(signal.SIGINT)
+        assert process.wait(20.0) == 0
+    assert (tmp_path / "found" / "report.html").is_file()

@@ -27,6 +27,19 @@ def times(batches: list[wire.Message]) -> np.ndarray:
     return np.concatenate([batch.t_us + batch.period_us * np.arange(batch.count) for batch in batches])
 
 
+def test_who_listens_for_a_while_hears_nothing_after_it(board: Board, bench: Bench) -> None:
+    heard: list[wire.Message] = []
+    with pytest.raises(TautError), board.listening(batch=heard.append, event=heard.append):
+        board.ask("telemetry", axis=0, divider=1)
+        bench.run(0.1)
+        board.status(0)
+        raise TautError("what ran inside failed")
+    so_far = len(heard)
+    bench.run(0.1)
+    board.status(0)
+    assert so_far and len(heard) == so_far
+
+
 def test_a_move_arrives_within_limits(board: Board, bench: Bench) -> None:
     batches = telemetry(board)
     arrived: list[wire.Message] = []

@@ -217,6 +217,14 @@ def test_an_empty_episode_among_others_is_left_out(taut: Taut, tmp_path: Path) -
     ]
 
 
+def test_a_program_is_told_which_episodes_were_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = dataset(tmp_path, lengths=(400, 0, 300))
+    written = tl.import_recording(path, tmp_path / "out", FEATURES[1], FEATURES[3])
+    assert [each.episode for each in written] == [0, 2]
+    (told,) = caplog.messages
+    assert told.startswith("episode 1 was left out")
+
+
 @pytest.mark.parametrize(
     "module, make, words", [("mcap", mcap, FIELDS), ("pyarrow", dataset, FEATURES), ("rosbags", bag, JOINT)]
 )

@@ -36,7 +36,7 @@ GROUPS: dict[str, tuple[Command, ...]] = {
         ),
         Command(
             "live",
-            "calibrate in a browser on this machine, or watch a recording again",
+            "calibrate or diagnose in a browser on this machine, or watch a recording again",
             "taut live --simulate --out monday",
         ),
         Command(

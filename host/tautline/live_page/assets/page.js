@@ -174,7 +174,7 @@ const topics = {
       const name = document.createElement("dt"), value = document.createElement("dd"), bar = document.createElement("i");
       name.textContent = id;
       value.textContent = `${(100 * probability).toFixed(0)} %`;
-      bar.style.width = `${100 * probability}%`;
+      bar.style.width = `calc((100% - 3.6em) * ${probability})`; // beside the number
       value.append(bar);
       return [name, value];
     }));
