@@ -361,8 +361,12 @@ class CanBus:
 class Cia402Emulator:
     """Drives with an object dictionary, expedited SDOs, two PDOs each way, NMT, SYNC and a heartbeat consumer."""
 
-    def __init__(self, motors: list[Motor], turn: int = 4096) -> None:
-        self.motors = motors
+    _SWITCHES = 3  # objects that are read before another mode is the drive's
+
+    def __init__(
+        self, motors: list[Motor], turn: int = 4096, homed: bool = False, modes: tuple[int, ...] = (6, 8)
+    ) -> None:
+        self.motors, self._homed, self._modes = motors, homed, modes
         self.nodes = [self._fresh(turn) for _ in motors]
         self.bus = CanBus(self._take)
 
@@ -370,14 +374,15 @@ class Cia402Emulator:
         objects = {
             (0x1008, 0): (4, b"EMUL"), (0x608F, 1): (4, turn), (0x608F, 2): (4, 1), (0x6080, 0): (4, 180),
             (0x60C5, 0): (4, 300000), (0x607D, 1): (4, -20000), (0x607D, 2): (4, 20000), (0x6075, 0): (4, 1000),
-            (0x6073, 0): (2, 1500), (0x6040, 0): (2, 0), (0x6041, 0): (2, 0x40), (0x6060, 0): (1, 0),
+            (0x6073, 0): (2, 1500), (0x6040, 0): (2, 0), (0x6041, 0): (2, 0x40), (0x6060, 0): (1, 8),
+            (0x6061, 0): (1, 8),
             (0x6064, 0): (4, 0), (0x607A, 0): (4, 0), (0x606C, 0): (4, 0), (0x6078, 0): (2, 0), (0x60C2, 1): (1, 1),
             (0x60C2, 2): (1, -3), (0x1016, 1): (4, 0), (0x6007, 0): (2, 0),
         }  # fmt: skip
         for mapping, parameters in ((0x1A00, 0x1800), (0x1A01, 0x1801), (0x1600, 0x1400)):
             objects |= {(mapping, i): (1 if i == 0 else 4, 0) for i in range(4)}
             objects |= {(parameters, 1): (4, 0), (parameters, 2): (1, 0)}
-        return {"objects": objects, "operational": False, "target": None}
+        return {"objects": objects, "operational": False, "target": None, "switches": 0}
 
     def fail(self) -> None:
         self.nodes[0]["objects"][0x6041, 0], self.motors[0].on = (2, 0x08), False
@@ -450,7 +455,12 @@ class Cia402Emulator:
         if (index, sub) not in objects:
             return struct.pack("<BHBI", 0x80, index, sub, 0x06020000)
         self._measure(motor, objects)
+        node["switches"] -= 1
+        if node["switches"] <= 0:
+            objects[0x6061, 0] = 1, objects[0x6060, 0][1]
         size, value = objects[index, sub]
+        if (index, sub) == (0x6041, 0):  # bit 12: homing attained, or that the command is followed
+            value |= 0x1000 if objects[0x6061, 0][1] != 6 or self._homed else 0
         if command == 0x40:
             raw = value if isinstance(value, bytes) else value.to_bytes(size, "little", signed=value < 0)
             return struct.pack("<BHB", 0x43 | (4 - len(raw)) << 2, index, sub) + raw.ljust(4, b"\0")
@@ -458,6 +468,10 @@ class Cia402Emulator:
         given = int.from_bytes(data[4 : 4 + size], "little", signed=signed)
         if (index, sub) == (0x6040, 0):
             self._control(motor, node, given)
+        if (index, sub) == (0x6060, 0):
+            if given not in self._modes:
+                return struct.pack("<BHBI", 0x80, index, sub, 0x06090030)
+            node["switches"] = self._SWITCHES
         objects[index, sub] = size, given
         return struct.pack("<BHBI", 0x60, index, sub, 0)
 

@@ -522,6 +522,23 @@ def test_topics_that_cannot_be_used_are_one_line(bus: str, says: str, monkeypatc
         addresses.open_drives(addresses.parse(f"ros:{bus}:joint_1"))
 
 
+@pytest.mark.parametrize(
+    ("homed", "modes", "referenced"), [(True, (6, 8), True), (False, (6, 8), False), (True, (8,), False)]
+)
+def test_a_canopen_drive_is_homed_where_its_homing_mode_says_so(
+    homed: bool, modes: tuple[int, ...], referenced: bool
+) -> None:
+    """Not where the bit of the mode before is read, which says that the command is followed."""
+    emulator = Cia402Emulator([Motor()], homed=homed, modes=modes)
+    try:
+        drives = addresses.open_drives(addresses.parse(f"canopen:virtual/{emulator.bus.channel}:1?baud=1000000"))
+        assert drives.drives[0].referenced is referenced
+        assert emulator.nodes[0]["objects"][0x6060, 0][1] == 8
+        drives.close()
+    finally:
+        emulator.close()
+
+
 @pytest.mark.parametrize(("rate", "told"), [(250.0, (4, -3)), (400.0, (25, -4)), (300.0, None)])
 def test_a_canopen_cycle_is_told_as_it_is(rate: float, told: tuple[int, int] | None) -> None:
     emulator = Cia402Emulator([Motor()])

@@ -33,7 +33,8 @@ _RANGE = 3_900_000.0  # where the drive limits none: what the application counts
 # Objects of CiA 301 and 402.
 _DEVICE, _HARDWARE, _SOFTWARE = (0x1008, 0), (0x1009, 0), (0x100A, 0)
 _CONSUMER, _ON_LOSS = (0x1016, 1), (0x6007, 0)
-_CONTROL, _STATUS, _MODE, _POSITION = (0x6040, 0), (0x6041, 0), (0x6060, 0), (0x6064, 0)
+_CONTROL, _STATUS, _POSITION = (0x6040, 0), (0x6041, 0), (0x6064, 0)
+_MODE, _MODE_NOW = (0x6060, 0), (0x6061, 0)
 _TARGET, _VELOCITY, _CURRENT = (0x607A, 0), (0x606C, 0), (0x6078, 0)
 _LOW, _HIGH, _MOTOR_RPM = (0x607D, 1), (0x607D, 2), (0x6080, 0)
 _ACCELERATION_MOST, _RATED_MA, _CURRENT_MOST = (0x60C5, 0), (0x6075, 0), (0x6073, 0)
@@ -123,14 +124,26 @@ class Cia402:
         self._write(number, _PERIOD_POWER, power, 1)
         self._write(number, _CONSUMER, _HOST << 16 | _LOST_MS, 4)
         self._write(number, _ON_LOSS, _QUICK_STOP, 2)
-        self._write(number, _MODE, _HOMING, 1)
-        homed = bool(int.from_bytes(self._read(number, _STATUS), "little") & 0x1000)
+        homed = self._homed(number)
         self._write(number, _MODE, _CSP, 1)
         self._network.subscribe(0x180 + number, self._hear_position)
         self._network.subscribe(0x280 + number, self._hear_speed)
         self._nodes[number].nmt.send_command(0x01)
         versions = " ".join(filter(None, (self._text(number, _HARDWARE), self._text(number, _SOFTWARE))))
         return Drive(number, self._text(number, _DEVICE) or "CiA 402", versions or "-", round(turn), limits, homed)
+
+    def _homed(self, number: int) -> bool:
+        """Bit 12 of the status is "homing attained" once the drive is in the homing mode: in another it says something
+        else. A drive that does not go there is not homed."""
+        try:
+            self._write(number, _MODE, _HOMING, 1)
+            deadline = time.monotonic() + _STATE_S
+            while int(self._number(number, _MODE_NOW)) != _HOMING:
+                if time.monotonic() > deadline:
+                    return False
+        except _Refused:
+            return False
+        return bool(int.from_bytes(self._read(number, _STATUS), "little") & 0x1000)
 
     def _map(self, number: int, mapping: int, parameters: int, cob: int, objects: list[tuple[int, int, int]]) -> None:
         """A process data object with these objects, at every SYNC."""
