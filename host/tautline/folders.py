@@ -23,14 +23,15 @@ def check_replaceable(folder: Path, key_file: str) -> None:
 
 @contextmanager
 def replaced(folder: Path, key_file: str, stale: Sequence[str] = ()) -> Iterator[Path]:
-    """A temporary folder to write into; it takes `folder`'s place when the block ends without an error. Other files in
-    it are kept, but for those that match one of `stale`, which belong to the earlier result."""
+    """A temporary folder of the same name to write into; it takes `folder`'s place when the block ends without error.
+    Other files in it are kept, but for those that match one of `stale`, which belong to the earlier result."""
     folder = Path(os.path.realpath(folder))  # where it is a link, what it leads to is replaced
     check_replaceable(folder, key_file)
-    temporary = folder.with_name(f".{folder.name}.{os.getpid()}.new")
-    retired = temporary.with_suffix(".old")
+    beside = folder.with_name(f".{folder.name}.{os.getpid()}.new")
+    temporary, retired = beside / folder.name, beside.with_suffix(".old")
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
+        beside.mkdir()
         temporary.mkdir()
         yield temporary
         if folder.exists():
@@ -47,7 +48,7 @@ def replaced(folder: Path, key_file: str, stale: Sequence[str] = ()) -> Iterator
     except OSError as error:
         raise TautError(f"{folder}: cannot be written ({error.strerror or error}): name another folder") from error
     finally:
-        for leftover in (temporary, retired):
+        for leftover in (beside, retired):
             shutil.rmtree(leftover, ignore_errors=True)
 
 

@@ -9,6 +9,7 @@ and commands inside sentences and tables.
 from __future__ import annotations
 
 import fcntl
+import json
 import os
 import re
 import shlex
@@ -198,6 +199,8 @@ def test_the_first_command_in_this_clone(tmp_path: Path) -> None:
     done = subprocess.run(["bash", "-c", run], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.rstrip().endswith("report.html") and (tmp_path / "demo/model/report.html").is_file()
+    onsets = json.loads((tmp_path / "demo/model/model.json").read_text())["extra"]["onsets"]
+    assert onsets and {onset["recording"] for onset in onsets} == {"recording"}  # as its folder is called
 
 
 @pytest.mark.long
