@@ -4,7 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from tautline import _native
 from tautline.calibration.hinge import fit_hinge, fit_jump
 from tautline.calibration.observations import observe
 from tautline.calibration.onset import BOUND, BRACKET, HINGE, delayed, find_delay, find_onsets
@@ -56,6 +59,38 @@ def hinges(sigma_per_frame: float, repeats: int, seed: int, *, bends: bool = Fal
         over_bound.append((found.knot - knot) / bound(x, knot, slope))
         over_sigma.append((found.knot - knot) / found.sigma)
     return float(np.sqrt(np.mean(np.square(over_bound)))), float(np.sqrt(np.mean(np.square(over_sigma))))
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 1000), st.integers(4, 40), st.integers(1, 10), st.integers(1, 2), st.booleans())
+def test_a_hinges_fits_are_those_of_its_equations(seed, frames, pieces, channels, jump):
+    """Against dense solutions, the path as the second integral of what is constant in each piece."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.uniform(0.0, 3.0, frames), rng.normal(0.0, 20.0, (frames, channels))
+    knots, columns = rng.uniform(0.0, 0.8 * x.max(), 3), 2 + pieces + jump
+    precision = 10.0 ** rng.uniform(-3.0, 1.0, (2, columns))
+    squares, residual, volume, used, way, coefficients = _native.hinge(x, y, knots, precision, jump)
+    assert squares.shape == (3, 2) and coefficients.shape == (3, 2, columns, channels)
+    fine = (np.arange(20000) + 0.5) / 20000
+    bend = np.sqrt(pieces) * (np.arange(pieces) == (pieces * fine[:, None]).astype(int))
+    shape = np.cumsum(np.cumsum(bend, axis=0), axis=0) / 20000**2
+    for k, knot in enumerate(knots):
+        unit = np.maximum(x - knot, 0.0) / x.max()
+        basis = [np.ones(frames), unit, *(np.interp(unit, fine, piece) for piece in shape.T)]
+        basis = np.column_stack(basis + [(x > knot).astype(float)] * jump)
+        for v, each in enumerate(precision):
+            system = basis.T @ basis + np.diag(each)
+            best = np.linalg.solve(system, basis.T @ y)
+            left = y - basis @ best
+            path = slice(2 + pieces)
+            on_the_way = basis[np.argmax(x), 1 : 2 + pieces] @ best[1 : 2 + pieces]
+            near = {"rtol": 1e-3, "atol": 1e-3}  # of the reference's sums
+            np.testing.assert_allclose(residual[k, v], np.sum(left**2), **near)
+            np.testing.assert_allclose(squares[k, v], np.sum(left**2) + np.sum(each[:, None] * best**2), **near)
+            expected = np.linalg.slogdet(system[path, path])[1] - np.log(each[path]).sum()
+            np.testing.assert_allclose(volume[k, v], expected, **near)
+            np.testing.assert_allclose(used[k, v], np.trace(np.linalg.solve(system, basis.T @ basis)), **near)
+            np.testing.assert_allclose(way[k, v], on_the_way, rtol=1e-3, atol=0.05)
 
 
 @pytest.mark.parametrize("sigma_per_frame", [3.0, 6.0, 12.0, 40.0])
