@@ -11,6 +11,7 @@ from tautline import _native
 from tautline.calibration.hinge import fit_hinge, fit_jump
 from tautline.calibration.observations import observe
 from tautline.calibration.onset import BOUND, BRACKET, HINGE, delayed, find_delay, find_onsets
+from tautline.core.motor import MotorPath
 from tautline.recording import Motor
 from tautline.simulated.instrument import Instrument, preset, reference_rig
 from tautline.simulated.simulate import run
@@ -183,6 +184,27 @@ def test_onsets_of_a_little_more_delay_are_those_that_would_be_found(later):
     after = np.array([(c.width - b.width) / b.sigma for _, b, c in pairs])
     assert np.sqrt(np.mean(after**2)) < 0.3 < np.sqrt(np.mean(before**2))
     assert np.abs([c.t_s - b.t_s for _, b, c in pairs]).max() < 4e-3
+
+
+def test_delay_and_onsets_are_of_the_motors_path_whatever_its_knots():
+    """Knots that a straight line passes say nothing: without them a stroke has none between its ends."""
+    motion = back_and_forth(RIG.actuator, [1.0], 2.4, 10, 4.0)
+    _, (track,) = simulated(8, motion)
+    ends = np.concatenate([[0], np.flatnonzero(np.diff(np.sign(np.diff(motion.q)))) + 1, [len(motion.q) - 1]])
+    corners = Motor(motion.t_s[ends], motion.q[ends])
+    q = np.interp(motion.t_s, corners.t_s, corners.q)
+    few, every = (
+        replace(track, path=MotorPath(Motor(motion.t_s, q), lines)) for lines in (corners, Motor(motion.t_s, q))
+    )
+    assert len(few.motor.t_s) < 0.01 * len(every.motor.t_s)
+    delays = [find_delay([each], RIG, RIG.delay_s) for each in (few, every)]
+    assert delays[0].stops == delays[1].stops > 8
+    assert delays[0].delay_s == pytest.approx(delays[1].delay_s, abs=1e-8)
+    found = [find_onsets([each], RIG, delays[1].delay_s) for each in (few, every)]
+    assert len(found[0]) == len(found[1]) > 8
+    for a, b in zip(*found, strict=True):
+        assert (a.kind, a.used, a.reason) == (b.kind, b.used, b.reason)
+        assert a.t_s == pytest.approx(b.t_s, abs=1e-6, nan_ok=True) and a.q2 == pytest.approx(b.q2, abs=1e-7)
 
 
 def test_a_stroke_within_the_backlash_is_a_lower_bound_and_the_next_one_counts_for_nothing():

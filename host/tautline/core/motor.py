@@ -1,15 +1,15 @@
-"""Where a motor was: made of its readings in one place, for predict, diagnosis and exports."""
+"""Where a motor was: made of its readings in one place, for calibration, predict, diagnosis and exports."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
-from tautline.encoder import cut, straight_lines
+from tautline.encoder import between_counts, cut, straight_lines
 from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
@@ -28,9 +28,33 @@ class MotorPath:
         known = readings if until_s >= readings.t_s[-1] else cut(readings, until_s)
         return cls(known, straight_lines(known, resolution))
 
+    @classmethod
+    def closely(cls, readings: Motor, resolution: float) -> Self:
+        """With a knot at every reading, for what averages over thousands of them: few lines leave up to a count where
+        the motor slows down, on average too, which moves a calibration's delay by 0.4 ms at 1 um and 12 mm/s^2."""
+        return cls(readings, between_counts(readings, resolution))
+
     def at(self, t_s: Array) -> Array:
         """q at times (n,), its unit."""
         return np.asarray(np.interp(t_s, self.lines.t_s, self.lines.q))
+
+    @cached_property
+    def sampled(self) -> Motor:
+        """The readings, each where the path says that the motor was."""
+        return replace(self.readings, q=self.at(self.readings.t_s))
+
+    @cached_property
+    def bending_alone(self) -> Self:
+        """Without translation and rotation."""
+        alone = (replace(motor, translation_mm=None, rotation_deg=None) for motor in (self.readings, self.lines))
+        return type(self)(*alone)
+
+    def course(self, from_s: float, to_s: float) -> tuple[Array, Array]:
+        """Times and q (n,) of all that it does between two times, both of them included: straight in between."""
+        knots = self.lines.t_s
+        inner = knots[np.searchsorted(knots, from_s, side="right") : np.searchsorted(knots, to_s)]
+        t_s = np.concatenate([[from_s], inner, [to_s]])
+        return t_s, self.at(t_s)
 
     def others_at(self, t_s: Array) -> tuple[Array, Array]:
         """translation (n,) mm and rotation (n,) deg; 0 where they are not recorded."""
