@@ -9,7 +9,8 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from tautline.encoder import between_counts, cut, straight_lines
+from tautline.driven import Driven
+from tautline.encoder import between_counts, cut, posterior_of, straight_lines
 from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
@@ -21,18 +22,19 @@ class MotorPath:
 
     readings: Motor  # up to the horizon
     lines: Motor  # the knots
+    posterior: Driven | None = None  # that the knots are of, where the speed jumps or readings have noise and no steps
 
     @classmethod
     def of(cls, readings: Motor, resolution: float, until_s: float = np.inf) -> Self:
         """By the readings up to a horizon, s; resolution: the encoder's step. The same readings make the same path."""
         known = readings if until_s >= readings.t_s[-1] else cut(readings, until_s)
-        return cls(known, straight_lines(known, resolution))
+        return cls(known, straight_lines(known, resolution), posterior_of(known, resolution))
 
     @classmethod
     def closely(cls, readings: Motor, resolution: float) -> Self:
         """With a knot at every reading, for what averages over thousands of them: few lines leave up to a count where
         the motor slows down, on average too, which moves a calibration's delay by 0.4 ms at 1 um and 12 mm/s^2."""
-        return cls(readings, between_counts(readings, resolution))
+        return cls(readings, between_counts(readings, resolution), posterior_of(readings, resolution))
 
     def at(self, t_s: Array) -> Array:
         """q at times (n,), its unit."""
@@ -46,8 +48,10 @@ class MotorPath:
     @cached_property
     def bending_alone(self) -> Self:
         """Without translation and rotation."""
-        alone = (replace(motor, translation_mm=None, rotation_deg=None) for motor in (self.readings, self.lines))
-        return type(self)(*alone)
+        readings, lines = (
+            replace(motor, translation_mm=None, rotation_deg=None) for motor in (self.readings, self.lines)
+        )
+        return type(self)(readings, lines, self.posterior)
 
     def course(self, from_s: float, to_s: float) -> tuple[Array, Array]:
         """Times and q (n,) of all that it does between two times, both of them included: straight in between."""
@@ -64,6 +68,12 @@ class MotorPath:
             for values in columns
         )
         return translation, rotation
+
+    def sigma_at(self, t_s: Array) -> Array:
+        """One standard deviation of q at times (n,), its unit: the posterior's, else the same at all times."""
+        if self.posterior is None:
+            return np.full(np.shape(t_s), self.sigma)
+        return np.asarray(np.interp(t_s, self.posterior.t_s, self.posterior.sigma))
 
     @cached_property
     def sigma(self) -> float:
