@@ -41,7 +41,7 @@ def between_counts(motor: Motor, resolution: float) -> Motor:
     changes and is at a count's centre in between; a rest stays at the centre. Positions that are no multiples of the
     resolution are left as they are. Readings that scatter by more than a count, or that pass coarse counts about as
     fast as they come, are smoothed: a play follows their extremes. A motor whose speed jumps is on its path."""
-    path = _jumping(motor, resolution)
+    path = posterior_of(motor, resolution)
     return _between(motor, resolution)[0] if path is None else _sampled(motor, straight_lines(motor, resolution))
 
 
@@ -204,7 +204,7 @@ _paths: WeakKeyDictionary[Motor, dict[float, Driven | None]] = WeakKeyDictionary
 
 
 def _straight_lines(motor: Motor, resolution: float) -> Motor:
-    path = _jumping(motor, resolution)
+    path = posterior_of(motor, resolution)
     if path is not None:
         rested = _rested(path)
         keep = _thinned(path.t_s, [(rested, float(np.median(path.sigma)))])
@@ -212,7 +212,7 @@ def _straight_lines(motor: Motor, resolution: float) -> Motor:
     return _even_lines(motor, resolution)
 
 
-def _jumping(motor: Motor, resolution: float) -> Driven | None:
+def posterior_of(motor: Motor, resolution: float) -> Driven | None:
     """The path of a motor whose speed jumps: readings contradict lines that let it stop at a constant acceleration, or
     have noise and no steps, though less than the rig's. None of any other."""
     known = _paths.setdefault(motor, {})

@@ -85,7 +85,9 @@ def predict_with_sigma(
             begins = float(moved.remaining(lines.q[0] + start * 0.5 * float(model.width.max())))
         return Chain(moved).at(replace(path, lines=lines), scene - delay_s, begins).rows
 
-    spread = known.spread(by_differences(rows, known.mean, known.sigma))
+    slopes = by_differences(rows, known.mean, known.sigma)
+    slopes[..., -1] *= path.sigma_at(scene)[:, None] / max(path.sigma, 1e-300)
+    spread = known.spread(slopes)
     noise = model.noise_of(model.sensor)
     if told.image_px is None:
         return Prediction(told.c_deg, None, np.hypot(spread[:, 0], noise))
@@ -96,7 +98,7 @@ def predict_with_sigma(
 
 def _known(model: Model, path: MotorPath, start_deg: float | None) -> Posterior:
     """B and f_remain in their own sigmas, alike along the curve: a row sees one place. The delay, s; where in the
-    backlash the tip began, in halves of it, anywhere alike; the motor, unit of q."""
+    backlash the tip began, in halves of it, anywhere alike; the motor, unit of q, alike at all times."""
     delay_s = model.extra.get("delay_sigma_s")
     sigma = [1.0, 1.0, delay_s or 0.0, 0.0 if start_deg is not None else _ANYWHERE, path.sigma]
     return Posterior(("width", "remaining", "delay", "start", "motor"), np.zeros(5), np.diag(np.square(sigma)))

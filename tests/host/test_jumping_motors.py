@@ -16,7 +16,7 @@ from tautline.calibration.observations import observe
 from tautline.core.motor import MotorPath
 from tautline.driven import driven, white_noise
 from tautline.model import Model
-from tautline.prediction import predict
+from tautline.prediction import predict, predict_with_sigma
 from tautline.recording import Angle, Motor, Recording
 from tautline.rig import Actuator, AngleSensor, Coarse, Rig
 
@@ -185,6 +185,34 @@ def test_a_bent_command_is_no_noise(readings):
     read = q + np.random.default_rng(2).normal(0.0, 0.03, len(q))
     off = MotorPath.of(Motor(t_s, read), 0.088).at(t_s) - q
     assert np.sqrt(np.mean(off**2)) < 0.03
+
+
+@pytest.mark.parametrize("hertz", [100.0, 250.0])
+def test_a_path_states_where_it_is_known_and_a_prediction_has_that_in_its_sigma(hertz):
+    """Noise without a step: nine intervals in ten hold the motor, and at its turns it is known worse."""
+    z, corner, between = [], [], []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        motion, stride = jerky(rng, 10, 8.0, 35.0, 0.3), round(1000.0 / hertz)
+        t_s, true = motion.t_s[::stride], motion.q[::stride]
+        path = MotorPath.of(Motor(t_s, true + rng.normal(0.0, 0.5 * COUNT, len(t_s))), COUNT)
+        at = motion.t_s[motion.t_s <= t_s[-1]]
+        off, sigma = path.at(at) - motion.q[: len(at)], path.sigma_at(at)
+        z.append(off / sigma)
+        turns = np.abs(np.diff(motion.q[: len(at)], 2, prepend=0.0, append=0.0)) > 1e-6
+        corner.append(sigma[turns].mean())
+        between.append(np.median(sigma))
+    share = float(np.mean(np.abs(np.concatenate(z)) < 1.645))
+    print(f"{hertz:g} Hz: {100 * share:.1f} % within the 90 % interval")
+    assert 0.8 < share < 0.97
+    assert np.mean(corner) > 1.5 * np.mean(between)
+    model = replace(true_model(), width_sigma=np.full(1025, 1e-9), c_sigma=None)
+    told = predict_with_sigma(model, path.readings, at, 0.0).c_sigma_deg
+    assert told is not None
+    known = np.sqrt(np.maximum(told**2 - model.noise_of(model.sensor) ** 2, 0.0))
+    tips = [tip(motion.q[: len(at)] + shift) for shift in (0.01, -0.01)]
+    away = np.abs(known - np.abs(tips[0] - tips[1]) / 0.02 * sigma)[at > 10.0]  # driven both ways before
+    assert np.quantile(away, 0.95) < 0.05 * np.median(sigma)
 
 
 def test_calibration_and_prediction_have_one_motion_of_it():

@@ -12,6 +12,7 @@ import pytest
 from tautline import effects, evidence, trajectory
 from tautline.calibration.observations import observe
 from tautline.calibration.playfit import Frozen
+from tautline.core.motor import MotorPath
 from tautline.diagnosis.fit import Fitter
 from tautline.diagnosis.segment import prepare
 from tautline.elements import SINGLE, Elements
@@ -98,7 +99,7 @@ def test_all_say_the_same_of_the_marker(elements, kind):
         at_scene = np.searchsorted(course, scene)
         moved = [np.interp(scene, lines.t_s, v) for v in others(lines)]
         same(Corrected(own, "own").see(path.c_deg[at_scene], path.way[at_scene], *moved))
-    track = replace(observe([recording], RIG)[0], motor=lines)
+    track = replace(observe([recording], RIG)[0], path=MotorPath.of(motor, RIG.actuator.encoder_resolution))
     fitted = Frozen.of(track).simulate(GRID, own.width, DELAY_S, elements)
     c = own.remaining(fitted.p)
     image = project(RIG, c, *track.others_at(track.scene_s(DELAY_S)))

@@ -4,10 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from tautline import _native
 from tautline.calibration.hinge import fit_hinge, fit_jump
 from tautline.calibration.observations import observe
 from tautline.calibration.onset import BOUND, BRACKET, HINGE, delayed, find_delay, find_onsets
+from tautline.core.motor import MotorPath
 from tautline.recording import Motor
 from tautline.simulated.instrument import Instrument, preset, reference_rig
 from tautline.simulated.simulate import run
@@ -56,6 +60,38 @@ def hinges(sigma_per_frame: float, repeats: int, seed: int, *, bends: bool = Fal
         over_bound.append((found.knot - knot) / bound(x, knot, slope))
         over_sigma.append((found.knot - knot) / found.sigma)
     return float(np.sqrt(np.mean(np.square(over_bound)))), float(np.sqrt(np.mean(np.square(over_sigma))))
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 1000), st.integers(4, 40), st.integers(1, 10), st.integers(1, 2), st.booleans())
+def test_a_hinges_fits_are_those_of_its_equations(seed, frames, pieces, channels, jump):
+    """Against dense solutions, the path as the second integral of what is constant in each piece."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.uniform(0.0, 3.0, frames), rng.normal(0.0, 20.0, (frames, channels))
+    knots, columns = rng.uniform(0.0, 0.8 * x.max(), 3), 2 + pieces + jump
+    precision = 10.0 ** rng.uniform(-3.0, 1.0, (2, columns))
+    squares, residual, volume, used, way, coefficients = _native.hinge(x, y, knots, precision, jump)
+    assert squares.shape == (3, 2) and coefficients.shape == (3, 2, columns, channels)
+    fine = (np.arange(20000) + 0.5) / 20000
+    bend = np.sqrt(pieces) * (np.arange(pieces) == (pieces * fine[:, None]).astype(int))
+    shape = np.cumsum(np.cumsum(bend, axis=0), axis=0) / 20000**2
+    for k, knot in enumerate(knots):
+        unit = np.maximum(x - knot, 0.0) / x.max()
+        basis = [np.ones(frames), unit, *(np.interp(unit, fine, piece) for piece in shape.T)]
+        basis = np.column_stack(basis + [(x > knot).astype(float)] * jump)
+        for v, each in enumerate(precision):
+            system = basis.T @ basis + np.diag(each)
+            best = np.linalg.solve(system, basis.T @ y)
+            left = y - basis @ best
+            path = slice(2 + pieces)
+            on_the_way = basis[np.argmax(x), 1 : 2 + pieces] @ best[1 : 2 + pieces]
+            near = {"rtol": 1e-3, "atol": 1e-3}  # of the reference's sums
+            np.testing.assert_allclose(residual[k, v], np.sum(left**2), **near)
+            np.testing.assert_allclose(squares[k, v], np.sum(left**2) + np.sum(each[:, None] * best**2), **near)
+            expected = np.linalg.slogdet(system[path, path])[1] - np.log(each[path]).sum()
+            np.testing.assert_allclose(volume[k, v], expected, **near)
+            np.testing.assert_allclose(used[k, v], np.trace(np.linalg.solve(system, basis.T @ basis)), **near)
+            np.testing.assert_allclose(way[k, v], on_the_way, rtol=1e-3, atol=0.05)
 
 
 @pytest.mark.parametrize("sigma_per_frame", [3.0, 6.0, 12.0, 40.0])
@@ -148,6 +184,27 @@ def test_onsets_of_a_little_more_delay_are_those_that_would_be_found(later):
     after = np.array([(c.width - b.width) / b.sigma for _, b, c in pairs])
     assert np.sqrt(np.mean(after**2)) < 0.3 < np.sqrt(np.mean(before**2))
     assert np.abs([c.t_s - b.t_s for _, b, c in pairs]).max() < 4e-3
+
+
+def test_delay_and_onsets_are_of_the_motors_path_whatever_its_knots():
+    """Knots that a straight line passes say nothing: without them a stroke has none between its ends."""
+    motion = back_and_forth(RIG.actuator, [1.0], 2.4, 10, 4.0)
+    _, (track,) = simulated(8, motion)
+    ends = np.concatenate([[0], np.flatnonzero(np.diff(np.sign(np.diff(motion.q)))) + 1, [len(motion.q) - 1]])
+    corners = Motor(motion.t_s[ends], motion.q[ends])
+    q = np.interp(motion.t_s, corners.t_s, corners.q)
+    few, every = (
+        replace(track, path=MotorPath(Motor(motion.t_s, q), lines)) for lines in (corners, Motor(motion.t_s, q))
+    )
+    assert len(few.motor.t_s) < 0.01 * len(every.motor.t_s)
+    delays = [find_delay([each], RIG, RIG.delay_s) for each in (few, every)]
+    assert delays[0].stops == delays[1].stops > 8
+    assert delays[0].delay_s == pytest.approx(delays[1].delay_s, abs=1e-8)
+    found = [find_onsets([each], RIG, delays[1].delay_s) for each in (few, every)]
+    assert len(found[0]) == len(found[1]) > 8
+    for a, b in zip(*found, strict=True):
+        assert (a.kind, a.used, a.reason) == (b.kind, b.used, b.reason)
+        assert a.t_s == pytest.approx(b.t_s, abs=1e-6, nan_ok=True) and a.q2 == pytest.approx(b.q2, abs=1e-7)
 
 
 def test_a_stroke_within_the_backlash_is_a_lower_bound_and_the_next_one_counts_for_nothing():

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from tautline import _native
 from tautline.calibration.observations import Mask, Track, observe
-from tautline.calibration.onset import Delay, find_delay
+from tautline.calibration.onset import NOMINAL_S, Delay, find_delay
 from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit
 from tautline.calibration.steps import resolved
 from tautline.geometry import project
@@ -157,7 +157,9 @@ def _at_one_delay(
     right = [delay for delay, offset_s in zip(delays, offsets, strict=True) if not offset_s]
     if not right:
         return tracks, offsets
-    best = min(right, key=lambda delay: delay.sigma_s)
+    nominal_s = rig.nominal_delay_s(MARKER)
+    # The highest density that the rig's delay and a recording's stops have together.
+    best = min(right, key=lambda d: np.log(d.sigma_s) + 0.5 * ((d.delay_s - nominal_s) / NOMINAL_S) ** 2)
     shifts = [
         delay.delay_s - best.delay_s
         if abs(delay.delay_s - best.delay_s) > max(_CLEAR * np.hypot(delay.sigma_s, best.sigma_s), _SAME_S)

@@ -20,8 +20,8 @@ from scipy.signal import lfilter
 from tautline import _native
 from tautline.calibration.observations import Mask, turning_hysteresis
 from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit, Simulated
+from tautline.core.motor import MotorPath
 from tautline.elements import Play
-from tautline.recording import Motor
 from tautline.rig import Rig
 
 Array = npt.NDArray[np.float64]
@@ -355,7 +355,7 @@ def _piece(
     """What `Scene` holds, of one track."""
     track = frozen.track
     scene_s = track.scene_s(curves.delay_s)
-    gone, way = _since_turn(track.motor, scene_s[keep], rig)
+    gone, way = _since_turn(track.path, scene_s[keep], rig)
     p, side, moving = sim.p[keep], sim.side[keep].astype(float), sim.moving[keep]
     by_width, by_delay = sim.slopes(keep, fit.backlash.slope(curves.backlash, p))
     inverse = 1.0 / track.sigma[keep]
@@ -391,9 +391,9 @@ def _piece(
     }
 
 
-def _since_turn(motor: Motor, at: Array, rig: Rig) -> tuple[Array, Array]:
+def _since_turn(path: MotorPath, at: Array, rig: Rig) -> tuple[Array, Array]:
     """How far the motor has gone since it last turned, and which way; inf before its first turn."""
-    hysteresis = turning_hysteresis(motor, rig.actuator.encoder_resolution, rig.actuator.span)
+    motor, hysteresis = path.lines, turning_hysteresis(path, rig.actuator.encoder_resolution, rig.actuator.span)
     turns = _native.turns(np.ascontiguousarray(motor.q), hysteresis)
     edges = np.concatenate([[0], turns, [len(motor.q) - 1]]).astype(int)
     directions = np.sign(np.diff(motor.q[edges]))

@@ -233,9 +233,9 @@ def floor_of(tracks: Sequence[Track], grid: Array, width: Array, sigma: Array, u
     if len(grid) < _SHAPE + 2:
         return Floor(0.0, ())
     reasons, usual = [], float(np.median(width))
-    between = max(between_samples(track.motor) for track in tracks)
+    between = max(between_samples(track.path.sampled) for track in tracks)
     if between > _COARSE * usual:
-        period = max(float(np.median(np.diff(track.motor.t_s))) for track in tracks)
+        period = max(float(np.median(np.diff(track.reading.t_s))) for track in tracks)
         reasons.append(
             Reason(
                 "rate",

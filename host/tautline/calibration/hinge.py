@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from tautline import _native
+
 Array = npt.NDArray[np.float64]
 
 _KNOTS = 33  # candidates at once
@@ -51,59 +53,32 @@ class _Paths:
     """The best paths for K candidate knots and V bends."""
 
     surprise: Array  # (K, V) -2 log likelihood, noise as much as is left but not below what is stated
+    chi2: Array  # (K, V) of the residual
+    used: Array  # (K, V) columns that the fit takes up
     coefficients: Array  # (K, V, columns, channels) of level, slope over the window, pieces (, jump)
-    gram: Array  # (K, columns, columns)
-    precision: Array  # (V, columns) prior
-    basis: Array  # (K, n, columns)
-    centred: Array  # (n, channels)
-
-    def left(self, k: int, v: int) -> tuple[float, float]:
-        """Chi-square of the residual and its degrees of freedom."""
-        rest = self.centred - self.basis[k] @ self.coefficients[k, v]
-        used = np.trace(np.linalg.solve(self.gram[k] + np.diag(self.precision[v]), self.gram[k]))
-        return float(np.sum(rest**2)), max(1.0, (len(rest) - float(used)) * rest.shape[1] - 1.0)
 
 
 def _paths(x: Array, y: Array, knots: Array, *, jump: bool = False) -> _Paths:
     """x (n,) travel, y (n, channels) of unit variance, knots (K,)."""
     reach = max(float(x.max()), 1e-12)
-    beyond = x[None, :] - knots[:, None]
-    unit = np.maximum(beyond, 0.0) / reach
-    edges = np.linspace(0.0, 1.0, _PIECES + 1)
-    bent = 0.5 * np.maximum(unit[..., None] - edges, 0.0) ** 2
-    pieces = (bent[..., :-1] - bent[..., 1:]) * np.sqrt(_PIECES)
     centred = y - y[:1]
     swing = max(float(np.sqrt(np.max(np.sum(centred**2, axis=1)))), 1.0)
     bends = np.geomspace(_LEAST_BEND, _MOST_BEND * swing, _BENDS)
-    precision = np.full((_BENDS, 2 + _PIECES), _FLAT)
+    precision = np.full((_BENDS, 2 + _PIECES + jump), _FLAT)
     precision[:, 1] = (_MOST_BEND * swing) ** -2
-    precision[:, 2:] = bends[:, None] ** -2
-    columns = [np.stack([np.ones_like(unit), unit], axis=2), pieces]
-    if jump:
-        columns.append((beyond > 0)[..., None].astype(float))
-        precision = np.column_stack([precision, np.full(_BENDS, _FLAT)])
-    basis = np.concatenate(columns, axis=2)
-    transposed = basis.transpose(0, 2, 1)
-    gram, right = transposed @ basis, transposed @ centred
-    system = gram[:, None] + precision[None, :, :, None] * np.eye(precision.shape[1])
-    path = slice(2 + _PIECES)  # a jump is fitted, all else integrated out
-    volume = np.linalg.slogdet(system[..., path, path])[1] - np.log(precision[:, path]).sum(axis=1)
-    coefficients = np.linalg.solve(system, np.broadcast_to(right[:, None], (*system.shape[:3], y.shape[1])))
-    squares = np.maximum(np.sum(centred**2) - np.sum(coefficients * right[:, None], axis=(2, 3)), 0.0)
-    count = (len(x) - 2) * y.shape[1]
+    precision[:, 2 : 2 + _PIECES] = bends[:, None] ** -2
+    squares, chi2, volume, used, way, coefficients = _native.hinge(x, centred, knots, precision, jump)
+    channels = y.shape[1]
+    count = (len(x) - 2) * channels
     noise = np.maximum(squares / count, 1.0)
-    surprise = (
-        count * np.log(noise) + squares / noise + y.shape[1] * volume + _start(basis, coefficients, int(x.argmax()))
-    )
-    return _Paths(surprise, coefficients, gram, precision, basis, centred)
+    start = _start(coefficients[:, :, 1], way / np.maximum(1.0 - knots / reach, 1e-9)[:, None, None])
+    surprise = count * np.log(noise) + squares / noise + channels * volume + start
+    return _Paths(surprise, chi2, used, coefficients)
 
 
-def _start(basis: Array, coefficients: Array, last: int) -> Array:
-    """(K, V) -2 log of the prior of the slope at the knot over the path's mean slope: log-normal around 1."""
-    slope = coefficients[:, :, 1]
-    way = np.einsum("kp,kvpc->kvc", basis[:, last, 1 : 2 + _PIECES], coefficients[:, :, 1 : 2 + _PIECES])
-    mean = way / np.maximum(basis[:, last, 1], 1e-9)[:, None, None]
-    share = np.sum(slope * mean, axis=2) / np.maximum(np.sum(mean**2, axis=2), 1e-12)
+def _start(slope: Array, mean: Array) -> Array:
+    """-2 log of the prior of the slope at the knot (..., channels) over the path's mean slope: log-normal around 1."""
+    share = np.sum(slope * mean, axis=-1) / np.maximum(np.sum(mean**2, axis=-1), 1e-12)
     return np.asarray((np.log(np.clip(share, _BACKWARDS, None)) / _SPREAD) ** 2)
 
 
@@ -130,7 +105,8 @@ def fit_hinge(x: Array, y: Array, low: float, high: float) -> Hinge:
         mean, spread = _moments(knots, paths.surprise)
     k, v = (int(i) for i in np.unravel_index(np.argmin(paths.surprise), paths.surprise.shape))
     slope = paths.coefficients[k, v, 1] / max(float(x.max()), 1e-12)
-    return Hinge(mean, spread, float(paths.surprise[k, v]), *paths.left(k, v), slope)
+    freedom = max(1.0, (len(x) - float(paths.used[k, v])) * y.shape[1] - 1.0)
+    return Hinge(mean, spread, float(paths.surprise[k, v]), float(paths.chi2[k, v]), freedom, slope)
 
 
 def fit_jump(x: Array, y: Array, low: float, high: float) -> Jump:

@@ -10,9 +10,9 @@ import numpy.typing as npt
 from scipy.ndimage import median_filter
 
 from tautline import _native
+from tautline.core.motor import MotorPath
 from tautline.core.session import SessionClock
 from tautline.driven import white_noise
-from tautline.encoder import between_counts
 from tautline.errors import TautError
 from tautline.recording import Motor, Recording
 from tautline.rig import ANGLE, MARKER, Rig, Sensor
@@ -34,8 +34,7 @@ class Track:
 
     name: str
     unit: str  # of y: "px" or "deg"
-    motor: Motor  # between its counts
-    reading: Motor  # as it was recorded
+    path: MotorPath
     t_s: Array  # (n,) when a frame or a sensor's value arrived; rising
     y: Array  # (n, 2) px or (n, 1) deg
     sigma: Array  # (n,) noise of y, per coordinate
@@ -52,21 +51,25 @@ class Track:
         return self.t_s - delay_s
 
     @property
+    def motor(self) -> Motor:
+        """Its path as straight lines between knots."""
+        return self.path.lines
+
+    @property
+    def reading(self) -> Motor:
+        """As it was recorded."""
+        return self.path.readings
+
+    @property
     def sensor(self) -> Sensor:
         return MARKER if self.unit == "px" else ANGLE
 
     def motor_at(self, scene_s: Array) -> Array:
-        return np.asarray(np.interp(scene_s, self.motor.t_s, self.motor.q))
+        return self.path.at(scene_s)
 
     def others_at(self, scene_s: Array) -> tuple[Array, Array]:
         """translation (n,) mm and rotation (n,) deg."""
-        zero = np.zeros_like(scene_s)
-        return (
-            zero
-            if self.motor.translation_mm is None
-            else np.interp(scene_s, self.motor.t_s, self.motor.translation_mm),
-            zero if self.motor.rotation_deg is None else np.interp(scene_s, self.motor.t_s, self.motor.rotation_deg),
-        )
+        return self.path.others_at(scene_s)
 
     def within_motor(self, scene_s: Array) -> Mask:
         inside: Mask = (scene_s >= self.motor.t_s[0]) & (scene_s <= self.motor.t_s[-1])
@@ -74,18 +77,15 @@ class Track:
 
     def others_still(self, from_s: float, to_s: float) -> bool:
         """Whether translation and rotation rest between two times."""
-        span = slice(*np.searchsorted(self.motor.t_s, [from_s, to_s]))
-        for values, limit in ((self.motor.translation_mm, _STILL_MM), (self.motor.rotation_deg, _STILL_DEG)):
-            if values is not None and len(values[span]) and np.ptp(values[span]) > limit:
-                return False
-        return True
+        translation, rotation = self.others_at(self.path.course(from_s, to_s)[0])
+        return bool(np.ptp(translation) <= _STILL_MM and np.ptp(rotation) <= _STILL_DEG)
 
     @property
     def others_reference(self) -> tuple[float, float]:
         """Where translation and rotation are most of the time."""
         return tuple(
             0.0 if values is None else float(np.median(values))
-            for values in (self.motor.translation_mm, self.motor.rotation_deg)
+            for values in (self.reading.translation_mm, self.reading.rotation_deg)
         )  # type: ignore[return-value]
 
     def at_reference(self, scene_s: Array, reference: tuple[float, float]) -> Mask:
@@ -103,17 +103,17 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
     for recording, session_s in zip(recordings, SessionClock.of(recordings).offset_s, strict=True):
         resolution = rig.actuator.encoder_resolution
         noise = white_noise(recording.motor.q)
-        motor = between_counts(recording.motor, resolution)
+        path = MotorPath.closely(recording.motor, resolution)
         marker, angle = recording.marker, recording.angle
         if marker is not None and rig.has_camera:
             seen = marker.valid & np.isfinite(marker.u_px) & np.isfinite(marker.v_px)
             y = np.column_stack([marker.u_px, marker.v_px])[seen].astype(float)
             given = None if marker.sigma_px is None else marker.sigma_px[seen]
-            tracks.append(_track(recording, motor, "px", marker.t_s[seen], y, given))
+            tracks.append(_track(recording, path, "px", marker.t_s[seen], y, given))
         elif angle is not None:
             seen = angle.seen
             y = angle.c_deg[seen, None].astype(float)
-            tracks.append(_track(recording, motor, "deg", angle.t_s[seen], y, None))
+            tracks.append(_track(recording, path, "deg", angle.t_s[seen], y, None))
         elif marker is not None:
             raise TautError(f"{recording.name}: marker positions need a rig with [camera]: add it to rig.toml")
         else:
@@ -125,7 +125,7 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
     return tracks
 
 
-def _track(recording: Recording, motor: Motor, unit: str, t: Array, y: Array, given: Array | None) -> Track:
+def _track(recording: Recording, path: MotorPath, unit: str, t: Array, y: Array, given: Array | None) -> Track:
     fresh = not_held(y)
     held = int(np.sum(~fresh))
     t, y, given = t[fresh], y[fresh], None if given is None else given[fresh]
@@ -141,7 +141,7 @@ def _track(recording: Recording, motor: Motor, unit: str, t: Array, y: Array, gi
     stray = strays(y, noise)
     t, y = t[~stray], y[~stray]
     sigma = np.full(len(t), noise)
-    return Track(recording.name, unit, motor, recording.motor, t, y, sigma, stray=int(stray.sum()), held=held)
+    return Track(recording.name, unit, path, t, y, sigma, stray=int(stray.sum()), held=held)
 
 
 def not_held(y: Array) -> Mask:
@@ -197,11 +197,9 @@ def noise_of(t: Array, y: Array, least: float) -> float:
     return float(max(noise, least))
 
 
-def turning_hysteresis(motor: Motor, resolution: float, span: float) -> float:
+def turning_hysteresis(path: MotorPath, resolution: float, span: float) -> float:
     """Going back by no more than this is encoder dither, not a reversal (unit of q)."""
-    third = np.diff(motor.q, 3)
-    noise = float(np.median(np.abs(third))) / 0.6745 / np.sqrt(20.0) if len(third) else 0.0
-    return float(max(3.0 * resolution, 8.0 * noise, 1e-3 * span))
+    return float(max(3.0 * resolution, 8.0 * white_noise(path.sampled.q), 1e-3 * span))
 
 
 def corners(motor: Motor) -> tuple[Array, Array]:

@@ -24,7 +24,7 @@ _LONGEST = 160  # frames after the onset that one hinge takes in
 _BEFORE = 24  # frames before the turn that tell when the image stopped
 _JUMP = 8.0  # sigma: a quantised sensor's steps are no jumps
 _JUMPS_TOGETHER = 8.0  # mean chi-square that jumps explain; 1 to 3 where there are none
-_NOMINAL_S = 0.03  # standard deviation of a nominal delay
+NOMINAL_S = 0.03  # standard deviation of a nominal delay
 _DELAY_REACH_S = 0.12  # the delay is looked for this far around the nominal one
 _AROUND_S = np.array([-0.5, 0.5])  # of a stop: what the motor does in it, at any delay that is looked for
 _SETTLE_S = np.geomspace(0.2, 8.0, 16)  # time constants of a tip that creeps; the first one is a lag's
@@ -84,7 +84,7 @@ class _Stroke:
 def _strokes(track: Track, rig: Rig, delay_s: float) -> list[_Stroke]:
     motor = track.motor
     q = np.ascontiguousarray(motor.q)
-    hysteresis = turning_hysteresis(motor, rig.actuator.encoder_resolution, rig.actuator.span)
+    hysteresis = turning_hysteresis(track.path, rig.actuator.encoder_resolution, rig.actuator.span)
     turns = _native.turns(q, hysteresis)
     if len(q) < 2:
         return []
@@ -298,12 +298,10 @@ def _fit_window(stroke: _Stroke) -> tuple[Array, Array, Hinge] | None:
 
 def _time_at(track: Track, stroke: _Stroke, travel: float) -> float:
     """When the motor had gone `travel` beyond the turn."""
-    motor = track.motor
-    span = slice(*np.searchsorted(motor.t_s, [stroke.start_s, stroke.end_s], side="left"))
-    t = motor.t_s[span]
-    gone = np.maximum.accumulate(stroke.direction * (motor.q[span] - stroke.q1))
+    t, q = track.path.course(stroke.start_s, stroke.end_s)
+    gone = np.maximum.accumulate(stroke.direction * (q - stroke.q1))
     beyond = int(np.searchsorted(gone, travel))
-    if len(t) == 0 or beyond == 0:
+    if beyond == 0:
         return stroke.start_s
     if beyond >= len(t):
         return stroke.end_s
@@ -336,7 +334,7 @@ def find_delay(tracks: Sequence[Track], rig: Rig, nominal_s: float, passes: int 
             pitch = grid[1] - grid[0]
             freedom = sum(stop.freedom for stop in stops)
             inflate = max(1.0, float(squares.min()) / freedom)
-            surprise = squares / inflate + ((grid - nominal_s) / _NOMINAL_S) ** 2
+            surprise = squares / inflate + ((grid - nominal_s) / NOMINAL_S) ** 2
             best = int(np.argmin(surprise))
             weight = np.exp(-0.5 * np.clip(surprise - surprise[best], 0, 200))
             mean = float(weight @ grid / weight.sum())
@@ -388,7 +386,7 @@ def _profile(ramp: Array, order: int, y: Array) -> Array:
 
 
 def _stops(track: Track, rig: Rig, delay_s: float) -> list[_Turn]:
-    strokes, motor = _strokes(track, rig, delay_s), track.motor
+    strokes = _strokes(track, rig, delay_s)
     stops = []
     for before, after in pairwise(strokes):
         if before.departure is None or not track.others_still(before.end_s - 0.5, after.end_s):
@@ -406,8 +404,7 @@ def _stops(track: Track, rig: Rig, delay_s: float) -> list[_Turn]:
                 [track.y[before.frames[-count:]] / track.sigma[before.frames[-count:], None], after.z[:still]]
             )
             arrival = track.t_s[frames]
-            around = slice(*np.searchsorted(motor.t_s, arrival[[0, -1]] - delay_s + _AROUND_S))
-            times, positions = motor.t_s[around], motor.q[around]
+            times, positions = track.path.course(*(arrival[[0, -1]] - delay_s + _AROUND_S).tolist())
             order = 2 if count > 6 else 1
             stop = _Turn(arrival, times, positions, after.start_s, after.q1, -after.direction, z, order)
             nearby = delay_s + np.linspace(-0.03, 0.03, 13)

@@ -89,7 +89,8 @@ class Frozen:
     @classmethod
     def of(cls, track: Track, use: Mask | None = None) -> Frozen:
         times, positions = corners(track.motor)
-        half_s = max(_SLOPE_S, float(np.median(np.diff(track.motor.t_s)))) if len(track.motor.t_s) > 1 else _SLOPE_S
+        samples_s = track.reading.t_s
+        half_s = max(_SLOPE_S, float(np.median(np.diff(samples_s)))) if len(samples_s) > 1 else _SLOPE_S
         return cls(track, times, positions, np.ones(len(track.t_s), bool) if use is None else use, half_s)
 
     def course(self, scene_s: Array) -> tuple[Array, npt.NDArray[np.intp]]:

@@ -40,10 +40,10 @@ def resolved(tracks: Sequence[Track], rig: Rig) -> tuple[list[Track], list[Reaso
     left, reasons, notes = [], [], []
     resolution = rig.actuator.encoder_resolution
     for track in tracks:
-        at = jumps(track.motor, resolution) if len(track.motor.q) > 2 else np.zeros(0, dtype=np.intp)
+        q = track.path.sampled.q
+        at = jumps(track.path.sampled, resolution) if len(q) > 2 else np.zeros(0, dtype=np.intp)
         if len(at):
-            q = track.motor.q
-            turns = _native.turns(np.ascontiguousarray(q), turning_hysteresis(track.motor, resolution, np.ptp(q)))
+            turns = _native.turns(np.ascontiguousarray(q), turning_hysteresis(track.path, resolution, np.ptp(q)))
             total = float(np.abs(np.diff(q[np.concatenate([[0], turns, [len(q) - 1]]).astype(int)])).sum())
             jumped = float(np.abs(np.diff(q)[at]).sum())
             settling = _settling(track, at, rig.nominal_delay_s(track.sensor))
@@ -65,9 +65,9 @@ def resolved(tracks: Sequence[Track], rig: Rig) -> tuple[list[Track], list[Reaso
 def _settling(track: Track, at: npt.NDArray[np.intp], nominal_s: float) -> Mask:
     """(n,) frames from each jump on until the tip stays where it ends up before the next one."""
     settling = np.zeros(len(track.t_s), dtype=bool)
-    begins = track.motor.t_s[at] + min(nominal_s, 0.0)
-    ends = np.append(track.motor.t_s[at[1:]], np.inf)
-    for begin, sample_s, end in zip(begins, track.motor.t_s[at + 1], ends, strict=True):
+    begins = track.reading.t_s[at] + min(nominal_s, 0.0)
+    ends = np.append(track.reading.t_s[at[1:]], np.inf)
+    for begin, sample_s, end in zip(begins, track.reading.t_s[at + 1], ends, strict=True):
         inside = np.flatnonzero((track.t_s > begin) & (track.t_s < min(end, sample_s + nominal_s + _MOST_S)))
         if not len(inside):
             continue
