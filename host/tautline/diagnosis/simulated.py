@@ -12,6 +12,7 @@ from tautline.diagnosis.diagnose import Diagnosis, diagnose
 from tautline.diagnosis.joint import Joint
 from tautline.diagnosis.joint_told import Answer, instead
 from tautline.diagnosis.segment import prepare
+from tautline.model import Model
 from tautline.recording import Recording
 from tautline.rig import Rig
 from tautline.simulators.nominal import nominal
@@ -44,6 +45,7 @@ def diagnose_simulator(
             lambda fraction, text: progress(0.05 + 0.75 * fraction, text),
             simulated=found,
         )
+        told = replace(told, corrected=_with_noise(told))
         if not decide.is_open(told.evidence, gap.rms(told.after) ** 2):
             return told
         segments = prepare(found.model, found.calibration, found.tests, found.drives)[1:]
@@ -55,3 +57,9 @@ def diagnose_simulator(
             return told
         carried = found.to_json(answer.document["effects"])
         return replace(answer, document={**answer.document, "simulator": carried})
+
+
+def _with_noise(told: Diagnosis) -> Model:
+    """The corrected model, which was not calibrated: what it leaves of blocks that its fit did not see is its noise."""
+    model = told.corrected
+    return replace(model, extra={**model.extra, "evidence": {"residual": gap.rms(told.after)}})
