@@ -29,6 +29,7 @@ from tautline.folders import check_replaceable
 from tautline.recording import Recording, load
 from tautline.rig import Rig
 from tautline.simulators import Simulator, mjcf, source
+from tautline.simulators.sight import sight
 
 if TYPE_CHECKING:
     from tautline.diagnosis.diagnose import Diagnosis
@@ -94,14 +95,16 @@ def command(
 
     CALIBRATION may be a recording of a simulator and each TEST one of the robot: the diagnosis then says what the
     simulator lacks. With --simulator it is run here, by the robot's own motor logs, and its own parameters are among
-    what may be named.
+    what may be named. --camera is then one of its file, which sees the site of --tip where marker.csv has the marker.
     """
     check_replaceable(out, DOCUMENT)
     if simulator is not None:
-        if is_live or live.camera is not None:
-            raise click.UsageError("--simulator needs recordings: the rig's own camera is what sees the tip")
+        if is_live:
+            raise click.UsageError("--simulator needs recordings: name them")
         robots = [path for path in (calibration_path, *test_paths) if path is not None]
-        _tell(_with_simulator(simulator, actuator, tip, scale, workers, robots, rig_path, out), out, as_json)
+        _tell(
+            _with_simulator(simulator, actuator, tip, live.camera, scale, workers, robots, rig_path, out), out, as_json
+        )
         return
     if actuator is not None or tip is not None or scale is not None:
         raise click.UsageError("--actuator, --tip and --scale go with --simulator")
@@ -141,6 +144,7 @@ def _with_simulator(
     name: str,
     actuator: str | None,
     tip: str | None,
+    camera: str | None,
     scale: float | None,
     workers: int,
     paths: list[Path],
@@ -151,6 +155,8 @@ def _with_simulator(
         raise click.UsageError("name at least one recording of the robot")
     robots, rig = read_recordings(paths, rig_path)
     with progress_bar("diagnosing") as progress:
+        if camera is not None:
+            tip, robots = _seen_by(name, tip, camera, robots)
         simulator = _simulator(name, actuator, tip, scale, rig)
         diagnosis = diagnose_simulator(
             simulator, robots, rig, lambda fraction, text: progress(0.95 * fraction, text), workers
@@ -166,6 +172,14 @@ def _simulator(name: str, actuator: str | None, tip: str | None, scale: float | 
     if actuator is None or tip is None:
         raise click.UsageError("--simulator FILE needs --actuator A and --tip joint:J or site:S")
     return mjcf.simulator(name, actuator, tip, rig.actuator.unit, scale)
+
+
+def _seen_by(name: str, tip: str | None, camera: str, robots: list[Recording]) -> tuple[str, list[Recording]]:
+    """The tip's hinge, and the recordings with its angle as the file's camera sees it."""
+    if source.is_python(name) or tip is None or not tip.startswith("site:"):
+        raise click.UsageError("--camera goes with --simulator FILE and --tip site:S, which it sees")
+    seen = sight(Path(name), tip.removeprefix("site:"), camera)
+    return f"joint:{seen.hinge}", [seen.seen(robot) for robot in robots]
 
 
 def _lead(document: Mapping[str, Any]) -> None:

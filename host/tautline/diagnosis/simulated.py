@@ -3,8 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
+from threadpoolctl import threadpool_limits
+
+from tautline.diagnosis import decide, gap
 from tautline.diagnosis.diagnose import Diagnosis, diagnose
+from tautline.diagnosis.joint import Joint
+from tautline.diagnosis.joint_told import Answer, instead
+from tautline.diagnosis.segment import prepare
+from tautline.model import Model
 from tautline.recording import Recording
 from tautline.rig import Rig
 from tautline.simulators.nominal import nominal
@@ -30,10 +38,28 @@ def diagnose_simulator(
     with pool(simulator, workers) as processes:
         found = nominal(simulator, seen, rig, processes)
         progress(0.05, "simulated")
-        return diagnose(
+        told = diagnose(
             found.model,
             found.calibration,
             found.tests,
-            lambda fraction, text: progress(0.05 + 0.95 * fraction, text),
+            lambda fraction, text: progress(0.05 + 0.75 * fraction, text),
             simulated=found,
         )
+        told = replace(told, corrected=_with_noise(told))
+        if not decide.is_open(told.evidence, gap.rms(told.after) ** 2):
+            return told
+        segments = prepare(found.model, found.calibration, found.tests, found.drives)[1:]
+        joint = Joint(found.model, simulator.parameters, segments, told.document["noise_floor"])
+        with threadpool_limits(1, "blas"):
+            fitted = joint.fit(lambda share: progress(0.8 + 0.15 * share, "fitting all parameters together"))
+            answer = instead(told, Answer.of(joint, fitted))
+        if answer is told:
+            return told
+        carried = found.to_json(answer.document["effects"])
+        return replace(answer, document={**answer.document, "simulator": carried})
+
+
+def _with_noise(told: Diagnosis) -> Model:
+    """The corrected model, which was not calibrated: what it leaves of blocks that its fit did not see is its noise."""
+    model = told.corrected
+    return replace(model, extra={**model.extra, "evidence": {"residual": gap.rms(told.after)}})

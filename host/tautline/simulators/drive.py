@@ -32,7 +32,7 @@ class Drive:
         self._simulator, self._rig, self._coarse, self._pool = simulator, rig, rig.coarse, pool
         self._asked: dict[tuple[float, ...], Future[Array]] = {}
         self._ids = {simulator_id(each.name): each.name for each in simulator.parameters}
-        self._log = _log(motor, rig)
+        self.log = _log(motor, rig)  # at a fixed step: what the simulator is driven by
         self._known: OrderedDict[tuple[float, ...], Motor] = OrderedDict()
 
     def along(self, motor: Motor) -> Drive:
@@ -43,15 +43,15 @@ class Drive:
         """What `motor` will be asked for: it is simulated meanwhile, where there are processes to do so."""
         changes, key = self._changes(parameters)
         if self._pool is not None and key not in self._known and key not in self._asked:
-            self._asked[key] = self._pool.submit(side_by_side.tip, self._log, changes)
+            self._asked[key] = self._pool.submit(side_by_side.tip, self.log, changes)
 
     def motor(self, parameters: Mapping[str, Any]) -> Motor:
         """Knots of straight lines. parameters: by effects' names, how far they are off the simulator's own."""
         changes, key = self._changes(parameters)
         if key not in self._known:
             asked = self._asked.pop(key, None)
-            tip = self._simulator.tip(self._log, changes) if asked is None else asked.result()
-            self._known[key] = _at_coordinate(self._log, (tip - self._coarse.offset) / self._coarse.gain)
+            tip = self._simulator.tip(self.log, changes) if asked is None else asked.result()
+            self._known[key] = _at_coordinate(self.log, (tip - self._coarse.offset) / self._coarse.gain)
             if len(self._known) > _KEPT:
                 self._known.popitem(last=False)
         self._known.move_to_end(key)

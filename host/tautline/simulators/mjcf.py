@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from tautline.errors import TautError
 from tautline.recording import Motor
-from tautline.simulators.scene import read, tip_of, with_servo
+from tautline.simulators.scene import carried_by, lifts, read, tip_of, with_servo
 from tautline.simulators.simulator import Declared, Simulator
 
 if TYPE_CHECKING:
@@ -134,6 +134,9 @@ class Mjcf:
             yield Declared(f"{name}.damping", f"{force} s/{per}", damping, damping or light, 0.0)
             yield Declared(f"{name}.frictionloss", force, friction, friction or _STUCK_RAD * stiff, 0.0)
             yield Declared(f"{name}.armature", "kg m^2" if rotary else "kg", armature, armature or inertia, 0.0)
+            if lifts(model, data, name):
+                mass = float(model.body_subtreemass[int(model.joint(name).bodyid[0])])
+                yield Declared(f"{name}.load", "kg", mass, 0.5 * mass, 0.01 * mass)
         if self._is_servo:
             kv = -float(model.actuator_biasprm[self._index, 2])
             usual = 2.0 * _DAMPED * math.sqrt(kp * float(np.max(np.diag(whole))))
@@ -153,6 +156,11 @@ class Mjcf:
             model.dof_damping[at] = parameters[f"{name}.damping"]
             model.dof_frictionloss[at] = parameters[f"{name}.frictionloss"]
             model.dof_armature[at] = parameters[f"{name}.armature"]
+            if (load := parameters.get(f"{name}.load")) is not None:
+                carried = carried_by(model, name)
+                factor = load / float(self._model.body_subtreemass[carried[0]])
+                model.body_mass[carried] *= factor
+                model.body_inertia[carried] *= factor
         if self._is_servo:
             kp = parameters[f"{self.actuator}.kp"]
             model.actuator_gainprm[self._index, 0], model.actuator_biasprm[self._index, 1] = kp, -kp

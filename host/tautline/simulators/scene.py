@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from tautline.errors import TautError
 
@@ -14,6 +15,8 @@ if TYPE_CHECKING:
     import mujoco
 
 _SERVO_HZ = 10.0  # of an arm's usual servo: what it has is told by the robot
+_G = 9.81  # m/s^2
+_NO_LOAD = 1e-3  # of the weight, at the model's size as its arm
 _PARALLEL = 0.999  # cosine between axes that count as one
 
 
@@ -53,6 +56,29 @@ def with_servo(path: Path, joint: str) -> mujoco.MjModel:
 def joints_of(model: mujoco.MjModel) -> list[str]:
     """The names of all."""
     return [str(model.joint(i).name) for i in range(model.njnt)]
+
+
+def carried_by(model: mujoco.MjModel, joint: str) -> npt.NDArray[np.int64]:
+    """The bodies that move with a joint, its own first."""
+    own = int(model.joint(joint).bodyid[0])
+    carried = [own]
+    for body in range(own + 1, model.nbody):  # after their parents
+        if int(model.body_parentid[body]) in carried:
+            carried.append(body)
+    return np.array(carried, dtype=np.int64)
+
+
+def lifts(model: mujoco.MjModel, data: mujoco.MjData, joint: str) -> bool:
+    """Whether gravity turns or pulls the joint by what it carries. data: forward, in any pose."""
+    import mujoco
+
+    at, body = int(model.joint(joint).id), int(model.joint(joint).bodyid[0])
+    axis, gravity = data.xaxis[at], np.array(model.opt.gravity)
+    if model.jnt_type[at] == mujoco.mjtJoint.mjJNT_SLIDE:
+        return bool(abs(axis @ gravity) > _NO_LOAD * _G)
+    across = np.linalg.norm(np.cross(axis, gravity))
+    arm = np.linalg.norm(np.cross(axis, data.subtree_com[body] - data.xanchor[at]))
+    return bool(across * arm > _NO_LOAD * _G * float(model.stat.extent))
 
 
 def tip_of(model: mujoco.MjModel, path: Path, named: str) -> tuple[tuple[str, float], ...]:

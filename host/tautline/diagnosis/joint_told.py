@@ -1,0 +1,175 @@
+"""A joint fit of a simulator's unknowns as a diagnosis: what is named, what it leaves, the corrected model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline import effects
+from tautline.diagnosis import decide, flexible, gap, shapley
+from tautline.diagnosis.diagnose import Diagnosis
+from tautline.diagnosis.hyperparameters import learnt
+from tautline.diagnosis.joint import DELAY, LAW, WIDTH, Fitted, Joint
+from tautline.diagnosis.joint_sets import Sets
+from tautline.model import Model
+
+Array = npt.NDArray[np.float64]
+
+_BETTER = 0.95  # of draws of the blocks, in which a model has to leave less than another to take its place
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A joint fit with what it is worth beside the diagnosis that is there."""
+
+    joint: Joint
+    fitted: Fitted
+    sets: Sets
+    left: list[Array]  # of each recording, (scored, k), of blocks that the fit did not see
+
+    @classmethod
+    def of(cls, joint: Joint, fitted: Fitted) -> Answer:
+        return cls(joint, fitted, Sets.of(joint.unknowns, fitted), left_out(joint, fitted))
+
+    def better_than(self, left: Sequence[Array]) -> float:
+        """Share of draws of the blocks in which it leaves less than this, 0 to 1."""
+        boot = gap.bootstrap(left, self.left, [gap.blocks(segment) for segment in self.joint.segments])
+        return float(np.mean(boot[1] < boot[0]))
+
+    def corrected(self) -> Model:
+        """With all unknowns, what is known of its law in c_sigma and of single readings in its evidence."""
+        model, fitted = self.joint.at(self.fitted.u), self.fitted
+        law = next(unknown for unknown in self.joint.unknowns if unknown.id == LAW)
+        names = [fitted.posterior.names[i] for i in law.places]
+        c_sigma = fitted.posterior.marginal(names).spread(self.joint.law_slopes())
+        return replace(model, c_sigma=c_sigma, extra={**model.extra, "evidence": {"residual": gap.rms(self.left)}})
+
+    def shares(self, names: Sequence[str], before: float) -> list[float]:
+        """Of each named, of the shrinkage: exact Shapley shares of the linearised fit, the unnamed at zero."""
+        places = {unknown.id: unknown.places for unknown in self.joint.unknowns}
+
+        def worth(there: frozenset[str]) -> float:
+            on = np.zeros(self.joint.size, dtype=bool)
+            for name in there:
+                on[places[name]] = True
+            off = np.where(on, 0.0, self.fitted.u)
+            pairs = zip(self.fitted.residuals, self.fitted.slopes, strict=True)
+            return 1.0 - gap.rms([residual + slope @ off for residual, slope in pairs]) / before
+
+        return shapley.shares(names, worth)
+
+    def values(self, name: str) -> dict[str, float]:
+        """Of an effect's parameters, as a diagnosis reports them."""
+        changes, model = self.joint.changes(self.fitted.u), self.joint.at(self.fitted.u)
+        own = {
+            WIDTH: {"width_everywhere": float(np.max(model.width - self.joint.model.width))},
+            DELAY: {"delay": model.delay_s - self.joint.model.delay_s},
+            LAW: {},
+        }
+        return {**(own[name] if name in own else {name: changes[name]}), "since_calibration": 1.0}
+
+
+def left_out(joint: Joint, fitted: Fitted) -> list[Array]:
+    """(scored, k) of each recording: what the fit leaves of every block of manoeuvres when it has not seen it, as in
+    heldout.py, with the prior for what the block alone shows."""
+    free, weight = fitted.free, fitted.noise.weight
+    slopes = [slope[:, :, free] for slope in fitted.slopes]
+    flat = [slope.reshape(-1, len(free)) for slope in slopes]
+    whole = np.eye(len(free)) + weight * sum(each.T @ each for each in flat)
+    result = []
+    for segment, residual, slope in zip(joint.segments, fitted.residuals, slopes, strict=True):
+        left, label = residual.copy(), gap.blocks(segment)
+        for number in np.unique(label):
+            own = slope[label == number].reshape(-1, len(free))
+            gradient = weight * own.T @ residual[label == number].ravel()
+            step = -np.linalg.solve(whole - weight * own.T @ own, gradient)
+            left[label == number] -= slope[label == number] @ step
+        result.append(left)
+    return result
+
+
+def instead(told: Diagnosis, answer: Answer) -> Diagnosis:
+    """The diagnosis with the joint fit's answer, where that leaves less on blocks that neither saw; else as it is."""
+    groups = answer.sets.groups
+    sure = answer.better_than(told.after)
+    if sure < _BETTER or not groups:
+        return told
+    before, after = gap.rms(told.before), gap.rms(answer.left)
+    groups = _by_share(groups, answer, before)
+    names = [group[0] for group in groups]
+    shrink, shares = 1.0 - after / before, answer.shares(names, before)
+    total = max(sum(shares), 1e-12)
+    document = {
+        **told.document,
+        "verdict": "effect",
+        "gap": _gap(told, answer, before, after),
+        "effects": [
+            {
+                "id": group[0],
+                "probability": answer.sets.any_of(group),
+                "since": "calibration",
+                "parameters": answer.values(group[0]),
+                "shrink": shrink * share / total,
+                "swallowed_by_recalibration": False,
+                "loads_on_board": False,
+                "ambiguous_with": list(group[1:]),
+            }
+            for group, share in zip(groups, shares, strict=True)
+        ],
+        **_probabilities(told.document, groups[0], answer.sets.each, sure),
+        "where": {**told.document["where"], "stage": effects.BY_ID[names[0]].stage},
+        "signature": None,
+        "moved": [],
+        "resembles": [],
+    }
+    floor = document["noise_floor"]
+    is_open = decide.is_open(told.evidence, after**2)
+    rest = flexible.close(told.segments[1:], answer.left, floor) if is_open else None
+    document["flexible"] = rest.to_json() if rest else None
+    return replace(told, document=document, corrected=answer.corrected(), after=answer.left)
+
+
+def _by_share(groups: list[tuple[str, ...]], answer: Answer, before: float) -> list[tuple[str, ...]]:
+    """What closes most first."""
+    shares = answer.shares([group[0] for group in groups], before)
+    return [groups[i] for i in np.argsort(-np.array(shares))]
+
+
+def _gap(told: Diagnosis, answer: Answer, before: float, after: float) -> dict[str, Any]:
+    floor = told.document["noise_floor"]
+    boot = gap.bootstrap(told.before, answer.left, [gap.blocks(segment) for segment in answer.joint.segments])
+    own = np.quantile(1.0 - boot[1] / boot[0], [0.05, 0.95])
+    other = gap.elsewhere(after / before, learnt().elsewhere)
+    excess = max(before**2 - floor**2, 1e-12)
+    return {
+        **told.document["gap"],
+        "after": after,
+        "after_ci": [float(v) for v in np.quantile(boot[1], [0.025, 0.975])],
+        "shrink": 1.0 - after / before,
+        "shrink_ci": [float(min(own[0], other[0])), float(max(own[1], other[1]))],
+        "closable_shrink": float(np.clip(1.0 - (after**2 - floor**2) / excess, 0.0, 1.0)),
+    }
+
+
+def _probabilities(
+    document: Mapping[str, Any], leading: tuple[str, ...], each: Mapping[str, float], sure: float
+) -> dict[str, Any]:
+    """The joint fit's leading group has what is sure, shared as its members are likely; all else the rest."""
+    weights = {name: each[name] / sum(each[other] for other in leading) for name in leading}
+    candidates = [
+        {
+            **candidate,
+            "probability": (1.0 - sure) * candidate["probability"] + sure * weights.get(candidate["id"], 0.0),
+            "identifiable": candidate["id"] not in leading or len(leading) == 1,
+        }
+        for candidate in document["candidates"]
+    ]
+    return {
+        "candidates": sorted(candidates, key=lambda candidate: -candidate["probability"]),
+        "probability_none": (1.0 - sure) * document["probability_none"],
+        "probability_unknown": (1.0 - sure) * document["probability_unknown"],
+    }

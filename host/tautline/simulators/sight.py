@@ -1,0 +1,132 @@
+"""What a camera of an MJCF sees of a site that one hinge moves: its angle by the marker's place in the image."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.errors import TautError
+from tautline.recording import Angle, Marker, Recording
+from tautline.simulators.scene import read
+
+if TYPE_CHECKING:
+    import mujoco
+
+Array = npt.NDArray[np.float64]
+
+_STEP_DEG = 0.25  # of the track; straight lines between are 2e-6 of the site's radius off
+_OFF = 0.05  # of the track's extent in the image: a marker farther from it shows another site, or another camera
+_FAR_DEG = 170.0  # of a hinge without limits, either way
+
+
+@dataclass(frozen=True)
+class Sight:
+    """The site's track in the image, pixels (0, 0 is the middle of the first), by the hinge's angle."""
+
+    hinge: str
+    c_deg: Array  # (n,) rising
+    px: Array  # (n, 2) finite
+
+    def seen(self, recording: Recording) -> Recording:
+        """The recording with the hinge's angle in the marker's place: that whose place on the track is nearest.
+        TautError where there is no marker, or most of its places are far from the track."""
+        marker = recording.marker
+        if marker is None:
+            raise TautError(f"{recording.name}: has no marker.csv: --camera compares the marker's places in the image")
+        angle, off = self.angle(marker)
+        extent = float(np.linalg.norm(np.ptp(self.px, axis=0)))
+        usual = float(np.median(off[np.isfinite(off)])) if np.isfinite(off).any() else np.inf
+        if usual > _OFF * extent:
+            raise TautError(
+                f"{recording.name}: the marker is {usual:.0f} px off the track of the site (in the median): "
+                "name the --camera that filmed it, at its resolution, and the --tip that carries the marker"
+            )
+        return replace(recording, marker=None, video=None, angle=Angle(marker.t_s, angle, off < _OFF * extent))
+
+    def angle(self, marker: Marker) -> tuple[Array, Array]:
+        """(n,) deg and (n,) px off the track, NaN where the marker is not valid."""
+        places = np.column_stack([marker.u_px, marker.v_px])
+        ahead = np.diff(self.px, axis=0)
+        length2 = np.maximum(np.sum(ahead**2, axis=1), 1e-12)
+        angle, off = np.full(len(places), np.nan), np.full(len(places), np.nan)
+        for i in np.flatnonzero(np.asarray(marker.valid, dtype=bool) & np.isfinite(places).all(axis=1)):
+            share = np.clip(np.sum((places[i] - self.px[:-1]) * ahead, axis=1) / length2, 0.0, 1.0)
+            away = np.linalg.norm(self.px[:-1] + share[:, None] * ahead - places[i], axis=1)
+            k = int(np.argmin(away))
+            angle[i], off[i] = self.c_deg[k] + share[k] * (self.c_deg[k + 1] - self.c_deg[k]), away[k]
+        return angle, off
+
+
+def sight(path: Path, site: str, camera: str) -> Sight:
+    """The other joints in the file's own pose. TautError names what is not in the file, and where not one hinge alone
+    moves the site or the camera does not see it."""
+    import mujoco
+
+    model = read(path)
+    _named(path, "site", site, [str(model.site(i).name) for i in range(model.nsite)])
+    _named(path, "camera", camera, [str(model.camera(i).name) for i in range(model.ncam)])
+    at = model.camera(camera).id
+    if model.cam_resolution[at].min() < 2 or model.cam_intrinsic[at][2:].any():
+        raise TautError(
+            f"{path}: the camera {camera} needs the resolution of its frames, and its principal point in their middle"
+        )
+    hinge = _hinge_above(model, path, site)
+    joint = model.joint(hinge)
+    low, high = np.degrees(model.jnt_range[joint.id]) if model.jnt_limited[joint.id] else (-_FAR_DEG, _FAR_DEG)
+    c_deg = np.arange(low, high + _STEP_DEG, _STEP_DEG)
+    data = mujoco.MjData(model)
+    if model.nkey:
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+    px = np.empty((len(c_deg), 2))
+    for i, angle in enumerate(np.radians(c_deg)):
+        data.qpos[joint.qposadr[0]] = angle
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_camlight(model, data)
+        px[i] = _image(model, data, camera, data.site(site).xpos)
+    seen = np.isfinite(px).all(axis=1)
+    if seen.sum() < 2 or np.ptp(px[seen], axis=0).max() < 1.0:
+        raise TautError(f"{path}: the camera {camera} does not see the site {site} move: name another --camera")
+    return Sight(hinge, c_deg[seen], px[seen])
+
+
+def _hinge_above(model: mujoco.MjModel, path: Path, site: str) -> str:
+    import mujoco
+
+    above: list[int] = []
+    body = int(model.site(site).bodyid[0])
+    while body:
+        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        above += range(first, first + count)
+        body = int(model.body_parentid[body])
+    if len(above) != 1 or model.jnt_type[above[0]] != mujoco.mjtJoint.mjJNT_HINGE:
+        raise TautError(f"{path}: {len(above)} joints move the site {site}: with --camera weld all but one hinge")
+    if not model.joint(above[0]).name:
+        raise TautError(f"{path}: the hinge above the site {site} has no name: give it one")
+    return str(model.joint(above[0]).name)
+
+
+def _image(model: mujoco.MjModel, data: mujoco.MjData, camera: str, place: Array) -> Array:
+    """(2,) px of a place, NaN behind the camera; it looks along its own -z, y up. Its intrinsics where the file has a
+    sensor's size, else its field of view."""
+    at = model.camera(camera).id
+    width, height = (float(n) for n in model.cam_resolution[at])
+    x, y, z = data.cam_xmat[at].reshape(3, 3).T @ (place - data.cam_xpos[at])
+    if z >= 0.0:
+        return np.full(2, np.nan)
+    if model.cam_sensorsize[at].all():
+        per_m = np.array([width, height]) / model.cam_sensorsize[at]
+        focal = model.cam_intrinsic[at][:2] * per_m
+    else:
+        focal = np.full(2, 0.5 * height / math.tan(0.5 * math.radians(float(model.cam_fovy[at]))))
+    middle = 0.5 * np.array([width, height]) - 0.5
+    return np.asarray(middle + focal * np.array([x, -y]) / -z)
+
+
+def _named(path: Path, kind: str, name: str, names: list[str]) -> None:
+    if name not in names:
+        raise TautError(f"{path}: has no {kind} {name}, but {', '.join(filter(None, names)) or 'none at all'}")

@@ -1,0 +1,188 @@
+"""All parameters of a simulator at once: what is there, what cannot be told apart, and the corrected model."""
+
+import arms
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import multivariate_normal
+
+from tautline.core.posterior import Posterior
+from tautline.diagnosis import gap
+from tautline.diagnosis.diagnose import diagnose
+from tautline.diagnosis.joint import LAW, WIDTH, Fitted, Joint, Noise, Unknown
+from tautline.diagnosis.joint_sets import Sets
+from tautline.diagnosis.joint_told import Answer, instead, left_out
+from tautline.diagnosis.segment import prepare
+from tautline.effects import LIBRARY, simulator_id
+from tautline.recording import Angle, Motor, Recording
+from tautline.rig import ANGLE
+from tautline.simulators import Declared, Simulator
+from tautline.simulators.drive import STEP_S
+from tautline.simulators.nominal import nominal
+from tautline.trajectory import random_smooth
+
+NOISE_DEG = 0.03
+THERE = 0.2  # the prior that joint_sets states
+
+
+def servo(motor, values):
+    """A joint that follows its command in first order, and sags under its load by 1 / gain."""
+    share = -np.expm1(-(motor.t_s[1] - motor.t_s[0]) / values["tau"])
+    c, state = np.empty_like(motor.q), motor.q[0]
+    for k, q in enumerate(motor.q):
+        state += share * (q - state)
+        c[k] = state
+    return c - 30.0 * values["load"] / values["gain"] * np.sin(np.radians(c))
+
+
+PARAMETERS = (
+    Declared("tau", "s", 0.05, 0.02, low=0.005),
+    Declared("gain", "Nm/rad", 10.0, 5.0, low=0.1),
+    Declared("load", "Nm", 1.0, 0.5, low=0.01),
+)
+SERVO = Simulator(servo, PARAMETERS, {"kind": "python", "name": "here:it"})
+
+
+def robot(folder, seed, play_deg=1.5, **off):
+    """The servo with other values, a play behind it and a sensor's noise."""
+    values = {p.name: p.nominal for p in PARAMETERS} | off
+    course = random_smooth(arms.rig(folder).actuator, 60.0, 12.0, seed)
+    t_s = np.arange(0.0, course.duration_s, STEP_S)
+    q = np.interp(t_s, course.t_s, course.q)
+    motor = Motor(t_s, q, q)  # commands are not rounded
+    c, held = servo(motor, values), 0.0
+    for k, value in enumerate(c):
+        held = c[k] = min(max(held, value - 0.5 * play_deg), value + 0.5 * play_deg)
+    seen_s = t_s[20::4]
+    noise = np.random.default_rng(seed).normal(0.0, NOISE_DEG, len(seen_s))
+    return Recording(f"robot{seed}", motor, angle=Angle(seen_s, np.interp(seen_s, t_s, c) + noise))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("joint")
+
+
+@pytest.fixture(scope="module")
+def found(folder):
+    return nominal(SERVO, [robot(folder, seed, tau=0.12, gain=4.0) for seed in (3, 5)], arms.rig(folder))
+
+
+@pytest.fixture(scope="module")
+def answer(found):
+    segments = prepare(found.model, found.calibration, found.tests, found.drives)[1:]
+    joint = Joint(found.model, PARAMETERS, segments, NOISE_DEG)
+    return Answer.of(joint, joint.fit())
+
+
+def test_several_parameters_and_a_play_are_told_at_once(answer):
+    """Of gain and load only the ratio moves the tip: 1 / 4. A lag is late by its time constant."""
+    values = {p.name: p.nominal + answer.joint.changes(answer.fitted.u)[simulator_id(p.name)] for p in PARAMETERS}
+    assert values["tau"] + answer.joint.at(answer.fitted.u).delay_s == pytest.approx(0.12, abs=0.005)
+    mean, covariance = answer.fitted.u[1:3], answer.fitted.posterior.covariance[1:3, 1:3]  # logarithms, gain and load
+    ratio = np.array([-1.0, 1.0])
+    assert abs(ratio @ mean - np.log(2.5)) < 3.0 * np.sqrt(ratio @ covariance @ ratio) < 0.3
+    width = answer.joint.at(answer.fitted.u).width
+    assert np.ptp(width) == 0.0 and width[0] == pytest.approx(1.5, abs=0.1)
+
+
+def test_at_the_best_the_data_pull_as_the_priors_do(answer):
+    """The gradient of both together is nothing but for what the last step was allowed to leave."""
+    fitted = answer.fitted
+    pairs = zip(fitted.slopes, fitted.residuals, strict=True)
+    pull = fitted.noise.weight * sum(slope[:, 0].T @ left[:, 0] for slope, left in pairs)
+    off = fitted.posterior.covariance @ (pull - fitted.u)  # Newton's step
+    np.testing.assert_array_less(np.abs(off), 0.3 * fitted.posterior.sigma)
+
+
+def test_what_cannot_be_told_apart_is_one_group(answer):
+    groups = [set(group) for group in answer.sets.groups]
+    assert {simulator_id("gain"), simulator_id("load")} in groups
+    assert {WIDTH} in groups and any(simulator_id("tau") in group for group in groups)
+    assert not any(LAW in group for group in groups)
+
+
+def test_the_fit_foretells_another_motion_and_says_how_well(answer, folder):
+    other = nominal(SERVO, [robot(folder, 8, tau=0.12, gain=4.0)], arms.rig(folder))
+    segment = prepare(other.model, other.calibration, other.tests, other.drives)[1]
+    low, high = (f(f(each.motor.q) for each in answer.joint.segments) for f in (min, max))
+    q = np.interp(segment.arrival_s, segment.motor.t_s, segment.motor.q)
+    inside = segment.part((q > low) & (q < high))
+    assert inside.scored.sum() > 300
+    model = answer.corrected()
+    told = segment.predict(model, answer.joint.changes(answer.fitted.u), 0.0)[1]
+    assert gap.rms([(segment.observed - told)[inside.scored]]) < 1.2 * NOISE_DEG
+    assert model.noise_of(ANGLE) == pytest.approx(NOISE_DEG, rel=0.1)
+    assert 0.0 < np.median(model.c_sigma) < 3.0  # deg: each coefficient's prior is 3
+
+
+def test_of_a_robot_that_is_as_the_simulator_nothing_is_there(folder):
+    """Of three noises none: each is named by chance in less than one of ten."""
+    for seed in (4, 5, 6):
+        found = nominal(SERVO, [robot(folder, seed, play_deg=0.0)], arms.rig(folder))
+        segments = prepare(found.model, found.calibration, found.tests, found.drives)[1:]
+        joint = Joint(found.model, PARAMETERS, segments, NOISE_DEG)
+        assert Sets.of(joint.unknowns, joint.fit()).groups == []
+
+
+def test_what_is_better_on_blocks_that_were_not_seen_answers(found, answer):
+    """Beside a diagnosis that knows the simulator's parameters alone, none of which is a play."""
+    left_out = [kind.id for kind in LIBRARY]
+    told = diagnose(found.model, found.calibration, found.tests, left_out=left_out, simulated=found)
+    instead_of = instead(told, answer)
+    document = instead_of.document
+    assert document["verdict"] == "effect" and gap.rms(instead_of.after) < gap.rms(told.after)
+    leads = {effect["id"]: effect for effect in document["effects"]}
+    assert WIDTH in leads and leads[WIDTH]["parameters"]["width_everywhere"] == pytest.approx(1.5, abs=0.1)
+    total = document["probability_none"] + document["probability_unknown"]
+    total += sum(candidate["probability"] for candidate in document["candidates"])
+    assert total == pytest.approx(1.0)
+    assert sum(effect["shrink"] for effect in document["effects"]) == pytest.approx(document["gap"]["shrink"])
+    worse = Answer(answer.joint, answer.fitted, answer.sets, [2.0 * left for left in told.after])
+    assert instead(told, worse) is told
+
+
+def linear(slopes, y, noise):
+    """A fit of y = slopes u + noise, u a standard normal."""
+    matrix = np.eye(slopes.shape[1]) + slopes.T @ slopes / noise**2
+    u = np.linalg.solve(matrix, slopes.T @ y / noise**2)
+    names = tuple(f"x{i}:0" for i in range(len(u)))
+    residual = (y - slopes @ u)[:, None]
+    posterior = Posterior(names, u, np.linalg.inv(matrix))
+    return Fitted(posterior, Noise(noise, 1.0), [residual], [slopes[:, None, :]], np.arange(len(u)))
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10_000), there=st.lists(st.booleans(), min_size=3, max_size=3))
+def test_a_sets_probability_is_that_of_its_own_evidence(seed, there):
+    """Of a linear model: y is normal, with the covariance noise^2 1 + slopes slopes' of what is in the set."""
+    rng = np.random.default_rng(seed)
+    slopes, noise = rng.normal(size=(8, 3)), 0.8
+    y = slopes @ (np.array(there) * rng.normal(size=3)) + noise * rng.normal(size=8)
+    sets = Sets.of(tuple(Unknown(f"x{i}", np.array([i])) for i in range(3)), linear(slopes, y, noise))
+    columns = [int(name[1]) for name in sets.ids]
+    log = []
+    for present in sets.present:
+        own = slopes[:, [c for c, p in zip(columns, present, strict=True) if p]]
+        density = multivariate_normal(np.zeros(8), noise**2 * np.eye(8) + own @ own.T).logpdf(y)
+        log.append(density + present.sum() * np.log(THERE) + (~present).sum() * np.log(1.0 - THERE))
+    expected = np.exp(log - np.logaddexp.reduce(log))
+    np.testing.assert_allclose(sets.probability, expected, rtol=1e-6)
+
+
+def test_a_block_that_is_left_out_is_foretold_by_a_fit_without_it(answer):
+    """Of a linear model the step to it is exact."""
+    rng = np.random.default_rng(2)
+    joint = Joint(answer.joint.model, PARAMETERS, answer.joint.segments[:1], NOISE_DEG)
+    segment = joint.segments[0]
+    count = int(segment.scored.sum())
+    slopes, noise = rng.normal(size=(count, 3)), 0.5
+    y = slopes @ np.array([1.0, 0.0, -0.5]) + noise * rng.normal(size=count)
+    left = left_out(joint, linear(slopes, y, noise))[0][:, 0]
+    label = gap.blocks(segment)
+    assert label.max() > 0
+    for number in np.unique(label):
+        rest = label != number
+        u = linear(slopes[rest], y[rest], noise).u
+        np.testing.assert_allclose(left[~rest], (y - slopes @ u)[~rest], atol=1e-9)
