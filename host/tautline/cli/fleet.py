@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from tautline.cli._common import emit, folder_option, json_option, log, progress_bar
+from tautline.errors import TautError
 
 
 @click.command("fleet")
@@ -21,7 +22,7 @@ def command(folder: Path, out: Path | None, cluster: str | None, jobs: int | Non
     FOLDER holds ROBOT/SESSION, each session a recording or a folder of recordings, and a rig.toml. What was done is not
     done again: only what is new, or has changed, is calibrated.
     """
-    from tautline.fleet import page
+    from tautline.fleet import page, prior
     from tautline.fleet.findings import findings
     from tautline.fleet.rows import DATA_SET
     from tautline.fleet.run import died, run
@@ -35,6 +36,12 @@ def command(folder: Path, out: Path | None, cluster: str | None, jobs: int | Non
             log(f"taut: {row.id}: {row.error}")
     found = findings(done.rows)
     page.write(done.rows, found, out)
+    lines = [*found.sentences(), f"{out / page.FILE} shows it."]
+    try:
+        prior.write(done.rows, out)
+        lines.append(f"A shorter calibration of the next robot: 'taut calibrate RECORDING --out MODEL --prior {out}'.")
+    except TautError as error:
+        log(f"taut: nothing is known beforehand of the next robot: {error}")
     result = {
         **found.to_json(),
         "new": done.new,
@@ -42,4 +49,4 @@ def command(folder: Path, out: Path | None, cluster: str | None, jobs: int | Non
         "data": out / DATA_SET,
         "report": out / page.FILE,
     }
-    emit(result, as_json, "\n".join([*found.sentences(), f"{out / page.FILE} shows it."]))
+    emit(result, as_json, "\n".join(lines))

@@ -17,7 +17,7 @@ from scipy.stats import norm
 from threadpoolctl import threadpool_limits
 
 from tautline.errors import TautError
-from tautline.fleet.population import curves_of, population
+from tautline.fleet.population import log_widths, population
 from tautline.fleet.rows import FAILED, Row
 
 Array = npt.NDArray[np.float64]
@@ -206,7 +206,7 @@ def _groups(growth: _Growth) -> _Groups | None:
 def _unlike(rows: Sequence[Row]) -> list[Named]:
     """Robots whose last usable session is too far off the fleet's B."""
     try:
-        curves = curves_of(list({row.robot: row for row in rows if row.usable}.values()), "width")
+        curves = log_widths(list({row.robot: row for row in rows if row.usable}.values()))
     except TautError:  # too few robots: nothing is usual
         return []
     known = population(curves)

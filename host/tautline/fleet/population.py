@@ -24,14 +24,13 @@ from tautline.fleet.rows import Row
 Array = npt.NDArray[np.float64]
 
 LEAST_ROBOTS = 4  # that a spread can be told of
-_STEPS = 12  # of expectation and maximisation
+_STEPS = 40  # of expectation and maximisation
 _PARTS = 3  # in which robots are left out
 _LENGTHS = (0.08, 0.16, 0.32)  # of the range, over which a kernel's values go together
-_WORTH = (2.0, 8.0, 32.0)  # robots that the kernel counts as
+_WORTH = (0.1, 0.5, 2.0, 8.0, 32.0)  # robots that the kernel counts as
 _TAILS = (4.0, 12.0, 1e6)  # degrees of freedom; the last is a normal distribution
-_NUGGET = 1e-4  # of a kernel's variance, that neighbouring places do not share
 _MOST = 600  # sessions, evenly taken, that S is found from
-_UNKNOWN = 1e3  # of the curve's own spread: a sigma that says nothing
+_UNKNOWN = 1.0  # of log B: a sigma that says nothing
 
 
 @dataclass(frozen=True)
@@ -84,9 +83,9 @@ class Population:
         return np.asarray(top - half_log - 0.5 * (free + size) * np.log1p(self.distance(value, sigma) / free))
 
 
-def curves_of(rows: Sequence[Row], name: str) -> Curves:
-    """`name` width or c_deg, of the usable sessions on the places that most have. TautError where too few robots have
-    any."""
+def log_widths(rows: Sequence[Row]) -> Curves:
+    """The logarithm of B, whose spread is a share, of the usable sessions at the places that most have. TautError where
+    too few robots have any."""
     usable = [row for row in rows if row.usable and row.q]
     places = [(row.unit, row.q) for row in usable]
     kind = max(set(places), key=places.count, default=None)
@@ -94,11 +93,10 @@ def curves_of(rows: Sequence[Row], name: str) -> Curves:
     robots = len({row.robot for row in usable})
     if kind is None or robots < LEAST_ROBOTS:
         raise TautError(f"{robots} robots of one range are calibrated: a fleet's spread takes {LEAST_ROBOTS}")
-    value = np.array([getattr(row, name) for row in usable])
-    sigma = np.array([row.width_sigma if name == "width" else row.c_sigma_deg for row in usable], dtype=float)
-    unknown = _UNKNOWN * max(float(value.std()), 1e-9)
-    sigma = np.where(np.isfinite(sigma), np.minimum(sigma, unknown), unknown)
-    return Curves(np.array(kind[1]), value, sigma, tuple(row.robot for row in usable))
+    width, stated = (np.array([getattr(row, name) for row in usable]) for name in ("width", "width_sigma"))
+    width = np.maximum(width, stated)  # a B of 0 is known to be small
+    value = np.log(width)
+    return Curves(np.array(kind[1]), value, np.minimum(stated / width, _UNKNOWN), tuple(row.robot for row in usable))
 
 
 def population(curves: Curves) -> Population:
@@ -148,11 +146,11 @@ def _shrunk(mean: Array, scale: Array, curves: Curves, length: float, worth: flo
 
 
 def _kernel(curves: Curves, mean: Array, length: float) -> Array:
-    """Smooth, with the variance that the curves have."""
+    """Matern's of order 5/2, with the variance that the curves have."""
     known = 1.0 / curves.sigma**2
     variance = float(np.sum(known * (curves.value - mean) ** 2) / np.sum(known))
-    apart = (curves.q[:, None] - curves.q[None, :]) / (length * (curves.q[-1] - curves.q[0]))
-    kernel = np.exp(-0.5 * apart**2) + _NUGGET * np.eye(len(curves.q))
+    apart = np.abs(curves.q[:, None] - curves.q[None, :]) * np.sqrt(5.0) / (length * (curves.q[-1] - curves.q[0]))
+    kernel = (1.0 + apart + apart**2 / 3.0) * np.exp(-apart)
     return np.asarray(max(variance, 1e-18) * kernel)
 
 
