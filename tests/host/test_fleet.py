@@ -5,6 +5,7 @@ import shutil
 from dataclasses import replace
 from functools import partial
 
+import distributed
 import numpy as np
 import pyarrow.parquet
 import pytest
@@ -356,3 +357,27 @@ def test_a_prior_of_other_robots_is_refused(fleet, taut):
         prior.write(rows[:3], fleet / "out")
     done = taut("calibrate", "--simulate", "--prior", fleet / "out", "--out", fleet / "model")
     assert done.code == 2 and "taut record" in done.err
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("dies", ["once", "always"])
+def test_a_worker_of_a_cluster_that_dies_loses_nothing(tmp_path, dies):
+    marked = str(tmp_path / "died") if dies == "once" else dies
+    work = ((str(number), (number, marked)) for number in range(8))
+    with (
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        pool(None, cluster.scheduler_address, lambda name: f"{name} died") as workers,
+    ):
+        done = dict(workers(doubled, work))
+    expected = {str(number): 2 * number for number in range(8)}
+    assert done == expected | ({"3": "3 died"} if dies == "always" else {})
+
+
+@pytest.mark.long
+def test_a_fleet_on_a_cluster_says_the_same(made, tmp_path, taut):
+    folder, here = made
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        done = taut("fleet", folder / "in", "--out", tmp_path, "--cluster", cluster.scheduler_address, "--json")
+    assert json.loads(done.out)["new"] == ROBOTS * SESSIONS
+    there = DataSet(tmp_path).read().values()
+    assert [replace(row, seconds=None) for row in there] == [replace(row, seconds=None) for row in here.rows]
