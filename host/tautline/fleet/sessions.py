@@ -1,7 +1,7 @@
 """A fleet's folder: which sessions of which robots are in it, and what each was calibrated from.
 
 FOLDER/ROBOT/SESSION/   a recording, or a folder of recordings of one session
-FOLDER/robots.csv       optional: robot, and any of batch; further columns are kept out
+FOLDER/robots.csv       optional: robot,batch; further columns do not count
 rig.toml                in the session, else the robot's folder, else FOLDER
 """
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from tautline.recording import load_all
 from tautline.rig import Rig
 from tautline.vision.marker import with_marker
 
-PLACES = 33  # of a curve in a row: every third of what the finest bump of B in the paper's size spans on 10 mm
+PLACES = 33  # of a curve in a row: on 10 mm two for the finest bump that a calibration resolves, 0.6 mm
 
 
 def calibrated(row: Row, files: Mapping[str, bytes]) -> Row:
@@ -25,16 +26,23 @@ def calibrated(row: Row, files: Mapping[str, bytes]) -> Row:
     began = time.process_time()
     try:
         with unpacked(files) as folder:
-            paths = sorted(each for each in folder.iterdir() if each.is_dir())
-            own = folder / RIG_FILE
-            rig = Rig.load(own if own.is_file() else paths[0] / RIG_FILE)
-            recordings = [with_marker(recording, rig) for recording in load_all(paths, rig)]
-            motion_s = sum(float(np.ptp(recording.motor.t_s)) for recording in recordings)
-            row = _told(replace(row, motion_s=motion_s), calibrate(recordings, rig))
+            row = _calibrated(row, folder)
     except Exception as error:  # one session of many: a row that says so
         said = str(error) if isinstance(error, TautError) else f"{type(error).__name__}: {error}"
-        row = replace(row, error=said.replace(f"{folder}/", "") if "folder" in locals() else said)
+        row = replace(row, error=said)
     return replace(row, seconds=time.process_time() - began)
+
+
+def _calibrated(row: Row, folder: Path) -> Row:
+    try:
+        paths = sorted(each for each in folder.iterdir() if each.is_dir())
+        own = folder / RIG_FILE
+        rig = Rig.load(own if own.is_file() else paths[0] / RIG_FILE)
+        recordings = [with_marker(recording, rig) for recording in load_all(paths, rig)]
+        motion_s = sum(float(np.ptp(recording.motor.t_s)) for recording in recordings)
+        return _told(replace(row, motion_s=motion_s), calibrate(recordings, rig))
+    except TautError as error:  # the folder is gone when it is read
+        raise TautError(str(error).replace(f"{folder}/", "")) from error
 
 
 def _told(row: Row, calibration: Calibration) -> Row:
