@@ -18,10 +18,10 @@ from tautline.blindtest import baselines, campaign, compare, page, scores, seale
 from tautline.blindtest.campaign import Order
 from tautline.blindtest.cases import Label, make
 from tautline.blindtest.generators import SECOND
-from tautline.blindtest.pool import pool
 from tautline.blindtest.scores import Answer, Share
 from tautline.calibration.calibrate import calibrate
 from tautline.errors import TautError
+from tautline.pool import pool
 from tautline.recording import load_all
 from tautline.rig import Rig
 

@@ -16,8 +16,8 @@ from tautline.blindtest import sealed, work
 from tautline.blindtest.cases import SCORED_FROM
 from tautline.blindtest.draws import KNOWN
 from tautline.blindtest.generators import GENERATORS, SECOND
-from tautline.blindtest.pool import Pool
 from tautline.errors import TautError
+from tautline.pool import Pool
 
 Progress = Callable[[float, str], None]
 

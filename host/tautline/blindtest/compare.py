@@ -15,10 +15,10 @@ from tautline.blindtest import baselines, scores, sealed, work
 from tautline.blindtest.baselines import Forest
 from tautline.blindtest.cases import Label
 from tautline.blindtest.draws import KNOWN, UNKNOWN
-from tautline.blindtest.pool import Pool
 from tautline.blindtest.scores import Answer
 from tautline.errors import TautError
 from tautline.folders import write_file
+from tautline.pool import Pool
 
 Progress = Callable[[float, str], None]
 

@@ -6,8 +6,8 @@ from __future__ import annotations
 import json
 import tempfile
 import time
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from tautline.blindtest.scores import FAILED, Answer
 from tautline.calibration.calibrate import calibrate
 from tautline.diagnosis.diagnose import diagnose
 from tautline.errors import TautError
+from tautline.folders import unpacked
 from tautline.model import Model
 from tautline.plain import plain
 from tautline.prediction import foretold
@@ -159,13 +160,3 @@ def recordings_of(folder: Path) -> tuple[Rig, list[Recording]]:
     """A case's rig; its calibration and tests."""
     rig = Rig.load(folder / "rig.toml")
     return rig, [load(folder / name, rig) for name in _VISIBLE]
-
-
-@contextmanager
-def unpacked(files: Files) -> Iterator[Path]:
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        for path, content in files.items():
-            (folder / path).parent.mkdir(parents=True, exist_ok=True)
-            (folder / path).write_bytes(content)
-        yield folder

@@ -14,7 +14,8 @@ from tautline.calibration import clock
 from tautline.calibration.acquisition import doubts as acquisition_doubts
 from tautline.calibration.acquisition import in_another_unit, mistaken_unit
 from tautline.calibration.backlash import WidthCurve, fit_widths
-from tautline.calibration.choice import JOINT, ONSETS, Choice, jumping, measuring
+from tautline.calibration.beforehand import Beforehand
+from tautline.calibration.choice import JOINT, ONSETS, PASSES, Choice, jumping, measuring
 from tautline.calibration.components import Components, separate
 from tautline.calibration.departures import SPEED
 from tautline.calibration.doubts import PREDICTS, doubts, floor_of
@@ -68,6 +69,7 @@ class Options:
     knots: Literal["smooth", "paper"] = "smooth"  # paper: 14 knots through the onsets alone
     remaining: Literal["direct", "morphological"] = "direct"
     elements: Literal["auto", "one"] = "auto"  # of the play: several where the data ask for them
+    beforehand: Beforehand | None = None  # of B: what is known without these recordings
 
     def __post_init__(self) -> None:
         for name, choices in get_type_hints(Options).items():
@@ -304,7 +306,10 @@ class _Session:
     ) -> tuple[Fitted | None, Fitted | None]:
         frozen = freeze(self._one_curve(delay.delay_s), delay.delay_s)
         fit_delay = self.options.delay_s is None
-        joint = fit_jointly(frozen, self.domain, delay.delay_s, fit_delay=fit_delay, guess=curve)
+        joint = fit_jointly(
+            frozen, self.domain, delay.delay_s, fit_delay=fit_delay, guess=curve,
+            beforehand=self.options.beforehand,
+        )  # fmt: skip
         if joint is None:
             return None, None
         if fit_delay and not self.camera:
@@ -392,6 +397,8 @@ class _Session:
     # ---- what to think of it
 
     def _comment(self, onsets: Sequence[Onset], curve: WidthCurve | None, remaining: Remaining | None) -> None:
+        if self.options.beforehand is not None:
+            self.findings.notes.append("B(q) was known beforehand, from other robots: these recordings add to it")
         if stray := sum(track.stray for track in self.tracks):
             self.findings.notes.append(f"{stray} frames show the marker elsewhere for a moment: left out")
         if not onsets:
@@ -538,7 +545,8 @@ class _Session:
         inside = (self.grid > measured[0]) & (self.grid < measured[1])
         floor = floor_of(self.tracks, self.grid[inside], width[inside], sigma[inside], self.unit)
         self.findings.reasons += floor.reasons
-        sigma = np.hypot(np.hypot(sigma, floor.sigma), 0.5 * beyond)
+        known = self.options.beforehand is not None and source in (JOINT, PASSES)  # beyond what reversals reached, too
+        sigma = np.hypot(np.hypot(sigma, floor.sigma), 0.0 if known else 0.5 * beyond)
         if source != ONSETS and joint is not None:
             sigma = np.hypot(sigma, self.choice.bridged(joint, width, inside))
         pass_width, pass_sigma = self.choice.second_opinion(onsets, curve, passes)
@@ -581,7 +589,7 @@ class _Session:
             "evidence": {key: _finite(value) for key, value in self.findings.evidence.items()},
             "notes": list(notes),
             "characteristic": characteristic,
-            "options": asdict(self.options),
+            "options": asdict(replace(self.options, beforehand=None)),
         }
         if pass_width is not None:
             extra["pass_width"] = [_finite(v) for v in pass_width]

@@ -157,7 +157,10 @@ class Choice:
         return rest < _WORSE * max(joint.scale, 1.0)
 
     def bridged(self, joint: Fitted, width: Array, inside: npt.NDArray[np.bool_]) -> Array:
-        """(grid,) by how much B may be another where nothing was passed both ways: as it changes elsewhere."""
+        """(grid,) by how much B may be another where nothing was passed both ways: as it changes elsewhere. What is
+        known beforehand says it itself."""
+        if joint.fit.beforehand is not None:
+            return np.zeros(len(self.grid))
         seen = [
             (s.p[mask], s.lean[mask]) for s, mask in zip(joint.fit.simulated, joint.masks, strict=True)
         ]  # the simulation is the last that the fit made: at its own curves
@@ -262,9 +265,9 @@ class Choice:
 
     def _held(self, joint: Fitted, curve: WidthCurve | None) -> Array:
         """The joint fit's B, held beyond the positions that passes both ways or onsets reached: what lies there could
-        be f_remain as well. Not of several elements: some turn in no stroke but there, and are where B there puts
-        them."""
-        if not joint.fit.elements.single:
+        be f_remain as well. Not where something is known of it beforehand, nor of several elements: some turn in no
+        stroke but there, and are where B there puts them."""
+        if not joint.fit.elements.single or joint.fit.beforehand is not None:
             return joint.fit.width(joint.curves)
         low, high = overlap(joint)
         if curve is not None:

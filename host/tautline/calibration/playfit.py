@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_solve
 
+from tautline.calibration.beforehand import Beforehand
 from tautline.calibration.observations import Mask, Track, corners
 from tautline.elements import SINGLE, Elements, Play
 from tautline.least_squares import descend, factor
@@ -140,6 +141,7 @@ class PlayFit:
     slope_unit: float = 1.0  # a usual slope of s
     elements: Elements = SINGLE
     delay_sigma_s: float = 1.0  # how well the delay is known where it is not fitted
+    beforehand: Beforehand | None = None  # what is known of B without these tracks
     alike: float = 1.0  # frames for each independent one: that many say as much of a curve's shape as one
     smoothing: dict[str, float] = field(default_factory=lambda: {"backlash": 1e-2, "follow": 1e-6})
     grid: Array = field(init=False)
@@ -272,6 +274,10 @@ class PlayFit:
             weight = _STIFF * scale * scale / self.backlash.step**2
             matrix[block, block] += weight * stiff
             pull[block] += weight * bend
+            if self.beforehand is not None:
+                known, pulled, _ = self.beforehand.term(self.backlash, curves.backlash)
+                matrix[block, block] += scale * scale * known
+                pull[block] += scale * scale * pulled
         else:
             matrix[cut : cut + mb, cut : cut + mb] += np.eye(mb)
         if self.rising:
@@ -332,6 +338,8 @@ class PlayFit:
             smooth += self.smoothing["backlash"] * float(curves.backlash @ self.backlash.roughness @ curves.backlash)
             _, bend = _steep(curves.backlash, STEEPEST * 0.98 * self.backlash.step)
             smooth += _STIFF * scale * scale / self.backlash.step**2 * float(curves.backlash @ bend)
+            if self.beforehand is not None:
+                smooth += scale * scale * self.beforehand.term(self.backlash, curves.backlash)[2]
         if self.rising:
             over = np.maximum(self.least_slope * self.follow.step - self.rising * np.diff(curves.follow[:, 0]), 0.0)
             smooth += _STIFF * scale * scale / (self.slope_unit * self.follow.step) ** 2 * float(over @ over)

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.calibration.backlash import WidthCurve
+from tautline.calibration.beforehand import Beforehand
 from tautline.calibration.observations import Mask, Track
 from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit
 from tautline.splines import Basis
@@ -51,18 +52,19 @@ def freeze(tracks: Sequence[Track], delay_s: float) -> list[Frozen]:
 
 
 def fit_jointly(
-    frozen: Sequence[Frozen], domain: Domain, delay_s: float, *, fit_delay: bool, guess: WidthCurve | None = None
-) -> Fitted | None:
+    frozen: Sequence[Frozen], domain: Domain, delay_s: float, *, fit_delay: bool, guess: WidthCurve | None = None,
+    beforehand: Beforehand | None = None,
+) -> Fitted | None:  # fmt: skip
     """B, the path in the sensor's own coordinates and the delay, from all frames at once. None where the tip was never
     driven through a backlash (or next to nothing was seen)."""
-    coarse = _scan(_thinned(frozen), domain, delay_s, guess)
+    coarse = _scan(_thinned(frozen), domain, delay_s, guess, beforehand)
     if coarse is None:
         return None
     fit, curves = coarse
     rough = fit.solve(curves, iterations=7)
     fine = PlayFit(
         frozen, Basis(domain.low, domain.high, SPANS), Basis(domain.low, domain.high, SPANS),
-        fit_delay=fit_delay, settled_only=fit.settled_only,
+        fit_delay=fit_delay, settled_only=fit.settled_only, beforehand=beforehand,
     )  # fmt: skip
     start = Curves(
         _lift(fine.backlash, lambda x: fit.backlash.value(rough.curves.backlash, x)),
@@ -187,7 +189,11 @@ def _beyond_onset(p: Array, side: npt.NDArray[np.int8]) -> Array:
 
 
 def _scan(
-    frozen: Sequence[Frozen], domain: Domain, delay_s: float, guess: WidthCurve | None
+    frozen: Sequence[Frozen],
+    domain: Domain,
+    delay_s: float,
+    guess: WidthCurve | None,
+    beforehand: Beforehand | None,
 ) -> tuple[PlayFit, Curves] | None:
     """The best constant width, or the guess where that is better, with a path of 16 spans; frames before the tip was
     driven both ways are left out unless little else is there."""
@@ -196,6 +202,8 @@ def _scan(
     candidates = [np.full(flat.size, b) for b in domain.span * np.linspace(0.0, 0.4, 41)]
     if guess is not None:
         candidates.append(_lift(flat, guess.at))
+    if beforehand is not None:
+        candidates.append(_lift(flat, beforehand.usual))
     for settled_only in (True, False):
         best: tuple[float, PlayFit, Curves] | None = None
         for candidate in candidates:

@@ -59,6 +59,11 @@ GROUPS: dict[str, tuple[Command, ...]] = {
             "how a model would have been kept calibrated while the instrument was used",
             "taut track monday session --csv rows.csv",
         ),
+        Command(
+            "fleet",
+            "calibrate every session of many robots: who drifts, which batch is worn, what is unlike",
+            "taut fleet robots --out fleet",
+        ),
         Command("compare", "how B and f_remain changed between models", "taut compare monday friday"),
         Command("report", "write a model's report again", "taut report monday"),
         Command(

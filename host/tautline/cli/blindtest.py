@@ -13,8 +13,8 @@ from tautline.blindtest.baselines import METHODS
 from tautline.blindtest.campaign import GROUPS, Order, Progress, left_out, order_of, run
 from tautline.blindtest.draws import KNOWN, UNKNOWN
 from tautline.blindtest.generators import CHOICES, chosen
-from tautline.blindtest.pool import pool
 from tautline.cli._common import emit, folder_option, json_option, log, progress_bar, warn
+from tautline.pool import pool
 
 _QUICK = Order(single=1, unknown=4, none=3, pairs=1, leave_one_out=0)
 _ENOUGH = 0.15  # of the work: from then on the rest can be told

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -47,6 +48,13 @@ from tautline.vision.marker import with_marker
     show_default=True,
     help="f_remain: fitted directly, or the paper's central fibre of the characteristic as an image.",
 )
+@click.option(
+    "--prior",
+    "fleet",
+    metavar="FLEET",
+    type=click.Path(path_type=Path),
+    help="What taut fleet wrote of robots of this make: B(q) is known before the recording, which may be shorter.",
+)
 @live_options
 @until_option
 @click.option(
@@ -76,6 +84,7 @@ def command(
     out: Path,
     knots: Literal["smooth", "paper"],
     remaining: Literal["direct", "morphological"],
+    fleet: Path | None,
     as_json: bool,
     kept: Path | None,
     **live: Any,
@@ -88,8 +97,10 @@ def command(
     check_replaceable(out, MODEL_FILE)
     options = Options(knots=knots, remaining=remaining)
     if recording_paths:
-        calibration, lines = _from_recordings(recording_paths, rig_path, out, options)
+        calibration, lines = _from_recordings(recording_paths, rig_path, out, options, fleet)
     else:
+        if fleet is not None:
+            raise click.UsageError("--prior goes with a RECORDING: record first, with 'taut record'")
         if live["live"].camera is None and live["live"].simulate is None:
             raise click.UsageError("name a RECORDING, or for a live calibration --camera SOURCE or --simulate")
         kept = kept or free_recording(out.absolute())
@@ -110,9 +121,13 @@ def command(
 
 
 def _from_recordings(
-    paths: tuple[Path, ...], rig_path: Path | None, out: Path, options: Options
+    paths: tuple[Path, ...], rig_path: Path | None, out: Path, options: Options, fleet: Path | None
 ) -> tuple[Calibration, list[str]]:
     recordings, rig = read_recordings(paths, rig_path)
+    if fleet is not None:
+        from tautline.fleet import prior
+
+        options = replace(options, beforehand=prior.read(fleet, rig))
     with progress_bar("calibrating") as progress:
         recordings = [with_marker(recording, rig, progress) for recording in recordings]
         calibration = calibrate(recordings, rig, options, progress)

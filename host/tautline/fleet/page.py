@@ -1,0 +1,116 @@
+"""A fleet's page: who drifts, which batch is worn, what is unlike, and what could not be calibrated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+from tautline import figures, reports
+from tautline.fleet.findings import Findings, Named
+from tautline.fleet.rows import Row
+
+FILE = "fleet.html"
+_MOST = 40  # lines of one table
+_USUAL: dict[str, Any] = {"color": figures.UP, "linewidth": 0.5, "alpha": 0.35}
+_CURVES = 400  # of the robots, evenly taken, that a picture shows
+
+
+def write(rows: Sequence[Row], found: Findings, out: Path) -> None:
+    """OUT/fleet.html."""
+    last = _last(rows)
+    failed = [[row.robot, row.session, row.error or ""] for row in rows if row.error is not None]
+    growth = ["|robot", "|batch", "B a session (%)", "sigma (%)", "last session", "|verdict"]
+    page = {
+        "title": f"What a fleet of {found.robots} robots loses between motor and tip",
+        "sentences": found.sentences(),
+        "growth": reports.picture(
+            growth_of(rows, found), "Growth of B", "Of each robot, a session, with 2 sigma. Red: worn sooner."
+        )
+        if any(row.wear is not None for row in rows)
+        else None,
+        "spread": reports.picture(
+            spread_of(list(last.values()), found), "B of all robots", "B of each robot's last session. Red: unlike."
+        )
+        if last
+        else None,
+        "parts": [
+            _part("Worn batches", "All of whose robots together wear sooner.", ["|batch", "B a session (%)"],
+                  [[one.name, _percent(one.value)] for one in found.worn_batches]),
+            _part("Worn sooner", "Of a group whose B grows faster than the others'.", growth, _lines(found.worn, last)),
+            _part("Unlike", "B of the last session is off the fleet's by more than any robot's of as many.",
+                  ["|robot", "|batch", "squared distance over its mean"],
+                  [[one.name, _batch(last, one.name), f"{one.value:.3g}"] for one in found.unlike]),
+            _part("Drifting", "B changes from session to session for certain; fastest first.", growth,
+                  _lines(found.drifting, last)),
+            _part("Without a calibration", "They are tried again when their files change.",
+                  ["|robot", "|session", "|why"], failed),
+        ],
+    }  # fmt: skip
+    reports.write_page("fleet.html", page, out / FILE)
+
+
+def _part(title: str, says: str, head: list[str], rows: list[list[str]]) -> dict[str, Any]:
+    if len(rows) > _MOST:
+        says += f" The first {_MOST} of {len(rows)}; --json and the data set have all."
+    return {"title": f"{title}: {len(rows)}", "says": says, "head": head, "rows": rows[:_MOST]}
+
+
+def _lines(named: Sequence[Named], last: dict[str, Row]) -> list[list[str]]:
+    return [
+        [one.name, _batch(last, one.name), _percent(one.value), _percent(one.sigma), last[one.name].session,
+         last[one.name].verdict]
+        for one in named
+    ]  # fmt: skip
+
+
+def _last(rows: Sequence[Row]) -> dict[str, Row]:
+    """The last usable session of each robot."""
+    return {row.robot: row for row in rows if row.usable}
+
+
+def _batch(last: dict[str, Row], robot: str) -> str:
+    return last[robot].batch or ""
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g}"
+
+
+@mpl.rc_context(figures.STYLE)
+def growth_of(rows: Sequence[Row], found: Findings) -> Figure:
+    known = {row.robot: row for row in rows if row.wear is not None}
+    order = sorted(known.values(), key=lambda row: (row.batch or "", row.robot))
+    worn = {one.name for one in found.worn}
+    made, axes = figures.figure(10.5, 3.6)
+    ax = axes[0, 0]
+    for of_group, colour in ((False, figures.UP), (True, figures.MODEL)):
+        at = [k for k, row in enumerate(order) if (row.robot in worn) is of_group]
+        rate = [100 * (order[k].wear or 0.0) for k in at]
+        sigma = [200 * (order[k].wear_sigma or 0.0) for k in at]
+        ax.errorbar(at, rate, yerr=sigma, fmt="o", markersize=2.5, linewidth=0.7, color=colour)
+    ax.axhline(0.0, color=figures.GREY, linewidth=0.8)
+    ax.set_xlabel("robot, batch by batch")
+    ax.set_ylabel("growth of B a session (%)")
+    return made
+
+
+@mpl.rc_context(figures.STYLE)
+def spread_of(last: Sequence[Row], found: Findings) -> Figure:
+    unlike = {one.name for one in found.unlike}
+    shown = last[:: max(1, len(last) // _CURVES)]
+    made, axes = figures.figure(10.5, 3.6)
+    ax = axes[0, 0]
+    for row in [*shown, *(row for row in last if row.robot in unlike)]:
+        q, width = np.array(row.q), np.array(row.width)
+        inside = (q >= (row.measured_low or 0.0)) & (q <= (row.measured_high or 0.0))
+        look: dict[str, Any] = {"color": figures.MODEL, "linewidth": 1.0} if row.robot in unlike else _USUAL
+        ax.plot(q[inside], width[inside], **look)
+    unit = last[0].unit or ""
+    ax.set_xlabel(f"q ({unit})")
+    ax.set_ylabel(f"B ({unit})")
+    return made

@@ -1,0 +1,163 @@
+"""How a curve is spread between robots: a multivariate Student t of its values at places.
+
+y_s = b_s + e_s: a session's curve is its robot's, and an error with the sigma that the session states. b_s is normal
+about the fleet's mean with covariance S / u_s, u_s gamma with the mean 1: a worn robot is one of a heavy tail. Mean and
+S by expectation and maximisation, each robot counted once however many sessions it has; S is shrunk towards a smooth
+kernel, as much as foretells robots that were left out best, which tells the tail's degrees of freedom too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import gammaln
+from scipy.stats import f as f_distribution
+
+from tautline.errors import TautError
+from tautline.fleet.rows import Row
+
+Array = npt.NDArray[np.float64]
+
+LEAST_ROBOTS = 4  # that a spread can be told of
+_STEPS = 40  # of expectation and maximisation
+_PARTS = 3  # in which robots are left out
+_LENGTHS = (0.08, 0.16, 0.32)  # of the range, over which a kernel's values go together
+_WORTH = (0.1, 0.5, 2.0, 8.0, 32.0)  # robots that the kernel counts as
+_TAILS = (4.0, 12.0, 1e6)  # degrees of freedom; the last is a normal distribution
+_MOST = 600  # sessions, evenly taken, that S is found from
+_UNKNOWN = 1.0  # of log B: a sigma that says nothing
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Sessions' curves (n, k) at places q (k,), with one sigma each, and whose they are."""
+
+    q: Array
+    value: Array
+    sigma: Array
+    names: tuple[str, ...]
+
+    def of(self, keep: npt.NDArray[np.intp]) -> Curves:
+        return Curves(self.q, self.value[keep], self.sigma[keep], tuple(self.names[k] for k in keep))
+
+    @cached_property
+    def robot(self) -> npt.NDArray[np.intp]:
+        """(n,) their numbers, from 0 on."""
+        return np.unique(self.names, return_inverse=True)[1]
+
+    @property
+    def weight(self) -> Array:
+        """(n,) one robot is as much as another."""
+        return np.asarray(1.0 / np.bincount(self.robot)[self.robot])
+
+
+@dataclass(frozen=True)
+class Population:
+    """mean (k,) and scale matrix (k, k) at places q, unit of the curve; degrees of freedom of the tail."""
+
+    q: Array
+    mean: Array
+    scale: Array
+    freedom: float
+
+    def distance(self, value: Array, sigma: Array) -> Array:
+        """(n,) squared, of curves (n, k) with these sigmas; k on average, more in the tail."""
+        off = value - self.mean
+        return np.asarray(np.einsum("nk,nk->n", off, _solved(self.scale + _diagonal(sigma**2), off)))
+
+    def chance(self, value: Array, sigma: Array) -> Array:
+        """(n,) that a robot of this fleet is as far off."""
+        size = len(self.q)
+        return np.asarray(f_distribution.sf(self.distance(value, sigma) / size, size, self.freedom))
+
+    def log_density(self, value: Array, sigma: Array) -> Array:
+        """(n,)"""
+        size, free = len(self.q), self.freedom
+        half_log = 0.5 * np.linalg.slogdet(self.scale + _diagonal(sigma**2))[1]
+        top = gammaln(0.5 * (free + size)) - gammaln(0.5 * free) - 0.5 * size * np.log(free * np.pi)
+        return np.asarray(top - half_log - 0.5 * (free + size) * np.log1p(self.distance(value, sigma) / free))
+
+
+def log_widths(rows: Sequence[Row]) -> Curves:
+    """The logarithm of B, whose spread is a share, of the usable sessions at the places that most have. TautError where
+    too few robots have any."""
+    usable = [row for row in rows if row.usable and row.q]
+    places = [(row.unit, row.q) for row in usable]
+    kind = max(set(places), key=places.count, default=None)
+    usable = [row for row in usable if (row.unit, row.q) == kind]
+    robots = len({row.robot for row in usable})
+    if kind is None or robots < LEAST_ROBOTS:
+        raise TautError(f"{robots} robots of one range are calibrated: a fleet's spread takes {LEAST_ROBOTS}")
+    width, stated = (np.array([getattr(row, name) for row in usable]) for name in ("width", "width_sigma"))
+    width = np.maximum(width, stated)  # a B of 0 is known to be small
+    value = np.log(width)
+    return Curves(np.array(kind[1]), value, np.minimum(stated / width, _UNKNOWN), tuple(row.robot for row in usable))
+
+
+def population(curves: Curves) -> Population:
+    """See the module."""
+    if len(curves.value) > _MOST:
+        curves = curves.of(np.linspace(0, len(curves.value) - 1, _MOST).astype(np.intp))
+    choices = list(product(_LENGTHS, _WORTH, _TAILS))
+    told = np.zeros(len(choices))
+    for part in range(_PARTS):
+        out = curves.robot % _PARTS == part
+        rest, left = curves.of(np.flatnonzero(~out)), curves.of(np.flatnonzero(out))
+        fitted = {free: _fitted(rest, free) for free in _TAILS}
+        for i, (length, worth, free) in enumerate(choices):
+            there = _shrunk(*fitted[free], rest, length, worth, free)
+            told[i] += float(left.weight @ there.log_density(left.value, left.sigma))
+    length, worth, free = choices[int(np.argmax(told))]
+    return _shrunk(*_fitted(curves, free), curves, length, worth, free)
+
+
+def _fitted(curves: Curves, free: float) -> tuple[Array, Array]:
+    """Mean and S by expectation and maximisation."""
+    weight, noise = curves.weight, _diagonal(curves.sigma**2)
+    known = 1.0 / curves.sigma**2
+    mean = np.sum(known * curves.value, axis=0) / np.sum(known, axis=0)
+    scale = _kernel(curves, mean, _LENGTHS[1])
+    size = len(curves.q)
+    for _ in range(_STEPS):
+        off = curves.value - mean
+        inverse = np.linalg.inv(scale + noise)
+        pulled = np.einsum("nkl,nl->nk", inverse, off)
+        tail = (free + size) / (free + np.einsum("nk,nk->n", off, pulled))
+        own = mean + pulled @ scale
+        shared = weight.sum() * scale - scale @ np.einsum("n,nkl->kl", weight, inverse) @ scale
+        mean = (weight * tail) @ own / (weight @ tail)
+        apart = own - mean
+        spread = (weight * tail * apart.T) @ apart + shared
+        scale = 0.5 * (spread + spread.T) / weight.sum()
+    return mean, scale
+
+
+def _shrunk(mean: Array, scale: Array, curves: Curves, length: float, worth: float, free: float) -> Population:
+    robots = float(curves.weight.sum())
+    size = float(np.trace(scale)) / len(scale)
+    kernel = _kernel(curves, mean, length)
+    kernel *= size / (float(np.trace(kernel)) / len(kernel))
+    return Population(curves.q, mean, (robots * scale + worth * kernel) / (robots + worth), free)
+
+
+def _kernel(curves: Curves, mean: Array, length: float) -> Array:
+    """Matern's of order 5/2, with the variance that the curves have."""
+    known = 1.0 / curves.sigma**2
+    variance = float(np.sum(known * (curves.value - mean) ** 2) / np.sum(known))
+    apart = np.abs(curves.q[:, None] - curves.q[None, :]) * np.sqrt(5.0) / (length * (curves.q[-1] - curves.q[0]))
+    kernel = (1.0 + apart + apart**2 / 3.0) * np.exp(-apart)
+    return np.asarray(max(variance, 1e-18) * kernel)
+
+
+def _diagonal(values: Array) -> Array:
+    """(n, k, k)"""
+    return values[:, :, None] * np.eye(values.shape[1])
+
+
+def _solved(matrices: Array, values: Array) -> Array:
+    return np.asarray(np.linalg.solve(matrices, values[:, :, None])[:, :, 0])

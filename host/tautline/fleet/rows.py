@@ -1,0 +1,133 @@
+"""What is known of each session, a row: kept as one Parquet data set, in parts while it grows."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, fields
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from tautline.errors import TautError, of_system
+
+DATA_SET = "sessions"  # a folder of Parquet files in the output folder
+FAILED = "failed"  # a verdict beside a calibration's own: there is no calibration
+_EXTRA = "pip install 'tautline-robotics[fleet]'"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One session. Curves are at places that divide the rig's range evenly, both ends among them."""
+
+    robot: str
+    session: str
+    inputs: str  # hash of all that it was calibrated from, and by
+    batch: str | None = None
+    date: str | None = None  # YYYY-MM-DD
+    verdict: str = FAILED
+    reasons: tuple[str, ...] = ()  # their codes, likeliest first
+    error: str | None = None  # why there is no calibration
+    unit: str | None = None  # of q
+    q: tuple[float, ...] = ()
+    width: tuple[float, ...] = ()  # B, unit of q
+    width_sigma: tuple[float, ...] = ()
+    c_deg: tuple[float, ...] = ()  # f_remain
+    c_sigma_deg: tuple[float, ...] = ()  # NaN where unknown
+    measured_low: float | None = None  # unit of q: between these reversals told B
+    measured_high: float | None = None
+    delay_s: float | None = None
+    delay_sigma_s: float | None = None
+    residual: float | None = None  # rms that the model leaves, px a coordinate or deg
+    motion_s: float | None = None  # that was recorded
+    seconds: float | None = None  # of one core, that its calibration took
+    since: str | None = None  # the robot's first usable session, which the next three are told by
+    width_change: float | None = None  # of the mean B, as a share of it
+    width_change_sigma: float | None = None
+    offset_change: float | None = None  # of f_remain along q, unit of q
+    wear: float | None = None  # of the robot: growth of B from one session to the next, as a share
+    wear_sigma: float | None = None
+
+    @property
+    def id(self) -> str:
+        return f"{self.robot}/{self.session}"
+
+    @property
+    def usable(self) -> bool:
+        return self.verdict in ("good", "doubtful")
+
+
+_LISTS = frozenset({"q", "width", "width_sigma", "c_deg", "c_sigma_deg"})
+_NUMBERS = frozenset(
+    {"measured_low", "measured_high", "delay_s", "delay_sigma_s", "residual", "motion_s", "seconds", "width_change",
+     "width_change_sigma", "offset_change", "wear", "wear_sigma"}
+)  # fmt: skip
+
+
+class DataSet:
+    """The data set of one output folder. Of two rows of one session the later part's counts."""
+
+    def __init__(self, out: Path) -> None:
+        try:
+            self._arrow, self._parquet = import_module("pyarrow"), import_module("pyarrow.parquet")
+        except ImportError as error:
+            raise TautError(f"a fleet's results are written with pyarrow, which is not installed: {_EXTRA}") from error
+        self.folder = out / DATA_SET
+        self._next = 1 + max((int(path.stem.split("-")[1]) for path in self._parts()), default=-1)
+
+    def read(self) -> dict[str, Row]:
+        """Rows by robot/session."""
+        found: dict[str, Row] = {}
+        for path in self._parts():
+            try:
+                lines = self._parquet.read_table(path, schema=self._schema()).to_pylist()
+                rows = [_row(line) for line in lines]
+            except (OSError, KeyError, TypeError, ValueError, self._arrow.ArrowException) as error:
+                raise TautError(f"{path}: no part of a fleet's results ({error}): delete it, and run again") from error
+            found |= {row.id: row for row in rows}
+        return found
+
+    def append(self, rows: Iterable[Row]) -> None:
+        """One more part; nothing where there are no rows."""
+        if rows := list(rows):
+            self._write(rows)
+
+    def rewrite(self, rows: Iterable[Row]) -> None:
+        """These rows alone, in one part."""
+        earlier = self._parts()
+        self.append(rows)
+        for path in earlier:
+            path.unlink()
+
+    def _parts(self) -> list[Path]:
+        return sorted(self.folder.glob("part-*.parquet"))
+
+    def _write(self, rows: list[Row]) -> None:
+        table = self._arrow.Table.from_pylist([asdict(row) for row in rows], schema=self._schema())
+        path = self.folder / f"part-{self._next:06d}.parquet"
+        temporary = self.folder / f".{path.name}.{os.getpid()}"
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            self._parquet.write_table(table, temporary)
+            temporary.replace(path)
+        except OSError as error:
+            temporary.unlink(missing_ok=True)
+            raise TautError(of_system(error)) from error
+        self._next += 1
+
+    def _schema(self) -> Any:
+        arrow = self._arrow
+
+        def kind(name: str) -> Any:
+            if name in _LISTS:
+                return arrow.list_(arrow.float64())
+            if name == "reasons":
+                return arrow.list_(arrow.string())
+            return arrow.float64() if name in _NUMBERS else arrow.string()
+
+        return arrow.schema([(field.name, kind(field.name)) for field in fields(Row)])
+
+
+def _row(line: Mapping[str, Any]) -> Row:
+    values: dict[str, Any] = {k: tuple(value) if isinstance(value, list) else value for k, value in line.items()}
+    return Row(**values)

@@ -1,0 +1,112 @@
+"""A fleet's folder: which sessions of which robots are in it, and what each was calibrated from.
+
+FOLDER/ROBOT/SESSION/   a recording, or a folder of recordings of one session
+FOLDER/robots.csv       optional: robot,batch; further columns do not count
+rig.toml                in the session, else the robot's folder, else FOLDER
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+
+from tautline.errors import TautError, of_system
+from tautline.model import RIG_FILE
+from tautline.recording import VIDEO_NAMES
+from tautline.vision.colour import COLOUR_FILE
+from tautline.vision.region import REGION_FILE
+
+MANIFEST = "robots.csv"
+MOTOR = "motor.csv"
+_TABLES = (MOTOR, "marker.csv", "angle.csv", RIG_FILE)
+_OF_VIDEO = (*VIDEO_NAMES, "frames.csv", COLOUR_FILE, REGION_FILE)
+_DATE = re.compile(r"\d{4}-\d{2}-\d{2}")
+
+
+@dataclass(frozen=True)
+class Session:
+    """One session of one robot. A robot's sessions follow each other in the order of their names."""
+
+    robot: str
+    name: str
+    batch: str | None
+    folder: Path
+    rig: Path | None  # that holds for recordings which have none
+
+    @property
+    def id(self) -> str:
+        return f"{self.robot}/{self.name}"
+
+    @property
+    def date(self) -> str | None:
+        """Where its name begins with one, YYYY-MM-DD."""
+        found = _DATE.match(self.name)
+        return found.group() if found else None
+
+    def files(self) -> dict[str, bytes]:
+        """What a calibration reads: each recording a folder, and a rig.toml beside them. TautError where a file cannot
+        be read."""
+        try:
+            found = {} if self.rig is None else {RIG_FILE: self.rig.read_bytes()}
+            for recording in _recordings(self.folder):
+                tracked = (recording / "marker.csv").exists()
+                for name in _TABLES if tracked else (*_TABLES, *_OF_VIDEO):
+                    if (recording / name).is_file():
+                        found[f"{recording.name}/{name}"] = (recording / name).read_bytes()
+        except OSError as error:
+            raise TautError(of_system(error)) from error
+        return found
+
+
+def digest(files: dict[str, bytes], made_by: str) -> str:
+    """Of all that a row depends on: the files and what calibrates them."""
+    hashed = hashlib.sha256(made_by.encode())
+    for name in sorted(files):
+        hashed.update(f"\n{name} ".encode() + hashlib.sha256(files[name]).digest())
+    return hashed.hexdigest()
+
+
+def sessions_in(folder: Path) -> list[Session]:
+    """All sessions, robot by robot, each in the order of its sessions' names. TautError where there is none."""
+    if not folder.is_dir():
+        raise TautError(f"{folder}: there is no such folder: a fleet is a folder ROBOT/SESSION of recordings")
+    batches = _batches(folder / MANIFEST)
+    found = [session for robot in _folders(folder) for session in _of_robot(folder, robot, batches.get(robot.name))]
+    if not found:
+        raise TautError(f"{folder}: no session is in it: lay recordings out as {folder.name}/ROBOT/SESSION/{MOTOR}")
+    return found
+
+
+def _of_robot(folder: Path, robot: Path, batch: str | None) -> Iterator[Session]:
+    for session in _folders(robot):
+        if _recordings(session):
+            rig = next((at / RIG_FILE for at in (session, robot, folder) if (at / RIG_FILE).is_file()), None)
+            yield Session(robot.name, session.name, batch, session, rig)
+
+
+def _recordings(session: Path) -> list[Path]:
+    if (session / MOTOR).exists():
+        return [session]
+    return [each for each in _folders(session) if (each / MOTOR).exists()]
+
+
+def _folders(folder: Path) -> list[Path]:
+    return sorted(each for each in folder.iterdir() if each.is_dir() and not each.name.startswith("."))
+
+
+def _batches(manifest: Path) -> dict[str, str]:
+    if not manifest.exists():
+        return {}
+    try:
+        table = pd.read_csv(manifest, dtype=str)
+    except (OSError, ValueError) as error:
+        raise TautError(f"{manifest}: cannot be read ({error}): it is a CSV with the columns robot, batch") from error
+    if "robot" not in table:
+        raise TautError(f"{manifest}: column robot is missing: it says which robot a line is of")
+    named = table.dropna(subset=["robot"]).drop_duplicates("robot", keep="last").set_index("robot")
+    return {} if "batch" not in named else {str(k): str(v) for k, v in named["batch"].dropna().items()}

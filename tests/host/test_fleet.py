@@ -1,0 +1,383 @@
+"""Many robots: what is new is calibrated, nothing is lost; who wears sooner is named, a sound fleet is left alone."""
+
+import json
+import shutil
+from dataclasses import replace
+from functools import partial
+
+import distributed
+import numpy as np
+import pyarrow.parquet
+import pytest
+from cli_runner import Taut
+from fleet_workers import doubled
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tools.fleet import robots
+
+from tautline.calibration.beforehand import Beforehand
+from tautline.calibration.calibrate import Options, calibrate
+from tautline.errors import TautError
+from tautline.fleet import prior, sessions
+from tautline.fleet.changes import compared
+from tautline.fleet.findings import findings
+from tautline.fleet.population import Curves, population
+from tautline.fleet.rows import DATA_SET, DataSet, Row
+from tautline.fleet.run import run
+from tautline.pool import pool
+from tautline.splines import Basis
+
+PLACES = np.linspace(-5.0, 5.0, 33)
+ROBOTS, SESSIONS = 4, 2
+
+
+def still(fraction, text):
+    """No progress."""
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A small fleet, and what was run of it."""
+    folder = tmp_path_factory.mktemp("fleet")
+    robots.write(folder / "in", ROBOTS, SESSIONS, worn=1, seed=3, seconds=8.0)
+    with pool(1, None) as here:
+        done = run(folder / "in", folder / "out", here, still)
+    return folder, done
+
+
+@pytest.fixture
+def fleet(made, tmp_path):
+    """The same, to be changed."""
+    shutil.copytree(made[0] / "in", tmp_path / "in")
+    shutil.copytree(made[0] / "out", tmp_path / "out")
+    return tmp_path
+
+
+@pytest.fixture
+def taut(monkeypatch, capsys):
+    return Taut(monkeypatch, capsys)
+
+
+def again(folder):
+    with pool(1, None) as here:
+        return run(folder / "in", folder / "out", here, still)
+
+
+# ---- workers that die
+
+
+@pytest.mark.parametrize("dies", ["", "once", "always"])
+def test_a_worker_that_dies_loses_nothing(tmp_path, dies):
+    marked = str(tmp_path / "died") if dies == "once" else dies
+    work = ((str(number), (number, marked)) for number in range(8))
+    with pool(2, None, lambda name: f"{name} died") as workers:
+        done = dict(workers(doubled, work))
+    expected = {str(number): 2 * number for number in range(8)}
+    assert done == expected | ({"3": "3 died"} if dies == "always" else {})
+
+
+def test_a_task_that_kills_its_workers_is_named_where_nothing_stands_for_it():
+    with pytest.raises(TautError, match="3: every worker that had it died"), pool(2, None) as workers:
+        list(workers(doubled, ((str(number), (number, "always")) for number in range(5))))
+
+
+# ---- what is in a folder
+
+
+def test_sessions_robots_batches_and_dates(tmp_path):
+    for name in ("b/2026-02-01 noon", "b/2026-01-01", "a/first/one", "a/first/two", ".hidden/x", "c/nothing"):
+        (tmp_path / name).mkdir(parents=True)
+    for name in ("b/2026-02-01 noon", "b/2026-01-01", "a/first/one", "a/first/two", ".hidden/x"):
+        (tmp_path / name / "motor.csv").write_text("t_s,q_mm\n")
+    (tmp_path / "rig.toml").write_text("of all")
+    (tmp_path / "b" / "rig.toml").write_text("of b")
+    (tmp_path / "robots.csv").write_text("robot,batch,colour\nb,B7,red\n")
+    found = sessions.sessions_in(tmp_path)
+    assert [(each.id, each.batch, each.date) for each in found] == [
+        ("a/first", None, None),
+        ("b/2026-01-01", "B7", "2026-01-01"),
+        ("b/2026-02-01 noon", "B7", "2026-02-01"),
+    ]
+    assert found[0].files() == {"rig.toml": b"of all", "one/motor.csv": b"t_s,q_mm\n", "two/motor.csv": b"t_s,q_mm\n"}
+    assert found[1].files()["rig.toml"] == b"of b"
+
+
+@pytest.mark.parametrize("folder", ["absent", "."])
+def test_a_folder_without_sessions_says_how_to_lay_them_out(tmp_path, folder):
+    with pytest.raises(TautError, match="ROBOT/SESSION"):
+        sessions.sessions_in(tmp_path / folder)
+
+
+def test_the_hash_is_of_names_contents_and_version():
+    files = {"a/motor.csv": b"1", "rig.toml": b"2"}
+    same = sessions.digest(dict(reversed(files.items())), "v1")
+    assert sessions.digest(files, "v1") == same
+    others = [({**files, "rig.toml": b"3"}, "v1"), (files, "v2"), ({"b/motor.csv": b"1", "rig.toml": b"2"}, "v1")]
+    assert same not in {sessions.digest(*each) for each in others}
+
+
+# ---- runs
+
+
+def test_every_session_is_a_row_of_the_data_set(made):
+    folder, done = made
+    assert done.new == len(done.rows) == ROBOTS * SESSIONS
+    table = pyarrow.parquet.read_table(folder / "out" / DATA_SET).to_pylist()
+    assert [(line["robot"], line["session"]) for line in table] == [(row.robot, row.session) for row in done.rows]
+    assert all(line["verdict"] in ("good", "doubtful") and line["error"] is None for line in table)
+    assert list(DataSet(folder / "out").read().values()) == list(done.rows)
+
+
+def test_rows_hold_the_truth_within_their_sigma(made):
+    _, done = made
+    rig = robots.reference_rig()
+    off = []
+    for row in done.rows:
+        number = int(row.robot[1:])
+        worn = row.batch == "worn"
+        truth = robots.Robot(3, number, worn).instrument(int(row.session), rig).backlash(np.array(row.q))
+        inside = (np.array(row.q) > row.measured_low) & (np.array(row.q) < row.measured_high)
+        off.append(((np.array(row.width) - truth) / np.array(row.width_sigma))[inside])
+    z = np.concatenate(off)
+    assert np.sqrt(np.mean(z**2)) < 1.5  # 1 where the sigmas are right; a few tens of independent values
+
+
+def test_a_second_run_does_only_what_is_new(fleet):
+    assert again(fleet).new == 0
+    motor = fleet / "in" / "r0001" / "01" / "motor.csv"
+    motor.write_text("\n".join(motor.read_text().splitlines()[:-2]) + "\n")
+    shutil.copytree(fleet / "in" / "r0000" / "01", fleet / "in" / "r0000" / "02")
+    shutil.rmtree(fleet / "in" / "r0003")
+    done = again(fleet)
+    assert done.new == 2
+    assert [row.id for row in done.rows] == [
+        f"r000{k}/0{s}" for k, s in [(0, 0), (0, 1), (0, 2), (1, 0), (1, 1), (2, 0), (2, 1)]
+    ]
+
+
+def test_a_run_that_is_stopped_keeps_what_was_done(fleet):
+    shutil.rmtree(fleet / "out")
+
+    def workers(function, work, until=ROBOTS * SESSIONS):
+        for count, (name, (begun, _)) in enumerate(work):
+            if count == until:
+                raise KeyboardInterrupt
+            yield name, replace(begun, error="nobody looked")
+
+    with pytest.raises(KeyboardInterrupt):
+        run(fleet / "in", fleet / "out", partial(workers, until=2), still)
+    assert len(DataSet(fleet / "out").read()) == 2
+    assert run(fleet / "in", fleet / "out", workers, still).new == ROBOTS * SESSIONS - 2
+
+
+def test_a_bad_session_is_a_row_and_no_end(fleet, taut):
+    (fleet / "in" / "r0002" / "00" / "motor.csv").write_text("t_s,elsewhere\n0,1\n")
+    done = taut("fleet", fleet / "in", "--out", fleet / "out", "--jobs", 1, "--json")
+    assert done.code == 0
+    said = json.loads(done.out)
+    assert (said["new"], list(said["errors"]), said["sessions"]) == (1, ["r0002/00"], ROBOTS * SESSIONS)
+    assert "r0002/00: 00/motor.csv: " in done.err
+    assert "r0002" in (fleet / "out" / "fleet.html").read_text()
+
+
+# ---- what the rows say
+
+
+def row(robot, session, width, sigma=0.002, batch=None):
+    curve = tuple(np.broadcast_to(width, PLACES.shape).tolist())
+    straight = tuple((12.0 * PLACES).tolist())
+    return Row(
+        robot, f"{session:02d}", "x", batch, verdict="good", unit="mm", q=tuple(PLACES.tolist()), width=curve,
+        width_sigma=(sigma,) * 33, c_deg=straight, c_sigma_deg=(0.1,) * 33, measured_low=-4.0, measured_high=4.0,
+    )  # fmt: skip
+
+
+def fleet_of(rng, count, growth, sessions=6, batches=None, scatter=0.002):
+    """Rows whose B (spread by 30 %, in size and in shape) grows by growth[k] a session."""
+    rows = []
+    for k in range(count):
+        shape = 0.5 * np.exp(rng.normal(0.0, 0.3) + 0.1 * np.sin(0.5 * PLACES + rng.uniform(0.0, 6.0)))
+        for session in range(sessions):
+            size = (1.0 + growth[k] * session) * (1.0 + rng.normal(0.0, scatter))
+            rows.append(row(f"r{k:04d}", session, shape * size, batch=None if batches is None else batches[k]))
+    return compared(rows)
+
+
+def test_wear_is_the_growth_of_the_mean_width_and_its_sigma_has_the_scatter():
+    rng = np.random.default_rng(5)
+    truth = rng.uniform(-0.01, 0.03, 200)
+    last = [each for each in fleet_of(rng, 200, truth, scatter=0.01) if each.session == "05"]
+    # A line through log(1 + g k) is not quite g: less by g / 2 times the mean of k, here at most 0.001.
+    off = np.array([each.wear for each in last]) - truth + 2.5 * truth**2
+    sigma = np.array([each.wear_sigma for each in last])
+    assert np.median(sigma) == pytest.approx(0.01 / np.sqrt(17.5), rel=0.1)  # 17.5: sum of squares of 0..5 about 2.5
+    assert np.sqrt(np.mean((off / sigma) ** 2)) == pytest.approx(1.0, abs=0.15)  # 3 / sqrt(2 * 200)
+
+
+def test_a_later_session_is_told_beside_the_first_usable_one():
+    failed = Row("a", "00", "x", error="nothing")
+    first, later = row("a", 1, 0.5), replace(row("a", 2, 0.55), c_deg=tuple((12.0 * (PLACES - 0.1)).tolist()))
+    rows = compared([failed, first, later])
+    assert rows[0].since is None and rows[1].since is None and rows[2].since == "01"
+    assert rows[2].width_change == pytest.approx(0.1)
+    assert rows[2].offset_change == pytest.approx(-0.1)  # the tip is where it was at q - 0.1
+    assert rows[2].wear == pytest.approx(np.log(1.1))
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_a_worn_batch_of_a_few_is_found_and_no_other(named):
+    rng = np.random.default_rng(11)
+    worn = np.zeros(150, dtype=bool)
+    worn[rng.permutation(150)[:6]] = True
+    growth = np.where(worn, 0.05, 0.006) * rng.lognormal(0.0, 0.2, 150)
+    batches = ["C3" if is_worn else f"A{k % 10}" for k, is_worn in enumerate(worn)] if named else None
+    found = findings(fleet_of(rng, 150, growth, batches=batches))
+    assert {each.name for each in found.worn} == {f"r{k:04d}" for k in np.flatnonzero(worn)}
+    assert [each.name for each in found.worn_batches] == (["C3"] if named else [])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_in_a_sound_fleet_nobody_is_worn_or_unlike(seed):
+    rng = np.random.default_rng(100 + seed)
+    found = findings(fleet_of(rng, 60, 0.006 * rng.lognormal(0.0, 0.3, 60)))
+    assert found.worn == () and found.worn_batches == () and found.unlike == ()
+
+
+def test_a_robot_of_another_shape_is_unlike():
+    rng = np.random.default_rng(8)
+    rows = fleet_of(rng, 60, np.zeros(60), sessions=1)
+    strange = replace(rows[7], width=tuple((0.5 + 0.2 * np.sin(4.0 * PLACES)).tolist()))
+    found = findings([*rows[:7], strange, *rows[8:]])
+    assert [each.name for each in found.unlike] == ["r0007"]
+
+
+def test_two_robots_are_no_fleet_and_nothing_is_said():
+    found = findings(compared([row("a", 0, 0.5), row("b", 0, 0.7)]))
+    assert (found.worn, found.unlike, found.drifting) == ((), (), ())
+
+
+# ---- how B is spread, and what that tells of the next robot
+
+
+APART = np.abs(PLACES[:, None] - PLACES[None, :]) / 3.0
+SCALE = 0.09 * (0.8 + 0.2 * np.exp(-0.5 * APART**2))  # of log B: 30 %, most of it alike everywhere
+
+
+def drawn(rng, count, sigma, repeats=1):
+    """Curves of a known normal distribution, each seen `repeats` times with errors."""
+    truth = -1.0 + rng.multivariate_normal(np.zeros(33), SCALE, count)
+    robot = np.repeat(np.arange(count), repeats)
+    value = truth[robot] + rng.normal(0.0, sigma, (len(robot), 33))
+    return Curves(PLACES, value, np.full(value.shape, sigma), tuple(f"r{k}" for k in robot))
+
+
+@pytest.mark.parametrize("sigma", [0.003, 0.3])
+def test_the_spread_is_the_robots_without_the_sessions_errors(sigma):
+    found = population(drawn(np.random.default_rng(2), 120, sigma, repeats=2))
+    # Of 120 robots the variance is known to sqrt(2 / 120), 13 %; a heavy tail's scale is up to as much below its
+    # variance. With the errors in it it would be twice as much where they are 0.3.
+    assert np.trace(found.scale) == pytest.approx(np.trace(SCALE), rel=0.25)
+
+
+def test_a_new_robot_is_as_far_off_as_the_spread_says():
+    rng = np.random.default_rng(3)
+    found = population(drawn(rng, 150, 0.003))
+    others = drawn(rng, 300, 0.003)
+    chance = found.chance(others.value, others.sigma)
+    assert np.mean(chance < 0.1) == pytest.approx(0.1, abs=0.08)
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.3, 3.0))
+@settings(max_examples=20, deadline=None)
+def test_the_prior_s_gradient_is_that_of_its_logarithm(seed, size):
+    rng = np.random.default_rng(seed)
+    known = Beforehand(PLACES, np.full(33, -1.0), SCALE + 0.01 * np.eye(33), 12.0)
+    basis = Basis(-5.0, 5.0, 20)
+    at = size * np.exp(rng.normal(-1.0, 0.3, basis.size))
+    way = rng.normal(size=basis.size)
+    step = 1e-6 * float(at.min()) / float(np.abs(way).max())
+    rise = known.term(basis, at + step * way)[2] - known.term(basis, at - step * way)[2]
+    # The third value is -2 log p, the gradient half of its: rise / (2 step) = 2 gradient . way.
+    assert rise / (4 * step) == pytest.approx(float(known.term(basis, at)[1] @ way), rel=1e-4, abs=1e-4)
+
+
+@pytest.fixture(scope="module")
+def known_fleet():
+    """The distribution that tools' robots come from, by its own draws: no calibration in it."""
+    rig = robots.reference_rig()
+    made = [robots.Robot(9, k).instrument(k % 3, rig).backlash(PLACES) for k in range(100)]
+    value = np.log(np.array(made))
+    sigma = np.full(value.shape, 0.002)
+    found = population(Curves(PLACES, value, sigma, tuple(f"r{k}" for k in range(100))))
+    return Beforehand(found.q, found.mean, found.scale, found.freedom)
+
+
+@pytest.mark.parametrize("worn", [False, True])
+def test_five_seconds_with_a_fleet_cover_over_all_of_the_range(known_fleet, worn):
+    """Robots that are not of the fleet; the worn have nine sessions of the worse wear, where the fleet's have three."""
+    rig, known = robots.reference_rig(), known_fleet
+    z, sigma, alone = [], [], []
+    for number in range(500, 504):
+        robot, session = robots.Robot(9, number, worn), 9 if worn else 2
+        recording, truth = robot.recording(session, 5.0, rig), robot.instrument(session, rig).backlash(PLACES)
+        for options, kept in ((Options(beforehand=known), sigma), (Options(), alone)):
+            model = calibrate([recording], rig, options).model
+            kept.append(np.interp(PLACES, model.q, model.width_sigma))
+            if options.beforehand is not None:
+                z.append((np.interp(PLACES, model.q, model.width) - truth) / kept[-1])
+    # Four robots have some 40 independent places: 90 % of them to 5 %.
+    assert np.mean(np.abs(z) < 1.645) > 0.8
+    assert np.sqrt(np.mean(np.square(sigma))) < 0.2 * np.sqrt(np.mean(np.square(alone)))  # beyond the reversals, too
+
+
+def test_a_fleet_s_prior_is_read_by_the_next_calibration(fleet, taut):
+    found = taut("fleet", fleet / "in", "--out", fleet / "out", "--jobs", 1, "--json")
+    assert found.code == 0
+    one = fleet / "in" / "r0000" / "00"
+    with_it = taut("calibrate", one, "--prior", fleet / "out", "--out", fleet / "model", "--json")
+    without = taut("calibrate", one, "--out", fleet / "alone", "--json")
+    sigma = [json.loads(done.out)["backlash"]["sigma"][0] for done in (with_it, without)]
+    assert sigma[0] < 0.5 * sigma[1]  # at the end of the range, which no reversal reached
+    assert "known beforehand" in " ".join(json.loads(with_it.out)["notes"])
+
+
+def test_a_prior_of_other_robots_is_refused(fleet, taut):
+    rig = robots.reference_rig()
+    rows = fleet_of(np.random.default_rng(1), 5, np.zeros(5), sessions=1)
+    prior.write(rows, fleet / "out")
+    assert prior.read(fleet / "out", rig).q[0] == -5.0
+    with pytest.raises(TautError, match="from -5 to 5 mm, this one from -4 to 5 mm: use a fleet of its own make"):
+        prior.read(fleet / "out", replace(rig, actuator=replace(rig.actuator, range=(-4.0, 5.0))))
+    with pytest.raises(TautError, match="taut fleet FOLDER --out"):
+        prior.read(fleet / "nowhere", rig)
+    (fleet / "out" / prior.FILE).write_text("{}")
+    with pytest.raises(TautError, match="damaged"):
+        prior.read(fleet / "out", rig)
+    with pytest.raises(TautError, match="3 robots of one range are calibrated"):
+        prior.write(rows[:3], fleet / "out")
+    done = taut("calibrate", "--simulate", "--prior", fleet / "out", "--out", fleet / "model")
+    assert done.code == 2 and "taut record" in done.err
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("dies", ["once", "always"])
+def test_a_worker_of_a_cluster_that_dies_loses_nothing(tmp_path, dies):
+    marked = str(tmp_path / "died") if dies == "once" else dies
+    work = ((str(number), (number, marked)) for number in range(8))
+    with (
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        pool(None, cluster.scheduler_address, lambda name: f"{name} died") as workers,
+    ):
+        done = dict(workers(doubled, work))
+    expected = {str(number): 2 * number for number in range(8)}
+    assert done == expected | ({"3": "3 died"} if dies == "always" else {})
+
+
+@pytest.mark.long
+def test_a_fleet_on_a_cluster_says_the_same(made, tmp_path, taut):
+    folder, here = made
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        done = taut("fleet", folder / "in", "--out", tmp_path, "--cluster", cluster.scheduler_address, "--json")
+    assert json.loads(done.out)["new"] == ROBOTS * SESSIONS
+    there = DataSet(tmp_path).read().values()
+    assert [replace(row, seconds=None) for row in there] == [replace(row, seconds=None) for row in here.rows]
