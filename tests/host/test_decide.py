@@ -59,6 +59,22 @@ def test_what_the_calibration_leaves_of_itself_is_no_gap():
     assert decide(replace(gap, calibrated=1.25 * FLOOR**2)).name == "none"
 
 
+@pytest.mark.parametrize("times", (1.2, 1.35, 1.5))
+def test_one_misfit_that_all_recordings_share_counts_once(times):
+    """Of a calibration that leaves so many times the noise, tests just as bad: an effect that takes a third of it in
+    every block takes a third of one misfit, and is nothing. Of a calibration that leaves noise it is a gap."""
+    above = times**2 - 1.0
+    gap = evidence({(STATIC,): 0.66, (LAG,): 0.9, (STATIC, LAG): 0.6}, before=above)
+    assert decide(replace(gap, calibrated=times**2 * FLOOR**2)).none > 0.95
+    assert decide(gap).name != "none" or times < 1.3
+
+
+def test_a_law_that_takes_all_that_the_calibration_leaves_is_an_effect():
+    """It was there from the start: a misfit of no law is not followed to the noise by one."""
+    gap = evidence({(LAG,): 0.002, (CREEP,): 0.7}, before=3.0)
+    assert decide(replace(gap, calibrated=4.0 * FLOOR**2)).named == (LAG,)
+
+
 def test_a_small_gap_that_an_effect_closes_is_no_noise():
     """1.2 times the noise: less than any factor on the floor would find without crying wolf."""
     verdict = decide(evidence({(LAG,): 0.02, (CREEP,): 0.9, (DRIFT,): 1.0}, before=0.45))

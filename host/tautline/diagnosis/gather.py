@@ -217,9 +217,9 @@ class _Weighing:
     def evidence(self) -> CaseEvidence:
         fitter = self.search.fitter
         weighed = tuple(replace(h, chance=self._chance(i)) for i, h in enumerate(self._weighed))
-        weighed_kinds, own = len(self.search.kinds), int(self.search.labels[0].max()) + 1
+        weighed_kinds = len(self.search.kinds)
         return CaseEvidence(
-            fitter.floor, self._frozen, weighed, weighed_kinds, self._calibrated, fitter.doubt, fitter.unsteady, own
+            fitter.floor, self._frozen, weighed, weighed_kinds, self._calibrated, fitter.doubt, fitter.unsteady
         )
 
     def _chance(self, law: int) -> float:

@@ -78,7 +78,6 @@ class CaseEvidence:
     calibrated: float = 0.0  # mean square that the calibrated model leaves of its own calibration
     doubt: float = 0.0  # of the noise power's logarithm: how far it may be off, where that was seen
     unsteady: float = 0.0  # its standard deviation between blocks
-    own: int = 0  # blocks of the calibration: they are the first
 
     def to_json(self) -> dict[str, Any]:
         """All that `decide` is told: plain, once tautline.plain.plain was applied."""
