@@ -13,7 +13,7 @@ static const struct effect_parameter PARAMETERS[COUNT] = {
     {"slip_time_3", 0, "s", ""},
     {"slip_time_4", 0, "s", ""},
 };
-static const double SAME_S = 1e-9; // two times that are one: far below a frame, far above a double's last digit
+static const double AT_ONCE_S = 1e-9; // far below a frame, far above a double's last digit
 
 static int present(const double *v) {
     return v[0] != 0.0 || v[1] != 0.0 || v[2] != 0.0 || v[3] != 0.0;
@@ -23,10 +23,10 @@ static void drive(const double *v, double *state, const struct effect_moment *no
     (void)state;
     for (int i = 0; i < TIMES; i++) {
         const double until = v[TIMES + i] - now->session_s;
-        if (until < SAME_S) {
+        if (until < -AT_ONCE_S) {
             to->q += v[i];
-        } else if (v[i] != 0.0) {
-            to->again_s = fmin(to->again_s, until);
+        } else if (v[i] != 0.0) { // as far as the tip is carried until then, and at once from there
+            to->again_s = fmin(to->again_s, until > AT_ONCE_S ? until : 3.0 * AT_ONCE_S);
         }
     }
 }
