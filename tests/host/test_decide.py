@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tautline.diagnosis.decide import Decision, decide, that_help
+from tautline.diagnosis.decide import Decision, _one_of, decide, that_help
 from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.hypotheses import Beyond, CaseEvidence, Wander, Weighed
 from tautline.plain import plain
@@ -84,6 +84,40 @@ def test_a_small_gap_that_an_effect_closes_is_no_noise():
 def test_a_gap_that_recalibrating_closes_is_a_gap():
     verdict = decide(evidence({(LAG,): 1.0, (CREEP,): 1.0}, before=0.02, frozen=50.0))
     assert verdict.name != "none" and verdict.none < 0.01
+
+
+LOAD, RATE = "transmission.load_dependence", "transmission.rate_dependent_backlash"
+
+
+def test_what_is_there_beside_an_effect_may_be_one_of_several():
+    """Two or more are sure, and which the second is is not: naming none leaves one out for sure."""
+    singles = {(LOAD,): 0.3, (RATE,): 0.8, (DELAY,): 0.8}
+    verdict = decide(evidence({**singles, (LOAD, RATE): 0.004, (LOAD, DELAY): 0.004}))
+    assert verdict.named[0] == LOAD and {verdict.named[1], *verdict.instead} == {RATE, DELAY}
+    assert verdict.probability[1] < 2.0 / 3.0 < verdict.probability[0]
+    assert sum(verdict.count[2:]) > 0.9
+    certain = decide(evidence({**singles, (LOAD, RATE): 0.004, (LOAD, DELAY): 0.1}))
+    assert certain.named == (LOAD, RATE) and certain.instead == ()
+
+
+def test_one_of_several_is_named_where_one_is_likelier_than_not_by_two_to_one():
+    """Naming a wrong one costs as much as leaving two right ones out: from 2/3 on, of any of them together."""
+
+    def told(with_rate: float, with_delay: float) -> list[str]:
+        alone = 1.0 - with_rate - with_delay
+        sets = {frozenset({LOAD}): alone, frozenset({LOAD, RATE}): with_rate, frozenset({LOAD, DELAY}): with_delay}
+        return [name for name in _one_of(sets, [LOAD]) if name]
+
+    assert told(0.70, 0.10) == [RATE]
+    assert told(0.40, 0.30) == [RATE, DELAY]
+    assert told(0.36, 0.30) == []
+
+
+@given(st.lists(st.floats(1e-3, 1.0), min_size=4, max_size=4))
+def test_the_probabilities_of_how_many_there_are_add_up(left):
+    found = evidence(dict(zip([(LAG,), (CREEP,), (LAG, CREEP), (LAG, DRIFT)], left, strict=True)))
+    verdict = decide(found)
+    assert sum(verdict.count) == pytest.approx(1.0) and verdict.count[0] == pytest.approx(verdict.none)
 
 
 def test_effects_that_leave_the_same_come_as_a_set():

@@ -201,6 +201,7 @@ def test_the_command_writes_what_the_format_says(tmp_path, monkeypatch, capsys):
         *("before", "after", "before_ci", "after_ci", "shrink", "shrink_ci", "closable_shrink"),
     }
     assert document["gap_recalibrated"]["before"] > 0
+    assert len(document["count"]) == 4 and sum(document["count"]) == pytest.approx(1.0)
     for effect in document["effects"]:
         assert set(effect) == {
             *("id", "probability", "since", "parameters", "shrink"),
