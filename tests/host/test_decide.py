@@ -120,6 +120,15 @@ def test_the_probabilities_of_how_many_there_are_add_up(left):
     assert sum(verdict.count) == pytest.approx(1.0) and verdict.count[0] == pytest.approx(verdict.none)
 
 
+def test_what_is_named_is_as_many_as_are_counted():
+    """Two parts of the nominal model are two; what an effect brings is none."""
+    verdict = decide(evidence({(DELAY,): 0.1, (WIDTH,): 0.3, (DELAY, WIDTH): 0.005}))
+    assert len(verdict.named) == np.argmax(verdict.count) == 2
+    onset = "transmission.smooth_onset"
+    alone = decide(evidence({(onset,): 0.1, (WIDTH,): 0.3, (onset, WIDTH): 0.005}))
+    assert alone.named == (onset,) and alone.brought == (WIDTH,) and np.argmax(alone.count) == 1
+
+
 def test_effects_that_leave_the_same_come_as_a_set():
     verdict = decide(evidence({(LAG,): 0.005, (DRIFT,): 0.005, (CREEP,): 0.8}))
     assert verdict.name == "effect" and set(verdict.ambiguous()) == {LAG, DRIFT}

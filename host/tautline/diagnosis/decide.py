@@ -41,7 +41,7 @@ class Decision:
         str, ...
     ] = ()  # parts of the nominal model in it that a named effect moved too: no causes of their own
     instead: tuple[str, ...] = ()  # any of these may be there in the last named one's place: it is one of them
-    count: tuple[float, ...] = ()  # probability of 0, 1, 2 and of 3 or more causes; an unknown one is one
+    count: tuple[float, ...] = ()  # probability of 0, 1, 2 and of 3 or more effects; an unknown one is one
 
     @property
     def name(self) -> str:
@@ -128,8 +128,8 @@ def _one_of(given: Mapping[frozenset[str], float], named: Sequence[str]) -> tupl
 
 
 def _count(case: Stacked, p: Array) -> tuple[float, ...]:
-    causes = np.minimum(case.causes, 3)
-    told = np.bincount(causes, p[:-1], minlength=4)
+    many = [min(len(case.leaders[key]), 3) for key in case.sets]
+    told = np.bincount(many, p[:-1], minlength=4)
     told[1] += p[-1]
     return tuple(told.tolist())
 
