@@ -41,6 +41,7 @@ LAST = Motor(
 OF_A_JOINT = BY_ID["configuration.axis_coupling"].of_joint("wrist_deg")
 OFFSET, LOAD = 120.0, 25.0  # when the last test began in the session; the calibration's load
 SHAPES = {"encoder_period": 0.7, "asymmetry_travel": 0.4, "creep_time": 1.0, "contact_c": 15.0, "shift_time": 140.0}
+SHAPES |= {"slip_time_1": -1e3, "slip_time_4": 140.0}
 
 
 def values(kind) -> dict[str, float]:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tautline.diagnosis.decide import Decision, decide, that_help
+from tautline.diagnosis.decide import Decision, _one_of, decide, that_help
 from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.hypotheses import Beyond, CaseEvidence, Wander, Weighed
 from tautline.plain import plain
@@ -59,6 +59,22 @@ def test_what_the_calibration_leaves_of_itself_is_no_gap():
     assert decide(replace(gap, calibrated=1.25 * FLOOR**2)).name == "none"
 
 
+@pytest.mark.parametrize("times", (1.2, 1.35, 1.5))
+def test_one_misfit_that_all_recordings_share_counts_once(times):
+    """Of a calibration that leaves so many times the noise, tests just as bad: an effect that takes a third of it in
+    every block takes a third of one misfit, and is nothing. Of a calibration that leaves noise it is a gap."""
+    above = times**2 - 1.0
+    gap = evidence({(STATIC,): 0.66, (LAG,): 0.9, (STATIC, LAG): 0.6}, before=above)
+    assert decide(replace(gap, calibrated=times**2 * FLOOR**2)).none > 0.95
+    assert decide(gap).name != "none" or times < 1.3
+
+
+def test_a_law_that_takes_all_that_the_calibration_leaves_is_an_effect():
+    """It was there from the start: a misfit of no law is not followed to the noise by one."""
+    gap = evidence({(LAG,): 0.002, (CREEP,): 0.7}, before=3.0)
+    assert decide(replace(gap, calibrated=4.0 * FLOOR**2)).named == (LAG,)
+
+
 def test_a_small_gap_that_an_effect_closes_is_no_noise():
     """1.2 times the noise: less than any factor on the floor would find without crying wolf."""
     verdict = decide(evidence({(LAG,): 0.02, (CREEP,): 0.9, (DRIFT,): 1.0}, before=0.45))
@@ -68,6 +84,49 @@ def test_a_small_gap_that_an_effect_closes_is_no_noise():
 def test_a_gap_that_recalibrating_closes_is_a_gap():
     verdict = decide(evidence({(LAG,): 1.0, (CREEP,): 1.0}, before=0.02, frozen=50.0))
     assert verdict.name != "none" and verdict.none < 0.01
+
+
+LOAD, RATE = "transmission.load_dependence", "transmission.rate_dependent_backlash"
+
+
+def test_what_is_there_beside_an_effect_may_be_one_of_several():
+    """Two or more are sure, and which the second is is not: naming none leaves one out for sure."""
+    singles = {(LOAD,): 0.3, (RATE,): 0.8, (DELAY,): 0.8}
+    verdict = decide(evidence({**singles, (LOAD, RATE): 0.004, (LOAD, DELAY): 0.004}))
+    assert verdict.named[0] == LOAD and {verdict.named[1], *verdict.instead} == {RATE, DELAY}
+    assert verdict.probability[1] < 2.0 / 3.0 < verdict.probability[0]
+    assert sum(verdict.count[2:]) > 0.9
+    certain = decide(evidence({**singles, (LOAD, RATE): 0.004, (LOAD, DELAY): 0.1}))
+    assert certain.named == (LOAD, RATE) and certain.instead == ()
+
+
+def test_one_of_several_is_named_where_one_is_likelier_than_not_by_two_to_one():
+    """Naming a wrong one costs as much as leaving two right ones out: from 2/3 on, of any of them together."""
+
+    def told(with_rate: float, with_delay: float) -> list[str]:
+        alone = 1.0 - with_rate - with_delay
+        sets = {frozenset({LOAD}): alone, frozenset({LOAD, RATE}): with_rate, frozenset({LOAD, DELAY}): with_delay}
+        return [name for name in _one_of(sets, [LOAD]) if name]
+
+    assert told(0.70, 0.10) == [RATE]
+    assert told(0.40, 0.30) == [RATE, DELAY]
+    assert told(0.36, 0.30) == []
+
+
+@given(st.lists(st.floats(1e-3, 1.0), min_size=4, max_size=4))
+def test_the_probabilities_of_how_many_there_are_add_up(left):
+    found = evidence(dict(zip([(LAG,), (CREEP,), (LAG, CREEP), (LAG, DRIFT)], left, strict=True)))
+    verdict = decide(found)
+    assert sum(verdict.count) == pytest.approx(1.0) and verdict.count[0] == pytest.approx(verdict.none)
+
+
+def test_what_is_named_is_as_many_as_are_counted():
+    """Two parts of the nominal model are two; what an effect brings is none."""
+    verdict = decide(evidence({(DELAY,): 0.1, (WIDTH,): 0.3, (DELAY, WIDTH): 0.005}))
+    assert len(verdict.named) == np.argmax(verdict.count) == 2
+    onset = "transmission.smooth_onset"
+    alone = decide(evidence({(onset,): 0.1, (WIDTH,): 0.3, (onset, WIDTH): 0.005}))
+    assert alone.named == (onset,) and alone.brought == (WIDTH,) and np.argmax(alone.count) == 1
 
 
 def test_effects_that_leave_the_same_come_as_a_set():

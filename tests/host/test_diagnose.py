@@ -17,7 +17,7 @@ from tautline.diagnosis.fit import Fit, Fitter, Hypothesis
 from tautline.diagnosis.segment import prepare
 from tautline.effects import LIBRARY, STAGES
 from tautline.model import Model
-from tautline.prediction import predict
+from tautline.prediction import foretold, predict
 from tautline.recording import Marker, Recording, save
 from tautline.simulated import simulate
 from tautline.simulated.instrument import preset, reference_rig
@@ -141,6 +141,31 @@ def test_a_shift_that_takes_its_time_is_nothing_else_besides():
     assert [effect["id"] for effect in document["effects"]] == ["registration.shift"]
 
 
+def test_counts_that_were_lost_are_a_slip_and_mended_by_it():
+    """By what they are, and not by the library: the motor is elsewhere than the encoder says, twice in one recording.
+    The further motion begins where that left it."""
+    actuator = RIG.actuator
+    plain = recordings()
+    lost = np.array([11.3, 22.6]), np.array([0.06, -0.15])  # s, mm
+
+    def with_lost(motion, calibrated, seed):
+        gone = np.array([lost[1][lost[0] <= t].sum() for t in motion.t_s]) if calibrated is plain[1] else lost[1].sum()
+        moved = simulate.simulate(
+            RIG, preset("reference", RIG), replace(motion, q=motion.q + gone), noise_px=NOISE, seed=seed
+        )
+        return replace(moved, motor=calibrated.motor)
+
+    test = with_lost(trajectory.trapezoids(actuator, 0.9, 2.6, 5, 8.0, 0.8).with_sway(2.0, 20.0, 20.0), plain[1], 4)
+    further = with_lost(trajectory.sines(actuator, 1.5, 30.0).with_sway(1.5, 15.0, 13.0), plain[2], 5)
+    found = diagnose(true_model(), plain[0], [test])
+    assert [effect["id"] for effect in found.document["effects"]] == ["transmission.slip"], found.document["candidates"]
+    told = found.document["effects"][0]["parameters"]
+    slips = sorted((told[f"slip_time_{i}"], told[f"slip_{i}"]) for i in (1, 2))
+    assert [size for _, size in slips] == pytest.approx([0.06, -0.15], abs=0.01)
+    before, after = (foretold(model, further, found.nominal) for model in (found.nominal, found.corrected))
+    assert after < 1.3 * NOISE < 0.2 * before
+
+
 def test_what_sticking_holds_back_is_predicted():
     """Of the second instrument, whose grip scatters: after the calibration the play is wider in the mean."""
     case = cases.make(20912, "single", ("transmission.stick_slip",))
@@ -176,6 +201,7 @@ def test_the_command_writes_what_the_format_says(tmp_path, monkeypatch, capsys):
         *("before", "after", "before_ci", "after_ci", "shrink", "shrink_ci", "closable_shrink"),
     }
     assert document["gap_recalibrated"]["before"] > 0
+    assert len(document["count"]) == 4 and sum(document["count"]) == pytest.approx(1.0)
     for effect in document["effects"]:
         assert set(effect) == {
             *("id", "probability", "since", "parameters", "shrink"),

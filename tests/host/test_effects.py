@@ -205,6 +205,27 @@ def test_configuration_effects_act_on_the_angle():
     np.testing.assert_allclose(held, np.minimum(plain, 10 + 0.25 * (plain - 10)), atol=1e-9)
 
 
+@pytest.mark.parametrize("frame_s", (0.04, 3.0))
+def test_a_slip_is_a_motor_that_is_elsewhere_from_then_on(frame_s):
+    """As a motor that is moved by as much within a microsecond, at whatever times one looks and however few corners its
+    path has: the tip was carried on until then. Counts that are found again are another slip, back."""
+    t = np.arange(3.0, 27.0, frame_s)
+    corners_s = np.array([0.0, 6.0, 12.0, 18.0, 20.0, 26.0, 28.0])
+    motor = Motor(corners_s, np.array([0.0, 4.0, -4.0, 4.0, 4.0, -4.0, -4.0]))
+    slips = {"slip_1": 0.4, "slip_time_1": 35.01, "slip_2": -0.7, "slip_time_2": 37.9}
+    moved_s = np.array([15.01, 15.01 + 1e-6, 17.9, 17.9 + 1e-6])
+    every = np.union1d(corners_s, moved_s)
+    elsewhere = np.interp(every, moved_s, [0.0, 0.4, 0.4, -0.3], left=0.0, right=-0.3)
+    slipped = Motor(every, np.interp(every, corners_s, motor.q) + elsewhere)
+    told = simulate(MODEL, motor, t, slips, clock_offset_s=20.0)
+    expected = simulate(MODEL, slipped, t, {})
+    np.testing.assert_allclose(told.p, expected.p, atol=1e-5)
+    plain = simulate(MODEL, motor, t, {})
+    assert np.abs(told.p - plain.p).max() > 0.2
+    back = simulate(MODEL, motor, t, {**slips, "slip_3": 0.3, "slip_time_3": -1e3}, clock_offset_s=20.0)
+    np.testing.assert_allclose(back.p[t > 24.0], plain.p[t > 24.0], atol=1e-9)
+
+
 def test_registration_and_camera():
     t = np.arange(7.0, 17.0, 0.05)
     plain = simulate(MODEL, STROKES, t, {}).image_px

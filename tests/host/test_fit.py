@@ -9,6 +9,7 @@ from tautline import effects, trajectory
 from tautline.core.session import SessionClock
 from tautline.diagnosis.candidates import applicable
 from tautline.diagnosis.fit import Fitter, Hypothesis
+from tautline.diagnosis.moments import refined
 from tautline.diagnosis.screen import screen
 from tautline.diagnosis.segment import prepare
 from tautline.effects import BY_ID
@@ -142,6 +143,7 @@ FITTED = [
     {"curvature_gradient": 0.6},
     {"tilt_x": 0.4, "tilt_y": -0.3, "tilt_travel": 0.02},
     {"shift_rx": 0.6, "shift_y": 0.3, "shift_time": 104.03},
+    {"slip_1": -0.06, "slip_time_1": 102.53},
     {"k1": -0.2, "p1": 0.01},
 ]
 # What is in front of the tip while calibrating already is f_remain.
@@ -158,10 +160,27 @@ def test_the_right_effect_is_fitted_down_to_the_noise(parameters, throughout):
     limits = [10.0 * float(np.abs(r).max()) for r in base.residuals]
     entries = {entry.scope: entry for entry in screen(fitter, base, [kind], limits)}
     entry = entries.get(not throughout) or entries[False]
-    found = fitter.fit(Hypothesis().plus(kind, entry.scope), entry.values, base.state, entry.others)
+    found = fitter.fit(Hypothesis().plus(entry.kind, entry.scope), entry.values, base.state, entry.others)
     assert rms(found.residuals) < 1.1 * NOISE, (rms(base.residuals), found.state.values)
-    if "shift_time" in parameters:
-        assert found.state.values["shift_time"] == pytest.approx(parameters["shift_time"], abs=0.05)
+    for moment in entry.kind.moments:
+        assert found.state.values[moment] == pytest.approx(parameters[moment], abs=0.05)
+
+
+def test_what_slips_twice_is_found_twice():
+    """One before which the tip was carried to a frame (0.04 s); of one that the play takes up nothing is seen until the
+    tip is carried again."""
+    truth = {"slip_1": -0.06, "slip_time_1": 102.53, "slip_2": 0.09, "slip_time_2": 110.01}
+    fitter = fitter_of(recordings(truth))
+    base = fitter.nominal()
+    limits = [1e3] * len(base.residuals)
+    once, *_ = screen(fitter, base, [BY_ID["transmission.slip"]], limits)
+    twice = once.more[0]
+    found = fitter.fit(Hypothesis().plus(twice.kind, twice.scope), twice.values, base.state)
+    found = refined(fitter, found, limits)
+    assert rms(found.residuals) < 1.1 * NOISE
+    slips = sorted((found.state.values[f"slip_time_{i}"], found.state.values[f"slip_{i}"]) for i in (1, 2))
+    assert [size for _, size in slips] == pytest.approx([-0.06, 0.09], abs=2e-3)
+    assert [at for at, _ in slips] == pytest.approx([102.53, 110.01], abs=0.2)
 
 
 def test_an_axis_that_never_moved_hides_no_other():

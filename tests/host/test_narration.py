@@ -78,6 +78,15 @@ def test_a_shrinkage_and_what_is_closed_above_the_noise_are_told_as_two_things()
     assert "above the noise" not in narration.sentence(explained(0.97, 0.99))
 
 
+def test_a_second_effect_may_be_one_of_several():
+    made = explained(0.88, 1.0)
+    others = ["acquisition.delay", "transmission.lag"]
+    made["effects"].append({**made["effects"][0], "id": "transmission.creep", "probability": 0.4, "ambiguous_with": []})
+    assert "or else" not in narration.sentence(made)
+    made["effects"][1]["ambiguous_with"] = others
+    assert "(transmission.creep, 40 % sure, or else acquisition.delay or transmission.lag)" in narration.sentence(made)
+
+
 def test_a_width_is_told_in_the_motors_unit():
     q = np.linspace(-5.0, 5.0, 101)
     models = [Model(RIG, q, np.full(101, b), 0.01 + 0 * q, PLANT.bend(q), 0.08, (-4.0, 4.0)) for b in (0.4, 0.253)]

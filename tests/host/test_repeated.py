@@ -61,6 +61,7 @@ def diagnosed(spoilt=stalled) -> Diagnosis:
 def test_stalls_are_the_gap_and_not_friction():
     document = diagnosed().document
     assert document["verdict"] == "effect" and [e["id"] for e in document["effects"]] == [HELD]
+    assert sum(document["count"]) == pytest.approx(1.0) and document["count"][1] > 0.9
     assert document["gap"]["before"] > 20.0 * NOISE and document["gap"]["after"] == pytest.approx(NOISE, rel=0.15)
     assert document["effects"][0]["parameters"]["held_share"] == pytest.approx(14 / 75, abs=0.02)
     assert document["effects"][0]["since"] == "calibration"

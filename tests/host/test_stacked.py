@@ -72,20 +72,39 @@ def test_far_too_much_is_left_in_very_many_blocks():
 @settings(deadline=None, max_examples=25)
 @given(st.integers(0, 10_000), st.floats(0.3, 3.0), st.floats(1.0, 30.0), st.floats(1.0, 9.0), st.floats(0.01, 0.5))
 def test_a_block_is_student_distributed_about_what_is_predicted(seed, misfit, noise, freedom, excess):
-    evidence = case(seed, 12)
+    evidence = case(seed, 12, calibrated=1.0)
     stacked = Stacked(evidence)
     told = stacked.by_share(misfit, noise, freedom, excess)
     before = np.maximum(evidence.hypotheses[0].power - FLOOR**2, 0.0)
     for i, h in enumerate(evidence.hypotheses):
-        floor2 = 2.0 * FLOOR**2 if h.ids == (OFFSET,) else FLOOR**2  # no more exact than it was where it was calibrated
         for share, value in zip(SHARES[::8], told[i, ::8], strict=True):
             expected = 0.0
             for power, gap in zip(h.power, before, strict=True):
                 tells = misfit + noise * (FLOOR**2 / (FLOOR**2 + gap)) ** 2
-                predicted = (1.0 + excess) * floor2 + share * gap
+                predicted = (1.0 + excess) * FLOOR**2 + share * gap
                 expected -= 0.5 * tells * np.log(predicted)
                 expected -= 0.5 * (freedom + tells) * np.log1p(tells * power / (freedom * predicted))
             assert value == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.integers(1, 20), st.integers(1, 6), st.floats(1.0, 4.0), st.floats(0.3, 5.0))
+def test_what_the_calibration_leaves_is_in_all_blocks_the_same(blocks, numbers, calibrated, alone):
+    """k numbers a block, white noise of variance `alone` and beside it k numbers that are the same in all blocks: the
+    determinant of their covariance is what a likelihood by blocks lacks."""
+    none = np.zeros(blocks)
+    quiet = Weighed((), np.full(blocks, FLOOR**2), none, none, 0)  # no gap: a block tells as much as one of noise does
+    stacked = Stacked(CaseEvidence(FLOOR, quiet.power, (quiet,), 18, calibrated * FLOOR**2))
+    most = calibrated - 1.0
+    for beside in (-0.2, 0.0, 0.4 * most, most, 2.0 * most):
+        seen = np.full(blocks, (alone + beside) * FLOOR**2)
+        predicted, once = stacked.with_own(np.full(blocks, alone * FLOOR**2), seen, 0.4, numbers - 0.4)
+        own = min(max(beside, 0.0), most)
+        assert predicted == pytest.approx((alone + own) * FLOOR**2)
+        same = np.kron(np.ones((blocks, blocks)), np.eye(numbers))
+        covariance = alone * np.eye(blocks * numbers) + own * same
+        by_blocks = -0.5 * numbers * np.sum(np.log(predicted / FLOOR**2))
+        assert by_blocks + once == pytest.approx(-0.5 * np.linalg.slogdet(covariance)[1], rel=1e-9, abs=1e-9)
 
 
 @settings(deadline=None, max_examples=25)

@@ -99,6 +99,7 @@ def parameters(kind: Kind, span: float, seconds: float) -> dict[str, float]:
     def scaled(unit: str, value: float) -> float:
         return value * span if unit.startswith("unit") else value
 
+    kind = kind.happening(1) if kind.moments else kind
     shown = kind.amplitudes
     if len(shown) > _FEW:  # a rigid motion's first part, or one piece of a curve
         shown = shown[:1] if not shown[0].name[-1].isdigit() else shown[len(shown) // 2 :][:1]
@@ -106,6 +107,6 @@ def parameters(kind: Kind, span: float, seconds: float) -> dict[str, float]:
     for p in kind.shapes:
         values[p.name] = float(scaled(p.unit, p.shape[0] if p.shape else p.scale))
     values |= {"encoder_period": 0.3 * span} if "encoder_period" in values else {}
-    values |= {"shift_time": 0.5 * seconds} if "shift_time" in values else {}
+    values |= dict.fromkeys(kind.moments, 0.5 * seconds)
     values |= {"contact_c": _CONTACT_DEG, "contact_hold": 0.9} if "contact_c" in values else {}
     return values

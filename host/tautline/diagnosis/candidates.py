@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import effects
-from tautline.diagnosis import confined, gap, heldout, wander
+from tautline.diagnosis import confined, gap, heldout, moments, wander
 from tautline.diagnosis.fit import Fit, Fitter, ParameterState, Scope, outlier_limit
 from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.hypotheses import Beyond, Wander
@@ -21,7 +21,6 @@ Array = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
 
 
-_MARGIN_S = 1.0  # before and after a shift that a recording has to show
 _CHANGES = 0.15  # share of a change with time that a recording has to show
 _LITTLE = 0.1
 _OF_A_CURVE = 3  # coefficients that count
@@ -134,15 +133,25 @@ class Search:
             seen.setdefault(entry.kind.id, {}).setdefault(entry.scope, entry)
         candidates: list[Candidate] = []
 
-        def refit(entry: Screened) -> None:
+        def refit(entry: Screened) -> Candidate | None:
             self._progress(f"fitting {' and '.join((*below.ids, entry.kind.id))}")
             start = {**below.fit.state.values, **entry.values}
             hypothesis = below.fit.hypothesis.plus(entry.kind, entry.scope)
             fit = self.fitter.fit(hypothesis, start, below.fit.state, entry.others)
-            if not fit.finite:
-                return
-            if (entry.kind.scan != "moment" or self._seen_to_happen(fit)) and self._seen_to_change(fit):
-                candidates.append(self.judged(fit))
+            if fit.finite and moments.moments_of(fit):
+                fit = moments.refined(self.fitter, fit, self.limits)
+            if not (fit.finite and moments.seen_to_happen(self.fitter, fit, self.limits) and self._seen_to_change(fit)):
+                return None
+            candidates.append(self.judged(fit))
+            return candidates[-1]
+
+        def as_often_as_it_helps(entry: Screened) -> None:
+            before = refit(entry)
+            for often in entry.more:
+                one = refit(often) if before else None
+                if one is None or before is None or _loss(one) > _loss(before):
+                    return
+                before = one
 
         leading = list(seen)[:refits]
         for name, scopes in seen.items():
@@ -151,7 +160,7 @@ class Search:
             # a simulator's parameters, which it need not be straight in.
             few = best.kind.nominal or best.kind.stage == SIMULATOR
             if name in leading or (both_scopes and few):
-                refit(best)
+                as_often_as_it_helps(best)
             for other in rest if both_scopes and best.kind.each else []:
                 refit(other)
         candidates.sort(key=_loss)
@@ -209,18 +218,6 @@ class Search:
         fit = self.fitter.fit(hypothesis, values, below.fit.state, [little])
         return self.judged(fit) if fit.finite and fit.state.values[kind.event.mean] > 0.0 else None
 
-    def _seen_to_happen(self, fit: Fit) -> bool:
-        """A recording shows it: what comes before in it fits better without the shift, and what comes after with it. A
-        shift between two recordings is a wrong registration of those after it."""
-        shift_s = fit.state.values["shift_time"]
-        for i, segment in enumerate(self.fitter.segments):
-            seen = segment.arrival_s[segment.scored] + segment.offset_s
-            if seen[0] + _MARGIN_S < shift_s < seen[-1] - _MARGIN_S:
-                never, always = (self._squares(fit, i, at) for at in (np.inf, -np.inf))
-                before = seen < shift_s
-                return bool(never[before].sum() < always[before].sum() and never[~before].sum() > always[~before].sum())
-        return False
-
     def _seen_to_change(self, fit: Fit) -> bool:
         """Of an effect that goes with time: some recording shows more of its change than is there throughout. What is
         constant in every recording is another width or offset."""
@@ -235,14 +232,6 @@ class Search:
         ]
         most = max(abs(value) for ends in at for value in ends)
         return max(abs(last - first) for first, last in at) > _CHANGES * most
-
-    def _squares(self, fit: Fit, which: int, shift_s: float) -> Array:
-        """(scored,) of a recording, outliers pulled in, had the shift happened then."""
-        segment, limit = self.fitter.segments[which], self.limits[which]
-        state = replace(fit.state, values={**fit.state.values, "shift_time": shift_s})
-        _, predicted = segment.predict(state.model, state.at(segment, fit.hypothesis), self.fitter.load_reference)
-        left = (segment.observed - predicted)[segment.scored]
-        return np.asarray(np.sum(np.minimum(np.abs(left), limit) ** 2, axis=1))
 
 
 def _loss(candidate: Candidate) -> float:

@@ -20,7 +20,9 @@ from tautline.effects import EVENTS
 
 Array = npt.NDArray[np.float64]
 
-FURTHER = 0.8  # probability of a further effect, given those before: who mends what is right loses more than by waiting
+# Of a further effect, given those before: naming a wrong one costs as much as leaving two right ones out.
+FURTHER = 2.0 / 3.0
+_ONE_OF = 3  # effects at most that are named as one of them
 MOVED = 0.2  # share of what a recalibration closes from which on a part of it is named
 CLEARLY = 10.0  # times likelier as a wrong effect's, from which an amplitude is told to be another elsewhere
 HELPS = 0.7  # standard errors of the mean over blocks; one block alone that shows an effect is 1
@@ -38,6 +40,8 @@ class Decision:
     brought: tuple[
         str, ...
     ] = ()  # parts of the nominal model in it that a named effect moved too: no causes of their own
+    instead: tuple[str, ...] = ()  # any of these may be there in the last named one's place: it is one of them
+    count: tuple[float, ...] = ()  # probability of 0, 1, 2 and of 3 or more effects; an unknown one is one
 
     @property
     def name(self) -> str:
@@ -83,15 +87,14 @@ def decide(evidence: CaseEvidence, by: Learnt | None = None) -> Decision:
     if leading:
         named.append(max(leading, key=lambda name: leading[name]))
         probability.append(sum(float(p[i]) for key, i in best.items() if named[0] in key))
-    while named:
+    instead: list[str] = []
+    while named and not instead:
         given = {key: float(p[i]) for key, i in best.items() if set(named) <= key}
-        total = sum(given.values())
-        more = {n: sum(v for key, v in given.items() if n in key) for n in leading if n not in named}
-        likeliest = max(more, key=lambda name: more[name], default=None)
-        if likeliest is None or total <= 0.0 or more[likeliest] < FURTHER * total:
+        further, *instead = _one_of(given, named)
+        if not further:
             break
-        named.append(likeliest)
-        probability.append(more[likeliest] / total)
+        named.append(further)
+        probability.append(sum(v for key, v in given.items() if further in key) / sum(given.values()))
     with_them = brought(named)
     causes = {name: sure for name, sure in zip(named, probability, strict=True) if name not in with_them}
     return Decision(
@@ -103,7 +106,32 @@ def decide(evidence: CaseEvidence, by: Learnt | None = None) -> Decision:
         tuple(causes.values()),
         best.get(frozenset(named), 0),
         tuple(name for name in named if name in with_them),
+        tuple(instead),
+        _count(case, p),
     )
+
+
+def _one_of(given: Mapping[frozenset[str], float], named: Sequence[str]) -> tuple[str, ...]:
+    """The effect that is surely there beside those named, or the fewest of which one is, the likeliest first; ("",)
+    where that is not so sure. given: probabilities of sets that hold those named."""
+    total = sum(given.values())
+    likely = dict.fromkeys((name for key in given for name in sorted(key) if name not in named), 0.0)
+    for key, value in given.items():
+        for name in key - set(named):
+            likely[name] += value
+    ranked = sorted(likely, key=lambda name: -likely[name])[:_ONE_OF]
+    for many in range(1, len(ranked) + 1):
+        any_of = sum(value for key, value in given.items() if key & set(ranked[:many]))
+        if total > 0.0 and any_of >= FURTHER * total:
+            return tuple(ranked[:many])
+    return ("",)
+
+
+def _count(case: Stacked, p: Array) -> tuple[float, ...]:
+    many = [min(len(case.leaders[key]), 3) for key in case.sets]
+    told = np.bincount(many, p[:-1], minlength=4)
+    told[1] += p[-1]
+    return tuple(told.tolist())
 
 
 def probabilities(case: Stacked, effect: str, by: Hyperparameters) -> tuple[float, float, float]:
@@ -141,6 +169,7 @@ def with_moved(verdict: Decision, parts: Sequence[tuple[str, float]], by: Learnt
         probability=tuple(certain for _ in named),
         chosen=0,
         brought=(),
+        instead=(),
     )
 
 
@@ -166,6 +195,8 @@ def that_help(evidence: CaseEvidence, verdict: Decision) -> Decision:
             named, chosen, with_them = rest, without, kept
     if len(named) == len(verdict.named):
         return verdict
+    if named[-1:] != [*verdict.named[-1:]]:
+        verdict = replace(verdict, instead=())
     if named:
         sure = tuple(probability[name] for name in named)
         return replace(verdict, named=tuple(named), probability=sure, chosen=chosen, brought=tuple(with_them))

@@ -168,7 +168,7 @@ def _diagnosis(
                 "shrink": shares[name] + sum(shares[part] for part in brought[name]),
                 "swallowed_by_recalibration": moved.closes(before_rms, recalibrated, floor),
                 "loads_on_board": effects.BY_ID[name].on_board,
-                "ambiguous_with": [other for other in ambiguous if other != name] if name == named[0] else [],
+                "ambiguous_with": _instead(verdict, name, ambiguous),
             }
             for name, probability in zip(named, verdict.probability, strict=False)
         ],
@@ -184,6 +184,7 @@ def _diagnosis(
         ],
         "probability_none": verdict.none,
         "probability_unknown": verdict.unknown,
+        "count": list(verdict.count),
         "where": {
             "stage": _stage(verdict),
             "conditions": [c.to_json() for c in conditions[:5]],
@@ -236,6 +237,13 @@ def _leading(gathered: Gathered, verdict: decide.Decision) -> list[Fit]:
     names = [name for name in verdict.ranked if name in best and name not in effects.EVENTS]
     unsure = set(verdict.ambiguous())
     return [best[name].fit for i, name in enumerate(names[:3]) if i < 2 or name in unsure]
+
+
+def _instead(verdict: decide.Decision, name: str, leads: Sequence[str]) -> list[str]:
+    """What may be there in a named effect's place. leads: those of which one leads."""
+    if name == verdict.named[0]:
+        return [other for other in leads if other != name]
+    return list(verdict.instead) if name == verdict.named[-1] else []
 
 
 def _stage(verdict: decide.Decision) -> str | None:

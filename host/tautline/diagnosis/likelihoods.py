@@ -22,7 +22,6 @@ Array = npt.NDArray[np.float64]
 
 COINCIDES = 0.1  # probability that an unknown effect goes with a column that was measured beside the motion
 LOG_ODDS_MARGIN = 5.0  # of every rival, as a logarithm: an event beside another effect that is told for sure
-OWN_EXCESS = 0.5  # of the floor's power: what its own calibration may leave above it and nothing be wrong
 _QUANTILES = -np.log1p(-(np.arange(15) + 0.5) / 15.0)  # of an exponential prior
 
 
@@ -115,17 +114,16 @@ class Likelihoods:
     def _nothing(self) -> float:
         """The calibrated model as it is leaves noise and little more: what a recalibration takes of it is what the
         calibration did not know, and a gap that it closes is a gap, one in a single block too."""
-        case, n = self._case, self._tells
-        freedom = self.by.block_freedom
-        usual = (freedom + n) * np.log1p(n / freedom)  # where the power is as predicted both agree
-        own = min(case.nominal2 / case.floor2 - 1.0, OWN_EXCESS)
-        above = own + self.by.calibration_excess * _QUANTILES
-        predicted = (1.0 + above[:, None]) * case.floor2
+        case, by, n = self._case, self.by, self._tells
+        usual = (by.block_freedom + n) * np.log1p(n / by.block_freedom)  # where the power is as predicted both agree
         recalibrated = case.power[0]
+        least = np.minimum(case.frozen, recalibrated)
         taken = max(float(np.mean(case.frozen - recalibrated)), 0.0) / case.floor2
-        loss = usual + n * (np.log(predicted) + np.minimum(case.frozen, recalibrated) / predicted - 1.0)
-        said = float(log_sum(-0.5 * np.sum(loss, axis=1)) - np.log(len(above)))
-        return said - taken / (own + self.by.calibration_excess)
+        alone = (1.0 + by.calibration_excess * _QUANTILES)[:, None] * np.full(len(n), case.floor2)
+        predicted, once = case.with_own(alone, least, by.misfit_tells, by.noise_tells)
+        said = once - 0.5 * np.sum(usual + n * (np.log(predicted) + least / predicted - 1.0), axis=1)
+        own = case.nominal2 / case.floor2 - 1.0
+        return float(log_sum(said) - np.log(len(said))) - taken / (own + by.calibration_excess)
 
     @property
     def _by_chance(self) -> Array:

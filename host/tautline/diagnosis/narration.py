@@ -71,11 +71,11 @@ def sentence(document: Mapping[str, Any]) -> str:
     effects = document["effects"]
     told = [
         f"{simulator_words.says(document, e['id'])}{_since(e)} "
-        f"({e['id']}, {percent(e['probability'])} sure{_brings(e)})"
-        for e in effects
+        f"({e['id']}, {percent(e['probability'])} sure{_brings(e)}{_one_of(e) if i else ''})"
+        for i, e in enumerate(effects)
     ]
     if len(effects) > _TOLD:
-        rest = [f"{e['id']} ({percent(e['probability'])})" for e in effects[1:]]
+        rest = [f"{e['id']} ({percent(e['probability'])}{_one_of(e)})" for e in effects[1:]]
         told = [told[0], f"beside it {listed(rest)}"]
     named = listed(told)
     if effects[0]["id"] in EVENTS and gap["shrink"] > _SHRINKS:
@@ -118,6 +118,12 @@ def _but_noise(gap: Mapping[str, Any]) -> str:
 def _brings(effect: Mapping[str, Any]) -> str:
     parts = [part["id"] for part in effect.get("brings", ())]
     return f"; it brings a change of {listed(parts)}" if parts else ""
+
+
+def _one_of(effect: Mapping[str, Any]) -> str:
+    """Of what is named beside another: what may be there in its place."""
+    others = effect["ambiguous_with"]
+    return f", or else {listed(others, 'or')}" if others else ""
 
 
 def _since(effect: Mapping[str, Any]) -> str:

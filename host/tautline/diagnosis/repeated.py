@@ -78,6 +78,9 @@ def told(document: dict[str, Any], model: Model, segments: Sequence[Segment], lo
     rest = [effect for effect in document["effects"] if effect["id"] != HELD]
     document["effects"] = [held, *rest] if leads else [*rest, held]
     document["verdict"] = "effect"
+    none, one, two, more = document["count"]
+    with_it = (0.0, none, one, two + more)
+    document["count"] = [_SURE * w + (1.0 - _SURE) * o for w, o in zip(with_it, (none, one, two, more), strict=True)]
     if leads:
         document["where"]["stage"] = BY_ID[HELD].stage
 

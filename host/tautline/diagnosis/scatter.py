@@ -64,9 +64,9 @@ def of_fit(fitter: Fitter, fit: Fit, labels: Sequence[npt.NDArray[np.int64]], on
     for segment, label in zip(fitter.segments, labels, strict=True):
         block = np.full(len(segment.scored), -1)
         block[segment.scored] = label + count
-        if (moment_s := fit.state.values.get("shift_time")) is not None:
-            seen = segment.arrival_s + segment.offset_s - fit.state.model.delay_s
-            block[np.abs(seen - moment_s) < _HAPPENS_S] = -1
+        seen = segment.arrival_s + segment.offset_s - fit.state.model.delay_s
+        for moment in (name for kind in fit.hypothesis.kinds for name in kind.moments):
+            block[np.abs(seen - fit.state.values[moment]) < _HAPPENS_S] = -1
         count += int(label.max(initial=-1)) + 1
         if not (only_tests and segment.calibration):
             at = fit.state.at(segment, fit.hypothesis)

@@ -2,7 +2,7 @@
 
 Everything is done in normal equations: with N of the nominal and X, G of the effect's columns, what the nominal cannot
 absorb of them is G - X'N^-1 X. Shapes are scanned: an encoder's period by the error's derivative along the play, the
-time of a shift by sums over time, the others by simulating a small amplitude.
+time of a shift or a slip by sums over time, the others by simulating a small amplitude.
 """
 
 from __future__ import annotations
@@ -25,17 +25,18 @@ from tautline.diagnosis.fit import (
     ScoredRows,
     inside,
     key,
+    moves_tip,
 )
 from tautline.effects import SIMULATOR, Kind, Parameter
 from tautline.nominal import Normal
 
 Array = npt.NDArray[np.float64]
 
-_SHIFT_STEP_S = 0.5  # within which a shift's time is found first; then to a frame
+_SHIFT_STEP_S = 0.5  # within which a moment is found first; then to a frame
 _PERIODS_PER_RANGE = 0.4  # step of 1 / encoder_period times the motor's range: phases stay together over it
 _FREE = 1e-3  # share of a column's norm that the nominal must leave of it
 _BEFORE_S = 1e-3
-_WITHIN_S = 2.0  # a shift happens within a recording: between two it is another static registration
+_WITHIN_S = 2.0  # what happens does so within a recording: between two it is another registration or offset
 _OTHERS = 1  # further starts of an effect's shapes
 _RANK = 1e-6  # of the free columns' normal matrix, scaled to ones
 
@@ -47,21 +48,27 @@ class Screened:
     scope: Scope
     values: dict[str, float]  # to start from
     others: tuple[dict[str, float], ...] = ()  # the next best ones with other shapes
+    more: tuple[Screened, ...] = ()  # of what happens at a moment: twice, and more often
 
 
 def screen(fitter: Fitter, base: Fit, kinds: Iterable[Kind], limits: Sequence[float]) -> list[Screened]:
     """Every kind, in all recordings and in the tests only, best first. limits: of each recording, what residuals are
     cut to. Effects that the nominal absorbs are left out."""
     scan = _Scan(fitter.coarse, base, limits)
+    fine: _Scan | None = None  # of all observations
     screened: list[Screened] = []
     kinds = list(kinds)
     for kind in kinds:
         scan.ask(kind)
     for kind in kinds:
         if base.hypothesis.find(kind.id) is None:
+            if kind.scan == "moment":
+                if rough := scan.moments(kind):
+                    fine = fine or _Scan(fitter, base, limits)
+                    once, *more = fine.moments(kind, [rough[-1].values[name] for name in rough[-1].kind.moments])
+                    screened.append(replace(once, more=tuple(more)))
+                continue
             starts = sorted(scan.kind(kind), key=lambda entry: -entry.gain)
-            if kind.scan == "moment" and starts:
-                starts = _Scan(fitter, base, limits).shift(kind, starts[0].values["shift_time"])
             for scope in (Scope.TESTS, Scope.EACH, Scope.START):
                 best = [entry for entry in starts if entry.scope == scope][: 1 + _OTHERS]
                 if best:
@@ -91,8 +98,6 @@ class _Scan:
         self.squares = sum(float(np.sum(row.residual**2)) for row in self.rows) - float(self.gradient @ self.absorbed)
 
     def kind(self, kind: Kind) -> list[Screened]:
-        if kind.scan == "moment":
-            return self.shift(kind)
         if kind.scan == "period":
             return self._encoder(kind)
         signs = (1.0, -1.0) if any(p.one_way for p in kind.amplitudes) else (1.0,)
@@ -217,48 +222,78 @@ class _Scan:
             per_segment += self._score(kind, {"encoder_period": 1.0 / rate}, columns, 1.0)
         return per_segment
 
-    def shift(self, kind: Kind, near: float | None = None) -> list[Screened]:
-        """The static registration's columns from a time on: found roughly, or to a frame `near` a rough one."""
-        times = [(s.arrival_s + s.offset_s)[s.scored] for s in self.fitter.segments]
-        if near is None:
-            ends = [t[[0, -1]] for t in times if len(t)]
-            candidates = np.arange(min(t[0] for t in ends), max(t[1] for t in ends), _SHIFT_STEP_S)
+    def moments(self, kind: Kind, near: Sequence[float] = ()) -> list[Screened]:
+        """What happens at moments, once and then as often as it may, each beside those before: the effect's columns
+        from a time on, found roughly, or to a frame `near` rough ones (of the scene)."""
+        delay = self.base.state.model.delay_s + self.base.state.values.get("delay", 0.0)
+        edges, windows = self._edges([at + delay for at in near])
+        later = _Later(self, self._from_the_first(kind), edges)
+        chosen: list[int] = []
+        found: list[Screened] = []
+        for form, window in zip((kind.happening(n + 1) for n in range(len(kind.moments))), windows, strict=False):
+            tried = [(i, *self.gain([later.of([*chosen, i])])) for i in window if i not in chosen]
+            at, amplitude, gain = max(tried, key=lambda one: one[2], default=(0, None, 0.0))
+            if amplitude is None:
+                break
+            chosen.append(at)
+            values = {p.name: float(a) for p, a in zip(form.amplitudes, amplitude, strict=True)}
+            # The scene is older than its arrival; a little before the first frame that shows it.
+            times = {n: float(edges[i]) - delay - _BEFORE_S for n, i in zip(form.moments, chosen, strict=True)}
+            found.append(Screened(gain, form, Scope.START, {**values, **times}))
+        return found
+
+    def _edges(self, near: Sequence[float]) -> tuple[Array, Iterable[Sequence[int]]]:
+        """Times of arrival from which on an effect's columns are tried, and of each time that it happens which."""
+        times = [t for s in self.fitter.segments if len(t := (s.arrival_s + s.offset_s)[s.scored])]
+        ends = [t[[0, -1]] for t in times]
+        if not near:
+            edges = np.arange(min(t[0] for t in ends), max(t[1] for t in ends), _SHIFT_STEP_S)
         else:
-            near += self._delay()
-            candidates = np.sort(np.concatenate([t[np.abs(t - near) <= 1.5 * _SHIFT_STEP_S] for t in times]))
-        within = [(t[0] + _WITHIN_S, t[-1] - _WITHIN_S) for t in times if len(t)]
-        candidates = np.array([c for c in candidates if any(a <= c <= b for a, b in within)])
-        best = self._best_shift(times, candidates) if len(candidates) else None
-        if best is None:
-            return []
-        gain, time, amplitude = best
-        values = {p.name: float(a) for p, a in zip(kind.amplitudes, amplitude, strict=True)}
-        # The scene is older than its arrival; a little before the first frame that shows the shift.
-        return [Screened(gain, kind, Scope.START, {**values, "shift_time": time - self._delay() - _BEFORE_S})]
+            close = [np.any([np.abs(t - at) <= 1.5 * _SHIFT_STEP_S for at in near], axis=0) for t in times]
+            edges = np.unique(np.concatenate([t[here] for t, here in zip(times, close, strict=True)]))
+        edges = np.array([e for e in edges if any(a + _WITHIN_S <= e <= b - _WITHIN_S for a, b in ends)])
+        if not near:
+            return edges, itertools.repeat(range(len(edges)))
+        return edges, [np.flatnonzero(np.abs(edges - at) <= 1.5 * _SHIFT_STEP_S).tolist() for at in near]
 
-    def _delay(self) -> float:
-        return self.base.state.model.delay_s + self.base.state.values.get("delay", 0.0)
+    def _from_the_first(self, kind: Kind) -> list[Array]:
+        """The columns of what happens at moments, of each recording, had it happened before the first of them."""
+        once = kind.happening(1)
+        if not any(moves_tip(p) for p in once.amplitudes):
+            return [row.columns[:, :, STATIC_COLUMNS] for row in self.rows]
+        return self._columns(once, dict.fromkeys(once.moments, -np.inf), 1.0)
 
-    def _best_shift(self, times: Sequence[Array], edges: Array) -> tuple[float, float, Array] | None:
-        """Of these times the best one: its gain, itself, and the amplitudes."""
-        cut = len(self.gradient)
-        nothing = Normal(np.zeros((cut, cut)), np.zeros(cut))
-        total = Normal(np.zeros((cut + 6, cut + 6)), np.zeros(cut + 6))
-        best: tuple[float, float, Array] | None = None
+
+class _Later:
+    """Normal equations of columns (n, k, m) from each of several times on, edges (e,)."""
+
+    def __init__(self, scan: _Scan, columns: Sequence[Array], edges: Array) -> None:
+        self.cut, self.each = len(scan.gradient), columns[0].shape[2]
+        nothing, total = Normal.zeros(self.cut), Normal.zeros(self.cut + self.each)
+        self._own: list[Array] = []  # the last edge first: the columns' rows of the matrix, and their gradient
+        times = [(s.arrival_s + s.offset_s)[s.scored] for s in scan.fitter.segments]
         for begin, end in reversed(list(zip(edges, [*edges[1:], np.inf], strict=True))):
-            for t, row in zip(times, self.rows, strict=True):
+            for t, row, column in zip(times, scan.rows, columns, strict=True):
                 a, b = np.searchsorted(t, [begin, end])
                 if a < b:
                     piece = _cut(row, slice(int(a), int(b)))
-                    part = self.fitter.normal(piece, piece.columns[:, :, STATIC_COLUMNS], known=nothing)
+                    part = scan.fitter.normal(piece, column[a:b], known=nothing)
                     total.matrix[...] += part.matrix
                     total.gradient[...] += part.gradient
-            if total.matrix[-1, -1] == 0.0:
-                continue
-            amplitude, gain = self.gain([total])
-            if amplitude is not None and (best is None or gain > best[0]):
-                best = gain, float(begin), amplitude
-        return best
+            self._own.append(np.column_stack([total.matrix[self.cut :], total.gradient[self.cut :]]))
+        self._own.reverse()
+
+    def of(self, which: Sequence[int]) -> Normal:
+        """Of the columns from each of these edges on: two of them have what is after the later one in common."""
+        cut, m = self.cut, self.each
+        normal = Normal.zeros(cut + len(which) * m)
+        for i, at in enumerate(which):
+            here = slice(cut + i * m, cut + (i + 1) * m)
+            normal.matrix[here, :cut], normal.gradient[here] = self._own[at][:, :cut], self._own[at][:, -1]
+            for j, other in enumerate(which):
+                both = self._own[max(at, other)][:, cut : cut + m]
+                normal.matrix[here, cut + j * m : cut + (j + 1) * m] = both
+        return normal
 
 
 def _cut(row: ScoredRows, part: slice) -> ScoredRows:

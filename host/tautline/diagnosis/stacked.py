@@ -162,17 +162,25 @@ class Stacked:
     def _by_share(
         self, misfit_tells: float, noise_tells: float, block_freedom: float, calibration_excess: float
     ) -> Array:
-        """(hypotheses, SHARES) logarithm of the likelihood of what is left of the blocks. Other parts in the nominal
-        model make it no more exact than it was where it was calibrated."""
+        """(hypotheses, SHARES) logarithm of the likelihood of what is left of the blocks."""
         n = self.tells(misfit_tells, noise_tells)
-        floor2 = np.array([self.floor2, self.nominal2])[:, None, None]
-        predicted = (1.0 + calibration_excess) * floor2 + SHARES[:, None] * self.before
-        expected = np.log(predicted) @ n
-        unlike = n / (block_freedom * predicted)
-        kind = self.constant.astype(int)
-        return np.asarray(
-            -0.5 * (expected[kind] + np.log1p(unlike[kind] * self.power[:, None, :]) @ (block_freedom + n))
-        )
+        alone = (1.0 + calibration_excess) * self.floor2 + SHARES[:, None] * self.before
+        seen = self.power[:, None, :]
+        predicted, once = self.with_own(alone, seen, misfit_tells, noise_tells)
+        unlike = np.log1p(n / block_freedom * seen / predicted) @ (block_freedom + n)
+        return np.asarray(once - 0.5 * (np.log(predicted) @ n + unlike))
+
+    def with_own(self, alone: Array, seen: Array, misfit_tells: float, noise_tells: float) -> tuple[Array, Array]:
+        """What is predicted of the blocks, (..., blocks), where what is seen beside what a hypothesis predicts `alone`
+        is, up to so much as the calibration leaves of its own recording, that misfit; and (...,) what the logarithm of
+        a likelihood by blocks lacks, as the one misfit that all share is counted in each: of its k numbers, as many as
+        a block of noise tells, n of all blocks tell each n / k times. log|I + J J'| in place of its diagonal's."""
+        n = self.tells(misfit_tells, noise_tells)
+        predicted = alone + np.clip(seen - alone, 0.0, self.nominal2 - self.floor2)
+        more = predicted / alone - 1.0
+        numbers = min(misfit_tells + noise_tells, float(np.sum(n)))
+        once = 0.5 * (np.log1p(more) @ n - numbers * np.log1p(more @ n / numbers))
+        return predicted, np.asarray(once)
 
     def _confined(self, floor_known: float, floor_steady: float, disturbed: float) -> Array:
         """(hypotheses,) logarithm of how much likelier what is left beyond the effects' stages is as noise, in all

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -100,6 +100,16 @@ class Kind:
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         return (*self.amplitudes, *self.shapes)
+
+    @property
+    def moments(self) -> tuple[str, ...]:
+        """Times of the session, s, at which it happens; there are as many amplitudes for each of them."""
+        return tuple(p.name for p in self.shapes) if self.scan == "moment" else ()
+
+    def happening(self, times: int) -> Kind:
+        """The same where it happens no more often."""
+        each = len(self.amplitudes) // len(self.moments)
+        return replace(self, amplitudes=self.amplitudes[: times * each], shapes=self.shapes[:times])
 
     @property
     def forms(self) -> tuple[Kind, ...]:

@@ -1,0 +1,29 @@
+from collections.abc import Mapping
+from dataclasses import replace
+
+from tautline.effects.kind import Kind, Parameter
+from tautline.model import Model
+
+_TIMES = range(1, 5)  # as slip.c has them
+
+
+def _so_far(model: Model, values: Mapping[str, float], session_s: float) -> Model:
+    """What has slipped by then moves the tables' grid."""
+    slipped = sum(values.get(f"slip_{i}", 0.0) for i in _TIMES if values.get(f"slip_time_{i}", 0.0) <= session_s)
+    low, high = model.measured
+    return replace(model, q=model.q - slipped, measured=(low - slipped, high - slipped))
+
+
+EFFECTS = (
+    Kind(
+        "transmission.slip",
+        tuple(Parameter(f"slip_{i}", "unit", 2e-3) for i in _TIMES),
+        tuple(Parameter(f"slip_time_{i}", "s", 1.0, searched=True) for i in _TIMES),
+        says="the offset jumps: a tooth or a winding slipped, or the encoder lost counts",
+        tell="From one moment on both branches lie shifted along q by the same amount, and the marker stays on its "
+        "track.",
+        mend="Tighten what slipped or find out why counts are lost, and home the axis again.",
+        holds=_so_far,
+        scan="moment",
+    ),
+)
