@@ -82,7 +82,8 @@ def test_it_follows_the_instrument_and_not_the_tissue_behind() -> None:
     error, sigma = followed(settled=True)
     assert np.isfinite(error).all()
     assert np.sqrt(np.mean(error**2)) < 0.2  # tissue goes to and fro by 5 px behind nearly half of the square
-    assert np.median(sigma) < 0.05
+    assert np.sqrt(np.mean((error / sigma[:, None]) ** 2)) < 3.0  # 14 by the corners of each picture alone
+    assert np.median(sigma) < 0.1  # which are not all there is, nor half of what it may be off by
     # where the way begins, again after it: nothing adds up
     at_start = np.hypot(*(course(240)[0] - course(240)[0][0]).T) < 1.0
     assert np.abs(np.mean(error[at_start], axis=0)).max() < 0.05

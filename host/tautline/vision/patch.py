@@ -109,6 +109,9 @@ class _Keyframe:
         found = cv2.goodFeaturesToTrack(cut, _CORNERS, _CORNER_QUALITY, _APART, mask=mask)
         self.corners = np.empty((0, 2)) if found is None else found.reshape(-1, 2) + corner
         self.together = len(self.corners)  # in the last picture
+        self.off_px = (
+            0.0  # by which its place of the region's middle scatters a coordinate, beside what its corners say
+        )
         self._tried, self._met = np.zeros((2, len(self.corners)))  # away from here: and how often it went along
 
     @classmethod
@@ -166,7 +169,7 @@ class _Keyframe:
         away, lever = here - here.mean(axis=0), (self.pose.u, self.pose.v) - here.mean(axis=0)
         spread = away.T @ away + 1e-9 * np.eye(2)
         sigma = float(np.sqrt(scatter * (1.0 / len(here) + lever @ np.linalg.solve(spread, lever))))
-        return pose, max(sigma, _SURE_PX)
+        return pose, max(float(np.hypot(sigma, self.off_px)), _SURE_PX)
 
     def settle(self) -> bool:
         """Forgets the corners that stayed behind where the region went. Whether enough are left to follow."""
@@ -251,6 +254,11 @@ class PatchTracker:
         by = -np.linalg.solve(normal, told.T @ np.column_stack([off_u, off_v]))
         for keyframe, (u, v) in zip(self._keyframes, by, strict=True):
             keyframe.pose = replace(keyframe.pose, u=keyframe.pose.u + float(u), v=keyframe.pose.v + float(v))
+        # What they differ by all the same is of both, in two coordinates.
+        left2 = np.sum((np.column_stack([off_u, off_v]) + told @ by) ** 2, axis=1) / 4.0
+        for k, keyframe in enumerate(self._keyframes):
+            own = left2[(i == k) | (j == k)]
+            keyframe.off_px = float(np.sqrt(own.mean())) if len(own) else 0.0
 
     def track(self, picture: Picture) -> Sighting:
         """The region in the next frame, BGR (height, width, 3) uint8, of the size that it was shown in."""
