@@ -30,6 +30,9 @@ SMALLEST_PX, LARGEST_PX, USUAL_PX = 16.0, 400.0, 36.0  # side of the region
 _CORNERS, _CORNER_QUALITY, _APART = 80, 0.01, 3.0  # of a keyframe; px between them
 _FEWEST = 8  # corners that go together: three give the six parameters
 _WINDOW, _LEVELS = 15, 2  # of Lucas-Kanade: px, and pyramid levels above the picture
+_AROUND_PX = 31  # two windows: over which light is alike
+_CAMERA_NOISE = 3.0  # levels, which is not to be enlarged to structure
+_MIDDLE, _CONTRAST = 128.0, 42.0  # levels: three times that is in 8 bits
 _MARGIN_PX = 24.0  # around a region, which has not gone further than that from where it is expected
 _THERE_AND_BACK_PX = 0.5  # a corner that is not found again from where it was found was not found
 _TOGETHER_PX = 1.0  # from the common motion
@@ -338,4 +341,10 @@ def _smaller(grey: Picture) -> Picture:
 
 
 def _grey(picture: Picture) -> Picture:
-    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+    """Of brightness and contrast that are alike everywhere: smoke, shade and glow, which change both over more than a
+    corner's surroundings, move nothing."""
+    grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY).astype(np.float32)
+    around = (_AROUND_PX, _AROUND_PX)
+    away = grey - cv2.blur(grey, around)
+    contrast = np.sqrt(np.maximum(cv2.blur(away * away, around), 0.0)) + _CAMERA_NOISE
+    return np.asarray(np.clip(_MIDDLE + _CONTRAST * away / contrast, 0.0, 255.0), dtype=np.uint8)
