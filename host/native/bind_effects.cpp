@@ -177,6 +177,7 @@ void bind_effects(nb::module_ &m) {
 #undef X
     m.attr("effect_parameters") = path;           // (name, value when absent, unit, meaning): what moves the tip
     m.attr("projection_parameters") = projection; // and what changes where it is seen
+    m.attr("projection_places") = static_cast<int>(PROJECTION_PLACES);
     m.def("onset_lots", &lots, nb::arg("values"),
           "(spread, share) of the lots of a play's thresholds, as these effects' parameters spread them");
     m.def("simulate_effects", simulate, "parameters"_a, "plays"_a, "c_deg"_a, "t_s"_a, "q"_a, "at_s"_a,

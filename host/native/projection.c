@@ -45,7 +45,25 @@ static void turned(const double *m, const double *x, double *out) {
     out[2] = m[6] * a + m[7] * b + m[8] * c;
 }
 
-// The marker in the section's frame (x, z) mm at c rad, and its derivative per rad.
+// Where what is seen lies beside the tip's end, mm in the tip's frame at c deg, and its derivative per rad.
+static void beside(const struct projection_rig *rig, double c_deg, double *at, double *rate) {
+    const int last = PROJECTION_PLACES - 1;
+    const double along = (c_deg - rig->place_from) / rig->place_step;
+    const double x = fmin(fmax(along, 0.0), (double)last);
+    const int i = x < last ? (int)x : last - 1;
+    const double t = x - i, inside = along > 0.0 && along < last ? 1.0 / (rig->place_step * RADIANS) : 0.0;
+    for (int k = 0; k < 3; k++) {
+        const double *p = rig->place[k];
+        const double gain = p[i + 1] - p[i];
+        const double m = i > 0 ? 0.5 * (p[i + 1] - p[i - 1]) : gain;
+        const double n = i + 1 < last ? 0.5 * (p[i + 2] - p[i]) : gain;
+        const double b = 3.0 * gain - 2.0 * m - n, a = m + n - 2.0 * gain;
+        at[k] = p[i] + t * (m + t * (b + t * a));
+        rate[k] = inside * (m + t * (2.0 * b + 3.0 * t * a));
+    }
+}
+
+// What is seen in the section's frame (x, y, z) mm at c rad, and its derivative per rad.
 static void bend(const struct projection_rig *rig, double gradient, double c, double *point, double *slope) {
     const double length = rig->bending_length, tip = rig->tip_length;
     const double sine = sin(c), cosine = cos(c);
@@ -79,6 +97,16 @@ static void bend(const struct projection_rig *rig, double gradient, double c, do
     slope[0] = length * d_across + tip * cosine;
     slope[1] = 0.0;
     slope[2] = length * d_along - tip * sine;
+    if (rig->place_step > 0.0) {
+        double at[3], rate[3];
+        beside(rig, c / RADIANS, at, rate);
+        point[0] += cosine * at[0] + sine * at[2];
+        point[1] = at[1];
+        point[2] += cosine * at[2] - sine * at[0];
+        slope[0] += cosine * (rate[0] + at[2]) + sine * (rate[2] - at[0]);
+        slope[1] = rate[1];
+        slope[2] += cosine * (rate[2] - at[0]) - sine * (rate[0] + at[2]);
+    }
 }
 
 // du/dX and dv/dX, (2, 3) px per mm, at the same time as the image.
@@ -126,10 +154,11 @@ void projection_image(const struct projection_parameters *e, const struct projec
         }
         if (pose->rotation) {
             const double s = sin(pose->rotation[n] * RADIANS), o = cos(pose->rotation[n] * RADIANS);
-            x[1] = s * x[0];
-            x[0] = o * x[0];
-            slope[1] = s * slope[0];
-            slope[0] = o * slope[0];
+            const double across = x[0], along_x = slope[0];
+            x[0] = o * across - s * x[1];
+            x[1] = s * across + o * x[1];
+            slope[0] = o * along_x - s * slope[1];
+            slope[1] = s * along_x + o * slope[1];
         }
         if (up.is && pose->way && pose->way[n] != 0.0) {
             const double way = pose->way[n];

@@ -39,12 +39,19 @@ struct projection_parameters {
 #undef X
 };
 
-// What the rig says; arrays of doubles alone, so that it can be filled in one go.
+// Of the bending angle, evenly spaced; between them a cubic with their own slopes (Catmull and Rom's), beyond them
+// held.
+enum { PROJECTION_PLACES = 17 };
+
+// What the rig says; doubles alone, so that it can be filled in one go.
 struct projection_rig {
     double bending_length, tip_length;  // mm
     double hand_eye[9], translation[3]; // X_cam = R X_base + t, R row by row
     double fx, fy, cx, cy;              // px
     double distortion[5];               // OpenCV's k1 k2 p1 p2 k3
+    double place_from, place_step;      // deg; a step of 0: what is seen is at the tip's end
+    double place[3][PROJECTION_PLACES]; // mm from there in the tip's own frame: aside in the plane it bends in, out of
+                                        // that plane, ahead
 };
 
 // (count) each, or NULL for zeros.

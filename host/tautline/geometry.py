@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from tautline import _native
 from tautline.errors import TautError
-from tautline.rig import Camera, HandEye, Kinematics, Rig
+from tautline.rig import PLACES, Camera, HandEye, Kinematics, Rig
 
 Array = npt.NDArray[np.float64]
 _SMALL = 1e-3  # rad: below it the constant-curvature quotients are taken from their series (error < 1e-16)
@@ -64,7 +64,7 @@ def projection_rig(rig: Rig) -> Array:
     """The numbers of struct projection_rig (host/native/projection.h)."""
     if rig.kinematics is None or rig.camera is None or rig.hand_eye is None:
         raise TautError("the rig needs [kinematics], [camera] and [hand_eye] to project a marker: add them to rig.toml")
-    camera = rig.camera
+    camera, place = rig.camera, rig.place
     return np.array(
         [
             rig.kinematics.bending_length_mm,
@@ -73,6 +73,7 @@ def projection_rig(rig: Rig) -> Array:
             *rig.hand_eye.translation_mm,
             *(camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px),
             *camera.distortion,
+            *((0.0,) * (2 + 3 * PLACES) if place is None else (place.from_deg, place.step_deg, *np.ravel(place.mm))),
         ]
     )
 

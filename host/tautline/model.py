@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
@@ -17,7 +17,7 @@ from tautline.encoder import straight_lines
 from tautline.errors import TautError, of_system
 from tautline.quality import Quality
 from tautline.recording import Motor
-from tautline.rig import ANGLE, MARKER, Rig, Sensor
+from tautline.rig import ANGLE, MARKER, Place, Rig, Sensor
 from tautline.value import Value
 
 Array = np.ndarray
@@ -109,6 +109,7 @@ class Model(Value):
             "effects": [{"id": effect.id, "parameters": dict(effect.parameters)} for effect in self.effects],
             "c_sigma": None if self.c_sigma is None else [v if np.isfinite(v) else None for v in self.c_sigma.tolist()],
             "quality": self.quality.to_json(),
+            "place": None if self.rig.place is None else asdict(self.rig.place),
             "extra": dict(self.extra),
         }
         try:
@@ -154,6 +155,7 @@ class Model(Value):
             elements = Elements.from_json(document["elements"]) if "elements" in document else SINGLE
             offset_s = None if document.get("offset_s") is None else float(document["offset_s"])
             sensor = document.get("sensor")
+            place = None if document.get("place") is None else Place.from_json(document["place"])
         except (KeyError, TypeError, ValueError) as error:
             what = f"a key {error} is missing" if isinstance(error, KeyError) else f"a value is wrong ({error})"
             raise TautError(f"{path}: damaged, {what}: make the model again with taut calibrate") from error
@@ -161,7 +163,7 @@ class Model(Value):
         good = good and (c_sigma is None or c_sigma.shape == q.shape)
         if not (good and is_backlash_table(q, width) and abs(np.sign(np.diff(c_deg)).sum()) == len(q) - 1):
             raise TautError(f"{path}: its tables are not a model's: make the model again with taut calibrate")
-        rig = Rig.load(folder / RIG_FILE)
+        rig = replace(Rig.load(folder / RIG_FILE), place=place)
         unit = document.get("unit", rig.actuator.unit)
         if unit != rig.actuator.unit:
             raise TautError(

@@ -71,13 +71,17 @@ def predict_with_sigma(
     path = path_of(model, motor)
     told = Chain(model).at(path, scene, start_deg)
     known = _known(model, path, start_deg)
+    place = model.rig.place
+    # Where the place of a bare instrument lies moves angles, not what is seen there.
+    of_place = np.zeros_like(model.c_deg) if place is None else place.sigma_at(model.c_deg)
+    seen_sigma = None if model.c_sigma is None else np.sqrt(np.maximum(model.c_sigma**2 - of_place**2, 0.0))
 
     def rows(off: Array) -> Array:
         width, remaining, delay_s, start, q = off
         moved = replace(
             model,
             width=allowed_width(model.q, model.width + width * model.width_sigma),
-            c_deg=model.c_deg if model.c_sigma is None or not remaining else model.c_deg + remaining * model.c_sigma,
+            c_deg=model.c_deg if seen_sigma is None or not remaining else model.c_deg + remaining * seen_sigma,
         )
         lines = replace(path.lines, q=path.lines.q + q)
         begins = start_deg
@@ -93,7 +97,10 @@ def predict_with_sigma(
         return Prediction(told.c_deg, None, np.hypot(spread[:, 0], noise))
     by_c = np.linalg.norm(project_with_slope(model.rig, told.c_deg, *path.others_at(scene))[1], axis=1)
     noise_px, noise_deg = (noise, noise / by_c) if model.sensor == MARKER else (noise * by_c[:, None], noise)
-    return Prediction(told.c_deg, told.image_px, np.hypot(spread[:, 0], noise_deg), np.hypot(spread[:, 1:], noise_px))
+    c_sigma = np.hypot(spread[:, 0], noise_deg)
+    if place is not None:
+        c_sigma = np.hypot(c_sigma, place.sigma_at(told.c_deg))
+    return Prediction(told.c_deg, told.image_px, c_sigma, np.hypot(spread[:, 1:], noise_px))
 
 
 def _known(model: Model, path: MotorPath, start_deg: float | None) -> Posterior:

@@ -54,6 +54,14 @@ class Motor:
 
 
 @dataclass(frozen=True)
+class Shown:
+    """A square that was shown in a picture: a place on an instrument without a marker."""
+
+    at_px: tuple[float, float]
+    side_px: float
+
+
+@dataclass(frozen=True)
 class Marker:
     """Marker positions. t_s is when the frame arrived: it showed the scene t_delay earlier."""
 
@@ -65,6 +73,7 @@ class Marker:
     extra: Mapping[str, Array] = field(default_factory=dict)
     frame_px: tuple[int, int] | None = None  # width and height of the frames, where they are known
     untimed: int = 0  # frames of its video that frames.csv gives no time: they have no row
+    shown: Shown | None = None  # what is followed instead; None: a marker
 
 
 @dataclass(frozen=True)

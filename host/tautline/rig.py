@@ -9,14 +9,17 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
+import numpy.typing as npt
 import tomli_w
 
+from tautline import _native
 from tautline.errors import TautError, nearest
 from tautline.folders import write_file
 from tautline.schema import Key, Section
 
 FORMAT = "rig/1"
 UNITS = ("mm", "deg")
+PLACES: int = _native.projection_places
 Sensor = Literal["marker", "angle"]
 MARKER: Sensor = "marker"
 ANGLE: Sensor = "angle"
@@ -85,6 +88,31 @@ class HandEye:
 
     rotation_deg: tuple[float, float, float]
     translation_mm: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where on a bare instrument's tip lies what is followed, as a calibration has estimated it: at PLACES bending
+    angles a step apart, a smooth curve between them, held beyond. A model's own: no key of rig.toml."""
+
+    from_deg: float
+    step_deg: float
+    mm: tuple[tuple[float, ...], ...]  # (3, PLACES) from the tip's end, in its frame: aside, out of the plane, ahead
+    sigma_deg: tuple[float, ...]  # (PLACES,) of an angle that is told by this place, alike along the curve
+
+    def sigma_at(self, c_deg: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """One standard deviation of the angle at c (n,) deg. An image that is foretold does not have it."""
+        at = self.from_deg + self.step_deg * np.arange(PLACES)
+        return np.asarray(np.interp(np.asarray(c_deg, dtype=float), at, self.sigma_deg))
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any]) -> Self:
+        """What dataclasses.asdict made of one. Raises KeyError, TypeError or ValueError where it is no such thing."""
+        mm = tuple(tuple(float(x) for x in row) for row in document["mm"])
+        sigma_deg = tuple(float(x) for x in document["sigma_deg"])
+        if [len(row) for row in (*mm, sigma_deg)] != 4 * [PLACES]:
+            raise ValueError(f"a place is told at {PLACES} angles")
+        return cls(float(document["from_deg"]), float(document["step_deg"]), mm, sigma_deg)
 
 
 _SECTIONS = (
@@ -223,6 +251,7 @@ class Rig:
     hand_eye: HandEye | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)  # unknown keys, kept
     angle: AngleSensor | None = None
+    place: Place | None = None  # None: what is followed is a marker at the tip's end
 
     @property
     def delay_s(self) -> float:

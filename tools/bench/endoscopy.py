@@ -84,6 +84,8 @@ class Fault:
 class World:
     """The instrument, how its motor moves, and what its camera sees."""
 
+    tip_mm = TIP_MM  # as the rig has it
+
     def __init__(
         self, condition: Condition, seed: int, background: Array | None = None, use: Use | None = None
     ) -> None:
@@ -438,7 +440,11 @@ def write(folder: Path, world: World, say: Callable[[float], None] = lambda shar
     frames = np.column_stack([np.arange(len(arrivals)), arrivals])
     np.savetxt(folder / "frames.csv", frames, ["%d", "%.6f"], ",", header="frame,t_s", comments="")
     grid = np.linspace(*RANGE_MM, 401)
-    truth = {"backlash": {"q": grid.tolist(), "width": world.width(grid).tolist()}, "delay_s": DELAY_S}
+    truth = {
+        "backlash": {"q": grid.tolist(), "width": world.width(grid).tolist()},
+        "remaining": {"q": grid.tolist(), "c_deg": world.bend(grid).tolist()},
+        "delay_s": DELAY_S,
+    }
     (folder / "truth.json").write_text(json.dumps(truth), encoding="utf-8")
 
 
@@ -454,7 +460,7 @@ gain = {GAIN}
 offset = {OFFSET}
 [kinematics]
 bending_length_mm = {BENDING_MM}
-tip_length_mm = {TIP_MM}
+tip_length_mm = {world.tip_mm}
 [camera]
 width_px = {condition.width}
 height_px = {condition.height}

@@ -17,6 +17,7 @@ Array = np.ndarray
 
 SHAFT_MM = 2.0  # of the straight shaft that the camera sees
 PATCH_MM = 1.6  # before the end of the tip: the middle of what is followed
+RULER_MM = 0.4  # standard deviation, by which the rig has that place elsewhere along the tip
 _FINE = 32.0  # samples of the surface per mm
 _FULL = 0.5  # samples in a pixel that hide what is behind
 _GAUSS = 0.2887 * np.array([-1.0, 1.0])  # of an exposure: two times with its mean and its spread
@@ -52,8 +53,10 @@ SCENES = (
 STILL = (
     Scene("torn tendon", still=True),
     Scene("torn tendon, tissue breathes", breath_px=6.0, still=True),
+    Scene("torn tendon, breathes, glints", breath_px=10.0, glint=170.0, still=True),
     Scene("torn tendon, smoke, H.264", breath_px=3.0, smoke=0.3, codec="h264", still=True),
 )
+STILL_S = 40.0  # of the motion, some 15 reversals: every frame of a torn tendon's tip is like the one before
 
 
 class BareWorld(World):
@@ -63,8 +66,12 @@ class BareWorld(World):
         self.scene = scene
         super().__init__(scene.condition, seed, background)
         if scene.still:
-            self.c = np.full_like(self.c, float(self.c[0]))
+            begun = self.t - self.t[0] < STILL_S
+            self.t, self.q = self.t[begun], self.q[begun]
+            self.c = np.full_like(self.t, float(self.c[0]))
         self._wind = self.rng.uniform(0.0, 6.3, 4)
+        by_ruler = np.random.default_rng([seed, 0x7E1]).normal(0.0, RULER_MM)
+        self.tip_mm = round(TIP_MM - PATCH_MM + float(by_ruler), 2)
 
     def patch(self, t: Array) -> Array:
         """Where the followed place of the surface is seen at scene times (n,): (n, 2) px."""
@@ -124,9 +131,7 @@ class BareWorld(World):
 
     def _draw(self, scene: float) -> Array:
         behind = self._behind(scene)
-        drawn = np.zeros((*behind.shape[:2], 4))
-        for share in _GAUSS:
-            drawn += self._tube(scene + share * EXPOSURE_S, behind.shape[:2]) / len(_GAUSS)
+        drawn = self._resting if self.scene.still else self._exposed(scene)
         hidden = drawn[..., 3:]
         picture = behind * (1.0 - hidden) + drawn[..., :3]
         if self.scene.smoke:
@@ -134,8 +139,17 @@ class BareWorld(World):
         smooth = cv2.GaussianBlur(picture, (0, 0), 0.7)
         return np.clip(np.rint(smooth), 0, 255).astype(np.uint8)
 
+    @cached_property
+    def _resting(self) -> Array:
+        return self._exposed(float(self.t[0]))
+
+    def _exposed(self, scene: float) -> Array:
+        """Light of the tube (height, width, 3), and how much of each pixel it hides, over an exposure."""
+        shape = self.condition.height, self.condition.width
+        return sum((self._tube(scene + share * EXPOSURE_S, shape) for share in _GAUSS), np.zeros(())) / len(_GAUSS)
+
     def _tube(self, scene: float, shape: tuple[int, int]) -> Array:
-        """Light of the tube (height, width, 3), and how much of each pixel it hides."""
+        """The same at one time, (height, width, 4)."""
         along, bend, angle, brightness = self._surface
         middle, ahead, aside = self._spine(float(np.interp(scene, self.t, self.c)), along)
         up = self._turned(np.array([[0.0, 1.0, 0.0]]))[0]

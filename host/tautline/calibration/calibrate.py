@@ -22,6 +22,7 @@ from tautline.calibration.doubts import PREDICTS, doubts, floor_of
 from tautline.calibration.findings import Findings
 from tautline.calibration.holding import released
 from tautline.calibration.observations import Track, observe
+from tautline.calibration.on_tip import place_on_tip
 from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, delayed, find_onsets
 from tautline.calibration.place import (
     allowing_for_place,
@@ -60,6 +61,7 @@ _BETWEEN_ELEMENTS = 0.003  # of B: what elements of a few shares leave, alike on
 _UNIT_SLACK = 1.6  # by which f_coarse's gain and f_remain's may part beside a unit that is mistaken
 _LIKELY_GAIN = (0.4, 2.5)  # of f_coarse's, between which f_remain's is no wrong scale
 _LIKELY_BEND = 0.5  # of f_coarse's span, by which f_remain may leave it
+_TOLD = 0.1  # of what the tip bends: angles that are known no better are not known
 _LARGE = 0.1  # of the image's motion (rms): a registration that is off by less still tells angles
 
 
@@ -251,8 +253,11 @@ class _Session:
             onsets = [replace(o, sigma=o.sigma * spread) if o.used and o.kind == HINGE else o for o in onsets]
         self.say(0.75, "fitting f_remain")
         settled = joint.fit.settled_only if joint is not None else False
+        if joint is not None:
+            self._find_place(joint)
         remaining = self._remaining(width, delay.delay_s, settled) if self.choice.moves() else None
         self._comment(onsets, curve, remaining)
+        self._doubt_place(remaining)
         self._hold()
         self._depart(joint, curve, source, remaining)
         self.say(1.0, "done")
@@ -384,6 +389,28 @@ class _Session:
         return several if after < _HELD * before and not several.fit.elements.single else None
 
     # ---- f_remain
+
+    def _find_place(self, joint: Fitted) -> None:
+        """Of what is followed where it is no marker: from here on the rig has it."""
+        shown = self.tracks[0].shown
+        if shown is not None and all(track.shown == shown for track in self.tracks):
+            self.rig = replace(self.rig, place=place_on_tip(joint, self.rig, shown))
+
+    def _doubt_place(self, remaining: Remaining | None) -> None:
+        place = self.rig.place
+        if place is None or remaining is None:
+            return
+        c = np.interp(np.linspace(*self.reached, NODES), self.grid, remaining.c_deg)
+        sigma, bends = float(np.sqrt(np.mean(place.sigma_at(c) ** 2))), float(np.ptp(c))
+        self.findings.evidence["place_sigma_deg"] = sigma
+        unknown = sigma > _TOLD * bends
+        self.findings.doubt(
+            "place",
+            ("f_remain is not known from this, B is" if unknown else "B is known as with a marker, f_remain less so")
+            + f": {sigma:.2g} deg of {bends:.3g} deg, all of it together, as the place on the tip is not known",
+            "give tip_length_mm of the place that was shown, show a smaller one, or mark the tip",
+            mild=not unknown,
+        )
 
     def _remaining(self, width: Array, delay_s: float, settled: bool) -> Remaining | None:
         if self.options.remaining == "morphological":
@@ -569,6 +596,8 @@ class _Session:
         coarse = self.rig.coarse
         c = remaining.c_deg if remaining is not None else coarse.gain * self.grid + coarse.offset
         c_sigma = remaining.sigma_deg if remaining is not None else np.full(len(c), np.nan)
+        if self.rig.place is not None:
+            c_sigma = np.hypot(c_sigma, self.rig.place.sigma_at(c))
         model = Model(
             self.rig, self.grid, width, sigma, c, delay.delay_s, measured, elements=self.elements, c_sigma=c_sigma,
             sensor=self.tracks[0].sensor, offset_s=aligned.offset_s,

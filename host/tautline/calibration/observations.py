@@ -14,7 +14,7 @@ from tautline.core.motor import MotorPath
 from tautline.core.session import SessionClock
 from tautline.driven import white_noise
 from tautline.errors import TautError
-from tautline.recording import Motor, Recording
+from tautline.recording import Motor, Recording, Shown
 from tautline.rig import ANGLE, MARKER, Rig, Sensor
 
 Array = npt.NDArray[np.float64]
@@ -42,6 +42,7 @@ class Track:
     stray: int = 0  # frames left out because they show the marker elsewhere for a moment
     held: int = 0  # left out because the sensor repeated the value before
     session_s: float = 0.0  # added to its times to get the session's
+    shown: Shown | None = None  # what was followed where it is no marker
 
     def only(self, frames: Mask | npt.NDArray[np.intp] | slice) -> Track:
         """With these of its frames."""
@@ -109,7 +110,8 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
             seen = marker.valid & np.isfinite(marker.u_px) & np.isfinite(marker.v_px)
             y = np.column_stack([marker.u_px, marker.v_px])[seen].astype(float)
             given = None if marker.sigma_px is None else marker.sigma_px[seen]
-            tracks.append(_track(recording, path, "px", marker.t_s[seen], y, given))
+            track = _track(recording, path, "px", marker.t_s[seen], y, given)
+            tracks.append(replace(track, shown=marker.shown))
         elif angle is not None:
             seen = angle.seen
             y = angle.c_deg[seen, None].astype(float)

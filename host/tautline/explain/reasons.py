@@ -69,6 +69,12 @@ REASONS = (
         "Look for a second blob of the marker's colour, or glare: pick the colour again with taut marker.",
     ),
     _reason(
+        "place",
+        "Angles are known no better than the place on a bare instrument's tip that was followed.",
+        "The sentence says by how much f_remain may be off, all of it together; B and the delay do not need it.",
+        "Give tip_length_mm of the place that was shown, show a smaller one, or mark the tip.",
+    ),
+    _reason(
         "lost",
         "Over a part of the range the marker is mostly not seen.",
         "The sentence says from which position to which.",

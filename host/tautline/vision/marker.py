@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from tautline._native import MARKER_CLIPPED, MARKER_CUT_OFF, MARKER_FOUND, marker_measure
 from tautline.errors import TautError
-from tautline.recording import Marker, Recording, Video
+from tautline.recording import Marker, Recording, Shown, Video
 from tautline.rig import Rig
 from tautline.vision.camera import VideoCamera, sample_video
 from tautline.vision.colour import COLOUR_FILE, MarkerColour, candidates, pick
@@ -315,7 +315,8 @@ def _region_tracked(video: Video, region: Region, progress: Progress | None) -> 
             f"{video.path}: the place of {REGION_FILE} is found in none of its {len(frames.seen)} frames: show it in "
             f"this video with 'taut marker {video.path} --region U,V'"
         )
-    return frames.rows(np.array([s.valid for s in frames.seen]))
+    marker = frames.rows(np.array([s.valid for s in frames.seen]))
+    return replace(marker, shown=Shown(region.at, region.side_px))
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,9 @@ SMALLEST_PX, LARGEST_PX, USUAL_PX = 16.0, 400.0, 36.0  # side of the region
 _CORNERS, _CORNER_QUALITY, _APART = 80, 0.01, 3.0  # of a keyframe; px between them
 _FEWEST = 8  # corners that go together: three give the six parameters
 _WINDOW, _LEVELS = 15, 2  # of Lucas-Kanade: px, and pyramid levels above the picture
+_AROUND_PX = 31  # two windows: over which light is alike
+_CAMERA_NOISE = 3.0  # levels, which is not to be enlarged to structure
+_MIDDLE, _CONTRAST = 128.0, 42.0  # levels: three times that is in 8 bits
 _MARGIN_PX = 24.0  # around a region, which has not gone further than that from where it is expected
 _THERE_AND_BACK_PX = 0.5  # a corner that is not found again from where it was found was not found
 _TOGETHER_PX = 1.0  # from the common motion
@@ -109,6 +112,9 @@ class _Keyframe:
         found = cv2.goodFeaturesToTrack(cut, _CORNERS, _CORNER_QUALITY, _APART, mask=mask)
         self.corners = np.empty((0, 2)) if found is None else found.reshape(-1, 2) + corner
         self.together = len(self.corners)  # in the last picture
+        self.off_px = (
+            0.0  # by which its place of the region's middle scatters a coordinate, beside what its corners say
+        )
         self._tried, self._met = np.zeros((2, len(self.corners)))  # away from here: and how often it went along
 
     @classmethod
@@ -166,7 +172,7 @@ class _Keyframe:
         away, lever = here - here.mean(axis=0), (self.pose.u, self.pose.v) - here.mean(axis=0)
         spread = away.T @ away + 1e-9 * np.eye(2)
         sigma = float(np.sqrt(scatter * (1.0 / len(here) + lever @ np.linalg.solve(spread, lever))))
-        return pose, max(sigma, _SURE_PX)
+        return pose, max(float(np.hypot(sigma, self.off_px)), _SURE_PX)
 
     def settle(self) -> bool:
         """Forgets the corners that stayed behind where the region went. Whether enough are left to follow."""
@@ -251,6 +257,11 @@ class PatchTracker:
         by = -np.linalg.solve(normal, told.T @ np.column_stack([off_u, off_v]))
         for keyframe, (u, v) in zip(self._keyframes, by, strict=True):
             keyframe.pose = replace(keyframe.pose, u=keyframe.pose.u + float(u), v=keyframe.pose.v + float(v))
+        # What they differ by all the same is of both, in two coordinates.
+        left2 = np.sum((np.column_stack([off_u, off_v]) + told @ by) ** 2, axis=1) / 4.0
+        for k, keyframe in enumerate(self._keyframes):
+            own = left2[(i == k) | (j == k)]
+            keyframe.off_px = float(np.sqrt(own.mean())) if len(own) else 0.0
 
     def track(self, picture: Picture) -> Sighting:
         """The region in the next frame, BGR (height, width, 3) uint8, of the size that it was shown in."""
@@ -330,4 +341,10 @@ def _smaller(grey: Picture) -> Picture:
 
 
 def _grey(picture: Picture) -> Picture:
-    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+    """Of brightness and contrast that are alike everywhere: smoke, shade and glow, which change both over more than a
+    corner's surroundings, move nothing."""
+    grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY).astype(np.float32)
+    around = (_AROUND_PX, _AROUND_PX)
+    away = grey - cv2.blur(grey, around)
+    contrast = np.sqrt(np.maximum(cv2.blur(away * away, around), 0.0)) + _CAMERA_NOISE
+    return np.asarray(np.clip(_MIDDLE + _CONTRAST * away / contrast, 0.0, 255.0), dtype=np.uint8)

@@ -1,0 +1,159 @@
+"""Where on a bare instrument's tip lies what is followed, estimated beside f_remain.
+
+The rig says where a marker would be. A place on the surface that a hand has shown lies beside it, and goes on over the
+surface as the tip turns another side to the camera. Its path in the image is known well, but which angle shows it where
+depends on the place: both are unknown at each motor position, the place with a prior as wide as a hand shows it, and
+the posterior is Laplace's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import CubicSpline
+
+from tautline.calibration.playfit import Fitted
+from tautline.geometry import about_base_z, rotation, tip_bend, to_camera, to_image
+from tautline.least_squares import descend
+from tautline.recording import Shown
+from tautline.rig import PLACES, Camera, HandEye, Kinematics, Place, Rig
+
+Array = npt.NDArray[np.float64]
+
+_NODES = 33  # motor positions at which angle and place are unknown
+_SHOWN = 0.25  # of the square's side: standard deviation of its middle from the middle of a tube as wide as the square
+_ROAMS = 0.25  # of it, half a tube's radius: by how much the place goes over to the side that the camera sees then
+_ANYWAY = 0.5  # turns of that side, in radii, that it goes on by where the side is the one that was shown
+_TURN_DEG = 20.0  # of bending over which that stays alike
+_JITTER = 1e-4  # of it, that keeps its covariance regular
+_STEP = 1e-4  # deg or mm, of a derivative by differences
+_MOST_STEPS = 100
+_ENOUGH = 1e-3  # of the cost, sigma^2
+
+
+def place_on_tip(fitted: Fitted, rig: Rig, shown: Shown) -> Place | None:
+    """fitted: of the image itself. None where it is not, or hardly anything moved."""
+    if fitted.fit.view is not None or fitted.curves.follow.shape[1] != 2:
+        return None
+    if rig.kinematics is None or rig.camera is None or rig.hand_eye is None:
+        return None
+    counted = np.concatenate([s.p[m] for s, m in zip(fitted.fit.simulated, fitted.masks, strict=True)])
+    if len(counted) < _NODES or np.ptp(counted) <= 0.0:
+        return None
+    nodes = np.linspace(counted.min(), counted.max(), _NODES)
+    path = fitted.fit.follow.value(fitted.curves.follow, nodes)
+    track = fitted.fit.tracks[0].track
+    seen = _Seen(rig.kinematics, rig.hand_eye, rig.camera, *track.others_reference)
+    coarse = rig.coarse.gain * nodes + rig.coarse.offset
+    at = float(coarse[np.argmin(np.sum((path - shown.at_px) ** 2, axis=1))])  # where it was shown
+    side_mm = shown.side_px * seen.mm_per_px(at)
+    alike = np.exp(-0.5 * ((coarse[:, None] - coarse) / _TURN_DEG) ** 2) + _JITTER * np.eye(_NODES)
+    side = seen.towards_camera(at)
+    turned = np.array([np.linalg.norm(seen.towards_camera(c) - side) for c in coarse.tolist()])
+    roams = _ROAMS * side_mm * (_ANYWAY + turned)
+    covariance = (_SHOWN * side_mm) ** 2 + np.outer(roams, roams) * alike
+    mean = np.repeat(0.5 * side_mm * side, _NODES)
+    noise = float(np.median(track.sigma)) * max(fitted.scale, 1.0)
+    problem = _Posterior(seen, path, noise, mean, np.kron(np.eye(3), np.linalg.inv(covariance)))
+    found = descend(problem, np.concatenate([coarse, mean]), _MOST_STEPS)
+    spread = np.sqrt(np.diag(np.linalg.inv(problem.linearised(found)[0]))[:_NODES])
+    return _table(found[:_NODES], found[_NODES:].reshape(3, _NODES), spread)
+
+
+def _table(c_deg: Array, mm: Array, sigma_deg: Array) -> Place | None:
+    """At even angles. None where the path does not tell the angles' order."""
+    order = slice(None) if c_deg[-1] > c_deg[0] else slice(None, None, -1)
+    c_deg, mm, sigma_deg = c_deg[order], mm[:, order], sigma_deg[order]
+    if not (np.diff(c_deg) > 0).all():
+        return None
+    at: Array = np.linspace(c_deg[0], c_deg[-1], PLACES)
+    rows = CubicSpline(c_deg, mm, axis=1)(at)
+    return Place(
+        float(c_deg[0]),
+        float(at[1] - at[0]),
+        tuple(tuple(float(x) for x in row) for row in np.asarray(rows)),
+        tuple(float(x) for x in np.asarray(np.interp(at, c_deg, sigma_deg))),
+    )
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What is seen of places in the tip's frame, while the other degrees of freedom rest."""
+
+    kinematics: Kinematics
+    hand_eye: HandEye
+    camera: Camera
+    translation_mm: float
+    rotation_deg: float
+
+    def in_camera(self, c_deg: Array, place: Array) -> Array:
+        """(n, 3) mm of places (3, n) mm beside the tip's end at angles (n,) deg."""
+        c = np.radians(c_deg)
+        sin, cos = np.sin(c), np.cos(c)
+        aside, out, ahead = place
+        point = tip_bend(self.kinematics, c_deg)
+        point += np.column_stack([cos * aside + sin * ahead, out, cos * ahead - sin * aside])
+        point[:, 2] += self.translation_mm
+        return to_camera(self.hand_eye, about_base_z(self.rotation_deg, point))
+
+    def image(self, unknown: Array) -> Array:
+        """(2 n,) px of the angles and places (4 n,)."""
+        c_deg, *place = unknown.reshape(4, -1)
+        return to_image(self.camera, self.in_camera(c_deg, np.array(place))).ravel()
+
+    def by_unknown(self, unknown: Array) -> Array:
+        """(2 n, 4 n): each image depends on its own angle and place alone."""
+        n = len(unknown) // 4
+        slopes = np.zeros((n, 2, 4, n))
+        here = np.arange(n)
+        for k in range(4):
+            step = np.zeros((4, n))
+            step[k] = _STEP
+            change = self.image(unknown + step.ravel()) - self.image(unknown - step.ravel())
+            slopes[here, :, k, here] = change.reshape(n, 2) / (2.0 * _STEP)
+        return slopes.reshape(2 * n, 4 * n)
+
+    def mm_per_px(self, c_deg: float) -> float:
+        depth = self.in_camera(np.array([c_deg]), np.zeros((3, 1)))[0, 2]
+        return float(depth / np.sqrt(self.camera.fx_px * self.camera.fy_px))
+
+    def towards_camera(self, c_deg: float) -> Array:
+        """Across the tip, in its frame (3,): the side of it that the camera sees."""
+        view = -self.in_camera(np.array([c_deg]), np.zeros((3, 1)))[0] @ rotation(self.hand_eye.rotation_deg)
+        aside, out, ahead = about_base_z(-self.rotation_deg, view[None])[0]
+        c = np.radians(c_deg)
+        across = np.array([np.cos(c) * aside - np.sin(c) * ahead, out, 0.0])
+        return np.asarray(across / max(float(np.linalg.norm(across)), 1e-9))
+
+
+@dataclass(frozen=True)
+class _Posterior:
+    """Of the angles (n,) deg, which have no prior, and the places (3 n,) mm: unknown (4 n,)."""
+
+    seen: _Seen
+    path: Array  # (n, 2) px
+    noise_px: float
+    mean: Array  # (3 n,)
+    precision: Array  # (3 n, 3 n)
+
+    def linearised(self, point: Array) -> tuple[Array, Array, float]:
+        n = len(self.path)
+        rows = self.seen.by_unknown(point) / self.noise_px
+        left = (self.path.ravel() - self.seen.image(point)) / self.noise_px
+        matrix, gradient = rows.T @ rows, rows.T @ left
+        matrix[n:, n:] += self.precision
+        gradient[n:] -= self.precision @ (point[n:] - self.mean)
+        return matrix, gradient, self.cost(point)
+
+    def moved(self, point: Array, step: Array) -> Array:
+        return point + step
+
+    def cost(self, point: Array) -> float:
+        left = (self.path.ravel() - self.seen.image(point)) / self.noise_px
+        off = point[len(self.path) :] - self.mean
+        return float(left @ left + off @ self.precision @ off)
+
+    def enough(self, gained: float, cost: float) -> bool:
+        return gained < _ENOUGH
