@@ -16,7 +16,7 @@ from tautline.core.posterior import Posterior
 from tautline.encoder import between_counts
 from tautline.errors import TautError
 from tautline.folders import write_file
-from tautline.geometry import project_with_slope
+from tautline.geometry import px_per_deg
 from tautline.model import Model, allowed_width
 from tautline.recording import Motor, Recording
 from tautline.rig import ANGLE, MARKER, Sensor
@@ -71,13 +71,15 @@ def predict_with_sigma(
     path = path_of(model, motor)
     told = Chain(model).at(path, scene, start_deg)
     known = _known(model, path, start_deg)
+    tracked_px = float(model.extra.get("tracked_px", 0.0))
+    fitted_deg = _without(tracked_px, model)
 
     def rows(off: Array) -> Array:
         width, remaining, delay_s, start, q = off
         moved = replace(
             model,
             width=allowed_width(model.q, model.width + width * model.width_sigma),
-            c_deg=model.c_deg if model.c_sigma is None or not remaining else model.c_deg + remaining * model.c_sigma,
+            c_deg=model.c_deg if fitted_deg is None or not remaining else model.c_deg + remaining * fitted_deg,
         )
         lines = replace(path.lines, q=path.lines.q + q)
         begins = start_deg
@@ -89,9 +91,19 @@ def predict_with_sigma(
     noise = model.noise_of(model.sensor)
     if told.image_px is None:
         return Prediction(told.c_deg, None, np.hypot(spread[:, 0], noise))
-    by_c = np.linalg.norm(project_with_slope(model.rig, told.c_deg, *path.others_at(scene))[1], axis=1)
+    by_c = px_per_deg(model.rig, told.c_deg, *path.others_at(scene))
     noise_px, noise_deg = (noise, noise / by_c) if model.sensor == MARKER else (noise * by_c[:, None], noise)
-    return Prediction(told.c_deg, told.image_px, np.hypot(spread[:, 0], noise_deg), np.hypot(spread[:, 1:], noise_px))
+    angle = np.sqrt(spread[:, 0] ** 2 + noise_deg**2 + (tracked_px / by_c) ** 2)
+    return Prediction(told.c_deg, told.image_px, angle, np.hypot(spread[:, 1:], noise_px))
+
+
+def _without(tracked_px: float, model: Model) -> Array | None:
+    """(n,) f_remain's sigma without what its tracker is off by wherever the marker is: the image shows that again."""
+    if model.c_sigma is None or not tracked_px:
+        return model.c_sigma
+    return np.asarray(
+        np.sqrt(np.maximum(model.c_sigma**2 - (tracked_px / px_per_deg(model.rig, model.c_deg)) ** 2, 0.0))
+    )
 
 
 def _known(model: Model, path: MotorPath, start_deg: float | None) -> Posterior:

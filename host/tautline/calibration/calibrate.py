@@ -582,6 +582,7 @@ class _Session:
             "notes": list(notes),
             "characteristic": characteristic,
             "options": asdict(self.options),
+            "tracked_px": max(track.tracked_px for track in self.tracks),
         }
         if pass_width is not None:
             extra["pass_width"] = [_finite(v) for v in pass_width]
