@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,10 +12,14 @@ import pytest
 import tautline as tl
 from tautline import trajectory
 from tautline.calibration.calibrate import Calibration, calibrate
+from tautline.calibration.hinge import fit_jump
 from tautline.prediction import predict_with_sigma
 from tautline.recording import Marker, Recording, Video
 from tautline.simulated import simulate
 from tautline.simulated.instrument import Instrument, preset, reference_rig
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+from tools.paper import scenes
 
 RIG = reference_rig()
 
@@ -73,3 +78,26 @@ def test_a_marker_that_others_tell_is_taken_at_its_word() -> None:
         replace(made, rig=RIG), replace(made, rig=RIG, video=Video(Path("video.mkv"), None)),
     ))  # fmt: skip
     assert np.median(by_others.c_sigma) < 0.3 * np.median(of_frames.c_sigma)
+
+
+@pytest.mark.parametrize("first", [0, 7])
+def test_a_jump_is_bracketed_where_frames_show_the_level(first: int) -> None:
+    """Frames a unit of travel apart, the image jumps by 20 sigma at 7.1 and goes on: seen from the turn on, or from
+    when it moves already."""
+    x = np.arange(0.5, 20.0)[first:]
+    rng = np.random.default_rng(31)
+    y = np.where(x > 7.1, 20.0 + 30.0 * (x - 7.1), 0.0)[:, None] * np.array([0.9, 0.3]) + rng.normal(0, 1, (len(x), 2))
+    jump = fit_jump(x, y, 0.0, 12.0)
+    assert (jump.low == 0.0) is (first > 0) and jump.low < 7.1 < jump.high <= 8.5
+
+
+def test_a_reversal_out_of_view_does_not_bend_b() -> None:
+    """The paper's tilt by direction with the marker out of the picture at one end of the range."""
+    rig, recording = scenes.fig7_rig(), scenes.fig7_recording(631)
+    marker = recording.marker
+    seen = marker.u_px < np.quantile(marker.u_px, 0.94)
+    found = calibrate([replace(recording, marker=replace(marker, valid=seen))], rig)
+    off = np.abs(found.model.width - 15.0)[inside(found)]
+    sigma = found.model.width_sigma[inside(found)]
+    print(f"B at most {off.max():.3f} deg off, {np.max(off / sigma):.2f} sigma; sigma at most {sigma.max():.3f}")
+    assert np.max(off / sigma) < 3.0 and off.max() < 0.1 and sigma.max() < 0.3
