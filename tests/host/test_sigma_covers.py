@@ -6,6 +6,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import angle_plant
 import numpy as np
 import pytest
 
@@ -101,3 +102,20 @@ def test_a_reversal_out_of_view_does_not_bend_b() -> None:
     sigma = found.model.width_sigma[inside(found)]
     print(f"B at most {off.max():.3f} deg off, {np.max(off / sigma):.2f} sigma; sigma at most {sigma.max():.3f}")
     assert np.max(off / sigma) < 3.0 and off.max() < 0.1 and sigma.max() < 0.3
+
+
+@pytest.mark.parametrize(("seed", "share"), [(21, 0.5), (22, 0.4)])
+def test_an_offset_between_two_parts_of_one_recording_is_a_slip(seed: int, share: float) -> None:
+    """A servo with an encoder at either end: from one moment on the tip lies 0.6 deg further."""
+    motion = angle_plant.Motion.through().then(angle_plant.Motion.through())
+    recording = angle_plant.record(motion, seed=seed)
+    angle = recording.angle
+    after = angle.t_s > share * motion.t_s[-1]
+    found = calibrate([replace(recording, angle=replace(angle, c_deg=angle.c_deg + 0.6 * after))], angle_plant.RIG)
+    q, at = found.model.q, inside(found)
+    off = np.abs(found.model.width - angle_plant.width(q))[at]
+    print(found.model.quality, f"B {off.max():.4f} deg off, {np.max(off / found.model.width_sigma[at]):.2f} sigma")
+    assert {reason.code for reason in found.model.quality.reasons} - {"residual"} == {"transmission.slip"}
+    assert off.max() < 0.06 and np.sqrt(np.mean((off / found.model.width_sigma[at]) ** 2)) < 2.0
+    ended = np.abs(found.model.c_deg - angle_plant.bend(q) - 0.6)[at]  # what it is at the end
+    assert ended.max() < 0.05 and np.max(ended / found.model.c_sigma[at]) < 3.0

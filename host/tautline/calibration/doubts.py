@@ -81,6 +81,11 @@ _MEANS: dict[str, tuple[str, str, str]] = {
         "the tip's place at one motor position moves during the session",
         "warm the instrument up, check the cable's clamps, calibrate again",
     ),
+    "offset.slip": (
+        "transmission.slip",
+        "the tip's place at one motor position jumped during the session",
+        "look for a tooth or a winding that jumps, for lost counts or another posture; calibrate again",
+    ),
     "width.time": (
         "transmission.drift",
         "the backlash grows or shrinks during the session",
