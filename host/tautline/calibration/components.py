@@ -39,7 +39,7 @@ from tautline.rig import Rig
 
 Array = npt.NDArray[np.float64]
 
-_GAIN = 20.0  # of twice the restricted log likelihood, for a component; noise alone gives 5 to 8
+GAIN = 20.0  # of twice the restricted log likelihood, for a component; noise alone gives 5 to 8
 _ROUNDS = 14  # linearisations at most
 _AT_ONCE = 2  # components that may join at one linearisation
 _STEPS = 6  # of the variances, at one linearisation
@@ -306,7 +306,7 @@ class _Solved:
             if not gains:
                 break
             name = max(gains, key=lambda each: gains[each][0] - self.parts[each].price)
-            if gains[name][0] < (_GAIN + self.parts[name].price) * self._effective():
+            if gains[name][0] < (GAIN + self.parts[name].price) * self._effective():
                 break
             self.owner.active.append(name)
             self.owner.penalties[name] = gains[name][1]
