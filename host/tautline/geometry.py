@@ -96,6 +96,13 @@ def project(
     return image
 
 
+def px_per_deg(
+    rig: Rig, c_deg: npt.ArrayLike, translation_mm: npt.ArrayLike = 0.0, rotation_deg: npt.ArrayLike = 0.0
+) -> Array:
+    """(n,) how far the marker goes in the image for each deg of bending, at bending angles c (n,) deg."""
+    return np.asarray(np.linalg.norm(project_with_slope(rig, c_deg, translation_mm, rotation_deg)[1], axis=1))
+
+
 def _poses(*columns: npt.ArrayLike) -> list[Array]:
     flat = np.broadcast_arrays(*(np.atleast_1d(np.asarray(column, dtype=float)) for column in columns))
     return [np.ascontiguousarray(column) for column in flat]

@@ -16,7 +16,7 @@ from tautline.core.posterior import Posterior
 from tautline.encoder import between_counts
 from tautline.errors import TautError
 from tautline.folders import write_file
-from tautline.geometry import project_with_slope
+from tautline.geometry import px_per_deg
 from tautline.model import Model, allowed_width
 from tautline.recording import Motor, Recording
 from tautline.rig import ANGLE, MARKER, Sensor
@@ -71,17 +71,15 @@ def predict_with_sigma(
     path = path_of(model, motor)
     told = Chain(model).at(path, scene, start_deg)
     known = _known(model, path, start_deg)
-    place = model.rig.place
-    # Where the place of a bare instrument lies moves angles, not what is seen there.
-    of_place = np.zeros_like(model.c_deg) if place is None else place.sigma_at(model.c_deg)
-    seen_sigma = None if model.c_sigma is None else np.sqrt(np.maximum(model.c_sigma**2 - of_place**2, 0.0))
+    unseen_deg = _unseen_deg(model, model.c_deg)
+    fitted_deg = None if model.c_sigma is None else np.sqrt(np.maximum(model.c_sigma**2 - unseen_deg**2, 0.0))
 
     def rows(off: Array) -> Array:
         width, remaining, delay_s, start, q = off
         moved = replace(
             model,
             width=allowed_width(model.q, model.width + width * model.width_sigma),
-            c_deg=model.c_deg if seen_sigma is None or not remaining else model.c_deg + remaining * seen_sigma,
+            c_deg=model.c_deg if fitted_deg is None or not remaining else model.c_deg + remaining * fitted_deg,
         )
         lines = replace(path.lines, q=path.lines.q + q)
         begins = start_deg
@@ -95,12 +93,19 @@ def predict_with_sigma(
     noise = model.noise_of(model.sensor)
     if told.image_px is None:
         return Prediction(told.c_deg, None, np.hypot(spread[:, 0], noise))
-    by_c = np.linalg.norm(project_with_slope(model.rig, told.c_deg, *path.others_at(scene))[1], axis=1)
+    by_c = px_per_deg(model.rig, told.c_deg, *path.others_at(scene))
     noise_px, noise_deg = (noise, noise / by_c) if model.sensor == MARKER else (noise * by_c[:, None], noise)
-    c_sigma = np.hypot(spread[:, 0], noise_deg)
-    if place is not None:
-        c_sigma = np.hypot(c_sigma, place.sigma_at(told.c_deg))
-    return Prediction(told.c_deg, told.image_px, c_sigma, np.hypot(spread[:, 1:], noise_px))
+    unseen_deg = _unseen_deg(model, told.c_deg, *path.others_at(scene))
+    angle = np.sqrt(spread[:, 0] ** 2 + noise_deg**2 + unseen_deg**2)
+    return Prediction(told.c_deg, told.image_px, angle, np.hypot(spread[:, 1:], noise_px))
+
+
+def _unseen_deg(model: Model, c_deg: Array, *others: Array) -> Array:
+    """(n,) deg, a part of f_remain's sigma: by it angles are off, and the image shows nothing of it: where the place of
+    a bare instrument lies, and what a tracker is off by wherever the marker is."""
+    place, tracked_px = model.rig.place, float(model.extra.get("tracked_px", 0.0))
+    of_place = np.zeros_like(c_deg) if place is None else place.sigma_at(c_deg)
+    return np.hypot(of_place, tracked_px / px_per_deg(model.rig, c_deg, *others)) if tracked_px else of_place
 
 
 def _known(model: Model, path: MotorPath, start_deg: float | None) -> Posterior:

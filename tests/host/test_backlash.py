@@ -111,6 +111,36 @@ def test_brackets_intersect():
     assert np.sqrt(np.mean(np.square(errors))) < 0.02
 
 
+def brackets(law, p, frame, rng):
+    """Widths law(p) that frames `frame` of travel apart (p's length, or one number) bound on either side."""
+    made = []
+    for k, (centre, step) in enumerate(zip(p, np.broadcast_to(frame, len(p)), strict=True)):
+        direction = 1 if k % 2 else -1
+        truth = float(law(centre))
+        low = truth - step * rng.uniform()
+        q1, sigma = centre - direction * truth / 2, step / 12**0.5
+        q2 = q1 + direction * (low + step / 2)
+        made.append(Onset(0, k, k + 0.5, direction, q1, q2, sigma, low, low + step, BRACKET, True))
+    return made
+
+
+@pytest.mark.parametrize("alone", [False, True])
+def test_brackets_of_several_speeds_follow_a_bump(alone):
+    """Three speeds, as calibrations have them; or but one of them far away from all others, of which nothing tells."""
+    law, errors, z = bump(0.3, 2.8), [], []
+    for seed in range(8):
+        rng = np.random.default_rng(seed + 900)
+        p = np.append(rng.uniform(0.0 if alone else -4.5, 4.5, 50), -4.5)
+        curve = fit_widths(brackets(law, p, rng.choice([0.03, 0.06, 0.12], len(p)), rng), GRID)
+        inside = np.abs(GRID - (2.25 if alone else 0.0)) < (1.75 if alone else 4.0)
+        errors.append((curve.width - law(GRID))[inside])
+        z.append(errors[-1] / curve.sigma[inside])
+    rms = [float(np.sqrt(np.mean(np.square(each)))) for each in (errors, z)]
+    print(f"50 brackets of 30 to 120 um on a bump of 0.3 mm: {1e3 * rms[0]:.1f} um rms, z {rms[1]:.2f}")
+    assert rms[0] < 0.012  # a tenth of the widest; a line through the bump is 60 to 100 um off
+    assert 0.4 < rms[1] < 1.5
+
+
 def test_without_widths_there_is_no_curve():
     stuck = Onset(0, 0.0, np.nan, 1, -0.4, 0.4, np.inf, 0.8, np.inf, BOUND, True)
     assert fit_widths([stuck], GRID) is None and fit_paper([stuck], GRID) is None

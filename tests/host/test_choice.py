@@ -12,7 +12,7 @@ from tautline.calibration.backlash import WidthCurve
 from tautline.calibration.choice import Choice
 from tautline.calibration.components import Components
 from tautline.calibration.findings import Findings
-from tautline.calibration.onset import HINGE
+from tautline.calibration.onset import HINGE, Onset
 from tautline.calibration.playfit import Fitted
 from tautline.calibration.smooth import Domain
 
@@ -65,3 +65,23 @@ def test_onsets_confirm_no_departure_that_is_a_gradual_start(leads: str) -> None
     components = cast(Components, SimpleNamespace(of_start=first(SimpleNamespace(parts=parts))))
     choice = Choice([], Domain(-5.0, 5.0), GRID, "deg", Findings())
     assert choice.nearer(onsets, curve, components, says(1.0), says(2.0)) is (leads != "phase.even")
+
+
+def test_where_no_onset_is_the_passes_are_as_far_off_as_they_are_elsewhere() -> None:
+    """The image jumps with the direction, by more of B at one end than at the other: onsets bracket B, the passes'
+    distance holds the jump."""
+    true = 1.0 + 0.3 * np.exp(-(((GRID - 0.5) / 1.5) ** 2))
+    jump = 0.2 + 0.02 * GRID
+    flat = np.ones_like(GRID)
+    at = [p for p in np.linspace(-4.5, 4.5, 46) if not -1.5 < p < 2.0]
+    onsets = [Onset(0, p, p, 1, p - 0.5, p + 0.5, 0.01, 0.0, 9.0, HINGE, True) for p in at]
+    passes = SimpleNamespace(
+        fit=SimpleNamespace(width=lambda curves: true + jump), curves=None, width_sigma=lambda grid: 0.002 * flat
+    )
+    curve = WidthCurve(GRID, true, 0.01 * flat, (-4.5, 4.5), 0.0)
+    choice = Choice([], Domain(-5.0, 5.0), GRID, "deg", Findings())
+    width, sigma, _ = choice._filled(onsets, curve, cast(Fitted, None), cast(Fitted, passes))
+    hole = (GRID > -1.2) & (GRID < 1.7)
+    off = np.abs(width - true)[hole]
+    assert (off < 2.0 * sigma[hole]).all() and (sigma[hole] < 0.06).all()  # the jump itself is 0.2
+    assert width[hole] == pytest.approx(true[hole], abs=0.03)  # its lean over the hole

@@ -9,7 +9,7 @@ import pytest
 
 from tautline.calibration.calibrate import JOINT, Calibration, calibrate
 from tautline.calibration.components import Component, Components, Since
-from tautline.calibration.doubts import doubts
+from tautline.calibration.doubts import _ripple, doubts
 from tautline.calibration.holding import released
 from tautline.calibration.observations import observe
 from tautline.calibration.playfit import Curves
@@ -234,3 +234,24 @@ def test_a_start_that_is_late_one_way_only_is_no_width() -> None:
     found = calibrate([seen_as(made.recording, lambda t, y: y + shift)], RIG)
     assert found.source == JOINT
     assert off(found, plant)[1] < 10.0
+
+
+SHAPES: dict[str, Callable[[Array], Array]] = {
+    "flat": lambda q: 0.5 + 0.0 * q,
+    "bump": lambda q: 0.4 + 0.3 * np.exp(-((q / 0.8) ** 2) / 2),
+    "narrow": lambda q: 0.4 + 0.3 * np.exp(-((q / 0.3) ** 2) / 2),
+    "bump and dip": lambda q: 0.4 + 0.2 * np.exp(-(((q - 1) / 0.5) ** 2) / 2) - 0.1 * np.exp(-(((q + 2) / 0.7) ** 2)),
+    "step": lambda q: 0.4 + 0.2 * np.tanh(q / 0.3),
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("sigma", [0.0005, 0.002])
+def test_a_ripple_is_a_wave_that_goes_on_and_no_shape_of_b(shape: str, sigma: float) -> None:
+    """Of 0.03 on B of about half a unit, every 0.9; B's errors are alike over half a unit."""
+    q, rng = np.linspace(-4.5, 4.5, 900), np.random.default_rng(71)
+    error = np.convolve(rng.normal(size=999), np.hanning(100), "valid")
+    b, stated = SHAPES[shape](q) + sigma * error / error.std(), np.full(900, sigma)
+    assert _ripple(q, b, stated)[0] == 0.0
+    rms, period = _ripple(q, b + 0.03 * np.sin(2 * np.pi * q / 0.9 + 1.0), stated)
+    assert rms == pytest.approx(0.03 / np.sqrt(2.0), rel=0.35) and period == pytest.approx(0.9, rel=0.02)

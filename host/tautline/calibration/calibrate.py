@@ -619,6 +619,7 @@ class _Session:
             "notes": list(notes),
             "characteristic": characteristic,
             "options": asdict(replace(self.options, beforehand=None)),
+            "tracked_px": max(track.tracked_px for track in self.tracks),
         }
         if pass_width is not None:
             extra["pass_width"] = [_finite(v) for v in pass_width]

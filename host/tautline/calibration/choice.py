@@ -328,7 +328,8 @@ class Choice:
     def _filled(
         self, widths: Sequence[Onset], curve: WidthCurve, joint: Fitted, passes: Fitted | None
     ) -> tuple[Array, Array, str]:
-        """The onsets' curve near onsets; farther off, the passes' shape shifted to meet it."""
+        """The onsets' curve near onsets; farther off, the passes' shape shifted to meet it. What the image jumps by is
+        in the passes' distance, and another at each place: as far as it differs where onsets tell it, it may there."""
         p = np.sort([o.q_mean for o in widths])
         reach = max(
             1.5 * float(np.median(np.diff(p))) if len(p) > 2 else 0.0, float(np.median([o.width for o in widths]))
@@ -337,12 +338,16 @@ class Choice:
         far = np.clip(distance / reach - 1.0, 0.0, 1.0)
         if not (far > 0).any() or passes is None:
             return curve.width, curve.sigma, ONSETS
-        other = passes.fit.width(passes.curves)
+        own = passes.fit.width(passes.curves)
+        near = far == 0.0
+        apart = (curve.width - own)[near]
+        other = own + np.interp(self.grid, self.grid[near], apart)
+        meets = np.interp(self.grid, self.grid[near], np.hypot(curve.sigma[near], float(np.std(apart))))
         share = far * far * (3 - 2 * far)
         inside = (self.grid >= p[0]) & (self.grid <= p[-1])
         share = np.where(inside, share, 0.0)
         width = allowed_width(self.grid, (1 - share) * curve.width + share * other)
-        sigma = np.hypot((1 - share) * curve.sigma, share * passes.width_sigma(self.grid))
+        sigma = np.hypot((1 - share) * curve.sigma, share * np.hypot(passes.width_sigma(self.grid), meets))
         if share.max() > 0.5:
             where = self.grid[share > 0.5]
             self.findings.notes.append(

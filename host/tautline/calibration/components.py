@@ -39,7 +39,7 @@ from tautline.rig import Rig
 
 Array = npt.NDArray[np.float64]
 
-_GAIN = 20.0  # of twice the restricted log likelihood, for a component; noise alone gives 5 to 8
+GAIN = 20.0  # of twice the restricted log likelihood, for a component; noise alone gives 5 to 8
 _ROUNDS = 14  # linearisations at most
 _AT_ONCE = 2  # components that may join at one linearisation
 _STEPS = 6  # of the variances, at one linearisation
@@ -154,7 +154,10 @@ class _Separation:
         self._expect_turns()
         scene = scene_of(self.fitted, self.fitted.curves, self.rig, np.zeros(2))
         assert scene is not None  # it was fitted to frames
-        solved = self._solved(self.fitted.curves, scene, np.zeros(2), Design(anew_px=starts_anew(scene)))
+        looked_for = Design(anew_px=starts_anew(scene))
+        if scene.rows.shape[1] == 1:  # no image may have moved instead: at once, before strokes stand in for a slip
+            looked_for = looked_for.scanned(scene, scene.rows, set())
+        solved = self._solved(self.fitted.curves, scene, np.zeros(2), looked_for)
         for _ in range(_ROUNDS):
             joined = solved.join()
             self.moving_noise = solved.moving_noise()
@@ -303,7 +306,7 @@ class _Solved:
             if not gains:
                 break
             name = max(gains, key=lambda each: gains[each][0] - self.parts[each].price)
-            if gains[name][0] < (_GAIN + self.parts[name].price) * self._effective():
+            if gains[name][0] < (GAIN + self.parts[name].price) * self._effective():
                 break
             self.owner.active.append(name)
             self.owner.penalties[name] = gains[name][1]
@@ -349,7 +352,7 @@ class _Solved:
         return effective(self._left())
 
     def scanned(self) -> Design:
-        """The moment of a shift and the rhythm of a breath that fit what is left; those in use stay."""
+        """The moments of a shift and a slip, and the rhythm of a breath, that fit what is left; those in use stay."""
         return self.columns.scanned(self.scene, self._left(), set(self.owner.active))
 
     # ---- what it says
@@ -435,6 +438,8 @@ class _Solved:
             values = self.values[at]
             if name == "offset.recording":
                 offset += float(contrasts(len(values) + 1)[-1] @ values)
+            elif name == "offset.slip":
+                offset += float(values[0])
             elif name == "offset.time":
                 slow = slow_basis(np.array([0.5]), len(values) - 3)
                 offset += float((slow @ values)[0])

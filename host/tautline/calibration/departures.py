@@ -42,7 +42,7 @@ _PIECES, _LAGS = 100, 60  # of all strokes, at most; frames over which neighbour
 SPEED, SHARE = "width.speed", "%"  # of departures that add to B, of those that add a share of it
 # What changes during a session and then is what it is: a model holds what it came to.
 STATES = frozenset(
-    {"offset.time", "width.time", "image.time", "image.shift", "offset.recording", "width.recording"}
+    {"offset.time", "offset.slip", "width.time", "image.time", "image.shift", "offset.recording", "width.recording"}
 )  # fmt: skip
 
 
@@ -108,10 +108,11 @@ class Scene:
 
 @dataclass(frozen=True)
 class Design:
-    """What is looked for in what is left: when a shift happened, s, and how often something breathes, Hz; after how
-    much of the path the tracker's error begins anew, px."""
+    """What is looked for in what is left: when the image shifted and when the transmission slipped, s, and how often
+    something breathes, Hz; after how much of the path the tracker's error begins anew, px."""
 
     shift_s: float | None = None
+    slip_s: float | None = None
     breath_hz: float | None = None
     anew_px: float | None = None
 
@@ -119,6 +120,8 @@ class Design:
         best = self
         if "image.shift" not in used:
             best = replace(best, shift_s=_shift_time(scene.time_s, left))
+        if "offset.slip" not in used:
+            best = replace(best, slip_s=_slip_time(scene, left))
         if "image.breath" not in used:
             best = replace(best, breath_hz=_rhythm(scene.time_s, left))
         return best
@@ -208,6 +211,9 @@ def departures(scene: Scene, looked_for: Design, *, apart: bool | None = None) -
         *slow_parts("lag", _LAGS_S, scene.lagging),
         *slow_parts("creep", _CREEPS_S, scene.creeping),
     ]
+    if looked_for.slip_s is not None:
+        slipped = (scene.time_s >= looked_for.slip_s).astype(float)[:, None]
+        parts.append(Part("offset.slip", scene.along(slipped), one, price=_SCAN))
     if scene.load is not None and np.ptp(scene.load) > 0:
         load = scene.load / np.std(scene.load)
         effects = np.column_stack([load, scene.by_width * load, (scene.p - scene.p.mean()) * load])
@@ -441,6 +447,17 @@ def _shift_time(t: Array, left: Array) -> float | None:
     k = np.arange(20, n - 20) + 1.0
     gain = np.sum(total**2, axis=1) * n / (k * (n - k))
     return float(t[int(np.argmax(gain)) + 21])
+
+
+def _slip_time(scene: Scene, left: Array) -> float | None:
+    """The moment from which on another place of the tip along its path explains most, beside one of all the session."""
+    if len(left) < 60:
+        return None
+    pull, power = np.sum(left * scene.slope, axis=1), np.sum(scene.slope**2, axis=1)
+    share = np.cumsum(power) / max(float(power.sum()), 1e-30)
+    inside = slice(20, -20)
+    gain = (np.cumsum(pull) - share * pull.sum())[inside] ** 2 / np.maximum(share * (1.0 - share), 1e-12)[inside]
+    return float(scene.time_s[int(np.argmax(gain)) + 21])
 
 
 def _rhythm(t: Array, left: Array) -> float | None:

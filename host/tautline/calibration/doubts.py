@@ -9,12 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tautline.calibration.components import CORRECTS, LAW, Component, Components
+from tautline.calibration.components import CORRECTS, GAIN, LAW, Component, Components
 from tautline.calibration.departures import SHARE, SPEED, STATES
 from tautline.calibration.observations import Track
 from tautline.encoder import between_samples
 from tautline.quality import Reason
 from tautline.rig import ANGLE
+from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
 
@@ -31,8 +32,7 @@ _SPEEDS = 1.5  # scatter of moving frames over that of resting ones, from which 
 
 _CYCLES = 4.0, 40.0  # of a ripple over what was measured
 _RIPPLE = 0.02, 5.0  # of B, and of its sigma: less is none
-_ALONE = 0.6  # of what B's shape leaves, that is one ripple
-_SHAPE = 6  # degree of a polynomial that B's own shape is
+_PLACES, _RATES = 160, 145  # at which B is looked at; of a ripple that are tried
 _SMOOTHED = 0.4  # of the readings' noise: what smoothing leaves at a turn
 _LEVELS = 0.5  # different values for each frame, below which a sensor rounds
 _MUCH = 0.05  # of B: what is told, and in sigma, is no doubt below
@@ -80,6 +80,11 @@ _MEANS: dict[str, tuple[str, str, str]] = {
         "transmission.drift",
         "the tip's place at one motor position moves during the session",
         "warm the instrument up, check the cable's clamps, calibrate again",
+    ),
+    "offset.slip": (
+        "transmission.slip",
+        "the tip's place at one motor position jumped during the session",
+        "look for a tooth or a winding that jumps, for lost counts or another posture; calibrate again",
     ),
     "width.time": (
         "transmission.drift",
@@ -230,7 +235,7 @@ class Floor:
 
 def floor_of(tracks: Sequence[Track], grid: Array, width: Array, sigma: Array, unit: str) -> Floor:
     """grid, width and sigma where B was measured."""
-    if len(grid) < _SHAPE + 2:
+    if len(grid) < 2:
         return Floor(0.0, ())
     reasons, usual = [], float(np.median(width))
     between = max(between_samples(track.path.sampled) for track in tracks)
@@ -264,7 +269,7 @@ def floor_of(tracks: Sequence[Track], grid: Array, width: Array, sigma: Array, u
                 mild=rounded < _MUCH * usual,
             )
         )
-    rippled, wave = _ripple(grid, width)
+    rippled, wave = _ripple(grid, width, sigma)
     if rippled < max(_RIPPLE[0] * usual, _RIPPLE[1] * float(np.median(sigma))):
         rippled = 0.0
     else:
@@ -299,15 +304,30 @@ def _rounded(track: Track) -> float:
     return float(np.median(np.diff(levels)) / np.sqrt(12.0) / max(steep, 1e-12))
 
 
-def _ripple(grid: Array, width: Array) -> tuple[float, float]:
-    """(rms, period) of one ripple that is most of what B's shape leaves; 0 where there is none."""
-    left = width - np.polynomial.Polynomial.fit(grid, width, _SHAPE)(grid)
-    span = float(grid[-1] - grid[0])
-    rates = np.linspace(_CYCLES[0] / span, _CYCLES[1] / span, 400)
-    turn = 2j * np.pi * np.outer(rates, grid)
-    strength = np.abs(np.exp(turn) @ left) ** 2
-    rate = float(rates[int(np.argmax(strength))])
-    waves = np.column_stack([np.cos(2 * np.pi * rate * grid), np.sin(2 * np.pi * rate * grid)])
-    fitted = waves @ np.linalg.lstsq(waves, left, rcond=None)[0]
-    share = float(np.sum(fitted**2)) / max(float(np.sum(left**2)), 1e-30)
-    return (float(np.std(fitted)), 1.0 / rate) if share > _ALONE else (0.0, 1.0 / rate)
+def _ripple(grid: Array, width: Array, sigma: Array) -> tuple[float, float]:
+    """(rms, period) of one wave that goes on all over what was measured, where B is likelier with it than as a smooth
+    curve alone: rms 0 where it is not. B's shape is a cubic smoothing spline whose variance is the likeliest, with and
+    without the wave; the wave's prior is as large as B, its rate anywhere alike."""
+    at = np.linspace(grid[0], grid[-1], _PLACES)
+    y, weight = np.interp(at, grid, width), np.interp(at, grid, sigma) ** -2
+    basis = Basis(float(at[0]), float(at[-1]), _PLACES // 2)
+    design, usual = basis.design(at).toarray(), float(np.median(width))
+    heavy = design * weight[:, None]
+    rates = np.linspace(_CYCLES[0], _CYCLES[1], _RATES) / float(at[-1] - at[0])
+    turn = 2.0 * np.pi * np.outer(rates, at)
+    waves = np.stack([np.cos(turn), np.sin(turn)], axis=2)
+    smooth, waved = np.inf, (np.inf, 0, np.zeros(2))
+    for smoothing in np.logspace(-8, 8, 17) * float(np.median(weight)):
+        system = heavy.T @ design + smoothing * basis.bending
+        within = np.diag(weight) - heavy @ np.linalg.solve(system, heavy.T)
+        without = float(y @ within @ y + np.linalg.slogdet(system)[1] - (basis.size - 2) * np.log(smoothing))
+        seen = within @ waves
+        pull = np.einsum("rnc,n->rc", seen, y)
+        known = np.einsum("rnc,rnd->rcd", waves, seen) + np.eye(2) / usual**2
+        size = np.linalg.solve(known, pull[..., None])[..., 0]
+        gains = np.sum(pull * size, axis=1) - np.linalg.slogdet(usual**2 * known)[1] - 2.0 * np.log(_RATES)
+        best = int(np.argmax(gains))
+        smooth, waved = min(smooth, without), min(waved, (without - gains[best], best, size[best]), key=lambda w: w[0])
+    surprise, best, size = waved
+    there = surprise + GAIN < smooth  # what any departure has to gain
+    return (float(np.linalg.norm(size)) / np.sqrt(2.0) if there else 0.0), 1.0 / float(rates[best])

@@ -110,9 +110,10 @@ def fit_hinge(x: Array, y: Array, low: float, high: float) -> Hinge:
 
 
 def fit_jump(x: Array, y: Array, low: float, high: float) -> Jump:
-    """As fit_hinge with a free jump at the knot: x of the last still and of the first moving frame. Where neighbouring
-    brackets fit almost as well (twice the logarithm of the likelihood within 9), their union."""
-    edges = np.unique(x)
+    """As fit_hinge with a free jump at the knot: x of the last still and of the first moving frame; from `low` on where
+    no frame needs to be a still one. Where neighbouring brackets fit almost as well (twice the logarithm of the
+    likelihood within 9), their union."""
+    edges = np.unique(np.append(x, low))
     edges = edges[(edges >= low) & (edges <= high)]
     if len(edges) < 2:
         return Jump(low, high, 0.0, np.inf)

@@ -26,6 +26,9 @@ _STRAY = 12.0  # sigma, beside four usual steps, from which a lone frame is a fa
 _RESOLVED = 4.0  # times the least steps that a sensor shows: beyond, repeated values are no matter of resolution
 _HELD, _FEWEST_RUNS = 0.25, 8  # share of values that are repeated then, and how many must be seen
 _STILL_MM, _STILL_DEG = 0.02, 0.05  # other degrees of freedom that stay within this do not move
+# px: prior standard deviation, per coordinate, of what this package's tracker is off by in every frame alike near one
+# place: the rms of what docs/marker.md has, 0.02 (a flat disc) to 0.17 (a ball lit from one side, in MJPEG).
+TRACKED_PX = 0.1
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,7 @@ class Track:
     held: int = 0  # left out because the sensor repeated the value before
     session_s: float = 0.0  # added to its times to get the session's
     shown: Shown | None = None  # what was followed where it is no marker
+    tracked_px: float = 0.0  # prior of what frames near one place are off by alike; 0 of places that others tell
 
     def only(self, frames: Mask | npt.NDArray[np.intp] | slice) -> Track:
         """With these of its frames."""
@@ -111,7 +115,8 @@ def observe(recordings: Sequence[Recording], rig: Rig) -> list[Track]:
             y = np.column_stack([marker.u_px, marker.v_px])[seen].astype(float)
             given = None if marker.sigma_px is None else marker.sigma_px[seen]
             track = _track(recording, path, "px", marker.t_s[seen], y, given)
-            tracks.append(replace(track, shown=marker.shown))
+            of_frames = recording.video is not None or marker.frame_px is not None
+            tracks.append(replace(track, shown=marker.shown, tracked_px=TRACKED_PX if of_frames else 0.0))
         elif angle is not None:
             seen = angle.seen
             y = angle.c_deg[seen, None].astype(float)

@@ -17,7 +17,7 @@ from tautline.calibration.place import as_many_as_independent
 from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit, View
 from tautline.calibration.smooth import SPANS, Domain
 from tautline.elements import SINGLE, Elements
-from tautline.geometry import pose, project_with_slope
+from tautline.geometry import pose, project_with_slope, px_per_deg
 from tautline.rig import Rig
 from tautline.splines import Basis
 
@@ -114,8 +114,17 @@ def fit_remaining(
         notes.append("f_remain is not monotone where the tip hardly moves: it was made so for the inverse")
     design_on_grid = basis.design(grid).toarray()
     block = fitted.covariance[: basis.size, : basis.size]
-    sigma = np.sqrt(np.maximum(np.sum((design_on_grid @ block) * design_on_grid, axis=1), 0.0))
+    own = np.sqrt(np.maximum(np.sum((design_on_grid @ block) * design_on_grid, axis=1), 0.0))
+    sigma = np.hypot(own, tracked_deg(max(track.tracked_px for track in tracks), rig, lawful))
     return Remaining(lawful, sigma, _rms(fitted, tracks), fitted.scale, tuple(notes))
+
+
+def tracked_deg(tracked_px: float, rig: Rig, c_deg: Array) -> Array:
+    """(n,) deg, one standard deviation: what a tracker that is off by d(u, v), the same whenever the marker is there,
+    makes of f_remain. Frames see f + s.d / |s|^2, s px per deg of bending: no number of them tells d apart from f. B
+    and delay, which compare passes over one place, do not feel it. tracked_px: of d, per coordinate; 0: no such error.
+    """
+    return tracked_px / px_per_deg(rig, c_deg) if tracked_px else np.zeros(len(c_deg))
 
 
 def carried_on(curve: Array, grid: Array, low: float, high: float) -> Array:
@@ -211,7 +220,8 @@ def morphological(tracks: Sequence[Track], rig: Rig, grid: Array, delay_s: float
     slope = np.polyfit(centre, c, 1)[0]
     lawful = monotone(curve + slope * (grid - inside), grid, falling, _LEAST_SLOPE * abs(rig.coarse.gain))
     residual = float(np.sqrt(np.mean((np.interp(centre, grid, lawful) - c) ** 2)))
-    return Remaining(lawful, np.full(len(grid), residual), residual, np.nan, ("f_remain is the paper's median line",))
+    sigma = np.hypot(residual, tracked_deg(max(track.tracked_px for track in tracks), rig, lawful))
+    return Remaining(lawful, sigma, residual, np.nan, ("f_remain is the paper's median line",))
 
 
 def one_step(tracks: Sequence[Track], rig: Rig, delay_s: float) -> Characteristic | None:
