@@ -162,13 +162,19 @@ class Fit:
 
 
 class Fitter:
-    def __init__(self, model: Model, segments: Sequence[Segment], load_reference: float = 0.0) -> None:
-        self.model, self.segments, self.load_reference = model, list(segments), load_reference
+    def __init__(
+        self, model: Model, segments: Sequence[Segment], load_reference: float = 0.0, *, smooth: bool = False
+    ) -> None:
+        """smooth: one play, and without what of the model's curves the corrections' splines cannot follow."""
+        self.segments, self.load_reference = list(segments), load_reference
         self.px = segments[0].unit == "px"
         self.delayed = segments[0].sensor == model.sensor  # the model has a delay of its own for what is observed
         low = min(float(s.motor.q.min()) for s in segments)
         high = max(float(s.motor.q.max()) for s in segments)
         self.nominal_curves = curves = Nominal(Basis(low, high, _WIDTH_PIECES), Basis(low, high, _REMAINING_PIECES))
+        if smooth:
+            model = _smoothed(curves, model)
+        self.model = model
         span = model.rig.actuator.span
         gain = abs(model.rig.coarse.gain)
         # Priors keep what the motion does not excite where calibration left it.
@@ -502,6 +508,12 @@ class _Descent:
 
     def enough(self, gained: float, cost: float) -> bool:
         return gained < self.least * cost
+
+
+def _smoothed(curves: Nominal, model: Model) -> Model:
+    width = model.width - _beyond(curves.width, model.q, model.width)
+    c_deg = model.c_deg - _beyond(curves.follow, model.q, model.c_deg)
+    return replace(model, width=allowed_width(model.q, width), c_deg=c_deg, elements=SINGLE)
 
 
 def _beyond(basis: Basis, grid: Array, values: Array) -> Array:

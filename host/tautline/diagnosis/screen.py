@@ -49,10 +49,12 @@ class Screened:
     others: tuple[dict[str, float], ...] = ()  # the next best ones with other shapes
 
 
-def screen(fitter: Fitter, base: Fit, kinds: Iterable[Kind], limits: Sequence[float]) -> list[Screened]:
-    """Every kind, in all recordings and in the tests only, best first. limits: of each recording, what residuals are
-    cut to. Effects that the nominal absorbs are left out."""
-    scan = _Scan(fitter.coarse, base, limits)
+def screen(
+    fitter: Fitter, base: Fit, kinds: Iterable[Kind], limits: Sequence[float], scopes: Sequence[Scope] = tuple(Scope)
+) -> list[Screened]:
+    """Every kind in these scopes, best first. limits: of each recording, what residuals are cut to. Effects that the
+    nominal absorbs are left out."""
+    scan = _Scan(fitter.coarse, base, limits, scopes)
     screened: list[Screened] = []
     kinds = list(kinds)
     for kind in kinds:
@@ -61,7 +63,7 @@ def screen(fitter: Fitter, base: Fit, kinds: Iterable[Kind], limits: Sequence[fl
         if base.hypothesis.find(kind.id) is None:
             starts = sorted(scan.kind(kind), key=lambda entry: -entry.gain)
             if kind.scan == "moment" and starts:
-                starts = _Scan(fitter, base, limits).shift(kind, starts[0].values["shift_time"])
+                starts = _Scan(fitter, base, limits, scopes).shift(kind, starts[0].values["shift_time"])
             for scope in (Scope.TESTS, Scope.EACH, Scope.START):
                 best = [entry for entry in starts if entry.scope == scope][: 1 + _OTHERS]
                 if best:
@@ -70,8 +72,8 @@ def screen(fitter: Fitter, base: Fit, kinds: Iterable[Kind], limits: Sequence[fl
 
 
 class _Scan:
-    def __init__(self, fitter: Fitter, base: Fit, limits: Sequence[float]) -> None:
-        self.fitter, self.base = fitter, base
+    def __init__(self, fitter: Fitter, base: Fit, limits: Sequence[float], scopes: Sequence[Scope]) -> None:
+        self.fitter, self.base, self.scopes = fitter, base, scopes
         plain = fitter.rows(base.state, base.hypothesis)
         known = fitter.effect_columns(base.state, base.hypothesis, plain)
         self.here = [row.residual for row in plain]
@@ -139,7 +141,7 @@ class _Scan:
         scored = []
         tests, count = len(parts) - 1, len(kind.amplitudes)
         prior = self.fitter.floor**2 * self.fitter.curves(Hypothesis((kind,), (Scope.START,)))
-        for scope in Scope:
+        for scope in self.scopes:
             if (scope == Scope.START and (kind.nominal or not self.fitter.from_start)) or (
                 scope == Scope.EACH and not (kind.each and tests > 1)
             ):
