@@ -20,7 +20,7 @@ def named(
 ) -> list[Reason]:
     """The reasons with what departs under the name that all of the library's effects, weighed against each other, give
     it; as they are where none of them is likelier than something unknown. A name is as much of a doubt as what it
-    stands for. recordings: on the motor's clock, the earliest first."""
+    stands for, and one where B itself holds a part of it. recordings: on the motor's clock, the earliest first."""
     try:
         told = start.of_recordings(model, recordings, progress).named
     except TautError:  # nothing that a diagnosis could score
@@ -28,7 +28,7 @@ def named(
     if not told:
         return list(reasons)
     stands_for = [reason for reason in reasons if reason.code in LOOKS]
-    mild = all(reason.mild for reason in stands_for)
+    mild = all(reason.mild for reason in stands_for) and not start.in_the_width(model)
     seen = {reason.code: reason.says for reason in stands_for}
     names = [Reason(name, seen.get(name, BY_ID[name].says), _DRIVE, mild=mild) for name in told]
     return [*names, *(reason for reason in reasons if reason.code not in LOOKS | set(told))]

@@ -28,7 +28,7 @@ from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
 
-_WIDTH_PIECES, _REMAINING_PIECES = (
+WIDTH_PIECES, _REMAINING_PIECES = (
     len(effects.BY_ID[name].curve) - 3 for name in ("transmission.backlash", "configuration.remaining")
 )
 _ROUGH = 0.001  # second difference of a correction's neighbouring coefficients, share of its range
@@ -171,7 +171,7 @@ class Fitter:
         self.delayed = segments[0].sensor == model.sensor  # the model has a delay of its own for what is observed
         low = min(float(s.motor.q.min()) for s in segments)
         high = max(float(s.motor.q.max()) for s in segments)
-        self.nominal_curves = curves = Nominal(Basis(low, high, _WIDTH_PIECES), Basis(low, high, _REMAINING_PIECES))
+        self.nominal_curves = curves = Nominal(Basis(low, high, WIDTH_PIECES), Basis(low, high, _REMAINING_PIECES))
         if smooth:
             model = _smoothed(curves, model)
         self.model = model
@@ -181,7 +181,7 @@ class Fitter:
         prior = [np.full(curves.width.size, 0.03 * span), np.full(curves.follow.size, 0.1 * gain * span), np.ones(2)]
         # What the splines cannot follow: an effect that was there during calibration left its ripple in it.
         self._details = tuple(
-            _beyond(basis, model.q, values)
+            beyond(basis, model.q, values)
             for basis, values in ((curves.width, model.width), (curves.follow, model.c_deg))
         )
         if self.px:
@@ -511,12 +511,12 @@ class _Descent:
 
 
 def _smoothed(curves: Nominal, model: Model) -> Model:
-    width = model.width - _beyond(curves.width, model.q, model.width)
-    c_deg = model.c_deg - _beyond(curves.follow, model.q, model.c_deg)
+    width = model.width - beyond(curves.width, model.q, model.width)
+    c_deg = model.c_deg - beyond(curves.follow, model.q, model.c_deg)
     return replace(model, width=allowed_width(model.q, width), c_deg=c_deg, elements=SINGLE)
 
 
-def _beyond(basis: Basis, grid: Array, values: Array) -> Array:
+def beyond(basis: Basis, grid: Array, values: Array) -> Array:
     """What of a curve on a grid the basis cannot follow."""
     reached = (grid >= basis.low) & (grid <= basis.high)
     design = basis.design(grid).toarray()

@@ -10,21 +10,25 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from tautline.diagnosis import confounded, decide, gap, tracker
 from tautline.diagnosis.candidates import applicable
 from tautline.diagnosis.decide import Decision
-from tautline.diagnosis.fit import Fitter, Scope
+from tautline.diagnosis.fit import WIDTH_PIECES, Fitter, Scope, beyond
 from tautline.diagnosis.gather import Gathered, gather
 from tautline.diagnosis.segment import Segment, load_reference, prepare
 from tautline.diagnosis.tracker import TrackerError
 from tautline.effects import LIBRARY
 from tautline.model import Model
 from tautline.recording import Recording
+from tautline.splines import Basis
 
 Progress = Callable[[float, str], None]
 
 # What may be named: no part of the nominal model, which is free beside it, and no scatter, which a fit has no path of.
 NAMES = frozenset(kind.id for kind in LIBRARY if not kind.nominal and not kind.event)
+_SURE = 2.0  # standard deviations: of B where nothing was wrong its shape is 0.5 to 0.9 of one finer than the splines
 
 
 @dataclass(frozen=True)
@@ -42,8 +46,19 @@ class Start:
 
 
 def concerns(model: Model) -> bool:
-    """Whether the model's calibration says that something was there beside it."""
-    return any(reason.code in NAMES for reason in model.quality.reasons)
+    """Whether the model's calibration says that something was there beside it, or has taken it for a part of B."""
+    return any(reason.code in NAMES for reason in model.quality.reasons) or in_the_width(model)
+
+
+def in_the_width(model: Model) -> bool:
+    """Whether B holds what none of the nominal's splines follows, by more than it is uncertain by: no smooth B does."""
+    low, high = model.measured
+    inside = (model.q > low) & (model.q < high)
+    q, width, sigma = (values[inside] for values in (model.q, model.width, model.width_sigma))
+    if len(q) < 2 * WIDTH_PIECES:
+        return False
+    finer = beyond(Basis(float(q[0]), float(q[-1]), WIDTH_PIECES), q, width)
+    return float(np.mean(finer**2)) > _SURE**2 * float(np.mean(sigma**2))
 
 
 def of_recordings(model: Model, recordings: Sequence[Recording], progress: Progress) -> Start:
