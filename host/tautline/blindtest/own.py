@@ -63,12 +63,12 @@ def make(seed: int, kind: str, wanted: tuple[str, ...] = ()) -> Case:
         rig.camera.delay_s,
         rig.actuator.range,
     )
-    without = [_record(sound, motions[i], seeds[i], 0.0) for i in (1, 2)]
+    without = [record(sound, motions[i], seeds[i], 0.0) for i in (1, 2)]
     best: tuple[list[Effect], tuple[float, ...]] = ([], ())
     for _ in range(_DRAWS):
-        drawn = [_drawn(rng, name, rig) for name in chosen]
+        drawn = [draw(rng, name, rig) for name in chosen]
         left = tuple(
-            _moved([_record(replace(sound, effects=(one,)), motions[i], seeds[i], 0.0) for i in (1, 2)], without)
+            _moved([record(replace(sound, effects=(one,)), motions[i], seeds[i], 0.0) for i in (1, 2)], without)
             for one in drawn
         )
         if not best[1] or min(left) > min(best[1]):
@@ -78,14 +78,14 @@ def make(seed: int, kind: str, wanted: tuple[str, ...] = ()) -> Case:
     there = replace(sound, effects=tuple(best[0]))
     names = ("calibration", "test-1", "test-2", "further")
     recordings = [
-        replace(_record(there if i else sound, motions[i], seeds[i], noise), name=name) for i, name in enumerate(names)
+        replace(record(there if i else sound, motions[i], seeds[i], noise), name=name) for i, name in enumerate(names)
     ]
     values: Mapping[str, float] = {k: float(v) for one in best[0] for k, v in one.parameters.items()}
     label = Label(kind, chosen, seed, False, values, noise, best[1], NAME)
     return Case(rig, recordings[0], recordings[1:3], recordings[3], label)
 
 
-def _drawn(rng: np.random.Generator, name: str, rig: Rig) -> Effect:
+def draw(rng: np.random.Generator, name: str, rig: Rig) -> Effect:
     kind = effects.BY_ID[name]
     share = {p.name: rig.actuator.span if p.unit.startswith("unit") else 1.0 for p in kind.parameters}
     values = {p.name: float(rng.choice(p.shape)) * share[p.name] for p in kind.shapes}
@@ -96,7 +96,7 @@ def _drawn(rng: np.random.Generator, name: str, rig: Rig) -> Effect:
     return Effect(name, values)
 
 
-def _record(model: Model, motion: Trajectory, seed: int, noise_px: float) -> Recording:
+def record(model: Model, motion: Trajectory, seed: int, noise_px: float) -> Recording:
     instrument = Corrected(model, "own")
     timing = FrameTiming.of(model.rig, seed=seed)
     recording = run(model.rig, instrument, motion, noise_px=0.0, timing=timing, seed=seed).recording

@@ -21,6 +21,7 @@ from tautline.calibration.departures import SPEED
 from tautline.calibration.doubts import PREDICTS, doubts, floor_of
 from tautline.calibration.findings import Findings
 from tautline.calibration.holding import released
+from tautline.calibration.naming import named
 from tautline.calibration.observations import Track, observe
 from tautline.calibration.on_tip import place_on_tip
 from tautline.calibration.onset import BOUND, BRACKET, HINGE, Delay, Onset, delayed, find_onsets
@@ -36,13 +37,14 @@ from tautline.calibration.several import fit_elements, left
 from tautline.calibration.smooth import Domain, fit_jointly, fit_passes, freeze
 from tautline.calibration.worth import worth
 from tautline.core.session import Session
+from tautline.diagnosis import start
 from tautline.elements import SINGLE
 from tautline.errors import TautError
 from tautline.geometry import coarse_range_deg
 from tautline.model import Model
 from tautline.prediction import predict
 from tautline.quality import Quality, Reason
-from tautline.recording import Recording
+from tautline.recording import Recording, shifted
 from tautline.rig import Rig
 from tautline.value import Value
 
@@ -56,6 +58,7 @@ _GRADUAL = 0.4  # noise: what a gradual start must leave for several elements to
 _HELD = 0.5  # of the square of what one element leaves beyond noise: several may leave so much
 _HELD_SHARE = 0.1  # of all frames: where more are left out the rest may be wrong too, unless one model explains it
 _ASTRAY = 2.5  # times what B and a path of any shape leave: f_remain in the rig's geometry
+_OF_SENSORS = frozenset({"turn", "tracker"})  # departures that no effect of the library looks like
 _OF_ELEMENTS = frozenset({"phase.even", "image.side"})  # what several elements, or their number, stand for
 _BETWEEN_ELEMENTS = 0.003  # of B: what elements of a few shares leave, alike on every stroke
 _UNIT_SLACK = 1.6  # by which f_coarse's gain and f_remain's may part beside a unit that is mistaken
@@ -191,7 +194,16 @@ def calibrate(
         moved = iter(zip(aligned.tracks, aligned.offsets_s, strict=True))
         pairs = [next(moved) if len(track.t_s) else (track, 0.0) for track in every]
         reasons = acquisition_doubts(recordings, [track for track, _ in pairs], [offset for _, offset in pairs], rig)
-        return _Session(aligned, rig, options, say, reasons).run()
+        session = _Session(aligned, rig, options, say, reasons)
+        found = session.run()
+        if found.model.quality.usable and (session.departs or start.concerns(found.model)):
+            told = named(
+                *(found.model.quality.reasons, found.model, shifted(recordings, found.offsets)),
+                lambda share, what: say(0.8 + 0.2 * share, what),
+            )
+            found = replace(found, model=replace(found.model, quality=Quality.of(told)))
+        say(1.0, "done")
+        return found
 
 
 class _Session:
@@ -213,6 +225,12 @@ class _Session:
         self.camera = tracks[0].unit == "px"
         self.nominal_s = rig.nominal_delay_s(tracks[0].sensor)
         self.unit = rig.actuator.unit
+
+    @property
+    def departs(self) -> bool:
+        """Whether the recordings show more than B, path and delay, a motor's counts, a tracker's error and noise."""
+        found = self.components
+        return found is not None and (found.noise > PREDICTS or any(p.name not in _OF_SENSORS for p in found.parts))
 
     @property
     def choice(self) -> Choice:
@@ -260,7 +278,7 @@ class _Session:
         self._doubt_place(remaining)
         self._hold()
         self._depart(joint, curve, source, remaining)
-        self.say(1.0, "done")
+        self.say(0.8, "naming what departs")
         return self._result(onsets, delay, curve, joint, passes, width, sigma, source, remaining)
 
     def _release(self) -> None:

@@ -80,13 +80,25 @@ class Candidate:
 class Search:
     """Hypotheses on top of others, all judged on the same blocks by the same measure."""
 
-    def __init__(self, fitter: Fitter, base: Fit, kinds: Sequence[Kind], progress: Progress) -> None:
-        self.fitter, self.kinds, self._progress = fitter, kinds, progress
+    def __init__(
+        self,
+        fitter: Fitter,
+        base: Fit,
+        kinds: Sequence[Kind],
+        progress: Progress,
+        scopes: Sequence[Scope] = tuple(Scope),
+    ) -> None:
+        self.fitter, self.kinds, self._progress, self.scopes = fitter, kinds, progress, scopes
         self._with_path = [kind for kind in kinds if not kind.event]
         self.labels = [np.unique(gap.blocks(s), return_inverse=True)[1] for s in fitter.segments]
         self.limits = outlier_limits(fitter, base)
         self._alike = gap.alike(fitter.segments, _NOISE * fitter.floor)  # of the noise's numbers
         self.base = self.judged(base)
+
+    @property
+    def later(self) -> bool:
+        """Whether an effect may have come after the calibration."""
+        return Scope.TESTS in self.scopes
 
     def by_what_is_recorded(self) -> Search:
         """Without what another posture changes where following a measured load leaves less than a wrong effect does:
@@ -94,10 +106,10 @@ class Search:
         loads = [kind for kind in self.kinds if kind.needs == "load"]
         floor2 = self.fitter.floor**2
         little = learnt().center.unexplained_by_wrong * (float(np.mean(self.base.power)) - floor2)
-        for one in Search(self.fitter, self.base.fit, loads, self._progress).on_top_of(self.base, 1, 1):
+        for one in Search(self.fitter, self.base.fit, loads, self._progress, self.scopes).on_top_of(self.base, 1, 1):
             if float(np.mean(one.power)) - floor2 < little:
                 kinds = [kind for kind in self.kinds if not kind.posture]
-                return Search(self.fitter, self.base.fit, kinds, self._progress)
+                return Search(self.fitter, self.base.fit, kinds, self._progress, self.scopes)
         return self
 
     def judged(self, fit: Fit) -> Candidate:
@@ -129,7 +141,7 @@ class Search:
         """The `refits` effects that screen best, each in the scope that screens
         best; the best `both_scopes` of them in their other scopes too. Best first."""
         seen: dict[str, dict[Scope, Screened]] = {}
-        for entry in screen(self.fitter, below.fit, self._with_path, self.limits):
+        for entry in screen(self.fitter, below.fit, self._with_path, self.limits, self.scopes):
             seen.setdefault(entry.kind.id, {}).setdefault(entry.scope, entry)
         candidates: list[Candidate] = []
 

@@ -21,6 +21,7 @@ from tautline.diagnosis import (
     repeated,
     resembles,
     shapley,
+    start,
     tip,
     tracker,
     where,
@@ -105,6 +106,15 @@ def _diagnosis(
 
     gathered = gather(fitter, frozen, base, kinds, lambda done, text: progress(0.1 + 0.8 * done, text))
     verdict = decide.that_help(gathered.evidence, decide.decide(gathered.evidence))
+    if verdict.name != "effect" and simulated is None and start.concerns(model):
+        # Nothing that came later is the cause: what was there while calibrating, which the calibration has swallowed.
+        from_start = start.of_segments(
+            *(model, segments, fitter.load_reference, tracked),
+            lambda done, text: progress(0.9 + 0.02 * done, text),
+            left_out,
+        )
+        if from_start.named:
+            fitter, gathered, verdict = from_start.fitter, from_start.gathered, from_start.verdict
     progress(0.92, "attributing")
     before = frozen[1:]
     before_rms, recalibrated = gap.rms(before), gap.rms(base.residuals[1:])

@@ -28,7 +28,7 @@ from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
 
-_WIDTH_PIECES, _REMAINING_PIECES = (
+WIDTH_PIECES, _REMAINING_PIECES = (
     len(effects.BY_ID[name].curve) - 3 for name in ("transmission.backlash", "configuration.remaining")
 )
 _ROUGH = 0.001  # second difference of a correction's neighbouring coefficients, share of its range
@@ -162,20 +162,26 @@ class Fit:
 
 
 class Fitter:
-    def __init__(self, model: Model, segments: Sequence[Segment], load_reference: float = 0.0) -> None:
-        self.model, self.segments, self.load_reference = model, list(segments), load_reference
+    def __init__(
+        self, model: Model, segments: Sequence[Segment], load_reference: float = 0.0, *, smooth: bool = False
+    ) -> None:
+        """smooth: one play, and without what of the model's curves the corrections' splines cannot follow."""
+        self.segments, self.load_reference = list(segments), load_reference
         self.px = segments[0].unit == "px"
         self.delayed = segments[0].sensor == model.sensor  # the model has a delay of its own for what is observed
         low = min(float(s.motor.q.min()) for s in segments)
         high = max(float(s.motor.q.max()) for s in segments)
-        self.nominal_curves = curves = Nominal(Basis(low, high, _WIDTH_PIECES), Basis(low, high, _REMAINING_PIECES))
+        self.nominal_curves = curves = Nominal(Basis(low, high, WIDTH_PIECES), Basis(low, high, _REMAINING_PIECES))
+        if smooth:
+            model = _smoothed(curves, model)
+        self.model = model
         span = model.rig.actuator.span
         gain = abs(model.rig.coarse.gain)
         # Priors keep what the motion does not excite where calibration left it.
         prior = [np.full(curves.width.size, 0.03 * span), np.full(curves.follow.size, 0.1 * gain * span), np.ones(2)]
         # What the splines cannot follow: an effect that was there during calibration left its ripple in it.
         self._details = tuple(
-            _beyond(basis, model.q, values)
+            beyond(basis, model.q, values)
             for basis, values in ((curves.width, model.width), (curves.follow, model.c_deg))
         )
         if self.px:
@@ -504,7 +510,13 @@ class _Descent:
         return gained < self.least * cost
 
 
-def _beyond(basis: Basis, grid: Array, values: Array) -> Array:
+def _smoothed(curves: Nominal, model: Model) -> Model:
+    width = model.width - beyond(curves.width, model.q, model.width)
+    c_deg = model.c_deg - beyond(curves.follow, model.q, model.c_deg)
+    return replace(model, width=allowed_width(model.q, width), c_deg=c_deg, elements=SINGLE)
+
+
+def beyond(basis: Basis, grid: Array, values: Array) -> Array:
     """What of a curve on a grid the basis cannot follow."""
     reached = (grid >= basis.low) & (grid <= basis.high)
     design = basis.design(grid).toarray()

@@ -31,18 +31,28 @@ class Gathered:
     candidates: list[Candidate]  # of each of the evidence's hypotheses
 
 
-def gather(fitter: Fitter, frozen: Sequence[Array], base: Fit, kinds: Sequence[Kind], progress: Progress) -> Gathered:
-    """`frozen`: what the calibrated model leaves of each recording as it is. `base`: the recalibrated nominal."""
+def gather(
+    fitter: Fitter,
+    frozen: Sequence[Array],
+    base: Fit,
+    kinds: Sequence[Kind],
+    progress: Progress,
+    scopes: Sequence[Scope] = tuple(Scope),
+) -> Gathered:
+    """`frozen`: what the calibrated model leaves of each recording as it is. `base`: the recalibrated nominal. scopes:
+    since when an effect may be there; where only from the start, no recording is better than another, and none excuses
+    what is left."""
     steps = [0]
 
     def told(text: str) -> None:
         steps[0] += 1
         progress(min(1.0, steps[0] / (_REFITS + _BOTH_SCOPES + sum(_EXTENDED) * _FURTHER_REFITS)), text)
 
-    search = Search(fitter, base, kinds, told)
+    search = Search(fitter, base, kinds, told, scopes)
     if confounded.load_tells_apart(fitter.segments):
         search = search.by_what_is_recorded()
-    weighing = _Weighing(search, search.power(frozen), float(np.mean(np.square(frozen[0]))))
+    own = float(np.mean(np.square(frozen[0]))) if search.later else 0.0
+    weighing = _Weighing(search, search.power(frozen), own)
     weighing.add(search.base, events=True)
     weighing.add_single(search.on_top_of(search.base, _REFITS, _BOTH_SCOPES))
     for size, most in enumerate(_EXTENDED, start=1):
@@ -51,9 +61,9 @@ def gather(fitter: Fitter, frozen: Sequence[Array], base: Fit, kinds: Sequence[K
             if below is None:
                 break
             weighing.add_further(search.on_top_of(below, _FURTHER_REFITS, 0))
-            if size == 1:
+            if size == 1 and search.later:
                 weighing.add_changed(below)
-    if not fitter.px:  # nothing else than its fit tells a delay from a width at one speed
+    if search.later and not fitter.px:  # nothing else than its fit tells a delay from a width at one speed
         late = next((candidate for candidate in weighing.candidates if candidate.ids == (DELAY,)), None)
         if late is not None and weighing.open():
             weighing.add_changed(late)
@@ -83,7 +93,7 @@ class _Weighing:
             return
         kinds = [kind for kind in self.search.kinds if kind.event]
         beyond = {kind.id: self.search.beyond(candidate.fit, [kind]) for kind in kinds}
-        for scope in (Scope.START, Scope.TESTS):
+        for scope in (scope for scope in (Scope.START, Scope.TESTS) if scope in self.search.scopes):
             left = self._scatter_left(candidate, bool(scope))
             for kind in kinds:
                 fit = replace(candidate.fit, hypothesis=candidate.fit.hypothesis.plus(kind, scope))
@@ -163,6 +173,8 @@ class _Weighing:
         contained = candidates[0].fit.hypothesis.kinds[0].contains if candidates else ()
         for i, one in enumerate(candidates):
             self.add(one, events=i == 0 or hidden or one.ids[0] in contained)
+        if not self.search.later:
+            return
         if hidden or (candidates and candidates[0].fit.hypothesis.kinds[0].posture and self._open(candidates[0])):
             self.add_posture(candidates)
         for one in self.search.with_brought() if candidates and self._open(candidates[0]) else []:

@@ -51,10 +51,12 @@ class Screened:
     more: tuple[Screened, ...] = ()  # of what happens at a moment: twice, and more often
 
 
-def screen(fitter: Fitter, base: Fit, kinds: Iterable[Kind], limits: Sequence[float]) -> list[Screened]:
-    """Every kind, in all recordings and in the tests only, best first. limits: of each recording, what residuals are
-    cut to. Effects that the nominal absorbs are left out."""
-    scan = _Scan(fitter.coarse, base, limits)
+def screen(
+    fitter: Fitter, base: Fit, kinds: Iterable[Kind], limits: Sequence[float], scopes: Sequence[Scope] = tuple(Scope)
+) -> list[Screened]:
+    """Every kind in these scopes, best first. limits: of each recording, what residuals are cut to. Effects that the
+    nominal absorbs are left out."""
+    scan = _Scan(fitter.coarse, base, limits, scopes)
     fine: _Scan | None = None  # of all observations
     screened: list[Screened] = []
     kinds = list(kinds)
@@ -64,7 +66,7 @@ def screen(fitter: Fitter, base: Fit, kinds: Iterable[Kind], limits: Sequence[fl
         if base.hypothesis.find(kind.id) is None:
             if kind.scan == "moment":
                 if rough := scan.moments(kind):
-                    fine = fine or _Scan(fitter, base, limits)
+                    fine = fine or _Scan(fitter, base, limits, scopes)
                     once, *more = fine.moments(kind, [rough[-1].values[name] for name in rough[-1].kind.moments])
                     screened.append(replace(once, more=tuple(more)))
                 continue
@@ -77,8 +79,8 @@ def screen(fitter: Fitter, base: Fit, kinds: Iterable[Kind], limits: Sequence[fl
 
 
 class _Scan:
-    def __init__(self, fitter: Fitter, base: Fit, limits: Sequence[float]) -> None:
-        self.fitter, self.base = fitter, base
+    def __init__(self, fitter: Fitter, base: Fit, limits: Sequence[float], scopes: Sequence[Scope]) -> None:
+        self.fitter, self.base, self.scopes = fitter, base, scopes
         plain = fitter.rows(base.state, base.hypothesis)
         known = fitter.effect_columns(base.state, base.hypothesis, plain)
         self.here = [row.residual for row in plain]
@@ -144,7 +146,7 @@ class _Scan:
         scored = []
         tests, count = len(parts) - 1, len(kind.amplitudes)
         prior = self.fitter.floor**2 * self.fitter.curves(Hypothesis((kind,), (Scope.START,)))
-        for scope in Scope:
+        for scope in self.scopes:
             if (scope == Scope.START and (kind.nominal or not self.fitter.from_start)) or (
                 scope == Scope.EACH and not (kind.each and tests > 1)
             ):
