@@ -321,7 +321,7 @@ static void lose(uint8_t axis) {
 static void rewire(uint8_t axis, double wiring) {
     fake.wiring[axis] = wiring;
     fake_start(AXES, TL_WIRE_BOOT_POWER); // where nothing is stored, nobody has commissioned it
-    memset(seen, 0, sizeof(seen)); // another life
+    memset(seen, 0, sizeof(seen));        // another life
     for (uint8_t i = 0; i < AXES; i++) {
         lose(i);
     }

@@ -663,8 +663,8 @@ static void test_how_long_it_holds_alone_is_a_setting(void) {
 }
 
 // Settings that firmware stored before the last of them were there are in force all the same: of protocol 2.3 without
-// commissioned, a byte, of 2.2 without group and estop, two more, of 2.1 without hold_ms, four more. Commissioned is then
-// who has a range: nobody else had one stored.
+// commissioned, a byte, of 2.2 without group and estop, two more, of 2.1 without hold_ms, four more. Commissioned is
+// then who has a range: nobody else had one stored.
 static void test_settings_of_earlier_firmware_are_read(void) {
     static const size_t lacks[] = {1U, 3U, 7U};
     for (unsigned era = 0; era < 3U; era++) {
