@@ -128,6 +128,8 @@ _APP = (
          GUARD, "    axis->q = trial->end;\n"),
     _one("a weak jog", SAFETY + "a_jog_needs_no_reference_and_is_weak", ASK,
          "    begin(axis, low_duty(axis));", "    begin(axis, axis->limits.duty_q15);"),
+    _one("weak until commissioned", SAFETY + "a_motor_that_nobody_commissioned_is_weak_and_slow",
+         ASK, "    if (from->commissioned == 0U) {", "    if (from->commissioned == 7U) {"),
     _one("settings are stored", SAFETY + "settings_outlive_the_power_and_no_host_widens_them",
          SETTINGS, "if (!tl_store_write(port, TL_STORE_SETTINGS, 0U, scratch, TL_WIRE_AXES_MAX * FRAME_SIZE)) {",
          "if (false && scratch[0] == FRAME_SIZE) {"),
@@ -306,6 +308,8 @@ _HOST = (
          HOST + "live/commission.py", "    if not agree(question):", "    if not agree(question) and False:"),
     _one("tried gains are taken back", COMMISSION + "a_fault_while_commissioning_stores_nothing",
          HOST + "live/commission.py", '            board.ask("servo", **_servo(before))\n'),
+    _one("commissioning that stops half way", COMMISSION + "commission_does_nothing_that_was_not_agreed_to",
+         HOST + "live/commission.py", "            _store(live, settings)\n", "            pass\n"),
     _one("homing ends with its program", COMMISSION + "ctrl_c_during_homing_leaves_the_motor_at_rest_and_no_position",
          HOST + "live/setup.py", "                self.release()\n", "                pass\n"),
 )  # fmt: skip

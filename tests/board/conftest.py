@@ -89,7 +89,9 @@ class Bench:
             self.link.ask("advance 20000")
 
     def ready(self, board: Board) -> None:
-        """Every axis checked and referenced, at position 0 and off."""
+        """Every axis commissioned, checked and referenced, at position 0 and off."""
+        for axis in range(board.axes):
+            board.trust_motor(axis)
         for axis in range(board.axes):
             board.ask("enable", axis=axis, on=1)  # all at the same time
         for axis in range(board.axes):
@@ -226,7 +228,7 @@ def make_fresh(where: str, link: SimLink | None) -> None:
 
 @pytest.fixture
 def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
-    """Its axes are checked and referenced."""
+    """Its axes are commissioned, checked and referenced."""
     with bench_of(request) as bench:
         with bench.open() as board:
             bench.ready(board)

@@ -205,6 +205,7 @@ def paced() -> Any:
 
         with open_board(desktop.where) as board:
             board.load_table(0, tables.encode(model()))
+            board.trust_motor(0)
             board.ask("set_position", axis=0, q=0.0)
         yield desktop
 

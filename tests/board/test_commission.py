@@ -13,7 +13,7 @@ import pytest
 from test_calibration import live_on, off
 from test_commands import run
 
-from conftest import Bench
+from conftest import Bench, bench_of
 from tautline.device import wire
 from tautline.device.board import Board
 from tautline.errors import TautError
@@ -78,17 +78,51 @@ def test_ctrl_c_during_homing_leaves_the_motor_at_rest_and_no_position(bench: Be
         assert rested(live, pressed[0]) < 0.1
 
 
-@pytest.mark.parametrize("count", [40, 150, 400, 1250])
-def test_a_fault_while_commissioning_stores_nothing(bench: Bench, count: int) -> None:
+def forget(board: Board) -> None:
+    """Axis 0 as on a board that nobody has commissioned."""
+    own = dict(board.ask("get_settings", axis=0).values)
+    board.ask("settings", **(own | {"commissioned": 0, "key": wire.wire.KEY}), timeout_s=5.0)
+
+
+def is_commissioned(board: Board) -> bool:
+    """As the status has it, and the settings; the drive that is allowed has to go with it."""
+    told = bool(board.status(0).flags & wire.code("FLAGS", "COMMISSIONED"))
+    own, limits = board.ask("get_settings", axis=0), board.ask("get_limits", axis=0)
+    assert bool(own.commissioned) == told
+    assert limits.duty == (own.duty if told else own.low_duty) and own.low_duty <= 0.25 < own.duty
+    return told
+
+
+def test_a_board_that_nobody_commissioned_says_so_and_is_weak(request: pytest.FixtureRequest) -> None:
+    with bench_of(request) as fresh:
+        with fresh.open() as board:
+            if fresh.link is None and is_commissioned(board):
+                pytest.skip("this board is commissioned")
+            assert not is_commissioned(board)
+            board.ask("set_position", axis=0, q=0.0)
+            board.switch_on(0, fresh.run)
+            board.ask("move", axis=0, q=2000.0)
+            assert fresh.until(board, 0, "HOLD").q == pytest.approx(2000.0, abs=5.0)
+            board.ask("enable", axis=0, on=0)
+        row = run("boards", board=fresh.where)["boards"][0]["axes"][0]
+        assert row["commissioned"] is False
+
+
+@pytest.mark.parametrize(("count", "before"), [(40, True), (150, False), (400, True), (1250, False), (1250, True)])
+def test_a_fault_while_commissioning_stores_nothing(bench: Bench, count: int, before: bool) -> None:
+    """`before`: it was commissioned once."""
     with live_on(bench, preset("reference")) as live:
         assert live.plant is not None
         live.plant.end_at(-3.0, 9.0)
+        if not before:
+            forget(live.board)
         gains = dict(live.board.ask("get_servo", axis=0).values)
         after_batches(live, count, lambda: live.board.tell("safe_stop", axis=0))
         with pytest.raises(TautError, match=r"^axis 0 has stopped: stopped by safe_stop.*taut clear"):
             commission(live, lambda question: True, lambda text: None)
         assert off(live.board) and live.board.ask("get_servo", axis=0).values == gains
         assert live.board.ask("get_settings", axis=0).proportional == gains["proportional"]
+        assert is_commissioned(live.board) == before
 
 
 def test_home_as_a_user_calls_it() -> None:
@@ -180,6 +214,7 @@ def test_commission_measures_the_motor_and_stores_what_it_found(bench: Bench) ->
         live.plant.end_at(-3.0, 9.0)
         before = dict(live.board.ask("get_settings", axis=0).values)
         lazy = before | {"proportional": 300, "derivative": 200, "feed_forward": 1200, "friction": 0.03}
+        lazy["commissioned"] = 0
         live.board.ask("settings", **(lazy | {"key": wire.wire.KEY}), timeout_s=5.0)
         found = commission(
             live, lambda question: True, said.append, Homing(), {"current_ma": 350, "instrument": "SN-7"}
@@ -198,6 +233,7 @@ def test_commission_measures_the_motor_and_stores_what_it_found(bench: Bench) ->
         assert (kept.q_low, kept.q_high, kept.current_ma, kept.instrument) == (-5000.0, 5000.0, 350, "SN-7")
         assert kept.friction == pytest.approx(found.friction, abs=1e-4)
         assert kept.proportional == round(300 * found.factor)
+        assert is_commissioned(again)
         again.switch_on(0, bench.run)
         again.ask("enable", axis=0, on=0)
 
@@ -213,13 +249,14 @@ def test_commission_does_nothing_that_was_not_agreed_to(bench: Bench, agreed: in
     with live_on(bench, preset("reference")) as live:
         assert live.plant is not None
         live.plant.end_at(-3.0, 9.0)
+        forget(live.board)
         gains = live.board.ask("get_servo", axis=0).values
         with pytest.raises(TautError, match="stopped as you said"):
             commission(live, agree, lambda text: None)
         assert len(asked) == agreed + 1 and off(live.board)
         assert live.board.ask("get_servo", axis=0).values == gains
         kept = live.board.ask("get_settings", axis=0).values
-        assert all(kept[name] == gains[name] for name in gains)
+        assert all(kept[name] == gains[name] for name in gains) and not is_commissioned(live.board)
         q = live.plant.truth()[1]
         if agreed == 0:
             assert np.ptp(q) == 0.0

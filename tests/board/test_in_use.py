@@ -180,6 +180,7 @@ def test_a_stream_is_tracked_beside_it(
     model_of(instrument, residual_px=0.5).save(tmp_path / "model")  # times are as good as this machine keeps them
     with DesktopBoard(realtime=True) as desktop:
         with open_board(desktop.where) as board:
+            board.trust_motor(0)
             board.ask("set_position", axis=0, q=0.0)
         link, seen_by = desktop.link(), desktop.link()
         clock = wall_clock(link)

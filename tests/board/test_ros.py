@@ -53,6 +53,7 @@ def saved_model(folder: Path) -> Path:
 def referenced() -> Iterator[DesktopBoard]:
     with DesktopBoard(realtime=True) as desktop:
         with open_board(desktop.where) as board:
+            board.trust_motor(0)
             board.ask("set_position", axis=0, q=0.0)
         yield desktop
 

@@ -7,6 +7,7 @@
 #include <unity.h>
 
 #include "tautline/tl_app.h"
+#include "tautline/tl_axis_ask.h"
 #include "tautline/tl_axis_rest.h"
 
 #define FAKE_HZ    5000U
@@ -187,6 +188,15 @@ static inline void fake_start(uint8_t axes, tl_wire_boot_t boot) {
     tl_app_bus(&app, true);
 }
 
+// Every axis as 'taut commission' leaves it, but for flash, which holds nothing yet.
+static inline void fake_commission(void) {
+    for (uint8_t i = 0; i < fake_port.axes; i++) {
+        tl_wire_settings_t own = app.axes[i].settings;
+        own.commissioned = 1U;
+        tl_axis_use_settings(&app.axes[i], &own);
+    }
+}
+
 static inline void fake_new(uint8_t axes) {
     memset(&fake, 0, sizeof(fake));
     memset(fake.flash, 0xFF, sizeof(fake.flash));
@@ -196,6 +206,7 @@ static inline void fake_new(uint8_t axes) {
         fake.wiring[i] = 1.0;
     }
     fake_start(axes, TL_WIRE_BOOT_POWER);
+    fake_commission();
 }
 
 // Every axis as it is after its check and its homing, at its present position.

@@ -2,8 +2,6 @@
 // after every control step. tools/guards.py has what each guard of it is worth.
 #include "fake_board.h"
 
-#include "tautline/tl_axis_ask.h"
-
 #ifndef RANDOM_STEPS
 #define RANDOM_STEPS 30000000U // control steps
 #endif
@@ -69,8 +67,9 @@ static void check_axis(uint8_t i) {
     const tl_wire_settings_t *own = &axis->settings;
     // Duty within limits; low until the position is known, and while motor and encoder are checked.
     TEST_ASSERT_TRUE_MESSAGE(abs(duty) <= own->duty_q15 && abs(duty) <= axis->limits.duty_q15, "duty within limits");
-    const bool weak = axis->mode == TL_WIRE_MODE_CHECK || axis->mode == TL_WIRE_MODE_HOME || !axis->referenced;
-    TEST_ASSERT_TRUE_MESSAGE(!weak || abs(duty) <= own->low_duty_q15, "low duty without a reference");
+    const bool weak = axis->mode == TL_WIRE_MODE_CHECK || axis->mode == TL_WIRE_MODE_HOME || !axis->referenced ||
+                      own->commissioned == 0U;
+    TEST_ASSERT_TRUE_MESSAGE(!weak || abs(duty) <= own->low_duty_q15, "low duty without a reference, or commissioning");
     // Off is off, and a fault means off.
     TEST_ASSERT_TRUE_MESSAGE(axis->fault == TL_WIRE_FAULT_NONE || axis->mode == TL_WIRE_MODE_OFF, "fault means off");
     TEST_ASSERT_TRUE_MESSAGE(axis->mode != TL_WIRE_MODE_OFF || duty == 0, "off means no drive");
@@ -204,6 +203,7 @@ static void say_settings(uint8_t axis) {
     own.speed_q8_s = between(1000, 20000) * TL_COUNT_ONE;
     own.acceleration_q8_s2 = between(10000, 200000) * TL_COUNT_ONE;
     own.stall_ms = (uint16_t)between(50, 500);
+    own.commissioned = (uint8_t)(one_in(4) ? 0U : 1U);
     if (one_in(3)) { // which no servo stands
         own.proportional = 32767;
         own.derivative = 32767;
@@ -320,10 +320,10 @@ static void lose(uint8_t axis) {
 // With the power off somebody changes the wires.
 static void rewire(uint8_t axis, double wiring) {
     fake.wiring[axis] = wiring;
-    fake_start(AXES, TL_WIRE_BOOT_POWER);
+    fake_start(AXES, TL_WIRE_BOOT_POWER); // where nothing is stored, nobody has commissioned it
+    memset(seen, 0, sizeof(seen));        // another life
     for (uint8_t i = 0; i < AXES; i++) {
         lose(i);
-        seen[i].was_closed = false;
     }
 }
 

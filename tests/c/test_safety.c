@@ -1,8 +1,6 @@
 // What an axis must refuse, notice and survive, one test each: the motors here have inertia, the wires may be swapped.
 #include "fake_board.h"
 
-#include "tautline/tl_axis_ask.h"
-
 void setUp(void) {
     fake_new(2);
 }
@@ -664,17 +662,19 @@ static void test_how_long_it_holds_alone_is_a_setting(void) {
     TEST_ASSERT_EQUAL(TL_WIRE_MODE_HOLD, app.axes[0].mode);
 }
 
-// Settings that firmware stored before the last of them were there are in force all the same: of protocol 2.2 without
-// group and estop, two bytes, of 2.1 without hold_ms, four more.
+// Settings that firmware stored before the last of them were there are in force all the same: of protocol 2.3 without
+// commissioned, a byte, of 2.2 without group and estop, two more, of 2.1 without hold_ms, four more. Commissioned is
+// then who has a range: nobody else had one stored.
 static void test_settings_of_earlier_firmware_are_read(void) {
-    static const size_t lacks[] = {2U, 6U};
-    for (unsigned era = 0; era < 2U; era++) {
+    static const size_t lacks[] = {1U, 3U, 7U};
+    for (unsigned era = 0; era < 3U; era++) {
         const size_t size = TL_WIRE_HEADER_SIZE + TL_WIRE_SIZE_SETTINGS + TL_WIRE_CRC_SIZE - lacks[era];
         uint8_t blob[TL_WIRE_AXES_MAX * TL_WIRE_FRAME_MAX];
         for (uint8_t i = 0; i < TL_WIRE_AXES_MAX; i++) {
             tl_wire_settings_t own = tl_axis_default_settings(&fake_port, i);
             own.stall_ms = 222;
             own.hold_ms = 5000;
+            own.q_low_q8 = i == 0U ? COUNTS(-700) : own.q_low_q8;
             own.group = 3;
             own.estop = TL_WIRE_ESTOP_OPEN;
             uint8_t frame[TL_WIRE_FRAME_MAX];
@@ -687,10 +687,46 @@ static void test_settings_of_earlier_firmware_are_read(void) {
         TEST_ASSERT_EQUAL(TL_WIRE_STORE_NEWEST, fake_status(0).settings);
         const tl_wire_settings_t read = settings();
         TEST_ASSERT_EQUAL(222, read.stall_ms);
-        TEST_ASSERT_EQUAL(era == 0 ? 5000 : 60000, read.hold_ms);
-        TEST_ASSERT_EQUAL(0, read.group);
-        TEST_ASSERT_EQUAL(TL_WIRE_ESTOP_CLOSED, read.estop);
+        TEST_ASSERT_EQUAL(era < 2U ? 5000 : 60000, read.hold_ms);
+        TEST_ASSERT_EQUAL(era < 1U ? 3 : 0, read.group);
+        TEST_ASSERT_EQUAL(era < 1U ? TL_WIRE_ESTOP_OPEN : TL_WIRE_ESTOP_CLOSED, read.estop);
+        TEST_ASSERT_TRUE((fake_status(0).flags & TL_WIRE_FLAG_COMMISSIONED) != 0);
+        TEST_ASSERT_FALSE((fake_status(1).flags & TL_WIRE_FLAG_COMMISSIONED) != 0);
     }
+}
+
+// Nobody has told a board as it comes which motor hangs on it, nor how far that may go.
+static void test_a_motor_that_nobody_commissioned_is_weak_and_slow(void) {
+    fake_start(1, TL_WIRE_BOOT_POWER); // nothing is stored
+    const tl_wire_settings_t fresh = settings();
+    TEST_ASSERT_EQUAL(0, fresh.commissioned);
+    TEST_ASSERT_EQUAL(0, fake_status(0).flags & TL_WIRE_FLAG_COMMISSIONED);
+    TEST_ASSERT_TRUE(fresh.low_duty_q15 <= TL_RATIO_ONE / 4);
+    tl_wire_limits_t wider = app.axes[0].limits;
+    wider.duty_q15++;
+    TEST_ASSERT_EQUAL(TL_WIRE_REASON_BEYOND_SETTINGS, fake_ask(TL_WIRE_LIMITS, &wider));
+    hold();
+    TEST_ASSERT_EQUAL(0, move(3000));
+    double fastest = 0.0;
+    for (uint32_t ms = 0; ms < 3000U && app.axes[0].mode == TL_WIRE_MODE_MOVE; ms++) {
+        fake_run_ms(1);
+        fastest = fake.speed[0] > fastest ? fake.speed[0] : fastest;
+        TEST_ASSERT_TRUE(abs(fake.duty[0]) <= fresh.low_duty_q15);
+    }
+    TEST_ASSERT_EQUAL(TL_WIRE_FAULT_NONE, app.axes[0].fault); // and what it may, it can follow
+    TEST_ASSERT_DOUBLE_WITHIN(10.0, 3000.0, fake.position[0]);
+    TEST_ASSERT_TRUE(fastest < 0.25 * FAKE_SPEED);
+    TEST_ASSERT_EQUAL(0, fake_enable(0, 0));
+    fake_run_ms(10);
+    tl_wire_settings_t own = fresh;
+    own.commissioned = 2U;
+    TEST_ASSERT_EQUAL(TL_WIRE_REASON_RANGE, fake_ask(TL_WIRE_SETTINGS, &own));
+    own.commissioned = 1U;
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_SETTINGS, &own));
+    TEST_ASSERT_EQUAL(fresh.duty_q15, app.axes[0].limits.duty_q15);
+    TEST_ASSERT_EQUAL(fresh.speed_q8_s, app.axes[0].limits.speed_q8_s);
+    fake_start(1, TL_WIRE_BOOT_POWER);
+    TEST_ASSERT_TRUE((fake_status(0).flags & TL_WIRE_FLAG_COMMISSIONED) != 0);
 }
 
 // -- the encoder while nobody looks -----------------------------------------------------------------------------
@@ -795,6 +831,7 @@ int main(void) {
     RUN_TEST(test_a_motor_that_holds_alone_lets_go_slowly);
     RUN_TEST(test_how_long_it_holds_alone_is_a_setting);
     RUN_TEST(test_settings_of_earlier_firmware_are_read);
+    RUN_TEST(test_a_motor_that_nobody_commissioned_is_weak_and_slow);
     RUN_TEST(test_a_motor_turned_by_hand_during_an_erase_is_no_fault);
     RUN_TEST(test_a_refused_table_leaves_the_one_in_use);
     RUN_TEST(test_a_table_for_another_instrument_is_refused_unless_any_will_do);

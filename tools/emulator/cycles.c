@@ -310,6 +310,7 @@ static void start_axis(bool plays, bool sections) {
     settings.following_error_q8 = TL_AXIS_RANGE_MAX;
     settings.current_ma = 0;
     settings.stall_ms = (uint16_t)between(20, 5000);
+    settings.commissioned = 1U;
     tl_axis_use_settings(&axis, &settings);
     axis.telemetry.divider = (uint8_t)between(0, 3);
     quickness = between(0, 2) == 0 ? 1 << between(3, 9) : 32;

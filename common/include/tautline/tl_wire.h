@@ -29,7 +29,7 @@ extern "C" {
 #endif
 
 #define TL_WIRE_MAJOR            2
-#define TL_WIRE_MINOR            3
+#define TL_WIRE_MINOR            4
 #define TL_WIRE_USB_VENDOR       0x1209U ///< pid.codes
 #define TL_WIRE_USB_PRODUCT      0x0001U ///< its test product: for development, never to be sold under
 #define TL_WIRE_USB_MANUFACTURER "tautline"
@@ -163,7 +163,8 @@ extern "C" {
     A(text, instrument, 8, "serial of the instrument that is mounted; empty: tables of any are taken")                 \
     F(u32, hold_ms, "held for so long without a word of a host the drive sinks to nothing within a second; 0: never")  \
     F(u8, group, "axes of one group go off together where one of them faults, 1 to 4; 0: of none")                     \
-    F(u8, estop, "TL_WIRE_ESTOPS: how the stop input is wired; as many axes as have it wired so stop by it")
+    F(u8, estop, "TL_WIRE_ESTOPS: how the stop input is wired; as many axes as have it wired so stop by it")           \
+    F(u8, commissioned, "1: motor, range and ends are known; 0: low duty at most, and as slow as that can be followed")
 
 #define TL_WIRE_FIELDS_GET_SETTINGS(F, A) F(u8, axis, "")
 
@@ -503,7 +504,8 @@ extern "C" {
     C(0x0200, REFERENCED, "the position is known")                                                                     \
     C(0x0400, CHECKED, "motor and encoder agree in sign and scale")                                                    \
     C(0x0800, DRIVER_FAULT, "the motor driver reports a fault (nFAULT)")                                               \
-    C(0x1000, ESTOP, "the stop input is active")
+    C(0x1000, ESTOP, "the stop input is active")                                                                       \
+    C(0x2000, COMMISSIONED, "of a status alone: commissioned, so that it is driven at more than low duty")
 
 #define TL_WIRE_MOTIONS(C)                                                                                             \
     C(0, IDLE, "never started")                                                                                        \

@@ -47,9 +47,24 @@ tl_wire_settings_t tl_axis_default_settings(const tl_port_t *port, uint8_t index
     };
 }
 
-static void limits_of(const tl_wire_settings_t *from, tl_wire_limits_t *to) {
+static void values_of(const tl_wire_settings_t *from, tl_wire_limits_t *to) {
     *to = (tl_wire_limits_t){.axis = from->axis};
     TL_WIRE_VALUES_LIMITS(COPY, COPY_ARRAY)
+}
+
+// What settings allow. Of a motor that nobody has commissioned, nor its range: low duty, and half that share of speed
+// and acceleration, which then leave drive for friction.
+static void limits_of(const tl_wire_settings_t *from, tl_wire_limits_t *to) {
+    values_of(from, to);
+    if (from->commissioned == 0U) {
+        const int64_t share = from->low_duty_q15 / 2;
+        const int32_t speed = (int32_t)(to->speed_q8_s * share / TL_RATIO_ONE),
+                      acceleration = (int32_t)(to->acceleration_q8_s2 * share / TL_RATIO_ONE);
+        to->duty_q15 = from->low_duty_q15;
+        to->speed_q8_s = speed > 1 ? speed : 1;
+        to->acceleration_q8_s2 =
+            acceleration > TL_REFERENCE_ACCELERATION_MIN ? acceleration : TL_REFERENCE_ACCELERATION_MIN;
+    }
 }
 
 static bool is_sound(const tl_port_t *port, const tl_wire_limits_t *limits) {
@@ -64,12 +79,12 @@ static bool is_sound(const tl_port_t *port, const tl_wire_limits_t *limits) {
 }
 
 static bool are_within(const tl_wire_limits_t *limits, const tl_wire_settings_t *settings) {
-    const bool current =
-        settings->current_ma == 0 || (limits->current_ma > 0 && limits->current_ma <= settings->current_ma);
-    return limits->q_low_q8 >= settings->q_low_q8 && limits->q_high_q8 <= settings->q_high_q8 &&
-           limits->speed_q8_s <= settings->speed_q8_s && limits->acceleration_q8_s2 <= settings->acceleration_q8_s2 &&
-           limits->duty_q15 <= settings->duty_q15 && current &&
-           limits->following_error_q8 <= settings->following_error_q8;
+    tl_wire_limits_t most;
+    limits_of(settings, &most);
+    const bool current = most.current_ma == 0 || (limits->current_ma > 0 && limits->current_ma <= most.current_ma);
+    return limits->q_low_q8 >= most.q_low_q8 && limits->q_high_q8 <= most.q_high_q8 &&
+           limits->speed_q8_s <= most.speed_q8_s && limits->acceleration_q8_s2 <= most.acceleration_q8_s2 &&
+           limits->duty_q15 <= most.duty_q15 && current && limits->following_error_q8 <= most.following_error_q8;
 }
 
 static bool set_gains(tl_axis_t *axis, const tl_wire_servo_t *from) {
@@ -90,7 +105,7 @@ static bool set_gains(tl_axis_t *axis, const tl_wire_servo_t *from) {
 
 uint8_t tl_axis_check_settings(const tl_port_t *port, const tl_wire_settings_t *settings) {
     tl_wire_limits_t limits;
-    limits_of(settings, &limits);
+    values_of(settings, &limits);
     const int32_t gains[] = {settings->proportional, settings->integral, settings->derivative,
                              settings->feed_forward, settings->inertia,  settings->friction_q15};
     for (unsigned i = 0; i < sizeof(gains) / sizeof(gains[0]); i++) {
@@ -98,12 +113,12 @@ uint8_t tl_axis_check_settings(const tl_port_t *port, const tl_wire_settings_t *
             return TL_WIRE_REASON_RANGE;
         }
     }
-    const bool sound = is_sound(port, &limits) && settings->low_duty_q15 >= 0 &&
-                       settings->low_duty_q15 <= settings->duty_q15 && settings->arrive_q8 >= TL_COUNT_ONE &&
-                       settings->arrive_q8 <= TL_AXIS_RANGE_MAX && settings->stall_ms >= 20U &&
-                       settings->stall_ms <= 5000U && settings->hold_ms <= TL_AXIS_HOLD_MAX_MS &&
-                       settings->group <= TL_WIRE_AXES_MAX && tl_wire_is_estop(settings->estop) &&
-                       (settings->estop == TL_WIRE_ESTOP_CLOSED || port->estop_closed != NULL);
+    const bool sound =
+        is_sound(port, &limits) && settings->low_duty_q15 >= 0 && settings->low_duty_q15 <= settings->duty_q15 &&
+        settings->arrive_q8 >= TL_COUNT_ONE && settings->arrive_q8 <= TL_AXIS_RANGE_MAX && settings->stall_ms >= 20U &&
+        settings->stall_ms <= 5000U && settings->hold_ms <= TL_AXIS_HOLD_MAX_MS &&
+        settings->group <= TL_WIRE_AXES_MAX && tl_wire_is_estop(settings->estop) && settings->commissioned <= 1U &&
+        (settings->estop == TL_WIRE_ESTOP_CLOSED || port->estop_closed != NULL);
     return sound ? 0 : TL_WIRE_REASON_RANGE;
 }
 

@@ -85,6 +85,7 @@ static void status(const tl_app_t *app, uint8_t index, tl_us_t now_us, tl_wire_s
         .settings = app->settings,
     };
     const tl_count_q8_t p = look_at_axis(axis, out);
+    out->flags = (uint16_t)(out->flags | (axis->settings.commissioned != 0U ? TL_WIRE_FLAG_COMMISSIONED : 0U));
     if (axis->has_table) {
         uint32_t ends = 0;
         out->c_est_q16 = tl_lookup_angle(&axis->tip.lookup, p, &ends);

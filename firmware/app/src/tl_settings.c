@@ -5,8 +5,10 @@
 
 #define FRAME_SIZE (TL_WIRE_HEADER_SIZE + TL_WIRE_SIZE_SETTINGS + TL_WIRE_CRC_SIZE)
 
-// Bytes at the end that settings of older firmware lack: of protocol 2.2 group and estop, of 2.1 hold_ms, too.
-#define LACKS_2_2 2U
+// Bytes at the end that settings of older firmware lack: of protocol 2.3 commissioned, of 2.2 group and estop, of 2.1
+// hold_ms, too.
+#define LACKS_2_3 1U
+#define LACKS_2_2 (LACKS_2_3 + 2U)
 #define LACKS_2_1 (LACKS_2_2 + 4U)
 
 _Static_assert(TL_WIRE_AXES_MAX *FRAME_SIZE <= TL_TABLE_SIZE_MAX, "all settings must fit a slot");
@@ -20,16 +22,23 @@ static void use(const tl_port_t *port, tl_axis_t *axis, const tl_wire_settings_t
 // The settings of an axis in a slot; false where they are another firmware's, or not for this board.
 static bool read_axis(const tl_port_t *port, const tl_slot_t *slot, uint8_t index, tl_wire_settings_t *settings) {
     const uint32_t size = slot->size / TL_WIRE_AXES_MAX, lacks = FRAME_SIZE - size;
-    if (slot->size % TL_WIRE_AXES_MAX != 0U || (lacks != 0U && lacks != LACKS_2_2 && lacks != LACKS_2_1)) {
+    if (slot->size % TL_WIRE_AXES_MAX != 0U ||
+        (lacks != 0U && lacks != LACKS_2_3 && lacks != LACKS_2_2 && lacks != LACKS_2_1)) {
         return false;
     }
     uint8_t frame[FRAME_SIZE];
     const tl_wire_settings_t defaults = tl_axis_default_settings(port, index);
     tl_wire_frame(frame, TL_WIRE_SETTINGS, 0, &defaults); // what they lack stays as it is there
     port->flash_read(port->context, slot->blob + index * size, frame, size - TL_WIRE_CRC_SIZE);
-    return frame[2] == TL_WIRE_SETTINGS &&
-           tl_wire_decode(TL_WIRE_SETTINGS, frame + TL_WIRE_HEADER_SIZE, TL_WIRE_SIZE_SETTINGS, settings) &&
-           settings->axis == index && tl_axis_check_settings(port, settings) == 0;
+    if (frame[2] != TL_WIRE_SETTINGS ||
+        !tl_wire_decode(TL_WIRE_SETTINGS, frame + TL_WIRE_HEADER_SIZE, TL_WIRE_SIZE_SETTINGS, settings)) {
+        return false;
+    }
+    if (lacks != 0U) { // their range tells: commissioning sets it
+        const bool ranged = settings->q_low_q8 != defaults.q_low_q8 || settings->q_high_q8 != defaults.q_high_q8;
+        settings->commissioned = ranged ? 1U : 0U;
+    }
+    return settings->axis == index && tl_axis_check_settings(port, settings) == 0;
 }
 
 static bool load_slot(const tl_port_t *port, tl_axis_t *axes, const tl_slot_t *slot) {

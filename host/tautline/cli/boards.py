@@ -81,6 +81,7 @@ def _axis(board: Any, axis: int) -> dict[str, Any]:
         "axis": axis,
         "mode": wire.text("MODES", status.mode),
         "fault": wire.text("FAULTS", status.fault) if status.fault else None,
+        "commissioned": bool(status.flags & wire.code("FLAGS", "COMMISSIONED")),
         "table": wire.text("TABLES", status.table),
         "model_id": None,
         "instrument": None,
@@ -115,5 +116,6 @@ def _text(row: dict[str, Any]) -> str:
         if axis["model_id"]:
             table = f"model {axis['model_id']} of {axis['created'][:10]}"
             table += f" for instrument {axis['instrument']}" if axis["instrument"] else ""
-        lines.append(f"  axis {axis['axis']}: {table}, {axis['fault'] or axis['mode']}")
+        weak = "" if axis["commissioned"] else "; not commissioned: low drive alone, until 'taut commission'"
+        lines.append(f"  axis {axis['axis']}: {table}, {axis['fault'] or axis['mode']}{weak}")
     return "\n".join(lines)

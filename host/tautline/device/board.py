@@ -359,6 +359,12 @@ class Board:
                 f"axis {axis} does not know its position: run 'taut home', or say where it stands with --at"
             )
 
+    def trust_motor(self, axis: int) -> None:
+        """Stores the settings of an axis as commissioned as they are: of a simulated motor, which the defaults are
+        for."""
+        own = dict(self.ask("get_settings", axis=axis).values)
+        self.ask("settings", **(own | {"commissioned": 1, "key": wire.wire.KEY}), timeout_s=5.0)
+
     def switch_on(self, axis: int, wait: Callable[[float], None] = time.sleep) -> None:
         """Motor on and holding. The first time, and after settings or wiring may have changed, the board turns it a
         little either way to check motor and encoder, half a second. `wait` lets board time pass."""

@@ -4,7 +4,7 @@ board as the axis' settings. Nothing moves that was not agreed to, and the motor
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -88,7 +88,8 @@ def commission(
     settings that nothing measures, as the board has them; None leaves one as it is.
 
     TautError where something is wrong, with what mends it, or where it was not agreed to: the settings then stay, but
-    for the range, which is the rig's, and how the stop input is wired, which comes first."""
+    for the range, which is the rig's, and how the stop input is wired, which comes first. The board drives at low duty
+    until the ends are known, and again where it stops after that."""
     board, axis, unit = live.board, live.axis, live.rig.actuator.unit
     board.check_axis(axis)
     asked = {name: value for name, value in (wanted or {}).items() if value is not None}
@@ -97,13 +98,14 @@ def commission(
     board.check_fault(axis)
     before = dict(board.ask("get_settings", axis=axis).values)
     low, high = (q / live.resolution for q in live.rig.actuator.range)
-    commissioned = Commissioned(before, before | {"q_low": low, "q_high": high} | asked)
+    ranged = before | {"q_low": low, "q_high": high}
+    commissioned = Commissioned(before, ranged | asked | {"commissioned": 1})
 
     _agreed(agree, "The motor turns a little either way. Is the instrument free to move?")
     _check(live)
     say("polarity and scale: motor and encoder agree")
 
-    _store(live, before | {"q_low": low, "q_high": high})
+    _store(live, ranged)
     homing = homing or Homing()
     _agreed(agree, f"The motor goes to the {'low' if homing.direction < 0 else 'high'} end, weakly. May it?")
     commissioned.q = home(live, homing)
@@ -111,21 +113,22 @@ def commission(
     say(f"ends: found, now at {commissioned.q:.4g} {unit}; range [{ends}] {unit}")
 
     _agreed(agree, "The motor moves over a third of its range, then in quick steps. May it?")
-    tape = _Tape(live)
-    try:
-        _friction(live, tape, commissioned, homing.direction)
-        say(
-            f"drive: friction {100 * commissioned.friction:.1f} %, {commissioned.speed_s:.0f} counts/s at full drive; "
-            f"current up to {commissioned.current_ma} mA, limit {commissioned.settings['current_ma']} mA"
-        )
-        _tune(live, tape, commissioned, homing.direction, say)
-    finally:
-        with contextlib.suppress(TautError):  # gone: what is stored holds at its next start
-            board.ask("telemetry", axis=axis, divider=0)
-            board.ask("servo", **_servo(before))
+    with _at_full_drive(live, ranged):
+        tape = _Tape(live)
+        try:
+            _friction(live, tape, commissioned, homing.direction)
+            say(
+                f"drive: friction {100 * commissioned.friction:.1f} %, {commissioned.speed_s:.0f} counts/s at full "
+                f"drive; current up to {commissioned.current_ma} mA, limit {commissioned.settings['current_ma']} mA"
+            )
+            _tune(live, tape, commissioned, homing.direction, say)
+        finally:
+            with contextlib.suppress(TautError):  # gone: what is stored holds at its next start
+                board.ask("telemetry", axis=axis, divider=0)
+                board.ask("servo", **_servo(before))
 
-    _agreed(agree, f"Store gains x {commissioned.factor:g}, range, current limit and instrument on the board?")
-    _store(live, commissioned.settings)
+        _agreed(agree, f"Store gains x {commissioned.factor:g}, range, current limit and instrument on the board?")
+        _store(live, commissioned.settings)
     _check(live)
     say("stored, and checked again")
     return commissioned
@@ -150,6 +153,21 @@ def _wire_stop(live: Live, agree: Agree, estop: int) -> None:
     for axis in axes:
         if board.status(axis).fault == wire.code("FAULTS", "ESTOP"):
             board.ask("clear_fault", axis=axis)
+
+
+@contextlib.contextmanager
+def _at_full_drive(live: Live, settings: dict[str, Any]) -> Iterator[None]:
+    """The axis counts as commissioned inside; after that only where all went well, or where it did before."""
+    if settings["commissioned"]:
+        yield
+        return
+    _store(live, settings | {"commissioned": 1})
+    try:
+        yield
+    except BaseException:
+        with contextlib.suppress(TautError):  # gone
+            _store(live, settings)
+        raise
 
 
 def _check(live: Live) -> None:

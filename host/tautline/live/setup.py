@@ -415,7 +415,9 @@ def open_live(
             opened = stack.enter_context(open_board(desktop.where))
             link = desktop.link()
             stack.callback(link.close)
-            # What a user does once with a real one: the check, and a reference, here where the simulation is put.
+            # What a user does with a real one: commissioning, the check, and a reference, here where the simulation is
+            # put.
+            opened.trust_motor(axis)
             opened.switch_on(axis, lambda seconds: _pass(link, seconds))
             opened.ask("enable", axis=axis, on=0)
             _pass(link, _SLICE_S)
