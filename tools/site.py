@@ -26,7 +26,7 @@ TOPICS = "messages"  # the folder of their pages
 PAGES = {
     "Begin": ("README.md", "docs/own-recordings.md", "docs/marker.md", "docs/rig.md", "docs/transcript.md"),
     "Measure": ("docs/calibration.md", "docs/live-page.md", "docs/tracking.md", "docs/drivers.md", "docs/ros.md"),
-    "Explain": ("docs/diagnosis.md", "docs/blindtest.md", "docs/results.md"),
+    "Explain": ("docs/diagnosis.md", "docs/fleet.md", "docs/blindtest.md", "docs/results.md"),
     "In and out": ("docs/import.md", "docs/export.md", "docs/files.md", "examples/README.md"),
     "Reference": (
         "docs/commands.md", "docs/protocol.md", "docs/safety.md", "docs/emulator.md", "firmware/estimator/README.md",

@@ -32,7 +32,12 @@ def main() -> None:
 @click.option("--seeds", type=click.IntRange(1), default=5, show_default=True, help="Of each effect and generator.")
 @click.option("--first-seed", type=int, default=SCORED_FROM, show_default=True, help="Those before were tuned on.")
 @click.option("--jobs", type=click.IntRange(1), default=2, show_default=True)
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for what was said of each case.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("build/naming"),
+    help="For what was said of each case.",
+)
 def run(
     effects: tuple[str, ...], generators: tuple[str, ...], seeds: int, first_seed: int, jobs: int, out: Path
 ) -> None:

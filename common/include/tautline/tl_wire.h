@@ -401,10 +401,12 @@ extern "C" {
     M(0x92, PROGRESS, progress, "unasked: after each reversal and at the end of the motion")                           \
     M(0x93, EVENT, event, "unasked")
 
-/// Those that a later minor version added: S(name, minor).
+/// Those that a later minor version added, or made longer: S(name, minor).
 #define TL_WIRE_SINCE(S)                                                                                               \
     S(adapt, 1)                                                                                                        \
-    S(load, 1)
+    S(load, 1)                                                                                                         \
+    S(settings, 4)                                                                                                     \
+    S(get_settings, 4)
 
 // -- codes: C(code, NAME, text) ---------------------------------------------------------------------------------
 

@@ -175,10 +175,15 @@ def _finite(value: float) -> float | None:
 
 
 def calibrate(
-    recordings: Sequence[Recording], rig: Rig, options: Options | None = None, progress: Progress | None = None
+    recordings: Sequence[Recording],
+    rig: Rig,
+    options: Options | None = None,
+    progress: Progress | None = None,
+    naming: bool = True,
 ) -> Calibration:
-    """Measures B(q), f_remain and the delay from recordings of any motion. Raises TautError where nothing can be
-    measured; says in notes and warnings what could not."""
+    """Measures B(q), f_remain and the delay from recordings of any motion. naming: what departs gets the name that a
+    diagnosis gives it, for as much time again. Raises TautError where nothing can be measured; says in notes and
+    warnings what could not."""
     options, recordings = options or Options(), Session(recordings).in_time()
     say = progress or (lambda share, what: None)
     say(0.0, "reading frames")
@@ -196,7 +201,7 @@ def calibrate(
         reasons = acquisition_doubts(recordings, [track for track, _ in pairs], [offset for _, offset in pairs], rig)
         session = _Session(aligned, rig, options, say, reasons)
         found = session.run()
-        if found.model.quality.usable and (session.departs or start.concerns(found.model)):
+        if naming and found.model.quality.usable and (session.departs or start.concerns(found.model)):
             told = named(
                 *(found.model.quality.reasons, found.model, shifted(recordings, found.offsets)),
                 lambda share, what: say(0.8 + 0.2 * share, what),
@@ -416,7 +421,15 @@ class _Session:
 
     def _doubt_place(self, remaining: Remaining | None) -> None:
         place = self.rig.place
-        if place is None or remaining is None:
+        if remaining is None:
+            return
+        if place is None:
+            if any(track.shown is not None for track in self.tracks):
+                self.findings.doubt(
+                    "place",
+                    "f_remain is not known from this, B is: the recordings do not tell where on the tip the place lies",
+                    "show one place for all recordings (the same region.toml beside each video), or mark the tip",
+                )
             return
         c = np.interp(np.linspace(*self.reached, NODES), self.grid, remaining.c_deg)
         sigma, bends = float(np.sqrt(np.mean(place.sigma_at(c) ** 2))), float(np.ptp(c))

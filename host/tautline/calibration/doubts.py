@@ -32,24 +32,25 @@ _SPEEDS = 1.5  # scatter of moving frames over that of resting ones, from which 
 
 _CYCLES = 4.0, 40.0  # of a ripple over what was measured
 _RIPPLE = 0.02, 5.0  # of B, and of its sigma: less is none
+_NO_WIDTH = 1e-12  # unit of q: B where there is none
 _PLACES, _RATES = 160, 145  # at which B is looked at; of a ripple that are tried
 _SMOOTHED = 0.4  # of the readings' noise: what smoothing leaves at a turn
 _LEVELS = 0.5  # different values for each frame, below which a sensor rounds
 _MUCH = 0.05  # of B: what is told, and in sigma, is no doubt below
 _COARSE = 0.015  # of B: a motor's path between its samples is known no better
 
-_DRIVE = "calibrate again once it is mended, or let taut diagnose add it to the model"
+DRIVE = "calibrate again once it is mended, or let taut diagnose add it to the model"
 # Component: code, what it looks like, what to do.
 _MEANS: dict[str, tuple[str, str, str]] = {
     "phase.even": (
         "transmission.smooth_onset",
         "after a reversal the tip starts gradually, not at a corner",
-        "one play leaves that out: " + _DRIVE,
+        "one play leaves that out: " + DRIVE,
     ),
     "phase.odd": (
         "transmission.asymmetric_backlash",
         "after a reversal one way the tip starts otherwise than after one the other way",
-        _DRIVE,
+        DRIVE,
     ),
     "stroke": (
         "repeatability",
@@ -91,7 +92,7 @@ _MEANS: dict[str, tuple[str, str, str]] = {
         "the backlash grows or shrinks during the session",
         "re-tension the cable, warm the instrument up, calibrate again",
     ),
-    "width.speed": ("transmission.rate_dependent_backlash", "the width depends on the motor's speed", _DRIVE),
+    "width.speed": ("transmission.rate_dependent_backlash", "the width depends on the motor's speed", DRIVE),
     "clock.rate": (
         "clock.rate",
         "the camera's clock runs at another rate than the motor's",
@@ -102,9 +103,9 @@ _MEANS: dict[str, tuple[str, str, str]] = {
         "the delay of the images changes during the session",
         "fix exposure and frame rate of the camera",
     ),
-    "lag": ("transmission.lag", "the tip follows late, as through something viscous", _DRIVE),
-    "creep": ("transmission.creep", "the tip goes on moving after the motor has stopped", _DRIVE),
-    "load": ("transmission.load_dependence", "width, gain or offset follow the load", _DRIVE),
+    "lag": ("transmission.lag", "the tip follows late, as through something viscous", DRIVE),
+    "creep": ("transmission.creep", "the tip goes on moving after the motor has stopped", DRIVE),
+    "load": ("transmission.load_dependence", "width, gain or offset follow the load", DRIVE),
     "image.time": (
         "registration.drift",
         "the image moves slowly against the instrument",
@@ -311,7 +312,7 @@ def _ripple(grid: Array, width: Array, sigma: Array) -> tuple[float, float]:
     at = np.linspace(grid[0], grid[-1], _PLACES)
     y, weight = np.interp(at, grid, width), np.interp(at, grid, sigma) ** -2
     basis = Basis(float(at[0]), float(at[-1]), _PLACES // 2)
-    design, usual = basis.design(at).toarray(), float(np.median(width))
+    design, usual = basis.design(at).toarray(), max(float(np.median(width)), _NO_WIDTH)
     heavy = design * weight[:, None]
     rates = np.linspace(_CYCLES[0], _CYCLES[1], _RATES) / float(at[-1] - at[0])
     turn = 2.0 * np.pi * np.outer(rates, at)

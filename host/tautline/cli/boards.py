@@ -77,11 +77,13 @@ def _axis(board: Any, axis: int) -> dict[str, Any]:
     from tautline.device import wire
 
     status = board.status(axis)
+    says = board.identity.protocol_minor >= wire.wire.SINCE["settings"]
     row = {
         "axis": axis,
         "mode": wire.text("MODES", status.mode),
         "fault": wire.text("FAULTS", status.fault) if status.fault else None,
-        "commissioned": bool(status.flags & wire.code("FLAGS", "COMMISSIONED")),
+        # Older firmware does not say: it drives as if it were.
+        "commissioned": bool(status.flags & wire.code("FLAGS", "COMMISSIONED")) if says else None,
         "table": wire.text("TABLES", status.table),
         "model_id": None,
         "instrument": None,
@@ -116,6 +118,6 @@ def _text(row: dict[str, Any]) -> str:
         if axis["model_id"]:
             table = f"model {axis['model_id']} of {axis['created'][:10]}"
             table += f" for instrument {axis['instrument']}" if axis["instrument"] else ""
-        weak = "" if axis["commissioned"] else "; not commissioned: low drive alone, until 'taut commission'"
+        weak = "; not commissioned: low drive alone, until 'taut commission'" if axis["commissioned"] is False else ""
         lines.append(f"  axis {axis['axis']}: {table}, {axis['fault'] or axis['mode']}{weak}")
     return "\n".join(lines)

@@ -27,7 +27,7 @@ from tautline.diagnosis.recorded import calibrated
 from tautline.diagnosis.simulated import diagnose_simulator
 from tautline.folders import check_replaceable
 from tautline.recording import Recording, load
-from tautline.rig import Rig
+from tautline.rig import ANGLE, Rig
 from tautline.simulators import Simulator, mjcf, source
 from tautline.simulators.sight import sight
 
@@ -156,7 +156,7 @@ def _with_simulator(
     robots, rig = read_recordings(paths, rig_path)
     with progress_bar("diagnosing") as progress:
         if camera is not None:
-            tip, robots = _seen_by(name, tip, camera, robots)
+            tip, robots = _seen_by(name, tip, camera, robots, rig)
         simulator = _simulator(name, actuator, tip, scale, rig)
         diagnosis = diagnose_simulator(
             simulator, robots, rig, lambda fraction, text: progress(0.95 * fraction, text), workers
@@ -174,12 +174,13 @@ def _simulator(name: str, actuator: str | None, tip: str | None, scale: float | 
     return mjcf.simulator(name, actuator, tip, rig.actuator.unit, scale)
 
 
-def _seen_by(name: str, tip: str | None, camera: str, robots: list[Recording]) -> tuple[str, list[Recording]]:
+def _seen_by(name: str, tip: str | None, camera: str, robots: list[Recording], rig: Rig) -> tuple[str, list[Recording]]:
     """The tip's hinge, and the recordings with its angle as the file's camera sees it."""
     if source.is_python(name) or tip is None or not tip.startswith("site:"):
         raise click.UsageError("--camera goes with --simulator FILE and --tip site:S, which it sees")
     seen = sight(Path(name), tip.removeprefix("site:"), camera)
-    return f"joint:{seen.hinge}", [seen.seen(robot) for robot in robots]
+    late_s = rig.delay_s - rig.nominal_delay_s(ANGLE)
+    return f"joint:{seen.hinge}", [seen.seen(robot, late_s) for robot in robots]
 
 
 def _lead(document: Mapping[str, Any]) -> None:

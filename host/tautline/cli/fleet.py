@@ -41,6 +41,7 @@ def command(folder: Path, out: Path | None, cluster: str | None, jobs: int | Non
         prior.write(done.rows, out)
         lines.append(f"A shorter calibration of the next robot: 'taut calibrate RECORDING --out MODEL --prior {out}'.")
     except TautError as error:
+        (out / prior.FILE).unlink(missing_ok=True)  # of an earlier run
         log(f"taut: nothing is known beforehand of the next robot: {error}")
     result = {
         **found.to_json(),

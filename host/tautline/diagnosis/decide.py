@@ -106,7 +106,7 @@ def decide(evidence: CaseEvidence, by: Learnt | None = None) -> Decision:
         tuple(causes.values()),
         best.get(frozenset(named), 0),
         tuple(name for name in named if name in with_them),
-        tuple(instead),
+        tuple(instead) if named and named[-1] not in with_them else (),
         _count(case, p),
     )
 

@@ -83,7 +83,7 @@ def _diagnosis(
 ) -> Diagnosis:
     progress(0.0, "preparing")
     segments = prepare(model, calibration, tests, simulated.drives if simulated else ())
-    tracked = tracker.without(model, segments, load_reference(calibration)) if _are_videos(calibration, tests) else None
+    tracked = tracker.of_videos(model, segments, load_reference(calibration), [calibration, *tests])
     segments, moving = (tracked.segments, tracked.noise) if tracked is not None else (segments, 0.0)
     fitter = Fitter(model, segments, load_reference(calibration))
     frozen = fitter.residuals(fitter.start(), fitter.nothing)
@@ -171,7 +171,7 @@ def _diagnosis(
             {
                 "id": name,
                 "probability": probability,
-                "since": _since(chosen.fit, name).since,
+                "since": _since(chosen.fit, name, segments[0].end_s).since,
                 "parameters": _reported(chosen.fit, name),
                 **_of_each(chosen.fit, name, segments),
                 **_brings(brought[name], shares),
@@ -182,7 +182,10 @@ def _diagnosis(
             }
             for name, probability in zip(named, verdict.probability, strict=False)
         ],
-        "moved": [{"id": part.id, "share": part.share, "since": _since(chosen.fit, part.id).since} for part in parts],
+        "moved": [
+            {"id": part.id, "share": part.share, "since": _since(chosen.fit, part.id, segments[0].end_s).since}
+            for part in parts
+        ],
         "candidates": [
             {
                 "id": name,
@@ -217,10 +220,6 @@ def _diagnosis(
     return Diagnosis(
         document, model, corrected, following, segments, list(before), list(after), conditions, gathered.evidence
     )
-
-
-def _are_videos(calibration: Recording, tests: Sequence[Recording]) -> bool:
-    return all(recording.video is not None for recording in [calibration, *tests])
 
 
 def _is_better(tests: Sequence[Segment], before: Sequence[Array], after: Sequence[Array]) -> bool:
@@ -288,10 +287,13 @@ def _shapley(gathered: Gathered, fitter: Fitter, named: Sequence[str], chosen: C
     return shapley.shares(named, worth)
 
 
-def _since(fit: Fit, name: str) -> Scope:
-    """A part of the nominal that no effect stands for moved in all recordings."""
-    placed = fit.hypothesis.find(name)
-    return placed[1] if placed else Scope.START
+def _since(fit: Fit, name: str, calibrated_s: float) -> Scope:
+    """A part of the nominal that no effect stands for moved in all recordings. calibrated_s: the calibration's end,
+    after which what happens at a moment was not there before."""
+    kind, scope = fit.hypothesis.find(name) or (None, Scope.START)
+    if kind is not None and kind.moments and min(fit.state.values[at] for at in kind.moments) > calibrated_s:
+        return Scope.TESTS
+    return scope
 
 
 def _changes(fit: Fit, named: Sequence[str]) -> bool:

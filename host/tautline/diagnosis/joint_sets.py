@@ -13,12 +13,12 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from tautline.diagnosis.decide import FURTHER
 from tautline.diagnosis.joint import Fitted, Unknown
 from tautline.diagnosis.stacked import log_sum
 
 Array = npt.NDArray[np.float64]
 
+_SURE = 0.8  # probability from which on a group is named
 _THERE = 0.2  # probability of an unknown to be there before anything is seen
 _MOST = 12  # unknowns of which all sets are weighed, 4096
 _TOGETHER = 3  # in a group at most: of three the prior alone would say 49 %
@@ -57,6 +57,12 @@ class Sets:
         """Probability of each to be there."""
         return dict(zip(self.ids, (self.probability @ self.present).tolist(), strict=True))
 
+    @property
+    def count(self) -> list[float]:
+        """Probability that none, one, two, more of them are there."""
+        many = np.minimum(self.present.sum(axis=1), 3)
+        return [float(p) for p in np.bincount(many, self.probability, minlength=4)]
+
     @cached_property
     def groups(self) -> list[tuple[str, ...]]:
         """The smallest groups of which surely one is there, the likeliest of each first: of more than one, these data
@@ -65,10 +71,10 @@ class Sets:
         found: list[tuple[str, ...]] = []
         while rest:
             group: tuple[str, ...] = (rest[0],)
-            while self.any_of(group) < FURTHER and len(group) < min(_TOGETHER, len(rest)):
+            while self.any_of(group) < _SURE and len(group) < min(_TOGETHER, len(rest)):
                 others = [name for name in rest if name not in group]
                 group = (*group, max(others, key=lambda name: self.any_of((*group, name))))
-            if self.any_of(group) < FURTHER:
+            if self.any_of(group) < _SURE:
                 break
             found.append(group)
             rest = [name for name in rest if name not in group]

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import effects
-from tautline.diagnosis import decide, flexible, gap, shapley
+from tautline.diagnosis import decide, flexible, gap, repeated, shapley
 from tautline.diagnosis.diagnose import Diagnosis
 from tautline.diagnosis.hyperparameters import learnt
 from tautline.diagnosis.joint import DELAY, LAW, WIDTH, Fitted, Joint
@@ -119,7 +119,9 @@ def instead(told: Diagnosis, answer: Answer) -> Diagnosis:
                 "ambiguous_with": list(group[1:]),
             }
             for group, share in zip(groups, shares, strict=True)
-        ],
+        ]
+        + [effect for effect in told.document["effects"] if effect["id"] == repeated.HELD],  # of the sensor's link
+        "count": [sure * j + (1.0 - sure) * t for j, t in zip(answer.sets.count, told.document["count"], strict=True)],
         **_probabilities(told.document, groups[0], answer.sets.each, sure),
         "where": {**told.document["where"], "stage": effects.BY_ID[names[0]].stage},
         "signature": None,
@@ -147,6 +149,8 @@ def _gap(told: Diagnosis, answer: Answer, before: float, after: float) -> dict[s
     excess = max(before**2 - floor**2, 1e-12)
     return {
         **told.document["gap"],
+        "before": before,
+        "before_ci": [float(v) for v in np.quantile(boot[0], [0.025, 0.975])],
         "after": after,
         "after_ci": [float(v) for v in np.quantile(boot[1], [0.025, 0.975])],
         "shrink": 1.0 - after / before,

@@ -20,6 +20,7 @@ Array = npt.NDArray[np.float64]
 _MARGIN_S = 1.0  # before and after a moment that a recording has to show
 _NEAR_S = 1.5  # within which a linear step has found it: of a slip that the play takes up nothing is seen at once
 _BEFORE_S = 1e-3  # a frame that shows it
+_TRIED = 12  # at once
 _STEPS = 8
 _ROUNDS = 2  # moments beside each other move each other
 
@@ -33,9 +34,7 @@ def refined(fitter: Fitter, fit: Fit, limits: Sequence[float]) -> Fit:
     for _ in range(_ROUNDS):
         values = dict(fit.state.values)
         for moment in moments_of(fit):
-            tried = {at: _after(fitter, fit, values, {moment: at}, limits) for at in _near(fitter, fit, values[moment])}
-            if tried:
-                values[moment] = min(tried, key=tried.__getitem__)
+            values[moment] = _best(fitter, fit, values, moment, limits)
         if values == fit.state.values:
             return fit
         fit = fitter.descend(fit.hypothesis, replace(fit.state, values=values), _STEPS)
@@ -62,11 +61,28 @@ def _is_seen(fitter: Fitter, fit: Fit, moment: str, limits: Sequence[float]) -> 
     return False
 
 
+def _best(fitter: Fitter, fit: Fit, values: Mapping[str, float], moment: str, limits: Sequence[float]) -> float:
+    """Of the moment as it is and those beside it that which leaves least: a few that lie evenly, then a few between the
+    neighbours of the best one, to a frame."""
+    tried = {values[moment]: _after(fitter, fit, values, {moment: values[moment]}, limits)}
+    near = _near(fitter, fit, values[moment])
+    low, high = 0, len(near) - 1
+    while low <= high:
+        some = sorted(set(np.linspace(low, high, min(_TRIED, high - low + 1)).round().astype(int).tolist()))
+        left = [_after(fitter, fit, values, {moment: near[i]}, limits) for i in some]
+        tried |= {near[i]: one for i, one in zip(some, left, strict=True)}
+        k = int(np.argmin(left))
+        if len(some) == high - low + 1:
+            break
+        low, high = some[max(k - 1, 0)], some[min(k + 1, len(some) - 1)]
+    return min(tried, key=tried.__getitem__)
+
+
 def _near(fitter: Fitter, fit: Fit, at: float) -> list[float]:
-    """Moments beside one, of the scene: a little before each frame, as the fit has its delay."""
+    """Moments beside one, of the scene, rising: a little before each frame, as the fit has its delay."""
     delay = fit.state.model.delay_s + fit.state.values.get("delay", 0.0)
     frames = np.concatenate([_times(segment) for segment in fitter.segments]) - delay
-    return [at, *(frames[np.abs(frames - at) < _NEAR_S] - _BEFORE_S).tolist()]
+    return np.unique(frames[np.abs(frames - at) < _NEAR_S] - _BEFORE_S).tolist()
 
 
 def _after(

@@ -58,7 +58,9 @@ def told(document: dict[str, Any], model: Model, segments: Sequence[Segment], lo
     others = [candidate for candidate in document["candidates"] if candidate["id"] != HELD]
     document["candidates"] = sorted([entry, *others], key=lambda c: -c["probability"])
     leads = probability > 0.5
-    if not leads and document["verdict"] != "effect":
+    told = leads or document["verdict"] == "effect"
+    document["count"] = _with_one_more(document["count"], _SURE if told else probability)
+    if not told:
         return  # most of it has another, unknown cause
     if document["verdict"] == "unknown":
         document["effects"] = []
@@ -78,11 +80,14 @@ def told(document: dict[str, Any], model: Model, segments: Sequence[Segment], lo
     rest = [effect for effect in document["effects"] if effect["id"] != HELD]
     document["effects"] = [held, *rest] if leads else [*rest, held]
     document["verdict"] = "effect"
-    none, one, two, more = document["count"]
-    with_it = (0.0, none, one, two + more)
-    document["count"] = [_SURE * w + (1.0 - _SURE) * o for w, o in zip(with_it, (none, one, two, more), strict=True)]
     if leads:
         document["where"]["stage"] = BY_ID[HELD].stage
+
+
+def _with_one_more(count: Sequence[float], probability: float) -> list[float]:
+    """Of none, one, two, more, where with this probability there is one that was not counted."""
+    none, one, two, more = count
+    return [probability * w + (1.0 - probability) * o for w, o in zip((0.0, none, one, two + more), count, strict=True)]
 
 
 def _widen(told: dict[str, Any], before: float, floor2: float, named: bool) -> None:

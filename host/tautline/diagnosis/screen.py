@@ -67,8 +67,8 @@ def screen(
             if kind.scan == "moment":
                 if rough := scan.moments(kind):
                     fine = fine or _Scan(fitter, base, limits, scopes)
-                    once, *more = fine.moments(kind, [rough[-1].values[name] for name in rough[-1].kind.moments])
-                    screened.append(replace(once, more=tuple(more)))
+                    found = fine.moments(kind, [rough[-1].values[name] for name in rough[-1].kind.moments])
+                    screened += [replace(once, more=tuple(found[1:])) for once in found[:1]]
                 continue
             starts = sorted(scan.kind(kind), key=lambda entry: -entry.gain)
             for scope in (Scope.TESTS, Scope.EACH, Scope.START):
@@ -229,6 +229,8 @@ class _Scan:
         from a time on, found roughly, or to a frame `near` rough ones (of the scene)."""
         delay = self.base.state.model.delay_s + self.base.state.values.get("delay", 0.0)
         edges, windows = self._edges([at + delay for at in near])
+        if not len(edges):  # of recordings of a few seconds
+            return []
         later = _Later(self, self._from_the_first(kind), edges)
         chosen: list[int] = []
         found: list[Screened] = []

@@ -64,8 +64,7 @@ def in_the_width(model: Model) -> bool:
 def of_recordings(model: Model, recordings: Sequence[Recording], progress: Progress) -> Start:
     """recordings: on the motor's clock, the earliest first. Raises TautError where none can be scored."""
     segments, reference = prepare(model, recordings[0], recordings[1:]), load_reference(recordings[0])
-    videos = all(recording.video is not None for recording in recordings)
-    tracked = tracker.without(model, segments, reference) if videos else None
+    tracked = tracker.of_videos(model, segments, reference, recordings)
     return of_segments(model, tracked.segments if tracked else segments, reference, tracked, progress)
 
 

@@ -20,6 +20,7 @@ from tautline.diagnosis import gap
 from tautline.diagnosis.segment import Segment
 from tautline.geometry import project
 from tautline.model import Model
+from tautline.recording import Recording
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -71,6 +72,15 @@ def without(model: Model, segments: Sequence[Segment], load_reference: float) ->
     others = max(gap.rms([left]), own)
     noise, doubt = float(np.sqrt(own * others)), float(np.log(others / own))
     return TrackerError(corrected, noise, doubt, _unsteady(left, gap.blocks(corrected[0])), 1.0 - kept / scored)
+
+
+def of_videos(
+    model: Model, segments: Sequence[Segment], load_reference: float, recordings: Sequence[Recording]
+) -> TrackerError | None:
+    """`without`, where all of them were tracked here."""
+    if any(recording.video is None for recording in recordings):
+        return None
+    return without(model, segments, load_reference)
 
 
 def _left(view: _View, scored: Mask, places: _Places) -> Array:

@@ -163,16 +163,6 @@ REASONS = (
         "marker.csv",
     ),
     _reason(
-        "transmission.slip",
-        "At one moment of a recording the tip's place at one motor position jumped, and stayed where it came to.",
-        "Before that moment what the model of the end says is off by one and the same amount, whatever the direction; "
-        "B is the same on either side.",
-        "Look for a tooth or a winding that jumps, for counts that the encoder lost, for another posture; calibrate "
-        "again with what was before left out.",
-        "transmission.offset",
-        "repeatability",
-    ),
-    _reason(
         "repeatability",
         "The tip takes another path on every stroke.",
         "Reversals at one place have widths that differ by more than their sigma.",

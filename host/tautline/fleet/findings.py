@@ -54,7 +54,8 @@ class Findings:
         return asdict(self)
 
     def sentences(self) -> list[str]:
-        said = [f"{self.sessions} sessions of {self.robots} robots, {self.failed} without a calibration."]
+        made, of = _counted(self.sessions, "session"), _counted(self.robots, "robot")
+        said = [f"{made} of {of}, {self.failed} without a calibration."]
         if np.isfinite(self.wear):
             said.append(
                 f"B grows by {100 * self.wear:.2g} % a session, by {100 * self.wear_spread:.0f} % more or less of that."
@@ -70,6 +71,10 @@ class Findings:
                 more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
                 said.append(words.format(f"{len(names)}: {shown}{more}."))
         return said
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
 @dataclass(frozen=True)
@@ -209,7 +214,6 @@ def _unlike(rows: Sequence[Row]) -> list[Named]:
         curves = log_widths(list({row.robot: row for row in rows if row.usable}.values()))
     except TautError:  # too few robots: nothing is usual
         return []
-    known = population(curves)
     known = population(curves)
     chance = known.chance(curves.value, curves.sigma)
     far = known.distance(curves.value, curves.sigma) / len(curves.q)

@@ -47,7 +47,8 @@ def write(rows: Sequence[Row], found: Findings, out: Path) -> None:
                   [[one.name, _batch(last, one.name), f"{one.value:.3g}"] for one in found.unlike]),
             _part("Drifting", "B changes from session to session for certain; fastest first.", growth,
                   _lines(found.drifting, last)),
-            _part("Without a calibration", "They are tried again when their files change.",
+            _part("Without a calibration",
+                  "They are tried again when their files change; where those cannot be read, or workers died, always.",
                   ["|robot", "|session", "|why"], failed),
         ],
     }  # fmt: skip

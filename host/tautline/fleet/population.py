@@ -31,6 +31,8 @@ _WORTH = (0.1, 0.5, 2.0, 8.0, 32.0)  # robots that the kernel counts as
 _TAILS = (4.0, 12.0, 1e6)  # degrees of freedom; the last is a normal distribution
 _MOST = 600  # sessions, evenly taken, that S is found from
 _UNKNOWN = 1.0  # of log B: a sigma that says nothing
+_UNTOLD = 1e3  # of log B, where no reversal was
+_LEAST = 1e-3  # of a session's largest B
 
 
 @dataclass(frozen=True)
@@ -94,9 +96,12 @@ def log_widths(rows: Sequence[Row]) -> Curves:
     if kind is None or robots < LEAST_ROBOTS:
         raise TautError(f"{robots} robots of one range are calibrated: a fleet's spread takes {LEAST_ROBOTS}")
     width, stated = (np.array([getattr(row, name) for row in usable]) for name in ("width", "width_sigma"))
-    width = np.maximum(width, stated)  # a B of 0 is known to be small
-    value = np.log(width)
-    return Curves(np.array(kind[1]), value, np.minimum(stated / width, _UNKNOWN), tuple(row.robot for row in usable))
+    q = np.array(kind[1])
+    ends = np.array([(row.measured_low or 0.0, row.measured_high or 0.0) for row in usable])
+    told = (ends[:, :1] <= q) & (q <= ends[:, 1:])  # beyond the reversals sigma is the distance to them, not B's size
+    width = np.maximum(width, np.where(told, stated, _LEAST * width.max(axis=1, keepdims=True)))  # a B of 0 is small
+    sigma = np.where(told, np.minimum(stated / width, _UNKNOWN), _UNTOLD)
+    return Curves(q, np.log(width), sigma, tuple(row.robot for row in usable))
 
 
 def population(curves: Curves) -> Population:

@@ -64,7 +64,7 @@ def run(folder: Path, out: Path, workers: Pool, progress: Progress) -> Done:
     try:
         for name, row in workers(calibrated, todo()):
             done += 1
-            waiting.append(row)
+            waiting.append(replace(row, date=begun[name].date))
             progress((known + done) / total, f"{name}: {row.error or row.verdict}")
             if len(waiting) >= _KEPT or time.monotonic() - written_s > _KEPT_S:
                 rows |= _taken(waiting, kept)

@@ -2,7 +2,7 @@
 
 FOLDER/ROBOT/SESSION/   a recording, or a folder of recordings of one session
 FOLDER/robots.csv       optional: robot,batch; further columns do not count
-rig.toml                in the session, else the robot's folder, else FOLDER
+rig.toml                in the recording, else the session, else the robot's folder, else FOLDER
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Session:
     name: str
     batch: str | None
     folder: Path
-    rig: Path | None  # that holds for recordings which have none
+    rig: Path | None  # of all its recordings
 
     @property
     def id(self) -> str:
@@ -84,8 +84,9 @@ def sessions_in(folder: Path) -> list[Session]:
 
 def _of_robot(folder: Path, robot: Path, batch: str | None) -> Iterator[Session]:
     for session in _folders(robot):
-        if _recordings(session):
-            rig = next((at / RIG_FILE for at in (session, robot, folder) if (at / RIG_FILE).is_file()), None)
+        if recordings := _recordings(session):
+            places = (*recordings, session, robot, folder)
+            rig = next((at / RIG_FILE for at in places if (at / RIG_FILE).is_file()), None)
             yield Session(robot.name, session.name, batch, session, rig)
 
 

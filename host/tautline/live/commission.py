@@ -61,6 +61,7 @@ class _Tape:
     def __init__(self, live: Live) -> None:
         self._axis = live.axis
         self._rows: list[Array] = []
+        self._board = live.board
         live.board.listen("batch", self._take)
         live.board.ask("telemetry", axis=live.axis, divider=1)
 
@@ -69,6 +70,9 @@ class _Tape:
             t = (batch.t_us + batch.period_us * np.arange(batch.count)) * 1e-6
             n = batch.count
             self._rows.append(np.column_stack([t, batch.q[:n], batch.q_ref[:n], batch.duty[:n]]))
+
+    def close(self) -> None:
+        self._board.forget("batch", self._take)
 
     def rewind(self) -> None:
         self._rows.clear()
@@ -123,6 +127,7 @@ def commission(
             )
             _tune(live, tape, commissioned, homing.direction, say)
         finally:
+            tape.close()
             with contextlib.suppress(TautError):  # gone: what is stored holds at its next start
                 board.ask("telemetry", axis=axis, divider=0)
                 board.ask("servo", **_servo(before))
@@ -161,11 +166,12 @@ def _at_full_drive(live: Live, settings: dict[str, Any]) -> Iterator[None]:
     if settings["commissioned"]:
         yield
         return
-    _store(live, settings | {"commissioned": 1})
     try:
+        _store(live, settings | {"commissioned": 1})
         yield
     except BaseException:
         with contextlib.suppress(TautError):  # gone
+            live.release()  # a motor that is on takes no settings
             _store(live, settings)
         raise
 

@@ -161,7 +161,7 @@ class Watch:
         """Waits for a calibration of all that was recorded. TautError where nothing can be measured in it."""
         while not self._take() and self._fit is not None:  # an earlier one
             self._idle()
-        self._fit = self._begin()
+        self._fit = self._begin(naming=True)
         while not self._take(strict=True):
             self._idle()
         if self._show is not None:
@@ -189,11 +189,11 @@ class Watch:
         """One frame more, so that none is stale after the wait."""
         self._recorder.add(self._live.look())
 
-    def _begin(self) -> Future[tuple[Calibration, float]]:
+    def _begin(self, naming: bool = False) -> Future[tuple[Calibration, float]]:
         recording, seconds = self._recorder.so_far(), self.view.seconds
 
         def work() -> tuple[Calibration, float]:
-            return calibrate([recording], self._live.rig, self._options), seconds
+            return calibrate([recording], self._live.rig, self._options, naming=naming), seconds
 
         if self._pool is not None:
             return self._pool.submit(work)

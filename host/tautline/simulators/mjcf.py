@@ -9,7 +9,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +17,7 @@ import numpy.typing as npt
 
 from tautline.errors import TautError
 from tautline.recording import Motor
-from tautline.simulators.scene import carried_by, lifts, read, tip_of, with_servo
+from tautline.simulators.scene import carried_by, lifts, needed, read, tip_of, with_servo
 from tautline.simulators.simulator import Declared, Simulator
 
 if TYPE_CHECKING:
@@ -134,7 +133,7 @@ class Mjcf:
             yield Declared(f"{name}.damping", f"{force} s/{per}", damping, damping or light, 0.0)
             yield Declared(f"{name}.frictionloss", force, friction, friction or _STUCK_RAD * stiff, 0.0)
             yield Declared(f"{name}.armature", "kg m^2" if rotary else "kg", armature, armature or inertia, 0.0)
-            if lifts(model, data, name):
+            if lifts(model, data, name) and not self._is_lifted(data, name):
                 mass = float(model.body_subtreemass[int(model.joint(name).bodyid[0])])
                 yield Declared(f"{name}.load", "kg", mass, 0.5 * mass, 0.01 * mass)
         if self._is_servo:
@@ -145,6 +144,16 @@ class Mjcf:
             yield Declared(f"{self.actuator}.kp", f"{force}/{per}", kp, 0.5 * kp, 0.01 * kp)
             yield Declared(f"{self.actuator}.kv", f"{force} s/{per}", kv, kv or usual, 0.0)
         yield Declared(f"{self.actuator}.delay", "s", 0.0, _DELAY_S, 0.0, _DELAY_MOST_S)
+
+    def _is_lifted(self, data: mujoco.MjData, name: str) -> bool:
+        """Whether another joint's load is this one's as well: a mass is declared once."""
+        model, own = self._model, int(self._model.joint(name).bodyid[0])
+        below = [other for other in self._joints if other != name and own in carried_by(model, other)]
+        same = [other for other in below if int(model.joint(other).bodyid[0]) == own]
+        first = self._joints.index(name)
+        return any(
+            lifts(model, data, other) for other in below if other not in same or self._joints.index(other) < first
+        )
 
     def _set(self, parameters: Mapping[str, float]) -> mujoco.MjModel:
         """A model with these values, and what follows from them."""
@@ -186,10 +195,7 @@ def simulator(path: str | Path, actuator: str, tip: str, unit: str = "deg", scal
     """An MJCF or URDF file as a simulator. actuator: its control is the motor's position times `scale` (default: rad
     of a deg, m of a mm); in a file without any a joint, which a servo then holds. tip: joint:NAME, or site:NAME, the
     sum of the free hinges above it. TautError names what is not in the file."""
-    if find_spec("mujoco") is None:
-        raise TautError(
-            "--simulator needs the package mujoco: pip install 'tautline-robotics[simulator]', or pip install mujoco"
-        )
+    needed()
     scale = PER_UNIT[unit] if scale is None else scale
     if not (math.isfinite(scale) and scale != 0.0):
         raise TautError(f"--scale {scale:g}: expected what the control is per {unit} of q, not 0")

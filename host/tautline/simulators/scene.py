@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,14 @@ _SERVO_HZ = 10.0  # of an arm's usual servo: what it has is told by the robot
 _G = 9.81  # m/s^2
 _NO_LOAD = 1e-3  # of the weight, at the model's size as its arm
 _PARALLEL = 0.999  # cosine between axes that count as one
+
+
+def needed() -> None:
+    """TautError where MuJoCo is not installed."""
+    if find_spec("mujoco") is None:
+        raise TautError(
+            "--simulator needs the package mujoco: pip install 'tautline-robotics[simulator]', or pip install mujoco"
+        )
 
 
 def read(path: Path) -> mujoco.MjModel:

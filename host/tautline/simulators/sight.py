@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from tautline.errors import TautError
 from tautline.recording import Angle, Marker, Recording
-from tautline.simulators.scene import read
+from tautline.simulators.scene import needed, read
 
 if TYPE_CHECKING:
     import mujoco
@@ -21,6 +21,7 @@ Array = npt.NDArray[np.float64]
 
 _STEP_DEG = 0.25  # of the track; straight lines between are 2e-6 of the site's radius off
 _OFF = 0.05  # of the track's extent in the image: a marker farther from it shows another site, or another camera
+_ALIKE_PX, _APART_DEG = 2.0, 20.0  # places so near of angles so far apart cannot be told
 _FAR_DEG = 170.0  # of a hinge without limits, either way
 
 
@@ -32,9 +33,10 @@ class Sight:
     c_deg: Array  # (n,) rising
     px: Array  # (n, 2) finite
 
-    def seen(self, recording: Recording) -> Recording:
+    def seen(self, recording: Recording, late_s: float = 0.0) -> Recording:
         """The recording with the hinge's angle in the marker's place: that whose place on the track is nearest.
-        TautError where there is no marker, or most of its places are far from the track."""
+        late_s: by which frames are known to be older than angles are. TautError where there is no marker, or most of
+        its places are far from the track."""
         marker = recording.marker
         if marker is None:
             raise TautError(f"{recording.name}: has no marker.csv: --camera compares the marker's places in the image")
@@ -46,7 +48,7 @@ class Sight:
                 f"{recording.name}: the marker is {usual:.0f} px off the track of the site (in the median): "
                 "name the --camera that filmed it, at its resolution, and the --tip that carries the marker"
             )
-        return replace(recording, marker=None, video=None, angle=Angle(marker.t_s, angle, off < _OFF * extent))
+        return replace(recording, marker=None, video=None, angle=Angle(marker.t_s - late_s, angle, off < _OFF * extent))
 
     def angle(self, marker: Marker) -> tuple[Array, Array]:
         """(n,) deg and (n,) px off the track, NaN where the marker is not valid."""
@@ -65,6 +67,7 @@ class Sight:
 def sight(path: Path, site: str, camera: str) -> Sight:
     """The other joints in the file's own pose. TautError names what is not in the file, and where not one hinge alone
     moves the site or the camera does not see it."""
+    needed()
     import mujoco
 
     model = read(path)
@@ -88,10 +91,19 @@ def sight(path: Path, site: str, camera: str) -> Sight:
         mujoco.mj_kinematics(model, data)
         mujoco.mj_camlight(model, data)
         px[i] = _image(model, data, camera, data.site(site).xpos)
-    seen = np.isfinite(px).all(axis=1)
+    size = model.cam_resolution[at]
+    with np.errstate(invalid="ignore"):  # NaN is not seen
+        seen = ((px > -size) & (px < 2 * size)).all(axis=1)  # with as much again around the frame
     if seen.sum() < 2 or np.ptp(px[seen], axis=0).max() < 1.0:
         raise TautError(f"{path}: the camera {camera} does not see the site {site} move: name another --camera")
-    return Sight(hinge, c_deg[seen], px[seen])
+    c_deg, px = c_deg[seen], px[seen]
+    alike = np.linalg.norm(px[:, None] - px[None], axis=2) < _ALIKE_PX
+    if (alike & (np.abs(c_deg[:, None] - c_deg[None]) > _APART_DEG)).any():
+        raise TautError(
+            f"{path}: the camera {camera} sees the site {site} at one place for different angles of {hinge}: give the "
+            "hinge the range that it moves in, or name another --camera"
+        )
+    return Sight(hinge, c_deg, px)
 
 
 def _hinge_above(model: mujoco.MjModel, path: Path, site: str) -> str:

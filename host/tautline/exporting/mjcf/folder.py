@@ -50,10 +50,14 @@ def write(model: Model, out: Path, mount: Mount, progress: Callable[[float, str]
     progress(0.05, "polynomials")
     law = law_of(model)
     with replaced(out, REPORT, stale=(WARP,)) as folder:
-        texts = {**scenes(nominal, law, out), **standalone(model, nominal)}
-        for name, text in texts.items():
+        rest = standalone(model, nominal)
+        # What a scene leads to is named from where it lies: here while it is measured, in the end from `out`.
+        for name, text in {**scenes(nominal, law, folder), **rest}.items():
             write_file(folder / name, text)
         report = _measured(model, nominal, law, folder, progress)
+        texts = {**scenes(nominal, law, out), **rest}
+        for name, text in texts.items():
+            write_file(folder / name, text)
         write_file(folder / REPORT, json.dumps(plain(report), indent=1, allow_nan=False) + "\n")
     lost = tuple(_lost(report))
     return Exported(tuple(out / name for name in (REPORT, *texts)), lost, {"report": report})
