@@ -287,19 +287,23 @@ def _shapley(gathered: Gathered, fitter: Fitter, named: Sequence[str], chosen: C
     return shapley.shares(named, worth)
 
 
+def _scope(fit: Fit, name: str) -> Scope:
+    """A part of the nominal that no effect stands for moved in all recordings."""
+    placed = fit.hypothesis.find(name)
+    return placed[1] if placed else Scope.START
+
+
 def _since(fit: Fit, name: str, calibrated_s: float) -> Scope:
-    """A part of the nominal that no effect stands for moved in all recordings. calibrated_s: the calibration's end,
-    after which what happens at a moment was not there before."""
-    kind, scope = fit.hypothesis.find(name) or (None, Scope.START)
-    if kind is not None and kind.moments and min(fit.state.values[at] for at in kind.moments) > calibrated_s:
-        return Scope.TESTS
-    return scope
+    """calibrated_s: the calibration's end, after which what happens at a moment was not there before."""
+    placed = fit.hypothesis.find(name)
+    happens_s = [fit.state.values[at] for at in placed[0].moments] if placed else []
+    return Scope.TESTS if happens_s and min(happens_s) > calibrated_s else _scope(fit, name)
 
 
 def _changes(fit: Fit, named: Sequence[str]) -> bool:
     """Whether some of what is named goes with the session's time; else it only seems to, because the motions do."""
     kinds = [effects.BY_ID[name] for name in named]
-    return any(k.course or k.scan == "moment" or _since(fit, k.id) == Scope.EACH for k in kinds)
+    return any(k.course or k.scan == "moment" or _scope(fit, k.id) == Scope.EACH for k in kinds)
 
 
 def _reported(fit: Fit, name: str) -> dict[str, Any]:

@@ -82,7 +82,7 @@ def _near(fitter: Fitter, fit: Fit, at: float) -> list[float]:
     """Moments beside one, of the scene, rising: a little before each frame, as the fit has its delay."""
     delay = fit.state.model.delay_s + fit.state.values.get("delay", 0.0)
     frames = np.concatenate([_times(segment) for segment in fitter.segments]) - delay
-    return np.unique(frames[np.abs(frames - at) < _NEAR_S] - _BEFORE_S).tolist()
+    return [float(frame) for frame in np.unique(frames[np.abs(frames - at) < _NEAR_S] - _BEFORE_S)]
 
 
 def _after(
