@@ -33,12 +33,14 @@ GEARED = """<mujoco model="geared"><compiler angle="radian"/><option timestep="0
 <worldbody><body name="link" pos="0 0 0.5"><joint name="J" type="hinge" axis="0 1 0" damping="0.01" armature="0.002"/>
 <geom type="capsule" size="0.01" fromto="0 0 0 0 0 0.3" mass="0.1"/></body></worldbody>
 <actuator><position name="A" joint="J" kp="30" kv="0.5" delay="0.01" nsample="12"/></actuator></mujoco>"""
-TENDON = """<mujoco model="tendon"><compiler angle="degree"/><option timestep="0.001"/>
+TENDON = """<mujoco model="tendon"><compiler angle="degree" meshdir="parts"/><option timestep="0.001"/>
+<asset><mesh name="cover" file="cover.obj"/></asset>
 <default><geom contype="0" conaffinity="0"/></default>
 <worldbody><site name="anchor" pos="0.02 0 -0.1"/><site name="side" pos="0.05 0 0"/>
 <geom name="pulley" type="cylinder" size="0.01" fromto="0 -0.02 0 0 0.02 0"/>
 <body name="arm"><joint name="elbow" type="hinge" axis="0 1 0" damping="0.02" stiffness="0.3" armature="0.001"/>
-<geom type="capsule" size="0.005" fromto="0 0 0 0 0 0.12" mass="0.05"/><site name="end" pos="0.01 0 0.08"/></body>
+<geom type="capsule" size="0.005" fromto="0 0 0 0 0 0.12" mass="0.05"/><geom type="mesh" mesh="cover" mass="0"/>
+<site name="end" pos="0.01 0 0.08"/></body>
 </worldbody>
 <tendon><spatial name="cable"><site site="anchor"/><geom geom="pulley" sidesite="side"/><site site="end"/></spatial>
 </tendon>
@@ -65,6 +67,7 @@ KINDS = {
     "tendon": (TENDON, "joint:elbow", {"elbow": 1.0}),
     "antagonists": (ANTAGONISTS, "site:tip", {"h0": 1.0, "h1": 1.0, "h2": -1.0}),
 }
+SOLID = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.3\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
 SECONDS = 12.0
 
 
@@ -79,6 +82,8 @@ def out(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     text, tip, _ = KINDS[request.param]
     root = tmp_path_factory.mktemp(request.param)
     (root / "own.xml").write_text(text)
+    (root / "parts").mkdir()
+    (root / "parts" / "cover.obj").write_text(SOLID)
     exported.model().save(root / "model")
     patch, words = pytest.MonkeyPatch(), ["--into", root / "own.xml", "--actuator", "A", "--tip", tip]
     patch.setattr(
@@ -206,8 +211,7 @@ def test_as_mujocos_own_callback_it_does_the_same(out: Path) -> None:
 
 def test_meshes_are_found_from_the_new_folder(tmp_path: Path) -> None:
     (tmp_path / "robot" / "parts").mkdir(parents=True)
-    corners = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.3\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
-    (tmp_path / "robot" / "parts" / "link.obj").write_text(corners)
+    (tmp_path / "robot" / "parts" / "link.obj").write_text(SOLID)
     text = GEARED.replace('angle="radian"', 'angle="radian" meshdir="parts"').replace(
         "<worldbody>", '<asset><mesh name="link" file="link.obj"/></asset><worldbody>'
     )

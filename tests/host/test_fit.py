@@ -166,6 +166,16 @@ def test_the_right_effect_is_fitted_down_to_the_noise(parameters, throughout):
         assert found.state.values[moment] == pytest.approx(parameters[moment], abs=0.05)
 
 
+@pytest.mark.parametrize("name", ["transmission.slip", "registration.shift"])
+def test_in_a_few_seconds_no_moment_is_looked_for(name):
+    fitter = fitter_of(recordings({}))
+    for segment in fitter.segments:
+        early = segment.arrival_s < segment.arrival_s[segment.scored][0] + 3.9
+        segment.scored &= early
+    base = fitter.nominal()
+    assert screen(fitter, base, [BY_ID[name]], [1e3] * len(base.residuals)) == []
+
+
 def test_what_slips_twice_is_found_twice():
     """One before which the tip was carried to a frame (0.04 s); of one that the play takes up nothing is seen until the
     tip is carried again."""

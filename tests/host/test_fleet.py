@@ -91,6 +91,7 @@ def test_sessions_robots_batches_and_dates(tmp_path):
         (tmp_path / name / "motor.csv").write_text("t_s,q_mm\n")
     (tmp_path / "rig.toml").write_text("of all")
     (tmp_path / "b" / "rig.toml").write_text("of b")
+    (tmp_path / "b" / "2026-02-01 noon" / "rig.toml").write_text("its own")
     (tmp_path / "robots.csv").write_text("robot,batch,colour\nb,B7,red\n")
     found = sessions.sessions_in(tmp_path)
     assert [(each.id, each.batch, each.date) for each in found] == [
@@ -100,6 +101,9 @@ def test_sessions_robots_batches_and_dates(tmp_path):
     ]
     assert found[0].files() == {"rig.toml": b"of all", "one/motor.csv": b"t_s,q_mm\n", "two/motor.csv": b"t_s,q_mm\n"}
     assert found[1].files()["rig.toml"] == b"of b"
+    assert found[2].files()["rig.toml"] == b"its own"
+    (tmp_path / "a" / "first" / "one" / "rig.toml").write_text("the recording's")
+    assert sessions.sessions_in(tmp_path)[0].files()["rig.toml"] == b"the recording's"
 
 
 @pytest.mark.parametrize("folder", ["absent", "."])

@@ -173,6 +173,20 @@ def test_a_large_square_tells_no_angles() -> None:
     assert np.sqrt(np.mean(width**2)) < 0.003
 
 
+def test_recordings_that_show_two_places_do_not_tell_f_remain() -> None:
+    """Their places differ by a hand's trembling: neither is known, and B is."""
+    (first, _), (second, _) = (bare(seed, np.zeros(3)) for seed in (0, 1))
+    assert first.marker is not None and second.marker is not None and second.marker.shown is not None
+    (u, v), side = second.marker.shown.at_px, second.marker.shown.side_px
+    other = replace(second, marker=replace(second.marker, shown=Shown((u + 3.0, v), side)))
+    model = calibrate([first, other], RIG).model
+    (doubt,) = [reason for reason in model.quality.reasons if reason.code == "place"]
+    assert not doubt.mild and model.quality.verdict is Verdict.DOUBTFUL
+    inside = (model.q > model.measured[0]) & (model.q < model.measured[1])
+    off = np.abs(model.width - INSTRUMENT.backlash(model.q))[inside]
+    assert (off < 4.0 * model.width_sigma[inside] + 1e-3).all()
+
+
 def test_a_model_keeps_its_place(calibrated: list[tuple[Calibration, np.ndarray]], tmp_path: Path) -> None:
     model = calibrated[0][0].model
     model.save(tmp_path / "model")

@@ -106,3 +106,24 @@ def test_a_diagnosis_by_command_compares_pixels_of_the_files_camera(tmp_path, mo
     told = {each["name"]: each["value"] for each in document["simulator"]["parameters"]}
     assert told["servo.kp"] == pytest.approx(1.5, rel=0.02)
     assert taut(*words, "--tip", "joint:elbow", "--camera", "side", *where).code == 2
+
+
+def test_a_camera_that_sees_the_circle_from_its_edge_is_refused(tmp_path):
+    """Angles to either side of it would be seen at one place."""
+    edge = CAMERA.replace(f'pos="0 -{AWAY_M} -0.1" {AXES}', f'pos="{AWAY_M} 0 -0.1" xyaxes="0 1 0 0 0 1"')
+    with pytest.raises(TautError, match="at one place for different angles"):
+        sight(write(tmp_path / "arm.xml", edge), "tip", "side")
+
+
+def test_a_track_that_passes_the_camera_s_plane_still_refuses_what_lies_off_it(tmp_path):
+    beside = CAMERA.replace(f'pos="0 -{AWAY_M} -0.1" {AXES}', 'pos="0.09 -0.1 -0.1" xyaxes="0.7071 -0.7071 0 0 0 1"')
+    near = sight(write(tmp_path / "arm.xml", beside), "tip", "side")
+    robot = arms.robot(tmp_path, 3, 2.0)
+    far = near.px[len(near.px) // 2] + [0.0, 0.5 * HEIGHT]
+    with pytest.raises(TautError, match="px off the track"):
+        near.seen(replace(robot, marker=marker(np.tile(far, (50, 1)))))
+
+
+def test_frames_are_as_old_as_the_rig_says(seen, tmp_path):
+    robot = replace(arms.robot(tmp_path, 3, 2.0), marker=marker(place(np.linspace(-20.0, 20.0, 50))))
+    assert np.array_equal(seen.seen(robot, 0.08).angle.t_s, robot.marker.t_s - 0.08)

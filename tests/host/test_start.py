@@ -66,6 +66,12 @@ def test_what_no_diagnosis_can_score_keeps_its_looks(monkeypatch: pytest.MonkeyP
     assert naming.named([DOUBT], a_model(), [], lambda share, what: None) == [DOUBT]
 
 
+def test_nothing_is_asked_beside_what_no_effect_from_the_start_looks_like(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other effects would stand in for another offset of each recording, which is not weighed."""
+    offset = Reason("transmission.offset", "the recordings differ", "home it")
+    assert told(monkeypatch, [SPEED], [offset, DOUBT]) == [offset, DOUBT]
+
+
 @pytest.mark.parametrize("seed", [0, 3])  # with a motor whose counts show, and without
 def test_nothing_is_asked_where_nothing_is_left(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     def asked(*args: object) -> None:

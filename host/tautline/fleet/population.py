@@ -97,7 +97,7 @@ def log_widths(rows: Sequence[Row]) -> Curves:
         raise TautError(f"{robots} robots of one range are calibrated: a fleet's spread takes {LEAST_ROBOTS}")
     width, stated = (np.array([getattr(row, name) for row in usable]) for name in ("width", "width_sigma"))
     q = np.array(kind[1])
-    ends = np.array([(row.measured_low or 0.0, row.measured_high or 0.0) for row in usable])
+    ends = np.array([(row.measured_low, row.measured_high) for row in usable], dtype=float)
     told = (ends[:, :1] <= q) & (q <= ends[:, 1:])  # beyond the reversals sigma is the distance to them, not B's size
     width = np.maximum(width, np.where(told, stated, _LEAST * width.max(axis=1, keepdims=True)))  # a B of 0 is small
     sigma = np.where(told, np.minimum(stated / width, _UNKNOWN), _UNTOLD)
