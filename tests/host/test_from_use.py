@@ -87,7 +87,7 @@ def test_a_gap_at_the_low_end_is_turned_at_and_closed() -> None:
     """A pass up and down turns at its top alone."""
     instrument = preset("constant", RIG)
     points = [-1.0, 5.0, 0.5, 4.0, 1.5, 5.0, 3.0, 4.8, -1.5, 1.0, -1.5, 2.5, 0.0, 5.0, -1.5, 3.0]
-    led = through(points, 8.0, 80.0, 0.2)
+    led = through(points, 3.0, 30.0, 0.2)
     recorded = simulate(RIG, instrument, led, seed=6, name="use")
     found = calibrate([recorded], RIG)
     assert [gap.low for gap in found.gaps] == [LOW]
