@@ -48,7 +48,7 @@ class Number:
 def save_model(model: Model, recordings: Sequence[Recording], folder: Path) -> list[str]:
     """The whole MODEL folder with its report, or nothing; without recordings a report of the tables alone. Returns the
     result in sentences."""
-    with replaced(folder, MODEL_FILE, stale=("follow-*.csv", EVIDENCE_FILE, CAMERA_FILE)) as target:
+    with replaced(folder, MODEL_FILE, stale=("follow-*.csv", EVIDENCE_FILE, CAMERA_FILE, "next_motion.csv")) as target:
         evidence = collect(model, recordings) if recordings else None
         model.save(target)
         _keep_picture(recordings, target)

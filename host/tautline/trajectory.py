@@ -65,6 +65,12 @@ def through(
     return Trajectory(t, position[phase] + (velocity[phase] + 0.5 * pull[phase] * since) * since)
 
 
+def in_turn(*parts: Trajectory) -> Trajectory:
+    """Of the bending motor: one after the other, each from where the one before ends."""
+    q = np.concatenate([part.q for part in parts])
+    return Trajectory(np.arange(len(q)) / RATE_HZ, q)
+
+
 def back_and_forth(
     actuator: Actuator,
     speeds: Sequence[float],

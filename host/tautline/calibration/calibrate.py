@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
-from tautline.calibration import clock
+from tautline.calibration import clock, coverage
 from tautline.calibration.acquisition import doubts as acquisition_doubts
 from tautline.calibration.acquisition import in_another_unit, mistaken_unit
 from tautline.calibration.backlash import WidthCurve, fit_widths
@@ -115,6 +115,7 @@ class Calibration(Value):
     names: tuple[str, ...] = field(default=())  # of the recordings
     offsets: Mapping[str, float] = field(default_factory=dict)  # by recording: the sensor's clock less the motor's
     predicted: tuple[Foretold, ...] = ()  # of every frame that was used, by recording
+    gaps: tuple[coverage.Gap, ...] = ()  # where B can be seen and is not measured
 
     def to_json(self) -> dict[str, Any]:
         """What `taut calibrate --json` prints (formats: backlash, remaining, delay_s, onsets, and what was noted)."""
@@ -140,6 +141,7 @@ class Calibration(Value):
             "onsets": [onset_json(o, self.names) for o in self.onsets],
             "evidence": {key: _finite(value) for key, value in self.evidence.items()},
             "notes": list(self.notes),
+            "coverage": coverage.to_json(self.gaps, model.rig.actuator.unit),
             "quality": model.quality.to_json(),
         }
 
@@ -279,7 +281,7 @@ class _Session:
         if joint is not None:
             self._find_place(joint)
         remaining = self._remaining(width, delay.delay_s, settled) if self.choice.moves() else None
-        self._comment(onsets, curve, remaining)
+        self._comment(onsets, remaining)
         self._doubt_place(remaining)
         self._hold()
         self._depart(joint, curve, source, remaining)
@@ -454,7 +456,7 @@ class _Session:
 
     # ---- what to think of it
 
-    def _comment(self, onsets: Sequence[Onset], curve: WidthCurve | None, remaining: Remaining | None) -> None:
+    def _comment(self, onsets: Sequence[Onset], remaining: Remaining | None) -> None:
         if self.options.beforehand is not None:
             self.findings.notes.append("B(q) was known beforehand, from other robots: these recordings add to it")
         if stray := sum(track.stray for track in self.tracks):
@@ -476,13 +478,6 @@ class _Session:
         for reason in dict.fromkeys(o.reason for o in onsets if o.reason and not o.used):
             count = sum(o.reason == reason and not o.used for o in onsets)
             self.findings.notes.append(f"{count} of {len(onsets)} reversals not used: {reason}")
-        if curve is not None:
-            low, high = self.rig.actuator.range
-            if curve.measured[0] > low + 0.2 * (high - low) or curve.measured[1] < high - 0.2 * (high - low):
-                self.findings.notes.append(
-                    f"onsets reach from {curve.measured[0]:.3g} to {curve.measured[1]:.3g} {self.unit} of the range "
-                    f"[{low:g}, {high:g}]: beyond, B(q) is held"
-                )
         if remaining is None:
             self.findings.doubt(
                 "coverage",
@@ -633,6 +628,8 @@ class _Session:
             self.rig, self.grid, width, sigma, c, delay.delay_s, measured, elements=self.elements, c_sigma=c_sigma,
             sensor=self.tracks[0].sensor, offset_s=aligned.offset_s,
         )  # fmt: skip
+        gaps = coverage.gaps(model, coverage.one_way(joint, self.grid) if joint is not None else 0.0 * self.grid)
+        self.findings.notes += [f"{gap.says(self.unit)}, and is held there" for gap in gaps]
         told = worth(model, self.ended or self.tracks, self.rig)
         if told is not None:
             self.findings.reasons += told.doubts
@@ -657,7 +654,7 @@ class _Session:
         model = replace(model, quality=Quality.of(self.findings.reasons), extra=extra)
         return Calibration(
             model, tuple(onsets), delay, source, curve, pass_width, pass_sigma, self.findings.evidence, notes, names,
-            aligned.offsets, tuple(_foretold(model, track, delay_s) for track in self.tracks),
+            aligned.offsets, tuple(_foretold(model, track, delay_s) for track in self.tracks), gaps,
         )  # fmt: skip
 
     def _characteristic(self, delay_s: float) -> dict[str, Any]:

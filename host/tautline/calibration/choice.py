@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from tautline.calibration.backlash import WidthCurve, fit_paper
 from tautline.calibration.components import Components
+from tautline.calibration.coverage import HOLE, one_way
 from tautline.calibration.findings import Findings
 from tautline.calibration.observations import Track
 from tautline.calibration.onset import BRACKET, HINGE, Onset
@@ -30,8 +31,7 @@ _LITTLE = 0.03  # of the width: differences below are no contradiction
 _WORSE = 1.25  # times what the best single curve leaves: a B that leaves more is not for predictions
 _FEW_ONSETS, _NEARER = 6, 0.5  # onsets that may say so, and their mean squared z against one B over that to the other
 _ONE_WAY, _OTHER_WAY = 4.0, 0.3  # standard errors by which onsets are late, and of that what the other way's may be
-_HOLE, _BENDS = 0.03, 2.0  # of the range, without a frame one way; its own size by which B may change over the range
-_LEANS = 0.3  # share of the elements that are at their ends, from which a place is passed one way
+_BENDS = 2.0  # its own size by which B may change over the range
 
 
 def jumping(onsets: Sequence[Onset]) -> bool:
@@ -161,16 +161,10 @@ class Choice:
         known beforehand says it itself."""
         if joint.fit.beforehand is not None:
             return np.zeros(len(self.grid))
-        seen = [
-            (s.p[mask], s.lean[mask]) for s, mask in zip(joint.fit.simulated, joint.masks, strict=True)
-        ]  # the simulation is the last that the fit made: at its own curves
-        by_direction = [np.unique(np.concatenate([p[way * lean > _LEANS] for p, lean in seen])) for way in (-1, 1)]
-        if not all(len(p) for p in by_direction):
+        apart = one_way(joint, self.grid)
+        if not np.isfinite(apart).all():
             return np.zeros(len(self.grid))
-        apart = np.max(
-            [np.min(np.abs(self.grid[:, None] - _nearest(p, self.grid)), axis=1) for p in by_direction], axis=0
-        )
-        gap = np.maximum(apart - _HOLE * self.domain.span, 0.0)
+        gap = np.maximum(apart - HOLE * self.domain.span, 0.0)
         holes = inside & (gap > 0)
         if not holes.any():
             return np.zeros(len(self.grid))
@@ -354,9 +348,3 @@ class Choice:
                 f"no onset from {where[0]:.3g} to {where[-1]:.3g} {self.unit}: there B(q) is the distance of the passes"
             )
         return width, sigma, ONSETS
-
-
-def _nearest(p: Array, at: Array) -> Array:
-    """(at, 2) the sorted p on either side of each place."""
-    k = np.searchsorted(p, at)
-    return np.column_stack([p[np.clip(k - 1, 0, len(p) - 1)], p[np.clip(k, 0, len(p) - 1)]])

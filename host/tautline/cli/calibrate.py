@@ -22,8 +22,10 @@ from tautline.cli._common import (
     warn,
 )
 from tautline.cli._live import LiveOptions, free_recording, live_options, opened, sigma_of, until_option
+from tautline.diagnosis.motion import table
 from tautline.errors import UnusableError
-from tautline.folders import check_replaceable
+from tautline.folders import check_replaceable, write_file
+from tautline.live.closing import FILE, closing
 from tautline.live.rounds import in_words
 from tautline.model import MODEL_FILE
 from tautline.recording import load, shifted
@@ -97,7 +99,7 @@ def command(
     check_replaceable(out, MODEL_FILE)
     options = Options(knots=knots, remaining=remaining)
     if recording_paths:
-        calibration, lines = _from_recordings(recording_paths, rig_path, out, options, fleet)
+        calibration, lines, proposed = _from_recordings(recording_paths, rig_path, out, options, fleet)
     else:
         if fleet is not None:
             raise click.UsageError("--prior goes with a RECORDING: record first, with 'taut record'")
@@ -105,6 +107,7 @@ def command(
             raise click.UsageError("name a RECORDING, or for a live calibration --camera SOURCE or --simulate")
         kept = kept or free_recording(out.absolute())
         calibration, lines, made = _live(kept, rig_path, out, options, as_json=as_json, **live)
+        proposed = None  # what was missing was moved through, or it was said why not
     quality = calibration.model.quality
     verdict = quality_lines(quality)
     if as_json:
@@ -112,7 +115,7 @@ def command(
         verdict = []
     for note in calibration.notes:
         log(f"taut: {note}")
-    result = {**calibration.to_json(), "model": out, "report": out / reports.FILE}
+    result = {**calibration.to_json(), "model": out, "report": out / reports.FILE, "next_motion": proposed}
     if not recording_paths:
         result |= {"recording": kept, "motion": made}
     emit(result, as_json, "\n".join([*verdict, *lines, f"{out / reports.FILE} shows it."]))
@@ -122,7 +125,8 @@ def command(
 
 def _from_recordings(
     paths: tuple[Path, ...], rig_path: Path | None, out: Path, options: Options, fleet: Path | None
-) -> tuple[Calibration, list[str]]:
+) -> tuple[Calibration, list[str], dict[str, Any] | None]:
+    """The calibration, what it says, and the motion that would measure what it could not."""
     recordings, rig = read_recordings(paths, rig_path)
     if fleet is not None:
         from tautline.fleet import prior
@@ -131,7 +135,18 @@ def _from_recordings(
     with progress_bar("calibrating") as progress:
         recordings = [with_marker(recording, rig, progress) for recording in recordings]
         calibration = calibrate(recordings, rig, options, progress)
-        return calibration, reports.save_model(calibration.model, shifted(recordings, calibration.offsets), out)
+        lines = reports.save_model(calibration.model, shifted(recordings, calibration.offsets), out)
+    motion = closing(calibration.model, calibration.gaps, recordings) if calibration.model.quality.usable else None
+    if motion is None:
+        return calibration, lines, None
+    path = out / FILE
+    unit = calibration.model.rig.actuator.unit
+    write_file(path, table(motion, unit).to_csv(index=False, float_format="%.6f"))
+    lines.append(
+        f"{motion.duration_s:.0f} s of motion would measure the rest of the range: taut record --motion {path}, then "
+        "calibrate from both recordings."
+    )
+    return calibration, lines, {"file": path, "seconds": motion.duration_s}
 
 
 def _live(

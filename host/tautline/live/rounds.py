@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline.calibration.calibrate import Calibration
+from tautline.calibration.coverage import not_measured, seeable
 from tautline.calibration.onset import BOUND
 from tautline.rig import Actuator
 
@@ -22,7 +23,6 @@ Span = tuple[float, float]
 _FRAME = 0.0224  # per frame at most: 5.6 mm/s of 10 mm at 25 Hz; much faster leaves too few frames a knot
 _SECOND = 0.56  # per second at most, however fast the camera
 _APPROACH, _STROKE, _LONGEST_STROKE = 0.03, 0.25, 0.45
-_EDGE = 0.05  # so much of what can be seen may be missing at either end
 _WHOLE = 0.4  # a round that would need more of the range takes all of it
 _BESIDE = 0.02  # strokes go on for so much beyond the backlash
 
@@ -176,8 +176,7 @@ def _places(q: Array, sigma: Array, until: float, apart: float) -> tuple[Place, 
 def _missing(calibration: Calibration, low: float, high: float) -> Span:
     """What is not measured of the positions where B can be seen: all but B/2 at either end."""
     model = calibration.model
-    free = _EDGE * (high - low)
-    first, last = low + 0.5 * model.width[0] + free, high - 0.5 * model.width[-1] - free
+    first, last = seeable(model, low, high)
     below, above = model.measured[0] > first, model.measured[1] < last
     if below and above:
         return low, high
@@ -236,8 +235,7 @@ def next_round(
 def why_another(standing: Standing, until: float, unit: str, done: Sequence[Round | Strokes]) -> str:
     """Why a round follows those that are done."""
     if not standing.covered:
-        low, high = standing.missing
-        return f"B(q) is not measured from {low:.3g} to {high:.3g} {unit} yet"
+        return f"{not_measured(standing.missing, unit)} yet"
     here, wanted = in_words(standing.worst, unit), in_words(until, unit)
     if standing.reached(until) and not both_made(done):
         return f"sigma is {here} where {wanted} is wanted, but passes alone are not believed: turns at both ends first"

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from tautline.calibration.calibrate import Calibration
+from tautline.calibration.coverage import not_measured
 from tautline.diagnosis.narration import SHOWN, sentence
 from tautline.geometry import pose
 from tautline.live.asking import Leading, answers_of
@@ -74,7 +75,7 @@ def missing(view: View) -> list[str]:
     if standing.missing == (view.low, view.high) and standing.ends != standing.missing:
         said.append(f"B is measured only from {standing.ends[0]:.3g} to {standing.ends[1]:.3g} {unit}")
     elif not standing.covered:
-        said.append(f"B is not measured from {standing.missing[0]:.3g} to {standing.missing[1]:.3g} {unit}")
+        said.append(not_measured(standing.missing, unit))
     said += [
         f"sigma is {in_words(place.sigma, unit)} from {place.low:.3g} to {place.high:.3g} {unit}"
         for place in standing.need

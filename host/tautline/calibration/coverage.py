@@ -1,0 +1,84 @@
+"""Where of the range B was measured: passed both ways and turned at; and what of the rest could be."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.calibration.playfit import Fitted
+from tautline.model import Model
+
+Array = npt.NDArray[np.float64]
+Span = tuple[float, float]
+
+HOLE = 0.03  # of the range, without a frame one way: passed for all that
+_LEANS = 0.3  # share of the elements that are at their ends, from which a place is passed one way
+_EDGE = 0.05  # of the range: so much of what can be seen may be missing at either end
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Positions at which B is not measured, unit of q, and why."""
+
+    low: float
+    high: float
+    why: str
+
+    def says(self, unit: str) -> str:
+        return f"{not_measured((self.low, self.high), unit)}: {self.why}"
+
+
+def not_measured(span: Span, unit: str) -> str:
+    """Said by a live calibration, its page and of a recording alike."""
+    return f"B is not measured from {span[0]:.3g} to {span[1]:.3g} {unit}"
+
+
+def seeable(model: Model, low: float, high: float) -> Span:
+    """Where B has to be measured for a motor that goes from `low` to `high`: all but B/2, and a little, at either
+    end."""
+    free = _EDGE * (high - low)
+    return low + 0.5 * float(model.width[0]) + free, high - 0.5 * float(model.width[-1]) - free
+
+
+def one_way(joint: Fitted, grid: Array) -> Array:
+    """(grid,) how far the next frame is of the direction of which it is further; inf where one has none."""
+    seen = [
+        (s.p[mask], s.lean[mask]) for s, mask in zip(joint.fit.simulated, joint.masks, strict=True)
+    ]  # the simulation is the last that the fit made: at its own curves
+    by_direction = [np.unique(np.concatenate([p[way * lean > _LEANS] for p, lean in seen])) for way in (-1, 1)]
+    if not all(len(p) for p in by_direction):
+        return np.full(len(grid), np.inf)
+    return np.asarray(np.max([np.min(np.abs(grid[:, None] - _nearest(p, grid)), axis=1) for p in by_direction], axis=0))
+
+
+def gaps(model: Model, apart: Array) -> tuple[Gap, ...]:
+    """What is not measured of the positions where B can be seen, the lowest first. apart: `one_way` on the model's
+    grid."""
+    low, high = float(model.q[0]), float(model.q[-1])
+    first, last = seeable(model, low, high)
+    passed = apart <= HOLE * (high - low)
+    turned = (model.q >= model.measured[0]) & (model.q <= model.measured[1])
+    missing = np.flatnonzero(~(passed & turned) & (model.q >= first) & (model.q <= last))
+    runs = np.split(missing, np.flatnonzero(np.diff(missing) > 1) + 1) if len(missing) else []
+    return tuple(_gap(model.q, run, passed, first, last) for run in runs)
+
+
+def _gap(q: Array, run: npt.NDArray[np.intp], passed: npt.NDArray[np.bool_], first: float, last: float) -> Gap:
+    """Of one run of the grid; where it reaches the last that can be seen it goes on to the end of the range."""
+    step = float(q[1] - q[0])
+    low, high = float(q[run[0]]), float(q[run[-1]])
+    why = "passed both ways, but no turn there gave a width" if passed[run].all() else "never passed both ways"
+    return Gap(float(q[0]) if low < first + step else low, float(q[-1]) if high > last - step else high, why)
+
+
+def _nearest(p: Array, at: Array) -> Array:
+    """(at, 2) the sorted p on either side of each place."""
+    k = np.searchsorted(p, at)
+    return np.column_stack([p[np.clip(k - 1, 0, len(p) - 1)], p[np.clip(k, 0, len(p) - 1)]])
+
+
+def to_json(missing: Sequence[Gap], unit: str) -> dict[str, object]:
+    return {"missing": [{"from": gap.low, "to": gap.high, "says": gap.says(unit)} for gap in missing]}

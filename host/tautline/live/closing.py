@@ -1,0 +1,82 @@
+"""The motion that measures B where recordings of use did not: short strokes up and down through each gap."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise, product
+
+import numpy as np
+
+from tautline import trajectory
+from tautline.calibration.coverage import Gap
+from tautline.live.rounds import Means
+from tautline.model import Model
+from tautline.recording import Motor, Recording
+from tautline.rig import Actuator
+from tautline.trajectory import Trajectory
+
+FILE = "next_motion.csv"  # in a MODEL folder
+SECONDS = 20.0  # it lasts no longer, where the gaps let it
+_STROKES = (3.0, 5.0, 8.0)  # of the widest B: the shorter, the more turns
+_BACK = 1.4  # of it: a stroke back gets through it
+_BESIDE = 0.02  # of the range: strokes go on for so much beyond the gap and the backlash
+_LEAST_STROKE, _MOST_STROKE = 0.05, 0.8  # of the range; of the way through a gap
+_QUICK = 8.0  # acceleration over speed, 1/s
+_DWELL_S = 0.1
+_WITHIN_S = 0.05  # over which a motor's speed in use is taken: its counts are no speed
+
+
+def closing(model: Model, gaps: Sequence[Gap], recordings: Sequence[Recording]) -> Trajectory | None:
+    """Through all gaps, from the lowest up, within the range and no faster than the motor went in `recordings`, which
+    show the tip (marker or angle); None where there are no gaps. Of the plans within 20 s the one with the most turns,
+    then with the most speeds; the shortest where none is."""
+    if not gaps:
+        return None
+    actuator = model.rig.actuator
+    usual = Means.of(*actuator.range, _frame_rate(recordings), math.inf, math.inf).speeds
+    top = max(_fastest(each.motor) for each in recordings)
+    speeds = [speed * min(top / usual[0], 1.0) for speed in usual]
+    inside = (model.q >= model.measured[0]) & (model.q <= model.measured[1])
+    widest = float(model.width[inside].max(initial=0.0))
+    plans = [
+        _joined([_through(actuator, gap, widest, times, speeds[:passes]) for gap in gaps], speeds[0])
+        for times, passes in product(_STROKES, (2, 1))
+    ]
+    return next((plan for plan in plans if plan.duration_s <= SECONDS), min(plans, key=lambda plan: plan.duration_s))
+
+
+def _through(actuator: Actuator, gap: Gap, widest: float, times: float, speeds: Sequence[float]) -> Trajectory:
+    """Up through a gap by strokes of `times` the widest B that go back by a little more than it, down again, and a
+    turn at the low end."""
+    reach = widest + _BESIDE * actuator.span
+    low, high = max(gap.low - reach, actuator.range[0]), min(gap.high + reach, actuator.range[1])
+    way = high - low
+    stroke = min(max(times * widest, _LEAST_STROKE * actuator.span), _MOST_STROKE * way)
+    advance = max(stroke - _BACK * widest, (1.0 - _MOST_STROKE) * stroke)
+    pairs = math.ceil((way - stroke) / advance)
+    there = replace(actuator, range=(low, high))
+    quick = _QUICK * speeds[0]
+    passes = trajectory.back_and_forth(there, speeds, stroke, 2 * pairs, quick, _DWELL_S)
+    return trajectory.in_turn(passes, trajectory.through([low, low + stroke], speeds[0], quick))
+
+
+def _joined(parts: Sequence[Trajectory], speed: float) -> Trajectory:
+    """One after the other, with a move from where each ends to where the next begins."""
+    ways = [(before.q[-1], after.q[0]) for before, after in pairwise(parts)]
+    moves = [trajectory.through(way, speed, _QUICK * speed) for way in ways]
+    return trajectory.in_turn(parts[0], *(each for pair in zip(moves, parts[1:], strict=True) for each in pair))
+
+
+def _frame_rate(recordings: Sequence[Recording]) -> float:
+    """Hz, of what shows the tip."""
+    shown = [each.marker or each.angle for each in recordings]
+    return 1.0 / float(np.median(np.concatenate([np.diff(seen.t_s) for seen in shown if seen is not None])))
+
+
+def _fastest(motor: Motor) -> float:
+    """Its top speed, unit of q per s."""
+    t_s = np.arange(motor.t_s[0], motor.t_s[-1], _WITHIN_S)
+    moved = np.abs(np.diff(np.interp(t_s, motor.t_s, motor.q)))
+    return float(moved.max(initial=0.0)) / _WITHIN_S
