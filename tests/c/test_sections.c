@@ -155,6 +155,25 @@ static void test_ranges_of_elements(void) {
     PLAYS_ARE(OK, t.centre[80] = t.centre[79] + 1);
 }
 
+static void test_an_instrument_s_serial_is_printable_and_then_zeros(void) {
+    static const struct {
+        char text[9];
+        tl_table_reason_t reason;
+    } serials[] = {{" ~0aZ ~!", TL_TABLE_OK}, // the ends of what can be printed, and no room for a zero
+                   {"A", TL_TABLE_OK},
+                   {"\x1F", TL_TABLE_BAD_RESERVED},
+                   {"\x7F", TL_TABLE_BAD_RESERVED},
+                   {"A\0\0\0\0\0\0B", TL_TABLE_BAD_RESERVED}};
+    static uint8_t blob[TL_TABLE_SIZE_MAX];
+    static tl_table_t read;
+    for (unsigned i = 0; i < sizeof serials / sizeof serials[0]; i++) {
+        tl_table_t t = table_fixture(1);
+        memcpy(t.instrument, serials[i].text, sizeof t.instrument);
+        const size_t size = tl_table_encode(&t, blob, sizeof blob);
+        TEST_ASSERT_EQUAL_INT(serials[i].reason, tl_table_decode(blob, size, 0, &read));
+    }
+}
+
 // The second of two shares so that both sum up to 1: w0 s0 + w1 s1 = 1, here s0 = 0.
 static void test_the_first_element_has_a_twentieth_of_the_motion(void) {
     for (uint32_t weight = 3276; weight <= 3277; weight++) { // 0.05 is 3276.8
@@ -192,6 +211,7 @@ int main(void) {
     RUN_TEST(test_ranges_of_speed_and_of_lag);
     RUN_TEST(test_ranges_of_load_joints_and_what_may_change);
     RUN_TEST(test_ranges_of_elements);
+    RUN_TEST(test_an_instrument_s_serial_is_printable_and_then_zeros);
     RUN_TEST(test_the_first_element_has_a_twentieth_of_the_motion);
     RUN_TEST(test_every_word_of_every_section_survives_the_trip);
     return UNITY_END();

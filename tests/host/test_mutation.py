@@ -75,9 +75,9 @@ def test_an_outcome_of_other_sources_and_a_line_cut_off_are_no_outcomes(tmp_path
     row = {"of": "these test_f", "mutant": asdict(mutant), "outcome": asdict(Outcome("killed", "test_f"))}
     file = tmp_path / "outcomes.jsonl"
     file.write_text(json.dumps(row) + "\n" + json.dumps(row | {"of": "others test_f"})[:-9], "utf-8")
-    assert program.known(file, lambda test: f"these {test}") == {mutant: Outcome("killed", "test_f")}
-    assert program.known(file, lambda test: f"others {test}") == {}
-    assert program.known(tmp_path / "none.jsonl", lambda test: f"these {test}") == {}
+    assert program.known(file, {"test_f": "these test_f"}) == {mutant: Outcome("killed", "test_f")}
+    assert program.known(file, {"test_f": "others test_f"}) == {}
+    assert program.known(tmp_path / "none.jsonl", {}) == {}
 
 
 def test_a_new_test_asks_again_for_what_survived_alone(tmp_path: Path) -> None:

@@ -12,12 +12,10 @@ with another --count tries only what is new, and one after a new test what survi
 from __future__ import annotations
 
 import argparse
-import functools
 import json
 import os
 import sys
 from collections import Counter
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import asdict
 from pathlib import Path
@@ -27,29 +25,29 @@ from rich.progress import Progress
 from scipy.stats import binomtest
 from tools.mutation.equivalent import equivalents
 from tools.mutation.sites import Mutant, all_mutants, drawn
-from tools.mutation.trial import Outcome, Trial, digest
+from tools.mutation.trial import Outcome, Trial, digest, programs
 
 ROOT = Path(__file__).resolve().parents[2]
 KEPT = ROOT / "build" / "mutants"
 OPERATORS = ("comparison", "constant", "dropped", "sign", "condition")
 
 
-def known(file: Path, of: Callable[[str], str]) -> dict[Mutant, Outcome]:
-    """The outcomes in a JSON lines file that are of these sources and tests; a last line that was cut off is none."""
+def known(file: Path, of: dict[str, str]) -> dict[Mutant, Outcome]:
+    """The outcomes in a JSON lines file that are `of` today's sources and tests; a last line cut off is none."""
     found = {}
     for line in file.read_text("utf-8").splitlines() if file.is_file() else []:
         try:
             row = json.loads(line)
         except json.JSONDecodeError:
             continue
-        if row["of"] == of(row["outcome"]["test"]):
+        if row["of"] == of.get(row["outcome"]["test"]):
             found[Mutant(**row["mutant"])] = Outcome(**row["outcome"])
     return found
 
 
 def tried(mutants: list[Mutant], jobs: int, kept: Path) -> dict[Mutant, Outcome]:
     """The outcome of each, tried now or before; each is kept as soon as it is there."""
-    file, of = kept / "outcomes.jsonl", functools.cache(functools.partial(digest, ROOT))
+    file, of = kept / "outcomes.jsonl", {test: digest(ROOT, test) for test in ("", *programs(ROOT))}
     outcomes = known(file, of)
     left = [mutant for mutant in mutants if mutant not in outcomes]
     kept.mkdir(parents=True, exist_ok=True)
@@ -71,7 +69,7 @@ def tried(mutants: list[Mutant], jobs: int, kept: Path) -> dict[Mutant, Outcome]
         for done in as_completed([pool.submit(one, mutant) for mutant in left]):
             mutant, outcome = done.result()
             outcomes[mutant] = outcome
-            row = {"of": of(outcome.test), "mutant": asdict(mutant), "outcome": asdict(outcome)}
+            row = {"of": of[outcome.test], "mutant": asdict(mutant), "outcome": asdict(outcome)}
             out.write(json.dumps(row) + "\n")
             out.flush()
             progress.advance(task)

@@ -38,13 +38,17 @@ def digest(root: Path, test: str) -> str:
     return total.hexdigest()[:16]
 
 
+def programs(root: Path) -> list[str]:
+    return sorted({path.name.split(".")[0] for path in (root / "tests/c").glob("test_*.c*")})
+
+
 class Trial:
     """`folder` keeps its copy and build from one run to the next. Errors: the tests fail as they are."""
 
     def __init__(self, root: Path, folder: Path) -> None:
         self.root, self.source, self.build = root, folder / "source", folder / "build"
         self._copy()
-        self.names = sorted({path.name.split(".")[0] for path in (root / "tests/c").glob("test_*.c*")})
+        self.names = programs(root)
         flags = [f"-DCMAKE_C_FLAGS={FLAGS}", "-DCMAKE_BUILD_TYPE=", "-DCMAKE_C_COMPILER=gcc"]
         self._run(["cmake", "-S", str(self.source), "-B", str(self.build), "-G", "Ninja", *flags])
         self._run(self._ninja())
@@ -111,10 +115,10 @@ class Trial:
             return Outcome("build", "")
         if self._compiled() == self.objects:
             return Outcome("same", "")
-        programs = self._digests()
+        now = self._digests()
         for name in self.names:
             try:
-                if programs[name] != self.programs[name] and not self._passes(name, self.limits[name]):
+                if now[name] != self.programs[name] and not self._passes(name, self.limits[name]):
                     return Outcome("killed", name)
             except subprocess.TimeoutExpired:
                 return Outcome("time", name)
