@@ -154,6 +154,20 @@ static void test_a_calibration_is_what_was_asked_for(void) {
     TEST_ASSERT_EQUAL(start.frames_max, onset->frames_max);
 }
 
+static void test_a_frame_without_a_marker_is_none_for_the_detector(void) {
+    const tl_wire_motion_start_t start = motion();
+    fake_enable(0, 1);
+    fake_run_ms(5);
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_MOTION_START, &start));
+    fake_run_ms(150); // the history reaches back by more than the delay
+    for (uint8_t valid = 0; valid <= 1; valid++) {
+        const tl_wire_marker_t marker = {.valid = valid, .arrival_us = fake.t_us, .u_q12 = 4000, .v_q12 = 5000};
+        fake_ask(TL_WIRE_MARKER, &marker);
+        fake_run_ms(40);
+        TEST_ASSERT_EQUAL(1, app.calibration.work.detector.lost); // the first
+    }
+}
+
 #define MOTION_IS(reason, change)                                                                                      \
     do {                                                                                                               \
         tl_wire_motion_start_t start = motion();                                                                       \
@@ -233,6 +247,7 @@ int main(void) {
     RUN_TEST(test_a_status_is_what_is_measured);
     RUN_TEST(test_telemetry_is_the_axis_at_each_time);
     RUN_TEST(test_a_calibration_is_what_was_asked_for);
+    RUN_TEST(test_a_frame_without_a_marker_is_none_for_the_detector);
     RUN_TEST(test_a_motion_that_cannot_be_is_refused_with_its_reason);
     RUN_TEST(test_settings_have_their_ends);
     RUN_TEST(test_a_position_is_within_four_million_counts);

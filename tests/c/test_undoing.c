@@ -150,6 +150,32 @@ static void test_a_lag_is_led_by_its_time(void) {
     }
 }
 
+static void test_a_table_is_moved_in_its_ticks_and_as_far_as_asked(void) {
+    table.has = TL_TABLE_HAS_adapt;
+    table.adapt = (tl_table_adapt_t){100 * TL_COUNT_ONE, 0, 2 * TL_RATIO_ONE};
+    for (int32_t way = -64; way <= 64; way += 16) { // Q8 counts; half a count a tick at most
+        for (uint32_t ticks = 1; ticks <= 5; ticks++) {
+            memset(&undo, 0, sizeof undo);
+            begin();
+            TEST_ASSERT_TRUE(tl_undo_adapt(&undo, &lookup, way, TL_RATIO_ONE, ticks));
+            for (uint32_t i = 0; i < ticks; i++) {
+                tl_undo_tick(&undo, &lookup, 0);
+            }
+            TEST_ASSERT_EQUAL_INT32(way * 256, undo.moved.offset.now);
+        }
+    }
+}
+
+static void test_a_width_is_scaled_by_a_product(void) {
+    begin();
+    for (int32_t width = 0; width < TL_TABLE_VALUE_MAX - 7654321; width += 7654321) {
+        for (int32_t scale = 1 - (1 << 23); scale < 1 << 23; scale += 234567) {
+            undo.moved.scale.now = scale; // Q23, beside one
+            TEST_ASSERT_DOUBLE_WITHIN(1.0, width * (1.0 + scale / 8388608.0), tl_undo_scaled(&undo, width));
+        }
+    }
+}
+
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_the_encoder_s_error_is_its_harmonics);
@@ -157,5 +183,7 @@ int main(void) {
     RUN_TEST(test_the_speed_comes_through_a_filter_and_stays_where_it_is_held);
     RUN_TEST(test_a_side_is_late_by_the_travel_since_its_turn);
     RUN_TEST(test_a_lag_is_led_by_its_time);
+    RUN_TEST(test_a_table_is_moved_in_its_ticks_and_as_far_as_asked);
+    RUN_TEST(test_a_width_is_scaled_by_a_product);
     return UNITY_END();
 }
