@@ -230,6 +230,15 @@ static void test_a_position_is_within_four_million_counts(void) {
     }
 }
 
+static void test_a_lost_bus_is_one_however_often_it_is_said(void) {
+    tl_app_bus(&app, false);
+    tl_app_bus(&app, false);
+    TEST_ASSERT_EQUAL(1, app.counters.bus_losses);
+    tl_app_bus(&app, true);
+    tl_app_bus(&app, false);
+    TEST_ASSERT_EQUAL(2, app.counters.bus_losses);
+}
+
 // While nobody follows, a strength is kept for who will: the compensator is not touched.
 static void test_a_strength_is_heard_by_an_axis_that_follows(void) {
     follow();
@@ -251,6 +260,7 @@ int main(void) {
     RUN_TEST(test_a_motion_that_cannot_be_is_refused_with_its_reason);
     RUN_TEST(test_settings_have_their_ends);
     RUN_TEST(test_a_position_is_within_four_million_counts);
+    RUN_TEST(test_a_lost_bus_is_one_however_often_it_is_said);
     RUN_TEST(test_a_strength_is_heard_by_an_axis_that_follows);
     return UNITY_END();
 }
