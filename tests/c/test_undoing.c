@@ -162,7 +162,31 @@ static void test_a_table_is_moved_in_its_ticks_and_as_far_as_asked(void) {
                 tl_undo_tick(&undo, &lookup, 0);
             }
             TEST_ASSERT_EQUAL_INT32(way * 256, undo.moved.offset.now);
+            TEST_ASSERT_TRUE(tl_undo_adapt(&undo, &lookup, -way, TL_RATIO_ONE, ticks));
+            tl_undo_start(&undo, &lookup, HZ); // on its way: a start is at the end of it
+            TEST_ASSERT_EQUAL_INT32(-way * 256, undo.moved.offset.now);
         }
+    }
+}
+
+// Another axis carries the tip by its slope once its own backlash is taken up.
+static void test_another_axis_carries_the_angle_behind_its_own_play(void) {
+    enum { PLAY = 50 * TL_COUNT_ONE };
+    const double slope = 1.0 / 300.0; // deg per count
+    table.has = TL_TABLE_HAS_joints;
+    table.joints.axis[0] = 3;
+    table.joints.play[0] = PLAY;
+    table.joints.slope[0] = (int32_t)lround(slope * (1 << 28));
+    begin();
+    double carried = 0.0; // Q8 counts
+    const tl_deg_q16_t c = 7 * TL_DEG_ONE;
+    for (int32_t i = 0; i < 1000; i++) { // strokes of 400 counts
+        const int32_t at = (int32_t)lround(200.0 * TL_COUNT_ONE * sin(i * 0.02));
+        undo.moved.joint[0] = at;
+        carried = fmin(fmax(carried, at - PLAY / 2), at + PLAY / 2);
+        // the slope has 11 bits, the way is taken to 1/16 count; a bit of the angle
+        TEST_ASSERT_DOUBLE_WITHIN((175.0 / 2048.0 + 1.0 / 16.0) * slope * TL_DEG_ONE + 1.0,
+                                  c - carried / TL_COUNT_ONE * slope * TL_DEG_ONE, tl_undo_angle(&undo, &lookup, c));
     }
 }
 
@@ -184,6 +208,7 @@ int main(void) {
     RUN_TEST(test_a_side_is_late_by_the_travel_since_its_turn);
     RUN_TEST(test_a_lag_is_led_by_its_time);
     RUN_TEST(test_a_table_is_moved_in_its_ticks_and_as_far_as_asked);
+    RUN_TEST(test_another_axis_carries_the_angle_behind_its_own_play);
     RUN_TEST(test_a_width_is_scaled_by_a_product);
     return UNITY_END();
 }
