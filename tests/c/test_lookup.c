@@ -109,6 +109,30 @@ static void test_nodes_are_exact_and_the_ends_are_held(void) {
     TEST_ASSERT_EQUAL_INT32(table.angle[157], tl_lookup_angle(&lookup, INT32_MAX, &flags));
 }
 
+// For every step: nodes are 2^step_log2 Q8 counts apart, and a place is rounded to 2^-16 of that, to a bit of c.
+static void test_between_nodes_a_table_is_straight_whatever_its_step(void) {
+    for (uint8_t log2 = 0; log2 <= 20; log2++) {
+        tl_table_t table = table_fixture(1);
+        const int32_t step = (int32_t)1 << log2;
+        table.step_log2 = log2;
+        table.q0 = table.q_min = -78 * step;
+        table.q_max = 79 * step;
+        for (unsigned i = 0; i < table.nodes; i++) {
+            table.width[i] = 0;
+            table.angle[i] = (int32_t)(i * i) * 300 - 1000000;
+        }
+        load(&table);
+        for (unsigned i = 0; i + 1U < table.nodes; i++) {
+            for (int32_t part = 0; part < 8; part++) {
+                const int32_t into = (int32_t)((int64_t)step * part / 8);
+                const double exact = table.angle[i] + (double)(table.angle[i + 1U] - table.angle[i]) * into / step;
+                TEST_ASSERT_DOUBLE_WITHIN(1.5, exact,
+                                          tl_lookup_angle(&lookup, table.q0 + (int32_t)i * step + into, &flags));
+            }
+        }
+    }
+}
+
 static void test_a_falling_f_flags_the_end_in_p(void) {
     const tl_table_t table = table_fixture(-1);
     load(&table);
@@ -221,6 +245,7 @@ int main(void) {
     RUN_TEST(test_fine_interpolation_is_rounded_to_nearest_too);
     RUN_TEST(test_a_scale_is_the_ratio);
     RUN_TEST(test_nodes_are_exact_and_the_ends_are_held);
+    RUN_TEST(test_between_nodes_a_table_is_straight_whatever_its_step);
     RUN_TEST(test_a_falling_f_flags_the_end_in_p);
     RUN_TEST(test_the_steepest_width_has_an_inverse);
     RUN_TEST(test_where_p_is_sought_first_changes_nothing);

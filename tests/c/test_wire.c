@@ -155,6 +155,21 @@ static void test_a_false_length_is_dropped_at_its_header(void) {
     TEST_ASSERT_EQUAL(TL_WIRE_HEADER_SIZE, parser.bytes_bad);
 }
 
+static void test_what_follows_a_skip_after_a_whole_frame_is_read(void) {
+    static tl_wire_parser_t parser;
+    const tl_wire_ping_t ping = {0};
+    uint8_t bytes[TL_WIRE_FRAME_MAX];
+    tl_wire_frame_t frame;
+    for (uint16_t sequence = 1; sequence <= 3; sequence++) {
+        size_t size = tl_wire_frame(bytes, TL_WIRE_PING, sequence, &ping);
+        const uint8_t *data = bytes;
+        TEST_ASSERT_TRUE(tl_wire_parse(&parser, &data, &size, &frame));
+        TEST_ASSERT_EQUAL(sequence, frame.sequence);
+        TEST_ASSERT_FALSE(tl_wire_skip(&parser)); // nothing is left to skip
+    }
+    TEST_ASSERT_EQUAL(0, parser.bytes_bad);
+}
+
 int main(void) {
     UNITY_BEGIN();
     RUN_TEST(test_every_message_survives_the_round_trip);
@@ -162,5 +177,6 @@ int main(void) {
     RUN_TEST(test_unknown_and_short_messages_are_refused);
     RUN_TEST(test_no_whole_frame_is_lost_in_garbage);
     RUN_TEST(test_a_false_length_is_dropped_at_its_header);
+    RUN_TEST(test_what_follows_a_skip_after_a_whole_frame_is_read);
     return UNITY_END();
 }

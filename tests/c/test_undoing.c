@@ -1,0 +1,214 @@
+// What a table undoes beside play and curve, each against its equation in float64.
+#include "table_fixture.h"
+#include "tautline/tl_undo.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <unity.h>
+
+#define HZ 1000
+#define PI 3.14159265358979323846
+
+static tl_table_t table;
+static tl_lookup_t lookup;
+static tl_undo_t undo;
+
+void setUp(void) {
+    table = table_fixture(1);
+    memset(&undo, 0, sizeof undo);
+}
+void tearDown(void) {}
+
+static void begin(void) {
+    static uint8_t blob[TL_TABLE_SIZE_MAX];
+    const size_t size = tl_table_encode(&table, blob, sizeof blob);
+    TEST_ASSERT_EQUAL_INT(TL_TABLE_OK, tl_lookup_load(&lookup, blob, size, TL_TABLE_ANY_AXIS));
+    tl_undo_start(&undo, &lookup, HZ);
+}
+
+// Q8 counts by which the shaft is further than the encoder says, at x.
+static double error_at(double x) {
+    const double turn = 2.0 * PI * x * 16.0 / table.encoder.period_q12;
+    return table.encoder.sine * sin(turn) + table.encoder.cosine * cos(turn) + table.encoder.sine2 * sin(2.0 * turn) +
+           table.encoder.cosine2 * cos(2.0 * turn);
+}
+
+static void test_the_encoder_s_error_is_its_harmonics(void) {
+    static const int32_t amplitudes[][4] = {
+        {9000, 0, 0, 0}, {0, -9000, 0, 0}, {0, 0, 4000, 0}, {0, 0, 0, -4000}, {4000, -3000, 1500, 1000}};
+    for (unsigned i = 0; i < sizeof amplitudes / sizeof amplitudes[0]; i++) {
+        table.has = TL_TABLE_HAS_encoder;
+        table.encoder =
+            (tl_table_encoder_t){1200 << 12, amplitudes[i][0], amplitudes[i][1], amplitudes[i][2], amplitudes[i][3]};
+        begin();
+        for (tl_count_q8_t q = table.q_min; q <= table.q_max; q += 997) {
+            const double told = q - tl_undo_reading(&undo, &lookup, q);
+            // 9000 by a sine to 1.4e-4, which a product takes to 2^-13; the last bits of at most four
+            TEST_ASSERT_DOUBLE_WITHIN(9000.0 * (1.4e-4 + 1.0 / 8192.0) * 2.0 + 4.0, error_at(q), told);
+            // and back, as far as ten rounds of a slope of 1/2 or less lead
+            const tl_count_q8_t reading = tl_undo_reading(&undo, &lookup, q);
+            TEST_ASSERT_INT_WITHIN(10, q, tl_undo_pushing(&undo, &lookup, reading, TL_UNDO_ROUNDS));
+        }
+    }
+}
+
+static const int32_t nodes[TL_TABLE_LAST + 1U] = {0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256};
+
+// A small table of `values` at x steps, straight between its nodes.
+static double small(const int32_t *values, double x) {
+    unsigned i = 0;
+    while (i < TL_TABLE_LAST && nodes[i + 1U] <= x) {
+        i++;
+    }
+    return i == TL_TABLE_LAST ? values[i]
+                              : values[i] + (values[i + 1U] - values[i]) * (x - nodes[i]) / (nodes[i + 1U] - nodes[i]);
+}
+
+static void test_the_width_grows_with_the_speed(void) {
+    table.has = TL_TABLE_HAS_speed;
+    table.speed.step_log2 = 10;
+    for (int32_t i = 0; i <= (int32_t)TL_TABLE_LAST; i++) {
+        table.speed.extra[i] = i * i * 100;
+    }
+    begin();
+    tl_count_q8_t p = 0;
+    tl_undo_rest(&undo, p);
+    for (int32_t by = -300; by <= 300; by++) { // Q8 counts in a millisecond; 262 and more are beyond the table
+        p += by;
+        tl_undo_tick(&undo, &lookup, p);
+        TEST_ASSERT_DOUBLE_WITHIN(1.0, small(table.speed.extra, abs(by) * HZ / 1024.0),
+                                  tl_undo_wider(&undo, &lookup, p));
+    }
+}
+
+static void test_the_speed_comes_through_a_filter_and_stays_where_it_is_held(void) {
+    for (int32_t held = 0; held <= 1; held++) {
+        setUp();
+        table.has = TL_TABLE_HAS_speed;
+        table.speed = (tl_table_speed_t){.step_log2 = 12, .time_us = 100000, .held = held};
+        for (int32_t i = 0; i <= (int32_t)TL_TABLE_LAST; i++) {
+            table.speed.extra[i] = nodes[i] * 16; // 1/256 of the speed
+        }
+        begin();
+        tl_count_q8_t p = 0;
+        tl_undo_rest(&undo, p);
+        double filtered = 0.0;
+        for (int32_t tick = 0; tick < 1000; tick++) {
+            const int32_t by = tick < 400 ? 500 : 0;
+            p += by;
+            tl_undo_tick(&undo, &lookup, p);
+            if (by != 0 || held == 0) { // first order: exp(-1/100) stays of the rest with each tick
+                filtered += (by * (double)HZ - filtered) * (1.0 - exp(-1.0 / 100.0));
+            }
+            // the share of a tick is kept to 2^-16 of it: 2e-3 of the rest at worst
+            TEST_ASSERT_DOUBLE_WITHIN(2e-3 * 500.0 * HZ / 256.0, filtered / 256.0, tl_undo_wider(&undo, &lookup, p));
+        }
+    }
+}
+
+static void test_a_side_is_late_by_the_travel_since_its_turn(void) {
+    for (int32_t side = -1; side <= 1; side += 2) {
+        setUp();
+        table.has = TL_TABLE_HAS_sides;
+        table.sides.side = side;
+        table.sides.step_log2 = 8;
+        for (int32_t i = 0; i <= (int32_t)TL_TABLE_LAST; i++) {
+            table.sides.late[i] = 20000 - nodes[i] * 70;
+        }
+        begin();
+        const tl_count_q8_t turned = 12345;
+        tl_undo_turned(&undo, turned, -side);
+        TEST_ASSERT_EQUAL_INT32(0, tl_undo_wider(&undo, &lookup, turned));
+        tl_undo_turned(&undo, turned, side);
+        for (int32_t travel = 0; travel < 80000; travel += 37) { // the motor goes half of what the width grows by
+            TEST_ASSERT_DOUBLE_WITHIN(2.0, 2.0 * small(table.sides.late, travel / 256.0),
+                                      tl_undo_wider(&undo, &lookup, turned + side * travel));
+        }
+        TEST_ASSERT_EQUAL_INT32(2 * 20000, tl_undo_wider(&undo, &lookup, turned - side * 100));
+    }
+}
+
+static void test_a_lag_is_led_by_its_time(void) {
+    static const int32_t times_us[] = {5000, 20000, 300000};
+    for (unsigned i = 0; i < 3; i++) {
+        setUp();
+        table.has = TL_TABLE_HAS_late;
+        table.late.gain_q16[0] = 65536;
+        table.late.time_us[0] = times_us[i];
+        begin();
+        tl_count_q8_t p = -100 * TL_COUNT_ONE;
+        tl_undo_rest(&undo, p);
+        TEST_ASSERT_EQUAL_INT32(p, tl_undo_late(&undo, p)); // at rest nothing is late
+        const int32_t by = 40, ticks = times_us[i] / 1000;
+        for (int32_t tick = 0; tick < 12 * ticks; tick++) {
+            p += by;
+            const double rest = by * ticks * (1.0 - exp(-(tick + 1.0) / ticks)); // y - y_i of a ramp
+            const double led = tl_undo_late(&undo, p) - p;
+            // share and gain have 11 bits; within a tick a ramp is where it is in the middle; rests to 1/16 count
+            TEST_ASSERT_DOUBLE_WITHIN(by * ticks / 1024.0 + by / 2.0 + 16.0, rest, led);
+        }
+    }
+}
+
+static void test_a_table_is_moved_in_its_ticks_and_as_far_as_asked(void) {
+    table.has = TL_TABLE_HAS_adapt;
+    table.adapt = (tl_table_adapt_t){100 * TL_COUNT_ONE, 0, 2 * TL_RATIO_ONE};
+    for (int32_t way = -64; way <= 64; way += 16) { // Q8 counts; half a count a tick at most
+        for (uint32_t ticks = 1; ticks <= 5; ticks++) {
+            memset(&undo, 0, sizeof undo);
+            begin();
+            TEST_ASSERT_TRUE(tl_undo_adapt(&undo, &lookup, way, TL_RATIO_ONE, ticks));
+            for (uint32_t i = 0; i < ticks; i++) {
+                tl_undo_tick(&undo, &lookup, 0);
+            }
+            TEST_ASSERT_EQUAL_INT32(way * 256, undo.moved.offset.now);
+            TEST_ASSERT_TRUE(tl_undo_adapt(&undo, &lookup, -way, TL_RATIO_ONE, ticks));
+            tl_undo_start(&undo, &lookup, HZ); // on its way: a start is at the end of it
+            TEST_ASSERT_EQUAL_INT32(-way * 256, undo.moved.offset.now);
+        }
+    }
+}
+
+// Another axis carries the tip by its slope once its own backlash is taken up.
+static void test_another_axis_carries_the_angle_behind_its_own_play(void) {
+    enum { PLAY = 50 * TL_COUNT_ONE };
+    const double slope = 1.0 / 300.0; // deg per count
+    table.has = TL_TABLE_HAS_joints;
+    table.joints.axis[0] = 3;
+    table.joints.play[0] = PLAY;
+    table.joints.slope[0] = (int32_t)lround(slope * (1 << 28));
+    begin();
+    double carried = 0.0; // Q8 counts
+    const tl_deg_q16_t c = 7 * TL_DEG_ONE;
+    for (int32_t i = 0; i < 1000; i++) { // strokes of 400 counts
+        const int32_t at = (int32_t)lround(200.0 * TL_COUNT_ONE * sin(i * 0.02));
+        undo.moved.joint[0] = at;
+        carried = fmin(fmax(carried, at - PLAY / 2), at + PLAY / 2);
+        // the slope has 11 bits, the way is taken to 1/16 count; a bit of the angle
+        TEST_ASSERT_DOUBLE_WITHIN((175.0 / 2048.0 + 1.0 / 16.0) * slope * TL_DEG_ONE + 1.0,
+                                  c - carried / TL_COUNT_ONE * slope * TL_DEG_ONE, tl_undo_angle(&undo, &lookup, c));
+    }
+}
+
+static void test_a_width_is_scaled_by_a_product(void) {
+    begin();
+    for (int32_t width = 0; width < TL_TABLE_VALUE_MAX - 7654321; width += 7654321) {
+        for (int32_t scale = 1 - (1 << 23); scale < 1 << 23; scale += 234567) {
+            undo.moved.scale.now = scale; // Q23, beside one
+            TEST_ASSERT_DOUBLE_WITHIN(1.0, width * (1.0 + scale / 8388608.0), tl_undo_scaled(&undo, width));
+        }
+    }
+}
+
+int main(void) {
+    UNITY_BEGIN();
+    RUN_TEST(test_the_encoder_s_error_is_its_harmonics);
+    RUN_TEST(test_the_width_grows_with_the_speed);
+    RUN_TEST(test_the_speed_comes_through_a_filter_and_stays_where_it_is_held);
+    RUN_TEST(test_a_side_is_late_by_the_travel_since_its_turn);
+    RUN_TEST(test_a_lag_is_led_by_its_time);
+    RUN_TEST(test_a_table_is_moved_in_its_ticks_and_as_far_as_asked);
+    RUN_TEST(test_another_axis_carries_the_angle_behind_its_own_play);
+    RUN_TEST(test_a_width_is_scaled_by_a_product);
+    return UNITY_END();
+}

@@ -1,0 +1,117 @@
+"""Mutants of C sources by fixed operators: which there are, which are drawn, what is kept of them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import pytest
+from tools.mutation import __main__ as program
+from tools.mutation.equivalent import equivalents
+from tools.mutation.sites import ROOMS, Mutant, all_mutants, drawn, mutants_of
+from tools.mutation.trial import Outcome, digest
+
+ROOT = Path(__file__).parents[2]
+
+
+def changes(body: str) -> set[tuple[str, str]]:
+    """(operator, body as it becomes) of a function's body in one line."""
+    source = f"void f(int a, int b) {{\n{body}\n}}\n".encode()
+    return {(each.operator, each.change(source)[1]) for each in mutants_of("f.c", source)}
+
+
+@pytest.mark.parametrize(
+    ("body", "operator", "becomes"),
+    [
+        ("return a < b;", "comparison", ["return a <= b;"]),
+        ("return a >= b;", "comparison", ["return a > b;"]),
+        ("return a == b;", "comparison", ["return a != b;"]),
+        ("return 12U;", "constant", ["return (12U + 1);", "return (12U - 1);"]),
+        ("g(a);", "dropped", [";"]),
+        ("return;", "dropped", [";"]),
+        ("a -= b;", "sign", ["a += b;"]),
+        ("return -a;", "sign", ["return a;"]),
+        ("a++;", "sign", ["a--;"]),
+        ("if (a) b = a;", "condition", ["if (!((a))) b = a;"]),
+        ("return a ? b : a;", "condition", ["return (!(a)) ? b : a;"]),
+    ],
+)
+def test_each_operator_changes_one_place(body: str, operator: str, becomes: list[str]) -> None:
+    assert {text for kind, text in changes(body) if kind == operator} == set(becomes)
+
+
+def test_only_what_functions_do_is_changed() -> None:
+    assert mutants_of("f.h", b"#define LIMIT (3 + 4)\nenum { A = 1 };\nstatic const int B = 2; // a < 5\n") == []
+    assert changes("(void)a;") == set()
+    assert changes("int c[sizeof(int[3])];") == set()
+
+
+def test_a_mutant_differs_from_its_source_in_its_bytes_alone() -> None:
+    for mutant in drawn(all_mutants(ROOT), 200, 7):
+        source = (ROOT / mutant.file).read_bytes()
+        changed = mutant.applied(source)
+        assert changed != source
+        assert changed[: mutant.start] == source[: mutant.start]
+        assert changed[mutant.start + len(mutant.after.encode()) :] == source[mutant.end :]
+        assert source[: mutant.start].count(b"\n") == mutant.line - 1
+
+
+def test_every_room_and_operator_has_mutants_and_no_two_are_the_same() -> None:
+    mutants = all_mutants(ROOT)
+    assert len(set(mutants)) == len(mutants)
+    assert {mutant.operator for mutant in mutants} == set(program.OPERATORS)
+    assert all(any(mutant.file.startswith(room) for mutant in mutants) for room in ROOMS)
+
+
+def test_more_of_a_seed_begin_with_fewer_and_another_seed_has_others() -> None:
+    mutants = mutants_of("f.c", b"int f(int a) {\n" + b"a = a + 1;\n" * 30 + b"return a;\n}\n")
+    assert drawn(mutants, 40, 3)[:10] == drawn(mutants, 10, 3) != drawn(mutants, 10, 4)
+    assert sorted(drawn(mutants, len(mutants), 3)) == mutants
+
+
+def test_an_outcome_of_other_sources_and_a_line_cut_off_are_no_outcomes(tmp_path: Path) -> None:
+    mutant = Mutant("f.c", 1, 2, "+", "sign", 1, 2)
+    row = {"of": "these test_f", "mutant": asdict(mutant), "outcome": asdict(Outcome("killed", "test_f"))}
+    file = tmp_path / "outcomes.jsonl"
+    file.write_text(json.dumps(row) + "\n" + json.dumps(row | {"of": "others test_f"})[:-9], "utf-8")
+    assert program.known(file, {"test_f": "these test_f"}) == {mutant: Outcome("killed", "test_f")}
+    assert program.known(file, {"test_f": "others test_f"}) == {}
+    assert program.known(tmp_path / "none.jsonl", {}) == {}
+
+
+def test_a_new_test_asks_again_for_what_survived_alone(tmp_path: Path) -> None:
+    tests = tmp_path / "tests" / "c"
+    tests.mkdir(parents=True)
+    (tests / "test_f.c").write_text("old")
+    killed, survived = digest(tmp_path, "test_f"), digest(tmp_path, "")
+    (tests / "test_g.c").write_text("new")
+    assert digest(tmp_path, "test_f") == killed
+    assert digest(tmp_path, "") != survived
+    (tests / "test_f.c").write_text("changed")
+    assert digest(tmp_path, "test_f") != killed
+    (tests / "test_f.c").write_text("old")
+    (tests / "used.h").write_text("by all")
+    assert digest(tmp_path, "test_f") != killed
+
+
+def test_the_share_is_of_what_counts(capsys: pytest.CaptureFixture[str]) -> None:
+    mutants = drawn(all_mutants(ROOT), 6, 1)
+    hows = ["killed", "time", "survived", "survived", "build", "same"]
+    outcomes = {mutant: Outcome(how, "") for mutant, how in zip(mutants, hows, strict=True)}
+    program.report(outcomes, {mutants[3]: "its reason"})
+    said = capsys.readouterr().out
+    assert "2 of 3 killed, 66.7%" in said
+    assert f"survived {mutants[2].file}:{mutants[2].line}" in said
+    assert said.count("survived ") == 1
+    with pytest.raises(SystemExit, match="a test kills it"):
+        program.report(outcomes, {mutants[0]: "its reason"})
+
+
+def test_the_interval_is_that_of_clopper_and_pearson() -> None:
+    # No failure in 20: the lower bound is 0.05^(1/20).
+    assert f"(90 %: {0.05 ** (1 / 20):.1%} to 100.0%)" in program.share(20, 20)
+
+
+def test_each_mutant_listed_as_equivalent_is_one_of_todays_with_a_reason() -> None:
+    assert all(len(reason) > 20 for reason in equivalents(all_mutants(ROOT), ROOT).values())

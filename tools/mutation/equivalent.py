@@ -1,0 +1,24 @@
+"""Mutants that behave as the program does for every input, by hand and each with its reason: equivalent.toml."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+from tools.mutation.sites import Mutant
+
+LIST = Path(__file__).with_name("equivalent.toml")
+
+
+def equivalents(mutants: list[Mutant], root: Path) -> dict[Mutant, str]:
+    """The reason of each that is listed; an entry that is not one mutant of today's sources ends the program."""
+    by_change: dict[tuple[str, str, str], list[Mutant]] = {}
+    for mutant in mutants:
+        by_change.setdefault((mutant.file, *mutant.change((root / mutant.file).read_bytes())), []).append(mutant)
+    found = {}
+    for entry in tomllib.loads(LIST.read_text("utf-8"))["mutant"]:
+        same = by_change.get((entry["file"], entry["was"], entry["becomes"]), [])
+        if len(same) != 1:
+            raise SystemExit(f"mutation: {len(same)} mutants of {entry['file']} are '{entry['becomes']}': mend {LIST}")
+        found[same[0]] = entry["reason"]
+    return found

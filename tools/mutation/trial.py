@@ -1,0 +1,125 @@
+"""A copy of the C sources in which mutants are built, one after the other, and the C tests run."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import subprocess
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from tools.mutation.sites import ROOMS, Mutant
+
+BUILT = ("CMakeLists.txt", "common", "firmware", "tests/c", "tools/bench", "tools/examples")
+# Warnings stay warnings: a mutant that only warns would be killed by no test. No debugging symbols: the same
+# instructions are the same bytes.
+FLAGS = "-O2 -w"
+LONGEST = 20.0  # times what a test needs, and
+LEAST_S = 10.0  # so long in any case: a mutant that loops is killed by time
+BUILD_S = 300.0
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """`how`: killed, time, survived; not counted: `build`, the compiler refused it, and `same`, the same code."""
+
+    how: str
+    test: str  # that killed it, or ""
+
+
+def digest(root: Path, test: str) -> str:
+    """Of what an outcome depends on: the sources, and the program that killed the mutant or, without one, all."""
+    total = hashlib.sha256(FLAGS.encode())
+    tests = [path for path in (root / "tests/c").iterdir() if path.suffix == ".h" or path.name.startswith(f"{test}.")]
+    read = sorted(tests if test else (root / "tests/c").iterdir())
+    for path in [*(path for room in ROOMS for path in sorted((root / room).rglob("*.[ch]"))), *read]:
+        total.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    return total.hexdigest()[:16]
+
+
+def programs(root: Path) -> list[str]:
+    return sorted({path.name.split(".")[0] for path in (root / "tests/c").glob("test_*.c*")})
+
+
+class Trial:
+    """`folder` keeps its copy and build from one run to the next. Errors: the tests fail as they are."""
+
+    def __init__(self, root: Path, folder: Path) -> None:
+        self.root, self.source, self.build = root, folder / "source", folder / "build"
+        self._copy()
+        self.names = programs(root)
+        flags = [f"-DCMAKE_C_FLAGS={FLAGS}", "-DCMAKE_BUILD_TYPE=", "-DCMAKE_C_COMPILER=gcc"]
+        self._run(["cmake", "-S", str(self.source), "-B", str(self.build), "-G", "Ninja", *flags])
+        self._run(self._ninja())
+        self.programs, self.objects = self._digests(), self._compiled()
+        took = {name: self._timed(name) for name in self.names}
+        self.names.sort(key=took.__getitem__)
+        self.limits = {name: LEAST_S + LONGEST * took[name] for name in self.names}
+        self.changed: str | None = None
+
+    def _copy(self) -> None:
+        """What differs, so that only this is built again."""
+        asked = ["git", "ls-files", "--cached", "--others", "--exclude-standard", *BUILT]
+        listed = subprocess.run(asked, cwd=self.root, check=True, capture_output=True, text=True).stdout.splitlines()
+        if self.source.exists():
+            for path in [path for path in self.source.rglob("*") if path.is_file()]:
+                if path.relative_to(self.source).as_posix() not in listed:
+                    path.unlink()
+        for name in listed:
+            origin, copy = self.root / name, self.source / name
+            if origin.is_file() and not (copy.is_file() and copy.read_bytes() == origin.read_bytes()):
+                copy.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(origin, copy)
+
+    def _ninja(self) -> list[str]:
+        return ["ninja", "-C", str(self.build), "-j1", *self.names]
+
+    def _run(self, command: list[str]) -> None:
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            raise SystemExit(f"mutation: {' '.join(command)}:\n{done.stdout}{done.stderr}")
+
+    def _program(self, name: str) -> Path:
+        return self.build / "tests" / "c" / name
+
+    def _digests(self) -> dict[str, bytes]:
+        return {name: hashlib.sha256(self._program(name).read_bytes()).digest() for name in self.names}
+
+    def _compiled(self) -> dict[Path, bytes]:
+        """Of every object file, so that what no test links is not taken for the same."""
+        return {path: hashlib.sha256(path.read_bytes()).digest() for path in self.build.rglob("*.o")}
+
+    def _passes(self, name: str, limit_s: float | None) -> bool:
+        command = [str(self._program(name))]
+        quiet = subprocess.DEVNULL
+        return subprocess.run(command, stdout=quiet, stderr=quiet, timeout=limit_s, check=False).returncode == 0
+
+    def _timed(self, name: str) -> float:
+        began = time.monotonic()
+        if not self._passes(name, None):
+            raise SystemExit(f"mutation: {name} fails as the sources are: see './run test c'")
+        return time.monotonic() - began
+
+    def _write(self, mutant: Mutant) -> None:
+        if self.changed is not None:
+            shutil.copyfile(self.root / self.changed, self.source / self.changed)
+        (self.source / mutant.file).write_bytes(mutant.applied((self.root / mutant.file).read_bytes()))
+        self.changed = mutant.file
+
+    def of(self, mutant: Mutant) -> Outcome:
+        """What the tests say of it, those that end soonest first."""
+        self._write(mutant)
+        built = subprocess.run(self._ninja(), capture_output=True, timeout=BUILD_S, check=False)
+        if built.returncode != 0:
+            return Outcome("build", "")
+        if self._compiled() == self.objects:
+            return Outcome("same", "")
+        now = self._digests()
+        for name in self.names:
+            try:
+                if now[name] != self.programs[name] and not self._passes(name, self.limits[name]):
+                    return Outcome("killed", name)
+            except subprocess.TimeoutExpired:
+                return Outcome("time", name)
+        return Outcome("survived", "")
