@@ -50,7 +50,7 @@ LOOPS = {
     "tl_undo_late": (4,),  # followers
     "tl_undo_pushing": (2,),  # as many rounds as the watch asks for
     "tl_history_push": (2,),  # pushed once a millisecond and jitter
-    "quadrature_count": (4,),  # the state machine leaves its count within 11 cycles of its own, a round here takes 5
+    "port_encoder": (4,),  # the state machine leaves its count within 11 cycles of its own, a round here takes 5
     "bridge_sense_finish": (5,),  # four samples are in the FIFO, and one may come meanwhile
     CONTROL: (1,),  # its alarm passed while it was set; the next one is a period away
     "port_time_us": (2,),  # the high word changes once in 71 minutes
@@ -88,7 +88,7 @@ STAND_IN_PORT = (
     "read_supply",
     "read_fault",
 )  # of tools/emulator/cycles.c
-REGISTERS = ("quadrature_count", "port_time_us", "bridge_drive", "bridge_sense_start", "bridge_sense_finish", CONTROL)
+REGISTERS = ("port_encoder", "port_time_us", "bridge_drive", "bridge_sense_start", "bridge_sense_finish", CONTROL)
 
 NOT_ALLOWED = re.compile(
     r"__aeabi_[fd](add|sub|mul|div|cmp)|__aeabi_u?ldivmod|__u?divdi3|__u?moddi3|^__u?divsi3$|^__u?modsi3$|malloc"

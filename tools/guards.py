@@ -160,7 +160,7 @@ _APP = (
     _one("the stop input", STOPS + "the_stop_input_switches_every_axis_off_and_stays",
          STOP, "axis->guard.estop_ms == ESTOP_MS &&", "false &&"),
     _one("a stop that stays", STOPS + "the_stop_input_switches_every_axis_off_and_stays",
-         ASK, "axis->fault == TL_WIRE_FAULT_ESTOP && tl_stop_is_pressed(axis)", "false"),
+         ASK, "if (tl_stop_is_pressed(axis)) {", "if (false) {"),
     _one("an open contact", STOPS + "a_stop_input_that_opens_stops_where_it_is_wired_so",
          STOP, "closed != (axis->settings.estop == TL_WIRE_ESTOP_OPEN)", "closed"),
     _one("late control steps", AXIS + "late_control_steps_fault_a_driven_axis_only",

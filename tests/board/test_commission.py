@@ -220,10 +220,11 @@ def test_commission_measures_the_motor_and_stores_what_it_found(bench: Bench) ->
             live, lambda question: True, said.append, Homing(), {"current_ma": 350, "instrument": "SN-7"}
         )
         assert off(live.board) and live.board.status(0).fault == 0
-        # The motor's own: motor.c's free speed, and a friction between sliding and static.
-        assert found.speed_s == pytest.approx(20000.0, rel=0.05) and 0.03 < found.friction < 0.05
+        # The motor's own (motor.c), though by these gains it swings at 12 Hz around its path, and to rest: free speed,
+        # sliding friction. A count of the encoder is 6 % of the slower way in 10 ms.
+        assert found.speed_s == pytest.approx(20000.0, rel=0.02) and found.friction == pytest.approx(0.035, abs=0.002)
         assert found.q == pytest.approx(-4.8, abs=0.02)  # 2 % of the range from its low end, by lazy gains
-        assert found.settings["feed_forward"] == pytest.approx(32768.0 / 20.0, rel=0.05)
+        assert found.settings["feed_forward"] == pytest.approx(32768.0 / 20.0, rel=0.02)
         assert 2 * found.factor in found.steps and found.steps[found.factor].rms < 3.0
     assert len(said) == 4 + len(found.steps)
     bench.sim.ask("reset")

@@ -46,17 +46,50 @@ typedef struct {
     uint32_t swung_steps; // since the last one
     int way;              // of the last limit
     uint32_t overloaded_steps;
-    uint32_t lost_steps; // since something has spoilt its position
+    uint32_t lost_steps;    // since something has spoilt its position
+    uint32_t stopped_steps; // the stop input is active
+    uint32_t sink_steps;    // its drive sinks: whether it stalls, follows or swings is not looked at meanwhile
+    uint32_t group_steps;   // driven though another one of its group has failed
+    bool mate_failed;
 } seen_t;
 
 static seen_t seen[AXES];
 static uint32_t heard_steps_ago;
-static uint32_t moved, arrived, faults, homed, checked;
+static uint32_t moved, arrived, faults, homed, checked, stopped, taken, sunk;
 
 #define STEPS(ms) ((ms) * FAKE_HZ / 1000U)
 
 static bool is_motion(uint8_t mode) {
     return mode != TL_WIRE_MODE_OFF && mode != TL_WIRE_MODE_HOLD;
+}
+
+// What stops an axis that is well itself: the stop input, and the fault of another axis of its group.
+static void check_stops(uint8_t i) {
+    const tl_axis_t *axis = &app.axes[i];
+    seen_t *s = &seen[i];
+    const bool stops = fake.estop_closed != (axis->settings.estop == TL_WIRE_ESTOP_OPEN);
+    s->stopped_steps = stops ? s->stopped_steps + 1U : 0U;
+    TEST_ASSERT_TRUE_MESSAGE(s->stopped_steps <= STEPS(5U) ||
+                                 (axis->mode == TL_WIRE_MODE_OFF && axis->fault != TL_WIRE_FAULT_NONE),
+                             "stopped is off, until it is released and cleared");
+    bool failed = false, sinks = false;
+    for (uint8_t j = 0; j < AXES; j++) {
+        const tl_axis_t *mate = &app.axes[j];
+        const bool of_group = j != i && axis->settings.group != 0 && mate->settings.group == axis->settings.group;
+        const bool fails = of_group && mate->fault != TL_WIRE_FAULT_NONE && mate->fault != TL_WIRE_FAULT_GROUP;
+        failed = failed || fails;
+        sinks = sinks || (fails && mate->fault == TL_WIRE_FAULT_HOST_LOST && mate->guard.sink != 0);
+    }
+    TEST_ASSERT_TRUE_MESSAGE(!failed || !s->mate_failed || s->mode != TL_WIRE_MODE_OFF || axis->mode == s->mode,
+                             "none is driven while its group has a fault");
+    s->mate_failed = failed;
+    const bool lets_go =
+        sinks && axis->mode == TL_WIRE_MODE_HOLD && axis->guard.sink != 0; // for how long: check_axis()
+    s->group_steps = failed && axis->mode != TL_WIRE_MODE_OFF && !lets_go ? s->group_steps + 1U : 0U;
+    TEST_ASSERT_TRUE_MESSAGE(s->group_steps <= STEPS(2U), "a group goes off together");
+    stopped += s->mode != TL_WIRE_MODE_OFF && axis->fault == TL_WIRE_FAULT_ESTOP ? 1U : 0U;
+    taken += s->mode != TL_WIRE_MODE_OFF && axis->fault == TL_WIRE_FAULT_GROUP ? 1U : 0U;
+    sunk += lets_go && s->sink_steps == STEPS(10U) ? 1U : 0U;
 }
 
 // What must hold after each step, whatever happened.
@@ -105,8 +138,11 @@ static void check_axis(uint8_t i) {
         const tl_count_q8_t high = own->q_high_q8 > s->began_q ? own->q_high_q8 : s->began_q;
         TEST_ASSERT_TRUE_MESSAGE(axis->path.q >= low - 1 && axis->path.q <= high + 1, "range kept");
     }
+    const bool sinks = axis->mode == TL_WIRE_MODE_HOLD && axis->guard.sink != 0;
+    s->sink_steps = sinks ? s->sink_steps + 1U : 0U;
+    TEST_ASSERT_TRUE_MESSAGE(s->sink_steps <= STEPS(1100U), "a drive that sinks is gone within a second");
     // A motor that stands still under full drive, a driver or a supply that is ill: off within the stated time.
-    const bool pushes = axis->mode != TL_WIRE_MODE_HOME && axis->closed && axis->motor.limit > 0 &&
+    const bool pushes = axis->mode != TL_WIRE_MODE_HOME && axis->closed && axis->motor.limit > 0 && !sinks &&
                         abs(duty) == axis->motor.limit && fake.position[i] - s->still_at < 3.0 &&
                         fake.position[i] - s->still_at > -3.0;
     s->still_steps = pushes ? s->still_steps + 1U : 0U;
@@ -124,11 +160,13 @@ static void check_axis(uint8_t i) {
     // braking (2 s from the greatest speed at the least acceleration).
     const bool depends = axis->mode != TL_WIRE_MODE_OFF && axis->mode != TL_WIRE_MODE_HOLD;
     TEST_ASSERT_TRUE_MESSAGE(!depends || heard_steps_ago <= STEPS(4000U), "no motion without a host");
+    check_stops(i);
     // A position that the motor does not follow, a drive that swings, a motor that turns against its encoder.
-    const bool apart = axis->closed && abs(axis->path.q - axis->q) > axis->limits.following_error_q8;
+    const bool apart = axis->closed && !sinks && abs(axis->path.q - axis->q) > axis->limits.following_error_q8;
     s->apart_steps = apart ? s->apart_steps + 1U : 0U;
     TEST_ASSERT_TRUE_MESSAGE(s->apart_steps <= STEPS(2U), "the following error is watched");
-    const int way = axis->closed && axis->motor.limit > 0 && abs(duty) == axis->motor.limit ? (duty > 0 ? 1 : -1) : 0;
+    const int way =
+        axis->closed && !sinks && axis->motor.limit > 0 && abs(duty) == axis->motor.limit ? (duty > 0 ? 1 : -1) : 0;
     s->swings = axis->closed && s->swings > 0.0 ? s->swings - 1.0 / STEPS(50U) : 0.0;
     s->swung_steps++;
     if (way != 0 && way != s->way) {
@@ -211,6 +249,19 @@ static void say_settings(uint8_t axis) {
     say(TL_WIRE_SETTINGS, &own);
 }
 
+// What stops axes that are well; the rest of their settings stays.
+static void say_stops(void) {
+    const uint8_t estop = (uint8_t)(one_in(16) ? TL_WIRE_ESTOP_OPEN : TL_WIRE_ESTOP_CLOSED);
+    for (uint8_t i = 0; i < AXES; i++) {
+        tl_wire_settings_t own = app.axes[i].settings;
+        own.key = TL_WIRE_KEY;
+        own.group = (uint8_t)(one_in(8) ? 0U : 1U);
+        own.estop = estop;
+        own.hold_ms = one_in(4) ? 0U : (uint32_t)between(20, 500);
+        say(TL_WIRE_SETTINGS, &own);
+    }
+}
+
 // What a careless host does.
 static void a_request(void) {
     const uint8_t axis = (uint8_t)(random_u32() % AXES);
@@ -239,6 +290,8 @@ static void a_request(void) {
     case 4:
         if (one_in(4)) {
             say_settings(axis);
+        } else if (one_in(2)) {
+            say_stops();
         }
         break;
     case 5: {
@@ -331,6 +384,7 @@ static void mend(void) {
     fake.blocked = false;
     fake.current_ma = 100;
     fake.supply_mv = 6000;
+    fake.estop_closed = false;
     memset(fake.driver_fault, 0, sizeof(fake.driver_fault));
 }
 
@@ -358,7 +412,7 @@ static void help(uint8_t axis) {
 // What happens to hardware.
 static void a_mishap(void) {
     const uint8_t axis = (uint8_t)(random_u32() % AXES);
-    switch (random_u32() % 13U) {
+    switch (random_u32() % 14U) {
     case 0:
         fake.blocked = true;
         break;
@@ -398,6 +452,9 @@ static void a_mishap(void) {
     case 9: // somebody pushes the motor
         fake.position[axis] += between(-250, 250);
         break;
+    case 11: // somebody presses the stop button
+        fake.estop_closed = true;
+        break;
     default:
         mend();
         break;
@@ -436,6 +493,9 @@ static void test_whatever_happens_an_axis_keeps_its_word(void) {
     TEST_ASSERT_TRUE_MESSAGE(arrived > RANDOM_STEPS / 100000U && homed > RANDOM_STEPS / 1000000U &&
                                  checked > RANDOM_STEPS / 1000000U,
                              "and got somewhere");
+    TEST_ASSERT_TRUE_MESSAGE(stopped > RANDOM_STEPS / 1000000U && taken > RANDOM_STEPS / 1000000U &&
+                                 sunk > RANDOM_STEPS / 10000000U,
+                             "and was stopped in every way");
 }
 
 int main(void) {

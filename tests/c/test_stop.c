@@ -128,10 +128,15 @@ static void test_a_group_is_driven_again_once_the_first_fault_is_cleared(void) {
     TEST_ASSERT_EQUAL(TL_WIRE_MODE_HOLD, fake_status(1).mode);
 }
 
+enum { HOLD_MS = 60000 };
+
 // One bears a load and one does not, as antagonists do; `later` begins its time alone so much after the other.
-static int largest_fall(uint8_t loaded, uint8_t free, uint32_t ticks, uint32_t later_ms) {
+static int largest_fall(uint8_t loaded, uint8_t free, uint32_t ticks, uint32_t later_ms, uint32_t hold_ms) {
     fake_new(AXES);
-    TEST_ASSERT_EQUAL(0, store(loaded, 1, TL_WIRE_ESTOP_CLOSED));
+    tl_wire_settings_t own = settings(loaded);
+    own.group = 1;
+    own.hold_ms = hold_ms;
+    TEST_ASSERT_EQUAL(0, fake_ask(TL_WIRE_SETTINGS, &own));
     TEST_ASSERT_EQUAL(0, store(free, 1, TL_WIRE_ESTOP_CLOSED));
     fake.load = 0.3;
     fake.friction = 0.02;
@@ -161,11 +166,40 @@ static int largest_fall(uint8_t loaded, uint8_t free, uint32_t ticks, uint32_t l
 static void test_a_group_that_holds_alone_lets_go_slowly(void) {
     for (uint8_t loaded = 0; loaded < AXES; loaded++) {
         for (uint32_t ticks = 0; ticks < FAKE_HZ / 1000U; ticks++) {
-            TEST_ASSERT_LESS_THAN(100, largest_fall(loaded, (uint8_t)((loaded + 1U) % AXES), ticks, 0));
+            TEST_ASSERT_LESS_THAN(100, largest_fall(loaded, (uint8_t)((loaded + 1U) % AXES), ticks, 0, HOLD_MS));
         }
     }
-    TEST_ASSERT_LESS_THAN(100, largest_fall(1, 0, 0, 700)); // it came to rest later
-    TEST_ASSERT_LESS_THAN(100, largest_fall(0, 1, 0, 700));
+    TEST_ASSERT_LESS_THAN(100, largest_fall(1, 0, 0, 700, HOLD_MS)); // it came to rest later
+    TEST_ASSERT_LESS_THAN(100, largest_fall(0, 1, 0, 700, HOLD_MS));
+    TEST_ASSERT_LESS_THAN(100, largest_fall(1, 0, 0, 0, 0)); // by itself it would hold for ever
+}
+
+static void test_a_host_that_is_back_keeps_what_its_group_let_go(void) {
+    TEST_ASSERT_EQUAL(0, store(0, 1, TL_WIRE_ESTOP_CLOSED));
+    TEST_ASSERT_EQUAL(0, store(1, 1, TL_WIRE_ESTOP_CLOSED));
+    all_hold();
+    app.axes[1].guard.alone_ms = TL_AXIS_LET_GO;
+    tl_axis_hear(&app.axes[1]);
+    fake_run_ms(20);
+    TEST_ASSERT_EQUAL(0, app.axes[1].guard.sink);
+    TEST_ASSERT_EQUAL(TL_WIRE_MODE_HOLD, fake_status(1).mode);
+}
+
+// Whatever its fault is: cleared and switched on it would be driven until the input is looked at again.
+static void test_no_fault_is_cleared_while_the_stop_input_is_active(void) {
+    all_hold();
+    fake.driver_fault[0] = true;
+    fake_run_ms(20);
+    fake.driver_fault[0] = false;
+    fake.estop_closed = true;
+    fake_run_ms(5);
+    assert_off(0, TL_WIRE_FAULT_DRIVER, 0);
+    TEST_ASSERT_EQUAL(TL_WIRE_REASON_ESTOP, clear(0));
+    TEST_ASSERT_EQUAL(TL_WIRE_REASON_FAULT, fake_enable(0, 1));
+    assert_off(0, TL_WIRE_FAULT_DRIVER, 0);
+    fake.estop_closed = false;
+    fake_run_ms(5);
+    TEST_ASSERT_EQUAL(0, clear(0));
 }
 
 static void test_the_stop_input_switches_every_axis_off_and_stays(void) {
@@ -249,6 +283,8 @@ int main(void) {
     RUN_TEST(test_a_fault_that_is_cleared_at_once_takes_its_group_all_the_same);
     RUN_TEST(test_a_group_is_driven_again_once_the_first_fault_is_cleared);
     RUN_TEST(test_a_group_that_holds_alone_lets_go_slowly);
+    RUN_TEST(test_a_host_that_is_back_keeps_what_its_group_let_go);
+    RUN_TEST(test_no_fault_is_cleared_while_the_stop_input_is_active);
     RUN_TEST(test_the_stop_input_switches_every_axis_off_and_stays);
     RUN_TEST(test_the_stop_input_stops_homing_checks_and_axes_that_are_off);
     RUN_TEST(test_a_stop_input_that_opens_stops_where_it_is_wired_so);

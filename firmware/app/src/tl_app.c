@@ -159,6 +159,7 @@ void tl_app_init(tl_app_t *app, const tl_port_t *port) {
     memset(app, 0, sizeof(*app));
     app->port = port;
     app->control_us = port->time_us(port->context);
+    app->late_us = 2U * (1000000U / port->control_hz);
     for (uint8_t i = 0; i < port->axes; i++) {
         tl_axis_init(&app->axes[i], port, i);
     }
@@ -196,20 +197,21 @@ TL_FAST void tl_app_control(tl_app_t *app) {
     const tl_us_t now_us = port->time_us(port->context);
     const uint32_t since_us = (uint32_t)(now_us - app->control_us);
     app->control_us = now_us;
-    if (since_us > 2U * (1000000U / port->control_hz)) {
+    if (since_us > app->late_us) {
         come_late(app, since_us, now_us);
     }
-    for (uint8_t i = 0; i < port->axes; i++) {
-        tl_axis_step(&app->axes[i]);
+    const uint32_t axes = port->axes;
+    for (tl_axis_t *axis = app->axes, *end = axis + axes; axis != end; axis++) {
+        tl_axis_step(axis);
     }
     // Each axis after the last tick of its millisecond: tl_axis_init() begins axis i with a tick less than axis i - 1.
     const uint32_t ticks = app->axes[0].ticks, slot = app->slot + 1U;
     app->slot = slot < ticks ? slot : 0U;
-    for (uint32_t i = app->slot; i < port->axes; i += ticks) {
+    for (uint32_t i = app->slot; i < axes; i += ticks) {
         tl_axis_watch(&app->axes[i], now_us);
     }
     const uint32_t later = app->slot + (app->slot < GUARD_LATER ? ticks : 0U);
-    for (uint32_t i = ticks > GUARD_LATER ? later - GUARD_LATER : app->slot; i < port->axes; i += ticks) {
+    for (uint32_t i = ticks > GUARD_LATER ? later - GUARD_LATER : app->slot; i < axes; i += ticks) {
         tl_axis_guard(&app->axes[i], now_us);
     }
     if (app->slot + 1U == ticks) { // with four axes the only tick in which none is watched

@@ -598,7 +598,7 @@ TL_FAST_LOCKED uint8_t tl_axis_calibrate(tl_axis_t *axis, tl_motion_t *motion, t
 }
 
 TL_FAST uint8_t tl_axis_clear_fault(tl_axis_t *axis, tl_us_t now_us) {
-    if (axis->fault == TL_WIRE_FAULT_ESTOP && tl_stop_is_pressed(axis)) {
+    if (tl_stop_is_pressed(axis)) { // whatever its fault is: it would be driven until the input is looked at again
         return TL_WIRE_REASON_ESTOP;
     }
     tl_stop_group(axis, now_us); // also for one that came and is cleared within a millisecond

@@ -131,7 +131,8 @@ static bool mechanical(tl_axis_t *axis, int32_t size_ma, tl_us_t now_us) {
 static __attribute__((noinline)) TL_FAST bool left_alone(tl_axis_t *axis, tl_us_t now_us) {
     tl_axis_guarded_t *guard = &axis->guard;
     if (guard->sink == 0) {
-        if (axis->settings.hold_ms == 0 || ++guard->alone_ms < axis->settings.hold_ms) {
+        if (guard->alone_ms != TL_AXIS_LET_GO &&
+            (axis->settings.hold_ms == 0 || ++guard->alone_ms < axis->settings.hold_ms)) {
             return false;
         }
         const tl_duty_q15_t duty = axis->motor.duty, size = duty < 0 ? -duty : duty;

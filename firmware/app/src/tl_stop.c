@@ -16,11 +16,10 @@ static inline bool has_own_fault(const tl_axis_t *axis) {
 
 // Where a hold ended for want of a host, one that holds lets go slowly, too: it may bear a load yet.
 static inline bool sinks_too(const tl_axis_t *axis, tl_axis_t *other) {
-    if (axis->fault != TL_WIRE_FAULT_HOST_LOST || axis->guard.sink == 0 || other->mode != TL_WIRE_MODE_HOLD ||
-        other->settings.hold_ms == 0) {
+    if (axis->fault != TL_WIRE_FAULT_HOST_LOST || axis->guard.sink == 0 || other->mode != TL_WIRE_MODE_HOLD) {
         return false;
     }
-    other->guard.alone_ms = other->settings.hold_ms;
+    other->guard.alone_ms = TL_AXIS_LET_GO;
     return true;
 }
 

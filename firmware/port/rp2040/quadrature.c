@@ -35,16 +35,6 @@ void quadrature_init(const uint8_t *pins_a, unsigned axes) {
     }
 }
 
-int32_t __not_in_flash_func(quadrature_count)(unsigned axis) {
-    // Changing the join empties the FIFO: what comes next is at most a round old.
-    hw_xor_bits(&pio0->sm[axis].shiftctrl, PIO_SM0_SHIFTCTRL_FJOIN_RX_BITS);
-    hw_xor_bits(&pio0->sm[axis].shiftctrl, PIO_SM0_SHIFTCTRL_FJOIN_RX_BITS);
-    const uint32_t empty = 1u << (PIO_FSTAT_RXEMPTY_LSB + axis);
-    while (pio0->fstat & empty) {
-    }
-    return (int32_t)pio0->rxf[axis];
-}
-
 bool quadrature_slipped(unsigned axis) {
     const uint32_t flag = 1u << axis;
     if (!(pio0->irq & flag)) {

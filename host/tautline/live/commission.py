@@ -4,7 +4,7 @@ board as the axis' settings. Nothing moves that was not agreed to, and the motor
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -29,6 +29,7 @@ _CENTRE, _STEP = 0.3, 0.02  # of the range: where it moves, from the end that wa
 _WAY, _SPEEDS = 0.3, (0.1, 0.3)  # of the range to see friction, and of the top speed
 _STOP_S = 0.02  # until the board has seen its stop input anew
 _SETTLE_S, _AFTER_S = 0.3, 0.1  # after a step; of that, what is drawn and counted
+_BLOCK = 10  # samples of 1 ms whose mean drive is one equation: short beside a swing, which may have 12 Hz
 
 
 @dataclass(frozen=True)
@@ -198,29 +199,51 @@ def _servo(settings: dict[str, Any]) -> dict[str, Any]:
 
 
 def _friction(live: Live, tape: _Tape, commissioned: Commissioned, direction: int) -> None:
-    """Drive at two speeds either way: duty = friction + speed / free speed."""
+    """Drive at two speeds either way, the motor's own: by gains that are not tuned yet it swings around its path."""
     span, start = live.rig.actuator.span, commissioned.q
-    rows = []
+    stretches = []
     with driving(live):
         for share in _SPEEDS:
             speed = share * min(live.top_speed, span / 0.5)
-            for q in (start - direction * _WAY * span, start):
+            for target in (start - direction * _WAY * span, start):
                 tape.rewind()
-                move_to(live, q, speed)
+                move_to(live, target, speed)
                 commissioned.current_ma = max(commissioned.current_ma, abs(live.board.status(live.axis).current_ma))
-                t, _, q_ref, duty = tape.read()
-                rate = np.gradient(q_ref, t)
-                even = np.abs(np.abs(rate) - speed / live.resolution) < 0.02 * speed / live.resolution
-                if even.sum() < 20:
+                t, q, q_ref, duty = tape.read()
+                rate = np.abs(np.gradient(q_ref, t))
+                even = np.flatnonzero(np.abs(rate - speed / live.resolution) < 0.02 * speed / live.resolution)
+                if len(even) <= 4 * _BLOCK:
                     raise TautError("too little of the motion was even: allow more speed in the board's settings")
-                rows.append((speed / live.resolution, float(np.mean(duty[even] * np.sign(rate[even])))))
-    speeds, drive = np.array(rows).T
-    slope, friction = np.polyfit(speeds, drive, 1)
+                stretches.append((t[even], q[even], duty[even]))
+    friction, slope = _drive_law(stretches)
     if slope <= 0:
         raise TautError("more speed took less drive: look for what rubs, and for a supply that sags")
-    commissioned.friction, commissioned.speed_s = max(float(friction), 0.0), float(1.0 / slope)
+    commissioned.friction, commissioned.speed_s = max(friction, 0.0), 1.0 / slope
     commissioned.settings["friction"] = commissioned.friction
-    commissioned.settings["feed_forward"] = min(round(1000.0 * 32768.0 * float(slope)), _GAIN_MAX)
+    commissioned.settings["feed_forward"] = min(round(1000.0 * 32768.0 * slope), _GAIN_MAX)
+
+
+def _drive_law(stretches: Sequence[tuple[Array, Array, Array]]) -> tuple[float, float]:
+    """Friction, a share of full drive, and 1 / free speed, in s/count, of
+
+        duty = friction sign(v) + v / free speed + inertia dv/dt
+
+    by least squares over blocks of each stretch in which the motor slides, at half the stretch's mean speed or more:
+    where it swings to rest static friction holds it. t_s rising, q in counts, duty -1 to 1, all (n,) with n above
+    four blocks; each stretch goes one way, and they differ in speed."""
+    rows = []
+    for t, q, duty in stretches:
+        edges = np.arange(0, len(t), _BLOCK)
+        speed = np.diff(q[edges]) / np.diff(t[edges])
+        drive = np.add.reduceat(duty, edges)[:-1] / _BLOCK
+        change = np.gradient(speed, (t[edges[1:]] + t[edges[:-1]]) / 2)
+        mean = (q[-1] - q[0]) / (t[-1] - t[0])
+        equations = np.column_stack([np.full(len(speed), np.sign(mean)), speed, change, drive])
+        slides = speed * np.sign(mean) >= abs(mean) / 2
+        rows.append(equations[1:-1][slides[1:-1]])  # a change is known between two neighbours
+    law = np.concatenate(rows)
+    friction, slope, _ = np.linalg.lstsq(law[:, :3], law[:, 3], rcond=None)[0]
+    return float(friction), float(slope)
 
 
 # -- servo gains ------------------------------------------------------------------------------------------------------

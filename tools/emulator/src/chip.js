@@ -2,7 +2,7 @@ import { RP2040 } from './rp2040js.js';
 import { Core } from './core.js';
 import { Pio } from './pio.js';
 import { UsbController } from './usb.js';
-import { IoQspi, Pwm, Registers, Ssi, Timer, Watchdog } from './peripherals.js';
+import { IoQspi, Pads, Pwm, Registers, Ssi, Timer, Watchdog } from './peripherals.js';
 
 const SRAM_BASE = 0x20000000;
 const BOOT2_SIZE = 256;
@@ -66,6 +66,7 @@ export class Chip extends RP2040 {
             0x18000: this.ssi,
             0x40000: new Registers(this, 'SYSINFO', { 0x0: this.hasE5 ? 0x10002927 : 0x20002927, 0x4: 2 }), // an ASIC
             0x40018: new IoQspi(this),
+            0x4001c: new Pads(this, 'PADS_BANK0', 'bank0'),
             0x40050: this.pwm,
             0x40054: new Timer(this, 'TIMER'),
             0x40058: this.watchdog,
@@ -167,9 +168,14 @@ export class Chip extends RP2040 {
     drive(pin, high) {
         const bit = 1 << pin;
         if (!(this.inputs & bit) === !high) return;
-        for (const pio of this.pio) pio.sync();
         this.inputs ^= bit;
-        this.gpio[pin].setInputValue(high);
+        this.changeInputs(() => this.gpio[pin].setInputValue(high));
+    }
+
+    /** What changes the pins that the state machines see, from now on. */
+    changeInputs(change) {
+        for (const pio of this.pio) pio.sync();
+        change();
         const seen = this.gpioValues;
         for (const pio of this.pio) pio.setInputs(seen);
     }

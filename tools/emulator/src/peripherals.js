@@ -1,4 +1,4 @@
-import { BasePeripheral, RPPWM, RPTimer, RPWatchdog } from './rp2040js.js';
+import { BasePeripheral, RPPADS, RPPWM, RPTimer, RPWatchdog } from './rp2040js.js';
 
 /** A block whose registers only have to remember what was written. */
 export class Registers extends BasePeripheral {
@@ -11,6 +11,13 @@ export class Registers extends BasePeripheral {
     }
     writeUint32(offset, value) {
         this.values.set(offset, value >>> 0);
+    }
+}
+
+/** Pads: one whose input goes on lets the state machines see what drives it since before. */
+export class Pads extends RPPADS {
+    writeUint32(offset, value) {
+        this.rp2040.changeInputs(() => super.writeUint32(offset, value));
     }
 }
 

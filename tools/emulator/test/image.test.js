@@ -146,6 +146,21 @@ test('a glitch beside an edge is no lost edge, and both lines count on right aft
     assert.equal(board.axis(0).fault, 0);
 });
 
+test('an encoder that rests in any state when the board starts again counts from there', () => {
+    const board = booted();
+    for (const state of [1, 2, 3]) { // counts from where both lines are low
+        board.plant.motors.forEach((motor, axis) => { motor.position += state + axis; });
+        board.run(board.nowUs + 100);
+        board.reset();
+        assert.ok(board.waitForUsb());
+        for (const way of [1, 1, -1]) {
+            board.plant.motors.forEach((motor) => { motor.position += way; });
+            board.run(board.nowUs + 5000);
+        }
+        assert.deepEqual([0, 1, 2, 3].map((axis) => [board.axis(axis).fault, SM_Y(board.chip, axis)]), Array(4).fill([0, 1]));
+    }
+});
+
 test('lines that rise slowly after the pull-ups went on are no edges', () => {
     const board = loadBoard(root, { motor });
     const PULL_UP = 1 << 3;

@@ -58,6 +58,8 @@ typedef struct {
     tl_lookup_t lookup;
 } tl_axis_tip_t;
 
+#define TL_AXIS_LET_GO UINT32_MAX ///< of alone_ms: its time is over, whatever its settings say
+
 /// What the guards remember.
 typedef struct {
     int32_t current_ma;

@@ -30,6 +30,7 @@ typedef struct {
     volatile uint32_t steps; ///< control steps, so that the task feeds the watchdog only while they go on
     uint32_t steps_fed;
     uint32_t slot;      ///< tick of axis 0's millisecond that comes next
+    uint32_t late_us;   ///< since the last control step: two periods, after which one has come late
     tl_us_t control_us; ///< time of the last control step
     tl_us_t polled_us;
 } tl_app_t;
