@@ -36,7 +36,7 @@ def test_every_rate_from_every_other_at_the_same_load():
     folder = data()
     rig = Rig.load(folder / "rig.toml")
     runs = {(i, j): load(folder / f"freq{i}-load{j}", rig) for i in range(RATES) for j in range(LOADS)}
-    models = {key: calibrate([run], rig).model for key, run in runs.items()}
+    models = {key: calibrate([run], rig, naming=False).model for key, run in runs.items()}
     best = {key: single_valued(run) for key, run in runs.items()}
     gains = {}
     for (i, j), model in models.items():
@@ -138,7 +138,7 @@ def test_several_plays_are_there_where_they_follow_the_run_better(axis):
         run = load(folder / f"{axis}-{number}", rig)
         left = []
         for elements in ("auto", "one"):
-            model = calibrate([run], rig, Options(elements=elements)).model
+            model = calibrate([run], rig, Options(elements=elements), naming=False).model
             off = run.angle.c_deg - predict(model, run.motor, run.angle.t_s - model.delay_s).c_deg
             left.append(float(np.sqrt(np.mean(off[run.angle.seen & (run.angle.t_s >= FROM_S)] ** 2))))
         assert left[0] < 1.2 * left[1], (number, left)

@@ -33,14 +33,12 @@ GEARED = """<mujoco model="geared"><compiler angle="radian"/><option timestep="0
 <worldbody><body name="link" pos="0 0 0.5"><joint name="J" type="hinge" axis="0 1 0" damping="0.01" armature="0.002"/>
 <geom type="capsule" size="0.01" fromto="0 0 0 0 0 0.3" mass="0.1"/></body></worldbody>
 <actuator><position name="A" joint="J" kp="30" kv="0.5" delay="0.01" nsample="12"/></actuator></mujoco>"""
-TENDON = """<mujoco model="tendon"><compiler angle="degree" meshdir="parts"/><option timestep="0.001"/>
-<asset><mesh name="cover" file="cover.obj"/></asset>
+TENDON = """<mujoco model="tendon"><compiler angle="degree" /><option timestep="0.001"/>
 <default><geom contype="0" conaffinity="0"/></default>
 <worldbody><site name="anchor" pos="0.02 0 -0.1"/><site name="side" pos="0.05 0 0"/>
 <geom name="pulley" type="cylinder" size="0.01" fromto="0 -0.02 0 0 0.02 0"/>
 <body name="arm"><joint name="elbow" type="hinge" axis="0 1 0" damping="0.02" stiffness="0.3" armature="0.001"/>
-<geom type="capsule" size="0.005" fromto="0 0 0 0 0 0.12" mass="0.05"/><geom type="mesh" mesh="cover" mass="0"/>
-<site name="end" pos="0.01 0 0.08"/></body>
+<geom type="capsule" size="0.005" fromto="0 0 0 0 0 0.12" mass="0.05"/><site name="end" pos="0.01 0 0.08"/></body>
 </worldbody>
 <tendon><spatial name="cable"><site site="anchor"/><geom geom="pulley" sidesite="side"/><site site="end"/></spatial>
 </tendon>
@@ -81,9 +79,14 @@ def out(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     """An export into each kind, by the command."""
     text, tip, _ = KINDS[request.param]
     root = tmp_path_factory.mktemp(request.param)
+    if request.param == "tendon":  # with a file beside it
+        (root / "parts").mkdir()
+        (root / "parts" / "cover.obj").write_text(SOLID)
+        text = text.replace("<compiler ", '<compiler meshdir="parts" ').replace(
+            '<site name="end"', '<geom type="mesh" mesh="cover" mass="0"/><site name="end"'
+        )
+        text = text.replace("<worldbody>", '<asset><mesh name="cover" file="cover.obj"/></asset><worldbody>')
     (root / "own.xml").write_text(text)
-    (root / "parts").mkdir()
-    (root / "parts" / "cover.obj").write_text(SOLID)
     exported.model().save(root / "model")
     patch, words = pytest.MonkeyPatch(), ["--into", root / "own.xml", "--actuator", "A", "--tip", tip]
     patch.setattr(

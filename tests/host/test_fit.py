@@ -169,9 +169,10 @@ def test_the_right_effect_is_fitted_down_to_the_noise(parameters, throughout):
 @pytest.mark.parametrize("name", ["transmission.slip", "registration.shift"])
 def test_in_a_few_seconds_no_moment_is_looked_for(name):
     fitter = fitter_of(recordings({}))
-    for segment in fitter.segments:
-        early = segment.arrival_s < segment.arrival_s[segment.scored][0] + 3.9
-        segment.scored &= early
+    ends = [s.arrival_s[s.scored][0] + 3.9 for s in fitter.segments]
+    fitter.segments = [
+        replace(s, scored=s.scored & (s.arrival_s < e)) for s, e in zip(fitter.segments, ends, strict=True)
+    ]
     base = fitter.nominal()
     assert screen(fitter, base, [BY_ID[name]], [1e3] * len(base.residuals)) == []
 
