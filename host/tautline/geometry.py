@@ -103,6 +103,22 @@ def px_per_deg(
     return np.asarray(np.linalg.norm(project_with_slope(rig, c_deg, translation_mm, rotation_deg)[1], axis=1))
 
 
+def tracked_deg(
+    tracked_px: float,
+    rig: Rig,
+    c_deg: npt.ArrayLike,
+    translation_mm: npt.ArrayLike = 0.0,
+    rotation_deg: npt.ArrayLike = 0.0,
+) -> Array:
+    """(n,) deg, one standard deviation: what a tracker that is off by d(u, v), the same whenever the marker is there,
+    makes of f_remain. Frames see f + s.d / |s|^2, s px per deg of bending: no number of them tells d apart from f. B
+    and delay, which compare passes over one place, do not feel it. tracked_px: of d, per coordinate; 0: no such error.
+    """
+    if not tracked_px:
+        return np.zeros(np.shape(c_deg))
+    return tracked_px / px_per_deg(rig, c_deg, translation_mm, rotation_deg)
+
+
 def _poses(*columns: npt.ArrayLike) -> list[Array]:
     flat = np.broadcast_arrays(*(np.atleast_1d(np.asarray(column, dtype=float)) for column in columns))
     return [np.ascontiguousarray(column) for column in flat]

@@ -16,7 +16,7 @@ from tautline.core.posterior import Posterior
 from tautline.encoder import between_counts
 from tautline.errors import TautError
 from tautline.folders import write_file
-from tautline.geometry import px_per_deg
+from tautline.geometry import px_per_deg, tracked_deg
 from tautline.model import Model, allowed_width
 from tautline.recording import Motor, Recording
 from tautline.rig import ANGLE, MARKER, Sensor
@@ -103,9 +103,9 @@ def predict_with_sigma(
 def _unseen_deg(model: Model, c_deg: Array, *others: Array) -> Array:
     """(n,) deg, a part of f_remain's sigma: by it angles are off, and the image shows nothing of it: where the place of
     a bare instrument lies, and what a tracker is off by wherever the marker is."""
-    place, tracked_px = model.rig.place, float(model.extra.get("tracked_px", 0.0))
-    of_place = np.zeros_like(c_deg) if place is None else place.sigma_at(c_deg)
-    return np.hypot(of_place, tracked_px / px_per_deg(model.rig, c_deg, *others)) if tracked_px else of_place
+    of_tracker = tracked_deg(float(model.extra.get("tracked_px", 0.0)), model.rig, c_deg, *others)
+    place = model.rig.place
+    return of_tracker if place is None else np.hypot(place.sigma_at(c_deg), of_tracker)
 
 
 def _known(model: Model, path: MotorPath, start_deg: float | None) -> Posterior:

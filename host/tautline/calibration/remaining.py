@@ -17,7 +17,7 @@ from tautline.calibration.place import as_many_as_independent
 from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit, View
 from tautline.calibration.smooth import SPANS, Domain
 from tautline.elements import SINGLE, Elements
-from tautline.geometry import pose, project_with_slope, px_per_deg
+from tautline.geometry import pose, project_with_slope, tracked_deg
 from tautline.rig import Rig
 from tautline.splines import Basis
 
@@ -117,14 +117,6 @@ def fit_remaining(
     own = np.sqrt(np.maximum(np.sum((design_on_grid @ block) * design_on_grid, axis=1), 0.0))
     sigma = np.hypot(own, tracked_deg(max(track.tracked_px for track in tracks), rig, lawful))
     return Remaining(lawful, sigma, _rms(fitted, tracks), fitted.scale, tuple(notes))
-
-
-def tracked_deg(tracked_px: float, rig: Rig, c_deg: Array) -> Array:
-    """(n,) deg, one standard deviation: what a tracker that is off by d(u, v), the same whenever the marker is there,
-    makes of f_remain. Frames see f + s.d / |s|^2, s px per deg of bending: no number of them tells d apart from f. B
-    and delay, which compare passes over one place, do not feel it. tracked_px: of d, per coordinate; 0: no such error.
-    """
-    return tracked_px / px_per_deg(rig, c_deg) if tracked_px else np.zeros(len(c_deg))
 
 
 def carried_on(curve: Array, grid: Array, low: float, high: float) -> Array:
