@@ -38,9 +38,9 @@ if TYPE_CHECKING:
     from tautline.elements import Elements as Elements
     from tautline.errors import TautError as TautError
     from tautline.errors import UnusableError as UnusableError
-    from tautline.exporting import Exported as Exported
-    from tautline.importing import Imported as Imported
-    from tautline.importing import Proposal as Proposal
+    from tautline.io.exporting import Exported as Exported
+    from tautline.io.importing import Imported as Imported
+    from tautline.io.importing import Proposal as Proposal
     from tautline.model import Model as Model
     from tautline.prediction import Prediction as Prediction
     from tautline.quality import Quality as Quality
@@ -65,13 +65,13 @@ _PUBLIC = {
     "Compensator": "compensation",
     "Diagnosis": "diagnosis.diagnose",
     "Elements": "elements",
-    "Imported": "importing",
-    "Exported": "exporting",
+    "Imported": "io.importing",
+    "Exported": "io.exporting",
     "Marker": "recording",
     "Model": "model",
     "Motor": "recording",
     "Prediction": "prediction",
-    "Proposal": "importing",
+    "Proposal": "io.importing",
     "Quality": "quality",
     "Reason": "quality",
     "Recording": "recording",

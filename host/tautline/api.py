@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from tautline.calibration.calibrate import Calibration
     from tautline.compensation import SetPoints
     from tautline.diagnosis.diagnose import Diagnosis
-    from tautline.exporting import Exported
-    from tautline.importing import Imported, Proposal
+    from tautline.io.exporting import Exported
+    from tautline.io.importing import Imported, Proposal
     from tautline.model import Model
     from tautline.prediction import Prediction
     from tautline.simulators import Simulator
@@ -77,7 +77,7 @@ def propose_import(source: str | Path, *, time: str = "", episode: int = 0, prog
     source: an MCAP file, a ROS 1 bag, a rosbag2 folder, a LeRobot folder or a CSV. time: a CSV's column of times.
     episode: of a data set.
     """
-    from tautline import importing
+    from tautline.io import importing
 
     return importing.propose(importing.scan(importing.open_source(source, time), episode, progress))
 
@@ -111,7 +111,7 @@ def import_recording(
     and episode names none. tip: one angle or orientation, or u and v in px. command, load, video, joints: further
     channels. time: a CSV's column of times. rig: written beside each recording; default what they show of it.
     """
-    from tautline import importing
+    from tautline.io import importing
 
     roles = importing.Roles(motor, (tip,) if isinstance(tip, str) else tuple(tip), command, load, video, tuple(joints))
     opened = importing.open_source(source, time)
@@ -312,9 +312,9 @@ def report(
     A calibration becomes a MODEL folder (model.json, rig.toml), which the commands and Model.load take; a model the
     same without measured frames; a diagnosis its DIR (diagnosis.json, corrected/, nominal/).
     """
-    from tautline import reports
     from tautline.diagnosis.diagnose import Diagnosis
     from tautline.model import Model
+    from tautline.reports import pages
 
     folder = Path(folder)
     if isinstance(result, Diagnosis):
@@ -322,13 +322,13 @@ def report(
 
         save(result, folder)
     elif isinstance(result, Model):
-        reports.save_model(result, _several(recordings), folder)
+        pages.save_model(result, _several(recordings), folder)
     else:
         several = _several(recordings)
         if not several:
             raise TautError(f"{folder}: a calibration's report shows its recordings: give them too")
-        reports.save_model(result.model, recordings_room.shifted(several, result.offsets), folder)
-    return folder / reports.FILE
+        pages.save_model(result.model, recordings_room.shifted(several, result.offsets), folder)
+    return folder / pages.FILE
 
 
 def export(
@@ -357,9 +357,9 @@ def export(
     recording, what foretells it. into, actuator, tip: of mjcf, where the model goes. axis: the joint's number or the
     axis' letter of a controller. Of a diagnosis the corrected model is taken.
     """
-    from tautline.exporting import Mount
-    from tautline.exporting import export as exported
-    from tautline.exporting.source import of
+    from tautline.io.exporting import Mount
+    from tautline.io.exporting import export as exported
+    from tautline.io.exporting.source import of
 
     mount = None if into is None else Mount(Path(into), actuator, tip, scale)
     return exported(of(what, model), to, Path(out), mount=mount, axis=axis, progress=progress)

@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 from tautline import effects, trajectory
-from tautline.blindtest import cases
-from tautline.blindtest.generators import GENERATORS
 from tautline.calibration.calibrate import calibrate
 from tautline.diagnosis import narration
 from tautline.diagnosis.candidates import Search
@@ -21,6 +19,8 @@ from tautline.prediction import foretold, predict
 from tautline.recording import Marker, Recording, save
 from tautline.simulated import simulate
 from tautline.simulated.instrument import preset, reference_rig
+from tools.blindtest import cases
+from tools.blindtest.generators import GENERATORS
 
 NOISE = 0.05
 RIG = reference_rig()

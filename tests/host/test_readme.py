@@ -23,10 +23,10 @@ from pathlib import Path
 
 import click
 import pytest
-from tools.readme import Block, blocks, unfenced
-from tools.transcript import environment, readme_of, typed
 
 from tautline.cli import COMMANDS, taut
+from tools.readme import Block, blocks, unfenced
+from tools.transcript import environment, readme_of, typed
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()

@@ -10,6 +10,9 @@ from typing import Any
 import click
 from rich.console import Console
 from rich.table import Table
+
+from tautline.cli._common import log, plain, progress_bar
+from tautline.errors import TautError
 from tools.bench import (
     bare,
     calibration,
@@ -22,9 +25,6 @@ from tools.bench import (
     tracking,
     videos,
 )
-
-from tautline.cli._common import log, plain, progress_bar
-from tautline.errors import TautError
 
 Rows = list[tuple[str, float, str]]
 

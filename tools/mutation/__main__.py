@@ -23,6 +23,7 @@ from queue import SimpleQueue
 
 from rich.progress import Progress
 from scipy.stats import binomtest
+
 from tools.mutation.equivalent import equivalents
 from tools.mutation.sites import Mutant, all_mutants, drawn
 from tools.mutation.trial import Outcome, Trial, digest, programs
