@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import mujoco
 
 _SERVO_HZ = 10.0  # of an arm's usual servo: what it has is told by the robot
-_G = 9.81  # m/s^2
+_G = 9.81  # limit: m/s^2, gravity
 _NO_LOAD = 1e-3  # of the weight, at the model's size as its arm
 _PARALLEL = 0.999  # cosine between axes that count as one
 
