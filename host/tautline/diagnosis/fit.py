@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
 
-from tautline import effects
+from tautline import effects, spread
 from tautline.diagnosis.segment import Segment
 from tautline.effects import Kind, Parameter, Path
 from tautline.elements import SINGLE
@@ -561,8 +561,4 @@ def outlier_limit(residual: Array) -> float:
     """Of one recording: a lost marker must not decide, and what follows every reversal must."""
     if residual.size == 0:
         return 1.0
-    return max(_OUTLIER * robust_deviation(residual), 1.2 * float(np.quantile(np.abs(residual), 1.0 - _RARE)))
-
-
-def robust_deviation(values: Array) -> float:
-    return 1.4826 * float(np.median(np.abs(values))) + 1e-12
+    return max(_OUTLIER * spread.deviation(residual), 1.2 * float(np.quantile(np.abs(residual), 1.0 - _RARE)))

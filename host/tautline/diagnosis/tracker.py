@@ -16,6 +16,7 @@ import numpy.typing as npt
 from scipy.interpolate import make_smoothing_spline
 from scipy.spatial import KDTree
 
+from tautline import spread
 from tautline.diagnosis import gap
 from tautline.diagnosis.segment import Segment
 from tautline.geometry import project
@@ -32,7 +33,6 @@ _WILD = 2.0  # hold there; times the usual scatter
 _PARTS = 8  # of a calibration, by turns
 _STEP_DEG = 0.05
 _BEYOND_DEG = 5.0
-_TO_SIGMA = 1.4826
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ class _Places:
             here = scored & (place == k)
             across[k], along[k] = np.median(view.across[here]), np.median(view.along[here])
             off = np.abs(view.across[here] - across[k]) + np.abs(view.along[here] - along[k])
-            scatter[k] = 0.5 * _TO_SIGMA * np.median(off)
+            scatter[k] = 0.5 * spread.deviation(off)
         noise = float(np.nanmedian(scatter))
         off = np.hypot(view.across - float(np.nanmedian(across)), view.along)
         far = np.bincount(place[scored & (off > _FAR * noise)], minlength=count)
