@@ -26,10 +26,10 @@ from tautline.value import Value
 
 Array = npt.NDArray[np.float64]
 
-MOST_ROWS = 10_000_000
+MOST_ROWS = 10_000_000  # format: of a prediction's CSV
 TRUTH_FILE = "truth.csv"  # beside a simulated recording
 COLUMNS = "t_s,c_deg,u_px,v_px,c_sigma_deg,u_sigma_px,v_sigma_px"
-_ANYWHERE = 3.0**-0.5  # standard deviation of what is anywhere from -1 to 1
+_ANYWHERE = 3.0**-0.5  # equation: standard deviation of what is anywhere from -1 to 1
 
 
 @dataclass(frozen=True)

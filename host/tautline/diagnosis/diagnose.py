@@ -29,7 +29,7 @@ from tautline.value import Value
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
-_NO_NOISE = 0.8  # of a floor: a calibration that leaves less shows that it is none
+_NO_NOISE = 0.8  # tolerance: of a floor: a calibration that leaves less shows that it is none
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -25,7 +25,7 @@ from tautline.model import Model
 Array = npt.NDArray[np.float64]
 
 FORMAT = "diagnosis/1"
-_STEADY = 0.5  # share of a gap's power that does not change within a recording
+_STEADY = 0.5  # format: share of a gap's power that does not change within a recording
 _CONDITIONS = 5  # format: at most, the largest first
 
 

@@ -18,16 +18,16 @@ from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
 
-_STILL_S = 0.6  # a motor at rest for so long has left its own transients behind
-_UNLIKE = 4.0  # times the median rest's power: no noise any more
+_STILL_S = 0.6  # limit: a motor at rest for so long has left its own transients behind
+_UNLIKE = 4.0  # tolerance: times the median rest's power: no noise any more
 _OUTLIER = 8.0  # tolerance: deviations that a frame counts at most
-_SURE = 2.0  # standard errors
-_MEMORIES = np.linspace(0.0, 0.9, 37)  # from one frame to the next
-BLOCK_S = 8.0  # of a manoeuvre: longer than a residual remembers
-_LITTLE = 0.05  # of a gap: what another motion may leave of it however little these leave
-_CUT_INTO = (12, 9)  # blocks, tried in turn where the motor's turns make none
-_REMEMBERED, _ALIKE = 199, 0.02  # lags at most, and a correlation from which there is none
-_EACH_WAY = 0.2  # share of the motion that either way must have
+_SURE = 2.0  # loss: standard errors
+_MEMORIES = np.linspace(0.0, 0.9, 37)  # tolerance: from one frame to the next
+BLOCK_S = 8.0  # tolerance: of a manoeuvre: longer than a residual remembers
+_LITTLE = 0.05  # prior: of a gap: what another motion may leave of it however little these leave
+_CUT_INTO = (12, 9)  # tolerance: blocks, tried in turn where the motor's turns make none
+_REMEMBERED, _ALIKE = 199, 0.02  # tolerance: lags at most, and a correlation from which there is none
+_EACH_WAY = 0.2  # tolerance: share of the motion that either way must have
 _OF_A_SIZE, _SHRINKS = 0.95, 0.9  # format: shares of a size's and of a shrinkage's draws that an interval holds
 SURELY = 0.95  # loss: a worse model that is handed out costs as much as 19 better ones that are kept back
 

@@ -18,7 +18,7 @@ from tautline.model import Model
 Array = npt.NDArray[np.float64]
 
 HELD = "acquisition.held_samples"
-_SEEN = 0.1  # of the floor's power, by which repeats raise the gap's
+_SEEN = 0.1  # loss: of the floor's power, by which repeats raise the gap's
 _SURE = 0.98
 
 
