@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from tautline.compensation import SetPoints as SetPoints
     from tautline.core.session import Session as Session
     from tautline.diagnosis.diagnose import Diagnosis as Diagnosis
+    from tautline.diagnosis.findings import Finding as Finding
+    from tautline.diagnosis.findings import Gap as Gap
     from tautline.elements import Elements as Elements
     from tautline.errors import TautError as TautError
     from tautline.errors import UnusableError as UnusableError
@@ -65,6 +67,8 @@ _PUBLIC = {
     "Compensator": "compensation",
     "Diagnosis": "diagnosis.diagnose",
     "Elements": "elements",
+    "Finding": "diagnosis.findings",
+    "Gap": "diagnosis.findings",
     "Imported": "io.importing",
     "Exported": "io.exporting",
     "Marker": "recording",

@@ -253,7 +253,8 @@ def diagnose(
         the fit did not see. `.document` is diagnosis.json (docs/files.md).
 
     calibration may be a simulator's recording and tests the robot's: what it says is then what the simulator lacks.
-    `.corrected` is the model with the effects that were named. rig: default the calibration's.
+    `.verdict`, `.findings`, `.gap` and `.probabilities` say what was found, `.document` all of it as diagnosis.json has
+    it; `.corrected` is the model with the effects that were named. rig: default the calibration's.
     """
     from tautline.diagnosis.diagnose import diagnose as diagnosed
     from tautline.diagnosis.recorded import calibrated
@@ -265,8 +266,8 @@ def diagnose(
     found = diagnosed(
         calibrated_on.model, on_one_clock[0], on_one_clock[1:], lambda share, what: progress(0.3 + 0.7 * share, what)
     )
-    named = ", ".join(f"{each['id']} ({each['probability']:.2f})" for each in found.document["effects"])
-    _log.info("%s%s", found.document["verdict"], f": {named}" if named else "")
+    named = ", ".join(f"{each.id} ({each.probability:.2f})" for each in found.findings)
+    _log.info("%s%s", found.verdict, f": {named}" if named else "")
     return found
 
 
