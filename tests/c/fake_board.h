@@ -47,6 +47,7 @@ typedef struct {
 static fake_t fake;
 static tl_port_t fake_port;
 static tl_app_t app;
+static const tl_port_update_t *fake_update; // of the next start; NULL: the board takes no firmware
 
 static tl_us_t fake_time(void *context) {
     return ((fake_t *)context)->t_us;
@@ -183,7 +184,8 @@ static inline void fake_start(uint8_t axes, tl_wire_boot_t boot) {
                             .watchdog_feed = fake_feed,
                             .lock = fake_lock,
                             .unlock = fake_unlock,
-                            .reboot = fake_reboot};
+                            .reboot = fake_reboot,
+                            .update = fake_update};
     tl_app_init(&app, &fake_port);
     tl_app_bus(&app, true);
 }

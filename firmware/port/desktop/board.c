@@ -5,6 +5,7 @@
 #include <tusb.h>
 
 #include "flash.h"
+#include "loader.h"
 #include "tautline/tl_usb.h"
 #include "uart.h"
 
@@ -162,6 +163,7 @@ bool board_open(const board_options_t *options) {
         .lock = port_lock,
         .unlock = port_unlock,
         .reboot = port_reboot,
+        .update = loader_update(port_erase, port_program),
     };
     board_start(TL_WIRE_BOOT_POWER);
     return true;
@@ -174,15 +176,17 @@ const tl_app_t *board_app(void) {
     return &app;
 }
 bool board_on_bus(void) {
-    return state.powered && !state.bootloader;
+    return state.powered && !state.bootloader && !state.mute;
 }
 
 void board_start(tl_wire_boot_t reason) {
+    const loader_image_t image = loader_start(reason);
     port.boot = (uint8_t)reason;
     state.boot_us = state.t_us;
     state.powered = true;
     state.bootloader = false;
-    state.hung = false;
+    state.hung = image == LOADER_HANGS;
+    state.mute = image == LOADER_MUTE;
     state.cut_in = 0;
     state.starts++;
     restart = 0;
@@ -224,6 +228,8 @@ void board_task(void) {
     host_task();
     if (restart == 1) {
         board_start(TL_WIRE_BOOT_REQUEST);
+    } else if (loader_gave_up()) {
+        board_start(TL_WIRE_BOOT_WATCHDOG);
     } else if (restart == 2) {
         state.bootloader = true;
         lose_power();

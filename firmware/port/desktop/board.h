@@ -24,6 +24,7 @@ typedef struct {
     bool powered;    // false after a power cut
     bool bootloader; // it waits there for firmware
     bool hung;       // the main loop stands still
+    bool mute;       // its firmware does not come up on the bus
     uint32_t starts;
     uint32_t flash_operations; // since the process began
     uint32_t cut_in;           // flash operations until the power is cut; 0: never

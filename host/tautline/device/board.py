@@ -413,6 +413,10 @@ class Board:
         with dfu as route:
             return bytes(route.upload())
 
+    def firmware_route(self) -> Any:
+        """A context with download() for new firmware; None where the link has no DFU interface. Behind the tables."""
+        return self._link.tables(self.axes)
+
     def load_table_by_messages(
         self, axis: int, blob: bytes, progress: Callable[[float, str], None] | None = None
     ) -> None:

@@ -25,6 +25,28 @@
     (2U * (TL_WIRE_AXES_MAX + 1U) * TL_PORT_FLASH_SECTOR) ///< bytes that the app keeps things in
 #define TL_PORT_FLASH_PAGE 256U                           ///< bytes that a program writes; it only clears bits
 
+/// What a board needs to take new firmware over USB: two slots of flash (tl_boot.h), and a loader that chose one.
+typedef struct {
+    const uint8_t *key; ///< public key, 32 bytes, with which updates are signed
+    uint32_t room;      ///< bytes of a slot
+    uint8_t slot;       ///< that runs
+    bool trial;         ///< it is on trial
+    bool failed;        ///< the other one is, and a watchdog has ended its trial
+    uint16_t check_ms;  ///< that `is_signed` takes
+
+    /// Reads from a slot. Task.
+    void (*read)(void *context, uint8_t slot, uint32_t offset, uint8_t *out, size_t size);
+    /// As flash_erase and flash_program, of a slot. Task, with every motor off.
+    bool (*erase)(void *context, uint8_t slot, uint32_t offset);
+    bool (*program)(void *context, uint8_t slot, uint32_t offset, const uint8_t *page);
+    /// Whether the signature (64 bytes) is the key's, of a message. Task, with every motor off.
+    bool (*is_signed)(void *context, const uint8_t *signature, const uint8_t *message, size_t size);
+    /// BLAKE2b-256 of the first `size` bytes of a slot's image. Task, with every motor off.
+    void (*hash)(void *context, uint8_t slot, uint32_t size, uint8_t *out);
+    /// The trial is over: what runs is confirmed (true); or it is given up: the board restarts into the other slot.
+    void (*trial_ends)(void *context, bool confirmed);
+} tl_port_update_t;
+
 typedef struct {
     void *context;
     const char *name;   ///< "desktop", "rp2040"; at most 15 characters, lives for ever
@@ -71,6 +93,8 @@ typedef struct {
     void (*unlock)(void *context, uint32_t state);
     /// Restarts the board soon after the call, into the chip's boot loader where asked. Task.
     void (*reboot)(void *context, bool bootloader);
+
+    const tl_port_update_t *update; ///< NULL: new firmware does not come over USB
 } tl_port_t;
 
 #endif

@@ -1,0 +1,88 @@
+"""An update from its file to firmware that runs: sent, restarted into, talked to; or the old firmware again."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from tautline.device import firmware, wire
+from tautline.device.board import Board, open_board
+from tautline.device.dfu import DfuError
+from tautline.errors import TautError
+
+_BACK_S = 90.0  # tolerance: a restart is done within a second; new firmware that no host hears is given up after 60
+_CONFIRMED_S = 30.0  # tolerance: a board confirms after 2 s of its own time
+_POLL_S = 0.1
+
+
+@dataclass(frozen=True)
+class Updated:
+    board: str
+    port: str
+    before: firmware.Version
+    version: firmware.Version
+    slot: int
+
+
+def update(
+    where: str | None,
+    path: Path,
+    older_too: bool = False,
+    progress: Callable[[float, str], None] | None = None,
+) -> Updated:
+    """Gives a board new firmware and waits until it has shown that it runs. TautError: the board runs what it ran."""
+    images = firmware.read(path)
+    with open_board(where) as board:
+        runs = board.ask("get_firmware")
+        serial, where = str(board.identity.serial), board.where
+        version = firmware.check(path, images, str(board.identity.port), runs, older_too)
+        if older_too:
+            board.ask("any_firmware", key=wire.wire.KEY)
+        _send(board, b"".join(image.page + image.content for image in images), progress)
+        board.ask("reboot", key=wire.wire.KEY, bootloader=0)
+    before = firmware.version_of(runs.version)
+    with _again(where, serial) as board:
+        now = board.ask("get_firmware")
+        if now.slot == runs.slot:
+            raise TautError(
+                f"{serial}: firmware {firmware.text_of(version)} did not come up: the board runs "
+                f"{firmware.text_of(before)} as before; run 'taut clear', and tell who built the file"
+            )
+        deadline = time.monotonic() + _CONFIRMED_S
+        while now.state == wire.code("FIRMWARES", "TRIAL"):
+            if time.monotonic() > deadline:
+                raise TautError(f"{serial}: runs the new firmware, which stays on trial: switch the board off and on")
+            time.sleep(_POLL_S)
+            now = board.ask("get_firmware")
+        return Updated(serial, str(board.identity.port), before, firmware.version_of(now.version), int(now.slot))
+
+
+def _send(board: Board, data: bytes, progress: Callable[[float, str], None] | None) -> None:
+    dfu = board.firmware_route()
+    if dfu is None:
+        raise TautError(f"{board.where}: firmware does not travel over a serial line: connect the board by USB")
+    try:
+        with dfu as route:
+            route.download(data, progress)
+    except DfuError as error:
+        refused = board.ask("get_firmware").refused
+        why = wire.text("UPDATES", refused) if refused else str(error)
+        raise TautError(f"the board refused the firmware: {why}") from error
+
+
+def _again(where: str, serial: str) -> Board:
+    """The board once it is back on its bus."""
+    deadline = time.monotonic() + _BACK_S
+    time.sleep(_POLL_S)
+    while True:
+        with contextlib.suppress(TautError):
+            return open_board(where)
+        if time.monotonic() > deadline:
+            raise TautError(
+                f"{serial} has not come back: if it is off its bus, wait a minute, then switch it off and on: it runs "
+                "one of the two"
+            )
+        time.sleep(_POLL_S)
