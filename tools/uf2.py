@@ -7,6 +7,7 @@ UF2: blocks of 512 bytes, each with 256 bytes of the image and the address they 
 
 import struct
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 FLASH_BASE = 0x10000000
@@ -18,15 +19,16 @@ _FLAG_FAMILY = 0x2000
 _HEADER = struct.Struct("<8I")
 
 
-def to_uf2(image: bytes, base: int = FLASH_BASE, family: int = RP2040_FAMILY) -> bytes:
-    """The image at `base`, a multiple of 256; its last block is filled up with zeros."""
-    if base % PAYLOAD:
-        raise ValueError(f"a UF2 block starts at a multiple of {PAYLOAD}, not at {base:#x}")
-    count = -(-len(image) // PAYLOAD)
+def to_uf2(parts: Mapping[int, bytes], family: int = RP2040_FAMILY) -> bytes:
+    """Bytes by their address, a multiple of 256; the last block of each is filled up with zeros."""
+    pieces = []
+    for base, image in parts.items():
+        if base % PAYLOAD:
+            raise ValueError(f"a UF2 block starts at a multiple of {PAYLOAD}, not at {base:#x}")
+        pieces += [(base + at, image[at : at + PAYLOAD].ljust(PAYLOAD, b"\0")) for at in range(0, len(image), PAYLOAD)]
     blocks = []
-    for number in range(count):
-        part = image[number * PAYLOAD : (number + 1) * PAYLOAD].ljust(PAYLOAD, b"\0")
-        header = _HEADER.pack(*_START, _FLAG_FAMILY, base + number * PAYLOAD, PAYLOAD, number, count, family)
+    for number, (address, part) in enumerate(pieces):
+        header = _HEADER.pack(*_START, _FLAG_FAMILY, address, PAYLOAD, number, len(pieces), family)
         blocks.append((header + part).ljust(508, b"\0") + struct.pack("<I", _END))
     return b"".join(blocks)
 
@@ -35,7 +37,7 @@ def main(arguments: list[str]) -> int:
     if len(arguments) != 2:
         print(__doc__, file=sys.stderr)
         return 2
-    Path(arguments[1]).write_bytes(to_uf2(Path(arguments[0]).read_bytes()))
+    Path(arguments[1]).write_bytes(to_uf2({FLASH_BASE: Path(arguments[0]).read_bytes()}))
     return 0
 
 

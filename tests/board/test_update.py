@@ -121,7 +121,7 @@ def test_a_file_that_is_not_for_this_board_is_refused_in_a_line(
 def test_the_board_itself_refuses_what_a_host_lets_through(
     desktop: DesktopBoard, keys: Keys, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(firmware, "check", lambda *_: NEWER)
+    monkeypatch.setattr(firmware, "check", lambda _, images, *__: images[0])
     with contextlib.closing(desktop.link()) as link:
         for file, why in (
             (file_of(tmp_path, Keys(), "two"), "SIGNATURE"),

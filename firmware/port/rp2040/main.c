@@ -14,7 +14,9 @@
 #include "pico/stdlib.h"
 #include "pico/unique_id.h"
 #include "quadrature.h"
+#include "slots.h"
 #include "tautline/tl_app.h"
+#include "tautline/tl_trust.h"
 #include "tautline/tl_usb.h"
 #include "usb_halt.h"
 
@@ -45,12 +47,15 @@ enum {
     WATCHDOG_MS = 250,
     WATCHDOG_FLASH_MS = 800, // an erase takes 0.4 s at worst
     FLASH_TIMEOUT_MS = 100,
+    CHECK_MS = 1000, // of a signature
+    WATCHDOG_CHECK_MS = 4000,
     ESTOP_PIN = MOTOR2040_TX_PIN, // GP16 on the board's connector, beside a ground
 };
 
 static struct {
     tl_app_t app;
     tl_port_t port;
+    tl_port_update_t update;
     char serial[2 * PICO_UNIQUE_BOARD_ID_SIZE_BYTES + 1];
     int32_t sensed[BRIDGE_FAULT + 1]; // currents, supply, fault
 } board;
@@ -128,9 +133,10 @@ static void watch(uint32_t ms) {
     watchdog_enable(ms, TAUTLINE_HALT_KEEPS_DRIVING);
 }
 
-// The SDK's safe path: interrupts off, and so the control step stands still; the app has the motors off.
+// `offset`: in flash. The SDK's safe path: interrupts off, and so the control step stands still; the app has the motors
+// off.
 static bool flash_safely(uint32_t offset, const uint8_t *page) {
-    flash_operation_t operation = {STORE_OFFSET + offset, page};
+    flash_operation_t operation = {offset, page};
     watch(WATCHDOG_FLASH_MS);
     const bool done = flash_safe_execute(flash_operation, &operation, FLASH_TIMEOUT_MS) == PICO_OK;
     watch(WATCHDOG_MS);
@@ -144,12 +150,12 @@ static void port_flash_read(void *context, uint32_t offset, uint8_t *out, size_t
 
 static bool port_flash_erase(void *context, uint32_t offset) {
     (void)context;
-    return offset < TL_PORT_FLASH_REGION && flash_safely(offset, NULL);
+    return offset < TL_PORT_FLASH_REGION && flash_safely(STORE_OFFSET + offset, NULL);
 }
 
 static bool port_flash_program(void *context, uint32_t offset, const uint8_t *page) {
     (void)context;
-    return offset < TL_PORT_FLASH_REGION && flash_safely(offset, page);
+    return offset < TL_PORT_FLASH_REGION && flash_safely(STORE_OFFSET + offset, page);
 }
 
 static void port_watchdog_feed(void *context) {
@@ -169,10 +175,78 @@ static void __not_in_flash_func(port_unlock)(void *context, uint32_t state) {
 
 static void port_reboot(void *context, bool bootloader) {
     (void)context;
+    SLOTS_TRIAL_OF = 0U; // asked for: it says nothing against what runs
     if (bootloader) {
         rom_reset_usb_boot(0, 0);
     }
     watchdog_reboot(0, 0, 0);
+}
+
+// -- firmware -----------------------------------------------------------------------------------------------------
+
+static const uint8_t update_key[] = {TAUTLINE_UPDATE_KEY};
+
+static void port_slot_read(void *context, uint8_t slot, uint32_t offset, uint8_t *out, size_t size) {
+    (void)context;
+    memcpy(out, (const uint8_t *)(XIP_BASE + SLOTS_BEGIN(slot)) + offset, size);
+}
+
+static bool may_write(uint8_t slot, uint32_t offset) {
+    return slot < TL_BOOT_SLOTS && offset < SLOT_ROOM;
+}
+
+static bool port_slot_erase(void *context, uint8_t slot, uint32_t offset) {
+    (void)context;
+    return may_write(slot, offset) && flash_safely(SLOTS_BEGIN(slot) + offset, NULL);
+}
+
+static bool port_slot_program(void *context, uint8_t slot, uint32_t offset, const uint8_t *page) {
+    (void)context;
+    return may_write(slot, offset) && flash_safely(SLOTS_BEGIN(slot) + offset, page);
+}
+
+static bool port_is_signed(void *context, const uint8_t *signature, const uint8_t *message, size_t size) {
+    (void)context;
+    watch(WATCHDOG_CHECK_MS);
+    const bool is_signed = tl_trust_is_signed(update_key, signature, message, size);
+    watch(WATCHDOG_MS);
+    return is_signed;
+}
+
+static void port_hash(void *context, uint8_t slot, uint32_t size, uint8_t *out) {
+    (void)context;
+    watch(WATCHDOG_CHECK_MS);
+    tl_trust_hash(&board.port, slot, size, out);
+    watch(WATCHDOG_MS);
+}
+
+static void port_trial_ends(void *context, bool confirmed) {
+    (void)context;
+    if (confirmed) {
+        SLOTS_TRIAL_OF = 0U;
+    } else {
+        hw_set_bits(&watchdog_hw->ctrl, WATCHDOG_CTRL_TRIGGER_BITS); // the loader finds a trial that did not end well
+    }
+}
+
+// What the loader chose, and why.
+static const tl_port_update_t *find_update(void) {
+    const uint8_t slot = (uintptr_t)update_key < XIP_BASE + SLOTS_BEGIN(1U) ? 0U : 1U; // by where this is linked
+    board.update = (tl_port_update_t){
+        .key = update_key,
+        .room = SLOT_ROOM,
+        .slot = slot,
+        .trial = SLOTS_TRIAL_OF == (SLOTS_TRIAL | slot),
+        .failed = SLOTS_FAILED_OF == (SLOTS_FAILED | (slot ^ 1U)),
+        .check_ms = CHECK_MS,
+        .read = port_slot_read,
+        .erase = port_slot_erase,
+        .program = port_slot_program,
+        .is_signed = port_is_signed,
+        .hash = port_hash,
+        .trial_ends = port_trial_ends,
+    };
+    return &board.update;
 }
 
 // -- control step -----------------------------------------------------------------------------------------------
@@ -289,6 +363,7 @@ int main(void) {
         .lock = port_lock,
         .unlock = port_unlock,
         .reboot = port_reboot,
+        .update = find_update(),
     };
     tl_app_init(&board.app, &board.port);
     tl_usb_init(&board.app);

@@ -105,9 +105,9 @@ def read(path: Path) -> list[Image]:
     return images
 
 
-def check(path: Path, images: Sequence[Image], port: str, runs: wire.Message, older_too: bool) -> Version:
+def check(path: Path, images: Sequence[Image], port: str, runs: wire.Message, older_too: bool) -> Image:
     """TautError where the board, whose identity names its port and which says `runs`, would refuse these; else the
-    version that it will have."""
+    one that it takes."""
     if runs.slot == ANY_SLOT and runs.refused == wire.code("UPDATES", "NO_SLOT"):
         raise TautError(wire.text("UPDATES", runs.refused))
     others = {image.port for image in images} - {port}
@@ -130,4 +130,4 @@ def check(path: Path, images: Sequence[Image], port: str, runs: wire.Message, ol
             f"{path}: is firmware {text_of(fits[0].version)}, the board runs {text_of(version_of(runs.version))}: "
             "--force takes the older one all the same"
         )
-    return fits[0].version
+    return fits[0]

@@ -19,6 +19,17 @@ _POLL_S = 0.1
 
 
 @dataclass(frozen=True)
+class Sent:
+    """A board that restarts into new firmware."""
+
+    where: str
+    board: str
+    before: firmware.Version
+    version: firmware.Version
+    slot: int  # that ran
+
+
+@dataclass(frozen=True)
 class Updated:
     board: str
     port: str
@@ -34,30 +45,45 @@ def update(
     progress: Callable[[float, str], None] | None = None,
 ) -> Updated:
     """Gives a board new firmware and waits until it has shown that it runs. TautError: the board runs what it ran."""
+    return finish(send(where, path, older_too, progress))
+
+
+def send(
+    where: str | None,
+    path: Path,
+    older_too: bool = False,
+    progress: Callable[[float, str], None] | None = None,
+) -> Sent:
+    """The image that the board needs is in its flash, and the board restarts."""
     images = firmware.read(path)
     with open_board(where) as board:
         runs = board.ask("get_firmware")
-        serial, where = str(board.identity.serial), board.where
-        version = firmware.check(path, images, str(board.identity.port), runs, older_too)
+        image = firmware.check(path, images, str(board.identity.port), runs, older_too)
         if older_too:
             board.ask("any_firmware", key=wire.wire.KEY)
-        _send(board, b"".join(image.page + image.content for image in images), progress)
+        _send(board, image.page + image.content, progress)
         board.ask("reboot", key=wire.wire.KEY, bootloader=0)
-    before = firmware.version_of(runs.version)
-    with _again(where, serial) as board:
+        before = firmware.version_of(runs.version)
+        return Sent(board.where, str(board.identity.serial), before, image.version, int(runs.slot))
+
+
+def finish(sent: Sent) -> Updated:
+    """The board is back, and what it runs is confirmed."""
+    with _again(sent) as board:
         now = board.ask("get_firmware")
-        if now.slot == runs.slot:
+        if now.slot == sent.slot:
             raise TautError(
-                f"{serial}: firmware {firmware.text_of(version)} did not come up: the board runs "
-                f"{firmware.text_of(before)} as before; run 'taut clear', and tell who built the file"
+                f"{sent.board}: firmware {firmware.text_of(sent.version)} did not come up: the board runs "
+                f"{firmware.text_of(sent.before)} as before; run 'taut clear', and tell who built the file"
             )
         deadline = time.monotonic() + _CONFIRMED_S
         while now.state == wire.code("FIRMWARES", "TRIAL"):
             if time.monotonic() > deadline:
-                raise TautError(f"{serial}: runs the new firmware, which stays on trial: switch the board off and on")
+                raise TautError(f"{sent.board}: runs the new firmware, still on trial: switch it off and on")
             time.sleep(_POLL_S)
             now = board.ask("get_firmware")
-        return Updated(serial, str(board.identity.port), before, firmware.version_of(now.version), int(now.slot))
+        version = firmware.version_of(now.version)
+        return Updated(sent.board, str(board.identity.port), sent.before, version, int(now.slot))
 
 
 def _send(board: Board, data: bytes, progress: Callable[[float, str], None] | None) -> None:
@@ -73,16 +99,15 @@ def _send(board: Board, data: bytes, progress: Callable[[float, str], None] | No
         raise TautError(f"the board refused the firmware: {why}") from error
 
 
-def _again(where: str, serial: str) -> Board:
+def _again(sent: Sent) -> Board:
     """The board once it is back on its bus."""
     deadline = time.monotonic() + _BACK_S
     time.sleep(_POLL_S)
     while True:
         with contextlib.suppress(TautError):
-            return open_board(where)
+            return open_board(sent.where)
         if time.monotonic() > deadline:
             raise TautError(
-                f"{serial} has not come back: if it is off its bus, wait a minute, then switch it off and on: it runs "
-                "one of the two"
+                f"{sent.board} has not come back: wait a minute, then switch it off and on: it runs one of the two"
             )
         time.sleep(_POLL_S)
