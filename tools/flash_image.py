@@ -2,8 +2,8 @@
 
 python tools/flash_image.py LOADER.bin IMAGE.bin SLOT_0 SLOT_1 OUT
 
-writes OUT.bin, the flash from its beginning, and OUT.uf2, which makes slot 1 blank, too: a board that held newer firmware
-there runs what was dropped on it. Offsets in flash, as 0x2000. The first sector of a slot is that of tl_boot.h.
+writes OUT.bin, the flash from its beginning, and OUT.uf2, which makes slot 1 blank, too: a board that held newer
+firmware there runs what was dropped on it. Offsets in flash, as 0x2000. The first sector of a slot is tl_boot.h's.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import zlib
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from tools.uf2 import FLASH_BASE, PAYLOAD, to_uf2  # noqa: E402
+from tools.uf2 import FLASH_BASE, PAYLOAD, to_uf2
 
 _PAGE, _SECTOR = 256, 4096  # format: bytes, of flash
 _RECORD = struct.Struct("<4I")  # format: tl_boot.c's record, before its own CRC

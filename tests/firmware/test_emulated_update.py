@@ -111,4 +111,4 @@ def test_a_signature_is_checked_within_the_time_that_the_host_is_told(board: Des
             route.download(file)
         took_us = opened.sync() - before
         print(f"an update of two pages took {took_us / 1e6:.3f} s of board time")
-        assert took_us < 1e6 + 3 * 45e3 + 10e3  # CHECK_MS of main.c, and what its flash takes
+        assert took_us < 0.5e6 + 3 * 45e3 + 10e3  # CHECK_MS of main.c, and what its flash takes

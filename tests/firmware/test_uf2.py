@@ -12,7 +12,7 @@ from tools.uf2 import RP2040_FAMILY, to_uf2
 @given(st.binary(min_size=1, max_size=2000), st.integers(0, 8000))
 def test_read_back(image: bytes, page: int) -> None:
     base = 0x10000000 + 256 * page
-    uf2 = to_uf2(image, base)
+    uf2 = to_uf2({base: image})
     assert len(uf2) == 512 * -(-len(image) // 256)
     memory = bytearray()
     for number in range(len(uf2) // 512):
@@ -28,4 +28,4 @@ def test_read_back(image: bytes, page: int) -> None:
 
 def test_base_between_blocks_is_refused() -> None:
     with pytest.raises(ValueError, match="multiple"):
-        to_uf2(b"x", 0x10000001)
+        to_uf2({0x10000001: b"x"})
