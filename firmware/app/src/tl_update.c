@@ -26,15 +26,12 @@ static tl_boot_flash_t flash_of(const tl_port_t *port) {
 
 // -- flash ------------------------------------------------------------------------------------------------------
 
-// Whether flash holds these bytes, or where there are none 0xFF.
-static bool holds(const tl_port_t *port, uint8_t slot, uint32_t offset, const uint8_t *bytes, uint32_t size) {
+static bool holds(const tl_port_t *port, uint8_t slot, uint32_t offset, const uint8_t *page) {
     uint8_t piece[PIECE];
-    for (uint32_t at = 0; at < size; at += PIECE) {
+    for (uint32_t at = 0; at < TL_BOOT_PAGE; at += PIECE) {
         port->update->read(port->context, slot, offset + at, piece, PIECE);
-        for (uint32_t i = 0; i < PIECE; i++) {
-            if (piece[i] != (bytes == NULL ? 0xFFU : bytes[at + i])) {
-                return false;
-            }
+        if (memcmp(piece, page + at, PIECE) != 0) {
+            return false;
         }
     }
     return true;
@@ -42,12 +39,12 @@ static bool holds(const tl_port_t *port, uint8_t slot, uint32_t offset, const ui
 
 static bool erase(const tl_port_t *port, uint8_t slot, uint32_t offset) {
     port->watchdog_feed(port->context);
-    return port->update->erase(port->context, slot, offset) && holds(port, slot, offset, NULL, TL_BOOT_SECTOR);
+    return port->update->erase(port->context, slot, offset); // programming shows whether it did
 }
 
 static bool program(const tl_port_t *port, uint8_t slot, uint32_t offset, const uint8_t *page) {
     port->watchdog_feed(port->context);
-    return port->update->program(port->context, slot, offset, page) && holds(port, slot, offset, page, TL_BOOT_PAGE);
+    return port->update->program(port->context, slot, offset, page) && holds(port, slot, offset, page);
 }
 
 static bool mark(const tl_port_t *port, uint8_t slot, uint32_t offset) {
