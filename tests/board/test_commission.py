@@ -14,6 +14,7 @@ from test_calibration import live_on, off
 from test_commands import run
 
 from conftest import Bench, bench_of
+from tautline.cli.clear import log_text
 from tautline.device import wire
 from tautline.device.board import Board
 from tautline.errors import TautError
@@ -320,3 +321,19 @@ def test_a_simulated_board_listens_on_this_machine_alone(bench: Bench) -> None:
             if state == "0A" and int(port, 16) in ports:
                 listening.append(address)
     assert listening == ["0100007F"] * 2  # 127.0.0.1
+
+
+def test_clear_shows_the_faults_of_before(request: pytest.FixtureRequest, tmp_path: Path) -> None:
+    if request.config.getoption("--board") != "desktop":
+        pytest.skip("flash in a file that outlives its board")
+    flash = tmp_path / "flash.bin"
+    for start in range(2):
+        with bench_of(request, flash=flash) as bench:
+            with bench.open() as board:
+                board.ask("safe_stop", axis=start)
+                bench.run(1.2)
+            log = run("clear", board=bench.where)["log"]
+    assert [(row["axis"], row["code"], row["starts_ago"]) for row in log] == [(1, "STOPPED", 0), (0, "STOPPED", 1)]
+    said = "\n".join(log_text(log))
+    assert re.search(r"after this start, axis 1: stopped by safe_stop\n.*after the start before, axis 0: stopped", said)
+    assert "'taut update'" in log_text(None)[0]

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import monocypher
 import pytest
-from tools.signing import update_file
 
 from tautline.device import firmware, wire
 from tautline.device.board import open_board
 from tautline.device.updating import update
 from tautline.errors import TautError
 from tautline.simulated.simlink import DesktopBoard, SimLink
+from tools.signing import update_file
 
 NEWER, OLDER = (0, 9, 0), (0, 0, 9)
 SIZE = 3000  # bytes: a part of a sector

@@ -8,14 +8,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tests.board.test_update import time_passes
-from tools.signing import secret_key, update_file
 
 from tautline.device import updating, wire
 from tautline.device.board import open_board
 from tautline.device.firmware import PAGE, text_of, version_of
 from tautline.errors import TautError
 from tautline.simulated.simlink import PROGRAM, DesktopBoard, SimLink
+from tests.board.test_update import time_passes
+from tools.signing import secret_key, update_file
 
 ROOT = Path(__file__).resolve().parents[2]
 BUILD = ROOT / "build" / "rp2040"

@@ -234,9 +234,21 @@ extern "C" {
 
 #define TL_WIRE_FIELDS_GET_FIRMWARE(F, A) F(u8, reserved, "0")
 
+#define TL_WIRE_FIELDS_GET_LOGGED(F, A) F(u8, index, "0: the newest fault")
+
 #define TL_WIRE_FIELDS_ANY_FIRMWARE(F, A) F(u32, key, "TL_WIRE_KEY; the next firmware may be older than what runs")
 
 // -- board to host ----------------------------------------------------------------------------------------------
+
+#define TL_WIRE_FIELDS_LOGGED(F, A)                                                                                    \
+    F(u32, number, "rises by one with each fault that is logged; 0: there are not as many")                            \
+    F(u32, run, "of the start in which it came: counts those in which something was logged")                           \
+    F(u32, run_now, "the present one's")                                                                               \
+    F(u8, axis, "")                                                                                                    \
+    F(u8, fault, "TL_WIRE_FAULTS")                                                                                     \
+    F(i32, value, "what was measured: a status' fault_value")                                                          \
+    F(u64, t_us, "since that start")                                                                                   \
+    F(i32, q_q8, "counts: where the axis was soon after")
 
 // Not sent by itself: the first page of an image in an update file is the frame of this message, then zeros.
 #define TL_WIRE_IMAGE_SIGNED (TL_WIRE_SIZE_IMAGE - 64U) ///< bytes of its payload that the signature is over
@@ -418,6 +430,7 @@ extern "C" {
     M(0x22, TABLE_READ, table_read, "-> table_part, of the table in use")                                              \
     M(0x23, GET_FIRMWARE, get_firmware, "-> firmware")                                                                 \
     M(0x24, ANY_FIRMWARE, any_firmware, "-> ack")                                                                      \
+    M(0x25, GET_LOGGED, get_logged, "-> logged")                                                                       \
     M(0x80, ACK, ack, "")                                                                                              \
     M(0x81, ERROR, error, "")                                                                                          \
     M(0x82, IDENTITY, identity, "")                                                                                    \
@@ -427,6 +440,7 @@ extern "C" {
     M(0x88, TABLE_PART, table_part, "as an answer: table_read's")                                                      \
     M(0x89, FIRMWARE, firmware, "")                                                                                    \
     M(0x8A, IMAGE, image, "the head of an update file")                                                                \
+    M(0x8B, LOGGED, logged, "a fault out of the board's log in flash")                                                 \
     M(0x90, BATCH, batch, "unasked: telemetry of one axis")                                                            \
     M(0x91, ONSET, onset, "unasked: one reversal, during a calibration motion")                                        \
     M(0x92, PROGRESS, progress, "unasked: after each reversal and at the end of the motion")                           \
@@ -439,7 +453,8 @@ extern "C" {
     S(settings, 4)                                                                                                     \
     S(get_settings, 4)                                                                                                 \
     S(get_firmware, 5)                                                                                                 \
-    S(any_firmware, 5)
+    S(any_firmware, 5)                                                                                                 \
+    S(get_logged, 5)
 
 // -- codes: C(code, NAME, text) ---------------------------------------------------------------------------------
 

@@ -156,6 +156,7 @@ void tl_app_task(tl_app_t *app) {
         poll_encoders(app, now_us);
         poll_half_frame(app, now_us);
         tl_update_task(&app->update, now_us);
+        tl_fault_log_task(&app->fault_log, now_us, !tl_update_is_coming(&app->update));
         if (app->steps != app->steps_fed) {
             app->steps_fed = app->steps;
             app->port->watchdog_feed(app->port->context);
@@ -177,6 +178,7 @@ void tl_app_init(tl_app_t *app, const tl_port_t *port) {
     tl_tables_init(&app->tables, port, app->axes, app->upload);
     static const uint8_t version[3] = TL_APP_VERSION;
     tl_update_init(&app->update, port, app->axes, version);
+    tl_fault_log_init(&app->fault_log, port, app->axes);
     for (uint8_t i = 0; i < port->axes; i++) {
         if (port->boot == TL_WIRE_BOOT_WATCHDOG) {
             tl_axis_fail(&app->axes[i], TL_WIRE_FAULT_WATCHDOG, 0, app->control_us);

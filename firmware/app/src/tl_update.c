@@ -212,6 +212,10 @@ void tl_update_abort(tl_update_t *update) {
     update->stage = IDLE;
 }
 
+bool tl_update_is_coming(const tl_update_t *update) {
+    return update->stage != IDLE;
+}
+
 // -- the trial ----------------------------------------------------------------------------------------------------
 
 void tl_update_init(tl_update_t *update, const tl_port_t *port, const tl_axis_t *axes, const uint8_t version[3]) {

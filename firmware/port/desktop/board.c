@@ -146,6 +146,7 @@ bool board_open(const board_options_t *options) {
         .serial = options->serial,
         .axes = options->axes,
         .control_hz = options->control_hz,
+        .keeps_log = true,
         .driver_ma = PLANT_DRIVER_MA,
         .supply_low_mv = PLANT_LEAST_MV,
         .time_us = port_time,

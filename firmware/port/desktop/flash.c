@@ -6,7 +6,7 @@
 #include "loader.h"
 #include "tautline/tl_boot.h"
 
-#define SIZE (TL_PORT_FLASH_REGION + TL_BOOT_SLOTS * LOADER_ROOM)
+#define SIZE (TL_PORT_FLASH_REGION + TL_PORT_FLASH_LOG + TL_BOOT_SLOTS * LOADER_ROOM)
 
 uint8_t flash_bytes[SIZE];
 static FILE *file;

@@ -14,7 +14,7 @@ static bool (*erase_at)(void *context, uint32_t offset);
 static bool (*program_at)(void *context, uint32_t offset, const uint8_t *page);
 
 static uint32_t place(uint8_t slot, uint32_t offset) {
-    return TL_PORT_FLASH_REGION + slot * LOADER_ROOM + offset;
+    return TL_PORT_FLASH_REGION + TL_PORT_FLASH_LOG + slot * LOADER_ROOM + offset;
 }
 
 static void read(void *context, uint8_t slot, uint32_t offset, uint8_t *out, size_t size) {

@@ -42,6 +42,7 @@ enum {
     CONTROL_ALARM = 0,
     INTERRUPT_CYCLES = 50, // from the alarm to bridge_sense_start
     STORE_OFFSET = PICO_FLASH_SIZE_BYTES - TL_PORT_FLASH_REGION,
+    LOG_OFFSET = STORE_OFFSET - TL_PORT_FLASH_LOG,
     DRIVER_MA = 425,      // DRV8833: 200 mV over 0.47 ohm
     SUPPLY_LOW_MV = 4000, // of motors for 5 V and more; the driver itself gives up at 2.6 V
     WATCHDOG_MS = 250,
@@ -143,19 +144,24 @@ static bool flash_safely(uint32_t offset, const uint8_t *page) {
     return done;
 }
 
+// The log came later than tables and settings: it is before them.
+static uint32_t store_at(uint32_t offset) {
+    return offset < TL_PORT_FLASH_REGION ? STORE_OFFSET + offset : LOG_OFFSET + (offset - TL_PORT_FLASH_REGION);
+}
+
 static void port_flash_read(void *context, uint32_t offset, uint8_t *out, size_t size) {
     (void)context;
-    memcpy(out, (const uint8_t *)(XIP_BASE + STORE_OFFSET) + offset, size);
+    memcpy(out, (const uint8_t *)(XIP_BASE + store_at(offset)), size);
 }
 
 static bool port_flash_erase(void *context, uint32_t offset) {
     (void)context;
-    return offset < TL_PORT_FLASH_REGION && flash_safely(STORE_OFFSET + offset, NULL);
+    return offset < TL_PORT_FLASH_REGION + TL_PORT_FLASH_LOG && flash_safely(store_at(offset), NULL);
 }
 
 static bool port_flash_program(void *context, uint32_t offset, const uint8_t *page) {
     (void)context;
-    return offset < TL_PORT_FLASH_REGION && flash_safely(STORE_OFFSET + offset, page);
+    return offset < TL_PORT_FLASH_REGION + TL_PORT_FLASH_LOG && flash_safely(store_at(offset), page);
 }
 
 static void port_watchdog_feed(void *context) {
@@ -345,6 +351,7 @@ int main(void) {
         .serial = board.serial,
         .axes = TAUTLINE_AXES,
         .boot = (uint8_t)boot,
+        .keeps_log = true,
         .control_hz = TAUTLINE_CONTROL_HZ,
         .time_us = port_time_us,
         .encoder = port_encoder,

@@ -23,6 +23,7 @@
 #define TL_PORT_FLASH_SECTOR 4096U ///< bytes that an erase sets to 0xFF
 #define TL_PORT_FLASH_REGION                                                                                           \
     (2U * (TL_WIRE_AXES_MAX + 1U) * TL_PORT_FLASH_SECTOR) ///< bytes that the app keeps things in
+#define TL_PORT_FLASH_LOG  (2U * TL_PORT_FLASH_SECTOR)    ///< bytes behind them for the fault log, where one is kept
 #define TL_PORT_FLASH_PAGE 256U                           ///< bytes that a program writes; it only clears bits
 
 /// What a board needs to take new firmware over USB: two slots of flash (tl_boot.h), and a loader that chose one.
@@ -53,6 +54,7 @@ typedef struct {
     const char *serial; ///< USB serial number, at most 31 characters of A-Z a-z 0-9 -, lives for ever
     uint8_t axes;       ///< 1 to TL_APP_AXES
     uint8_t boot;       ///< tl_wire_boot_t: why it started
+    bool keeps_log;     ///< its flash has TL_PORT_FLASH_LOG bytes behind the region
     uint32_t
         control_hz; ///< 1000, 2000, 4000, 5000, 8000 or 10000: a period is whole microseconds, a millisecond periods
 

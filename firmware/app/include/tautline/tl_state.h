@@ -4,6 +4,7 @@
 #define TAUTLINE_TL_STATE_H
 
 #include "tautline/tl_calibration.h"
+#include "tautline/tl_fault_log.h"
 #include "tautline/tl_outbox.h"
 #include "tautline/tl_tables.h"
 #include "tautline/tl_update.h"
@@ -18,6 +19,7 @@ typedef struct {
     tl_axis_t axes[TL_APP_AXES];
     tl_tables_t tables;
     tl_update_t update;
+    tl_fault_log_t fault_log;
     tl_calibration_t calibration;
     uint8_t upload[TL_TABLE_SIZE_MAX]; ///< of a table that comes, or what the settings are put together in
     uint8_t settings;                  ///< tl_wire_store_t

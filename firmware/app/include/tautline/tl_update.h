@@ -40,6 +40,9 @@ uint8_t tl_update_end(tl_update_t *update);
 
 void tl_update_abort(tl_update_t *update);
 
+/// Whether one is under way.
+bool tl_update_is_coming(const tl_update_t *update);
+
 /// Once a millisecond: confirms what runs, or gives it up where no host has talked to it for a minute.
 void tl_update_task(tl_update_t *update, tl_us_t now_us);
 
