@@ -26,6 +26,7 @@ ASK, GUARD, REST, STOP, APP, COMMAND, TABLES, SETTINGS = (
 HEADERS = "firmware/app/include/tautline/"
 RP2040 = "firmware/port/rp2040/"
 FLASH_STORE = "firmware/app/src/tl_store.c"
+LOGGED, LOG = "tests/c/test_fault_log.c::test_", "firmware/app/src/tl_fault_log.c"
 NEW, BOOT = "firmware/app/src/tl_update.c", "firmware/app/src/tl_boot.c"
 HOST = "host/tautline/"
 
@@ -265,6 +266,12 @@ _APP = (
          NEW, "tl_tables_all_off(update->port, update->axes) ? TL_WIRE_UPDATE_NONE", "true ? TL_WIRE_UPDATE_NONE"),
     _one("firmware is read back", UPDATE + "what_flash_did_not_take_does_not_count",
          NEW, " && holds(port, slot, offset, page);", ";"),
+    _one("faults are logged with every motor off", LOGGED + "nothing_is_written_while_a_motor_is_on",
+         LOG, "due && may_write && tl_tables_all_off(log->port, log->axes)", "due && may_write"),
+    _one("a fault a second", LOGGED + "a_host_that_makes_faults_wears_no_flash",
+         LOG, "now_us - log->wrote_us >= AT_MOST_US", "true"),
+    _one("a torn page is passed over", LOGGED + "a_power_cut_loses_the_fault_that_was_written_or_the_oldest",
+         LOG, "!is_blank(port, log->next)) {", "false) {"),
     _one("codes differ", "tests/c/duplicate_code.c::",
          "common/include/tautline/tl_wire.h", "#define TL_WIRE_CASE_(code, NAME, text) case (code):",
          "#define TL_WIRE_CASE_(code, NAME, text)"),
