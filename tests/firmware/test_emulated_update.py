@@ -93,7 +93,7 @@ def test_a_power_cut_leaves_one_that_runs(board: DesktopBoard, tmp_path: Path) -
         for cut in (1, 2, 4, last - 1, last):
             link.ask(f"cut {cut}")
             with contextlib.suppress(TautError), open_board(board.where) as opened, opened.firmware_route() as route:
-                route.download(file.read_bytes()[2 * PAGE :])
+                route.download(file.read_bytes()[2 * PAGE :], None, updating.ANSWER_MS)
             assert not link.ask("state")["powered"]
             link.ask("reset")
             if cut == last:  # half of a record is the whole of it
@@ -108,7 +108,7 @@ def test_a_signature_is_checked_within_the_time_that_the_host_is_told(board: Des
     with open_board(board.where) as opened:
         before = opened.sync()
         with opened.firmware_route() as route:
-            route.download(file)
+            route.download(file, None, updating.ANSWER_MS)
         took_us = opened.sync() - before
         print(f"an update of two pages took {took_us / 1e6:.3f} s of board time")
         assert took_us < 0.5e6 + 3 * 45e3 + 10e3  # CHECK_MS of main.c, and what its flash takes

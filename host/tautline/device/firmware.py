@@ -87,7 +87,7 @@ def read(path: Path) -> list[Image]:
         data = path.read_bytes()
     except OSError as error:
         raise TautError(f"{path}: {error.strerror}: name an update file, such as a release's") from error
-    images = []
+    images: list[Image] = []
     at = 0
     while at < len(data):
         page = data[at : at + PAGE]
