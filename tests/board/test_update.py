@@ -63,10 +63,19 @@ def give(board: DesktopBoard, file: Path, force: bool = False) -> firmware.Versi
         return update(board.where, file, force).version
 
 
-def file_of(folder: Path, keys: Keys, word: str, version: firmware.Version = NEWER, port: str = "desktop") -> Path:
+def file_of(
+    folder: Path,
+    keys: Keys,
+    word: str,
+    version: firmware.Version = NEWER,
+    port: str = "desktop",
+    protocol: int = wire.wire.MAJOR,
+) -> Path:
     image = word.encode().ljust(SIZE, b"\1")
     path = folder / f"{word}.update"
-    path.write_bytes(update_file(keys.secret, port, [image, image], version))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(firmware, "PROTOCOL", (protocol, 0))
+        path.write_bytes(update_file(keys.secret, port, [image, image], version))
     return path
 
 
@@ -103,6 +112,7 @@ def test_a_file_that_is_not_for_this_board_is_refused_in_a_line(
     cut.write_bytes(good.read_bytes()[:-500])
     damaged.write_bytes(good.read_bytes()[:900] + b"\0" + good.read_bytes()[901:])
     none.write_bytes(b"UF2\n" * 300)
+    generation = file_of(tmp_path, keys, "generation", protocol=wire.wire.MAJOR + 1)
     stranger = file_of(tmp_path, Keys(), "two")
     with contextlib.closing(desktop.link()) as link:
         for file, says in (
@@ -110,6 +120,7 @@ def test_a_file_that_is_not_for_this_board_is_refused_in_a_line(
             (damaged, "damaged"),
             (none, "no update file"),
             (tmp_path / "missing", "No such file"),
+            (generation, f"speaks protocol {wire.wire.MAJOR + 1}, this tautline speaks"),
             (stranger, "not signed with the key"),
             (file_of(tmp_path, keys, "pico", port="rp2040"), "is for rp2040, this board is desktop"),
         ):

@@ -23,6 +23,8 @@ _FORMAT = 1  # format: `format` of tl_wire.h's image
 _HEADER = 8  # format: bytes of a frame before its payload
 _HASH = 32  # format: bytes of BLAKE2b-256
 
+PROTOCOL = (wire.wire.MAJOR, wire.wire.MINOR)  # that the firmware of this clone speaks
+
 Version = tuple[int, int, int]
 
 
@@ -70,8 +72,8 @@ def pack(content: bytes, port: str, version: Version, slot: int, sign: Callable[
         "format": _FORMAT,
         "slot": slot,
         "version": version,
-        "protocol_major": wire.wire.MAJOR,
-        "protocol_minor": wire.wire.MINOR,
+        "protocol_major": PROTOCOL[0],
+        "protocol_minor": PROTOCOL[1],
         "port": port,
         "size": len(content),
         "hash": tuple(digest(content)),
@@ -113,6 +115,11 @@ def check(path: Path, images: Sequence[Image], port: str, runs: wire.Message, ol
     others = {image.port for image in images} - {port}
     if others:
         raise TautError(f"{path}: is for {', '.join(sorted(others))}, this board is {port}: get the file for {port}")
+    spoken = {int(image.fields.protocol_major) for image in images} - {wire.wire.MAJOR}
+    if spoken:
+        raise TautError(
+            f"{path}: speaks protocol {max(spoken)}, this tautline speaks {wire.wire.MAJOR}: get one that fits"
+        )
     key = bytes(runs.key.tolist())
     if not all(image.is_signed(key) for image in images):
         raise TautError(
