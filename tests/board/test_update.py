@@ -120,7 +120,7 @@ def test_a_file_that_is_not_for_this_board_is_refused_in_a_line(
             (damaged, "damaged"),
             (none, "no update file"),
             (tmp_path / "missing", "No such file"),
-            (generation, f"speaks protocol {wire.wire.MAJOR + 1}, this tautline speaks"),
+            (generation, f"speaks protocol {wire.wire.MAJOR + 1}, this tautline"),
             (stranger, "not signed with the key"),
             (file_of(tmp_path, keys, "pico", port="rp2040"), "is for rp2040, this board is desktop"),
         ):

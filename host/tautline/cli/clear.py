@@ -9,8 +9,8 @@ import click
 from tautline.cli._common import emit, json_option
 from tautline.cli._live import board_option
 
-_LOGGED_MAX = 48  # physical limit: pages of the log, and what waits for them
-_SHOWN = 10  # of these, where a person reads
+_LOGGED_MAX = 48  # limit: pages of the log, and what waits for them
+_SHOWN = 10  # format: of these, where a person reads
 
 
 @click.command("clear")

@@ -14,7 +14,7 @@ from tautline.device.dfu import DfuError
 from tautline.errors import TautError
 
 _BACK_S = 90.0  # tolerance: a restart is done within a second; new firmware that no host hears is given up after 60
-_POLL_S = 0.1
+_POLL_S = 0.1  # tolerance: between two looks
 ANSWER_MS = 30000  # tolerance: a signature is checked in 0.2 s, on an emulated board in some seconds of a busy machine
 
 
