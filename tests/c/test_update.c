@@ -157,10 +157,9 @@ static void begin(bool used) {
         slots[1][TL_BOOT_IMAGE] ^= 0xFFU; // another one
         tl_boot_make_record(slots[1], 6, IMAGE, tl_crc32(0, slots[1] + TL_BOOT_IMAGE, IMAGE));
     }
-    update.trial = false;
-    memset(&fake, 0, sizeof(fake));
-    memset(fake.flash, 0xFF, sizeof(fake.flash));
-    fake.supply_mv = 6000;
+    update.trial = update.failed = false;
+    update.slot = TL_BOOT_NONE;
+    fake_new(1);
     start(false);
     TEST_ASSERT_TRUE(runs(old_image));
 }
