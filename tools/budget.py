@@ -177,7 +177,7 @@ class Stack:
 
     def _indirect(self, source: str) -> set[str]:
         name, file = source.rsplit(":", 1)[-1], source
-        if name.startswith(("tl_trust", "tl_boot", "is_marked")):
+        if name.startswith(("tl_trust", "tl_boot", "is_marked", "look_at_slot")):
             return self._named("port_slot_read")
         if name.startswith("tl_") or "/firmware/app/" in file:
             return self._named("port_.*")

@@ -41,38 +41,53 @@ static bool is_marked(const tl_boot_flash_t *flash, uint8_t slot, uint32_t offse
     return true;
 }
 
-tl_boot_slot_t tl_boot_slot(const tl_boot_flash_t *flash, uint8_t slot) {
-    tl_boot_slot_t found = {.whole = false};
+// What the first sector says; `whole` is not known yet: *crc is what the image has to have.
+static bool look_at_slot(const tl_boot_flash_t *flash, uint8_t slot, tl_boot_slot_t *found, uint32_t *crc) {
     uint8_t record[RECORD_SIZE];
     flash->read(flash->context, slot, TL_BOOT_RECORD, record, sizeof(record));
     const uint32_t size = get_word(record + 8);
     if (get_word(record) != MAGIC || get_word(record + 16) != tl_crc32(0U, record, RECORD_SIZE - 4U) || size == 0U ||
-        size > flash->room - TL_BOOT_IMAGE || tl_boot_crc(flash, slot, size) != get_word(record + 12)) {
-        return found;
+        size > flash->room - TL_BOOT_IMAGE) {
+        return false;
+    }
+    found->sequence = get_word(record + 4);
+    found->size = size;
+    found->confirmed = is_marked(flash, slot, TL_BOOT_CONFIRMED);
+    found->failed = is_marked(flash, slot, TL_BOOT_FAILED);
+    *crc = get_word(record + 12);
+    return true;
+}
+
+tl_boot_slot_t tl_boot_slot(const tl_boot_flash_t *flash, uint8_t slot) {
+    tl_boot_slot_t found = {.whole = false};
+    uint32_t crc;
+    if (!look_at_slot(flash, slot, &found, &crc) || tl_boot_crc(flash, slot, found.size) != crc) {
+        return (tl_boot_slot_t){.whole = false};
     }
     found.whole = true;
-    found.sequence = get_word(record + 4);
-    found.size = size;
-    found.confirmed = is_marked(flash, slot, TL_BOOT_CONFIRMED);
-    found.failed = is_marked(flash, slot, TL_BOOT_FAILED);
     return found;
 }
 
+// A slot that may run, if it is whole.
+static bool may_run(const tl_boot_flash_t *flash, uint8_t slot, uint8_t failed, tl_boot_slot_t *found) {
+    uint32_t crc;
+    return look_at_slot(flash, slot, found, &crc) && !found->failed && (slot != failed || found->confirmed);
+}
+
 tl_boot_choice_t tl_boot_choose(const tl_boot_flash_t *flash, uint8_t failed) {
-    tl_boot_choice_t choice = {.slot = TL_BOOT_NONE};
-    uint32_t newest = 0;
-    for (uint8_t slot = 0; slot < TL_BOOT_SLOTS; slot++) {
-        const tl_boot_slot_t found = tl_boot_slot(flash, slot);
-        if (!found.whole || found.failed || (slot == failed && !found.confirmed)) {
-            continue;
-        }
-        // Sequence numbers may wrap: the newer one is ahead by less than half their range.
-        if (choice.slot == TL_BOOT_NONE || (int32_t)(found.sequence - newest) > 0) {
-            choice = (tl_boot_choice_t){.slot = slot, .trial = !found.confirmed};
-            newest = found.sequence;
+    tl_boot_slot_t slots[TL_BOOT_SLOTS] = {{.whole = false}, {.whole = false}};
+    const bool first = may_run(flash, 0U, failed, &slots[0]), second = may_run(flash, 1U, failed, &slots[1]);
+    // Sequence numbers may wrap: the newer one is ahead by less than half their range.
+    const uint8_t newer = second && (!first || (int32_t)(slots[1].sequence - slots[0].sequence) > 0) ? 1U : 0U;
+    const bool may[TL_BOOT_SLOTS] = {first, second};
+    for (uint8_t i = 0; i < TL_BOOT_SLOTS;
+         i++) { // an image's checksum takes long: the older one's only where it counts
+        const uint8_t slot = i == 0U ? newer : (uint8_t)(1U - newer);
+        if (may[slot] && tl_boot_slot(flash, slot).whole) {
+            return (tl_boot_choice_t){.slot = slot, .trial = !slots[slot].confirmed};
         }
     }
-    return choice;
+    return (tl_boot_choice_t){.slot = TL_BOOT_NONE};
 }
 
 void tl_boot_make_record(uint8_t *page, uint32_t sequence, uint32_t size, uint32_t crc) {
