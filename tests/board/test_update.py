@@ -4,18 +4,19 @@ emulated board gets the real image, signed with the build's development key."""
 from __future__ import annotations
 
 import contextlib
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 import monocypher
 import pytest
+from passing_time import time_passes
+from test_commands import run
 
 from tautline.device import firmware, wire
 from tautline.device.board import open_board
 from tautline.device.updating import update
 from tautline.errors import TautError
-from tautline.simulated.simlink import DesktopBoard, SimLink
+from tautline.simulated.simlink import DesktopBoard
 from tools.signing import update_file
 
 NEWER, OLDER = (0, 9, 0), (0, 0, 9)
@@ -38,24 +39,6 @@ def desktop(request: pytest.FixtureRequest, keys: Keys) -> Iterator[DesktopBoard
         pytest.skip("images for the desktop board")
     with DesktopBoard(serial="TEST-1", update_key=keys.public) as board:
         yield board
-
-
-@contextlib.contextmanager
-def time_passes(link: SimLink) -> Iterator[None]:
-    """For the board, as fast as it can."""
-    done = threading.Event()
-
-    def advance() -> None:
-        while not done.is_set():
-            link.ask("advance 20000")
-
-    thread = threading.Thread(target=advance, daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        done.set()
-        thread.join()
 
 
 def give(board: DesktopBoard, file: Path, force: bool = False) -> firmware.Version:
@@ -94,6 +77,13 @@ def test_an_update_runs_and_is_confirmed(desktop: DesktopBoard, keys: Keys, tmp_
         give(desktop, first)
     assert give(desktop, first, force=True) == NEWER
     assert running(desktop) == (NEWER, "CONFIRMED")
+
+
+def test_the_command(desktop: DesktopBoard, keys: Keys, tmp_path: Path) -> None:
+    file = file_of(tmp_path, keys, "one")
+    with contextlib.closing(desktop.link()) as link, time_passes(link):
+        done = run("update", str(file), board=desktop.where)
+    assert (done["firmware"], done["slot"], done["confirmed"]) == ("0.9.0", 0, True) and done["before"] != "0.9.0"
 
 
 def test_firmware_that_hangs_gives_way_to_the_old_one(desktop: DesktopBoard, keys: Keys, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from tautline.device.board import open_board
 from tautline.device.firmware import PAGE, text_of, version_of
 from tautline.errors import TautError
 from tautline.simulated.simlink import PROGRAM, DesktopBoard, SimLink
-from tests.board.test_update import time_passes
+from tests.board.passing_time import time_passes
 from tools.signing import secret_key, update_file
 
 ROOT = Path(__file__).resolve().parents[2]
