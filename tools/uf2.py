@@ -1,6 +1,6 @@
 """Turns a flash image into the UF2 file that a board in BOOTSEL mode takes by drag and drop.
 
-Usage: python tools/uf2.py IMAGE.bin OUT.uf2
+Usage: python tools/uf2.py IMAGE.bin OUT.uf2 [rp2040 | rp2350]
 
 UF2: blocks of 512 bytes, each with 256 bytes of the image and the address they belong to.
 """
@@ -11,6 +11,8 @@ from pathlib import Path
 
 FLASH_BASE = 0x10000000
 RP2040_FAMILY = 0xE48BFF56
+RP2350_FAMILY = 0xE48BFF59  # an image for its Arm cores in the secure state (RP2350 data sheet, 5.5.3)
+FAMILIES = {"rp2040": RP2040_FAMILY, "rp2350": RP2350_FAMILY}
 PAYLOAD = 256
 _START = (0x0A324655, 0x9E5D5157)
 _END = 0x0AB16F30
@@ -32,10 +34,11 @@ def to_uf2(image: bytes, base: int = FLASH_BASE, family: int = RP2040_FAMILY) ->
 
 
 def main(arguments: list[str]) -> int:
-    if len(arguments) != 2:
+    image, out, chip = [*arguments, "rp2040"][:3] if len(arguments) in (2, 3) else ("", "", "")
+    if chip not in FAMILIES:
         print(__doc__, file=sys.stderr)
         return 2
-    Path(arguments[1]).write_bytes(to_uf2(Path(arguments[0]).read_bytes()))
+    Path(out).write_bytes(to_uf2(Path(image).read_bytes(), family=FAMILIES[chip]))
     return 0
 
 

@@ -1,4 +1,4 @@
-// The app on a Pimoroni Motor 2040: tl_port.h on real registers, the control step on a hardware timer, the task in the
+// The app on a Pimoroni Motor 2040, or on a Pico 2 with its circuit: tl_port.h on real registers, the control step on a hardware timer, the task in the
 // main loop.
 #include <string.h>
 
@@ -214,10 +214,11 @@ static void __no_inline_not_in_flash_func(start_in_time)(uint32_t bridges) {
 
 static void start_control(void) {
     hardware_alarm_claim(CONTROL_ALARM);
-    irq_set_exclusive_handler(TIMER_IRQ_0, control_interrupt);
-    irq_set_priority(TIMER_IRQ_0, PICO_HIGHEST_IRQ_PRIORITY);
+    const unsigned interrupt = TIMER_ALARM_IRQ_NUM(timer_hw, CONTROL_ALARM);
+    irq_set_exclusive_handler(interrupt, control_interrupt);
+    irq_set_priority(interrupt, PICO_HIGHEST_IRQ_PRIORITY);
     hw_set_bits(&timer_hw->inte, 1u << CONTROL_ALARM);
-    irq_set_enabled(TIMER_IRQ_0, true);
+    irq_set_enabled(interrupt, true);
     const uint32_t bridges = bridge_align(CONTROL_PERIOD_US * (SYS_CLK_HZ / 1000000) + INTERRUPT_CYCLES);
     const uint32_t state = save_and_disable_interrupts();
     start_in_time(bridges);
@@ -267,7 +268,7 @@ int main(void) {
     quadrature_init(encoder_pins, TAUTLINE_AXES); // waits until its pull-ups have settled, too
     pico_get_unique_board_id_string(board.serial, sizeof(board.serial));
     board.port = (tl_port_t){
-        .name = "rp2040",
+        .name = TAUTLINE_PORT,
         .serial = board.serial,
         .axes = TAUTLINE_AXES,
         .boot = (uint8_t)boot,
