@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The Cortex-M4 and the Cortex-M33 port in QEMU, behind the desktop board's options and ports: a line for the host, a sim link.
+"""The MPS2 port on a Cortex-M4 or M33 in QEMU, behind the desktop board's options and ports: a host's line, a sim link.
 
 QEMU runs the image; its two serial ports come here. The first is the host's line. The second carries the world: time is
 granted in ticks, together with the number of the line's bytes that were sent before, and answered with the number of
