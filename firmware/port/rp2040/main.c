@@ -1,5 +1,5 @@
-// The app on a Pimoroni Motor 2040, or on a Pico 2 with its circuit: tl_port.h on real registers, the control step on a hardware timer, the task in the
-// main loop.
+// The app on a Pimoroni Motor 2040, or on a Pico 2 with its circuit: tl_port.h on real registers, the control step on a
+// hardware timer, the task in the main loop.
 #include <string.h>
 
 #include "bridge.h"

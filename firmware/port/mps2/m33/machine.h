@@ -1,5 +1,5 @@
-/// The Cortex-M33 image of Arm's MPS2 board (AN505), which QEMU calls mps2-an505. The core starts in the secure state and
-/// stays there: peripherals and memory are at their secure aliases, and nothing is handed to the other state.
+/// The Cortex-M33 image of Arm's MPS2 board (AN505), which QEMU calls mps2-an505. The core starts in the secure state
+/// and stays there: peripherals and memory are at their secure aliases, and nothing is handed to the other state.
 #ifndef TAUTLINE_MPS2_MACHINE_H
 #define TAUTLINE_MPS2_MACHINE_H
 
