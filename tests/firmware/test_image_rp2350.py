@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from tools.budget import code, float_instructions
 from tools.uf2 import RP2350_FAMILY, to_uf2
 

@@ -261,7 +261,7 @@ extern "C" {
     F(u8, table_reason, "why the last table was refused: tl_table.h's reason, 0 none")                                 \
     F(u16, flags, "TL_WIRE_FLAGS")                                                                                     \
     F(u32, table_sequence, "rises by one with each table stored; 0: none")                                             \
-    F(u32, table_crc, "CRC-32 of the blob in use")                                                                     \
+    F(u32, table_crc, "CRC-32 that ends the blob in use, of all before it")                                            \
     F(u64, t_us, "")                                                                                                   \
     F(u64, fault_us, "when the fault came")                                                                            \
     F(i32, q_q8, "counts, measured")                                                                                   \
