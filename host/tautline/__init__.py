@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from tautline.api import export as export
     from tautline.api import import_recording as import_recording
     from tautline.api import load as load
+    from tautline.api import plot as plot
     from tautline.api import predict as predict
     from tautline.api import propose_import as propose_import
     from tautline.api import report as report
@@ -95,6 +96,7 @@ _PUBLIC = {
     "import_recording": "api",
     "export": "api",
     "load": "api",
+    "plot": "api",
     "predict": "api",
     "propose_import": "api",
     "report": "api",
