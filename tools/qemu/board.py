@@ -171,6 +171,7 @@ class World:
         self.row = 0  # index of the first
         self.client: socket.socket | None = None
         self.plugged = True
+        self.ills = ["well"] * options.axes
         self.quit = False
         self.realtime = options.realtime
         self._paced = (0, 0.0)
@@ -322,6 +323,8 @@ class World:
                 known = len(words) == 2 and words[0] in map(str, range(self.axes)) and words[1].isalpha()
                 if not known or self.machine.ask(f"inject {words[0]} {words[1]}") != ["ok"]:
                     return {"error": INJECT}
+                self.ills[int(words[0])] = words[1]
+                return {"t_us": self.ticks * self.tick_us, "ills": self.ills}
             case "unplug" if not words:
                 self.hang_up()
                 self.plugged = False

@@ -261,6 +261,9 @@ int32_t board_true_q8(uint8_t axis) {
 void board_inject(uint8_t axis, plant_ill_t ill) {
     plant_inject(&plant, axis, ill);
 }
+const char *board_ill(uint8_t axis) {
+    return plant_ill_name(&plant, axis);
+}
 void board_place(uint8_t axis, int32_t q_q8) {
     plant_place(&plant, axis, q_q8);
 }

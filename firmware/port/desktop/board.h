@@ -50,6 +50,7 @@ int32_t board_true_q8(uint8_t axis);
 // Sets a motor, at rest, to a true position (counts Q8): where the instrument was put by hand.
 void board_place(uint8_t axis, int32_t q_q8);
 void board_inject(uint8_t axis, plant_ill_t ill);
+const char *board_ill(uint8_t axis);
 
 // Whether the device is on its USB bus.
 bool board_on_bus(void);
