@@ -24,6 +24,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+from tools.kept import keep  # noqa: E402
+
 PROOFS = ROOT / "tests" / "proof"
 EXPLAINED = ROOT / "docs" / "proofs.md"
 INCLUDED = ("common/include", "firmware/estimator/include", "firmware/estimator/src", "common/src")
@@ -148,11 +151,16 @@ def main() -> int:
     every = proofs()
     if unknown := set(options.names) - {proof.name for proof in every}:
         raise SystemExit(f"proofs: no {', '.join(sorted(unknown))} in tests/proof")
-    known, wrong = explained(), []
+    known, wrong, kept = explained(), [], []
     for proof in every:
         if proof.name in options.names or (not options.names and (proof.quick or not options.quick)):
-            wrong += report(proof, proven(proof), known)
+            result = proven(proof)
+            wrong += report(proof, result, known)
+            left_of = f"{len(result.alarms)} alarms left" if result.alarms else "proven"
+            kept.append((proof.name, left_of, proof.proves, ", ".join(proof.functions)))
             sys.stdout.flush()
+    if kept:
+        keep("proofs", ("proof", "result", "what", "functions"), kept)
     for each in wrong:
         print(f"proofs: {each}", file=sys.stderr)
     return 1 if wrong else 0

@@ -13,14 +13,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from cyclonedx.schema import SchemaVersion
-from cyclonedx.validation.json import JsonStrictValidator
-
 DISTRIBUTION = "tautline-robotics"
 DEPS = Path(os.environ.get("TAUTLINE_DEPS", ".deps"))
 
 
 def main(environment: Path, version: str, out: Path) -> None:
+    from cyclonedx.schema import SchemaVersion  # of the extra `release`
+    from cyclonedx.validation.json import JsonStrictValidator
+
     document = json.loads(environment.read_text())
     ours = next(each for each in document["components"] if each["name"] == DISTRIBUTION)
     document["components"].remove(ours)
