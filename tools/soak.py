@@ -94,7 +94,7 @@ class Life:
         for _ in range(max(1, round(seconds * 1e6 / SLICE_US))):
             rows = self.link.ask(f"advance {SLICE_US}")["q"]
             self.seconds += SLICE_US * 1e-6
-            for axis, row in enumerate(rows):
+            for axis, row in enumerate(rows[:AXES]):
                 if row:
                     self.way[axis] = (max(row) - min(row)) / COUNT
                     self.true[axis] = row[-1] / COUNT
@@ -106,7 +106,7 @@ class Life:
         self.now_us = state["board_us"]
         if not state["powered"]:
             return
-        for axis, each in enumerate(state["axes"]):
+        for axis, each in enumerate(state["axes"][:AXES]):
             fault = wire.name("FAULTS", each["fault"])
             off = each["mode"] == OFF
             self.holds(off or fault == "NONE", f"axis {axis} has the fault {fault} and is driven")
@@ -291,7 +291,7 @@ class Life:
         self.link.ask("inject 0 estop")
         self.pass_by(0.02, look=False)
         state = self.link.ask("state")
-        for axis, each in enumerate(state["axes"]):
+        for axis, each in enumerate(state["axes"][:AXES]):
             self.holds(each["mode"] == OFF, f"axis {axis} is driven though the stop button is pressed")
         self.rests(0.3)
         self.well()
