@@ -113,7 +113,7 @@ class Life:
             self.holds(not off or each["duty_q15"] == 0, f"axis {axis} is off, at duty {each['duty_q15']}")
             self.holds(abs(each["duty_q15"]) <= 32768, f"axis {axis} is at duty {each['duty_q15']}")
             self.holds(fault == "NONE" or fault in self.allowed, f"axis {axis} has the fault {fault} for no reason")
-            referenced = bool(each["flags"] & wire.code("FLAGS", "REFERENCED"))
+            referenced = bool(each.get("flags", 0) & wire.code("FLAGS", "REFERENCED"))  # the image's are not shown
             if referenced and self.known[axis] and not off:
                 apart = each["q_q8"] / COUNT - self.true[axis]
                 lag = 2.0 + self.way[axis] * LAG_US / SLICE_US
