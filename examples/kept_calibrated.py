@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import tautline as tl
-from tautline import figures
+from tautline.reports import figures
 from tautline.simulated.instrument import Instrument, preset
 from tautline.simulated.simulate import simulate
 from tautline.tracking.picture import draw

@@ -22,6 +22,7 @@ from importlib import metadata
 from pathlib import Path
 
 from packaging.requirements import Requirement
+
 from tools.sbom import DISTRIBUTION, c_components
 
 ROOT = Path(__file__).resolve().parents[1]

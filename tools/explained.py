@@ -15,12 +15,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import tautline as tl
-from tautline import figures
 from tautline.calibration.calibrate import Calibration
 from tautline.calibration.onset import Onset
 from tautline.diagnosis.diagnose import Diagnosis
 from tautline.model import Effect
 from tautline.recording import Recording
+from tautline.reports import figures
 from tautline.simulated.instrument import of_name, preset
 from tautline.simulated.simulate import simulate
 from tautline.trajectory import back_and_forth, random_smooth, trapezoids

@@ -18,7 +18,6 @@ import numpy.typing as npt
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
-from tools.so101 import find
 
 from tautline.calibration.calibrate import Calibration, calibrate
 from tautline.live.closing import closing
@@ -28,6 +27,7 @@ from tautline.rig import Actuator, Rig
 from tautline.simulated.instrument import preset, reference_rig
 from tautline.simulated.simulate import simulate
 from tautline.trajectory import RATE_HZ, Trajectory, back_and_forth, in_turn, through
+from tools.so101 import find
 
 Array = npt.NDArray[np.float64]
 

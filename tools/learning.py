@@ -28,10 +28,6 @@ from rich.progress import track
 from rich.table import Table
 from scipy.optimize import minimize
 
-from tautline.blindtest import sealed, work
-from tautline.blindtest.cases import SCORED_FROM, Label
-from tautline.blindtest.page import RESULT
-from tautline.blindtest.scores import CLOSABLE, NONE, UNEXPLAINED, counts, truth
 from tautline.diagnosis import gap, hyperparameters, moved
 from tautline.diagnosis.decide import Decision, decide, is_open, probabilities, that_help, with_moved
 from tautline.diagnosis.hyperparameters import NAMES, Hyperparameters, Learnt
@@ -39,6 +35,10 @@ from tautline.diagnosis.hypotheses import CaseEvidence
 from tautline.diagnosis.repeated import HELD
 from tautline.diagnosis.stacked import Stacked
 from tautline.effects import BY_ID, EVENTS
+from tools.blindtest import sealed, work
+from tools.blindtest.cases import SCORED_FROM, Label
+from tools.blindtest.page import RESULT
+from tools.blindtest.scores import CLOSABLE, NONE, UNEXPLAINED, counts, truth
 
 Array = npt.NDArray[np.float64]
 

@@ -16,11 +16,11 @@ import nbformat
 import numpy as np
 from matplotlib.figure import Figure
 from nbclient import NotebookClient
-from tools import explained
 
-from tautline import figures
-from tautline.evidence import Evidence, Run
 from tautline.model import Model
+from tautline.reports import figures
+from tautline.reports.evidence import Evidence, Run
+from tools import explained
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "examples"

@@ -16,13 +16,13 @@ import click
 import numpy as np
 from rich.console import Console
 from rich.table import Table
-from tools.so101 import constant_play
 
 from tautline.calibration.calibrate import calibrate
 from tautline.diagnosis.diagnose import Diagnosis, diagnose
 from tautline.errors import TautError
 from tautline.recording import Angle, Recording, load
 from tautline.rig import Rig
+from tools.so101 import constant_play
 
 LAG, DELAY, OFFSET = "transmission.lag", "acquisition.delay", "transmission.offset"
 LOAD, COUPLING, STICKS = "transmission.load_dependence", "configuration.axis_coupling", "transmission.stick_slip"

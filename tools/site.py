@@ -14,11 +14,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from urllib.parse import unquote, urlsplit
 
-from tautline import figures
 from tautline.cli import _topic_pages
 from tautline.effects import BY_ID
 from tautline.explain.collect import topics
 from tautline.explain.topic import KINDS, Topic
+from tautline.reports import figures
 
 ROOT = Path(__file__).parents[1]
 TOPICS = "messages"  # the folder of their pages

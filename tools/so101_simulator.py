@@ -21,8 +21,6 @@ import numpy as np
 import numpy.typing as npt
 from rich.console import Console
 from rich.table import Table
-from tools import so101_simulator_sysid
-from tools.so101 import Array, constant_play, find, inside, measured, settled
 
 from tautline.diagnosis.diagnose import Diagnosis
 from tautline.diagnosis.simulated import diagnose_simulator
@@ -31,6 +29,8 @@ from tautline.prediction import predict_with_sigma
 from tautline.recording import Recording, load
 from tautline.rig import Rig
 from tautline.simulators import Simulator, mjcf
+from tools import so101_simulator_sysid
+from tools.so101 import Array, constant_play, find, inside, measured, settled
 
 Rows = npt.NDArray[np.bool_]
 Told = Callable[[Recording], tuple[Array, Array | None]]  # deg, and one standard deviation of a reading

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from io import StringIO
 
 import numpy as np
-from tools.so101 import Array, measured
 
 from tautline.core.chain import by_differences
 from tautline.recording import Recording
 from tautline.rig import Rig
 from tautline.simulators import Simulator
 from tautline.simulators.drive import Drive
+from tools.so101 import Array, measured
 
 _FACTOR, _SPREADS = 100.0, 20.0
 _MOST_STEPS = 60

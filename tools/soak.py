@@ -28,8 +28,6 @@ from rich.progress import Progress
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
-from tools.kept import keep  # noqa: E402
-
 from tautline import tables  # noqa: E402
 from tautline.device import wire  # noqa: E402
 from tautline.device.board import Board, BoardGone, BoardRefused, open_board  # noqa: E402
@@ -37,6 +35,7 @@ from tautline.errors import TautError  # noqa: E402
 from tautline.model import Model  # noqa: E402
 from tautline.simulated.instrument import preset, reference_rig  # noqa: E402
 from tautline.simulated.simlink import PROGRAM, DesktopBoard, SimLink  # noqa: E402
+from tools.kept import keep  # noqa: E402
 
 AXES = 2
 LIFE_S = 600.0  # board time of one

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import click
+
 from tools.readme import Block, blocks
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from tautline.api import export as export
     from tautline.api import import_recording as import_recording
     from tautline.api import load as load
+    from tautline.api import plot as plot
     from tautline.api import predict as predict
     from tautline.api import propose_import as propose_import
     from tautline.api import report as report
@@ -35,12 +36,14 @@ if TYPE_CHECKING:
     from tautline.compensation import SetPoints as SetPoints
     from tautline.core.session import Session as Session
     from tautline.diagnosis.diagnose import Diagnosis as Diagnosis
+    from tautline.diagnosis.findings import Finding as Finding
+    from tautline.diagnosis.findings import Gap as Gap
     from tautline.elements import Elements as Elements
     from tautline.errors import TautError as TautError
     from tautline.errors import UnusableError as UnusableError
-    from tautline.exporting import Exported as Exported
-    from tautline.importing import Imported as Imported
-    from tautline.importing import Proposal as Proposal
+    from tautline.io.exporting import Exported as Exported
+    from tautline.io.importing import Imported as Imported
+    from tautline.io.importing import Proposal as Proposal
     from tautline.model import Model as Model
     from tautline.prediction import Prediction as Prediction
     from tautline.quality import Quality as Quality
@@ -65,13 +68,15 @@ _PUBLIC = {
     "Compensator": "compensation",
     "Diagnosis": "diagnosis.diagnose",
     "Elements": "elements",
-    "Imported": "importing",
-    "Exported": "exporting",
+    "Finding": "diagnosis.findings",
+    "Gap": "diagnosis.findings",
+    "Imported": "io.importing",
+    "Exported": "io.exporting",
     "Marker": "recording",
     "Model": "model",
     "Motor": "recording",
     "Prediction": "prediction",
-    "Proposal": "importing",
+    "Proposal": "io.importing",
     "Quality": "quality",
     "Reason": "quality",
     "Recording": "recording",
@@ -91,6 +96,7 @@ _PUBLIC = {
     "import_recording": "api",
     "export": "api",
     "load": "api",
+    "plot": "api",
     "predict": "api",
     "propose_import": "api",
     "report": "api",

@@ -16,12 +16,12 @@ pytest.importorskip("selenium", reason="needs the extra `test`")
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
-from tools import browser as tool
 
 from tautline.live.setup import open_live
 from tautline.live.until import calibrate_until
 from tautline.model import Effect, Model
 from tautline.simulated.instrument import preset
+from tools import browser as tool
 
 pytestmark = [
     pytest.mark.long,

@@ -19,11 +19,11 @@ from conftest import Bench
 from tautline import trajectory
 from tautline.calibration.calibrate import calibrate
 from tautline.diagnosis import narration
+from tautline.live.page.desk import RUNNING, Desk
+from tautline.live.page.work import Calibrating, Diagnosing, Watching, attend
 from tautline.live.setup import Frame, Live, open_live
 from tautline.live.until import Goal, calibrate_until
 from tautline.live.watch import View
-from tautline.live_page.desk import RUNNING, Desk
-from tautline.live_page.work import Calibrating, Diagnosing, Watching, attend
 from tautline.model import Effect, Model
 from tautline.recording import load
 from tautline.simulated.instrument import Corrected, preset, reference_rig

@@ -26,8 +26,8 @@ from conftest import ClockOf
 from tautline.cli import taut
 from tautline.device import wire
 from tautline.device.board import open_board
+from tautline.drivers.ros_graph import Graph, library
 from tautline.model import Model
-from tautline.motors.ros_graph import Graph, library
 from tautline.recording import load
 from tautline.simulated.instrument import reference_rig
 from tautline.simulated.simlink import DesktopBoard

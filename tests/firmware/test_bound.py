@@ -6,6 +6,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+
 from tools.bound import NEVER, Bound, Code, Knowledge, Unbounded
 
 

@@ -9,13 +9,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from tools.budget import sizes
-from tools.uf2 import to_uf2
 
 from tautline.device import wire
 from tautline.device.board import open_board
 from tautline.errors import TautError
 from tautline.simulated.simlink import PROGRAM, DesktopBoard
+from tools.budget import sizes
+from tools.uf2 import to_uf2
 
 ROOT = Path(__file__).resolve().parents[2]
 BUILD = ROOT / "build" / "rp2040"

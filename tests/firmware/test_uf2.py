@@ -5,6 +5,7 @@ import struct
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from tools.uf2 import RP2040_FAMILY, to_uf2
 
 

@@ -23,7 +23,7 @@ from typing import Any, ClassVar
 import can
 import numpy as np
 
-from tautline.motors.hosted import HostedLink
+from tautline.drivers.hosted import HostedLink
 
 _STEP_US = 1000
 _SUB = 4

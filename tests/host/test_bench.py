@@ -13,11 +13,10 @@ from click.testing import CliRunner
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from tools.bench import __main__ as bench
-from tools.bench import calibration, control_step, diagnosis, endoscopy, faults, live_page, trackers, videos
-
 from tautline.vision.colour import pick
 from tautline.vision.marker import MarkerTracker
+from tools.bench import __main__ as bench
+from tools.bench import calibration, control_step, diagnosis, endoscopy, faults, live_page, trackers, videos
 
 
 def test_the_command_prints_its_parts(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,19 +11,19 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.host.cli_runner import Taut
-from tests.host.test_diagnose import true_model
 
-from tautline.blindtest import baselines, campaign, compare, page, scores, sealed, work
-from tautline.blindtest.campaign import Order
-from tautline.blindtest.cases import Label, make
-from tautline.blindtest.generators import SECOND
-from tautline.blindtest.scores import Answer, Share
 from tautline.calibration.calibrate import calibrate
 from tautline.errors import TautError
 from tautline.pool import pool
 from tautline.recording import load_all
 from tautline.rig import Rig
+from tests.host.cli_runner import Taut
+from tests.host.test_diagnose import true_model
+from tools.blindtest import baselines, campaign, compare, page, scores, sealed, work
+from tools.blindtest.campaign import Order
+from tools.blindtest.cases import Label, make
+from tools.blindtest.generators import SECOND
+from tools.blindtest.scores import Answer, Share
 
 LAG, CREEP = "transmission.lag", "transmission.creep"
 

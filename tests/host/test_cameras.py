@@ -20,10 +20,10 @@ from hypothesis import strategies as st
 from reference_instrument import RIG, saved_model
 
 from tautline.cli._live import LiveOptions, opened
+from tautline.drivers.ros_graph import Graph, library
 from tautline.errors import TautError
 from tautline.live import setup
 from tautline.live.setup import CameraSource, Live
-from tautline.motors.ros_graph import Graph, library
 from tautline.vision import ros_camera
 from tautline.vision.camera import VideoCamera
 from tautline.vision.drops import Drops

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.host.test_diagnose import NOISE, RIG, recordings, true_model
 
 from tautline import effects
 from tautline.diagnosis import confined
 from tautline.diagnosis.fit import Fit, Fitter, Hypothesis
 from tautline.diagnosis.segment import prepare
 from tautline.effects import BY_ID
+from tests.host.test_diagnose import NOISE, RIG, recordings, true_model
 
 LAG, JITTER, LENS = "transmission.lag", "acquisition.jitter", "camera.distortion"
 CURVATURE, STATIC, TILT = "kinematics.nonconstant_curvature", "registration.static", "registration.direction_dependent"

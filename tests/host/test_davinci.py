@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tools.davinci import Tool, find, times
 
 from tautline.calibration.calibrate import Options, calibrate
 from tautline.diagnosis import narration
@@ -12,6 +11,7 @@ from tautline.prediction import predict
 from tautline.recording import Recording, load
 from tautline.rig import Rig
 from tautline.splines import Basis
+from tools.davinci import Tool, find, times
 
 RATES, LOADS, FROM_S = 5, 4, 5.0
 

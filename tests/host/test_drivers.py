@@ -26,15 +26,15 @@ from ros_robot import Joint, RosRobot
 from tautline.device import wire
 from tautline.device.board import Board, find
 from tautline.device.link import BoardAddress, BoardGone
+from tautline.drivers import addresses, cia402, moteus_drives, ros_joints, serial_servos
+from tautline.drivers.drives import Goal, all_off
+from tautline.drivers.feetech import Feetech
+from tautline.drivers.hosted import HostedLink, flash_file
 from tautline.errors import TautError
 from tautline.live.following import follow_run
 from tautline.live.session import MotionOptions, calibrate_live, driving, move_to
 from tautline.live.setup import Live, PointSource, open_live
 from tautline.model import Model
-from tautline.motors import addresses, cia402, moteus_drives, ros_joints, serial_servos
-from tautline.motors.drives import Goal, all_off
-from tautline.motors.feetech import Feetech
-from tautline.motors.hosted import HostedLink, flash_file
 from tautline.simulated.instrument import Instrument, preset
 from tautline.simulated.simlink import SimulatedAxis
 

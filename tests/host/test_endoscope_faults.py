@@ -10,12 +10,11 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from tools.bench import endoscopy, faults
-
 from tautline.diagnosis.diagnose import diagnose
 from tautline.model import Model
 from tautline.recording import Marker, Motor, Recording, Video
 from tautline.rig import Rig
+from tools.bench import endoscopy, faults
 
 NOISE = 0.065
 CONDITION = endoscopy.Condition("plain")

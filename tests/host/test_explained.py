@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 from test_gallery import parts
+
 from tools.pictures import EXPLAINED
 
 DOCS = Path(__file__).parents[2] / "docs"

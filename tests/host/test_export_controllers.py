@@ -13,9 +13,9 @@ import pytest
 from cli_runner import Taut
 
 from tautline.errors import TautError
-from tautline.exporting import export
-from tautline.exporting.constants import constant
-from tautline.exporting.source import of_model
+from tautline.io.exporting import export
+from tautline.io.exporting.constants import constant
+from tautline.io.exporting.source import of_model
 from tautline.model import Effect
 
 

@@ -17,10 +17,10 @@ from cli_runner import Taut
 
 import tautline as tl
 from tautline.errors import TautError
-from tautline.exporting import csv_files, export, formats, mcap_file, rerun_file
-from tautline.exporting.log import of_source
-from tautline.exporting.source import Source, read
 from tautline.geometry import project
+from tautline.io.exporting import csv_files, export, formats, mcap_file, rerun_file
+from tautline.io.exporting.log import of_source
+from tautline.io.exporting.source import Source, read
 from tautline.model import Effect
 from tautline.recording import Marker, Motor, Recording, Video, save
 

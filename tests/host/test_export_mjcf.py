@@ -18,12 +18,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tautline.elements import SINGLE, Elements
-from tautline.exporting.export import Mount
-from tautline.exporting.mjcf import chain, folder
-from tautline.exporting.mjcf.nominal import Nominal, look
-from tautline.exporting.mjcf.scene import Law
-from tautline.exporting.mjcf.transmission import Transmission
 from tautline.geometry import project
+from tautline.io.exporting.export import Mount
+from tautline.io.exporting.mjcf import chain, folder
+from tautline.io.exporting.mjcf.nominal import Nominal, look
+from tautline.io.exporting.mjcf.scene import Law
+from tautline.io.exporting.mjcf.transmission import Transmission
 from tautline.model import Effect, Model
 from tautline.prediction import predict
 from tautline.recording import Motor
@@ -304,8 +304,8 @@ def test_an_effect_that_is_not_there_is_refused_with_what_it_leaves(tmp_path: Pa
 def test_a_lag_is_in_the_xml_too(tmp_path: Path) -> None:
     model = exported.model(effects=(Effect("transmission.lag", {"lag": 0.05, "lag_second": 0.0}),))
     (tmp_path / "own.xml").write_text(GEARED)
-    from tautline.exporting import export
-    from tautline.exporting.source import of_model
+    from tautline.io.exporting import export
+    from tautline.io.exporting.source import of_model
 
     done = export(of_model(model), "mjcf", tmp_path / "out", mount=Mount(tmp_path / "own.xml", "A", "joint:J"))
     motor = unseen()

@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+
 from tools.family import cases, motion, record, refit, seal, view
 from tools.family.causes import LISTED, NOMINAL, UNLISTED
 from tools.family.causes.base import follow, slider

@@ -4,6 +4,7 @@ import json
 import math
 
 import pytest
+
 from tools.family import score
 
 

@@ -13,7 +13,6 @@ from cli_runner import Taut
 from fleet_workers import doubled
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tools.fleet import robots
 
 from tautline.calibration.beforehand import Beforehand
 from tautline.calibration.calibrate import Options, calibrate
@@ -26,6 +25,7 @@ from tautline.fleet.rows import DATA_SET, DataSet, Row
 from tautline.fleet.run import run
 from tautline.pool import pool
 from tautline.splines import Basis
+from tools.fleet import robots
 
 PLACES = np.linspace(-5.0, 5.0, 33)
 ROBOTS, SESSIONS = 4, 2

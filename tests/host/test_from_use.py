@@ -12,17 +12,17 @@ import pytest
 from cli_runner import Taut
 from hypothesis import given
 from hypothesis import strategies as st
-from tools.from_use import Used, calibration_motion, teleoperation
 
-from tautline import reports
 from tautline.calibration.calibrate import calibrate
 from tautline.calibration.coverage import HOLE, Gap, gaps
 from tautline.live.closing import SECONDS, closing
 from tautline.model import Model
 from tautline.recording import Marker, Motor, Recording, read_motor
+from tautline.reports import pages
 from tautline.simulated.instrument import preset, reference_rig
 from tautline.simulated.simulate import run, simulate
 from tautline.trajectory import Trajectory, through
+from tools.from_use import Used, calibration_motion, teleoperation
 
 RIG = reference_rig()
 LOW, HIGH = RIG.actuator.range
@@ -174,7 +174,7 @@ def test_the_command_writes_the_motion_and_takes_it_away(taut: Taut, tmp_path: P
     assert proposed.t_s[-1] == pytest.approx(told["next_motion"]["seconds"], abs=0.01)
     for gap in told["coverage"]["missing"]:
         assert gap["says"] in (out / "report.html").read_text(encoding="utf-8")
-    reports.save_model(Model.load(out), [], out)  # another model in its place
+    pages.save_model(Model.load(out), [], out)  # another model in its place
     assert not (out / "next_motion.csv").exists()
 
 

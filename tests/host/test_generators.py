@@ -6,14 +6,14 @@ import sys
 import numpy as np
 import pytest
 
-from tautline.blindtest import generators, work
-from tautline.blindtest.campaign import Order
-from tautline.blindtest.cases import Case
-from tautline.blindtest.generators import GENERATORS, SECOND
 from tautline.calibration.calibrate import calibrate
 from tautline.errors import TautError
 from tautline.prediction import foretold
 from tautline.recording import Recording
+from tools.blindtest import generators, work
+from tools.blindtest.campaign import Order
+from tools.blindtest.cases import Case
+from tools.blindtest.generators import GENERATORS, SECOND
 
 LAG = "transmission.lag"
 MECHANISMS = [name for name in GENERATORS if name.startswith("mujoco.")]
@@ -21,7 +21,7 @@ MECHANISMS = [name for name in GENERATORS if name.startswith("mujoco.")]
 
 def mechanism():
     pytest.importorskip("mujoco", reason="the package mujoco is not installed")
-    from tautline.blindtest.physical import mechanism
+    from tools.blindtest.physical import mechanism
 
     return mechanism
 
@@ -110,7 +110,7 @@ def test_a_seed_makes_the_same_case_again(lagging):
 
 
 def test_identifiable_is_what_the_mechanism_itself_does_beyond_noise(lagging, monkeypatch):
-    from tautline.blindtest.physical import draws, make
+    from tools.blindtest.physical import draws, make
 
     assert lagging.label.identifiable
     monkeypatch.setattr(make, "_DRAWS", 1)
@@ -125,7 +125,7 @@ def test_identifiable_is_what_the_mechanism_itself_does_beyond_noise(lagging, mo
 
 def test_what_pushes_from_outside_comes_after_the_calibration_and_is_seen():
     mechanism()
-    from tautline.blindtest.physical.draws import UNKNOWN
+    from tools.blindtest.physical.draws import UNKNOWN
 
     made = {name: GENERATORS["mujoco.arm"].make(5, "unknown", (name,)) for name in UNKNOWN}
     for name, case in made.items():
@@ -138,7 +138,7 @@ def test_what_pushes_from_outside_comes_after_the_calibration_and_is_seen():
 def test_what_happens_before_the_play_was_crossed_is_not_identifiable(monkeypatch):
     """The tests begin at one end of the range: what is met there only is never scored."""
     mechanism()
-    from tautline.blindtest.physical import draws, make
+    from tools.blindtest.physical import draws, make
 
     contact = "configuration.contact"
     monkeypatch.setattr(make, "_DRAWS", 1)

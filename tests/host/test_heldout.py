@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.host.test_diagnose import recordings, rms, true_model
 
 from tautline.diagnosis import gap, heldout
 from tautline.diagnosis.fit import Fitter, Hypothesis
 from tautline.diagnosis.segment import prepare
 from tautline.effects import BY_ID
+from tests.host.test_diagnose import recordings, rms, true_model
 
 
 @pytest.fixture(scope="module")

@@ -14,14 +14,14 @@ import pytest
 from angle_plant import RIG, Motion, tip
 from cli_runner import Taut
 from rosbags.rosbag2 import StoragePlugin
-from tools import davinci, so101
 
 import tautline as tl
 from tautline.calibration.calibrate import calibrate
-from tautline.importing.tip import bending_deg
+from tautline.io.importing.tip import bending_deg
 from tautline.recording import Angle, Motor, Recording, load
 from tautline.rig import Rig
 from tautline.vision.camera import VideoCamera
+from tools import davinci, so101
 
 FLOAT32 = 2.0**-24  # share by which a number is rounded
 FLOAT64 = 2.0**-50  # the same of a few operations
@@ -316,8 +316,8 @@ def test_a_place_in_the_image_becomes_a_marker(taut: Taut, tmp_path: Path) -> No
 
 def test_plain_pictures_are_kept_to_the_last_bit(tmp_path: Path) -> None:
     """Padded rows, BGR and grey, as a bag's raw images have them."""
-    from tautline.importing.messages import picture
-    from tautline.importing.video import from_pictures
+    from tautline.io.importing.messages import picture
+    from tautline.io.importing.video import from_pictures
 
     rng = np.random.default_rng(3)
     for encoding, channels in (("bgr8", 3), ("rgb8", 3), ("mono8", 1)):

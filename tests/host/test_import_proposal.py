@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 
 import tautline as tl
 from tautline.errors import TautError
-from tautline.importing import clocks
-from tautline.importing.units import DEG_PER_RAD, UNITS, Named, factor, known_unit, named, suspected, unit_in
+from tautline.io.importing import clocks
+from tautline.io.importing.units import DEG_PER_RAD, UNITS, Named, factor, known_unit, named, suspected, unit_in
 
 RATE_HZ, WIDTH, LAG_S, SERVO_S = 100.0, 2.0, 0.06, 0.04
 
@@ -198,7 +198,7 @@ def test_what_was_named_stays_in_the_proposal(taut: Taut, tmp_path: Path) -> Non
 def test_tables_are_read_as_they_are_written(
     tmp_path: Path, text: str, names: list[str], rows: list[float], tells: float
 ) -> None:
-    from tautline.importing import open_source
+    from tautline.io.importing import open_source
 
     path = tmp_path / "log.csv"
     for encoding in ("utf-8", "utf-8-sig", "utf-16"):

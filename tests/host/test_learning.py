@@ -6,9 +6,7 @@ from dataclasses import replace
 import click
 import numpy as np
 import pytest
-from tools import learning
 
-from tautline.blindtest.cases import Label
 from tautline.diagnosis import gap
 from tautline.diagnosis.decide import Decision, decide
 from tautline.diagnosis.hyperparameters import NAMES, Hyperparameters, Learnt, learnt
@@ -16,6 +14,8 @@ from tautline.diagnosis.hypotheses import Beyond, CaseEvidence, Weighed
 from tautline.diagnosis.repeated import HELD
 from tautline.diagnosis.stacked import Stacked
 from tautline.plain import plain
+from tools import learning
+from tools.blindtest.cases import Label
 
 BLOCKS = 20
 LAG, CREEP = "transmission.lag", "transmission.creep"

@@ -19,15 +19,15 @@ from reference_instrument import RIG, moved, saved_recording
 
 from tautline.calibration.calibrate import calibrate
 from tautline.errors import TautError
+from tautline.live.page import shown
+from tautline.live.page.desk import READY, RESTING, RUNNING, Desk, Stopped
+from tautline.live.page.replay import Played, replay
+from tautline.live.page.server import LOOPBACK, PageServer, serving
+from tautline.live.page.stream import Stream
+from tautline.live.page.work import Replaying, attend
 from tautline.live.rounds import Standing
 from tautline.live.setup import Frame
 from tautline.live.watch import View
-from tautline.live_page import shown
-from tautline.live_page.desk import READY, RESTING, RUNNING, Desk, Stopped
-from tautline.live_page.replay import Played, replay
-from tautline.live_page.server import LOOPBACK, PageServer, serving
-from tautline.live_page.stream import Stream
-from tautline.live_page.work import Replaying, attend
 from tautline.recording import Recording, load, save
 from tautline.vision.marker import Sighting
 

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tools.tracking.sessions import Instrument, ideal_model, session
 
 import tautline as tl
 from tautline.recording import Angle
 from tautline.rig import ANGLE
+from tools.tracking.sessions import Instrument, ideal_model, session
 
 MODEL = ideal_model(Instrument(1))
 

@@ -11,7 +11,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from tools.bench.endoscopy import CONDITIONS, World
 
 from tautline.errors import TautError
 from tautline.recording import Video
@@ -20,6 +19,7 @@ from tautline.simulated.instrument import reference_rig
 from tautline.vision.colour import MarkerColour, pick
 from tautline.vision.marker import MarkerTracker, find_colour, track_video
 from tautline.vision.sighting import Sighting
+from tools.bench.endoscopy import CONDITIONS, World
 
 RIG = reference_rig()
 COLOURS = {

@@ -5,9 +5,9 @@ import json
 
 import pytest
 
-from tautline.blindtest import scores, work
-from tautline.blindtest.cases import Label
-from tautline.blindtest.generators import GENERATORS
+from tools.blindtest import scores, work
+from tools.blindtest.cases import Label
+from tools.blindtest.generators import GENERATORS
 
 MECHANISMS = [name for name in GENERATORS if name.startswith("mujoco.")]
 SEED = 77  # for tuning, as all below 1 000 000

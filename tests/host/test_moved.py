@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from tautline import trajectory
-from tautline.blindtest.reality import Plant, Truth, record
 from tautline.calibration.calibrate import calibrate
 from tautline.diagnosis import moved, narration
 from tautline.diagnosis.diagnose import diagnose
 from tautline.prediction import predict
 from tautline.rig import Rig
 from tautline.simulated.instrument import preset, reference_rig
+from tools.blindtest.reality import Plant, Truth, record
 
 RIG = reference_rig()
 TRUE = preset("random", RIG, 5)

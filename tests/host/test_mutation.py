@@ -7,6 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import pytest
+
 from tools.mutation import __main__ as program
 from tools.mutation.equivalent import equivalents
 from tools.mutation.sites import ROOMS, Mutant, all_mutants, drawn, mutants_of

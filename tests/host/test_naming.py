@@ -1,6 +1,7 @@
 """The campaign that asks whether what was there from the first recording on has one name."""
 
 import pytest
+
 from tools.naming.cases import LIBRARY, SECOND, make
 from tools.naming.score import first, same, table
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from reference_instrument import PLANT, RIG
 
-from tautline import reports
 from tautline.diagnosis import narration, page
 from tautline.model import Model
+from tautline.reports import pages
 
 NAMES = ("transmission.lag", "acquisition.delay", "configuration.contact")
 UNEXPLAINED = "no known effect explains"
@@ -97,7 +97,7 @@ def test_a_width_is_told_in_the_motors_unit():
 
 
 def test_the_page_explains_what_it_names_and_is_not_contradicted_by_its_numbers():
-    text = (Path(reports.__file__).parent / "templates" / "diagnosis.html").read_text()
+    text = (Path(pages.__file__).parent / "templates" / "diagnosis.html").read_text()
     assert "nothing gets below" not in text and "<code>taut explain" not in text and "topic.mend" in text
 
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tautline import effects, evidence, trajectory
+from tautline import effects, trajectory
 from tautline.calibration.observations import observe
 from tautline.calibration.playfit import Frozen
 from tautline.core.motor import MotorPath
@@ -21,6 +21,7 @@ from tautline.geometry import project
 from tautline.model import Model
 from tautline.prediction import predict, times_of, write_csv
 from tautline.recording import Angle, Marker, Motor, Recording
+from tautline.reports import evidence
 from tautline.rig import ANGLE, MARKER
 from tautline.simulated.instrument import Corrected, preset, reference_rig
 

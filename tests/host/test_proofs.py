@@ -6,6 +6,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+
 from tools import proof
 
 ROOT = Path(__file__).parents[2]

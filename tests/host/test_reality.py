@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from tautline import _native, trajectory
-from tautline.blindtest import cases
-from tautline.blindtest.cases import VISIBLE, make
-from tautline.blindtest.draws import KNOWN, UNKNOWN
-from tautline.blindtest.reality import Plant, Truth, record
 from tautline.geometry import project
 from tautline.simulated.instrument import preset
+from tools.blindtest import cases
+from tools.blindtest.cases import VISIBLE, make
+from tools.blindtest.draws import KNOWN, UNKNOWN
+from tools.blindtest.reality import Plant, Truth, record
 
 
 def test_the_pin_in_its_slot_is_the_play() -> None:

@@ -16,13 +16,14 @@ import pytest
 from click.testing import CliRunner
 from matplotlib.figure import Figure
 
-from tautline import evidence, figures, reports, trajectory
+from tautline import trajectory
 from tautline.cli.compare import command as compare
 from tautline.cli.report import command as rewrite
 from tautline.errors import TautError
 from tautline.model import Model
 from tautline.quality import Quality, Reason
 from tautline.recording import Recording
+from tautline.reports import evidence, figures, pages
 from tautline.rig import Actuator, Coarse, Rig
 from tautline.simulated import endoscope, instrument, simulate
 
@@ -89,7 +90,7 @@ def read(path: Path) -> Links:
 def test_report_stands_alone_and_says_the_result(measured: tuple[Model, Recording], tmp_path: Path) -> None:
     model, recording = measured
     seen = evidence.collect(model, [recording])
-    page = read(reports.write(model, tmp_path, seen))
+    page = read(pages.write(model, tmp_path, seen))
     assert len(page.sources) == 6 and all(source.startswith("data:image/svg+xml;base64,") for source in page.sources)
     assert re.search(r"turns 0\.3\d+ to 0\.80\d mm", page.text) and "B was held at 0 & more" in page.text
     assert "its stroke <was> short" in page.text and "80.0 ms" in page.text
@@ -132,14 +133,13 @@ def test_a_sensor_without_camera(tmp_path: Path) -> None:
     seen = evidence.collect(model, [recording])
     assert seen.unit == "deg" and seen.rms()[2] == pytest.approx(0.02, rel=0.2)
     assert (
-        "delay of the sensor"
-        not in read(reports.write(replace(model, sensor="angle", delay_s=0.0), tmp_path, seen)).text
+        "delay of the sensor" not in read(pages.write(replace(model, sensor="angle", delay_s=0.0), tmp_path, seen)).text
     )
 
 
 def test_a_model_that_measured_nothing_says_so(measured: tuple[Model, Recording], tmp_path: Path) -> None:
     model = replace(measured[0], measured=(0.0, -1.0), extra={})
-    assert "No width could be measured" in read(reports.write(model, tmp_path, None)).text
+    assert "No width could be measured" in read(pages.write(model, tmp_path, None)).text
 
 
 def test_runs_beside_a_model_are_shown(measured: tuple[Model, Recording], tmp_path: Path) -> None:
@@ -148,18 +148,18 @@ def test_runs_beside_a_model_are_shown(measured: tuple[Model, Recording], tmp_pa
         run = evidence.Run(t, np.sin(t), np.sin(t) + np.where(t > 1, size, 99.0), t > 1)
         run.save(tmp_path, name)
     assert evidence.Run.load_all(tmp_path)["full"].rms_deg == pytest.approx(0.2, rel=1e-4)
-    text = read(reports.write(measured[0], tmp_path, None)).text
+    text = read(pages.write(measured[0], tmp_path, None)).text
     assert "off by 4.0 deg without compensation and by 0.20 deg with it: 20 times less" in text
 
 
 def test_a_new_model_keeps_what_is_not_the_old_ones(measured: tuple[Model, Recording], tmp_path: Path) -> None:
     model, recording = measured
     folder = tmp_path / "model"
-    reports.save_model(model, [recording], folder)
+    pages.save_model(model, [recording], folder)
     (folder / "notes.txt").write_text("mine")
     t = np.linspace(0, 1, 11)
     evidence.Run(t, t, t, t > 0).save(folder, "full")
-    sentences = reports.save_model(model, [recording], folder)
+    sentences = pages.save_model(model, [recording], folder)
     assert len(sentences) == 3 and (folder / "notes.txt").read_text() == "mine"
     assert not evidence.Run.load_all(folder) and Model.load(folder).rig == model.rig
 
@@ -258,11 +258,11 @@ def test_nothing_is_gained_over_an_f_coarse_that_is_wrong(measured: tuple[Model,
     model, recording = measured
     turned = replace(model, rig=replace(model.rig, coarse=Coarse(-model.rig.coarse.gain, 0.0)))
     seen = evidence.collect(turned, [recording])
-    assert "wrong" not in reports.sentences(turned, seen)[1]
+    assert "wrong" not in pages.sentences(turned, seen)[1]
     doubted = replace(turned, quality=Quality((Reason("coarse", "the tip bends the other way", "turn the sign"),)))
-    said = reports.sentences(doubted, seen)[1]
+    said = pages.sentences(doubted, seen)[1]
     assert "something in the rig is wrong" in said
-    page = read(reports.write(doubted, tmp_path, seen))
+    page = read(pages.write(doubted, tmp_path, seen))
     assert "taut explain coarse" in page.text and "the encoder's direction" in page.text
 
 
@@ -271,7 +271,7 @@ def test_a_report_shows_what_the_camera_saw(measured: tuple[Model, Recording], t
     scope = endoscope.Endoscope(model.rig)
     kept = tmp_path / "kept.png"
     cv2.imwrite(str(kept), scope.frame(20.0))
-    reports.save_model(model, [replace(recording, picture=kept)], tmp_path / "model")
+    pages.save_model(model, [replace(recording, picture=kept)], tmp_path / "model")
     page = read(tmp_path / "model" / "report.html")
     (uri,) = [source for source in page.sources if source.startswith("data:image/jpeg")]
     shown = cv2.imdecode(np.frombuffer(base64.b64decode(uri.split(",")[1]), np.uint8), cv2.IMREAD_COLOR)
@@ -282,14 +282,14 @@ def test_a_report_shows_what_the_camera_saw(measured: tuple[Model, Recording], t
         shown[round(v), round(u)] for u, v in zip(recording.marker.u_px[::20], recording.marker.v_px[::20], strict=True)
     ]
     assert np.mean(np.abs(np.array(near, dtype=float) - blue).max(axis=1) < 60) > 0.9
-    reports.save_model(model, [recording], tmp_path / "model")  # a recording without a picture
+    pages.save_model(model, [recording], tmp_path / "model")  # a recording without a picture
     assert not any(s.startswith("data:image/jpeg") for s in read(tmp_path / "model" / "report.html").sources)
 
 
 def test_what_backlash_costs_is_told_apart_from_f_coarse(measured: tuple[Model, Recording]) -> None:
     model, recording = measured
     seen = evidence.collect(model, [recording])
-    said = reports.sentences(model, seen)
+    said = pages.sentences(model, seen)
     coarse, with_width, _ = seen.rms()
     assert f"off by {coarse:.2g} px, with B by {with_width:.2g} px" in said[1] and "times" not in " ".join(said)
     told = re.search(r"puts the tip ([\d.]+) deg off \(rms\), ([\d.]+) mm of the motor", said[2])
@@ -306,11 +306,11 @@ def test_what_backlash_costs_is_told_apart_from_f_coarse(measured: tuple[Model, 
 def test_nothing_is_praised_where_the_verdict_is_unusable(measured: tuple[Model, Recording]) -> None:
     model, recording = measured
     fatal = Reason("clock", "the clocks contradict each other", "give the frames' times", fatal=True)
-    said = reports.sentences(replace(model, quality=Quality((fatal,))), evidence.collect(model, [recording]))
+    said = pages.sentences(replace(model, quality=Quality((fatal,))), evidence.collect(model, [recording]))
     assert len(said) == 1 and "f_coarse" not in said[0]
 
 
-TEMPLATES = Path(reports.__file__).parent / "templates"
+TEMPLATES = Path(pages.__file__).parent / "templates"
 _COLOUR = r"#[0-9a-f]{3,8}\b"
 
 
@@ -331,7 +331,7 @@ def test_a_phone_is_told_that_a_drawing_goes_on_and_a_photograph_fits(
     model, recording = measured
     kept = tmp_path / "kept.png"
     cv2.imwrite(str(kept), endoscope.Endoscope(model.rig).frame(20.0))
-    reports.save_model(model, [replace(recording, picture=kept)], tmp_path / "model")
+    pages.save_model(model, [replace(recording, picture=kept)], tmp_path / "model")
     text = (tmp_path / "model" / "report.html").read_text()
     figure = re.findall(r'<img src="data:image/(svg|jpeg)[^>]*?( class="photo")?><figcaption>(<span)?', text)
     assert {kind for kind, *_ in figure} == {"svg", "jpeg"}
@@ -365,6 +365,6 @@ def test_what_is_hollow_is_in_the_legend_and_what_was_not_measured_has_no_band(
 def test_a_change_of_b_is_told_in_micrometres(measured: tuple[Model, Recording], tmp_path: Path) -> None:
     model, _ = measured
     models = {"monday": model, "friday": replace(model, width=model.width + 0.002)}
-    reports.write_comparison(models, tmp_path / "c.html")
+    pages.write_comparison(models, tmp_path / "c.html")
     text = read(tmp_path / "c.html").text
     assert "B changed by +2.0 µm on average" in text and "change of B (µm)" in text

@@ -15,8 +15,8 @@ import pytest
 from cli_runner import Taut
 from reference_instrument import saved_model
 
+from tautline.drivers.ros_graph import Graph, library
 from tautline.errors import TautError
-from tautline.motors.ros_graph import Graph, library
 from tautline.ros.messages import NS, position_of, stamp
 
 pytest.importorskip("rclpy", reason="the index has no ROS 2 for this Python or machine: source one, or leave it")

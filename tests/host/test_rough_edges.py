@@ -14,12 +14,12 @@ import pytest
 from cli_runner import Taut
 from reference_instrument import RIG, saved_model, saved_recording
 
-from tautline import reports
 from tautline.cli import marker as marker_command
 from tautline.device import usb_link
-from tautline.evidence import FILE as EVIDENCE
 from tautline.model import Model
 from tautline.recording import load
+from tautline.reports import pages
+from tautline.reports.evidence import FILE as EVIDENCE
 from tautline.simulated.endoscope import Endoscope
 from tautline.vision.colour import MarkerColour
 from tautline.vision.marker import find_colour
@@ -98,7 +98,7 @@ def test_a_model_of_another_unit(taut: Taut, model: Path, tmp_path: Path) -> Non
 def test_damaged_evidence_is_never_advised_to_be_trusted(
     taut: Taut, folder: Path, model: Path, tmp_path: Path, damage: str
 ) -> None:
-    reports.save_model(Model.load(model), [load(folder, RIG)], tmp_path / "made")
+    pages.save_model(Model.load(model), [load(folder, RIG)], tmp_path / "made")
     path = tmp_path / "made" / EVIDENCE
     if damage == "pickle":
         path.write_bytes(b"\x80\x04K\x01.")

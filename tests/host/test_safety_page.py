@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from tools.guards import GUARDS, RANDOM
-from tools.mutants import without
 
 from tautline.device import wire
+from tools.guards import GUARDS, RANDOM
+from tools.mutants import without
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "safety.md"

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tools.tracking.sessions import Instrument, calibration, ideal_model
 
 import tautline as tl
-from tautline import evidence
 from tautline.calibration.departures import scene_of
 from tautline.calibration.observations import observe
 from tautline.calibration.smooth import Domain, fit_jointly, freeze
 from tautline.core.session import GAP_S, SessionClock
 from tautline.diagnosis.segment import prepare
+from tautline.reports import evidence
+from tools.tracking.sessions import Instrument, calibration, ideal_model
 
 INSTRUMENT = Instrument(1)
 MODEL = ideal_model(INSTRUMENT)

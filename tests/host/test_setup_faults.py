@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from tautline.blindtest import cases, setup
-from tautline.blindtest.generators import GENERATORS, chosen
-from tautline.blindtest.reality import Truth
 from tautline.calibration.calibrate import calibrate
 from tautline.diagnosis import moved
 from tautline.diagnosis.diagnose import diagnose
 from tautline.elements import SINGLE
 from tautline.errors import TautError
 from tautline.recording import Recording
+from tools.blindtest import cases, setup
+from tools.blindtest.generators import GENERATORS, chosen
+from tools.blindtest.reality import Truth
 
 SEED = 5
 

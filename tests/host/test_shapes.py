@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_runner import Taut
-from tools.tracking.sessions import Change, Instrument, ideal_model, session
 
 from tautline.errors import TautError
 from tautline.model import Model
 from tautline.recording import save
 from tautline.shapes import INDEX, Library, Seen, Shape, apart
 from tautline.tracking import replay
+from tools.tracking.sessions import Change, Instrument, ideal_model, session
 
 
 @pytest.fixture

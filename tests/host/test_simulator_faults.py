@@ -4,11 +4,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from tools import simulator_faults
-from tools.simulator_faults import FAULTS, MECHANISMS, NOISE_DEG, ROBOT_STEP_S, STEP_S, Case, right, stored
 
 from tautline.recording import Motor
 from tautline.simulators import mjcf
+from tools import simulator_faults
+from tools.simulator_faults import FAULTS, MECHANISMS, NOISE_DEG, ROBOT_STEP_S, STEP_S, Case, right, stored
 
 pytest.importorskip("mujoco")
 

@@ -17,10 +17,10 @@ import tautline as tl
 from tautline import tables, trajectory
 from tautline.diagnosis.simulated import diagnose_simulator
 from tautline.errors import TautError
-from tautline.exporting import export
-from tautline.exporting.log import of_source
-from tautline.exporting.source import of_model, of_recording
 from tautline.geometry import project
+from tautline.io.exporting import export
+from tautline.io.exporting.log import of_source
+from tautline.io.exporting.source import of_model, of_recording
 from tautline.model import Model
 from tautline.prediction import foretold, predict
 from tautline.recording import Angle, Marker, Motor, Recording, load

@@ -11,9 +11,9 @@ import pytest
 pytest.importorskip("mkdocs", reason="needs the extra `test`")
 
 from mkdocs.exceptions import Abort
-from tools import site
 
 from tautline import explain
+from tools import site
 
 LOADED = re.compile(r"<(?:script|img|iframe|source)\b[^>]*\bsrc=\"([^\"]+)|<link\b[^>]*\bhref=\"([^\"]+)")
 

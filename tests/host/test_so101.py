@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from tools.real import DELAY, JOINT, LAG, late_s, rigid
-from tools.so101 import Calibrated, constant_play, find
 
 from tautline.calibration.calibrate import calibrate
 from tautline.diagnosis import narration
 from tautline.diagnosis.diagnose import diagnose
 from tautline.recording import load
 from tautline.rig import Rig
+from tools.real import DELAY, JOINT, LAG, late_s, rigid
+from tools.so101 import Calibrated, constant_play, find
 
 UNSEEN = ("rotation-symmetric-motion", "rotation-friction-gravity", "rotation-oscillation-med-freq")
 

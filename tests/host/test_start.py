@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tools.naming.cases import SECOND, Case, make
 
 from tautline.calibration import naming
 from tautline.calibration.calibrate import Calibration, calibrate
@@ -16,6 +15,7 @@ from tautline.model import Model
 from tautline.quality import Reason, Verdict
 from tautline.recording import Recording
 from tautline.simulated.instrument import reference_rig
+from tools.naming.cases import SECOND, Case, make
 
 RIPPLE, SPEED = "actuator.encoder_periodic", "transmission.rate_dependent_backlash"
 DOUBT = Reason("transmission.lag", "late", "drive slowly")

@@ -9,9 +9,6 @@ import pytest
 from cli_runner import Taut
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tools.tracking import sessions
-from tools.tracking.score import score
-from tools.tracking.sessions import NOISE_PX, Change, Instrument, ideal_model, session
 
 from tautline import _native
 from tautline.elements import Play
@@ -19,6 +16,9 @@ from tautline.recording import Angle, Motor, Recording, save
 from tautline.tracking import State, off_by, replay, tracker
 from tautline.tracking.hypotheses import judge
 from tautline.tracking.replay import COLUMNS
+from tools.tracking import sessions
+from tools.tracking.score import score
+from tools.tracking.sessions import NOISE_PX, Change, Instrument, ideal_model, session
 
 GRID = np.linspace(-5.0, 5.0, 201)
 

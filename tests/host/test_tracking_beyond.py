@@ -7,9 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tools.tracking.score import turns_of
-from tools.tracking.sessions import Instrument as Drawn
-from tools.tracking.sessions import ideal_model
 
 from tautline import _native, trajectory
 from tautline.calibration.calibrate import calibrate
@@ -20,6 +17,9 @@ from tautline.tracking import off_by, replay
 from tautline.tracking.beyond import CURVES, Beyond
 from tautline.tracking.law import LawFamily, unchanged
 from tautline.tracking.visit import Visit
+from tools.tracking.score import turns_of
+from tools.tracking.sessions import Instrument as Drawn
+from tools.tracking.sessions import ideal_model
 
 NOISE_PX = 0.05
 RATIO = 1.1  # of what is left to the noise, from the tenth reversal on

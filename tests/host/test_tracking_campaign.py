@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from click.testing import CliRunner
+
 from tools.tracking import real
 from tools.tracking.__main__ import main
 from tools.tracking.cases import one

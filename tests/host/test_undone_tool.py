@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tools.undone import hysteresis
-from tools.undone.__main__ import tip_off
-from tools.undone.plants import INSTRUMENTS, Instrument
 
 import tautline as tl
 from tautline import trajectory
 from tautline.rig import Actuator
+from tools.undone import hysteresis
+from tools.undone.__main__ import tip_off
+from tools.undone.plants import INSTRUMENTS, Instrument
 
 T = np.arange(0.0, 20.0, 1e-3)
 

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tools.tracking.sessions import Instrument, calibration, ideal_model
 
 import tautline as tl
 from tautline.calibration.calibrate import Options
 from tautline.value import Value, same
+from tools.tracking.sessions import Instrument, calibration, ideal_model
 
 MODEL = ideal_model(Instrument(1))
 

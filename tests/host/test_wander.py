@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from tests.host.test_diagnose import recordings, true_model
 
 from tautline.diagnosis import resembles, wander
 from tautline.diagnosis.fit import Fit, Fitter, Hypothesis, Scope
@@ -15,6 +14,7 @@ from tautline.diagnosis.hypotheses import Wander
 from tautline.diagnosis.segment import prepare
 from tautline.effects import BY_ID, of_simulator
 from tautline.plain import plain
+from tests.host.test_diagnose import recordings, true_model
 
 NOISE = 0.05
 LIMITS = [1e3, 1e3, 1e3]

@@ -17,11 +17,11 @@ import click
 import numpy as np
 from rich.console import Console
 from rich.table import Table
-from tools.bench import endoscopy, tube
-from tools.bench.videos import Outcome, behind, said
 
 from tautline.cli._common import json_option, progress_bar
 from tautline.plain import plain
+from tools.bench import endoscopy, tube
+from tools.bench.videos import Outcome, behind, said
 
 SIDE_PX = 36.0  # of the square
 

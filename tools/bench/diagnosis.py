@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from threadpoolctl import threadpool_limits
 
 from tautline import trajectory
-from tautline.blindtest import cases
-from tautline.blindtest.reality import Plant, Truth, record
 from tautline.calibration.calibrate import calibrate
 from tautline.diagnosis.diagnose import diagnose
 from tautline.recording import Recording
 from tautline.rig import Rig
 from tautline.simulated.instrument import preset, reference_rig
+from tools.blindtest import cases
+from tools.blindtest.reality import Plant, Truth, record
 
 _CASES = (("none", ()), ("single", ("transmission.lag",)), ("pair", ("transmission.creep", "camera.distortion")))
 _SEED = 7

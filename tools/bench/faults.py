@@ -18,11 +18,11 @@ import click
 import numpy as np
 from rich.console import Console
 from rich.table import Table
-from tools.bench import endoscopy
-from tools.bench.videos import behind, said
 
 from tautline.cli._common import progress_bar
 from tautline.plain import plain
+from tools.bench import endoscopy
+from tools.bench.videos import behind, said
 
 CONDITIONS = ("MJPEG", "H.264", "glare")
 TESTS = ((45.0, 1.6, False), (45.0, 1.2, True))  # s, mm/s at most, whether the user rests

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from tautline.errors import TautError
-from tautline.importing.libraries import library
+from tautline.io.importing.libraries import library
 
 RATE_HZ = 5000.0  # of the motor: half of what a recording may have
 BLOCK = 100_000  # rows that are written at once

@@ -12,9 +12,9 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from tautline.geometry import coarse_range_deg, project
+from tautline.live.page.desk import Desk
+from tautline.live.page.server import serving
 from tautline.live.setup import Frame
-from tautline.live_page.desk import Desk
-from tautline.live_page.server import serving
 from tautline.simulated.endoscope import Endoscope
 from tautline.simulated.instrument import reference_rig
 from tautline.vision.colour import pick

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 import numpy as np
 from threadpoolctl import threadpool_limits
-from tools.tracking.sessions import Instrument, ideal_model, session
 
 from tautline.tracking import LawTracker
+from tools.tracking.sessions import Instrument, ideal_model, session
 
 REPLAYS = 5  # of a session: a frame's time is the least of as many, as the machine's other work is not the tracker's
 

@@ -11,6 +11,7 @@ from functools import cached_property
 
 import cv2
 import numpy as np
+
 from tools.bench.endoscopy import BENDING_MM, EXPOSURE_S, TIP_MM, TUBE_MM, Condition, World
 
 Array = np.ndarray

@@ -21,10 +21,10 @@ import cv2
 import numpy as np
 from rich.console import Console
 from rich.table import Table
-from tools.bench import endoscopy
 
 from tautline.cli._common import json_option, log, progress_bar
 from tautline.plain import plain
+from tools.bench import endoscopy
 
 Array = np.ndarray
 

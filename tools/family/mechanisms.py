@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import ClassVar, Protocol
 
 import numpy as np
+
 from tools.family import ranges
 
 

@@ -11,15 +11,15 @@ import click
 import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
-from tools.fleet.robots import Robot, write
 
-from tautline import figures
 from tautline.calibration.calibrate import Options, calibrate
 from tautline.fleet import prior
 from tautline.fleet.findings import findings
 from tautline.fleet.run import died, run
 from tautline.pool import pool
+from tautline.reports import figures
 from tautline.simulated.instrument import reference_rig
+from tools.fleet.robots import Robot, write
 
 Array = npt.NDArray[np.float64]
 

@@ -14,6 +14,7 @@ from typing import Any
 import click
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
 from tools.honesty import score, sets, tables
 
 RUNS, SCORES, TABLE, PICTURE = "runs.jsonl", "scores.json", "scores.md", "scores.png"

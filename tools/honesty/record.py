@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 from numpy.typing import NDArray
+
 from tools.honesty.motion import STEP_S, Motion
 from tools.honesty.optics import Camera, project, tip_place
 from tools.honesty.plant import envelopes

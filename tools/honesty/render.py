@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
+
 from tools.honesty.setup import Setup
 
 Array = NDArray[np.float64]

@@ -18,6 +18,7 @@ from types import FrameType
 from typing import Any
 
 import numpy as np
+
 from tools.honesty import score
 from tools.honesty.conditions import CONDITIONS, build
 from tools.honesty.record import Made, make

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
 from tools.honesty.motion import Motion
 from tools.honesty.optics import Camera
 from tools.honesty.plant import Curve, Hysteresis

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.table import Table
+
 from tools.honesty import score
 
 Row = Mapping[str, Any]

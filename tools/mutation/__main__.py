@@ -23,6 +23,7 @@ from queue import SimpleQueue
 
 from rich.progress import Progress
 from scipy.stats import binomtest
+
 from tools.kept import keep
 from tools.mutation.equivalent import equivalents
 from tools.mutation.sites import Mutant, all_mutants, drawn

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import click
-from tools.naming import score
-from tools.naming.cases import EFFECTS, LIBRARY, SCORED_FROM, SECOND
-from tools.naming.work import run as run_case
 
 from tautline.cli._common import progress_bar
 from tautline.plain import plain
+from tools.naming import score
+from tools.naming.cases import EFFECTS, LIBRARY, SCORED_FROM, SECOND
+from tools.naming.work import run as run_case
 
 RESULTS = "names.jsonl"
 

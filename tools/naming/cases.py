@@ -10,14 +10,14 @@ import numpy as np
 import numpy.typing as npt
 
 from tautline import effects
-from tautline.blindtest import cases, draws, own
-from tautline.blindtest.reality import Plant, Truth
 from tautline.diagnosis.fit import Fitter
 from tautline.diagnosis.gap import rms
 from tautline.diagnosis.segment import load_reference, prepare
 from tautline.model import Effect, Model
 from tautline.recording import Recording
 from tautline.rig import Rig
+from tools.blindtest import cases, draws, own
+from tools.blindtest.reality import Plant, Truth
 
 Array = npt.NDArray[np.float64]
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
-from tools.naming.cases import Case, make
 
 from tautline.calibration.calibrate import Calibration, calibrate
 from tautline.diagnosis.diagnose import diagnose
+from tools.naming.cases import Case, make
 
 
 def run(generator: str, effect: str, seed: int) -> dict[str, Any]:

@@ -9,11 +9,11 @@ import click
 import jinja2
 from rich.console import Console
 from rich.table import Table
-from tools.paper.experiments import EXPERIMENTS, Experiment, all_experiments
 
-from tautline import figures
 from tautline.errors import TautError
 from tautline.folders import write_file
+from tautline.reports import figures
+from tools.paper.experiments import EXPERIMENTS, Experiment, all_experiments
 
 
 @click.command()

@@ -10,14 +10,15 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from scipy.interpolate import PchipInterpolator
-from tools.paper import scenes
 
-from tautline import _native, evidence, figures, geometry, tables
+from tautline import _native, geometry, tables
 from tautline.calibration.calibrate import Options, calibrate
-from tautline.evidence import STAGES
 from tautline.model import Model
 from tautline.recording import Recording
+from tautline.reports import evidence, figures
+from tautline.reports.evidence import STAGES
 from tautline.rig import Rig
+from tools.paper import scenes
 
 Array = np.ndarray
 

@@ -14,11 +14,11 @@ from typing import Any
 import click
 from rich.console import Console
 from rich.table import Table
+
+from tautline.plain import plain
 from tools.tracking import real, score
 from tools.tracking.cases import one
 from tools.tracking.sessions import CHANGES, COST, DISTURBED, OUTSIDE
-
-from tautline.plain import plain
 
 KINDS = (*CHANGES, *OUTSIDE, *DISTURBED)
 RESULTS = "sessions.jsonl"

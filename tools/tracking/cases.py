@@ -7,13 +7,13 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from tools.tracking.score import score
-from tools.tracking.sessions import COST, OUTSIDE, Instrument, calibration, ideal_model, session
 
 from tautline.calibration.calibrate import calibrate
 from tautline.model import Model
 from tautline.prediction import predict
 from tautline.tracking import replay
+from tools.tracking.score import score
+from tools.tracking.sessions import COST, OUTSIDE, Instrument, calibration, ideal_model, session
 
 INSTRUMENTS = 6  # whose calibrations are shared by the sessions of a worker
 

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from tools.tracking.sessions import COUNT, DISTURBED, NOISE_PX, OUTSIDE, Session
 
 from tautline.model import Model
 from tautline.tracking import State, Tracked, off_by
+from tools.tracking.sessions import COUNT, DISTURBED, NOISE_PX, OUTSIDE, Session
 
 Array = NDArray[np.float64]
 Scores = dict[str, Any]

@@ -9,12 +9,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from tools.honesty import motion, optics
-from tools.honesty.plant import crossing
 
 from tautline.model import Model
 from tautline.recording import Marker, Motor, Recording
 from tautline.rig import Rig
+from tools.honesty import motion, optics
+from tools.honesty.plant import crossing
 
 Array = NDArray[np.float64]
 

@@ -13,13 +13,13 @@ import time
 import click
 import numpy as np
 import numpy.typing as npt
-from tools.undone import hysteresis, real
-from tools.undone.learn import beside, diagnosed, fitted
-from tools.undone.plants import INSTRUMENTS, Instrument, Values
 
 from tautline import _native, tables, trajectory
 from tautline.model import Model
 from tautline.rig import Actuator
+from tools.undone import hysteresis, real
+from tools.undone.learn import beside, diagnosed, fitted
+from tools.undone.plants import INSTRUMENTS, Instrument, Values
 
 Array = npt.NDArray[np.float64]
 

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
-from tools.undone.plants import ENCODER, Instrument, Values
 
 import tautline as tl
 from tautline import effects, trajectory
 from tautline.model import Effect, Model
 from tautline.recording import Angle, Motor, Recording
 from tautline.trajectory import Trajectory
+from tools.undone.plants import ENCODER, Instrument, Values
 
 Array = npt.NDArray[np.float64]
 

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tautline.blindtest.physical import mechanism
-from tautline.blindtest.reality import Plant, Truth, driven
 from tautline.model import Model
 from tautline.rig import Actuator, AngleSensor, Coarse, Rig
 from tautline.simulated.instrument import preset
 from tautline.trajectory import Trajectory
 from tautline.undone import Joint
+from tools.blindtest.physical import mechanism
+from tools.blindtest.reality import Plant, Truth, driven
 
 Array = npt.NDArray[np.float64]
 Values = Mapping[str, float]

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import click
 import numpy as np
-from tools import davinci
-from tools.undone.hysteresis import one_play
 
 import tautline as tl
 from tautline.model import Model
 from tautline.recording import Recording
+from tools import davinci
+from tools.undone.hysteresis import one_play
 
 _SETTLED_S = 5.0
 

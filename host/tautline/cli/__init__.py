@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import os
 import sys
@@ -11,7 +10,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from tautline import __version__
-from tautline.cli._commands import COMMANDS, EXIT_STATUS, GROUPS, Said
+from tautline.cli._commands import COMMANDS, EXIT_STATUS, GROUPS, Said, imported
 from tautline.errors import TautError, nearest, of_system
 
 
@@ -22,8 +21,7 @@ class _Commands(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        module = importlib.import_module(f"tautline.cli.{cmd_name}")
-        command: click.Command = module.command
+        command: click.Command = imported(COMMANDS[cmd_name]).command
         example = f"Example: {COMMANDS[cmd_name].example}"
         if example not in (command.epilog or ""):
             command.epilog = "\n\n".join(filter(None, (command.epilog, example)))

@@ -2,19 +2,34 @@
 
 from __future__ import annotations
 
+import importlib
+import sys
 from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+
+_SOURCES = Path(__file__).resolve().parents[3]  # a clone, where the package is used from one
 
 
 @dataclass(frozen=True)
 class Command:
-    """`module` tautline.cli.NAME holds a click command called `command`."""
+    """Its module holds a click command called `command`."""
 
     name: str
     says: str
     example: str
+    of_a_clone: str = ""  # the module in a clone's tools, where the wheel has none
+
+    @property
+    def module(self) -> str:
+        return self.of_a_clone or f"tautline.cli.{self.name}"
+
+    @property
+    def there(self) -> bool:
+        return not self.of_a_clone or (_SOURCES / self.of_a_clone.replace(".", "/")).with_suffix(".py").is_file()
 
 
-GROUPS: dict[str, tuple[Command, ...]] = {
+_ALL: dict[str, tuple[Command, ...]] = {
     "Begin": (
         Command("demo", "the whole job on a simulated instrument, without hardware", "taut demo --out tautline-demo"),
         Command(
@@ -132,6 +147,7 @@ GROUPS: dict[str, tuple[Command, ...]] = {
             "blindtest",
             "diagnose instruments whose effect is withheld, then open the labels and score",
             "taut blindtest --out campaign --quick",
+            of_a_clone="tools.blindtest.command",
         ),
         Command(
             "inject",
@@ -140,7 +156,15 @@ GROUPS: dict[str, tuple[Command, ...]] = {
         ),
     ),
 }
+GROUPS = {title: tuple(each for each in group if each.there) for title, group in _ALL.items()}
 COMMANDS = {command.name: command for group in GROUPS.values() for command in group}
+
+
+def imported(command: Command) -> ModuleType:
+    """A clone's tools are on nobody's path but the clone's."""
+    if command.of_a_clone and str(_SOURCES) not in sys.path:
+        sys.path.append(str(_SOURCES))
+    return importlib.import_module(command.module)
 
 
 @dataclass

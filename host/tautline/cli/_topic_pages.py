@@ -8,12 +8,13 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from tautline import effects, figures, reports, trajectory
+from tautline import effects, trajectory
 from tautline.effects import Kind
 from tautline.explain.collect import topics
 from tautline.explain.topic import KINDS, Topic
 from tautline.model import Model
 from tautline.recording import Motor
+from tautline.reports import figures, pages
 from tautline.simulated import instrument
 
 INDEX = "index.html"
@@ -33,18 +34,18 @@ def write_all(folder: Path) -> Path:
             "see": [known[code] for code in topic.see],
             "picture": picture(topic),
         }
-        reports.write_page("topic.html", page, folder / topic.file)
+        pages.write_page("topic.html", page, folder / topic.file)
     groups = [(title, [topic for topic in known.values() if topic.kind == kind]) for kind, title in KINDS.items()]
-    reports.write_page("topics.html", {"title": "What tautline's messages mean", "groups": groups}, folder / INDEX)
+    pages.write_page("topics.html", {"title": "What tautline's messages mean", "groups": groups}, folder / INDEX)
     return folder / INDEX
 
 
-def picture(topic: Topic) -> reports.Picture | None:
+def picture(topic: Topic) -> pages.Picture | None:
     """Of an effect; None where it moves nothing by itself, as of what only scatters."""
     kind = effects.BY_ID.get(topic.code)
     if kind is None or kind.event:
         return None
-    return reports.picture(
+    return pages.picture(
         drawn(kind),
         f"What {topic.code} does",
         "Simulated on the reference instrument. Left: tip or marker, without (grey) and with (red) the effect. "

@@ -25,7 +25,7 @@ def command(board: str | None, as_json: bool) -> None:
     their own are listed where --board or $TAUTLINE_BOARD names them; else the kinds that there are.
     """
     from tautline.device.board import find
-    from tautline.motors.addresses import KINDS
+    from tautline.drivers.addresses import KINDS
 
     rows = [_describe(description) for description in find(board)]
     if board is not None and not rows:

@@ -8,7 +8,6 @@ from typing import Any, Literal
 
 import click
 
-from tautline import reports
 from tautline.calibration.calibrate import Calibration, Options, calibrate
 from tautline.cli._common import (
     emit,
@@ -29,6 +28,7 @@ from tautline.live.closing import FILE, closing
 from tautline.live.rounds import in_words
 from tautline.model import MODEL_FILE
 from tautline.recording import load, shifted
+from tautline.reports import pages
 from tautline.vision.marker import with_marker
 
 
@@ -115,10 +115,10 @@ def command(
         verdict = []
     for note in calibration.notes:
         log(f"taut: {note}")
-    result = {**calibration.to_json(), "model": out, "report": out / reports.FILE, "next_motion": proposed}
+    result = {**calibration.to_json(), "model": out, "report": out / pages.FILE, "next_motion": proposed}
     if not recording_paths:
         result |= {"recording": kept, "motion": made}
-    emit(result, as_json, "\n".join([*verdict, *lines, f"{out / reports.FILE} shows it."]))
+    emit(result, as_json, "\n".join([*verdict, *lines, f"{out / pages.FILE} shows it."]))
     if not quality.usable:
         raise UnusableError(f"{out}: written, but unusable: {quality.reasons[0]}")
 
@@ -135,7 +135,7 @@ def _from_recordings(
     with progress_bar("calibrating") as progress:
         recordings = [with_marker(recording, rig, progress) for recording in recordings]
         calibration = calibrate(recordings, rig, options, progress)
-        lines = reports.save_model(calibration.model, shifted(recordings, calibration.offsets), out)
+        lines = pages.save_model(calibration.model, shifted(recordings, calibration.offsets), out)
     motion = closing(calibration.model, calibration.gaps, recordings) if calibration.model.quality.usable else None
     if motion is None:
         return calibration, lines, None
@@ -196,4 +196,4 @@ def _live(
     made |= {"seconds": motion.seconds, "reversals": motion.reversals, "frames": motion.frames}
     log(f"taut: {len(calibration.onsets)} reversals in {motion.seconds:.0f} s, recorded in {kept}")
     recordings = shifted([load(kept, calibration.model.rig)], calibration.offsets)
-    return calibration, [*reports.save_model(calibration.model, recordings, out), *goal_said], made
+    return calibration, [*pages.save_model(calibration.model, recordings, out), *goal_said], made

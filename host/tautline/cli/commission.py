@@ -56,10 +56,10 @@ def command(
 
     Each part is asked for before the motor moves; Ctrl-C ends it with the motor at rest. The range is the rig's.
     """
-    from tautline import figures
     from tautline.device import wire
     from tautline.live.commission import commission
     from tautline.live.homing import Homing
+    from tautline.reports import figures
 
     stops = None if estop is None else wire.code("ESTOPS", estop.upper())
     if len(instrument.encode()) > 8:

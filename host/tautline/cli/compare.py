@@ -9,10 +9,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from tautline import figures, reports
 from tautline.cli._common import emit, json_option
 from tautline.errors import TautError
 from tautline.model import Model
+from tautline.reports import figures, pages
 
 
 @click.command("compare")
@@ -27,9 +27,9 @@ def command(model_paths: tuple[Path, ...], html_path: Path | None, as_json: bool
     units = {model.rig.actuator.unit for model in models.values()}
     if len(units) > 1:
         raise TautError("the models' motors have different units, mm and deg: they are not of one instrument")
-    rows = reports.comparison(models)
+    rows = pages.comparison(models)
     if html_path is not None:
-        reports.write_comparison(models, html_path)
+        pages.write_comparison(models, html_path)
     emit({"unit": units.pop(), "models": rows, "html": html_path}, as_json, _table(rows, next(iter(models.values()))))
 
 

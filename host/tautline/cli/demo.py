@@ -30,14 +30,15 @@ def run(
     out: Path, instrument: str, seed: int, progress: Callable[[float, str], None], say: Callable[[str], None]
 ) -> dict[str, Any]:
     """What was measured and gained; the recording, MODEL and report are in `out`."""
-    from tautline import reports, tables
-    from tautline.evidence import Evidence, Run
+    from tautline import tables
     from tautline.folders import check_replaceable, replaced
     from tautline.live.following import follow_run
     from tautline.live.setup import open_live
     from tautline.live.until import calibrate_until
     from tautline.model import MODEL_FILE, Model
     from tautline.recording import load
+    from tautline.reports import pages
+    from tautline.reports.evidence import Evidence, Run
 
     model_folder, recording_folder = out / "model", out / "recording"
     check_replaceable(model_folder, MODEL_FILE)
@@ -59,7 +60,7 @@ def run(
             f"time, marker tracked in {motion.frames - motion.lost_frames} of {motion.frames} frames"
             + (f"; {reached.why}" if reached.why else "")
         )
-        sentences = reports.save_model(model, [load(recording_folder, live.rig)], model_folder)
+        sentences = pages.save_model(model, [load(recording_folder, live.rig)], model_folder)
         say(f"3  {model.quality.verdict.value}: {' '.join(sentences)}")
         blob = tables.encode(model, axis=live.axis)
         board.load_table(live.axis, blob, part(0.55, 0.6))
@@ -78,7 +79,7 @@ def run(
         f"5  a trajectory followed open loop: off by {runs['off'].rms_deg:.2f} deg rms without, "
         f"{runs['full'].rms_deg:.3f} with the tables, {gain:.0f} times less"
     )
-    page = reports.write(Model.load(model_folder), model_folder, Evidence.load(model_folder))
+    page = pages.write(Model.load(model_folder), model_folder, Evidence.load(model_folder))
     return {
         "report": page,
         "model": model_folder,

@@ -7,8 +7,8 @@ from pathlib import Path
 import click
 
 from tautline.cli._common import emit, json_option, log, progress_bar, read_rig, rig_option, warn, warn_unusable
-from tautline.exporting import FORMATS, Mount, export
-from tautline.exporting.source import read
+from tautline.io.exporting import FORMATS, Mount, export
+from tautline.io.exporting.source import read
 
 
 @click.command("export", epilog="Formats: " + "; ".join(f"{form.name}: {form.says}" for form in FORMATS) + ".")

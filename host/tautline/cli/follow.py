@@ -129,11 +129,11 @@ def command(
 
 def _into_report(model: Any, folder: Path, result: Any, compensation: str) -> None:
     """The run beside the model's others, and its report written again."""
-    from tautline import reports
-    from tautline.evidence import Evidence, Run
+    from tautline.reports import pages
+    from tautline.reports.evidence import Evidence, Run
 
     Run(result.t_s, result.c_ref_deg, result.c_deg, result.counted).save(folder, compensation)
-    reports.write(model, folder, Evidence.load(folder))
+    pages.write(model, folder, Evidence.load(folder))
 
 
 def _report(result: Any, compensation: str, out: Path | None) -> dict[str, Any]:

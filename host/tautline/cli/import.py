@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from tautline.cli._common import emit, folder_option, json_option, progress_bar, read_rig, rig_option, warn
-from tautline.importing import (
+from tautline.io.importing import (
     Listing,
     Roles,
     Source,

@@ -110,8 +110,8 @@ def command(
 
 
 def _calibrate(live: LiveOptions, rig_path: Path | None, out: Path, until: str | None, seed: int) -> dict[str, Any]:
+    from tautline.live.page.work import Calibrating
     from tautline.live.until import Goal
-    from tautline.live_page.work import Calibrating
 
     with opened(live, rig_path, seed, picks=True) as setup, setup.interruptible():
         goal = Goal(None if until is None else sigma_of(until, setup.rig.actuator.unit))
@@ -125,7 +125,7 @@ def _calibrate(live: LiveOptions, rig_path: Path | None, out: Path, until: str |
 def _watch(
     live: LiveOptions, rig_path: Path | None, path: Path, motion: str, speed: float | None, seed: int
 ) -> dict[str, Any]:
-    from tautline.live_page.work import Watching
+    from tautline.live.page.work import Watching
 
     model = Model.load(path)
     warn_unusable(model, path)
@@ -135,7 +135,7 @@ def _watch(
 
 def _diagnose(live: LiveOptions, rig_path: Path | None, path: Path, out: Path, seed: int) -> dict[str, Any]:
     from tautline.diagnosis.recorded import calibrated
-    from tautline.live_page.work import Diagnosing
+    from tautline.live.page.work import Diagnosing
 
     recordings, rig = read_recordings([path], rig_path)
     with progress_bar("calibrating") as progress:
@@ -151,7 +151,7 @@ def _diagnose(live: LiveOptions, rig_path: Path | None, path: Path, out: Path, s
 
 
 def _replay(path: Path, rig_path: Path | None, pace: float) -> dict[str, Any]:
-    from tautline.live_page.work import Replaying
+    from tautline.live.page.work import Replaying
     from tautline.vision.marker import with_marker
 
     recordings, rig = read_recordings([path], rig_path)
@@ -162,9 +162,9 @@ def _replay(path: Path, rig_path: Path | None, pace: float) -> dict[str, Any]:
 
 def _attended(work: Any) -> str:
     """Serves the page until Ctrl-C; what was said last."""
-    from tautline.live_page.desk import Desk
-    from tautline.live_page.server import serving
-    from tautline.live_page.work import attend
+    from tautline.live.page.desk import Desk
+    from tautline.live.page.server import serving
+    from tautline.live.page.work import attend
 
     said = [""]
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import click
 
-from tautline import reports
 from tautline.cli._common import emit, json_option
-from tautline.evidence import Evidence
 from tautline.model import Model
+from tautline.reports import pages
+from tautline.reports.evidence import Evidence
 
 
 @click.command("report")
@@ -17,5 +17,5 @@ from tautline.model import Model
 @json_option
 def command(model_path: Path, as_json: bool) -> None:
     """Write a model's report.html again."""
-    path = reports.write(Model.load(model_path), model_path, Evidence.load(model_path))
+    path = pages.write(Model.load(model_path), model_path, Evidence.load(model_path))
     emit({"report": path}, as_json, str(path))

@@ -62,8 +62,8 @@ def command(
 
     Where set-points stop for longer than cmd_timeout the motor comes to rest; Ctrl-C ends with the motor off.
     """
+    from tautline.drivers.ros_graph import Graph
     from tautline.live.in_use import Following, TableMover, beside, load_tables
-    from tautline.motors.ros_graph import Graph
     from tautline.ros.node import Node
     from tautline.ros.parameters import Parameters
 

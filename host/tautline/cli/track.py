@@ -56,7 +56,7 @@ def command(
         result = replay(model, recordings, progress)
     write_csv(csv_path, result)
     if picture_path is not None:
-        from tautline import figures
+        from tautline.reports import figures
         from tautline.tracking.picture import draw
 
         figures.save(draw(result, recordings, model.rig.actuator.unit), picture_path)

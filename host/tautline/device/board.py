@@ -14,8 +14,8 @@ from tautline.device.dfu import DfuError
 from tautline.device.link import BoardAddress, BoardGone, Link
 from tautline.device.serial_link import find_serial
 from tautline.device.usb_link import find_usb, find_usbip, named
+from tautline.drivers.addresses import find_motors, is_motor
 from tautline.errors import TautError
-from tautline.motors.addresses import find_motors, is_motor
 
 __all__ = ["Board", "BoardAddress", "BoardGone", "BoardRefused", "check_protocol", "find", "open_board"]
 
@@ -42,7 +42,7 @@ class BoardRefused(TautError):
 
 
 def find(where: str | None = None) -> list[BoardAddress]:
-    """`where`: usbip:HOST:PORT, serial:DEVICE, motors as in motors/addresses, a serial number, usb:SERIAL, or None for
+    """`where`: usbip:HOST:PORT, serial:DEVICE, motors as in drivers/addresses, a serial number, usb:SERIAL, or None for
     every board on USB and the one that the environment variable TAUTLINE_BOARD names."""
     if where is not None and _is_address(where):
         return _find_named(where)

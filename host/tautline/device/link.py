@@ -37,7 +37,7 @@ class Link(Protocol):
 class BoardAddress:
     """A board that was found, not opened."""
 
-    where: str  # usb:SERIAL, usbip:HOST:PORT, serial:DEVICE, or motors as in motors/addresses
+    where: str  # usb:SERIAL, usbip:HOST:PORT, serial:DEVICE, or motors as in drivers/addresses
     serial: str | None  # None: in use, or not allowed to ask
     busy: bool
     protocol: tuple[int, int]

@@ -6,11 +6,11 @@ import json
 from pathlib import Path
 from typing import Any
 
-from tautline import reports
 from tautline.diagnosis import motion, page
 from tautline.diagnosis.diagnose import Diagnosis
 from tautline.folders import replaced, write_file
 from tautline.plain import plain
+from tautline.reports import pages
 
 DOCUMENT = "diagnosis.json"
 
@@ -20,7 +20,7 @@ def save(diagnosis: Diagnosis, out: Path) -> None:
     with replaced(out, DOCUMENT) as folder:
         for name, model in (("nominal", diagnosis.nominal), ("corrected", diagnosis.corrected)):
             model.save(folder / name)
-            reports.write(model, folder / name, None, name)
+            pages.write(model, folder / name, None, name)
         if diagnosis.next_motion is not None:
             table = motion.table(diagnosis.next_motion.motion, diagnosis.nominal.rig.actuator.unit)
             table.to_csv(folder / "next_motion.csv", index=False, float_format="%.6f")

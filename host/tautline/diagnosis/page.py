@@ -11,13 +11,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from tautline import figures, reports
 from tautline.diagnosis import narration, simulator_words, where
 from tautline.diagnosis.diagnose import Diagnosis
 from tautline.diagnosis.where import Condition
 from tautline.effects import BY_ID, SIMULATOR, STAGES, Parameter
 from tautline.explain import of_effect
 from tautline.model import Model
+from tautline.reports import figures, pages
+
+# format of all: pictures and lists of a page
 
 FILE = "report.html"
 
@@ -56,7 +58,7 @@ def write(diagnosis: Diagnosis, folder: Path, known_as: str = "") -> Path:
         "steps": narration.steps(document, known_as or str(folder)),
         "flexible": narration.flexible(document),
         "chain": _chain(document),
-        "residuals": reports.picture(
+        "residuals": pages.picture(
             residuals(diagnosis),
             "Residual before and after",
             "Distance between prediction and measurement over the session, on data that the fit did not see. "
@@ -88,7 +90,7 @@ def write(diagnosis: Diagnosis, folder: Path, known_as: str = "") -> Path:
         else "Blue: mean residual.",
     }
     path = folder / FILE
-    reports.write_page("diagnosis.html", page, path)
+    pages.write_page("diagnosis.html", page, path)
     return path
 
 
@@ -185,7 +187,7 @@ def _conditions(diagnosis: Diagnosis, unit: str) -> list[dict[str, Any]]:
         title = _TITLES.get(condition.axis, condition.axis)
         drawn = _condition(diagnosis, condition, after.get(condition.axis), unit, top)
         caption = f"{narration.percent(condition.share)} of the gap's power goes with it; largest {condition.says}."
-        pictures.append({"title": title, "picture": reports.picture(drawn, title, caption)})
+        pictures.append({"title": title, "picture": pages.picture(drawn, title, caption)})
     return pictures
 
 

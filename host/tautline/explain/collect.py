@@ -143,7 +143,7 @@ def _keys() -> Iterator[Topic]:
 
 
 def _formats() -> Iterator[Topic]:
-    from tautline.exporting.formats import EXTRA, FORMATS
+    from tautline.io.exporting.formats import EXTRA, FORMATS
 
     for form in FORMATS:
         needs = ", ".join(package for _, package in form.needs)

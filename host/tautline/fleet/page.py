@@ -10,9 +10,9 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from tautline import figures, reports
 from tautline.fleet.findings import Findings, Named
 from tautline.fleet.rows import Row
+from tautline.reports import figures, pages
 
 FILE = "fleet.html"
 _MOST = 40  # lines of one table
@@ -28,12 +28,12 @@ def write(rows: Sequence[Row], found: Findings, out: Path) -> None:
     page = {
         "title": f"What a fleet of {found.robots} robots loses between motor and tip",
         "sentences": found.sentences(),
-        "growth": reports.picture(
+        "growth": pages.picture(
             growth_of(rows, found), "Growth of B", "Of each robot, a session, with 2 sigma. Red: worn sooner."
         )
         if any(row.wear is not None for row in rows)
         else None,
-        "spread": reports.picture(
+        "spread": pages.picture(
             spread_of(list(last.values()), found), "B of all robots", "B of each robot's last session. Red: unlike."
         )
         if last
@@ -52,7 +52,7 @@ def write(rows: Sequence[Row], found: Findings, out: Path) -> None:
                   ["|robot", "|session", "|why"], failed),
         ],
     }  # fmt: skip
-    reports.write_page("fleet.html", page, out / FILE)
+    pages.write_page("fleet.html", page, out / FILE)
 
 
 def _part(title: str, says: str, head: list[str], rows: list[list[str]]) -> dict[str, Any]:

@@ -6,8 +6,8 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from tautline import figures
 from tautline.geometry import project
+from tautline.reports import figures
 from tautline.rig import Rig
 from tautline.rigging.places import Places
 

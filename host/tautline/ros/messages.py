@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from tautline.device import wire
-from tautline.motors.ros_graph import library
+from tautline.drivers.ros_graph import library
 from tautline.rig import Rig
 
 NS = 10**9

@@ -17,11 +17,11 @@ import numpy as np
 from tautline import tables
 from tautline.device import wire
 from tautline.device.stream import SetPointStream
+from tautline.drivers.ros_graph import Graph, library, sensor_qos
 from tautline.geometry import pose
 from tautline.live.in_use import Following
 from tautline.live.setup import Frame, Live
 from tautline.model import Model
-from tautline.motors.ros_graph import Graph, library, sensor_qos
 from tautline.quality import Verdict
 from tautline.rig import MARKER
 from tautline.ros import messages

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from tautline.drivers.ros_graph import library
 from tautline.errors import TautError
-from tautline.motors.ros_graph import library
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from tautline import figures
 from tautline.core.session import SessionClock
 from tautline.recording import Recording
+from tautline.reports import figures
 from tautline.tracking.replay import Tracked, off_by
 
 _STATES = {"trusted": "#d9efdf", "stale": "#fbe9b7", "adapting": "#d5e6f5"}

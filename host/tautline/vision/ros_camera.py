@@ -10,8 +10,8 @@ from typing import Any, Self
 import cv2
 import numpy as np
 
+from tautline.drivers.ros_graph import Graph, library, sensor_qos
 from tautline.errors import TautError
-from tautline.motors.ros_graph import Graph, library, sensor_qos
 from tautline.vision.drops import Drops
 
 Array = np.ndarray

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+
 from tools.honesty.conditions.common import Array, Rng, camera_setup, motions
 from tools.honesty.conditions.registry import condition
 from tools.honesty.setup import ImageLog, Setup

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+
 from tools.honesty import motion
 from tools.honesty.motion import Motion
 from tools.honesty.optics import Camera, drawn_camera

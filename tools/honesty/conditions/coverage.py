@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+
 from tools.honesty import motion
 from tools.honesty.conditions.common import Rng, camera_setup, length, motions
 from tools.honesty.conditions.registry import condition

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+
 from tools.honesty import motion
 from tools.honesty.conditions.common import Array, Rng, angle_setup, camera_setup, length
 from tools.honesty.conditions.registry import condition

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+
 from tools.honesty.conditions.common import Rng, camera_setup, length, slower, width_curve
 from tools.honesty.conditions.registry import condition
 from tools.honesty.plant import Asymmetric, BoucWen, Dahl, OwnStatePlays, Plays, WarpedPlays

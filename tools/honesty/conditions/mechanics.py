@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.signal import lfilter
+
 from tools.honesty.conditions.common import Array, Rng, angle_setup, camera_setup, length, motions
 from tools.honesty.conditions.registry import condition
 from tools.honesty.motion import STEP_S

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+
 from tools.honesty import motion
 from tools.honesty.conditions.common import LENSES, Rng, camera_setup, length
 from tools.honesty.conditions.registry import condition

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+
 from tools.honesty.conditions.common import Array, Rng, camera_setup
 from tools.honesty.conditions.registry import condition
 from tools.honesty.setup import Setup

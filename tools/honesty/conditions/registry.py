@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 
 import numpy as np
+
 from tools.honesty.setup import Setup, accept
 
 Maker = Callable[[np.random.Generator], Setup]

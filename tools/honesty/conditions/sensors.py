@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
+
 from tools.honesty.conditions.common import Array, Rng, angle_setup, camera_setup, motions
 from tools.honesty.conditions.registry import condition
 from tools.honesty.setup import ImageLog, Setup

@@ -1,0 +1,136 @@
+"""Addresses of motors on other makers' buses, KIND:BUS[:ID,...][?rate=HZ&baud=BAUD], and the driver of each kind."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Any
+
+from tautline.device import wire
+from tautline.device.link import BoardAddress, Link
+from tautline.drivers.drives import Drives
+from tautline.drivers.hosted import HostedLink
+from tautline.errors import TautError
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of motors: its driver's module and class, which are imported where one is opened."""
+
+    module: str
+    driver: str
+    package: str  # what is imported of the extra
+    says: str
+    example: str
+    ids: str = r"\d+"  # how a motor is called on the bus
+    extra: str = "drivers"
+
+    @property
+    def installed(self) -> bool:
+        return find_spec(self.package) is not None
+
+    @property
+    def remedy(self) -> str:
+        return f"pip install 'tautline-robotics[{self.extra}]'"
+
+
+KINDS = {
+    "dynamixel": Kind(
+        "dynamixel", "Dynamixel", "dynamixel_sdk", "Dynamixel X series, protocol 2", "dynamixel:/dev/ttyUSB0:1"
+    ),
+    "feetech": Kind("feetech", "Feetech", "scservo_sdk", "Feetech STS and SMS", "feetech:/dev/ttyUSB0:1"),
+    "canopen": Kind(
+        "cia402", "Cia402", "canopen", "CANopen drives, CiA 402 cyclic synchronous position", "canopen:socketcan/can0:1"
+    ),
+    "moteus": Kind("moteus_drives", "Moteus", "moteus", "moteus controllers", "moteus:socketcan/can0:1"),
+    "ros": Kind(
+        "ros_joints",
+        "RosJoints",
+        "rclpy",
+        "joints of a ROS 2 robot, by topics",
+        "ros:/joint_states,/position_controller/commands:elbow",
+        r"[^:,?]+",
+        "ros",
+    ),
+}
+_RATES_HZ = (20.0, 1000.0)
+
+
+@dataclass(frozen=True)
+class Address:
+    kind: str
+    bus: str
+    numbers: tuple[int | str, ...]
+    rate_hz: float
+    baud: int
+
+    @property
+    def where(self) -> str:
+        return f"{self.kind}:{self.bus}:{','.join(map(str, self.numbers))}"
+
+
+def is_motor(where: str) -> bool:
+    return where.partition(":")[0] in KINDS
+
+
+def parse(where: str) -> Address:
+    """TautError where the address is none."""
+    name, _, options = where.partition("?")
+    kind, _, rest = name.partition(":")
+    module = _module(kind)
+    ids = KINDS[kind].ids
+    match = re.fullmatch(rf"(.+?)(?::({ids}(?:,{ids})*))?", rest)
+    if not match:
+        raise _wrong(where, kind, "names no bus")
+    numbers = tuple(int(n) if n.isdecimal() else n for n in (match[2] or "1").split(","))
+    if len(set(numbers)) != len(numbers) or not 1 <= len(numbers) <= wire.wire.AXES_MAX:
+        raise _wrong(where, kind, f"names {len(numbers)} motors, and 1 to {wire.wire.AXES_MAX} different ones may be")
+    values: dict[str, float] = {"rate": module.RATE_HZ} | ({"baud": module.BAUD} if module.BAUD else {})
+    for part in filter(None, options.split("&")):
+        key, _, value = part.partition("=")
+        if key not in values or not re.fullmatch(r"\d+(\.\d+)?", value):
+            takes = " and ".join(f"{name}={name.upper().replace('RATE', 'HZ')}" for name in values)
+            raise _wrong(where, kind, f"has '{part}', and takes {takes}")
+        values[key] = float(value)
+    low, high = _RATES_HZ
+    if not low <= values["rate"] <= high:
+        raise _wrong(where, kind, f"asks for {values['rate']:g} Hz, and {low:g} to {high:g} may be")
+    return Address(kind, match[1], numbers, values["rate"], round(values.get("baud", 0)))
+
+
+def _wrong(where: str, kind: str, says: str) -> TautError:
+    return TautError(f"--board {where}: {says}, such as in {KINDS[kind].example}")
+
+
+def _module(kind: str) -> Any:
+    """The driver's module. TautError where its library is not installed."""
+    try:
+        return importlib.import_module(f"tautline.drivers.{KINDS[kind].module}")
+    except ModuleNotFoundError as error:
+        raise TautError(
+            f"{kind}: its library ({KINDS[kind].package}) is not installed: run '{KINDS[kind].remedy}'"
+        ) from error
+
+
+def open_drives(address: Address, **options: Any) -> Drives:
+    """`options`: what a driver's class takes beside an address."""
+    make: Callable[..., Drives] = getattr(_module(address.kind), KINDS[address.kind].driver)
+    return make(address.bus, address.numbers, address.baud, address.rate_hz, **options)
+
+
+def find_motors(where: str) -> list[BoardAddress]:
+    """The motors that an address names, as a board that can be opened."""
+    address = parse(where)
+
+    def opened() -> Link:
+        drives = open_drives(address)
+        try:
+            return HostedLink(drives, address.where, address.rate_hz)
+        except BaseException:
+            drives.close()
+            raise
+
+    return [BoardAddress(address.where, None, False, (wire.wire.MAJOR, wire.wire.MINOR), opened)]

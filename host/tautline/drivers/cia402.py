@@ -1,0 +1,235 @@
+"""CANopen drives of profile CiA 402 in cyclic synchronous position mode, on any bus that python-can knows.
+
+A cycle is a SYNC, which the drives answer with where they are, and a set-point for each, which they take at the next
+SYNC and go to within a cycle. A count is the drive's own position unit, an increment of its encoder.
+"""
+
+from __future__ import annotations
+
+import struct
+import threading
+import time
+from collections.abc import Callable, Sequence
+
+import can
+import canopen
+from canopen.sdo.exceptions import SdoAbortedError, SdoError
+
+from tautline.drivers.drives import Clock, Drive, DriveLimits, Goal, Measured, Missed, all_off
+from tautline.errors import TautError
+
+BAUD, RATE_HZ = 1_000_000, 250.0
+_ANSWER_S = 0.01
+_SDO_S = 0.3
+_STATE_S = 1.0
+_HOST, _HEARTBEAT_S, _LOST_MS = 0x7F, 0.02, 100  # the host as a node, what it says so often, and is missed after
+_CSP, _HOMING = 8, 6
+_QUICK_STOP = 3  # of the option for a lost connection
+_FAULT, _VOLTAGE_OFF, _SHUT_DOWN, _SWITCH_ON, _OPERATE = 0x80, 0x00, 0x06, 0x07, 0x0F
+_READY, _ON, _OPERATIONAL = 0x21, 0x23, 0x27
+_ACCELERATION = 20.0  # where the drive limits none: from rest to its top speed in so much of a second, inverse
+_RANGE = 3_900_000.0  # where the drive limits none: what the application counts
+
+# Objects of CiA 301 and 402.
+_DEVICE, _HARDWARE, _SOFTWARE = (0x1008, 0), (0x1009, 0), (0x100A, 0)
+_CONSUMER, _ON_LOSS = (0x1016, 1), (0x6007, 0)
+_CONTROL, _STATUS, _POSITION = (0x6040, 0), (0x6041, 0), (0x6064, 0)
+_MODE, _MODE_NOW = (0x6060, 0), (0x6061, 0)
+_TARGET, _VELOCITY, _CURRENT = (0x607A, 0), (0x606C, 0), (0x6078, 0)
+_LOW, _HIGH, _MOTOR_RPM = (0x607D, 1), (0x607D, 2), (0x6080, 0)
+_ACCELERATION_MOST, _RATED_MA, _CURRENT_MOST = (0x60C5, 0), (0x6075, 0), (0x6073, 0)
+_INCREMENTS, _REVOLUTIONS, _PERIOD, _PERIOD_POWER = (0x608F, 1), (0x608F, 2), (0x60C2, 1), (0x60C2, 2)
+
+
+class Cia402:
+    watchdog = "the drives' own: the host's heartbeat is missed, then a quick stop"
+    rest_s = _LOST_MS * 1e-3
+
+    def __init__(
+        self, bus: str, numbers: Sequence[int], baud: int, rate_hz: float, clock: Clock = time.monotonic
+    ) -> None:
+        self._clock, self._numbers = clock, list(numbers)
+        interface, _, channel = bus.partition("/")
+        self._network = canopen.Network()
+        self._answered = threading.Condition()
+        self._positions: dict[int, tuple[int, int]] = {}  # status word, counts
+        self._speeds: dict[int, tuple[int, int]] = {}  # counts/s, share of the rated current in 1/1000
+        self._rated_ma: dict[int, float] = {}
+        self._beat_s = float("-inf")
+        try:
+            self._network.connect(interface=interface, channel=channel, bitrate=baud)
+        except (can.CanError, OSError, ValueError, NotImplementedError) as error:
+            raise TautError(
+                f"canopen:{bus}: cannot be opened ({error}): check adapter, channel and bit rate"
+            ) from error
+        try:
+            objects = canopen.ObjectDictionary()  # type: ignore[no-untyped-call]
+            self._nodes = {n: self._network.add_node(n, objects) for n in self._numbers}
+            self.drives = [self._describe(number, 1.0 / rate_hz) for number in self._numbers]
+        except BaseException:
+            self._network.disconnect()
+            raise
+
+    # -- objects, while nothing moves -----------------------------------------------------------------------------
+
+    def _read(self, number: int, index: tuple[int, int]) -> bytes:
+        return self._insist(number, index, lambda: self._nodes[number].sdo.upload(*index))
+
+    def _write(self, number: int, index: tuple[int, int], value: int, size: int) -> None:
+        data = value.to_bytes(size, "little", signed=value < 0)
+        self._insist(number, index, lambda: self._nodes[number].sdo.download(*index, data))
+
+    def _insist(self, number: int, index: tuple[int, int], ask: Callable[[], bytes]) -> bytes:
+        self._nodes[number].sdo.RESPONSE_TIMEOUT, self._nodes[number].sdo.MAX_RETRIES = _SDO_S, 3
+        try:
+            return ask()
+        except SdoAbortedError as error:
+            raise _Refused(f"canopen {number}: object {index[0]:04X}h:{index[1]} is refused ({error})") from error
+        except (SdoError, can.CanError) as error:
+            raise TautError(f"canopen {number} does not answer ({error}): check power, node id and bit rate") from error
+
+    def _number(self, number: int, index: tuple[int, int], otherwise: float | None = None) -> float:
+        try:
+            data = self._read(number, index)
+        except _Refused:
+            if otherwise is None:
+                raise
+            return otherwise
+        return int.from_bytes(data, "little", signed=index in (_LOW, _HIGH))
+
+    def _text(self, number: int, index: tuple[int, int]) -> str:
+        try:
+            return self._read(number, index).decode("ascii", "replace").strip("\0 ")
+        except _Refused:
+            return ""
+
+    def _describe(self, number: int, period_s: float) -> Drive:
+        self._nodes[number].nmt.send_command(0x80)  # pre-operational: its process data may be set
+        turn = self._number(number, _INCREMENTS) / max(self._number(number, _REVOLUTIONS, 1.0), 1.0)
+        speed = self._number(number, _MOTOR_RPM) / 60.0 * turn
+        acceleration = self._number(number, _ACCELERATION_MOST, 0.0) or _ACCELERATION * speed
+        low, high = self._number(number, _LOW, 0.0), self._number(number, _HIGH, 0.0)
+        if low >= high:
+            low, high = -_RANGE, _RANGE
+        self._rated_ma[number] = self._number(number, _RATED_MA, 0.0)
+        current = self._rated_ma[number] * self._number(number, _CURRENT_MOST, 0.0) / 1000.0
+        limits = DriveLimits(max(low, -_RANGE), min(high, _RANGE), speed, min(acceleration, 40.0 * speed), current)
+        self._map(number, 0x1A00, 0x1800, 0x180, [(*_STATUS, 16), (*_POSITION, 32)])
+        self._map(number, 0x1A01, 0x1801, 0x280, [(*_VELOCITY, 32), (*_CURRENT, 16)])
+        self._map(number, 0x1600, 0x1400, 0x200, [(*_CONTROL, 16), (*_TARGET, 32)])
+        power = -3 if abs(period_s * 1e3 - round(period_s * 1e3)) < 1e-6 else -4
+        if abs(period_s * 10**-power - (units := round(period_s * 10**-power))) > 1e-6:
+            raise TautError(f"canopen: a cycle of {1e3 * period_s:.4g} ms cannot be told: name a rate of whole 0.1 ms")
+        self._write(number, _PERIOD, units, 1)
+        self._write(number, _PERIOD_POWER, power, 1)
+        self._write(number, _CONSUMER, _HOST << 16 | _LOST_MS, 4)
+        self._write(number, _ON_LOSS, _QUICK_STOP, 2)
+        homed = self._homed(number)
+        self._write(number, _MODE, _CSP, 1)
+        self._network.subscribe(0x180 + number, self._hear_position)
+        self._network.subscribe(0x280 + number, self._hear_speed)
+        self._nodes[number].nmt.send_command(0x01)
+        versions = " ".join(filter(None, (self._text(number, _HARDWARE), self._text(number, _SOFTWARE))))
+        return Drive(number, self._text(number, _DEVICE) or "CiA 402", versions or "-", round(turn), limits, homed)
+
+    def _homed(self, number: int) -> bool:
+        """Bit 12 of the status is "homing attained" once the drive is in the homing mode: in another it says something
+        else. A drive that does not go there is not homed."""
+        try:
+            self._write(number, _MODE, _HOMING, 1)
+            deadline = time.monotonic() + _STATE_S
+            while int(self._number(number, _MODE_NOW)) != _HOMING:
+                if time.monotonic() > deadline:
+                    return False
+        except _Refused:
+            return False
+        return bool(int.from_bytes(self._read(number, _STATUS), "little") & 0x1000)
+
+    def _map(self, number: int, mapping: int, parameters: int, cob: int, objects: list[tuple[int, int, int]]) -> None:
+        """A process data object with these objects, at every SYNC."""
+        self._write(number, (parameters, 1), 1 << 31 | cob + number, 4)
+        self._write(number, (mapping, 0), 0, 1)
+        for i, (index, sub, bits) in enumerate(objects):
+            self._write(number, (mapping, i + 1), index << 16 | sub << 8 | bits, 4)
+        self._write(number, (mapping, 0), len(objects), 1)
+        self._write(number, (parameters, 2), 1, 1)
+        self._write(number, (parameters, 1), cob + number, 4)
+
+    # -- cycles ---------------------------------------------------------------------------------------------------
+
+    def _hear_position(self, cob: int, data: bytearray, stamp: float) -> None:
+        if len(data) == 6:
+            with self._answered:
+                self._positions[cob - 0x180] = struct.unpack("<Hi", data)
+                self._answered.notify_all()
+
+    def _hear_speed(self, cob: int, data: bytearray, stamp: float) -> None:
+        if len(data) == 6:
+            self._speeds[cob - 0x280] = struct.unpack("<ih", data)
+
+    def _send(self, cob: int, data: bytes) -> None:
+        try:
+            self._network.send_message(cob, data)
+        except (can.CanError, OSError) as error:
+            raise Missed(f"the bus takes nothing ({error})") from error
+
+    def measure(self) -> list[Measured]:
+        if self._clock() - self._beat_s >= _HEARTBEAT_S:
+            self._send(0x700 + _HOST, b"\x05")
+            self._beat_s = self._clock()
+        with self._answered:
+            self._positions.clear()
+        sent = self._clock()
+        self._send(0x80, b"")
+        with self._answered:
+            if not self._answered.wait_for(lambda: len(self._positions) == len(self._numbers), _ANSWER_S):
+                raise Missed("no answer to a SYNC")
+            heard = dict(self._positions)
+        return [self._measured(number, sent, *heard[number]) for number in self._numbers]
+
+    def _measured(self, number: int, t_s: float, status: int, counts: int) -> Measured:
+        """Drives sample at the SYNC."""
+        speed, share = self._speeds.get(number, (0, 0))
+        fault = f"drive {number} has a fault" if status & 0x08 else ""
+        return Measured(t_s, float(counts), float(speed), share * self._rated_ma[number] / 1000.0, fault)
+
+    def set_positions(self, goals: Sequence[Goal | None]) -> None:
+        for number, goal in zip(self._numbers, goals, strict=True):
+            if goal is not None:
+                self._send(0x200 + number, struct.pack("<Hi", _OPERATE, round(goal.q)))
+
+    def enable(self, axis: int, on: bool) -> None:
+        number = self._numbers[axis]
+        if not on:
+            self._send(0x200 + number, struct.pack("<Hi", _VOLTAGE_OFF, 0))
+            self._write(number, _CONTROL, _VOLTAGE_OFF, 2)
+            return
+        here = int.from_bytes(self._read(number, _POSITION), "little", signed=True)
+        self._write(number, _TARGET, here, 4)
+        self._write(number, _CONTROL, _FAULT, 2)
+        steps = (_SHUT_DOWN, _READY), (_SWITCH_ON, _ON), (_OPERATE, _OPERATIONAL)
+        for control, state in steps:
+            self._write(number, _CONTROL, control, 2)
+            self._reach(number, state)
+
+    def _reach(self, number: int, state: int) -> None:
+        deadline = time.monotonic() + _STATE_S
+        while (status := int.from_bytes(self._read(number, _STATUS), "little")) & 0x6F != state:
+            if time.monotonic() > deadline:
+                raise TautError(
+                    f"canopen {number} is not switched on (status word {status:04X}h): see its fault with its own tools"
+                )
+
+    def stop(self) -> None:
+        try:
+            all_off(len(self._numbers), self.enable)
+        finally:
+            for node in self._nodes.values():
+                node.nmt.send_command(0x80)
+
+    def close(self) -> None:
+        self._network.disconnect()
+
+
+class _Refused(TautError):
+    """The drive has no such object, or not this value of it."""

@@ -1,0 +1,327 @@
+"""The board's application on the host, over the drives of a bus: `Board` speaks to it as to a board on USB.
+
+A cycle asks the drives where they are, lets the application run until then, and hands each its set-point. Between two
+cycles drives are taken to move in straight lines. The application is the board's own code, at the board's own rate;
+what is slower than a board is how often a drive is asked and told, and how late it follows: both are measured here.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import threading
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tautline import _native
+from tautline.device import wire
+from tautline.device.link import BoardGone
+from tautline.drivers.drives import Clock, Drives, Goal, Measured, Missed
+from tautline.errors import TautError
+
+_Q8 = 256.0
+_LOST_S = 0.1  # without an answer a drive is lost: the application's own longest pause, and most drives' watchdog
+_FORGET = 0.998  # per cycle in motion, of what is known of the lag
+_SLOW = 0.02  # of the speed limit: below it a lag is not seen
+_LAG_MOST_S = 0.2
+_FOLLOWING_S = 0.15  # of motion at the speed limit: how far a drive may be behind
+_CHECK_SHARE = 0.05  # of the speed limit, at which the first enable looks whether a drive moves
+_SPEED_MOST, _ACCELERATION_MOST = 30_000.0, 250_000.0  # that the application plans, counts/s and counts/s2
+_LOW_DUTY, _FRICTION, _CHECK_PUSH = 8192, 0, 2621  # of the application's check; see hosted/actuator.h
+
+
+@dataclass
+class Timing:
+    """Of a bus and its drives, since they were opened."""
+
+    cycles: int = 0
+    missed: int = 0  # cycles without a whole answer
+    late: int = 0  # cycles that began more than half a period late
+    jitter_s: float = 0.0  # of the time between two measurements, rms about the period
+    round_trip_s: float = 0.0  # mean, of asking and being told
+    round_trip_most_s: float = 0.0
+    lag_s: float = 0.0  # of the drive behind its set-point; planned for
+    fault: str = ""  # what a drive said last that is wrong with it
+
+
+def flash_file(where: str) -> Path:
+    """Where tables and settings of these drives are kept, as a board keeps them in flash."""
+    base = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
+    return base / "tautline" / f"{where.split(':')[0]}-{hashlib.sha256(where.encode()).hexdigest()[:16]}.bin"
+
+
+class HostedLink:
+    """A link to the application, with the drives behind it. `paced`: by a thread and the wall clock; else whoever owns
+    the time calls `cycle`."""
+
+    hello_tries = 1
+
+    def __init__(
+        self, drives: Drives, where: str, rate_hz: float, clock: Clock = time.monotonic, paced: bool = True
+    ) -> None:
+        self.drives, self.where, self.period_s, self.timing = drives, where, 1.0 / rate_hz, Timing()
+        self.log_divider = min(max(round(1e3 * self.period_s), 1), 60)
+        self._clock, self._epoch_s = clock, clock()
+        self._lock, self._arrived = threading.Lock(), threading.Condition()
+        self._out = bytearray()
+        self._gone: TautError | None = None
+        self._heard_s = self._epoch_s
+        self._squares = 0.0
+        self._lags = [np.zeros(2) for _ in drives.drives]
+        self._on = [False for _ in drives.drives]
+        for drive in drives.drives:
+            if not drive.limits.speed > 0.0:
+                raise TautError(f"{where}: motor {drive.number} has a speed limit of 0: set one with its maker's tools")
+        self._file = flash_file(where)
+        flash = self._file.read_bytes() if self._file.is_file() else b""
+        self._scales = [_scale(drive.limits.speed) for drive in drives.drives]
+        first = self._rows(self._first(), whole=True)
+        self._last_s = clock()
+        most_ma = max(round(min(drive.limits.current_ma for drive in drives.drives)), 0)
+        kind, _, serial = where.partition(":")
+        try:
+            self._board = _native.HostedBoard(kind[:15], _serial(serial), min(most_ma, 0xFFFF), flash, first)
+        except ValueError as error:
+            raise TautError(f"{self._file}: is no memory of such motors ({error}): remove it") from error
+        self._writes = 0
+        self._settle([q / _Q8 for q, _, _ in first])
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        if paced:
+            self._thread = threading.Thread(target=self._pace, name="drives", daemon=True)
+            self._thread.start()
+
+    def _first(self) -> list[Measured]:
+        for left in reversed(range(5)):
+            try:
+                return self.drives.measure()
+            except Missed:
+                if left == 0:
+                    raise
+        raise AssertionError
+
+    def _rows(self, measured: list[Measured], whole: bool = False) -> list[tuple[int, int, bool]]:
+        """As the application takes them. `whole`: in whole counts, so that its positions are the drives' own."""
+        counts = [m.q * scale for m, scale in zip(measured, self._scales, strict=True)]
+        places = [round(q) * round(_Q8) if whole else round(q * _Q8) for q in counts]
+        return [(q, round(m.current_ma), bool(m.fault)) for q, m in zip(places, measured, strict=True)]
+
+    def _settle(self, first: list[float]) -> None:
+        """The drives' own limits become the axes' settings, where none are stored; their positions are the axes'. A
+        drive takes no duty that could sink: what it holds it holds until its host is lost, or says otherwise."""
+        ask = self._converse
+        ask("hello", protocol_major=wire.wire.MAJOR, protocol_minor=wire.wire.MINOR)
+        fresh = ask("get_status", axis=0).settings == wire.code("STORES", "DEFAULT")
+        for axis, drive in enumerate(self.drives.drives):
+            settings = dict(ask("get_settings", axis=axis).values)
+            if fresh:
+                limits, scale = drive.limits, self._scales[axis]
+                speed = limits.speed * scale
+                settings.update(
+                    key=wire.wire.KEY, q_low=limits.q_low * scale, q_high=limits.q_high * scale, speed_s=speed,
+                    acceleration_s2=min(limits.acceleration * scale, _ACCELERATION_MOST), friction=_FRICTION / 32768,
+                    following_error=max(_FOLLOWING_S * speed, 8.0), low_duty=_LOW_DUTY / 32768, current_ma=0,
+                    feed_forward=min(max(round(1000.0 * _CHECK_PUSH / (_CHECK_SHARE * speed)), 1), 32767), arrive=4.0,
+                    hold_ms=0, commissioned=1,
+                )  # fmt: skip
+                ask("settings", **settings)
+            if drive.referenced:
+                ask("set_position", axis=axis, q=first[axis])
+        self._keep()
+
+    def _converse(self, name: str, **values: Any) -> wire.Message:
+        self._board.receive(wire.encode(name, 1, **values), self._us(self._clock()))
+        for message in wire.Decoder().feed(self._board.transmit()):
+            if message.sequence == 1 and message.name not in ("batch", "event", "progress", "onset"):
+                if message.name == "error":
+                    says = wire.text("REASONS", message.reason)
+                    raise TautError(f"{self.where}: the limits of its drive cannot be used ('{name}': {says})")
+                return message
+        raise AssertionError(f"the application answers '{name}'")
+
+    def _us(self, t_s: float) -> int:
+        return max(round((t_s - self._epoch_s) * 1e6), 0)
+
+    # -- the bus ------------------------------------------------------------------------------------------------
+
+    def _pace(self) -> None:
+        due = self._clock()
+        while not self._stop.is_set():
+            due += self.period_s
+            now = self._clock()
+            if now > due + 0.5 * self.period_s:
+                self.timing.late += 1
+                due = now
+            self._stop.wait(max(due - now, 0.0))
+            try:
+                self.cycle()
+            except TautError as error:
+                self._end(error)
+                return
+            except Exception as error:  # nobody would drive them any more, or say so
+                self._end(TautError(f"{self.where}: {type(error).__name__}: {error}"))
+                return
+
+    def cycle(self) -> None:
+        """Asks the drives, runs the application until then, tells the drives. TautError where they are gone."""
+        if self._gone is not None:
+            raise self._gone
+        began = self._clock()
+        self.timing.cycles += 1
+        try:
+            measured = self.drives.measure()
+        except Missed as missed:
+            self.timing.missed += 1
+            if began - self._heard_s > _LOST_S:
+                self._lose(missed)
+            return
+        except TautError as error:
+            self._lose(error)
+            return
+        t_s = measured[0].t_s
+        self._heard_s = t_s
+        self.timing.fault = next((m.fault for m in measured if m.fault), self.timing.fault)
+        with self._lock:
+            rows = self._rows(measured)
+            self._board.run(self._us(t_s), rows, 0)
+            goals = [self._board.goal(axis) for axis in range(len(measured))]
+            self._plan_ahead([q for q, _, _ in rows], goals)
+            self._keep()
+            sent = self._board.transmit()
+        self._give(sent)
+        try:
+            self._tell(goals)
+        except Missed:
+            self.timing.missed += 1
+        except TautError as error:
+            self._lose(error)
+        self._note(began, t_s)
+
+    def _tell(self, goals: list[tuple[int, int, bool, bool]]) -> None:
+        wanted = [
+            Goal(goal / _Q8 / scale, speed / _Q8 / scale) if on else None
+            for (goal, speed, on, _), scale in zip(goals, self._scales, strict=True)
+        ]
+        for axis, (_, _, on, _) in enumerate(goals):
+            if on != self._on[axis]:
+                self.drives.enable(axis, on)
+                self._on[axis] = on
+        if any(goal is not None for goal in wanted):
+            self.drives.set_positions(wanted)
+
+    def _plan_ahead(self, places: list[int], goals: list[tuple[int, int, bool, bool]]) -> None:
+        """How late each drive follows, from what it is behind while it moves; used once it rests."""
+        for axis, (goal, speed, _, moves) in enumerate(goals):
+            sums = self._lags[axis]
+            v = speed / _Q8
+            if moves and abs(v) > _SLOW * self.drives.drives[axis].limits.speed * self._scales[axis]:
+                sums *= _FORGET
+                sums += ((goal - places[axis]) / _Q8 * v, v * v)
+            elif moves and v == 0.0 and sums[1] > 0.0:
+                lag_s = float(np.clip(sums[0] / sums[1], 0.0, _LAG_MOST_S))
+                self.timing.lag_s = lag_s if len(goals) == 1 else max(self.timing.lag_s, lag_s)
+                self._board.lead(axis, round(lag_s * 1e6))
+
+    def _note(self, began: float, t_s: float) -> None:
+        timing, n = self.timing, max(self.timing.cycles - self.timing.missed, 1)
+        took = self._clock() - began
+        timing.round_trip_s += (took - timing.round_trip_s) / n
+        timing.round_trip_most_s = max(timing.round_trip_most_s, took)
+        self._squares += (t_s - self._last_s - self.period_s) ** 2 if n > 1 else 0.0
+        timing.jitter_s = (self._squares / n) ** 0.5
+        self._last_s = t_s
+
+    def _lose(self, error: TautError) -> None:
+        says = f"{self.where}: {error}. Its motors come to rest by themselves, within {self.drives.rest_s:.2g} s and "
+        gone = BoardGone(says + f"what braking takes ({self.drives.watchdog})")
+        with self._arrived:
+            self._gone = gone
+            self._arrived.notify_all()
+        raise gone
+
+    def _end(self, error: TautError) -> None:
+        """All off, and whoever waits for the link is told."""
+        with contextlib.suppress(Exception):
+            self.drives.stop()
+        with self._arrived:
+            self._gone = self._gone or error
+            self._arrived.notify_all()
+
+    def _keep(self) -> None:
+        """What was stored goes to the file, whole or not at all."""
+        if self._board.flash_writes == self._writes:
+            return
+        self._writes = self._board.flash_writes
+        fresh = self._file.with_suffix(f".{os.getpid()}")
+        try:
+            self._file.parent.mkdir(parents=True, exist_ok=True)
+            fresh.write_bytes(self._board.flash)
+            fresh.replace(self._file)
+        except OSError as error:
+            raise TautError(f"{self._file}: cannot be written ({error.strerror}): set XDG_STATE_HOME") from error
+
+    # -- the link -----------------------------------------------------------------------------------------------
+
+    def write(self, data: bytes) -> None:
+        if self._gone is not None:
+            raise self._gone
+        with self._lock:
+            self._board.receive(data, self._us(self._last_s))  # no later than the application's own last step
+            self._keep()
+            sent = self._board.transmit()
+        self._give(sent)
+
+    def _give(self, data: bytes) -> None:
+        if data:
+            with self._arrived:
+                self._out += data
+                self._arrived.notify_all()
+
+    def read(self, timeout_s: float) -> bytes:
+        with self._arrived:
+            if not self._out and self._thread is not None:
+                self._arrived.wait_for(lambda: self._out or self._gone is not None, timeout_s)
+            if not self._out and self._gone is not None:
+                raise self._gone
+            data = bytes(self._out)
+            self._out.clear()
+            return data
+
+    def tables(self, axis: int) -> None:
+        return None
+
+    def bus(self) -> dict[str, Any]:
+        drives = [
+            f"{drive.number}: {drive.model}, firmware {drive.firmware}, "
+            f"{drive.counts_per_turn * scale:g} counts a {drive.per}"
+            for drive, scale in zip(self.drives.drives, self._scales, strict=True)
+        ]
+        of_drives = {"drives": drives, "rest_s": self.drives.rest_s, "watchdog": self.drives.watchdog}
+        return {"rate_hz": 1.0 / self.period_s, **asdict(self.timing), **of_drives}
+
+    def close(self) -> None:
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join()
+        try:
+            with contextlib.suppress(TautError):
+                self.drives.stop()
+        finally:
+            self.drives.close()
+
+
+def _scale(speed: float) -> float:
+    """Of the application's counts to a drive's: halved until it counts fast enough. It sees 1/256 of a count."""
+    scale = 1.0
+    while speed * scale > _SPEED_MOST:
+        scale *= 0.5
+    return scale
+
+
+def _serial(text: str) -> str:
+    return "".join(c if c.isalnum() else "-" for c in text)[-31:].strip("-")

@@ -1,0 +1,138 @@
+"""moteus controllers by mjbots' own library: a query and a position command a cycle, on CAN-FD.
+
+The bus is python-can's (socketcan/can0), or the serial device of a fdcanusb. A count is 1/4096 turn of the output, as
+the controller's own configuration has it. Its position bounds and limits stay in force beside those of the axis.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import can
+import moteus
+
+from tautline.drivers.drives import Clock, Drive, DriveLimits, Goal, Measured, Missed, all_off
+from tautline.errors import TautError
+
+BAUD, RATE_HZ = 1_000_000, 250.0
+_COUNTS_PER_TURN = 4096
+_SPEED, _ACCELERATION = 4.0 * _COUNTS_PER_TURN, 80.0 * _COUNTS_PER_TURN  # no register says a controller's own
+_RANGE = 3_900_000.0  # what the application counts
+_ANSWER_S, _FIRST_S, _TRIES = 0.015, 0.2, 5
+_WATCHDOG_S = 0.1
+_FAULT_MODE, _OUTPUT_IS_KNOWN = 1, 2
+_Register = moteus.Register
+
+
+class Moteus:
+    watchdog = "the controllers' own: without a command they stop as servo.timeout_mode says"
+    rest_s = _WATCHDOG_S
+
+    def __init__(
+        self, bus: str, numbers: Sequence[int], baud: int, rate_hz: float, clock: Clock = time.monotonic
+    ) -> None:
+        self._clock, self._numbers, self._bus = clock, list(numbers), bus
+        self._loop = asyncio.new_event_loop()
+        resolution = moteus.QueryResolution()
+        resolution.q_current, resolution.torque, resolution.temperature = moteus.F32, moteus.IGNORE, moteus.IGNORE
+        resolution.home_state = moteus.INT8
+        try:
+            self._transport = _transport(bus, baud)
+        except (can.CanError, OSError, ValueError, NotImplementedError) as error:
+            self._loop.close()
+            raise TautError(f"moteus:{bus}: cannot be opened ({error}): check adapter and channel") from error
+        self._controllers = [
+            moteus.Controller(id=number, query_resolution=resolution, transport=self._transport) for number in numbers
+        ]
+        try:
+            known = self._first()
+        except BaseException:
+            self.close()
+            raise
+        limits = DriveLimits(-_RANGE, _RANGE, _SPEED, _ACCELERATION)
+        self.drives = [
+            Drive(number, "moteus", "-", _COUNTS_PER_TURN, limits, referenced)
+            for number, referenced in zip(numbers, known, strict=True)
+        ]
+
+    def _first(self) -> list[bool]:
+        """Whether each knows where its output is."""
+        for left in reversed(range(_TRIES)):
+            try:
+                answers = self._ask(_FIRST_S)
+                return [int(values[_Register.HOME_STATE]) >= _OUTPUT_IS_KNOWN for values in answers]
+            except Missed as missed:
+                if left == 0:
+                    raise TautError(f"moteus:{self._bus}: {missed}: check power, ids and the bus") from missed
+        raise AssertionError("one try at least")
+
+    def _cycle(self, commands: list[Any], within_s: float) -> list[Any]:
+        async def all_of_them() -> list[Any]:
+            return list(await asyncio.wait_for(self._transport.cycle(commands), within_s))
+
+        try:
+            return self._loop.run_until_complete(all_of_them())
+        except TimeoutError as error:
+            raise Missed("no answer") from error
+        except can.CanError as error:
+            raise Missed(f"the bus takes nothing ({error})") from error
+        except OSError as error:
+            raise TautError("the adapter is gone") from error
+
+    def _ask(self, within_s: float) -> list[dict[int, float]]:
+        answers = self._cycle([controller.make_query() for controller in self._controllers], within_s)
+        values = {answer.id: answer.values for answer in answers}
+        if any(_Register.POSITION not in values.get(number, {}) for number in self._numbers):
+            raise Missed("an answer is missing, or damaged")
+        return [values[number] for number in self._numbers]
+
+    def measure(self) -> list[Measured]:
+        sent = self._clock()
+        answers = self._ask(_ANSWER_S)
+        t_s = 0.5 * (sent + self._clock())
+        return [self._measured(t_s, values) for values in answers]
+
+    def _measured(self, t_s: float, values: dict[int, float]) -> Measured:
+        fault = f"fault {int(values[_Register.FAULT])}" if int(values[_Register.MODE]) == _FAULT_MODE else ""
+        position, speed = values[_Register.POSITION], values[_Register.VELOCITY]
+        if not math.isfinite(position):
+            raise Missed("the controller does not know its position")
+        current_ma = 1e3 * values[_Register.Q_CURRENT]
+        return Measured(t_s, position * _COUNTS_PER_TURN, speed * _COUNTS_PER_TURN, current_ma, fault)
+
+    def set_positions(self, goals: Sequence[Goal | None]) -> None:
+        self._cycle(
+            [
+                controller.make_position(
+                    position=goal.q / _COUNTS_PER_TURN,
+                    velocity=goal.speed / _COUNTS_PER_TURN,  # it goes on so until the next one
+                    watchdog_timeout=_WATCHDOG_S,
+                )
+                for controller, goal in zip(self._controllers, goals, strict=True)
+                if goal is not None
+            ],
+            _ANSWER_S,
+        )
+
+    def enable(self, axis: int, on: bool) -> None:
+        """On: a fault and a tripped watchdog are cleared; the first set-point of the cycle then takes the position."""
+        self._cycle([self._controllers[axis].make_stop(query=True)], _FIRST_S)
+
+    def stop(self) -> None:
+        all_off(len(self._numbers), self.enable)
+
+    def close(self) -> None:
+        self._transport.close()
+        self._loop.run_until_complete(asyncio.sleep(0))
+        self._loop.close()
+
+
+def _transport(bus: str, baud: int) -> Any:
+    interface, _, channel = bus.partition("/")
+    if not interface:  # /dev/...
+        return moteus.Fdcanusb(bus)
+    return moteus.PythonCan(interface=interface, channel=channel, bitrate=baud, fd=True)

@@ -1,0 +1,163 @@
+"""What servos on a half-duplex serial bus have in common: registers, a sync read, a sync write.
+
+The SDKs of ROBOTIS and Feetech are of one family and have the same calls: a port, packets, two groups.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from types import ModuleType
+from typing import Any
+
+import serial
+
+from tautline.drivers.drives import Clock, Drive, Goal, Measured, Missed, all_off
+from tautline.errors import TautError
+
+Register = tuple[int, int]  # address, size
+
+_ANSWER_MS = 15.0  # a USB adapter's latency timer may be 16 ms: lower it to 1 (docs/drivers.md)
+_WAIT_S = 2e-3
+_SETUP_TRIES = 5
+
+
+class SerialServos:
+    """One bus. A subclass says what its registers are."""
+
+    kind: str
+    watchdog: str
+    rest_s: float
+    refusal: int  # bits of an answer's error byte that refuse what was asked
+    state: Register  # all that a sync read asks for
+    goal: Register
+
+    def __init__(
+        self,
+        sdk: ModuleType,
+        protocol: float,
+        bus: str,
+        numbers: Sequence[int],
+        baud: int,
+        clock: Clock = time.monotonic,
+    ) -> None:
+        self.numbers, self._clock, self._sdk = list(numbers), clock, sdk
+        self._port, self._packets = _port(sdk, bus), sdk.PacketHandler(protocol)
+        try:
+            if not self._port.setBaudRate(baud):
+                raise TautError(f"{self.kind}:{bus}: no such baud rate, {baud}")
+        except (serial.SerialException, OSError) as error:
+            raise TautError(
+                f"{self.kind}:{bus}: cannot be opened ({error}): check the plug, and who uses it"
+            ) from error
+        self._reading = sdk.GroupSyncRead(self._port, self._packets, *self.state)
+        self._writing = sdk.GroupSyncWrite(self._port, self._packets, *self.goal)
+        for number in self.numbers:
+            self._reading.addParam(number)
+        try:
+            self.drives = [self.describe(number) for number in self.numbers]
+        except BaseException:
+            self._port.closePort()
+            raise
+
+    # -- what differs ---------------------------------------------------------------------------------------------
+
+    def describe(self, number: int) -> Drive:
+        raise NotImplementedError
+
+    def measured(self, axis: int, t_s: float, state: bytes) -> Measured:
+        raise NotImplementedError
+
+    def encoded(self, goal: int) -> bytes:
+        raise NotImplementedError
+
+    def enable(self, axis: int, on: bool) -> None:
+        raise NotImplementedError
+
+    # -- registers, while nothing moves ---------------------------------------------------------------------------
+
+    def read(self, number: int, register: Register) -> int:
+        data: list[int] = self._insist(number, lambda: self._packets.readTxRx(self._port, number, *register))[0]
+        return int.from_bytes(bytes(data), "little")
+
+    def glance(self, number: int, register: Register) -> int | None:
+        """Between two cycles: one try."""
+        data, result, _ = self._whole(lambda: self._packets.readTxRx(self._port, number, *register))
+        whole = result == self._sdk.COMM_SUCCESS and len(data) == register[1]
+        return int.from_bytes(bytes(data), "little") if whole else None
+
+    def write(self, number: int, register: Register, value: int) -> None:
+        address, size = register
+        data = list((value & ((1 << 8 * size) - 1)).to_bytes(size, "little"))
+        error = self._insist(number, lambda: self._packets.writeTxRx(self._port, number, address, size, data))[-1]
+        if error & self.refusal:
+            why = self._packets.getRxPacketError(error & self.refusal)
+            raise TautError(f"{self.kind} {number}: register {address} refused {value}: {why}")
+
+    def _insist(self, number: int, ask: Callable[[], Any]) -> Any:
+        for left in reversed(range(_SETUP_TRIES)):
+            answer = self._whole(ask)
+            result = answer[-2]
+            if result == self._sdk.COMM_SUCCESS:
+                return answer
+            if left == 0:
+                why = self._packets.getTxRxResult(result)
+                raise TautError(
+                    f"{self.kind} {number} does not answer ({why}): check power, ID, baud rate and the plug"
+                )
+        raise AssertionError("one try at least")
+
+    def _whole(self, ask: Callable[[], Any]) -> Any:
+        """What the SDK answers; where the port goes, or a packet is so damaged that the SDK stumbles, one error."""
+        try:
+            return ask()
+        except (serial.SerialException, OSError) as error:
+            raise TautError("the serial port is gone") from error
+        except (IndexError, TypeError) as error:
+            self._port.is_using = False
+            raise Missed("an answer was damaged") from error
+
+    # -- cycles ---------------------------------------------------------------------------------------------------
+
+    def measure(self) -> list[Measured]:
+        sent = self._clock()
+        result = self._whole(self._reading.txRxPacket)
+        if result != self._sdk.COMM_SUCCESS:
+            raise Missed(f"no answer ({self._packets.getTxRxResult(result)})")
+        t_s = 0.5 * (sent + self._clock())
+        states = [bytes(self._reading.data_dict[number]) for number in self.numbers]
+        if any(len(state) != self.state[1] for state in states):
+            raise Missed("an answer is too short")
+        return [self.measured(axis, t_s, state) for axis, state in enumerate(states)]
+
+    def set_positions(self, goals: Sequence[Goal | None]) -> None:
+        self._writing.clearParam()
+        for number, goal in zip(self.numbers, goals, strict=True):
+            if goal is not None:
+                self._writing.addParam(number, list(self.encoded(round(goal.q))))
+        self._whole(self._writing.txPacket)
+
+    def stop(self) -> None:
+        all_off(len(self.numbers), self.enable)
+
+    def close(self) -> None:
+        self._port.closePort()
+
+
+def _port(sdk: ModuleType, bus: str) -> Any:
+    """The SDK's port, which waits for bytes instead of asking for them all the time, and keeps others off the line."""
+
+    class Port(sdk.PortHandler):  # type: ignore[misc, name-defined]
+        def setupPort(self, baud: int) -> bool:
+            if not super().setupPort(baud):
+                return False
+            self.ser.timeout, self.ser.exclusive = _WAIT_S, True
+            return True
+
+        def setPacketTimeout(self, length: int) -> None:
+            self.setPacketTimeoutMillis(self.tx_time_per_byte * length + _ANSWER_MS)
+
+        def clearPort(self) -> None:
+            self.ser.reset_input_buffer()  # what came too late
+
+    return Port(bus)

@@ -1,6 +1,0 @@
-"""Recordings, models and diagnoses as files of other programs: log viewers, simulators, motor controllers."""
-
-from tautline.exporting.export import Exported, Mount, export
-from tautline.exporting.formats import FORMATS, Format
-
-__all__ = ["FORMATS", "Exported", "Format", "Mount", "export"]

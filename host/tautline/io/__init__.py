@@ -1,0 +1,1 @@
+"""Recordings from other programs' files, and results for them."""

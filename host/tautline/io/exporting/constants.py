@@ -1,0 +1,139 @@
+"""The one number for a backlash that printers and mills take: Marlin, FluidNC's draft, Klipper's draft."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import norm
+
+from tautline.errors import TautError
+from tautline.io.exporting.whole import whole
+from tautline.model import Model
+
+# Too much of it is ten times as bad as too little, per unit of width: the least expected loss is at this quantile.
+_QUANTILE = 1.0 / 11.0
+_BISECTIONS = 60  # to the last bit of a width
+_AXES = "xyzabc"
+_SMOOTH_S = 0.005  # Klipper's own example of smooth_time
+
+
+@dataclass(frozen=True)
+class Constant:
+    """One number for B(q), in the unit of q."""
+
+    width: float
+    least: float  # B, over what was measured
+    most: float
+    mean: float
+    left_rms: float  # B less the number, over what was measured
+
+
+def constant(model: Model) -> Constant:
+    """The number whose expected loss is least over the places that were measured, with B's own standard deviation."""
+    low, high = model.measured
+    inside = (model.q >= low) & (model.q <= high)
+    if not inside.any():
+        raise TautError("the model's B was measured nowhere: calibrate with reversals, then export")
+    width, sigma = model.width[inside], np.maximum(model.width_sigma[inside], 1e-12)
+    below, above = 0.0, float(width.max() + 6.0 * sigma.max())
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (below + above)
+        share = float(np.mean(norm.cdf((middle - width) / sigma)))
+        below, above = (middle, above) if share < _QUANTILE else (below, middle)
+    number = round(below, 6)
+    left = width - number
+    rms = float(np.sqrt(np.mean(left**2)))
+    return Constant(number, float(width.min()), float(width.max()), float(width.mean()), rms)
+
+
+def loses(model: Model) -> list[str]:
+    """What one number does not carry, one line each."""
+    number, unit = constant(model), model.rig.actuator.unit
+    lost = [
+        f"B(q) goes from {number.least:.4g} to {number.most:.4g} {unit}, {number.mean:.4g} in the mean: one "
+        f"number leaves {number.left_rms:.3g} {unit} rms; it is chosen low, because too much is worse than too little",
+        "f_remain, the law behind the backlash: the axis keeps its own steps per unit",
+    ]
+    if not model.elements.single:
+        lost.append("the onset is gradual: one play stands for several")
+    return lost + [f"{effect.id} is not undone" for effect in model.effects]
+
+
+def write_marlin(model: Model, out: Path, axis: str) -> list[Path]:
+    """Lines for Configuration_adv.h, and the same at run time."""
+    letter = _axis(axis)
+    if letter not in "xyz":
+        raise TautError(f"--axis {axis}: Marlin takes backlash up on x, y and z")
+    width = constant(model).width
+    numbers = ", ".join(f"{width:.6g}" if each == letter else "0" for each in "xyz")
+    _write(
+        out,
+        "//",
+        model,
+        [
+            "#define BACKLASH_COMPENSATION",
+            f"#define BACKLASH_DISTANCE_MM {{ {numbers} }}",
+            "#define BACKLASH_CORRECTION 1.0",
+            "#define BACKLASH_GCODE",
+            f"// At run time: M425 F1 {letter.upper()}{width:.6g}",
+        ],
+    )
+    return [out]
+
+
+def write_fluidnc(model: Model, out: Path, axis: str) -> list[Path]:
+    """config.yaml of FluidNC's proposal for backlash."""
+    width = constant(model).width
+    _write(
+        out,
+        "#",
+        model,
+        [
+            "# For a FluidNC that was built with its backlash proposal (pull request 24); others refuse the key.",
+            "axes:",
+            f"  {_axis(axis)}:",
+            f"    backlash: {width:.6g}",
+        ],
+    )
+    return [out]
+
+
+def write_klipper(model: Model, out: Path, axis: str) -> list[Path]:
+    """printer.cfg of Klipper's draft of backlash compensation."""
+    letter = _axis(axis)
+    if letter not in "xyz":
+        raise TautError(f"--axis {axis}: Klipper's draft takes backlash up on x, y and z")
+    width = constant(model).width
+    _write(
+        out,
+        "#",
+        model,
+        [
+            "# For a Klipper that was built with its draft of backlash compensation (pull request 7259).",
+            "[backlash_compensation]",
+            f"smooth_time: {_SMOOTH_S:g}",
+            f"{letter}_backlash: {width:.6g}",
+            f"# At run time: SET_BACKLASH_COMPENSATION {letter.upper()}_BACKLASH={width:.6g}",
+        ],
+    )
+    return [out]
+
+
+def _axis(name: str) -> str:
+    letter = name.lower()
+    if len(letter) != 1 or letter not in _AXES:
+        raise TautError(f"--axis {name}: name one of {', '.join(_AXES)}")
+    return letter
+
+
+def _write(out: Path, mark: str, model: Model, lines: list[str]) -> None:
+    low, high = model.measured
+    unit = model.rig.actuator.unit
+    said = [
+        f"{mark} The full backlash of a reversal, {unit}, from B(q) measured over {low:.4g} to {high:.4g} {unit}.",
+        *(f"{mark} Lost: {what}" for what in loses(model)),
+    ]
+    with whole(out) as file:
+        file.write_text("\n".join([*said, *lines]) + "\n", encoding="ascii")

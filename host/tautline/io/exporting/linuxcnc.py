@@ -1,0 +1,89 @@
+"""LinuxCNC's table of compensation, both directions, and the lines of its INI file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.errors import TautError
+from tautline.io.exporting.whole import whole
+from tautline.model import Model
+
+Array = npt.NDArray[np.float64]
+
+MOST = 256  # triplets that LinuxCNC takes for a joint
+_DIGITS = 6  # after the point: a millionth of the unit
+
+
+def write(model: Model, out: Path, joint: str) -> list[Path]:
+    """out, and out with .ini for the section of `joint`, a number.
+
+    LinuxCNC moves the motor to nominal + (nominal - forward) while the joint rises and to nominal + (nominal - reverse)
+    while it falls. The nominal joint is where f_coarse says that the motor is for an angle: so both columns carry
+    f_remain and B at once. It stops reading at the first line that is no triplet: what is said stands behind them.
+    """
+    if not joint.isdigit():
+        raise TautError(f"--axis {joint}: LinuxCNC numbers its joints: name 0, 1, 2, ...")
+    nominal, rising, falling = targets(model)
+    digits = [
+        f"{x:.{_DIGITS}f} {2 * x - up:.{_DIGITS}f} {2 * x - down:.{_DIGITS}f}"
+        for x, up, down in zip(nominal, rising, falling, strict=True)
+    ]
+    unit = model.rig.actuator.unit
+    says = [
+        "",
+        f"; nominal, forward and reverse, {unit}: COMP_FILE_TYPE = 0. Nominal is the bending angle as f_coarse has it,",
+        f"; (c - {model.rig.coarse.offset:.9g}) / {model.rig.coarse.gain:.9g} for c in deg.",
+        *(f"; Lost: {what}" for what in loses(model)),
+    ]
+    ini = [
+        f"[JOINT_{joint}]",
+        "# Lines for this joint's section; BACKLASH is not used where there is a COMP_FILE.",
+        f"COMP_FILE = {out.name}",
+        "COMP_FILE_TYPE = 0",
+        *(f"# Lost: {what}" for what in loses(model)),
+    ]
+    beside = out.with_name(out.name + ".ini")
+    with whole(out) as file, whole(beside) as section:
+        file.write_text("\n".join([*digits, *says]) + "\n", encoding="ascii")
+        section.write_text("\n".join(ini) + "\n", encoding="ascii")
+    return [out, beside]
+
+
+def targets(model: Model) -> tuple[Array, Array, Array]:
+    """Nominal joint positions (n <= 256,), rising, and where the motor stands for them while they rise and while they
+    fall (n,) each; all in the unit of q, and where the motor stays within its range."""
+    coarse, (low, high) = model.rig.coarse, model.rig.actuator.range
+    if not coarse.gain:
+        raise TautError("the rig's coarse.gain is 0: LinuxCNC's table needs a nominal position for each angle")
+    half = 0.5 * model.width
+    inside = (model.q - half >= low - 1e-9) & (model.q + half <= high + 1e-9)
+    if inside.sum() < 2:
+        raise TautError("the model's backlash is wider than the motor's range: no table comes of it")
+    ends = (model.c_deg[inside][[0, -1]] - coarse.offset) / coarse.gain
+    nominal = np.linspace(float(ends.min()), float(ends.max()), min(MOST, max(2, int(inside.sum()))))
+    p = model.remaining_inverse(coarse.gain * nominal + coarse.offset)
+    width = np.interp(p, model.q, model.width)
+    sign = 1.0 if (model.c_deg[-1] - model.c_deg[0]) * coarse.gain > 0 else -1.0
+    return nominal, p + sign * 0.5 * width, p - sign * 0.5 * width
+
+
+def loses(model: Model) -> list[str]:
+    """What the table does not carry, one line each."""
+    lost = [
+        "LinuxCNC may exceed the joint's speed and acceleration by half of them while it takes the backlash up",
+        f"{min(MOST, len(model.q))} points stand for {len(model.q)}, straight between them",
+    ]
+    if not model.elements.single:
+        lost.append("the onset is gradual: one play stands for several")
+    lost += [f"{effect.id} is not undone" for effect in model.effects if not _in_tables(effect.id)]
+    return lost
+
+
+def _in_tables(effect: str) -> bool:
+    from tautline.effects import BY_ID
+
+    kind = BY_ID.get(effect)
+    return kind is not None and kind.holds is not None

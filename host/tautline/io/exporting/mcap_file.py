@@ -1,0 +1,176 @@
+"""An MCAP of JSON messages with their schemas, and a layout for Foxglove beside it."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tautline.errors import TautError
+from tautline.folders import write_file
+from tautline.io.exporting.log import Curve, Log, Series
+from tautline.io.exporting.whole import whole
+from tautline.plain import plain
+
+LAYOUT_SUFFIX = ".layout.json"
+CAMERA = "/camera"
+_QUALITY = 90  # of the frames' JPEG: next to no loss, a fifth of PNG's size
+_NS = 1_000_000_000
+_LATEST_S = 2**63 / _NS  # that 64 bits of nanoseconds hold
+# Foxglove's own schema of a picture: its Image panel shows no other.
+_IMAGE = {
+    "type": "object",
+    "properties": {
+        "timestamp": {
+            "type": "object",
+            "title": "time",
+            "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}},
+        },
+        "frame_id": {"type": "string"},
+        "data": {"type": "string", "contentEncoding": "base64"},
+        "format": {"type": "string"},
+    },
+}
+
+
+def write(log: Log, out: Path, progress: Callable[[float, str], None]) -> list[Path]:
+    """The file and its layout. Messages have the recording's own times, moved to begin at 0 if before it."""
+    import cv2
+    from mcap.writer import Writer
+
+    first = min((float(series.t_s[0]) for series in log.series if len(series.t_s)), default=0.0)
+    shift_s = max(0.0, -first)
+    last = max((float(series.t_s[-1]) for series in log.series if len(series.t_s)), default=0.0)
+    if last + shift_s >= _LATEST_S:
+        raise TautError(f"{log.facts['name']}: its times end at {last:.4g} s: MCAP counts nanoseconds in 64 bits")
+    with whole(out) as file, file.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(library="tautline")
+        for series in log.series:
+            _write_series(writer, series, shift_s)
+            progress(0.3, series.name)
+        for curve in log.curves:
+            _write_curve(writer, curve, max(0.0, first + shift_s))
+        if log.video is not None:
+            schema = writer.register_schema("foxglove.CompressedImage", "jsonschema", json.dumps(_IMAGE).encode())
+            channel = writer.register_channel(CAMERA, "json", schema)
+            span = max(last - first, 1e-9)
+            for t_s, picture in log.frames():
+                when = _ns(t_s + shift_s)
+                good, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+                if good:
+                    message = {
+                        "timestamp": {"sec": when // _NS, "nsec": when % _NS},
+                        "frame_id": "camera",
+                        "data": base64.b64encode(jpeg.tobytes()).decode("ascii"),
+                        "format": "jpeg",
+                    }
+                    writer.add_message(channel, when, json.dumps(message).encode(), when)
+                progress(0.3 + 0.7 * min(max((t_s - first) / span, 0.0), 1.0), "frames")
+        writer.add_metadata("tautline", {"facts": json.dumps(plain(log.facts)), "shift_s": repr(shift_s)})
+        writer.finish()  # type: ignore[no-untyped-call]
+    layout = out.with_name(out.stem + LAYOUT_SUFFIX)
+    write_file(layout, json.dumps(foxglove_layout(log), indent=1) + "\n")
+    return [out, layout]
+
+
+def _ns(t_s: float) -> int:
+    return round(t_s * _NS)
+
+
+def _write_series(writer: Any, series: Series, shift_s: float) -> None:
+    names = list(series.columns)
+    number = {"type": ["number", "null"]}
+    schema = {"type": "object", "description": series.says, "properties": dict.fromkeys(names, number)}
+    channel = _channel(writer, series.name, schema)
+    rows = np.column_stack([series.columns[name] for name in names])
+    complete = np.isfinite(rows.sum(axis=1))
+    for t_s, row, whole_row in zip(series.t_s.tolist(), rows.tolist(), complete.tolist(), strict=True):
+        when = _ns(t_s + shift_s)
+        message = dict(zip(names, row, strict=True))
+        writer.add_message(channel, when, json.dumps(message if whole_row else plain(message)).encode(), when)
+
+
+def _write_curve(writer: Any, curve: Curve, t_s: float) -> None:
+    numbers = {"type": "array", "items": {"type": ["number", "null"]}}
+    schema = {
+        "type": "object",
+        "description": curve.says,
+        "properties": dict.fromkeys(curve.columns, numbers),
+    }
+    channel = _channel(writer, curve.name, schema)
+    message = json.dumps(plain(curve.columns), allow_nan=False)
+    writer.add_message(channel, _ns(t_s), message.encode(), _ns(t_s))
+
+
+def _channel(writer: Any, name: str, schema: dict[str, Any]) -> int:
+    title = "tautline." + name.replace("/", ".")
+    number = writer.register_schema(title, "jsonschema", json.dumps({"title": title, **schema}).encode())
+    return int(writer.register_channel(f"/{name}", "json", number))
+
+
+# -- the layout ---------------------------------------------------------------------------------------------------
+
+
+def foxglove_layout(log: Log) -> dict[str, Any]:
+    """What Foxglove imports as a layout: the picture, motor and angle, the image's coordinates, what is left, B and
+    f_remain over q. A panel that would stay empty is left out."""
+    panels: dict[str, dict[str, Any]] = {}
+    if log.video is not None:
+        panels["Image!camera"] = {"imageMode": {"imageTopic": CAMERA}}
+    for key, title, wanted in (
+        ("motor", "Motor, and the play's centre", ("q_", "q_cmd_", "p_")),
+        ("angle", "Bending angle", ("c_deg",)),
+        ("image", "Marker in the image", ("u_px", "v_px")),
+    ):
+        paths = [path for path in _paths(log, wanted) if not path.startswith("/residual/")]
+        panels |= _plot(key, title, paths)
+    left = [path for path in _paths(log, ("u_px", "v_px", "c_deg")) if path.startswith("/residual/")]
+    panels |= _plot("residual", "What is left, by stage", left)
+    for key, title, column in (("backlash", "B(q)", "width_"), ("f_remain", "f_remain(q)", "c_deg")):
+        curves = [curve for curve in log.curves if curve.name.startswith(key)]
+        paths = [f"/{c.name}.{name}[:]" for c in curves for name in c.columns if name.startswith(column)]
+        if paths:
+            x = next(iter(curves[0].columns))
+            panels |= _plot(key, title, paths, {"xAxisVal": "currentCustom", "xAxisPath": f"/{curves[0].name}.{x}[:]"})
+    return {
+        "configById": panels,
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1},
+        "layout": _tiled(list(panels), "row"),
+    }
+
+
+def _paths(log: Log, wanted: tuple[str, ...]) -> list[str]:
+    return [f"/{s.name}.{name}" for s in log.series for name in s.columns if name.startswith(wanted)]
+
+
+def _plot(key: str, title: str, paths: list[str], more: dict[str, Any] | None = None) -> dict[str, dict[str, Any]]:
+    if not paths:
+        return {}
+    lines = [{"value": path, "enabled": True, "timestampMethod": "receiveTime", "label": path[1:]} for path in paths]
+    return {
+        f"Plot!{key}": {
+            "title": title,
+            "paths": lines,
+            "showLegend": True,
+            "isSynced": True,
+            "xAxisVal": "timestamp",
+            **(more or {}),
+        }
+    }
+
+
+def _tiled(panels: list[str], direction: str) -> Any:
+    """Foxglove's tree of halves, rows and columns in turn."""
+    if len(panels) <= 1:
+        return panels[0] if panels else ""
+    half = (len(panels) + 1) // 2
+    other = "column" if direction == "row" else "row"
+    first, second = _tiled(panels[:half], other), _tiled(panels[half:], other)
+    return {"direction": direction, "first": first, "second": second}

@@ -1,0 +1,262 @@
+"""The folder of an MJCF export, and what each part of it leaves against `taut predict`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.effects import BY_ID, of_this_version
+from tautline.elements import SINGLE, warp_of
+from tautline.folders import replaced, write_file
+from tautline.io.exporting.export import Exported
+from tautline.io.exporting.mjcf import measure, transmission
+from tautline.io.exporting.mjcf.chain import Chain, fit, fit_sum
+from tautline.io.exporting.mjcf.nominal import OWN, Nominal, look
+from tautline.io.exporting.mjcf.scene import CENTRE, LAGGING, LEAD, MOTOR, TIP, Law, Scene
+from tautline.model import Effect, Model, allowed_width, monotone
+from tautline.plain import plain
+from tautline.prediction import predict
+from tautline.recording import Motor
+from tautline.undone import onset_elements
+
+if TYPE_CHECKING:
+    from tautline.io.exporting.export import Mount
+
+Array = npt.NDArray[np.float64]
+
+FORMAT = "mjcf-export/1"
+REPORT, SCENE, WITH_CALLBACK = "export.json", "scene.xml", "scene_callback.xml"
+CODE, ABOUT, TABLES, WARP = "transmission.py", "transmission.json", "tables.csv", "warp.csv"
+_ONSET, _LAG = "transmission.smooth_onset", "transmission.lag"
+_BY_CALLBACK = frozenset(
+    (_ONSET, _LAG, "transmission.creep", "configuration.contact", "actuator.encoder_periodic")
+)  # transmission.py has their equations
+_SEEN = frozenset(("kinematics", "registration", "camera", "acquisition"))  # stages: these change how the tip is seen
+# Of the range of B and of f_remain: polynomials that are so near (0.5 um, 0.02 deg) get no further ones.
+_ENOUGH, _ENOUGH_LAW = 1e-3, 2e-4
+
+
+def write(model: Model, out: Path, mount: Mount, progress: Callable[[float, str], None]) -> Exported:
+    """The folder, whole or not at all. Takes 5 to 30 s: the scenes are simulated to say what they leave."""
+    tip_rad = np.radians(model.c_deg)
+    nominal = look(mount, model.rig.actuator.unit, model.rig.actuator.range, tip_rad)
+    progress(0.05, "polynomials")
+    law = law_of(model)
+    with replaced(out, REPORT, stale=(WARP,)) as folder:
+        rest = standalone(model, nominal)
+        # What a scene leads to is named from where it lies: here while it is measured, in the end from `out`.
+        for name, text in {**scenes(nominal, law, folder), **rest}.items():
+            write_file(folder / name, text)
+        report = _measured(model, nominal, law, folder, progress)
+        texts = {**scenes(nominal, law, out), **rest}
+        for name, text in texts.items():
+            write_file(folder / name, text)
+        write_file(folder / REPORT, json.dumps(plain(report), indent=1, allow_nan=False) + "\n")
+    lost = tuple(_lost(report))
+    return Exported(tuple(out / name for name in (REPORT, *texts)), lost, {"report": report})
+
+
+def law_of(model: Model) -> Law:
+    """The model as polynomials. 1 to 6 s."""
+    low, high = model.rig.actuator.range
+    middle = 0.5 * (low + high)
+    x, angle, half = model.q - middle, np.radians(model.c_deg), 0.5 * model.width
+    lag = _parameters(model).get("lag", 0.0)
+    return Law(
+        middle,
+        high - low,
+        float(np.abs(np.diff(angle) / np.diff(x)).max()),
+        _at_least_zero(fit(x, half, _ENOUGH * max(float(half.max()), 1e-12)), x),
+        fit_sum(x, angle, _ENOUGH_LAW * float(np.ptp(angle))),
+        lag,
+        model.delay_s,
+    )
+
+
+def _at_least_zero(half: Chain, x: Array) -> Chain:
+    """Moved up where it would be a negative width: the play's walls would cross."""
+    short = -min(0.0, float(half(x).min()))
+    last = half.links[-1].copy()
+    last[0] += short
+    return replace(half, links=(*half.links[:-1], last))
+
+
+def _parameters(model: Model) -> dict[str, float]:
+    """Of the effects that the callback simulates."""
+    return {
+        name: float(value)
+        for effect in of_this_version(model)
+        if effect.id in _BY_CALLBACK and effect.id != _ONSET
+        for name, value in effect.parameters.items()
+    }
+
+
+def scenes(nominal: Nominal, law: Law, out: Path) -> dict[str, str]:
+    """Both MJCFs, for the folder `out`."""
+    alone, led = Scene(nominal, law), Scene(nominal, law)
+    for scene in (alone, led):
+        scene.motor()
+    alone.play()
+    alone.follow()
+    led.led()
+    return {SCENE: alone.text(out), WITH_CALLBACK: led.text(out)}
+
+
+def standalone(model: Model, nominal: Nominal) -> dict[str, str]:
+    """The callback's code and what it reads."""
+    onset = next((effect.parameters for effect in model.effects if effect.id == _ONSET), None)
+    elements = onset_elements(model.elements, onset) if onset else model.elements
+    play = replace(model, elements=elements).play
+    about = {
+        "format": FORMAT,
+        "unit": model.rig.actuator.unit,
+        "scale": nominal.scale,
+        "actuator": nominal.mount.actuator,
+        "tip": [list(each) for each in nominal.tip],
+        "lead": LEAD,
+        "moves": [MOTOR, CENTRE, LAGGING],
+        "own": OWN,
+        "leads": f"{TIP}_equal",
+        "elements": elements.to_json(),
+        "narrow": 0.0 if elements.single else (play.narrow if (model.width < play.narrow).any() else 0.0),
+        "parameters": _parameters(model),
+        "delay_s": model.delay_s,
+    }
+    unit = model.rig.actuator.unit
+    columns = np.column_stack([model.q, model.width, model.c_deg, model.width_sigma])
+    texts = {
+        CODE: (resources.files(transmission.__package__) / CODE).read_text(encoding="utf-8"),
+        ABOUT: json.dumps(plain(about), indent=1) + "\n",
+        TABLES: _csv(f"q_{unit},width_{unit},c_deg,sigma_{unit}", columns),
+    }
+    if not elements.single:
+        warp = warp_of(model.q, model.width, play.narrow)
+        texts[WARP] = _csv(f"q_{unit},x", np.column_stack([warp.q, warp.x]))
+    return texts
+
+
+def _csv(header: str, rows: Array) -> str:
+    return "\n".join([header, *(",".join(f"{value:.12g}" for value in row) for row in rows.tolist())]) + "\n"
+
+
+# -- what it leaves -----------------------------------------------------------------------------------------------
+
+
+def _measured(
+    model: Model, nominal: Nominal, law: Law, folder: Path, progress: Callable[[float, str], None]
+) -> dict[str, Any]:
+    motor = measure.motion(model, nominal.timestep)
+    told = predict(model, motor, motor.t_s).c_deg
+    q = float(motor.q[0])
+    about = json.loads((folder / ABOUT).read_text(encoding="utf-8"))
+    control: list[transmission.Control] = []
+
+    def start_led(scene: Any, data: Any) -> None:
+        control.append(transmission.Control(scene, folder))
+        control[0].start(data, q)
+
+    def start_alone(scene: Any, data: Any) -> None:
+        transmission.rest(scene, data, q, about)
+
+    progress(0.4, "simulating the XML alone")
+    alone = measure.simulate(folder / SCENE, nominal, motor, start_alone, None)
+    progress(0.6, "simulating the callback")
+    led = measure.simulate(folder / WITH_CALLBACK, nominal, motor, start_led, lambda m, d: control[0](m, d))
+    progress(0.8, "what each part leaves")
+    errors = {"xml": measure.error(model, motor, alone, told), "callback": measure.error(model, motor, led, told)}
+    exported, refused = parts(model, law, motor, told)
+    chains = [chain.links for chain in law.angle.chains]
+    return {
+        "format": FORMAT,
+        "unit": "px" if model.rig.has_camera else "deg",
+        "motion": f"a smooth wander over the range for {measure.MOTION_S:g} s, steps of {nominal.timestep:g} s",
+        "error": {name: {"rms": rms, "largest": most} for name, (rms, most) in errors.items()},
+        "exported": exported,
+        "refused": refused,
+        "steps_of_polynomials": {"backlash": len(law.half.links), "f_remain": sum(map(len, chains))},
+        "tip": [name for name, _ in nominal.tip],
+    }
+
+
+def parts(model: Model, law: Law, motor: Motor, told: Array) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Each of what the model holds: where it went, and what its form there leaves of the prediction by itself."""
+    x = model.q - law.middle
+    width = replace(model, width=allowed_width(model.q, 2.0 * law.half(x)))
+    bent = replace(model, c_deg=monotone(np.degrees(law.angle(x))))
+
+    def leaves(other: Model) -> float:
+        return measure.error(model, motor, predict(other, motor, motor.t_s).c_deg, told)[0]
+
+    exported = [
+        {"what": "transmission.backlash", "in": "callback", "as": "table", "error": 0.0},
+        {
+            "what": "transmission.backlash",
+            "in": "xml",
+            "as": "a slack joint between two tendons",
+            "error": leaves(width),
+        },
+        {"what": "configuration.remaining", "in": "callback", "as": "table", "error": 0.0},
+        {"what": "configuration.remaining", "in": "xml", "as": "equalities of fourth order", "error": leaves(bent)},
+    ]
+    refused: list[dict[str, Any]] = []
+    if not model.elements.single:
+        exported.append({"what": "elements", "in": "callback", "as": "plays side by side", "error": 0.0})
+        one = leaves(replace(model, elements=SINGLE))
+        refused.append({"what": "elements", "in": "xml", "why": "one play stands for several", "error": one})
+    for effect in of_this_version(model):
+        kind = BY_ID[effect.id]
+        if kind.holds is not None or kind.stage in _SEEN:
+            continue  # in the tables already, or no matter of the mechanism
+        if kind.needs in ("load", "joint", "freedom"):
+            why = "it follows what the scene has no input for"  # nor has the motion that is measured on
+            refused.append({"what": effect.id, "in": "both", "why": why, "error": None})
+            continue
+        without = leaves(replace(model, effects=tuple(each for each in model.effects if each is not effect)))
+        if effect.id in _BY_CALLBACK:
+            exported.append(
+                {
+                    "what": effect.id,
+                    "in": "callback",
+                    "as": "its equations",
+                    "error": _as_exported(model, effect, leaves),
+                }
+            )
+        else:
+            refused.append({"what": effect.id, "in": "callback", "why": "it has no equation there", "error": without})
+        if effect.id == _LAG:
+            first = Effect(effect.id, {**effect.parameters, "lag_second": 0.0})
+            others = tuple(first if each is effect else each for each in model.effects)
+            as_one = leaves(replace(model, effects=others))
+            exported.append({"what": effect.id, "in": "xml", "as": "a spring and a damper", "error": as_one})
+        else:
+            refused.append({"what": effect.id, "in": "xml", "why": "MuJoCo has nothing like it", "error": without})
+    for effect in of_this_version(model):
+        if BY_ID[effect.id].stage in _SEEN and BY_ID[effect.id].holds is None:
+            refused.append({"what": effect.id, "in": "both", "why": "it changes how the tip is seen", "error": None})
+    return exported, refused
+
+
+def _as_exported(model: Model, effect: Effect, leaves: Callable[[Model], float]) -> float:
+    if effect.id != _ONSET:
+        return 0.0
+    elements = onset_elements(model.elements, effect.parameters)
+    return leaves(replace(model, elements=elements, effects=tuple(e for e in model.effects if e is not effect)))
+
+
+def _lost(report: dict[str, Any]) -> list[str]:
+    unit, errors = report["unit"], report["error"]
+    lost = [
+        f"{what} leaves {errors[name]['rms']:.3g} {unit} rms, {errors[name]['largest']:.3g} at most, of taut predict"
+        for name, what in (("xml", f"{SCENE} alone"), ("callback", f"{WITH_CALLBACK} with {CODE}"))
+    ]
+    for part in report["refused"]:
+        size = "" if part["error"] is None else f": {part['error']:.3g} {unit} rms"
+        lost.append(f"{part['what']} is not in {part['in']}, {part['why']}{size}")
+    return lost

@@ -1,0 +1,89 @@
+"""The user's MJCF as it is: what bends in it, and what that weighs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline.errors import TautError
+from tautline.simulators.mjcf import PER_UNIT
+from tautline.simulators.scene import joints_of, read, tip_of
+
+if TYPE_CHECKING:
+    from tautline.io.exporting.export import Mount
+
+Array = npt.NDArray[np.float64]
+
+OWN = "taut_"  # how the names of what is added begin
+_POSES = 9  # of the tip, over its range, in which its inertia and load are looked at
+
+
+@dataclass(frozen=True)
+class Nominal:
+    path: Path
+    mount: Mount
+    scale: float  # of the control, per unit of q
+    tip: tuple[tuple[str, float], ...]  # hinges, each with the sign with which it counts
+    rest: float  # rad: the tip in the file's own first pose
+    inertia: float  # of the tip's hinges together, largest over its range
+    load: float  # that acts on them, largest over its range
+    timestep: float
+
+
+def look(mount: Mount, unit: str, motor: tuple[float, float], tip_rad: Array) -> Nominal:
+    """Finds actuator and tip. motor: its range, unit of q; tip_rad: angles (n,) that the tip goes to. TautError names
+    what is not there, or does not go together."""
+    import mujoco
+
+    if not mount.into.is_file():
+        raise TautError(f"{mount.into}: there is no such file: name your MJCF with --into")
+    scale = PER_UNIT[unit] if mount.scale is None else mount.scale
+    if not (math.isfinite(scale) and scale != 0.0):
+        raise TautError(f"--scale {scale:g}: expected what the control is per {unit} of q, not 0")
+    model = read(mount.into)
+    if taken := [name for name in joints_of(model) if name.startswith(OWN)]:
+        raise TautError(f"{mount.into}: {taken[0]} is in it already: export into the MJCF as it was before")
+    _check_actuator(model, mount, scale, unit, motor)
+    tip = tip_of(model, mount.into, mount.tip)
+    data = mujoco.MjData(model)
+    rest = sum(sign * float(data.qpos[model.joint(name).qposadr[0]]) for name, sign in tip)
+    inertia, load = _carried(model, tip, tip_rad)
+    return Nominal(mount.into, mount, scale, tip, rest, inertia, load, float(model.opt.timestep))
+
+
+def _check_actuator(model: Any, mount: Mount, scale: float, unit: str, motor: tuple[float, float]) -> None:
+    names = [model.actuator(i).name for i in range(model.nu)]
+    if mount.actuator not in names:
+        raise TautError(f"{mount.into}: has no actuator {mount.actuator}, but {', '.join(names) or 'none at all'}")
+    actuator = model.actuator(mount.actuator)
+    low, high = sorted(scale * end for end in motor)
+    if actuator.ctrllimited[0] and not actuator.ctrlrange[0] - 1e-9 <= low <= high <= actuator.ctrlrange[1] + 1e-9:
+        raise TautError(
+            f"{mount.into}: {mount.actuator} takes {actuator.ctrlrange[0]:g} to {actuator.ctrlrange[1]:g}, but the "
+            f"motor's range is {low:g} to {high:g} there: give --scale, what the control is per {unit} of q"
+        )
+
+
+def _carried(model: Any, tip: tuple[tuple[str, float], ...], tip_rad: Array) -> tuple[float, float]:
+    """Inertia and load of the hinges that turn together, the largest over the angles: what the transmission carries."""
+    import mujoco
+
+    data = mujoco.MjData(model)
+    inertia = load = 0.0
+    whole = np.zeros((model.nv, model.nv))
+    share = np.zeros(model.nv)
+    for name, sign in tip:
+        share[model.joint(name).dofadr[0]] = sign / len(tip)
+    for angle in np.linspace(float(tip_rad.min()), float(tip_rad.max()), _POSES):
+        for name, sign in tip:
+            data.qpos[model.joint(name).qposadr[0]] = sign * angle / len(tip)
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, whole)
+        inertia = max(inertia, float(share @ whole @ share))
+        load = max(load, abs(float(share @ (data.qfrc_bias - data.qfrc_passive))))
+    return inertia, load

@@ -1,0 +1,218 @@
+"""The user's MJCF with a transmission in it: in XML alone, or with a joint that a callback leads.
+
+Either holds the tip to one coordinate by an equality, so that the tip is where the transmission says; what acts on the
+tip (weight, springs, contacts) is carried by the transmission's friction. The transmission's coordinates are slides in
+the unit of q, which nothing pulls down and whose mass is large against the tip's own.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import numpy.typing as npt
+from numpy.polynomial import polynomial
+
+from tautline.errors import TautError
+from tautline.io.exporting.mjcf.chain import ORDER, Chain, Sum
+from tautline.io.exporting.mjcf.nominal import OWN, Nominal
+
+Array = npt.NDArray[np.float64]
+
+MOTOR, CENTRE, HALF, LAGGING, LAW, LEAD, TIP = (OWN + n for n in ("q", "p", "half", "late", "law", "c", "tip"))
+SEEN = f"{TIP}_seen"
+_HEAVY = 100.0  # the play's mass, in shares of the tip's that goes with it: the tip does not move it
+_MOTOR_HEAVY = 1000.0  # the motor's, in shares of the play's: its friction moves the motor by 1e-5 of the range
+_STOPS = 5e3  # of the range, 1/s^2: friction stops the play within 1e-4 of the range at a speed of one range a second
+_FRICTION = 10.0  # times what acts on the tip
+_SERVO, _DAMPING = 0.8, 0.4  # of the motor's position loop: its rate times the step, and its share of critical
+_STEPS = 2.0  # of the simulation: MuJoCo's shortest time constant of a constraint
+_IMPEDANCE = (0.9999, 0.9999, 1e-3, 0.5, 2.0)  # of every constraint: as stiff as MuJoCo takes it
+_BEYOND = 1e9  # an end that no tendon reaches
+_LIGHTEST = 1e-9  # kg
+_SAME = np.array([0.0, 1.0, 0.0, 0.0, 0.0])  # the polynomial that changes nothing
+
+
+@dataclass(frozen=True)
+class Law:
+    """What the tip does: B/2 and the tip's angle in rad over (q - middle); first-order lag behind the play."""
+
+    middle: float
+    span: float  # of the motor's range
+    steepest: float  # rad of tip per unit of q
+    half: Chain
+    angle: Sum
+    lag_s: float
+    delay_s: float  # of the sensor
+
+
+class Scene:
+    """The user's file opened, with what is added to it."""
+
+    def __init__(self, nominal: Nominal, law: Law) -> None:
+        import mujoco
+
+        self.mj, self.nominal, self.law = mujoco, nominal, law
+        self.spec = mujoco.MjSpec.from_file(str(nominal.path))
+        self.added: list[float] = []  # references of the slides, in order
+        self.mass = max(_HEAVY * nominal.inertia * law.steepest**2, _LIGHTEST)
+        self.stiff = [_STEPS * nominal.timestep, 1.0]
+        self._tip()
+
+    def text(self, out: Path) -> str:
+        """The MJCF for a file in the folder `out`, compiled once to see that it is whole."""
+        for key in self.spec.keys:  # the slides stand behind all that was there
+            if len(key.qpos):
+                key.qpos = [*key.qpos, *self.added]
+            if len(key.qvel):
+                key.qvel = [*key.qvel, *([0.0] * len(self.added))]
+        try:
+            self.spec.compile()
+            text = str(self.spec.to_xml())
+        except ValueError as error:
+            said = " ".join(str(error).split())
+            raise TautError(f"{self.nominal.path}: MuJoCo refuses it with a transmission in it ({said})") from error
+        if not any(
+            each.file for each in (*self.spec.meshes, *self.spec.textures, *self.spec.hfields, *self.spec.skins)
+        ):
+            return text
+        whole = ElementTree.fromstring(text)  # files are named from the old place, and have to be from the new one
+        compiler = whole.find("compiler")
+        compiler = ElementTree.SubElement(whole, "compiler") if compiler is None else compiler
+        for name in ("meshdir", "texturedir"):
+            folder = self.nominal.path.parent.resolve() / getattr(self.spec, name)
+            compiler.set(name, os.path.relpath(folder, out.resolve()))
+        return ElementTree.tostring(whole, encoding="unicode") + "\n"
+
+    def slide(self, name: str, mass: float, reference: float) -> Any:
+        """A coordinate that stands at `reference` at first, and nothing pulls down."""
+        body = self.spec.worldbody.add_body(
+            name=name,
+            gravcomp=1.0,
+            explicitinertial=True,
+            mass=max(mass, _LIGHTEST),
+            inertia=[max(mass, _LIGHTEST)] * 3,
+            ipos=[0.0, 0.0, 0.0],
+            iquat=[1.0, 0.0, 0.0, 0.0],
+        )
+        self.added.append(reference)
+        return body.add_joint(
+            name=name, type=self.mj.mjtJoint.mjJNT_SLIDE, axis=[1.0, 0.0, 0.0], ref=reference, damping=[0.0, 0.0, 0.0]
+        )
+
+    def motor(self) -> None:
+        """The user's actuator moves the slide MOTOR: its control is q as it was, in its own unit."""
+        nominal, mass = self.nominal, _MOTOR_HEAVY * self.mass
+        self.slide(MOTOR, mass, self.law.middle)
+        rate, scale = _SERVO / nominal.timestep, nominal.scale
+        stiffness, damping = mass * rate**2 / scale**2, 2.0 * _DAMPING * mass * rate / scale**2
+        actuator = self.spec.actuator(nominal.mount.actuator)
+        actuator.trntype = self.mj.mjtTrn.mjTRN_JOINT
+        actuator.target = MOTOR
+        actuator.gear = [scale, 0.0, 0.0, 0.0, 0.0, 0.0]
+        actuator.set_to_position(kp=stiffness, kv=damping)
+        actuator.dyntype = self.mj.mjtDyn.mjDYN_NONE
+        actuator.forcelimited = self.mj.mjtLimited.mjLIMITED_FALSE
+        actuator.actlimited = self.mj.mjtLimited.mjLIMITED_FALSE
+        actuator.delay = 0.0
+        actuator.nsample = 0
+        actuator.lengthrange = [0.0, 0.0]
+        self.spec.add_sensor(
+            name=MOTOR, type=self.mj.mjtSensor.mjSENS_JOINTPOS, objtype=self.mj.mjtObj.mjOBJ_JOINT, objname=MOTOR
+        )
+
+    def play(self) -> None:
+        """q - p - half <= 0 and q - p + half >= 0, half = B(p)/2; friction holds p."""
+        nominal, law, mass = self.nominal, self.law, self.mass
+        centre = self.slide(CENTRE, mass, law.middle)
+        centre.frictionloss = max(_FRICTION * nominal.load * law.steepest, _STOPS * law.span * mass)
+        centre.solref_friction, centre.solimp_friction = self.stiff, _IMPEDANCE
+        at, _ = self.chained(HALF, CENTRE, law.half.links, 0.0)
+        for name, side, ends in (("rise", -1.0, (-_BEYOND, 0.0)), ("fall", 1.0, (0.0, _BEYOND))):
+            wall = self.spec.add_tendon(name=OWN + name, limited=self.mj.mjtLimited.mjLIMITED_TRUE, range=ends)
+            wall.solref_limit, wall.solimp_limit = self.stiff, _IMPEDANCE
+            for joint, share in ((MOTOR, 1.0), (CENTRE, -1.0), (at, side)):
+                wall.wrap_joint(joint, share)
+
+    def follow(self) -> None:
+        """The tip follows the play by f_remain, late by the lag."""
+        law, behind = self.law, CENTRE
+        if law.lag_s > 0.0:  # a spring to the play against a damper: a light one, so that nothing swings
+            damping = self.mass / self.nominal.timestep
+            late = self.slide(LAGGING, self.mass, law.middle)
+            late.damping = [damping, 0.0, 0.0]
+            spring = self.spec.add_tendon(
+                name=LAGGING, stiffness=[damping / law.lag_s, 0.0, 0.0], springlength=[0.0, 0.0]
+            )
+            spring.wrap_joint(LAGGING, 1.0)
+            spring.wrap_joint(CENTRE, -1.0)
+            behind = LAGGING
+        alone = len(law.angle.chains) == 1  # its last link is the tip's own equality
+        ends = [
+            self.chained(f"{LAW}{i}", behind, chain.links[:-1] if alone else chain.links, 0.0)
+            for i, chain in enumerate(law.angle.chains)
+        ]
+        last = law.angle.chains[0].links[-1] if alone else _SAME
+        self.lead_tip([joint for joint, _ in ends], last, sum(at for _, at in ends))
+
+    def led(self) -> None:
+        """The tip follows the slide LEAD, rad, which a callback moves."""
+        start = float(self.law.angle(0.0))
+        self.slide(LEAD, _HEAVY * _MOTOR_HEAVY * self.nominal.inertia, start)
+        self.lead_tip([LEAD], _SAME, start)
+
+    def chained(self, name: str, joint: str, links: tuple[Array, ...], x0: float) -> tuple[str, float]:
+        """A slide for each link, which an equality holds to the one before; the last one's name and its reference. x0
+        is the first link's argument where `joint` is at its reference."""
+        for i, link in enumerate(links):
+            y0 = float(polynomial.polyval(x0, link))
+            this = f"{name}_{i + 1}"
+            self.slide(this, self.mass, y0)
+            self._equal(self.mj.mjtObj.mjOBJ_JOINT, this, joint, _about(link, x0, y0))
+            joint, x0 = this, y0
+        return joint, x0
+
+    def lead_tip(self, joints: list[str], link: Array, x0: float) -> None:
+        """The tip's hinges together are link(the joints' sum); x0 as in `chained`."""
+        leads = self.spec.add_tendon(name=f"{TIP}_leads")
+        for joint in joints:
+            leads.wrap_joint(joint, 1.0)
+        self._equal(self.mj.mjtObj.mjOBJ_TENDON, TIP, leads.name, _about(link, x0, self.nominal.rest))
+
+    def _equal(self, kind: Any, one: str, other: str, coefficients: Array) -> None:
+        of_joint = kind == self.mj.mjtObj.mjOBJ_JOINT
+        equality = self.spec.add_equality(
+            name=f"{one}_equal",
+            type=self.mj.mjtEq.mjEQ_JOINT if of_joint else self.mj.mjtEq.mjEQ_TENDON,
+            objtype=kind,
+            name1=one,
+            name2=other,
+        )
+        equality.data[: ORDER + 1] = coefficients
+        equality.solref, equality.solimp = self.stiff, _IMPEDANCE
+
+    def _tip(self) -> None:
+        """A tendon over the tip's hinges, and what it reads: at once, and as late as the sensor sees it."""
+        tip = self.spec.add_tendon(name=TIP)
+        for name, sign in self.nominal.tip:
+            tip.wrap_joint(name, sign)
+        kind = {"type": self.mj.mjtSensor.mjSENS_TENDONPOS, "objtype": self.mj.mjtObj.mjOBJ_TENDON, "objname": TIP}
+        self.spec.add_sensor(name=TIP, **kind)
+        if self.law.delay_s > 0.0:
+            kept = math.ceil(self.law.delay_s / self.nominal.timestep) + 2
+            self.spec.add_sensor(name=SEEN, delay=self.law.delay_s, nsample=kept, **kind)
+
+
+def _about(link: Array, x0: float, y0: float) -> Array:
+    """Coefficients of d in link(x0 + d) - y0."""
+    shifted = np.zeros(1)
+    for coefficient in link[::-1]:
+        shifted = polynomial.polyadd(polynomial.polymul(shifted, [x0, 1.0]), [coefficient])
+    shifted = np.pad(shifted, (0, ORDER + 1 - len(shifted)))
+    shifted[0] -= y0
+    return shifted

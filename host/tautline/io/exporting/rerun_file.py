@@ -1,0 +1,62 @@
+"""A rerun recording (.rrd): each column a curve over time, the marker on the picture, B and f_remain over q."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from tautline.io.exporting.log import Log
+from tautline.io.exporting.whole import whole
+
+TIME, PLACE = "t_s", "q"
+_QUALITY = 90  # of the frames' JPEG: next to no loss, a fifth of PNG's size
+_PLACES = 1e6  # steps of the timeline "q" in a unit of q: it counts in whole numbers
+
+
+def write(log: Log, out: Path, progress: Callable[[float, str], None]) -> list[Path]:
+    """The file. Times are the recording's own, as durations; a curve lies on a timeline of its own, q in millionths."""
+    import cv2
+    import rerun as rr
+
+    with whole(out) as file:
+        recording = rr.RecordingStream("tautline", recording_id=str(log.facts["name"]))
+        recording.save(file)
+        for series in log.series:
+            for name, values in series.columns.items():
+                kept = np.isfinite(values)
+                if kept.any():
+                    when = rr.TimeColumn(TIME, duration=series.t_s[kept])
+                    entity = f"{series.name}/{name}"
+                    recording.send_columns(entity, [when], rr.Scalars.columns(scalars=values[kept]))
+            progress(0.3, series.name)
+        for series in log.series:
+            if log.video is not None and {"u_px", "v_px"} <= series.columns.keys() and "residual" not in series.name:
+                places = np.column_stack([series.columns["u_px"], series.columns["v_px"]])
+                seen = np.isfinite(places.sum(axis=1))
+                when = rr.TimeColumn(TIME, duration=series.t_s[seen])
+                recording.send_columns(
+                    f"camera/{series.name}", [when], rr.Points2D.columns(positions=places[seen].astype(np.float32))
+                )
+        for curve in log.curves:
+            (_, q), *columns = curve.columns.items()
+            for name, values in columns:
+                kept = np.isfinite(values)
+                if kept.any():
+                    where = rr.TimeColumn(PLACE, sequence=np.rint(q[kept] * _PLACES).astype(np.int64))
+                    recording.send_columns(f"{curve.name}/{name}", [where], rr.Scalars.columns(scalars=values[kept]))
+        last = max((float(series.t_s[-1]) for series in log.series if len(series.t_s)), default=1.0)
+        for t_s, picture in log.frames():
+            good, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+            if good:
+                recording.set_time(TIME, duration=t_s)
+                recording.log("camera", rr.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg"))
+            progress(0.3 + 0.7 * min(max(t_s / last, 0.0), 1.0), "frames")
+        recording.reset_time()
+        recording.log(
+            "about", rr.TextDocument("\n".join(f"{key}: {value}" for key, value in log.facts.items())), static=True
+        )
+        recording.flush()
+        recording.disconnect()
+    return [out]

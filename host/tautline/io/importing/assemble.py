@@ -1,0 +1,381 @@
+"""An episode's channels as a recording: units, one clock, motor.csv's times for all that belongs to the motor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tautline.errors import TautError
+from tautline.io.importing import clocks, video
+from tautline.io.importing.listing import Progress, Rows, find, read
+from tautline.io.importing.source import Array, Clip, Source
+from tautline.io.importing.tip import QUATERNION, bending_deg
+from tautline.io.importing.units import ANGLES, SPOKEN, Named, factor, named, suspected, unit_in
+from tautline.recording import FARTHEST, MAX_MOTOR_GAP_S, MAX_MOTOR_STEP_S, Angle, Marker, Motor, Recording, Video
+from tautline.rig import Actuator, AngleSensor, Coarse, Rig
+
+_MOST_LOST = 0.05  # share of a motor's rows without a number that may be left out
+_TIME_DIGITS = 9  # of seconds: what clocks and bags count in
+_RANGE_DIGITS = 4  # of a rig's range, rounded outwards
+# By how much a ratio may be off from a unit's: a command goes where the motor goes, less a servo's error; a rig's gain
+# is nominal; where none is given a tip may move half or twice as much as its motor.
+_SURE, _BY_RIG, _ANY_GAIN = 0.1, 0.25, 1.0
+_ONE_AXIS = 0.9  # share of a tip's turning that is about one axis, below which it is told
+_SAMPLED = 20_000  # values that a rig's count and coarse law are taken from
+_RESOLUTION_LEAST = 1e-6  # of the span: a finer count is none, it is a float's rounding
+
+
+@dataclass(frozen=True)
+class Roles:
+    """What the user named. tip: one angle or orientation, or u and v in px."""
+
+    motor: str
+    tip: tuple[str, ...] = ()
+    command: str | None = None
+    load: str | None = None
+    video: str | None = None
+    joints: tuple[str, ...] = ()  # further ones, which may couple in
+
+
+@dataclass
+class Assembled:
+    recording: Recording
+    rig_known: bool  # by the user; else what the recording shows of it
+    channels: list[dict[str, Any]] = field(default_factory=list)  # what became of each, for import.toml
+    clock: str = clocks.LOG
+    warnings: list[str] = field(default_factory=list)
+
+
+def assemble(
+    source: Source, episode: int, roles: Roles, unit: str | None, rig: Rig | None, scratch: Path, progress: Progress
+) -> Assembled:
+    """Reads the channels named. q in the rig's unit, else `unit`, else what the motor's own unit is of. scratch: a
+    folder for a video. TautError where a channel is not there, is empty, or its unit or times contradict another's."""
+    chosen = _Chosen(source, episode, roles)
+    rows = read(source, episode, chosen.by_group(), progress)
+    frames = _frames(source, episode, roles.video, scratch) if roles.video else None
+    times = {group: (each.log_s, each.stamp_s) for group, each in rows.items()}
+    if frames is not None and frames[1] is not None and roles.video is not None:
+        times[roles.video] = (frames[0], frames[1])
+    clock = clocks.choose(times)
+    warnings = list(clock.warnings)
+    made = _Maker(chosen, rows, clock.used, warnings)
+    target = rig.actuator.unit if rig else unit or made.dimension(chosen.motor)
+    motor = made.motor(target)
+    marker = angle = None
+    if len(chosen.tip) == 2:
+        marker = made.marker()
+    elif chosen.tip:
+        angle = made.angle()
+    seen = made.recorded_video(frames, roles.video or "")
+    _check_motor(motor, chosen.motor.name, rig, warnings)
+    for sensor_s, name in (
+        (marker.t_s if marker else angle.t_s if angle else None, "".join(roles.tip[:1])),
+        (
+            seen.arrival_s[np.isfinite(seen.arrival_s)] if seen and seen.arrival_s is not None else None,
+            roles.video or "",
+        ),
+    ):
+        if sensor_s is not None:
+            clocks.overlap(motor.t_s, sensor_s, roles.motor, name)
+    _check_units(chosen, motor, angle, target, rig, warnings)
+    own = rig or _rig(motor, angle, target)
+    recording = Recording(source.path.stem, motor, marker, angle, seen, own)
+    return Assembled(recording, rig is not None, made.told, clock.used, warnings)
+
+
+class _Chosen:
+    """The roles' channels, as the source calls them."""
+
+    def __init__(self, source: Source, episode: int, roles: Roles) -> None:
+        listed = list(source.facts)
+        asked = {
+            "motor": [roles.motor], "tip": roles.tip, "command": [roles.command] if roles.command else [],
+            "load": [roles.load] if roles.load else [], "joint": roles.joints,
+        }  # fmt: skip
+        texts = [named(text, listed) for each in asked.values() for text in each]
+        found = find(source, episode, [each.name for each in texts])
+        self.source = source
+        self.groups = {found[each.name][0]: found[each.name][1] for each in texts}
+
+        def of(role: str) -> list[Named]:
+            return [Named(found[n.name][0], n.unit, n.factor) for n in (named(text, listed) for text in asked[role])]
+
+        self.motor, self.tip = of("motor")[0], of("tip")
+        self.command = next(iter(of("command")), None)
+        self.load = next(iter(of("load")), None)
+        self.joints = of("joint")
+        self.parts: dict[str, tuple[str, ...]] = {}  # of a name that stands for several channels
+        self._expand_tip()
+        if len(self.tip) > 2:
+            raise TautError("--tip is one angle or orientation, or twice a place in the image: u, then v, in px")
+
+    def _expand_tip(self) -> None:
+        known = set(self.source.facts)
+        for each in list(self.tip):
+            inner = {axis: f"{each.name}.{axis}" for axis in QUATERNION if f"{each.name}.{axis}" in known}
+            if each.name in known:
+                continue
+            if len(inner) == 4:
+                self.parts[each.name] = tuple(inner[axis] for axis in QUATERNION)
+            elif {"x", "y"} <= set(inner) and len(self.tip) == 1:
+                self.tip = [Named(inner[axis]) for axis in ("x", "y")]
+                self.groups.update({inner[axis]: self.groups[each.name] for axis in ("x", "y")})
+            else:
+                held = sorted(name for name in known if name.startswith(f"{each.name}."))
+                raise TautError(
+                    f"{self.source.path}: {each.name} is several channels: name one of {', '.join(held[:6])}"
+                )
+
+    def by_group(self) -> dict[str, list[str]]:
+        wanted: dict[str, list[str]] = {}
+        everything = [self.motor, *self.tip, *self.joints, *(x for x in (self.command, self.load) if x)]
+        for each in everything:
+            names = self.parts.get(each.name, (each.name,))
+            wanted.setdefault(self.groups[each.name], []).extend(names)
+        return {group: list(dict.fromkeys(names)) for group, names in wanted.items()}
+
+    def stated(self, channel: Named) -> str:
+        """The unit that the file says, in words of units.py."""
+        fact = self.source.facts.get(channel.name)
+        said = (fact.unit or unit_in(fact.label)) if fact else ""
+        return channel.unit or said or unit_in(channel.name)
+
+
+class _Maker:
+    """Turns rows into a recording's arrays; `told` says what became of each channel."""
+
+    def __init__(self, chosen: _Chosen, rows: dict[str, Rows], clock: str, warnings: list[str]) -> None:
+        self._chosen, self._rows, self._clock, self._warnings = chosen, rows, clock, warnings
+        self.told: list[dict[str, Any]] = []
+        self._kept: dict[
+            str, tuple[Array, Array | None]
+        ] = {}  # by group: times, and the rows that have them if not all
+
+    def dimension(self, channel: Named) -> str:
+        stated = self._chosen.stated(channel)
+        return "mm" if stated and stated not in ANGLES and factor_fits(channel, stated, "mm") else "deg"
+
+    def motor(self, target: str) -> Motor:
+        t_s, q = self._series(self._chosen.motor, target, "motor")
+        q_cmd = load = None
+        if (command := self._chosen.command) is not None:
+            at, value = self._series(command, target, "command")
+            q_cmd = value[np.clip(np.searchsorted(at, t_s, side="right") - 1, 0, None)]  # held until the next one
+        if (channel := self._chosen.load) is not None:
+            at, value = self._series(channel, "mNm", "load")
+            load = np.interp(t_s, at, value)
+        joints: dict[str, Array] = {}
+        for joint in self._chosen.joints:
+            own = self.dimension(joint)
+            at, value = self._series(joint, own, "joint")
+            joints[_column(joint, self._chosen.source, own)] = np.interp(t_s, at, value)
+        return Motor(t_s=t_s, q=q, q_cmd=q_cmd, load_mNm=load, extra=joints)
+
+    def angle(self) -> Angle:
+        tip = self._chosen.tip[0]
+        if tip.name in self._chosen.parts:
+            t_s, parts = self._times(tip, self._chosen.parts[tip.name])
+            c_deg, share = bending_deg(np.column_stack(parts))
+            if not np.isfinite(c_deg).any():
+                raise TautError(f"{tip.name}: holds no orientation: its x, y, z, w have not length 1")
+            if share < _ONE_AXIS:
+                self._warnings.append(
+                    f"{tip.name}: {100 * share:.0f} % of its turning is about one axis, the angle is about that one"
+                )
+            self._tell("tip", tip, len(t_s), "quaternion", None)
+        else:
+            t_s, c_deg = self._series(tip, "deg", "tip", keep_lost=True)
+        lost = ~np.isfinite(c_deg)
+        if lost.any():
+            self._warnings.append(f"{tip.name}: {int(lost.sum())} rows have no number: they are kept as not valid")
+        return Angle(t_s, c_deg, ~lost if lost.any() else None)
+
+    def marker(self) -> Marker:
+        u, v = self._chosen.tip
+        if self._chosen.groups[u.name] != self._chosen.groups[v.name]:
+            raise TautError(f"{u.name} and {v.name} are of two topics: name u and v of one")
+        t_s, (u_px, v_px) = self._times(u, (u.name, v.name))
+        valid = np.isfinite(u_px) & np.isfinite(v_px)
+        if not valid.any():
+            raise TautError(f"{u.name}: holds no number: name another --tip")
+        for each in (u, v):
+            self._tell("tip", each, len(t_s), "px", 1.0)
+        return Marker(t_s, np.where(valid, u_px, np.nan), np.where(valid, v_px, np.nan), valid)
+
+    def recorded_video(self, frames: tuple[Array, Array | None, Path] | None, name: str) -> Video | None:
+        if frames is None:
+            return None
+        log_s, stamp_s, path = frames
+        t_s = stamp_s if self._clock == clocks.STAMP and stamp_s is not None else log_s
+        t_s = t_s.copy()
+        highest = np.maximum.accumulate(np.where(np.isfinite(t_s), t_s, -np.inf))
+        late = np.concatenate([[False], t_s[1:] <= highest[:-1]])
+        if late.any():
+            self._warnings.append(
+                f"video: {int(late.sum())} frames have no time after the one before: they are not named"
+            )
+            t_s[late] = np.nan
+        self.told.append({"role": "video", "name": name, "rows": int(np.isfinite(t_s).sum())})
+        return Video(path, t_s)
+
+    def _series(self, channel: Named, target: str, role: str, keep_lost: bool = False) -> tuple[Array, Array]:
+        """Times, and values in `target`."""
+        t_s, (values,) = self._times(channel, (channel.name,))
+        times, unit = factor(channel, self._chosen.stated(channel), target)
+        finite = np.isfinite(values)
+        lost = int((~finite).sum())
+        if not finite.any():
+            raise TautError(f"{channel.name}: holds no number: name another --{role}")
+        if lost and not keep_lost:
+            if role == "motor" and lost > _MOST_LOST * len(values):
+                raise TautError(
+                    f"{channel.name}: {lost} of {len(values)} rows are NaN: the motor is needed throughout: name "
+                    "another --motor, or cut that part off"
+                )
+            self._warnings.append(f"{channel.name}: {lost} rows without a number were left out")
+            t_s, values = t_s[finite], values[finite]
+        self._tell(role, channel, len(t_s), unit, times)
+        return t_s, values if times == 1.0 else values * times
+
+    def _times(self, channel: Named, names: tuple[str, ...]) -> tuple[Array, list[Array]]:
+        """A channel's times, tidied, and the values of `names` at them."""
+        group = self._chosen.groups[channel.name]
+        if group not in self._rows:
+            raise TautError(f"{self._chosen.source.path}: {channel.name} has no rows: choose another --episode")
+        rows = self._rows[group]
+        if group not in self._kept:
+            self._kept[group] = self._tidied(group, rows)
+        t_s, kept = self._kept[group]
+        return t_s, [rows.values[name] if kept is None else rows.values[name][kept] for name in names]
+
+    def _tidied(self, group: str, rows: Rows) -> tuple[Array, Array | None]:
+        t_s = rows.stamp_s if self._clock == clocks.STAMP and rows.stamp_s is not None else rows.log_s
+        kept = clocks.tidy(t_s, group or str(self._chosen.source.path), self._warnings)
+        whole = len(kept) == len(t_s) and bool(np.all(kept[1:] > kept[:-1]))
+        return np.round(t_s if whole else t_s[kept], _TIME_DIGITS), None if whole else kept
+
+    def _tell(self, role: str, channel: Named, rows: int, unit: str, times: float | None) -> None:
+        fact = self._chosen.source.facts.get(channel.name)
+        entry = {"role": role, "name": channel.name, "label": fact.label if fact else "", "rows": rows}
+        entry |= {"unit": unit or "not said", "factor": times}
+        self.told.append({key: value for key, value in entry.items() if value not in (None, "")})
+
+
+def factor_fits(channel: Named, stated: str, target: str) -> bool:
+    """A channel's unit can become `target`."""
+    try:
+        factor(channel, stated, target)
+    except TautError:
+        return False
+    return True
+
+
+def _frames(source: Source, episode: int, name: str, scratch: Path) -> tuple[Array, Array | None, Path]:
+    """The video written into scratch: its frames' log times and stamps."""
+    if name not in source.videos:
+        list(source.batches(episode, [name]))  # some name their videos while they are read
+    if name not in source.videos and source.videos:
+        raise TautError(f"{source.path}: has no video {name}: it has {', '.join(source.videos)}")
+    found = source.pictures(episode, name)
+    if isinstance(found, Clip):
+        path = scratch / f"video{'.mkv' if found.path.suffix == '.mkv' else '.mp4'}"
+        return video.cut(found, path), None, path
+    path = scratch / "video.mkv"
+    log_s, stamp_s = video.from_pictures(found, path, f"{source.path}: {name}")
+    return log_s, None if np.isnan(stamp_s).all() else stamp_s, path
+
+
+def _check_units(
+    chosen: _Chosen, motor: Motor, angle: Angle | None, target: str, rig: Rig | None, warnings: list[str]
+) -> None:
+    """57.3 is radians, 1000 metres: an error where nobody said which unit it is, else a warning."""
+    span = _span(motor.q)
+    if span <= 0.0:
+        raise TautError(f"{chosen.motor.name}: does not move: name another --motor")
+    pairs: list[tuple[str, Named, Array, str, float, float]] = []  # beside the motor; its span, how sure that is
+    if motor.q_cmd is not None and chosen.command is not None:
+        pairs.append(("--command", chosen.command, motor.q_cmd, target, span, _SURE))
+    if angle is not None and rig is not None:
+        pairs.append(("--tip", chosen.tip[0], angle.c_deg[angle.seen], "deg", span * abs(rig.coarse.gain), _BY_RIG))
+    elif angle is not None and target == "deg":
+        pairs.append(("--tip", chosen.tip[0], angle.c_deg[angle.seen], "deg", span, _ANY_GAIN))
+    for option, partner, values, kind, expected, sure in pairs:
+        if (seen := _span(values)) <= 0.0:
+            continue
+        for role, wrong, raw, ratio, base in (
+            (option, partner, values, expected / seen, kind),
+            ("--motor", chosen.motor, motor.q, seen / expected, target),
+        ):
+            if not (unit := suspected(ratio, raw, base, sure)):
+                continue
+            moves = f"{ratio:.4g} times less" if ratio > 1.0 else f"{1.0 / ratio:.4g} times more"
+            says = f"{wrong.name} moves {moves} than {(chosen.motor if wrong is partner else partner).name} tells"
+            if chosen.stated(wrong) or wrong.factor is not None:
+                warnings.append(f"{says}: is it in {SPOKEN[unit]}?")
+                continue
+            raise TautError(
+                f"{says}, as {SPOKEN[unit]} do: write {role} '{wrong.name}:{unit}', or '{wrong.name}:{base}' "
+                "if that is its unit"
+            )
+
+
+def _check_motor(motor: Motor, name: str, rig: Rig | None, warnings: list[str]) -> None:
+    """What a recording that is loaded is asked of its motor."""
+    step = np.diff(motor.t_s)
+    if (usual := float(np.median(step))) >= MAX_MOTOR_STEP_S:
+        raise TautError(
+            f"{name}: rows are {usual:.4g} s apart, a motor's come at 10 Hz or more: is the time's unit right?"
+        )
+    if (longest := float(step.max())) > MAX_MOTOR_GAP_S:
+        raise TautError(
+            f"{name}: {longest:.6g} s pass without a row at {motor.t_s[step.argmax()]:.6g} s: split it there"
+        )
+    if rig is not None:
+        low, high = rig.actuator.range
+        beyond = max(low - float(motor.q.min()), float(motor.q.max()) - high)
+        says = f"{name} goes from {motor.q.min():.6g} to {motor.q.max():.6g} {rig.actuator.unit}, the rig's range is "
+        if beyond > FARTHEST * rig.actuator.span:
+            raise TautError(f"{says}[{low:g}, {high:g}]: say its unit, as in {name}:rad")
+        if beyond > rig.actuator.span:
+            warnings.append(f"{says}[{low:g}, {high:g}]")
+
+
+def _rig(motor: Motor, angle: Angle | None, unit: str) -> Rig:
+    """What a recording shows of its set-up: range, one count and the coarse law."""
+    low, high = float(motor.q.min()), float(motor.q.max())
+    step = 10.0 ** (np.ceil(np.log10(high - low)) - _RANGE_DIGITS)
+    low, high = (float(f"{side(end / step) * step:.10g}") for side, end in ((np.floor, low), (np.ceil, high)))
+    gain, offset = 1.0, 0.0
+    if angle is not None:
+        seen = angle.seen
+        every = max(1, int(seen.sum()) // _SAMPLED)
+        t_s, c_deg = angle.t_s[seen][::every], angle.c_deg[seen][::every]
+        line = np.polyfit(np.interp(t_s, motor.t_s, motor.q), c_deg, 1)
+        if np.isfinite(line).all() and line[0] != 0.0:
+            gain, offset = (float(f"{value:.4g}") for value in line)
+    count = _count(motor.q)
+    return Rig(Actuator(unit, (low, high), count), Coarse(gain, offset), angle=AngleSensor() if angle else None)
+
+
+def _count(q: Array) -> float:
+    """The smallest step that the motor's position is told in."""
+    values = np.unique(q[:: max(1, len(q) // _SAMPLED)])
+    steps = np.diff(values)
+    least = _RESOLUTION_LEAST * (values[-1] - values[0])
+    real = steps[steps > least]
+    return float(f"{max(float(np.percentile(real, 5.0)) if real.size else least, least):.4g}")
+
+
+def _span(values: Array) -> float:
+    low, high = np.percentile(values, [5.0, 95.0])
+    return float(high - low)
+
+
+def _column(channel: Named, source: Source, unit: str) -> str:
+    label = source.facts[channel.name].label if channel.name in source.facts else ""
+    plain = "".join(c if c.isalnum() else "_" for c in (label or channel.name)).strip("_")
+    return plain if plain.endswith(f"_{unit}") else f"{plain}_{unit}"

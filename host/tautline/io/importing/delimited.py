@@ -1,0 +1,153 @@
+"""CSV of any separator, decimal sign and column names, by pandas, a part at a time."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from tautline.errors import TautError
+from tautline.io.importing.layout import Layout, is_date
+from tautline.io.importing.source import EPOCH_S, Array, Batch, Clip, Fact
+from tautline.io.importing.units import TIMES, split_unit, unit_in
+
+_CHUNK_ROWS = 65536
+_RISES = 0.99  # share of steps that may not go back, of a column of times: what is left is mended or refused later
+_TIME_WORDS = re.compile(r"(t|time|zeit\w*|timestamp|stamp|uhrzeit|temps|tiempo|epoch|date|datum|datetime)([^a-z]|$)")
+SLOWEST_S, FASTEST_S = 0.2, 5e-5  # between a motor's rows (10 Hz to 10 kHz), and as much again to either side
+
+
+class Delimited:
+    kind = "CSV"
+    numbers = "column"
+
+    def __init__(self, path: Path, time: str = "") -> None:
+        """time: the column of times, with its unit where it is known, as in NAME:ms; "" finds it."""
+        self.path = path
+        self.notes: list[str] = []
+        self.videos: list[str] = []
+        self.origin_s = 0.0
+        self._layout = Layout.of(path)
+        first = next(self._frames(_CHUNK_ROWS), None)
+        if first is None or len(first) < 2:
+            raise TautError(f"{path}: holds no rows of numbers: expected a line of names and rows")
+        names = self._layout.names
+        name, unit = split_unit(time, names, TIMES)
+        if time and name not in names:
+            raise TautError(f"{path}: has no column {name}: it has {', '.join(names)}")
+        self._time = name or self._rising(first)
+        self._dated = not pd.api.types.is_numeric_dtype(first[self._time])
+        self._unit, self._origin = self._told_by(first[self._time], unit)
+        others = [each for each in zip(names, self._layout.units, strict=True) if each[0] != self._time]
+        self.facts = {name: Fact("number", unit=unit) for name, unit in others}
+
+    def episodes(self) -> Sequence[int]:
+        return (0,)
+
+    def batches(self, episode: int, groups: Collection[str] | None = None) -> Iterator[Batch]:
+        for frame in self._frames():
+            values = {name: self._numbers(frame[name]) for name in self.facts}
+            yield Batch("", self._seconds(frame[self._time]), None, values)
+
+    def pictures(self, episode: int, video: str) -> Clip:
+        return Clip(self.path.parent / video)
+
+    def _frames(self, rows: int | None = None) -> Iterator[pd.DataFrame]:
+        how = self._layout
+        try:
+            with pd.read_csv(
+                self.path,
+                sep=r"\s+" if how.separator == " " else how.separator,
+                decimal=how.decimal,
+                thousands=how.thousands,
+                encoding=how.encoding,
+                header=None,
+                names=how.names,
+                usecols=range(len(how.names)),
+                skiprows=how.first,
+                skipinitialspace=True,
+                chunksize=_CHUNK_ROWS,
+                nrows=rows,
+                low_memory=False,
+            ) as reader:
+                yield from reader
+        except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
+            what = " ".join(str(error).split())
+            raise TautError(f"{self.path}: cannot be read to its end ({what}): mend that line") from error
+
+    def _numbers(self, column: pd.Series) -> Array:
+        """NaN where a cell holds no number."""
+        if not pd.api.types.is_numeric_dtype(column):
+            text = column.astype("string").str.strip()
+            if self._layout.thousands:
+                text = text.str.replace(self._layout.thousands, "", regex=False)
+            column = pd.to_numeric(text.str.replace(self._layout.decimal, ".", regex=False), errors="coerce")
+        return column.to_numpy(dtype=np.float64, na_value=np.nan)
+
+    def _seconds(self, column: pd.Series) -> Array:
+        if self._dated:
+            moments = _moments(column)
+            since = (moments - self._origin) * 1e-9
+            return np.where(moments == np.iinfo(np.int64).min, np.nan, since)  # what is no date is NaT, the least
+        if pd.api.types.is_integer_dtype(column):  # an epoch's nanoseconds are more than a float holds
+            whole: Array = (column.to_numpy(np.int64) - int(self._origin)) * TIMES[self._unit]
+            return whole
+        return (self._numbers(column) - self._origin) * TIMES[self._unit]
+
+    def _told_by(self, column: pd.Series, unit: str) -> tuple[str, float | int]:
+        """The unit of the times, and what is taken off."""
+        if self._dated:
+            moments = _moments(column.head())
+            if moments.min() == np.iinfo(np.int64).min:
+                raise TautError(f"{self.path}: column {self._time} holds {str(column.iloc[0])[:24]!r}, expected times")
+            self.origin_s = float(moments[0]) * 1e-9
+            return "ns", int(moments[0])
+        step = float(np.nanmedian(np.diff(column.to_numpy(dtype=np.float64, na_value=np.nan))))
+        stated = self._layout.units[self._layout.names.index(self._time)]
+        unit = unit or unit_in(self._time, TIMES) or (stated if stated in TIMES else "")
+        if not unit:
+            unit = _time_unit(step)
+            self.notes.append(
+                f"{self.path}: {self._time} has no unit: its steps of {step:.6g} are taken as {unit}, "
+                f"{1.0 / (step * TIMES[unit]):.4g} rows/s; --time '{self._time}:UNIT' says another"
+            )
+        start = column.iloc[0].item()
+        if abs(start) * TIMES[unit] <= EPOCH_S:
+            return unit, 0
+        self.origin_s = start * TIMES[unit]
+        return unit, start
+
+    def _rising(self, first: pd.DataFrame) -> str:
+        """The column that rises as times do; by its name where several do."""
+        rising = [name for name in self._layout.names if _rises(first[name])]
+        called = [name for name in self._layout.names if _TIME_WORDS.match(name.strip().lower())]
+        found = [name for name in called if name in rising] or called or rising
+        if not found:
+            raise TautError(
+                f"{self.path}: no column rises as times do (found {', '.join(self._layout.names)}): "
+                "name it with --time NAME"
+            )
+        return found[0]
+
+
+def _rises(column: pd.Series) -> bool:
+    if not pd.api.types.is_numeric_dtype(column):
+        return is_date(str(column.iloc[0]))
+    step = np.diff(column.to_numpy(dtype=np.float64, na_value=np.nan))
+    return bool(np.mean(step >= 0) > _RISES and np.nanmedian(step) > 0)
+
+
+def _moments(column: pd.Series) -> Array:
+    """(n,) int64 ns of dates: 2026-11-23 15:13:47.5, or day first where the year is last."""
+    text = column.astype("string").str.replace(",", ".", regex=False)
+    day_first = not re.match(r"\d{4}", str(text.iloc[0]))
+    moments = pd.to_datetime(text, errors="coerce", dayfirst=day_first, format="mixed")
+    return moments.to_numpy("datetime64[ns]").astype(np.int64)
+
+
+def _time_unit(step: float) -> str:
+    """The unit in which rows come at a motor's rates; the slower reading where two do."""
+    return next((u for u, times in TIMES.items() if FASTEST_S <= abs(step) * times <= SLOWEST_S), "s")

@@ -1,0 +1,225 @@
+"""A source opened by what it is, and its episodes written as recordings that say where they came from."""
+
+from __future__ import annotations
+
+import hashlib
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import tomli_w
+
+from tautline import __version__, recording
+from tautline.errors import TautError
+from tautline.folders import check_replaceable, replaced
+from tautline.io.importing.assemble import Assembled, Roles, assemble
+from tautline.io.importing.delimited import Delimited
+from tautline.io.importing.lerobot import LeRobot, is_dataset
+from tautline.io.importing.listing import Listing, Progress, resolve
+from tautline.io.importing.mcap import Mcap
+from tautline.io.importing.propose import Proposal
+from tautline.io.importing.rosbag import Rosbag
+from tautline.io.importing.source import Source
+from tautline.io.importing.units import Named, named
+from tautline.rig import Rig
+
+FORMAT = "import/1"
+FILE = "import.toml"
+_HASHED_BYTES = 1 << 20  # at once
+_BAG = "metadata.yaml"
+
+
+@dataclass(frozen=True)
+class Imported:
+    episode: int
+    folder: Path
+    rows: int  # of motor.csv
+    channels: Sequence[dict[str, Any]]
+    clock: str
+    warnings: Sequence[str]
+
+
+def open_source(path: str | Path, time: str = "") -> Source:
+    """What is at a path, by what it holds. time: a CSV's column of times. TautError where it is none of these."""
+    path = Path(path)
+    if not path.exists():
+        raise TautError(f"{path}: there is no such file or folder")
+    if path.is_dir():
+        if is_dataset(path):
+            return LeRobot(path)
+        if (path / _BAG).is_file():
+            return Rosbag(path)
+        if (path / "motor.csv").is_file():
+            raise TautError(f"{path}: is a recording already: 'taut calibrate {path}' takes it as it is")
+        inner = sorted(each.name for each in path.iterdir())[:4]
+        raise TautError(
+            f"{path}: is no LeRobot data set (meta/info.json) and no ROS 2 bag ({_BAG}; 'ros2 bag reindex' makes it "
+            f"again): it holds {', '.join(inner) or 'nothing'}"
+        )
+    with path.open("rb") as stream:
+        start = stream.read(16)
+    if start.startswith(b"\x89MCAP"):
+        return Mcap(path)
+    if start.startswith(b"#ROSBAG"):
+        return Rosbag(path)
+    if start.startswith(b"SQLite format 3"):
+        if (path.parent / _BAG).is_file():
+            return Rosbag(path.parent)
+        raise TautError(f"{path}: has no {_BAG} beside it: 'ros2 bag reindex {path.parent}' makes it; name the folder")
+    if start.startswith(b"PAR1"):
+        raise TautError(f"{path}: is one file of a data set: name the folder that holds meta/info.json")
+    if path.suffix in (".mcap", ".bag"):
+        raise TautError(f"{path}: is cut short or no {path.suffix[1:]} file: its first bytes are {start[:8]!r}")
+    return Delimited(path, time)
+
+
+def import_episodes(
+    source: Source, out: Path, roles: Roles, progress: Progress, unit: str | None = None,
+    rig: Rig | None = None, episode: int | None = None,
+) -> tuple[list[Imported], list[str]]:  # fmt: skip
+    """Writes OUT, or OUT/episode_NNNNNN for each where there are several: whole or not at all. Also what was left
+    out of several, and why. TautError where nothing can be made of the one that was named, or of any."""
+    listed = list(source.episodes())
+    if not listed:
+        raise TautError(f"{source.path}: is empty: it holds no messages")
+    if episode is not None and episode not in listed:
+        raise TautError(f"{source.path}: has no episode {episode}: its episodes are {listed[0]} to {listed[-1]}")
+    origin = _origin(source)
+    if episode is not None or len(listed) == 1:
+        only = listed[0] if episode is None else episode
+        return [_write(source, origin, out, roles, unit, rig, only, progress)], []
+    written: list[Imported] = []
+    skipped: list[str] = []
+    first: TautError | None = None
+    check_replaceable(out, FILE)
+    with replaced(out, FILE, stale=("episode_*",)) as target:
+        for k, each in enumerate(listed):
+            progress(k / len(listed), f"episode {each}")
+            name = f"episode_{each:06d}"
+            try:
+                made = _write(source, origin, target / name, roles, unit, rig, each, lambda share, what: None)
+            except TautError as error:
+                first = first or error
+                skipped.append(f"episode {each} was left out: {str(error).replace(str(target), str(out))}")
+                continue
+            written.append(replace(made, folder=out / name))
+        _share_rig([target / f"episode_{each.episode:06d}" for each in written], rig)
+        if not written:
+            assert first is not None
+            raise TautError(str(first).replace(str(target), str(out)))
+        document = {"format": FORMAT, "source": origin, "episodes": [each.episode for each in written]}
+        (target / FILE).write_bytes(tomli_w.dumps(document | {"skipped": skipped}).encode())
+    return written, skipped
+
+
+def _share_rig(folders: Sequence[Path], named: Rig | None) -> None:
+    """One rig for all episodes, of what each of them showed: recordings that go together have one."""
+    files = [folder / "rig.toml" for folder in folders if (folder / "rig.toml").is_file()]
+    if named is not None or not files:
+        return
+    rigs = [Rig.load(file) for file in files]
+    reach = (min(rig.actuator.range[0] for rig in rigs), max(rig.actuator.range[1] for rig in rigs))
+    actuator = replace(rigs[0].actuator, range=reach)
+    widest = max(rigs, key=lambda rig: rig.actuator.span)  # whose slope is known best
+    count = min(rig.actuator.encoder_resolution for rig in rigs)
+    for file in files:
+        replace(widest, actuator=replace(actuator, encoder_resolution=count)).save(file)
+
+
+def _write(
+    source: Source, origin: dict[str, Any], folder: Path, roles: Roles, unit: str | None, rig: Rig | None,
+    episode: int, progress: Progress,
+) -> Imported:  # fmt: skip
+    with TemporaryDirectory(prefix="taut-import-") as scratch:
+        made = assemble(source, episode, roles, unit, rig, Path(scratch), progress)
+        known = made.rig_known or made.recording.angle is not None
+        with replaced(
+            folder, "motor.csv", stale=("marker.csv", "angle.csv", "frames.csv", "video.*", "rig.toml")
+        ) as target:
+            recording.save(made.recording, target)
+            if not known:
+                (target / "rig.toml").unlink()
+            (target / FILE).write_bytes(tomli_w.dumps(_provenance(source, origin, episode, made)).encode())
+    if not known:
+        made.warnings.append(
+            "no rig.toml was written, as pixels need the camera: name one with --rig, here or to calibrate"
+        )
+    elif not made.rig_known:
+        made.warnings.append(f"rig.toml: range, one count and coarse law are {source.path.name}'s own: check them")
+    rows = len(made.recording.motor.t_s)
+    return Imported(episode, folder, rows, made.channels, made.clock, (*source.notes, *made.warnings))
+
+
+def _provenance(source: Source, origin: dict[str, Any], episode: int, made: Assembled) -> dict[str, Any]:
+    """import.toml: where a recording came from and what was done to it."""
+    return {
+        "format": FORMAT,
+        "source": origin | {"episode": episode},
+        "clock": {"used": made.clock, "origin_s": source.origin_s},
+        "rig": {"from": "named" if made.rig_known else "the recording"},
+        "channels": made.channels,
+        "warnings": [*source.notes, *made.warnings],
+    }
+
+
+def _origin(source: Source) -> dict[str, Any]:
+    hashed, size = _sha256(source.path)
+    return {"path": str(source.path), "kind": source.kind, "sha256": hashed, "bytes": size, "taut": __version__}
+
+
+def _sha256(path: Path) -> tuple[str, int]:
+    """Of a file; of a folder its files' names and bytes in order of names, videos by their size alone."""
+    digest, size = hashlib.sha256(), 0
+    files = [path] if path.is_file() else sorted(each for each in path.rglob("*") if each.is_file())
+    for file in files:
+        length = file.stat().st_size
+        size += length
+        if path.is_dir():
+            digest.update(f"{file.relative_to(path).as_posix()} {length}\n".encode())
+        if file.suffix in (".mp4", ".mkv"):
+            continue
+        with file.open("rb") as stream:
+            while part := stream.read(_HASHED_BYTES):
+                digest.update(part)
+    return digest.hexdigest(), size
+
+
+def told(roles: Roles, listing: Listing, source: Source, unit: str | None) -> Proposal:
+    """What a user named already, as a proposal holds it."""
+    known = listing.channels
+
+    def of(text: str) -> Named:
+        each = named(text, known)
+        return replace(each, name=resolve(each.name, source, known))
+
+    motor = of(roles.motor) if roles.motor else None
+    command, load = of(roles.command) if roles.command else None, of(roles.load) if roles.load else None
+    return Proposal(motor, tuple(map(of, roles.tip)), command, load, roles.video, unit or "")
+
+
+def proposed_command(
+    source: Source, out: Path | None, found: Proposal, joints: Sequence[str], episode: int | None, time: str = ""
+) -> str:
+    """The whole command that a proposal is; "" where it names no motor, or nothing of the tip."""
+    if found.motor is None or not (found.tip or found.video):
+        return ""
+    words = ["taut", "import", str(source.path), "--out", str(out or "recording"), "--motor", found.motor.text]
+    for each in found.tip:
+        words += ["--tip", each.text]
+    if found.command is not None:
+        words += ["--command", found.command.text]
+    if found.load is not None:
+        words += ["--load", found.load.text]
+    if found.video is not None:
+        words += ["--video", found.video]
+    for joint in joints:
+        words += ["--joint", joint]
+    words += ["--unit", found.unit]
+    if episode is not None:
+        words += ["--episode", str(episode)]
+    if time:
+        words += ["--time", time]
+    return shlex.join(words)

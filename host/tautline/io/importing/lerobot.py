@@ -1,0 +1,195 @@
+"""LeRobot data sets, versions 2.1 (a file for each episode) and 3.0 (episodes side by side in files), by pyarrow."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tautline.errors import TautError
+from tautline.io.importing.libraries import library
+from tautline.io.importing.source import BATCH_ROWS, Array, Batch, Clip, Fact
+
+INFO = "meta/info.json"
+_EPISODES = {"v2": "meta/episodes.jsonl", "v3": "meta/episodes"}
+_COUNTERS = ("timestamp", "frame_index", "episode_index", "index", "task_index", "next.done", "next.success")
+_FULL_SCALE = 100.0  # of LeRobot's normalised joints: -100 to 100 over the calibrated range
+_UNITS = ("deg", "rad", "mm", "m")
+
+
+class LeRobot:
+    numbers = "feature"
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.facts: dict[str, Fact] = {}
+        self.notes: list[str] = []
+        self.origin_s = 0.0
+        self._parquet = library("pyarrow.parquet", f"{path}: a LeRobot data set")
+        self._arrow_error: type[Exception] = library("pyarrow", "LeRobot").ArrowException
+        self._info = self._json(path / INFO)
+        version = str(self._info.get("codebase_version", ""))
+        self._layout = version.split(".")[0]
+        if self._layout not in _EPISODES:
+            raise TautError(
+                f"{path / INFO}: codebase_version is {version!r}: v2.1 and v3.0 are read: convert it with LeRobot first"
+            )
+        self.kind = f"LeRobot {version}"
+        self._features: Mapping[str, Any] = self._need("features", dict)
+        self.videos = [name for name, each in self._features.items() if each.get("dtype") == "video"]
+        self.facts.update({name: Fact("video") for name in self.videos})
+        self._numeric = {
+            name: each
+            for name, each in self._features.items()
+            if name not in _COUNTERS and str(each.get("dtype", "")).startswith(("float", "int", "uint"))
+        }
+        for name, feature in self._numeric.items():
+            for key, label in _names(name, feature):
+                self.facts[key] = Fact(str(feature["dtype"]), label, self._unit(feature))
+        self._rows = self._episode_rows()
+        if not any(fact.unit for fact in self.facts.values()):
+            self.notes.append(
+                f"{path / INFO}: says no unit: LeRobot writes degrees (use_degrees) or shares of each joint's range "
+                "(-100 to 100) that only its calibration turns into degrees"
+            )
+
+    def episodes(self) -> Sequence[int]:
+        return sorted(self._rows)
+
+    def batches(self, episode: int, groups: Collection[str] | None = None) -> Iterator[Batch]:
+        row, file = self._row(episode), self._file(episode)
+        columns = [*self._numeric, "timestamp"]
+        filters = [("episode_index", "=", episode)] if self._layout == "v3" else None
+        if not file.is_file():
+            raise TautError(f"{file}: is not there, {INFO} says that episode {episode} is in it: copy it too")
+        count = 0
+        try:
+            opened = self._parquet.ParquetFile(file)
+            missing = set(columns) - set(opened.schema_arrow.names)
+            if missing:
+                raise TautError(f"{file}: column {min(missing)} is missing, {INFO} names it")
+            for batch in opened.iter_batches(BATCH_ROWS, columns=[*columns, "episode_index"]):
+                if filters is not None:
+                    batch = batch.filter(np.asarray(batch.column("episode_index")) == episode)
+                if batch.num_rows:
+                    count += batch.num_rows
+                    yield self._batch(batch, file)
+        except (self._arrow_error, OSError) as error:
+            what = " ".join(str(error).split())[:120]
+            raise TautError(f"{file}: is cut short or no Parquet file ({what}): copy it again") from error
+        if count != row.get("length", count):
+            self.notes.append(f"{file}: episode {episode} has {count} rows, its list says {row['length']}")
+
+    def pictures(self, episode: int, video: str) -> Clip:
+        row = self._row(episode)
+        if self._layout == "v2":
+            chunk = episode // int(self._info.get("chunks_size") or 1000)
+            path = self._format("video_path", episode_chunk=chunk, video_key=video, episode_index=episode)
+            return Clip(path)
+        start = f"videos/{video}"
+        path = self._format(
+            "video_path",
+            video_key=video,
+            chunk_index=int(row[f"{start}/chunk_index"]),
+            file_index=int(row[f"{start}/file_index"]),
+        )
+        return Clip(path, float(row[f"{start}/from_timestamp"]), float(row[f"{start}/to_timestamp"]))
+
+    def _batch(self, batch: Any, file: Path) -> Batch:
+        values: dict[str, Array] = {}
+        for name, feature in self._numeric.items():
+            column = batch.column(name)
+            keys = _names(name, feature)
+            flat = column.flatten() if hasattr(column, "flatten") and column.type.num_fields else column
+            numbers = flat.cast("float64").to_numpy(zero_copy_only=False)
+            if len(numbers) != len(keys) * batch.num_rows:
+                raise TautError(f"{file}: {name} has not the {len(keys)} numbers a row that {INFO} says")
+            for k, (key, _) in enumerate(keys):
+                values[key] = numbers[k :: len(keys)]
+        t_s = batch.column("timestamp").cast("float64").to_numpy(zero_copy_only=False)
+        return Batch("", t_s, None, values)
+
+    def _file(self, episode: int) -> Path:
+        if self._layout == "v2":
+            chunk = episode // int(self._info.get("chunks_size") or 1000)
+            return self._format("data_path", episode_chunk=chunk, episode_index=episode)
+        row = self._row(episode)
+        return self._format(
+            "data_path", chunk_index=int(row["data/chunk_index"]), file_index=int(row["data/file_index"])
+        )
+
+    def _row(self, episode: int) -> Mapping[str, Any]:
+        if episode not in self._rows:
+            known = sorted(self._rows)
+            told = f"{known[0]} to {known[-1]}" if known else "none"
+            raise TautError(f"{self.path}: has no episode {episode}: its episodes are {told}")
+        return self._rows[episode]
+
+    def _episode_rows(self) -> dict[int, dict[str, Any]]:
+        listed = self.path / _EPISODES[self._layout]
+        if self._layout == "v2":
+            try:
+                lines = [json.loads(line) for line in listed.read_text(encoding="utf-8").splitlines() if line.strip()]
+                return {int(line["episode_index"]): line for line in lines}
+            except (OSError, ValueError, KeyError) as error:
+                raise TautError(f"{listed}: cannot be read as a list of episodes ({error}): copy it again") from error
+        rows: dict[int, dict[str, Any]] = {}
+        for file in sorted(listed.glob("*/*.parquet")):
+            try:
+                names = [name for name in self._parquet.read_schema(file).names if not name.startswith("stats/")]
+                for row in self._parquet.read_table(file, columns=names).to_pylist():
+                    rows[int(row["episode_index"])] = row
+            except (self._arrow_error, OSError, KeyError) as error:
+                raise TautError(f"{file}: cannot be read as a list of episodes ({error}): copy it again") from error
+        if not rows:
+            raise TautError(f"{listed}: holds no list of episodes (*/*.parquet): copy the folder meta whole")
+        return rows
+
+    def _unit(self, feature: Mapping[str, Any]) -> str:
+        """Where info.json says so: a key `unit` of a feature, or of its `info`."""
+        inner = feature.get("info")
+        stated = str(feature.get("unit") or (inner.get("unit") if isinstance(inner, Mapping) else "") or "")
+        short = {"degrees": "deg", "degree": "deg", "radians": "rad", "radian": "rad"}.get(stated.lower(), stated)
+        return short if short in _UNITS else ""
+
+    def _format(self, key: str, **values: Any) -> Path:
+        template: str = self._need(key, str)
+        try:
+            return self.path / template.format(**values)
+        except (KeyError, ValueError, IndexError) as error:
+            raise TautError(f"{self.path / INFO}: {key} is {template!r}, which is not of {self.kind}") from error
+
+    def _need(self, key: str, kind: type[Any]) -> Any:
+        value = self._info.get(key)
+        if not isinstance(value, kind):
+            raise TautError(f"{self.path / INFO}: {key} is missing: is the data set whole?")
+        return value
+
+    def _json(self, file: Path) -> Mapping[str, Any]:
+        try:
+            document = json.loads(file.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise TautError(f"{file}: cannot be read ({error}): is it a whole LeRobot data set?") from error
+        if not isinstance(document, dict):
+            raise TautError(f"{file}: holds no JSON object: is it a whole LeRobot data set?")
+        return document
+
+
+def _names(name: str, feature: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """(channel, label) of a feature's numbers."""
+    shape = [int(n) for n in feature.get("shape") or (1,)]
+    count = int(np.prod(shape))
+    labels: Any = feature.get("names")
+    if isinstance(labels, Mapping):  # {"motors": [...]} of older sets
+        labels = next(iter(labels.values()), None)
+    if count == 1 and not isinstance(labels, list):
+        return [(name, "")]
+    told = labels if isinstance(labels, list) and len(labels) == count else [""] * count
+    return [(f"{name}[{k}]", str(label)) for k, label in enumerate(told)]
+
+
+def is_dataset(path: Path) -> bool:
+    return (path / INFO).is_file()

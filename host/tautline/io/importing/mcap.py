@@ -1,0 +1,131 @@
+"""MCAP files with ROS 1, ROS 2, protobuf or JSON messages, by the `mcap` library and its decoders."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Collection, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tautline.errors import TautError
+from tautline.io.importing.libraries import library
+from tautline.io.importing.messages import Flattener, Gathered, is_picture, picture, stamp_ns
+from tautline.io.importing.source import Batch, Fact, Picture, origin_of
+
+
+class Mcap:
+    kind = "MCAP"
+    numbers = "topic"
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.facts: dict[str, Fact] = {}
+        self.videos: list[str] = []
+        self.notes: list[str] = []
+        self._reader = library("mcap.reader", f"{path}: MCAP")
+        self._errors: tuple[type[Exception], ...] = (library("mcap.exceptions", "MCAP").McapError, EOFError, ValueError)
+        self._undecoded: set[str] = set()
+        try:
+            with path.open("rb") as stream:
+                summary = self._reader.make_reader(stream).get_summary()
+        except self._errors as error:
+            raise self._cut(error) from error
+        # In the order of time the library holds the chunks that overlap, in the file's order all of them; without
+        # chunks it is the other way round.
+        self._by_time = summary is not None and bool(summary.chunk_indexes)
+        if summary is None or summary.statistics is None:
+            self.notes.append(f"{path}: has no summary at its end, all that can be read was taken")
+            first_ns = 0
+        else:
+            first_ns = summary.statistics.message_start_time
+        self.origin_s = origin_of(first_ns * 1e-9)
+        self._origin_ns = first_ns if self.origin_s else 0
+        self._empty = summary is not None and summary.statistics is not None and not summary.statistics.message_count
+
+    def episodes(self) -> tuple[int, ...]:
+        return () if self._empty else (0,)
+
+    def batches(self, episode: int, groups: Collection[str] | None = None) -> Iterator[Batch]:
+        gathered = Gathered()
+        flatteners: dict[int, Flattener] = {}
+        for schema, channel, message, decode in self._messages(groups):
+            type_name = schema.name if schema is not None else ""
+            if is_picture(type_name):
+                if channel.topic not in self.videos:
+                    self.videos.append(channel.topic)
+                    self.facts[channel.topic] = Fact(type_name)
+                continue
+            if channel.id not in flatteners:
+                flatteners[channel.id] = Flattener(channel.topic, type_name, self.facts)
+            decoded = decode(message.data)
+            stamp = stamp_ns(decoded)
+            batch = gathered.add(
+                channel.topic, self._s(message.log_time), self._s(stamp), flatteners[channel.id].values(decoded)
+            )
+            if batch is not None:
+                yield batch
+        yield from gathered.rest()
+        for each in sorted(self._undecoded):
+            note = f"{self.path}: {each} cannot be decoded and was left out"
+            if note not in self.notes:
+                self.notes.append(note)
+
+    def pictures(self, episode: int, video: str) -> Iterator[Picture]:
+        for _, _, message, decode in self._messages([video]):
+            decoded = decode(message.data)
+            found = picture(decoded, self._s(message.log_time), self._s(stamp_ns(decoded)))
+            if found is None:
+                raise TautError(f"{self.path}: {video} holds pictures that are no JPEG, PNG or plain colours")
+            yield found
+
+    def _messages(self, topics: Collection[str] | None) -> Iterator[tuple[Any, Any, Any, Callable[[bytes], Any]]]:
+        decoders: dict[int, Callable[[bytes], Any] | None] = {}
+        wanted = None if topics is None else list(topics)
+        try:
+            with self.path.open("rb") as stream:
+                reader = self._reader.make_reader(stream)
+                for schema, channel, message in reader.iter_messages(wanted, log_time_order=self._by_time):
+                    if channel.id not in decoders:
+                        decoders[channel.id] = self._decoder(schema, channel)
+                    decode = decoders[channel.id]
+                    if decode is not None:
+                        yield schema, channel, message, decode
+        except self._errors as error:
+            raise self._cut(error) from error
+
+    def _decoder(self, schema: Any, channel: Any) -> Callable[[bytes], Any] | None:
+        encoding = channel.message_encoding
+        found: Callable[[bytes], Any] | None = None
+        if encoding == "json":
+            return json.loads
+        if encoding == "cdr":
+            ros2 = library("mcap_ros2.decoder", f"{self.path}: {channel.topic}, a ROS 2 message,")
+            found = ros2.DecoderFactory().decoder_for(encoding, schema)
+        elif encoding == "protobuf":
+            protobuf = library("mcap_protobuf.decoder", f"{self.path}: {channel.topic}, a protobuf message,")
+            found = protobuf.DecoderFactory().decoder_for(encoding, schema)
+        elif encoding == "ros1" and schema is not None:
+            typesys = library("rosbags.typesys", f"{self.path}: {channel.topic}, a ROS 1 message,")
+            store = typesys.get_typestore(typesys.Stores.EMPTY)
+            store.register(typesys.get_types_from_msg(schema.data.decode(), _ros1_name(schema.name)))
+            return lambda data: store.deserialize_ros1(data, _ros1_name(schema.name))
+        if found is None:
+            of = f" of {schema.encoding}" if schema is not None else ""
+            self._undecoded.add(f"{channel.topic} ({encoding}{of})")
+        return found
+
+    def _s(self, time_ns: int | None) -> float:
+        return np.nan if time_ns is None else (time_ns - self._origin_ns) * 1e-9
+
+    def _cut(self, error: Exception) -> TautError:
+        return TautError(
+            f"{self.path}: is cut short or no MCAP file ({' '.join(str(error).split()) or 'it ends too early'}): "
+            f"'mcap recover {self.path} -o whole.mcap' saves what is whole"
+        )
+
+
+def _ros1_name(name: str) -> str:
+    package, _, short = name.partition("/")
+    return name if short.startswith("msg/") else f"{package}/msg/{short}"

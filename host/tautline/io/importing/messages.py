@@ -1,0 +1,175 @@
+"""Numbers, stamps and pictures of a message, whatever decoded it: an object of fields, a protobuf or a dictionary."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from tautline.io.importing.source import BATCH_ROWS, Batch, Fact, Picture
+
+LONGEST_ARRAY = 64  # numbers of one field that are channels of their own: more is a map, a cloud or a picture
+_NAMES = ("name", "joint_names", "names")  # of the numbers in the arrays beside it
+_KEYS = ("child_frame_id", "name", "joint_name", "id")  # which one of several alike a part of a message is
+_NS_PER_S = 10**9
+_MOST_HELD = 4 * BATCH_ROWS  # of all topics together
+_NUMBER = (float, int, np.number)  # a bool is an int
+_NO_NUMBERS = (str, bytes, bytearray, memoryview)
+
+
+def fields(message: Any) -> list[tuple[str, Any]]:
+    """(name, value) of a message's parts, [] for what is none."""
+    if isinstance(message, Mapping):
+        return [(str(key), value) for key, value in message.items()]
+    if (descriptor := getattr(message, "DESCRIPTOR", None)) is not None:
+        return [(field.name, getattr(message, field.name)) for field in descriptor.fields]
+    names = getattr(message, "__dataclass_fields__", None) or getattr(message, "__slots__", None) or ()
+    return [(name, getattr(message, name)) for name in names if not name.startswith("_")]
+
+
+def part(message: Any, name: str) -> Any:
+    return message.get(name) if isinstance(message, Mapping) else getattr(message, name, None)
+
+
+def stamp_ns(message: Any) -> int | None:
+    """The sender's time, ns; None where it set none."""
+    inner = part(message, "transforms")
+    if inner is not None and len(inner):
+        return stamp_ns(inner[0])
+    header = part(message, "header")
+    stamp = part(header, "stamp") if header is not None else part(message, "timestamp")
+    if stamp is None:
+        return None
+    whole = next((value for name in ("sec", "secs", "seconds") if (value := part(stamp, name)) is not None), None)
+    rest = next((v for name in ("nanosec", "nsec", "nsecs", "nanos") if (v := part(stamp, name)) is not None), 0)
+    if not isinstance(whole, int) or not isinstance(rest, int):
+        return None
+    return whole * _NS_PER_S + rest or None
+
+
+class Flattener:
+    """The numbers of one topic's messages, by channel. A joint keeps its index where messages name their joints in
+    another order, or name others."""
+
+    def __init__(self, topic: str, type_name: str, facts: dict[str, Fact]) -> None:
+        self.topic, self.type_name, self._facts = topic, type_name, facts
+        self._indices: dict[str, dict[str, int]] = {}  # by the path of the names, the index of each
+
+    def values(self, message: Any) -> dict[str, float]:
+        found: dict[str, float] = {}
+        self._walk(self.topic, message, found)
+        return found
+
+    def _walk(self, path: str, message: Any, found: dict[str, float]) -> None:
+        parts = fields(message)
+        names = next((list(v) for name, v in parts if name in _NAMES and _texts(v)), None)
+        for name, value in parts:
+            if name in ("header", "timestamp", "stamp", "layout"):
+                continue
+            self._leaf(f"{path}.{name}", value, names, found)
+
+    def _leaf(self, path: str, value: Any, names: list[str] | None, found: dict[str, float]) -> None:
+        if isinstance(value, _NUMBER):
+            self._number(path, float(value), "", found)
+        elif value is None or isinstance(value, _NO_NUMBERS):
+            return
+        elif isinstance(value, np.ndarray) or _is_list(value):
+            if not 0 < len(value) <= LONGEST_ARRAY:
+                return
+            if isinstance(value[0], _NUMBER):
+                labels = names if names is not None and len(names) == len(value) else None
+                for k, number in enumerate(value):
+                    index = self._index(path, labels[k]) if labels else k
+                    self._number(f"{path}[{index}]", float(number), labels[k] if labels else "", found)
+            else:
+                for k, each in enumerate(value):
+                    key = next((str(t) for name in _KEYS if isinstance(t := part(each, name), str) and t), str(k))
+                    self._walk(f"{path}[{key}]", each, found)
+        else:
+            self._walk(path, value, found)
+
+    def _number(self, path: str, number: float, label: str, found: dict[str, float]) -> None:
+        found[path] = number
+        if path not in self._facts:
+            self._facts[path] = Fact(self.type_name, label, _unit(self.type_name, path))
+
+    def _index(self, path: str, name: str) -> int:
+        known = self._indices.setdefault(path, {})
+        return known.setdefault(name, len(known))
+
+
+class Gathered:
+    """Rows of several topics, handed out as batches when there are enough. Messages of one topic that hold other
+    channels (two publishers of joints, optional fields) are batches of their own: what a message lacks is no row."""
+
+    def __init__(self) -> None:
+        self._rows: dict[tuple[str, frozenset[str]], list[tuple[float, float, dict[str, float]]]] = {}
+        self._held = 0
+
+    def add(self, group: str, log_s: float, stamp_s: float, values: dict[str, float]) -> Batch | None:
+        key = (group, frozenset(values))
+        rows = self._rows.setdefault(key, [])
+        rows.append((log_s, stamp_s, values))
+        self._held += 1
+        if len(rows) >= BATCH_ROWS:
+            return self._batch(key)
+        if self._held >= _MOST_HELD:
+            return self._batch(max(self._rows, key=lambda each: len(self._rows[each])))
+        return None
+
+    def rest(self) -> Iterator[Batch]:
+        for key in list(self._rows):
+            if self._rows[key]:
+                yield self._batch(key)
+
+    def _batch(self, key: tuple[str, frozenset[str]]) -> Batch:
+        rows = self._rows.pop(key)
+        self._held -= len(rows)
+        stamps = np.array([row[1] for row in rows])
+        values = {name: np.array([row[2][name] for row in rows]) for name in rows[0][2]}
+        return Batch(key[0], np.array([row[0] for row in rows]), None if np.isnan(stamps).all() else stamps, values)
+
+
+_RAW = {
+    "rgb8": "rgb24", "bgr8": "bgr24", "rgba8": "rgba", "bgra8": "bgra", "mono8": "gray", "8UC1": "gray",
+    "8UC3": "bgr24", "mono16": "gray16le",
+}  # fmt: skip
+_ENCODED = {b"\xff\xd8": "mjpeg", b"\x89P": "png"}  # by a picture's first bytes
+
+
+def is_picture(type_name: str) -> bool:
+    return type_name.replace("/", ".").split(".")[-1] in ("Image", "CompressedImage", "RawImage")
+
+
+def picture(message: Any, log_s: float, stamp_s: float) -> Picture | None:
+    """A frame of an image topic; None where its encoding is none that can be taken into a video."""
+    data = part(message, "data")
+    raw = bytes(data) if isinstance(data, bytes | bytearray | memoryview | list) else np.asarray(data).tobytes()
+    width, height = part(message, "width"), part(message, "height")
+    if width is None:
+        codec = _ENCODED.get(raw[:2])
+        return Picture(log_s, stamp_s, raw, codec) if codec else None
+    layout = _RAW.get(str(part(message, "encoding")))
+    step = int(part(message, "step") or 0)
+    if layout is None or height == 0 or len(raw) < step * int(height):
+        return None
+    used = int(width) * {"gray": 1, "gray16le": 2, "rgba": 4, "bgra": 4}.get(layout, 3)
+    rows = np.frombuffer(raw, np.uint8, step * int(height)).reshape(int(height), step)[:, :used]
+    return Picture(log_s, stamp_s, rows.tobytes(), layout, int(width), int(height))
+
+
+def _unit(type_name: str, path: str) -> str:
+    """What the message's own definition says: ROS has radians, metres and newton metres (REP 103)."""
+    if type_name.replace("/", ".").split(".")[-1] in ("JointState", "JointTrajectoryControllerState"):
+        field = path.rsplit(".", 1)[-1]
+        return "rad" if field.startswith("position") else "Nm" if field.startswith("effort") else ""
+    return ""
+
+
+def _is_list(value: Any) -> bool:
+    return not isinstance(value, Mapping) and hasattr(value, "__len__") and hasattr(value, "__getitem__")
+
+
+def _texts(value: Any) -> bool:
+    return _is_list(value) and len(value) > 0 and isinstance(value[0], str) and not isinstance(value, str)

@@ -1,0 +1,345 @@
+"""Which channel is motor, tip, command, load and video: by what moves with what, and after what; names are hints."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from tautline.io.importing.listing import QUATERNION_TYPE, Channel, Listing
+from tautline.io.importing.source import Array
+from tautline.io.importing.units import ANGLES, DEG_PER_RAD, LENGTHS, Named, dimension, suspected, unit_in
+from tautline.rig import UNITS as RIG_UNITS
+
+_MOST = 96  # channels that are compared: the ones that change most often
+_GRID = 4096  # times at which they are compared
+_CHANGE_S = 0.2  # over which a change is taken: a few samples of a slow sensor, less than a reversal
+_LAG_S = 0.5  # that a tip or a servo may be late by
+_MOVES = 0.5  # correlation of changes from which on two channels move together
+_ALIKE = 1.25  # a command moves as much as its motor, but for the servo's error
+_CHAINED = 0.8  # correlation of command, motor and tip with one another
+_SIMULTANEOUS_S = 0.002  # lags below it have no sign
+_PI_TURN = 6.3  # rad: a joint's whole turn; what stays within it and moves by more than _SMALL may be radians
+_SMALL = 0.2
+_PIXELS = 20.0  # that a marker moves by, at least
+
+# How much a name counts beside a correlation of 0 to 1: it decides between equals.
+_HINT, _AGAINST, _LATE, _SPAN, _CHAIN = 0.15, 1.0, 0.1, 0.05, 0.15
+_WORDS: Mapping[str, re.Pattern[str]] = {
+    role: re.compile(words)
+    for role, words in {
+        "motor": r"motor|encoder|spindle|spindel|antrieb|drive|actuator|cable|seil|present_pos|(^|[^a-z])ist",
+        "tip": r"tip|jaw|spitze|gelenk|abtrieb|marker|pose|bend|bieg|winkel|angle|[uv]_px|c_deg|distal|output",
+        "command": r"c(om)?ma?n?d|goal|target|(^|[^a-z])soll|setpoint|set_point|reference|desired|^action",
+        "load": r"load|torque|effort|force|moment|drehmoment|kraft|(^|[^a-z])last|current|strom|_mnm",
+    }.items()
+}
+_NO_PLACE = re.compile(r"veloc|speed|geschw|drehzahl|accel|temp|covar|volt|seq|count|index|status|error|time|zeit")
+
+
+@dataclass(frozen=True)
+class Proposal:
+    motor: Named | None = None
+    tip: tuple[Named, ...] = ()
+    command: Named | None = None
+    load: Named | None = None
+    video: str | None = None
+    unit: str = ""  # "": what the motor's own is of, else deg
+    notes: tuple[str, ...] = ()  # how each was found, and what is a guess
+
+
+@dataclass(frozen=True)
+class _Compared:
+    names: list[str]
+    correlation: Array  # (n, n) of changes, at the lag where it is greatest
+    lag_s: Array  # (n, n): by how much j is later than i
+    span: Array  # (n,) 5 to 95 percent
+    turning: Array = field(repr=False)  # (n,) correlation with the direction of each, see _follows_direction
+    grid: Array = field(repr=False)  # (n, k)
+
+
+def propose(listing: Listing, hold: Proposal | None = None) -> Proposal:
+    """Roles for a listing's channels. hold: what the user named already, which stays."""
+    held = hold or Proposal()
+    compared = _compare(listing)
+    notes: list[str] = []
+    motor, tip, index = held.motor, held.tip, {name: k for k, name in enumerate(compared.names)}
+    if motor is None or not tip:
+        pair = _pair(listing, compared, motor, tip)
+        if pair is not None:
+            m, t = pair
+            motor = motor or Named(compared.names[m])
+            if not tip:
+                tip = _whole_tip(compared.names[t], listing)
+                lag = 1e3 * compared.lag_s[m, t]
+                late = f", {lag:.0f} ms after it" if lag > 1e3 * _SIMULTANEOUS_S else ""
+                notes.append(
+                    f"{tip[0].name} moves with {motor.name}{late} (their changes correlate by "
+                    f"{compared.correlation[m, t]:.2f})"
+                )
+    if motor is None:
+        return replace(held, video=held.video or next(iter(listing.videos), None), notes=(*notes, _nothing(listing)))
+    taken = {motor.name, *(each.name for each in tip)}
+    command = held.command
+    if command is None and motor.name in index:
+        command = _command(listing, compared, index[motor.name], taken)
+    if command is None and _says("command", motor.name):
+        notes.append(f"{motor.name} is what was commanded: the servo's lag is then measured with the backlash")
+    load = held.load or _load(listing, compared, motor, taken | ({command.name} if command else set()))
+    video = held.video or (next(iter(listing.videos), None) if len(listing.videos) else None)
+    if len(listing.videos) > 1 and held.video is None:
+        notes.append(f"{video} is the first of {len(listing.videos)} videos: {', '.join(listing.videos)}")
+    return _with_units(Proposal(motor, tip, command, load, video, held.unit, tuple(notes)), listing)
+
+
+def _compare(listing: Listing) -> _Compared:
+    channels = [c for c in listing.channels.values() if c.moves and not _is_part_of_orientation(c.name, listing)]
+    channels = [c for c in channels if np.isfinite(c.values).sum() > 8]
+    changes = [float(np.mean(np.diff(c.values[np.isfinite(c.values)]) != 0)) for c in channels]
+    channels = [channels[k] for k in np.argsort(changes, kind="stable")[::-1][:_MOST]]
+    channels.sort(key=lambda c: list(listing.channels).index(c.name))
+    n = len(channels)
+    if n < 2:
+        return _Compared(
+            [c.name for c in channels], np.eye(n), np.zeros((n, n)), np.ones(n), np.zeros((n, n)), np.zeros((n, 1))
+        )
+    first = max(float(c.t_s[0]) for c in channels)
+    last = min(float(c.t_s[-1]) for c in channels)
+    if not last > first:
+        first, last = min(float(c.t_s[0]) for c in channels), max(float(c.t_s[-1]) for c in channels)
+    times = np.linspace(first, last, _GRID)
+    grid = np.array([_on(times, c) for c in channels])
+    step = times[1] - times[0]
+    over = max(1, round(_CHANGE_S / step))
+    change = grid[:, over:] - grid[:, :-over]
+    change = change - change.mean(axis=1, keepdims=True)
+    scale = np.linalg.norm(change, axis=1, keepdims=True)
+    change = np.divide(change, scale, out=np.zeros_like(change), where=scale > 0)
+    size = 2 * change.shape[1]
+    spectra = np.fft.rfft(change, size)
+    lags = min(max(1, round(_LAG_S / step)), change.shape[1] // 4)
+    correlation, lag_s = np.eye(n), np.zeros((n, n))
+    for i in range(n):
+        crossed = np.fft.irfft(spectra * np.conj(spectra[i]), size)
+        around = np.concatenate([crossed[:, -lags:], crossed[:, : lags + 1]], axis=1)  # lag -lags to lags
+        best = np.abs(around).argmax(axis=1)
+        correlation[i] = np.abs(around[np.arange(n), best])
+        lag_s[i] = (best - lags) * step
+    moving = np.sign(np.where(np.abs(change) > 0.1 * np.abs(change).max(axis=1, keepdims=True), change, 0.0))
+    middle = grid[:, over // 2 : over // 2 + change.shape[1]]
+    turning = np.abs(np.corrcoef(np.vstack([middle, moving]))[:n, n:]) if n else np.zeros((0, 0))
+    low, high = np.percentile(grid, [5.0, 95.0], axis=1)
+    return _Compared([c.name for c in channels], correlation, lag_s, high - low, np.nan_to_num(turning), grid)
+
+
+def _on(times: Array, channel: Channel) -> Array:
+    finite = np.isfinite(channel.values)
+    order = np.argsort(channel.t_s[finite], kind="stable")
+    values: Array = np.interp(times, channel.t_s[finite][order], channel.values[finite][order])
+    return values
+
+
+def _pair(listing: Listing, compared: _Compared, motor: Named | None, tip: Sequence[Named]) -> tuple[int, int] | None:
+    """Motor and tip: what moves together, the later one the tip. Names count a little; what is no place does not."""
+    names = compared.names
+    best: tuple[int, int, float] | None = None
+    before, after = _chained(listing, compared)
+    widest = float(compared.span.max()) if len(names) else 1.0
+    for m, of_motor in enumerate(names):
+        if motor is not None and of_motor != motor.name:
+            continue
+        for t, of_tip in enumerate(names):
+            together = compared.correlation[m, t]
+            if m == t or together < _MOVES or (tip and of_tip != tip[0].name):
+                continue
+            lag = compared.lag_s[m, t]
+            score = together - 0.5 * abs(lag) / _LAG_S
+            score += _LATE * (np.sign(lag) if abs(lag) > _SIMULTANEOUS_S else 0.0)
+            score += _HINT * (_says("motor", of_motor) - _says("motor", of_tip))
+            score += _HINT * (_says("tip", of_tip) - _says("tip", of_motor))
+            score -= _HINT * (2 * _says("command", of_tip) + _says("command", of_motor))
+            score -= _AGAINST * (_no_place(of_motor, listing) + _no_place(of_tip, listing))
+            score += _SPAN * compared.span[m] / widest
+            score += _CHAIN * (float(before[m]) - float(after[t]))
+            if listing.channels[of_motor].fact.type == QUATERNION_TYPE:
+                score -= _AGAINST  # an orientation is a tip's
+            if best is None or score > best[2]:
+                best = (m, t, float(score))
+    return best and best[:2]
+
+
+def _chained(listing: Listing, compared: _Compared) -> tuple[Array, Array]:
+    """(n,) bool: what has a likely command before it; what has something after it, and so is no tip."""
+    places = np.array([not _no_place(name, listing) for name in compared.names], dtype=bool)
+    span = np.maximum(compared.span, 1e-12)
+    follows = (compared.correlation > _CHAINED) & (compared.lag_s > _SIMULTANEOUS_S) & places[:, None] & places
+    alike = np.abs(np.log(span[:, None] / span)) < np.log(_ALIKE)
+    return (follows & alike).any(axis=0), follows.any(axis=1)
+
+
+def _command(listing: Listing, compared: _Compared, motor: int, taken: set[str]) -> Named | None:
+    """What moves with the motor, before it and by as much."""
+    best: tuple[float, str] | None = None
+    for k, name in enumerate(compared.names):
+        together, early = compared.correlation[motor, k], -compared.lag_s[motor, k]
+        if (
+            name in taken
+            or together < _MOVES
+            or _no_place(name, listing)
+            or _says("tip", name) > _says("command", name)
+        ):
+            continue
+        ratio = compared.span[k] / max(compared.span[motor], 1e-12)
+        alike = any(1.0 / _ALIKE < ratio * times < _ALIKE for times in (1.0, DEG_PER_RAD, 1.0 / DEG_PER_RAD))
+        if not alike or (early < -_SIMULTANEOUS_S and not _says("command", name)):
+            continue
+        if not (_says("command", name) or early > _SIMULTANEOUS_S):
+            continue
+        score = together + _HINT * _says("command", name)
+        if best is None or score > best[0]:
+            best = (score, name)
+    return Named(best[1]) if best else None
+
+
+def _load(listing: Listing, compared: _Compared, motor: Named, taken: set[str]) -> Named | None:
+    """What is called a load and is of the motor's own joint; else what follows the direction in which the motor moves,
+    as friction does, and not its place."""
+    joint = _joint(motor.name, listing)
+    named = [
+        name
+        for name, c in listing.channels.items()
+        if name not in taken and c.moves and (_says("load", name) or dimension(c.fact.unit) == "mNm")
+    ]
+    same = [name for name in named if joint and _joint(name, listing) == joint]
+    if same or len(named) == 1:
+        return Named((same or named)[0])
+    if named or motor.name not in compared.names:
+        return None
+    m = compared.names.index(motor.name)
+    for k, name in enumerate(compared.names):
+        follows = compared.turning[k, m]
+        if (
+            name not in taken
+            and follows > 0.7
+            and follows > compared.correlation[m, k]
+            and not _no_place(name, listing)
+        ):
+            return Named(name)
+    return None
+
+
+def _whole_tip(name: str, listing: Listing) -> tuple[Named, ...]:
+    """Both coordinates of a place in the image where one of them was found."""
+    for one, other in (("u", "v"), ("x", "y")):
+        for this, that, first in ((one, other, True), (other, one, False)):
+            match = re.search(rf"(?<![A-Za-z0-9]){this}(?=(_px|\s*[\[(]px|$))", name)
+            partner = f"{name[: match.start()]}{that}{name[match.end() :]}" if match else ""
+            if partner not in listing.channels:
+                continue
+            both = [listing.channels[each] for each in (name, partner)]
+            if "px" in name or max(c.high - c.low for c in both) > _PIXELS:
+                return (Named(name), Named(partner)) if first else (Named(partner), Named(name))
+    return (Named(name),)
+
+
+def _with_units(found: Proposal, listing: Listing) -> Proposal:
+    """The proposal with the unit of each channel written out: what the file or the name says, else what ratios and
+    ranges make likely."""
+    assert found.motor is not None
+    notes = list(found.notes)
+
+    def stated(each: Named) -> str:
+        channel = listing.channels.get(each.name)
+        return each.unit or (
+            channel.fact.unit or unit_in(channel.name) or unit_in(channel.fact.label) if channel else ""
+        )
+
+    motor_unit = stated(found.motor)
+    tip = found.tip
+    unit = found.unit or dimension(motor_unit)
+    if unit not in RIG_UNITS:
+        unit, motor_unit = "deg", ""
+    one_angle = len(tip) == 1
+    tip_unit = stated(tip[0]) if one_angle else ""
+    if one_angle and found.motor.factor is None and tip[0].factor is None and tip[0].name in listing.channels:
+        motor_unit, tip_unit = _guessed(found.motor, motor_unit, tip[0], tip_unit, unit, listing, notes)
+    elif not motor_unit and found.motor.factor is None:
+        notes.append(f"no unit is known of {found.motor.name}: {unit} is a guess")
+    if one_angle and tip[0].factor is None:
+        tip = (replace(tip[0], unit=tip_unit if tip_unit in ANGLES else ""),)
+    command = found.command
+    if command is not None and command.factor is None:
+        told = stated(command)
+        own = told if told in (ANGLES if unit == "deg" else LENGTHS) else ""
+        command = replace(command, unit=own or motor_unit)
+    load = found.load
+    if load is not None and load.factor is None:
+        told = stated(load)
+        load = replace(load, unit=told if dimension(told) == "mNm" else "")
+        if not load.unit:
+            notes.append(f"no unit is known of {load.name}: it is taken as mNm; its scale matters to no result")
+    motor = found.motor if found.motor.factor is not None else replace(found.motor, unit=motor_unit)
+    return Proposal(motor, tip, command, load, found.video, unit, tuple(notes))
+
+
+def _guessed(
+    motor: Named, motor_unit: str, tip: Named, tip_unit: str, unit: str, listing: Listing, notes: list[str]
+) -> tuple[str, str]:
+    """Units of motor and tip where the file says none."""
+    m, t = listing.channels[motor.name], listing.channels[tip.name]
+    if not tip_unit and unit == "deg" and motor_unit in ANGLES:
+        scaled = ANGLES[motor_unit] * (m.high - m.low) / max(t.high - t.low, 1e-12)
+        if suspected(scaled, t.values[np.isfinite(t.values)], "deg", 1.0) == "rad":
+            notes.append(f"{tip.name} moves {scaled:.3g} times less than the motor's degrees: it is taken as radians")
+            return motor_unit, "rad"
+    for channel, known, name in ((m, motor_unit, motor.name), (t, tip_unit, tip.name)):
+        if known or (channel is m and unit == "mm"):
+            continue
+        guess = "rad" if _may_be_radians(channel) else "deg"
+        span = channel.high - channel.low
+        notes.append(
+            f"no unit is known of {name}: it moves by {span:.4g} in all, {guess} is a guess"
+            + (": write another unit or a factor behind its name" if guess == "rad" else "")
+        )
+        if channel is m:
+            motor_unit = guess
+        else:
+            tip_unit = guess
+    return motor_unit or unit, tip_unit or "deg"
+
+
+def _may_be_radians(channel: Channel) -> bool:
+    return max(abs(channel.low), abs(channel.high)) <= _PI_TURN and channel.high - channel.low > _SMALL
+
+
+def _says(role: str, name: str) -> bool:
+    return bool(_WORDS[role].search(name.lower()))
+
+
+def _no_place(name: str, listing: Listing) -> bool:
+    return (
+        bool(_NO_PLACE.search(name.lower()))
+        or _says("load", name)
+        or dimension(listing.channels[name].fact.unit) == "mNm"
+    )
+
+
+def _joint(name: str, listing: Listing) -> str:
+    """Which joint a channel is of: its label or its index, with the topic."""
+    channel = listing.channels.get(name)
+    if channel is None:
+        return ""
+    index = re.search(r"\[([^\]]*)\]$", name)
+    return channel.fact.label or (f"{channel.group}[{index[1]}]" if index else channel.group)
+
+
+def _is_part_of_orientation(name: str, listing: Listing) -> bool:
+    prefix = name.rpartition(".")[0]
+    return prefix in listing.channels and listing.channels[prefix].fact.type == QUATERNION_TYPE
+
+
+def _nothing(listing: Listing) -> str:
+    moving = sum(c.moves for c in listing.channels.values())
+    return f"{moving} channels move, no two of them together: name them with --motor and --tip"

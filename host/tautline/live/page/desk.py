@@ -1,0 +1,207 @@
+"""Between the page and the session: what the person asked for, and what there is to show.
+
+The page's side is called from the server's threads, the session's from the one thread that drives board and camera.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from typing import Any
+
+from tautline.errors import TautError
+from tautline.geometry import coarse_range_deg
+from tautline.live.page import shown
+from tautline.live.page.stream import Stream
+from tautline.live.setup import Frame
+from tautline.live.watch import View
+from tautline.rig import Rig
+
+READY, RUNNING, RESTING, STOPPING = "ready", "running", "resting", "stopping"
+_PROGRESS_S = 0.2  # between two looks at coverage and what is missing; q and c go out with every frame
+_REST_S = 0.02  # between two frames at rest: where time is virtual nothing else holds them back
+_UNWATCHED_S = 3.0  # without any page: a page that is loaded again takes less
+
+
+class Stopped(KeyboardInterrupt):
+    """The page's stop: what runs takes it as it takes Ctrl-C, the axis comes to rest and the recording stays."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A frame for the page, BGR (height, width, 3) uint8, and where the marker was in it."""
+
+    number: int
+    pixels: Any
+    seen: dict[str, Any]
+
+
+class Desk:
+    def __init__(self, rig: Rig, about: dict[str, Any], unwatched_s: float = _UNWATCHED_S) -> None:
+        """about: what the page says of the session, as it is shown. unwatched_s: without a page, until it rests."""
+        self.events, self.pictures = Stream(), Stream()
+        self._rig, self._unwatched_s = rig, unwatched_s
+        self._rests = about.get("rests", True)
+        self._changed = threading.Condition()
+        self._state, self._stop, self._says = READY, False, ""
+        self._picked: tuple[float, float] | None = None
+        self._nearby = 0  # pages of this process
+        self._heard_s = time.monotonic()
+        self._let_go: Callable[[], None] = lambda: None
+        self._shown_s = float("-inf")
+        self._calibrated_s = 0.0
+        self._frames = 0
+        self._picture: Any = None
+        ranges = {"range": list(rig.actuator.range), "c_range": list(coarse_range_deg(rig))}
+        self.events.publish("about", about | ranges | {"unit": rig.actuator.unit})
+        self._tell()
+
+    # -- the page's side ---------------------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Begins, or goes on after a rest."""
+        with self._changed:
+            if self._state in (READY, RESTING):
+                self._enter(RUNNING)
+
+    def rest(self) -> None:
+        """Where there is something that can go on after it."""
+        with self._changed:
+            if self._state == RUNNING and self._rests:
+                self._enter(RESTING)
+
+    def stop(self) -> None:
+        """Ends what runs. A real board is told at once, and again where it is asked again: it may not have heard."""
+        with self._changed:
+            if self._state == READY:
+                return
+            self._stop = True
+            self._enter(STOPPING)
+            let_go = self._let_go
+        with suppress(TautError):  # gone or faulted: the session's thread says so
+            let_go()
+
+    def pick(self, u_px: float, v_px: float) -> None:
+        """The marker is at this place of the latest picture. While something runs it stays what it was."""
+        with self._changed:
+            if self._state == READY:
+                self._picked = (u_px, v_px)
+
+    def here(self) -> None:
+        """A page is open. It says so again and again: one that sleeps, or behind a tunnel that broke, does not."""
+        with self._changed:
+            self._heard_s = time.monotonic()
+
+    @contextmanager
+    def watched(self) -> Iterator[None]:
+        """A page of this process is open inside: it need not say so."""
+        with self._changed:
+            self._nearby += 1
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._nearby -= 1
+                self._heard_s = time.monotonic()
+
+    # -- the session's side ------------------------------------------------------------------------------------------
+
+    @property
+    def begun(self) -> bool:
+        return self._state != READY
+
+    @contextmanager
+    def running(self, let_go: Callable[[], None]) -> Iterator[None]:
+        """What was started runs inside. let_go: brings the board to rest from another thread."""
+        with self._changed:
+            self._let_go, self._calibrated_s, self._shown_s = let_go, 0.0, float("-inf")
+        self.events.publish("fit", None)  # what was found before is not of this
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._let_go, self._stop = lambda: None, False
+                self._enter(READY)
+
+    @property
+    def unwatched(self) -> bool:
+        """No page is open, and none was for a while."""
+        with self._changed:
+            return self._nearby == 0 and time.monotonic() - self._heard_s > self._unwatched_s
+
+    def resting(self) -> bool:
+        """Whether the axis is to stand still. Where the last page is gone, so is its stop: then it rests until a page
+        says start."""
+        with self._changed:
+            if self.unwatched and self._state == RUNNING:
+                self._enter(RESTING, "no page is open: it rests until Start")
+            if self._state != RESTING:
+                return False
+            self._changed.wait(_REST_S)
+            return True
+
+    def picked(self) -> tuple[float, float] | None:
+        """The place that was clicked since the last call."""
+        with self._changed:
+            place, self._picked = self._picked, None
+            return place
+
+    def say(self, text: str) -> None:
+        """What came of it, or went wrong, until something else is said."""
+        with self._changed:
+            self._says = text
+            self._tell()
+
+    def show(self, view: View) -> None:
+        """A `Show`. Raises Stopped where that was asked for."""
+        if view.frame is not None:
+            self.show_frame(view.frame, view.q)
+        now = time.monotonic()
+        if now - self._shown_s >= _PROGRESS_S or view.calibrated_s != self._calibrated_s:
+            self._shown_s = now
+            self.events.publish("progress", shown.progress(view))
+        if view.calibration is not None and view.calibrated_s != self._calibrated_s:
+            self._calibrated_s = view.calibrated_s
+            self.events.publish("fit", shown.fit(view.calibration, view.calibrated_s))
+        self.check_stop()
+
+    def doing(self, share: float, text: str) -> None:
+        """What is being done, and how much of it is. Raises Stopped where that was asked for."""
+        self.events.publish("doing", {"doing": text, "share": share})
+        self.check_stop()
+
+    def check_stop(self) -> None:
+        """Raises Stopped where that was asked for."""
+        if self._stop:
+            raise Stopped
+
+    def show_frame(self, frame: Frame, q: float) -> None:
+        """Goes on beside what is tracked: the picture is coded where a page asks for it."""
+        self._frames += 1
+        seen = shown.moment(frame, q, shown.bent(self._rig, frame))
+        self.events.publish("frame", seen)
+        if frame.picture is not None:
+            self._picture = frame.picture
+            self.pictures.publish("picture", Picture(self._frames, frame.picture, seen))
+
+    @property
+    def picture(self) -> Any:
+        """The latest, BGR (height, width, 3) uint8, None before there is any."""
+        return self._picture
+
+    def close(self) -> None:
+        self.events.close()
+        self.pictures.close()
+
+    def _enter(self, state: str, says: str = "") -> None:
+        self._state = state
+        self._changed.notify_all()
+        if state in (RUNNING, RESTING):
+            self._says = says
+        self._tell()
+
+    def _tell(self) -> None:
+        self.events.publish("state", {"state": self._state, "says": self._says})

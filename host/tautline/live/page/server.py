@@ -1,0 +1,203 @@
+"""The page's server: on loopback alone, behind a token in the address, with no file but the page's own three.
+
+The standard library's server does: a handful of readers, one thread each.
+"""
+
+from __future__ import annotations
+
+import hmac
+import json
+import secrets
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import cv2
+
+from tautline.live.page.desk import Desk
+
+LOOPBACK = "127.0.0.1"
+_ASSETS = {
+    "": ("page.html", "text/html; charset=utf-8"),
+    "page.css": ("page.css", "text/css; charset=utf-8"),
+    "page.js": ("page.js", "text/javascript; charset=utf-8"),
+}
+_HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+_ALIVE_S = 1.0  # between two questions whether the page is there
+_PICTURE_S = 5.0  # that a request waits for the next picture
+_QUALITY = 80  # of JPEG
+_MOST_BYTES = 200  # of what a page may send
+
+
+class PageServer(ThreadingHTTPServer):
+    daemon_threads = True
+
+    def __init__(self, desk: Desk) -> None:
+        super().__init__((LOOPBACK, 0), _Handler)
+        self.desk = desk
+        self.token = secrets.token_urlsafe(16)
+
+    @property
+    def address(self) -> str:
+        return f"http://{LOOPBACK}:{self.server_address[1]}/{self.token}/"
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A page that goes in the middle of an answer is no error."""
+        if not isinstance(sys.exc_info()[1], OSError):
+            super().handle_error(request, client_address)
+
+
+@contextmanager
+def serving(desk: Desk) -> Iterator[PageServer]:
+    """The server answers inside, on threads of its own."""
+    with PageServer(desk) as server:
+        thread = threading.Thread(target=server.serve_forever, name="page", daemon=True, args=(0.05,))
+        thread.start()
+        try:
+            yield server
+        finally:
+            desk.close()
+            server.shutdown()
+            thread.join()
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: PageServer
+    protocol_version = "HTTP/1.1"
+    timeout = 30.0
+    disable_nagle_algorithm = True
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """The terminal is the session's."""
+
+    def do_GET(self) -> None:
+        name = self._asked()
+        if name is None:
+            return
+        if name in _ASSETS:
+            file, kind = _ASSETS[name]
+            self._answer((files(__package__) / "assets" / file).read_bytes(), kind)
+        elif name == "events":
+            self._events()
+        elif name == "picture":
+            self._picture()
+        else:
+            self._refuse(HTTPStatus.NOT_FOUND)
+
+    def do_POST(self) -> None:
+        name = self._asked()
+        if name is None:
+            return
+        desk = self.server.desk
+        orders: dict[str, Callable[[], None]] = {
+            "start": desk.start, "rest": desk.rest, "stop": desk.stop, "here": desk.here,
+        }  # fmt: skip
+        desk.here()
+        sent = self._sent()
+        if sent is None:
+            self._refuse(HTTPStatus.BAD_REQUEST)
+        elif name in orders:
+            orders[name]()
+            self._answer(b"{}", "application/json")
+        elif name == "pick" and all(isinstance(sent.get(key), int | float) for key in ("u_px", "v_px")):
+            desk.pick(float(sent["u_px"]), float(sent["v_px"]))
+            self._answer(b"{}", "application/json")
+        else:
+            self._refuse(HTTPStatus.BAD_REQUEST if name == "pick" else HTTPStatus.NOT_FOUND)
+
+    def _asked(self) -> str | None:
+        """What is behind the token; None, and refused, without it, or by a name that is not this machine's."""
+        _, _, behind = self.path.partition("?")[0].partition("/")
+        token, slash, name = behind.partition("/")
+        if not hmac.compare_digest(token.encode(), self.server.token.encode()) or not slash:
+            self._refuse(HTTPStatus.NOT_FOUND)
+            return None
+        try:
+            host = urlsplit(f"//{self.headers.get('Host', '')}").hostname
+        except ValueError:
+            self._refuse(HTTPStatus.BAD_REQUEST)
+            return None
+        if host not in (LOOPBACK, "localhost"):
+            self._refuse(HTTPStatus.FORBIDDEN)
+            return None
+        return name
+
+    def _sent(self) -> dict[str, Any] | None:
+        """The JSON object of a request, empty where it has none; None for anything else."""
+        length = _whole(self.headers.get("Content-Length", "0"))
+        if length is None or length > _MOST_BYTES:
+            return None
+        try:
+            sent = json.loads(self.rfile.read(length) or b"{}")
+        except ValueError:
+            return None
+        return sent if isinstance(sent, dict) else None
+
+    def _events(self) -> None:
+        """Server-sent events: the latest of each topic, then what is new, for as long as the page is there. It is to
+        answer `alive`: a write to one that sleeps fails only minutes later."""
+        self._head(HTTPStatus.OK, {"Content-Type": "text/event-stream", "Connection": "close"})
+        self.close_connection = True
+        events, at, due_s = self.server.desk.events, 0, 0.0
+        self.server.desk.here()
+        with suppress(OSError):
+            while not events.closed:
+                at, fresh = events.newer(at, max(due_s - time.monotonic(), 0.0))
+                told = "".join(map(_event, fresh, fresh.values()))
+                if time.monotonic() >= due_s:
+                    told, due_s = told + _event("alive", {}), time.monotonic() + _ALIVE_S
+                self.wfile.write(told.encode())
+
+    def _picture(self) -> None:
+        """The first picture after the one that the page has: a page that is slow gets fewer, none wait."""
+        after = _whole(parse_qs(self.path.partition("?")[2]).get("after", ["0"])[0])
+        if after is None:
+            self._refuse(HTTPStatus.BAD_REQUEST)
+            return
+        at, fresh = self.server.desk.pictures.newer(after, _PICTURE_S)
+        if not fresh:
+            self._answer(b"", "image/jpeg", HTTPStatus.NO_CONTENT)
+            return
+        picture = fresh["picture"]
+        _, coded = cv2.imencode(".jpg", picture.pixels, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+        about = {"Taut-Number": str(at), "Taut-Seen": json.dumps(picture.seen, allow_nan=False)}
+        self._answer(coded.tobytes(), "image/jpeg", headers=about)
+
+    def _answer(
+        self, body: bytes, kind: str, status: HTTPStatus = HTTPStatus.OK, headers: dict[str, str] | None = None
+    ) -> None:
+        self._head(status, {"Content-Type": kind, "Content-Length": str(len(body)), **(headers or {})})
+        self.wfile.write(body)
+
+    def _refuse(self, status: HTTPStatus) -> None:
+        """Says nothing of what is here; the connection ends, as what was sent with it may be unread."""
+        self.close_connection = True
+        self._answer(b"", "text/plain", status, {"Connection": "close"})
+
+    def _head(self, status: HTTPStatus, headers: dict[str, str]) -> None:
+        self.send_response_only(status)
+        for key, value in {**_HEADERS, **headers}.items():
+            self.send_header(key, value)
+        self.end_headers()
+
+
+def _whole(text: str) -> int | None:
+    """A count of 9 digits at most, None for anything else."""
+    return int(text) if text.isascii() and text.isdecimal() and len(text) < 10 else None
+
+
+def _event(topic: str, what: Any) -> str:
+    return f"event: {topic}\ndata: {json.dumps(what, allow_nan=False)}\n\n"

@@ -1,0 +1,275 @@
+"""What the page starts: a calibration of what is connected, a diagnosis of it, a model in use, or a recording played
+again. One thread runs it all."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from tautline.calibration.calibrate import Calibration
+from tautline.diagnosis.diagnose import Diagnosis
+from tautline.diagnosis.folder import save
+from tautline.errors import TautError
+from tautline.live.asking import Asked, Leading, diagnose_live
+from tautline.live.page import shown
+from tautline.live.page.desk import Desk, Stopped
+from tautline.live.page.replay import replay
+from tautline.live.rounds import in_words
+from tautline.live.setup import Frame, Live
+from tautline.live.tracking import watch
+from tautline.live.until import Goal, calibrate_until
+from tautline.model import Model
+from tautline.recording import Recording, load, shifted
+from tautline.reports import pages
+from tautline.rig import Rig
+from tautline.tracking import Row
+from tautline.vision.colour import pick
+
+_POLL_S = 0.02
+
+
+class Work(Protocol):
+    @property
+    def rig(self) -> Rig: ...
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """What the page says that it shows: `title`, and whether it is `live`."""
+
+    def idle(self, desk: Desk) -> None:
+        """A moment in which nothing was asked for."""
+
+    def run(self, desk: Desk) -> str:
+        """What came of it, in a sentence; TautError where it was stopped or failed. The axis rests then."""
+
+    def let_go(self) -> None:
+        """From any thread: the motor is brought to rest."""
+
+
+@dataclass
+class Calibrating:
+    """Live calibrations, each in a recording of its own; the last one's model is in `out`."""
+
+    live: Live
+    out: Path
+    recording: Callable[[], Path]  # a folder that is not there yet
+    goal: Goal = field(default_factory=Goal)
+    colour_file: Path | None = None  # that keeps what was picked
+    found: Calibration | None = None
+
+    @property
+    def rig(self) -> Rig:
+        return self.live.rig
+
+    @property
+    def about(self) -> dict[str, Any]:
+        what = self.rig.actuator.instrument or "an instrument"
+        simulated = ", simulated" if self.live.virtual else ""
+        return {"title": f"Calibrate {what} on axis {self.live.axis}{simulated}", "live": True}
+
+    def idle(self, desk: Desk) -> None:
+        if (place := desk.picked()) is not None:
+            self._pick(desk, place)
+        _look(desk, self.live)
+
+    def run(self, desk: Desk) -> str:
+        kept = self.recording()
+        found, reached = calibrate_until(self.live, kept, self.goal, show=desk.show, resting=desk.resting)
+        self.found = found
+        recordings = shifted([load(kept, found.model.rig)], found.offsets)
+        pages.save_model(found.model, recordings, self.out)
+        unit = self.live.rig.actuator.unit
+        worst = in_words(reached.standing.worst, unit)
+        if reached.why:
+            return f"B(q) is not known to {in_words(reached.until, unit)} everywhere: {reached.why}"
+        return f"done: sigma of B(q) is {worst} at most; {self.out / pages.FILE} shows it"
+
+    def let_go(self) -> None:
+        self.live.let_go()
+
+    def _pick(self, desk: Desk, place: tuple[float, float]) -> None:
+        if desk.picture is None or self.live.marker_source is None:
+            return
+        try:
+            colour = pick(desk.picture, place)
+        except TautError as error:
+            desk.say(str(error))
+            return
+        self.live.marker_source.use(colour)
+        kept = ""
+        if self.colour_file is not None:
+            colour.save(self.colour_file)
+            kept = f", {self.colour_file} holds its colour"
+        desk.say(f"the marker is {colour.diameter_px:.0f} px wide at {place[0]:.0f}, {place[1]:.0f}{kept}")
+
+
+@dataclass
+class Watching:
+    """A model in use, as `taut watch` keeps it; nothing is moved unless `motion` says so. That ends where no page is
+    open, which would have its stop."""
+
+    live: Live
+    model: Model
+    motion: str = "none"
+    speed: float | None = None
+    duration_s: float | None = None
+    seed: int = 0
+
+    @property
+    def rig(self) -> Rig:
+        return self.live.rig
+
+    @property
+    def about(self) -> dict[str, Any]:
+        title = f"Watch a model in use on axis {self.live.axis}"
+        return {"title": title, "live": True, "watch": True, "rests": False}
+
+    def idle(self, desk: Desk) -> None:
+        _look(desk, self.live)
+
+    def run(self, desk: Desk) -> str:
+        desk.events.publish("fit", shown.backlash(self.model))
+
+        def told(row: Row, t_s: float) -> None:
+            desk.events.publish("holds", shown.holds(row, t_s))
+
+        def seen(frame: Frame, q: float) -> None:
+            desk.show_frame(frame, q)
+            desk.check_stop()
+            if self.motion != "none" and desk.unwatched:
+                raise Stopped
+
+        result = watch(
+            self.live, self.model, self.motion, speed=self.speed, duration_s=self.duration_s, seed=self.seed,
+            told=told, shown=seen,
+        )  # fmt: skip
+        return f"watched {result['seconds']:.1f} s, {result['frames']} frames: {result['state'] or 'none was tracked'}"
+
+    def let_go(self) -> None:
+        self.live.let_go()
+
+
+@dataclass
+class Diagnosing:
+    """A live diagnosis, as `taut diagnose --live` makes it. A motion ends where no page is open, which would have its
+    stop; the next one waits for a page."""
+
+    live: Live
+    calibration: Calibration
+    recorded: Sequence[Recording]  # on the motor's clock: that of the calibration, then tests that were made before
+    out: Path
+    recordings: Callable[[], Path]  # a folder that is not there yet
+    most: int = 5
+    found: Asked | None = None
+
+    @property
+    def rig(self) -> Rig:
+        return self.live.rig
+
+    @property
+    def about(self) -> dict[str, Any]:
+        title = f"Diagnose {self.rig.actuator.instrument or 'an instrument'} on axis {self.live.axis}"
+        return {"title": title, "live": True, "diagnose": True, "rests": False}
+
+    def idle(self, desk: Desk) -> None:
+        _look(desk, self.live)
+
+    def run(self, desk: Desk) -> str:
+        answers: list[Leading] = []
+        desk.events.publish("fit", shown.fit(self.calibration, None))
+        desk.events.publish("diagnosis", None)
+
+        def seen(frame: Frame) -> None:
+            desk.show_frame(frame, _motor(self.live))
+            desk.check_stop()
+            if desk.unwatched:
+                raise Stopped
+
+        def answered(diagnosis: Diagnosis, leading: Leading, why: str) -> None:
+            answers.append(leading)
+            desk.events.publish("diagnosis", shown.diagnosis(diagnosis.document, answers, why))
+            while not why and desk.resting():
+                desk.check_stop()
+
+        asked = diagnose_live(
+            self.live, self.calibration, self.recorded[0], self.recorded[1:], self.recordings(), self.most,
+            progress=desk.doing, seen=seen, answered=answered,
+        )  # fmt: skip
+        save(asked.diagnosis, self.out)
+        self.found = asked
+        return f"{asked.why}; {self.out / pages.FILE} shows it"
+
+    def let_go(self) -> None:
+        self.live.let_go()
+
+
+@dataclass
+class Replaying:
+    """A recording, from its beginning each time."""
+
+    recording: Recording
+    rig: Rig
+    pace: float = 1.0  # times its own speed
+
+    @property
+    def about(self) -> dict[str, Any]:
+        return {"title": f"Replay of {self.recording.name}", "live": False}
+
+    def idle(self, desk: Desk) -> None:
+        time.sleep(_POLL_S)
+
+    def run(self, desk: Desk) -> str:
+        view = replay(self.recording, self.rig, desk.show, desk.resting, self.pace)
+        assert view.calibration is not None  # settled
+        return f"all of {self.recording.name} was played"
+
+    def let_go(self) -> None:
+        """Nothing moves."""
+
+
+def _look(desk: Desk, live: Live) -> None:
+    """A frame while nothing runs; where time is the board's, no faster than a camera would be."""
+    began_s = time.monotonic()
+    frame = live.look()
+    desk.show_frame(frame, _motor(live))
+    if live.virtual and live.rig.camera is not None:
+        time.sleep(max(began_s + 1.0 / live.rig.camera.frame_rate_hz - time.monotonic(), 0.0))
+
+
+def _motor(live: Live) -> float:
+    """q now, the rig's unit."""
+    return float(live.board.status(live.axis).q) * live.resolution
+
+
+def attend(
+    desk: Desk,
+    work: Work,
+    told: Callable[[str], None] = lambda text: None,
+    over: Callable[[], bool] = lambda: False,
+) -> None:
+    """Until `over`, or Ctrl-C while nothing runs: what the page asks for is done, and what came of it said there, and
+    to `told`."""
+    try:
+        while not over():
+            if desk.begun:
+                with desk.running(work.let_go):
+                    says = _ran(desk, work)
+                    desk.say(says)
+                told(says)
+            else:
+                work.idle(desk)
+    except KeyboardInterrupt:
+        return
+
+
+def _ran(desk: Desk, work: Work) -> str:
+    try:
+        desk.check_stop()  # that came before it began
+        return work.run(desk)
+    except KeyboardInterrupt:
+        return "stopped"
+    except TautError as error:
+        return str(error)

@@ -1,0 +1,1 @@
+"""Results as pages and pictures, and what they are drawn from."""

@@ -1,0 +1,458 @@
+"""The pictures of a report. Each function draws into new axes and returns a matplotlib Figure; no window is opened."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from tautline.calibration.backlash import paper_knots
+from tautline.errors import TautError
+from tautline.model import Model
+from tautline.reports.evidence import STAGES, Evidence, Run
+
+Array = np.ndarray
+Onset = Mapping[str, Any]
+
+INK, GREY, PALE = "#22303c", "#7b8794", "#e4e7eb"
+UP, DOWN, MODEL, BAND = "#1f6fb2", "#d9772b", "#b3202c", "#f3c9cc"
+STAGE_COLOURS = (INK, "#2f9e5b", "#d9a400")  # black, green, yellow: the paper's Figs. 10 and 11
+SERIES = ("#1f6fb2", "#d9772b", "#2f9e5b", "#8e4ec6", "#b3202c", "#0f8b8d", "#7b8794")
+
+STYLE: Any = {  # matplotlib's own names
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "axes.edgecolor": GREY,
+    "axes.labelcolor": INK,
+    "axes.titlesize": 10,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": PALE,
+    "grid.linewidth": 0.7,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "svg.hashsalt": "tautline",
+}
+MANY = 3000  # samples from which a scatter is drawn as pixels inside the vector picture
+
+
+def figure(width: float, height: float, rows: int = 1, columns: int = 1, **options: Any) -> tuple[Figure, Array]:
+    """A figure of this size in inches and its axes (rows, columns), in the current style."""
+    made = Figure(figsize=(width, height), layout="constrained")
+    return made, made.subplots(rows, columns, squeeze=False, **options)
+
+
+def data_uri(made: Figure) -> str:
+    """The figure as an SVG image inside a page."""
+    out = io.BytesIO()
+    with mpl.rc_context(STYLE):
+        made.savefig(out, format="svg", dpi=120, metadata={"Date": None, "Creator": None})
+    return "data:image/svg+xml;base64," + base64.b64encode(out.getvalue()).decode()
+
+
+def save(made: Figure, path: Path) -> None:
+    """As a picture; the name's ending says of which kind."""
+    with mpl.rc_context(STYLE):
+        made.savefig(path, dpi=120)
+
+
+def onsets_of(model: Model) -> list[Onset]:
+    """The model's reversals in order of time; what could not be measured of them is NaN."""
+    numbers = ("t_s", "direction", "q1", "q2", "width", "sigma")
+    onsets: list[Onset] = []
+    try:
+        for given in model.extra.get("onsets", []):
+            values = {name: np.nan if given.get(name) is None else float(given[name]) for name in numbers}
+            texts = {name: str(given.get(name, "")) for name in ("recording", "reason", "kind")}
+            onsets.append({**values, **texts, "used": bool(given["used"])})
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise TautError(f"the model's onsets are damaged ({error!r}): make it again with taut calibrate") from error
+    return sorted(onsets, key=lambda onset: onset["t_s"])
+
+
+def finer(unit: str) -> tuple[str, float]:
+    """What changes of B are told in, and how many of it a unit of q is."""
+    return ("µm", 1e3) if unit == "mm" else (unit, 1.0)
+
+
+def split_onsets(onsets: Sequence[Onset]) -> tuple[list[Onset], list[Onset]]:
+    return [o for o in onsets if o["used"]], [o for o in onsets if not o["used"]]
+
+
+def knots_of(model: Model) -> Array | None:
+    """Where the paper's spline of B has its knots, if B is that spline."""
+    if model.extra.get("options", {}).get("knots") != "paper":
+        return None
+    return paper_knots(float(model.q[0]), float(model.q[-1]))
+
+
+def q_mean(onset: Onset) -> float:
+    return 0.5 * float(onset["q1"] + onset["q2"])
+
+
+def draw_backlash(axes: Axes, model: Model, onsets: Sequence[Onset], knots: Array | None = None) -> None:
+    """B(q) with its band and every width that was measured (the paper's Fig. 8)."""
+    unit, (low, high) = model.rig.actuator.unit, model.measured
+    inside = (model.q >= low) & (model.q <= high)
+    used, _ = split_onsets(onsets)
+    told = [o for o in used if 2 * o["sigma"] <= o["width"]]  # a wider bar over the picture says nothing
+    reaches = [o["width"] + 2 * o["sigma"] for o in told]
+    highest = max([o["width"] for o in used], default=0.0)
+    level = max(highest, float(model.width[inside].max()) if inside.any() else 0.0, 1e-9)
+    top = max(1.25 * level, min(1.05 * max(reaches, default=0.0), 3.0 * level))  # every bar, but for wild ones
+    at = [q_mean(o) for o in used]
+    ends = min([float(model.q[0]), *at]), max([float(model.q[-1]), *at])  # a motor may have gone beyond the range
+    axes.fill_between(
+        model.q[inside],
+        np.maximum(model.width - 2 * model.width_sigma, 0)[inside],
+        np.minimum(model.width + 2 * model.width_sigma, 2 * top)[inside],
+        color=BAND,
+        lw=0,
+        label="± 2 sigma",
+    )
+    axes.plot(model.q, model.width, color=MODEL, lw=1.0, ls=":")
+    axes.plot(model.q[inside], model.width[inside], color=MODEL, lw=1.8, label="B(q)")
+    for direction, colour, marker, name in ((1, UP, "^", "rising"), (-1, DOWN, "v", "falling")):
+        mine = [o for o in used if np.sign(o["direction"]) == direction]
+        chosen, vague = [o for o in mine if o in told], [o for o in mine if o not in told]
+        if vague:
+            at, widths = [q_mean(o) for o in vague], [o["width"] for o in vague]
+            axes.plot(at, widths, marker, ms=4, mfc="none", mec=colour, alpha=0.5, label=f"vague, {name}")
+        if chosen:
+            axes.errorbar(
+                [q_mean(o) for o in chosen],
+                [o["width"] for o in chosen],
+                yerr=[2 * o["sigma"] for o in chosen],
+                fmt=marker,
+                ms=4,
+                color=colour,
+                elinewidth=0.8,
+                lw=0,
+                label=f"onset, {name}",
+            )
+    if knots is not None:
+        for knot in np.unique(knots):
+            axes.axvline(knot, color=UP, lw=0.7, alpha=0.5)
+    for left, right in ((model.q[0], low), (high, model.q[-1])):
+        if right > left:
+            axes.axvspan(left, right, color=PALE, alpha=0.6, lw=0)
+    axes.set(xlabel=f"q ({unit})", ylabel=f"backlash width ({unit})", xlim=ends, ylim=(0, top))
+    axes.set_title("Backlash width B(q)")
+    axes.legend(loc="best")
+
+
+def draw_characteristic(axes: Axes, model: Model, evidence: Evidence | None) -> None:
+    """Both passes, f_coarse and f_remain over the motor position (the paper's Fig. 9)."""
+    unit = model.rig.actuator.unit
+    if evidence is not None and len(evidence.q):
+        rising = np.gradient(evidence.q) >= 0
+        for chosen, colour, name in ((rising, UP, "q rising"), (~rising, DOWN, "q falling")):
+            axes.plot(
+                evidence.q[chosen],
+                evidence.c_deg[chosen],
+                ".",
+                ms=2,
+                color=colour,
+                alpha=0.5,
+                label=name,
+                rasterized=len(evidence.q) > MANY,
+            )
+    coarse = model.rig.coarse
+    axes.plot(model.q, coarse.gain * model.q + coarse.offset, color=GREY, lw=1.0, ls="--", label="f_coarse")
+    axes.plot(model.q, model.c_deg, color=MODEL, lw=1.8, label="f_remain")
+    axes.set(xlabel=f"q ({unit})", ylabel="bending c (deg)", xlim=(model.q[0], model.q[-1]))
+    axes.set_title("Characteristic")
+    axes.legend(loc="best", markerscale=3)
+
+
+@mpl.rc_context(STYLE)
+def hero(model: Model, onsets: Sequence[Onset], evidence: Evidence | None, knots: Array | None = None) -> Figure:
+    made, axes = figure(11, 3.9, 1, 2)
+    draw_backlash(axes[0, 0], model, onsets, knots)
+    draw_characteristic(axes[0, 1], model, evidence)
+    return made
+
+
+@mpl.rc_context(STYLE)
+def gain(evidence: Evidence) -> Figure:
+    """How far off each model is over time (the paper's Fig. 11)."""
+    made, axes = figure(11, 3.0)
+    ax = axes[0, 0]
+    scored = evidence.settled
+    for stage, colour, error in zip(STAGES, STAGE_COLOURS, evidence.error, strict=True):
+        distance = np.linalg.norm(error[scored], axis=1)
+        ax.semilogy(
+            evidence.t_s[scored],
+            np.maximum(distance, 1e-4),
+            ".",
+            ms=2,
+            color=colour,
+            label=stage,
+            rasterized=len(distance) > MANY,
+        )
+    ax.set(xlabel="time (s)", ylabel=f"distance ({evidence.unit})")
+    ax.set_title("How far each model is from what was seen")
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, markerscale=4, borderaxespad=0.1)
+    return made
+
+
+def main_axis(evidence: Evidence) -> tuple[Array, str]:
+    """(n,) the seen positions along the direction in which they spread most, and its name."""
+    if evidence.seen.shape[1] == 1:
+        return evidence.seen[:, 0], "c (deg)"
+    centred = evidence.seen - evidence.seen.mean(axis=0)
+    along = np.linalg.svd(np.cov(centred.T))[0][:, 0]
+    along = along * np.sign(along[np.argmax(np.abs(along))])
+    return centred @ along, "marker along its path (px)"
+
+
+@mpl.rc_context(STYLE)
+def track(evidence: Evidence, onsets: Sequence[Onset], motor_unit: str) -> Figure:
+    """Motor and marker over time with every reversal."""
+    made, axes = figure(11, 4.0, 2, 1, sharex=True)
+    position, name = main_axis(evidence)
+    for ax, values, colour, label in (
+        (axes[0, 0], evidence.q, UP, f"q ({motor_unit})"),
+        (axes[1, 0], position, INK, name),
+    ):
+        for index in np.unique(evidence.recording):
+            chosen = evidence.recording == index
+            ax.plot(evidence.t_s[chosen], values[chosen], color=colour, lw=0.9, rasterized=len(values) > MANY)
+        ax.set_ylabel(label)
+    for used, colour in ((True, "#2f9e5b"), (False, MODEL)):
+        chosen_onsets = [o for o in onsets if o["used"] == used]
+        times = [o["t_s"] + _offset(evidence, o) for o in chosen_onsets]
+        for ax, values in ((axes[0, 0], evidence.q), (axes[1, 0], position)):
+            ax.plot(
+                times,
+                np.interp(times, evidence.t_s, values),
+                "o",
+                ms=3.5,
+                color=colour,
+                label=f"onset {'used' if used else 'not used'} ({len(times)})",
+            )
+    axes[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.1)
+    axes[0, 0].set_title("What was recorded")
+    axes[1, 0].set_xlabel("time (s)")
+    return made
+
+
+@mpl.rc_context(STYLE)
+def onsets_closely(model: Model, evidence: Evidence, onsets: Sequence[Onset], count: int = 3) -> Figure | None:
+    """Some onsets from low to high q: what was seen over the motor's way since it turned, with the hinge."""
+    used = sorted(split_onsets(onsets)[0], key=q_mean)
+    views = [view for onset in used if (view := _around(evidence, onset)) is not None]
+    if not views:
+        return None
+    picked = [views[round(i)] for i in np.linspace(0, len(views) - 1, min(count, len(views)))]
+    unit = model.rig.actuator.unit
+    made, axes = figure(11, 2.9, 1, len(picked))
+    for ax, (onset, path, moved, slope) in zip(axes[0], picked, strict=True):
+        width, sigma = onset["width"], onset["sigma"]
+        ax.axvspan(0, width, color=PALE, alpha=0.7, lw=0)
+        ax.plot(path, moved, ".", color=INK, ms=4)
+        ax.plot([0, width, path.max()], [0, 0, slope * (path.max() - width)], color=MODEL, lw=1.4)
+        ax.axvspan(width - 2 * sigma, width + 2 * sigma, color=MODEL, alpha=0.25, lw=0)
+        ax.annotate(
+            f"B = {width:.4g} ± {2 * sigma:.2g}",
+            (0.5 * width, 0.98),
+            xycoords=("data", "axes fraction"),
+            ha="center",
+            va="top",
+            color=MODEL,
+            fontsize=8,
+        )
+        ax.set_title(f"q = {q_mean(onset):.3g} {unit}, {'rising' if onset['direction'] > 0 else 'falling'}")
+        ax.set_xlabel(f"motor's way since it turned ({unit})")
+    axes[0, 0].set_ylabel("moved since (px)" if evidence.unit == "px" else "moved since (deg)")
+    return made
+
+
+def _around(evidence: Evidence, onset: Onset) -> tuple[Onset, Array, Array, float] | None:
+    """The motor's way since it turned and how far the tip had moved by then, frame by frame, and the slope after the
+    onset; None where too few frames show it."""
+    width = max(onset["width"], 1e-9)
+    t2 = onset["t_s"] + _offset(evidence, onset)
+    same = evidence.recording == evidence.index(onset["recording"])
+    path = evidence.path[same] - np.interp(t2, evidence.t_s[same], evidence.path[same]) + width
+    near = (path > -0.8 * width) & (path < 1.8 * width)
+    path, seen = path[near], evidence.seen[same][near]
+    still = (path > 0.1 * width) & (path < 0.95 * width)
+    moving = path > 1.05 * width
+    if still.sum() < 2 or moving.sum() < 3:
+        return None
+    level = seen[still].mean(axis=0)
+    towards = seen[moving].mean(axis=0) - level
+    towards = towards / max(float(np.linalg.norm(towards)), 1e-12)
+    moved = (seen - level) @ towards
+    reach = path[moving] - width
+    return onset, path, moved, float(reach @ moved[moving] / (reach @ reach))
+
+
+@mpl.rc_context(STYLE)
+def residuals(evidence: Evidence, motor_unit: str) -> Figure:
+    """Seen minus predicted by the whole model, over time and over q."""
+    made, axes = figure(11, 2.9, 1, 2, sharey=True, width_ratios=[2, 1])
+    names = ("u", "v") if evidence.unit == "px" else ("c",)
+    for i, (name, colour) in enumerate(zip(names, (UP, DOWN), strict=False)):
+        values = evidence.error[2][evidence.settled, i]
+        for ax, x in ((axes[0, 0], evidence.t_s), (axes[0, 1], evidence.q)):
+            ax.plot(x[evidence.settled], values, ".", ms=1.6, color=colour, label=name, rasterized=len(values) > MANY)
+    axes[0, 0].set(xlabel="time (s)", ylabel=f"seen - predicted ({evidence.unit})")
+    axes[0, 0].set_title("Residuals of f_remain + B")
+    axes[0, 1].set_xlabel(f"q ({motor_unit})")
+    if len(names) > 1:
+        axes[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, markerscale=5, borderaxespad=0.1)
+    return made
+
+
+@mpl.rc_context(STYLE)
+def cross_check(model: Model, pass_width: Array) -> Figure:
+    """The model's B beside that of the two passes' distance, (n,) on model.q with NaN where they say nothing."""
+    unit = model.rig.actuator.unit
+    made, axes = figure(11, 2.9, 1, 2, width_ratios=[3, 2])
+    left, right = axes[0]
+    left.plot(model.q, model.width, color=MODEL, lw=1.8, label="the model's B")
+    left.plot(model.q, pass_width, color=UP, lw=1.4, ls="--", label="from the two passes alone")
+    widths = np.concatenate([model.width, pass_width[np.isfinite(pass_width)]])
+    left.set(xlabel=f"q ({unit})", ylabel=f"width ({unit})", ylim=(0, 1.3 * float(widths.max()) + 1e-9))
+    left.set_title("B measured twice")
+    left.legend(loc="upper right")
+    right.fill_between(model.q, -2 * model.width_sigma, 2 * model.width_sigma, color=BAND, lw=0, label="± 2 sigma")
+    difference = pass_width - model.width
+    right.plot(model.q, difference, color=UP, lw=1.2)
+    worst = np.nanmax(np.abs(difference)) if np.isfinite(difference).any() else 1.0
+    inside = (model.q >= model.measured[0]) & (model.q <= model.measured[1])
+    band = 3 * float(np.median(model.width_sigma[inside])) if inside.any() else 0.0
+    right.set(xlabel=f"q ({unit})", ylabel=f"difference ({unit})", ylim=np.array([-1.2, 1.2]) * max(worst, band, 1e-9))
+    right.set_title("Passes minus model")
+    right.legend(loc="upper right")
+    return made
+
+
+@mpl.rc_context(STYLE)
+def followed(runs: Mapping[str, Run]) -> Figure:
+    """What was asked of the tip, where it was without and with compensation, and the difference."""
+    made, axes = figure(11, 4.6, 2, 1, sharex=True)
+    top, bottom = axes[:, 0]
+    names = {"off": "without compensation", "backlash": "with f_coarse and B", "full": "with f_remain and B"}
+    for (compensation, run), colour in zip(runs.items(), _colours(len(runs)), strict=True):
+        t = run.t_s - run.t_s[0]
+        if run is next(iter(runs.values())):
+            top.plot(t, run.goal_deg, color=INK, lw=2.4, alpha=0.35, label="asked for")
+        top.plot(t, run.tip_deg, color=colour, lw=1.1, label=names[compensation])
+        error = np.where(run.counted, run.tip_deg - run.goal_deg, np.nan)
+        bottom.plot(t, error, color=colour, lw=1.1, label=f"{names[compensation]}: rms {run.rms_deg:.2g} deg")
+    top.set(ylabel="tip c (deg)")
+    top.set_title("The tip")
+    bottom.set(xlabel="time (s)", ylabel="off by (deg)")
+    bottom.set_title("Tracking error")
+    for ax in (top, bottom):
+        ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.1)
+    return made
+
+
+@mpl.rc_context(STYLE)
+def compared(models: Mapping[str, Model]) -> Figure:
+    """B and f_remain of several models (the paper's Fig. 2), and each less the first's: equal curves hide each other,
+    their differences do not."""
+    first = next(iter(models.values()))
+    unit = first.rig.actuator.unit
+    made, axes = figure(11, 7.4, 2, 2, sharex="col")
+    for k, ((name, model), colour) in enumerate(zip(models.items(), _colours(len(models)), strict=True)):
+        line: Any = {
+            "color": colour,
+            "lw": max(3.2 - 0.9 * k, 1.2),
+            "ls": "-" if k == 0 else (0, (5, 1 + k)),
+            "label": name,
+        }
+        inside = _inside(model)
+        low, high = np.maximum(model.width - 2 * model.width_sigma, 0), model.width + 2 * model.width_sigma
+        axes[0, 0].fill_between(model.q[inside], low[inside], high[inside], color=colour, alpha=0.15, lw=0)
+        axes[0, 0].plot(model.q[inside], model.width[inside], **line)
+        for side in (-0.5, 0.5):
+            axes[0, 1].plot(model.q + side * model.width, model.c_deg, color=colour, lw=0.8, alpha=0.7)
+        axes[0, 1].plot(model.q, model.c_deg, **line)
+        if k:
+            _draw_change(axes[1, 0], axes[1, 1], first, model, line)
+    axes[0, 0].set(ylabel=f"backlash width ({unit})", ylim=(0, None))
+    axes[0, 0].set_title("Backlash width B(q), ± 2 sigma")
+    axes[0, 1].set(ylabel="bending c (deg)")
+    axes[0, 1].set_title("f_remain (thick) and the envelopes that B makes of it")
+    axes[0, 0].legend(loc="best")
+    name = next(iter(models))
+    axes[1, 0].set(xlabel=f"q ({unit})", ylabel=f"change of B ({finer(unit)[0]})")
+    axes[1, 0].set_title(f"B less that of {name}, ± 2 sigma of the difference")
+    axes[1, 1].set(xlabel=f"q ({unit})", ylabel="change of f_remain (deg)")
+    axes[1, 1].set_title(f"f_remain less that of {name}, its mean taken off")
+    for ax in axes[1]:
+        ax.axhline(0.0, color=GREY, lw=0.8)
+        ax.legend(loc="best")
+    return made
+
+
+def _draw_change(width: Axes, angle: Axes, first: Model, model: Model, line: Mapping[str, Any]) -> None:
+    """One model less the first, over the q that both have measured."""
+    low, high = max(first.measured[0], model.measured[0]), min(first.measured[1], model.measured[1])
+    if not high > low:
+        return
+    q = np.linspace(low, high, 401)
+    change = np.interp(q, model.q, model.width) - np.interp(q, first.q, first.width)
+    sigma = np.hypot(np.interp(q, model.q, model.width_sigma), np.interp(q, first.q, first.width_sigma))
+    times = finer(first.rig.actuator.unit)[1]
+    low_side, high_side = times * (change - 2 * sigma), times * (change + 2 * sigma)
+    width.fill_between(q, low_side, high_side, color=line["color"], alpha=0.15, lw=0)
+    width.plot(q, times * change, **line)
+    moved = model.remaining(q) - first.remaining(q)
+    angle.plot(q, moved - moved.mean(), **line)
+    if model.c_sigma is not None and first.c_sigma is not None:
+        spread = np.hypot(np.interp(q, model.q, model.c_sigma), np.interp(q, first.q, first.c_sigma))
+        centre = moved - moved.mean()
+        angle.fill_between(q, centre - 2 * spread, centre + 2 * spread, color=line["color"], alpha=0.15, lw=0)
+
+
+def _inside(model: Model) -> Array:
+    return np.asarray((model.q >= model.measured[0]) & (model.q <= model.measured[1]))
+
+
+@mpl.rc_context(STYLE)
+def servo_steps(steps: Mapping[float, Any], chosen: float) -> Figure:
+    """The motor's answer to a step at the axis' limits, by factor of the gains; the chosen one is thick."""
+    made, axes = figure(11, 5.0, 2, 1, sharex=True)
+    top, bottom = axes[:, 0]
+    for (factor, step), colour in zip(steps.items(), _colours(len(steps)), strict=True):
+        width = 2.0 if factor == chosen else 0.9
+        if factor == chosen:
+            top.plot(1e3 * step.t_s, step.q_ref, color=INK, lw=2.4, alpha=0.35, label="reference")
+        top.plot(1e3 * step.t_s, step.q, color=colour, lw=width, label=f"gains x {factor:g}")
+        name = f"x {factor:g}: rms {step.rms:.2f}"
+        bottom.plot(1e3 * step.t_s, step.q - step.q_ref, color=colour, lw=width, label=name)
+    top.set(ylabel="motor (counts)")
+    top.set_title("Step response of the servo")
+    bottom.set(xlabel="time (ms)", ylabel="off by (counts)")
+    bottom.set_title("Following error")
+    for ax in (top, bottom):
+        ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=5, borderaxespad=0.1)
+    return made
+
+
+def _colours(count: int) -> list[Any]:
+    if count <= len(SERIES):
+        return list(SERIES[:count])
+    return list(mpl.colormaps["viridis"](np.linspace(0, 0.9, count)))
+
+
+def _offset(evidence: Evidence, onset: Onset) -> float:
+    return float(evidence.offset_s[evidence.index(onset["recording"])])

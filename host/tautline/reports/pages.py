@@ -1,0 +1,409 @@
+"""A model's report and the comparison of models, as pages that stand alone: no network, no other file."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import cv2
+import jinja2
+import numpy as np
+from matplotlib.figure import Figure
+
+from tautline import __version__
+from tautline.explain import topics
+from tautline.folders import replaced, write_file
+from tautline.model import MODEL_FILE, Model
+from tautline.recording import Recording
+from tautline.reports import figures
+from tautline.reports.evidence import FILE as EVIDENCE_FILE
+from tautline.reports.evidence import STAGES, Evidence, Run, collect
+from tautline.rig import MARKER
+from tautline.vision.snapshot import snapshot
+
+Array = np.ndarray
+
+FILE = "report.html"
+CAMERA_FILE = "camera.jpg"  # in a model's folder: what the camera saw, with the marker's way
+_COARSE_IS_WRONG = frozenset({"coarse", "registration.static", "range", "predicts"})
+
+
+@dataclass(frozen=True)
+class Picture:
+    uri: str
+    title: str
+    caption: str
+
+
+@dataclass(frozen=True)
+class Number:
+    name: str
+    value: str
+    detail: str
+
+
+def save_model(model: Model, recordings: Sequence[Recording], folder: Path) -> list[str]:
+    """The whole MODEL folder with its report, or nothing; without recordings a report of the tables alone. Returns the
+    result in sentences."""
+    with replaced(folder, MODEL_FILE, stale=("follow-*.csv", EVIDENCE_FILE, CAMERA_FILE, "next_motion.csv")) as target:
+        evidence = collect(model, recordings) if recordings else None
+        model.save(target)
+        _keep_picture(recordings, target)
+        if evidence is not None:
+            evidence.save(target)
+        write(model, target, evidence, folder.absolute().name)
+    return sentences(model, evidence)
+
+
+def _keep_picture(recordings: Sequence[Recording], folder: Path) -> None:
+    seen = next((shown for each in recordings if (shown := snapshot(each)) is not None), None)
+    if seen is not None:
+        cv2.imwrite(str(folder / CAMERA_FILE), seen, [cv2.IMWRITE_JPEG_QUALITY, 88])
+
+
+def _camera(folder: Path) -> Picture | None:
+    path = folder / CAMERA_FILE
+    if not path.is_file():
+        return None
+    uri = "data:image/jpeg;base64," + base64.b64encode(path.read_bytes()).decode()
+    return Picture(
+        uri, "What the camera saw", "What the camera saw. Blue: where the marker was, frame by frame; red: around it."
+    )
+
+
+def write(model: Model, folder: Path, evidence: Evidence | None, name: str = "") -> Path:
+    """MODEL/report.html: what was measured, how good it is, what it gains. `evidence` None: the tables alone."""
+    onsets = figures.onsets_of(model)
+    used, unused = figures.split_onsets(onsets)
+    passes = model.extra.get("pass_width")
+    runs = Run.load_all(folder)
+    page: dict[str, Any] = {
+        "title": f"What is lost between motor and tip: {name or folder.absolute().name}",
+        "source": _source(model, evidence),
+        "quality": model.quality.to_json(),
+        "reasons": [
+            {"code": r.code, "says": r.says, "remedy": r.remedy, "topic": topics().get(r.code)}
+            for r in model.quality.reasons
+        ],
+        "camera": _camera(folder),
+        "result": sentences(model, evidence) + _run_sentences(runs),
+        "numbers": _numbers(model, used, unused, evidence),
+        "notes": model.extra.get("notes", []),
+        "motor_unit": model.rig.actuator.unit,
+        "unit": evidence.unit if evidence else "",
+        "hero": picture(
+            figures.hero(model, onsets, evidence, figures.knots_of(model)),
+            "Backlash width and characteristic",
+            "Left: every measured width with 2 sigma (hollow: known to no better than half of it), the curve through "
+            "them, its band; grey: not reached. "
+            "Right: bending angle over motor position on the way up and down, and the central line f_remain.",
+        ),
+        "stages": _stages(evidence),
+        "gain": None,
+        "runs": None,
+        "onset_count": len(onsets),
+        "onsets": [_onset_row(onset) for onset in onsets],
+        "unused": [k for k, onset in enumerate(onsets) if not onset["used"]],
+        "closely": None,
+        "track": None,
+        "residuals": None,
+        "cross_check": None,
+    }
+    if evidence is not None:
+        page |= {
+            "gain": picture(
+                figures.gain(evidence),
+                "Distance between prediction and measurement",
+                "f_coarse knows neither backlash nor the real law; B alone gets the moments of motion right.",
+            ),
+            "track": picture(
+                figures.track(evidence, onsets, model.rig.actuator.unit),
+                "Motor and marker over time",
+                "Dots: where the tip began to move.",
+            ),
+            "residuals": picture(
+                figures.residuals(evidence, model.rig.actuator.unit),
+                "Residuals of the whole model",
+                "White and small: nothing is left unmodelled. A pattern over q or time: taut diagnose says what it is.",
+            ),
+        }
+        closely = figures.onsets_closely(model, evidence, onsets)
+        if closely is not None:
+            page["closely"] = picture(
+                closely,
+                "Some onsets closely",
+                "Dots: frames. Grey: the motor turns, the tip rests. Red: the hinge; the backlash ends where it bends.",
+            )
+    if passes is not None:
+        page["cross_check"] = picture(
+            figures.cross_check(model, np.array(passes, dtype=float)),
+            "B from the onsets and from the two passes",
+            "The distance of the two passes at equal image position measures B again, without any pose. "
+            "Where they part, the onset is smooth, or the registration changes with direction.",
+        )
+    if runs:
+        page["runs"] = picture(
+            figures.followed(runs),
+            "A trajectory followed open loop",
+            "Scored after the first full take-up in both directions.",
+        )
+    path = folder / FILE
+    write_page("model.html", page, path)
+    return path
+
+
+def write_comparison(models: Mapping[str, Model], path: Path) -> None:
+    """How B and f_remain differ between models (the paper's Fig. 2)."""
+    rows = comparison(models)
+    names = list(models)
+    unit = models[names[0]].rig.actuator.unit
+    fine, times = figures.finer(unit)
+    page = {
+        "title": "How backlash and f_remain changed",
+        "result": _comparison_sentences(rows, unit),
+        "picture": picture(
+            figures.compared(models),
+            "B and f_remain of all models",
+            f"Above: the curves, with 2 sigma. Below: each less {names[0]}'s, with 2 sigma of the difference; where a "
+            "band does not hold 0, the change is larger than the uncertainty.",
+        ),
+        "columns": [
+            f"B mean ({unit})",
+            f"B least to most ({unit})",
+            f"change of B ({fine})",
+            f"largest change ({fine})",
+            "in sigma (rms)",
+            "change of f_remain (deg)",
+            "delay (ms)",
+        ],
+        "rows": [
+            [
+                row["model"],
+                _digits(row["width_mean"]),
+                f"{_digits(row['width_min'])} to {_digits(row['width_max'])}",
+                _digits(times * row["width_change_mean"], 2, sign=True),
+                _digits(times * row["width_change_max"], 2, sign=True),
+                _digits(row["width_change_sigmas"], 2),
+                _digits(row["remaining_change_rms_deg"], 2),
+                f"{1e3 * row['delay_s']:.1f}",
+            ]
+            for row in rows
+        ],
+    }
+    write_page("compare.html", page, path)
+
+
+def comparison(models: Mapping[str, Model]) -> list[dict[str, Any]]:
+    """Each model against the first, over the q that both have measured. The change of f_remain is counted after its
+    mean is taken off (the zero of the motor is not the instrument's); the mean is beside it."""
+    names = list(models)
+    first = models[names[0]]
+    rows = []
+    for name in names:
+        model = models[name]
+        low, high = max(first.measured[0], model.measured[0]), min(first.measured[1], model.measured[1])
+        q = np.linspace(low, high, 201) if high > low else np.empty(0)
+        width, base = (np.interp(q, m.q, m.width) for m in (model, first))
+        sigma = np.hypot(*(np.interp(q, m.q, m.width_sigma) for m in (model, first)))
+        change = width - base
+        angle = model.remaining(q) - first.remaining(q)
+        some = len(q) > 0
+        worst = int(np.argmax(np.abs(change))) if some else 0
+        rows.append(
+            {
+                "model": name,
+                "q_from": low if some else None,
+                "q_to": high if some else None,
+                "width_mean": width.mean() if some else np.nan,
+                "width_min": width.min() if some else np.nan,
+                "width_max": width.max() if some else np.nan,
+                "width_change_mean": change.mean() if some else np.nan,
+                "width_change_rms": np.sqrt(np.mean(change**2)) if some else np.nan,
+                "width_change_max": change[worst] if some else np.nan,
+                "width_change_max_at": q[worst] if some else np.nan,
+                "width_change_sigmas": np.sqrt(np.mean((change / np.maximum(sigma, 1e-12)) ** 2)) if some else np.nan,
+                "remaining_change_mean_deg": angle.mean() if some else np.nan,
+                "remaining_change_rms_deg": angle.std() if some else np.nan,
+                "delay_s": model.delay_s,
+            }
+        )
+    return rows
+
+
+def write_page(template: str, page: Mapping[str, Any], path: Path, beside: Path | None = None) -> None:
+    """A page from one of the package's templates, or of those in the folder `beside`; `footer` is added."""
+    write_file(path, _render(template, page, beside))
+
+
+def _render(template: str, page: Mapping[str, Any], beside: Path | None = None) -> str:
+    loaders: list[jinja2.BaseLoader] = [jinja2.PackageLoader("tautline.reports")]
+    if beside is not None:
+        loaders.append(jinja2.FileSystemLoader(beside))
+    environment = jinja2.Environment(
+        loader=jinja2.ChoiceLoader(loaders), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True
+    )
+    footer = f"tautline {__version__}, {datetime.now().astimezone():%Y-%m-%d %H:%M %z}"
+    return environment.get_template(template).render(footer=footer, **page)
+
+
+def picture(made: Figure, title: str, caption: str) -> Picture:
+    return Picture(figures.data_uri(made), title, caption)
+
+
+def _digits(value: float, digits: int = 3, sign: bool = False) -> str:
+    """A number with so many significant digits and no exponent."""
+    if value is None or not np.isfinite(value):
+        return "not measured"
+    if value == 0:
+        return "0"
+    places = max(0, digits - 1 - int(np.floor(np.log10(abs(value)))))
+    return f"{value:{'+' if sign else ''}.{min(places, 6)}f}"
+
+
+def _with(value: float, unit: str, digits: int = 3) -> str:
+    """A number that no line break parts from its unit."""
+    return f"{_digits(value, digits)}\u00a0{unit}"
+
+
+def _inside(model: Model) -> Array:
+    return (model.q >= model.measured[0]) & (model.q <= model.measured[1])
+
+
+def _source(model: Model, evidence: Evidence | None) -> str:
+    made = f"from {', '.join(evidence.names)}; " if evidence else ""
+    low, high = model.rig.actuator.range
+    length = f"{len(evidence.t_s)} {'frames' if evidence.unit == 'px' else 'samples'}; " if evidence else ""
+    return f"{made}{length}motor range {low:g} to {high:g} {model.rig.actuator.unit}"
+
+
+def sentences(model: Model, evidence: Evidence | None) -> list[str]:
+    """The result for a person, in one line each."""
+    unit, inside = model.rig.actuator.unit, _inside(model)
+    lines = []
+    if inside.any():
+        width, sigma = model.width[inside], model.width_sigma[inside]
+        least, most = _digits(width.min()), _digits(width.max())
+        reach = least if least == most else f"{least} to {most}"
+        lines.append(
+            f"After every change of direction the motor turns {reach} {unit} before "
+            f"the tip moves, known to ± {_digits(2 * float(np.median(sigma)), 2)} {unit}."
+        )
+    else:
+        lines.append("No width could be measured: no reversal reached the end of the backlash.")
+    if evidence is None or not model.quality.usable:
+        return lines
+    coarse, with_width, whole = evidence.rms()
+    if not np.isfinite(whole):
+        return [*lines, "The tip was never driven through a full backlash both ways, so nothing can be scored."]
+    said = (
+        f"With these tables the tip is where the model says within {_digits(whole, 2)} {evidence.unit}; "
+        f"f_coarse alone is off by {_digits(coarse, 2)} {evidence.unit}"
+    )
+    if any(reason.code in _COARSE_IS_WRONG for reason in model.quality.reasons):
+        return [*lines, f"{said}, but something in the rig is wrong, which the verdict names: that is no gain."]
+    lost_deg, lost = _backlash_share(model, evidence)
+    return [
+        *lines,
+        f"{said}, with B by {_digits(with_width, 2)} {evidence.unit}.",
+        f"Backlash alone, with all else right, puts the tip {_digits(lost_deg, 2)} deg off (rms), "
+        f"{_digits(lost, 2)} {unit} of the motor.",
+    ]
+
+
+def _backlash_share(model: Model, evidence: Evidence) -> tuple[float, float]:
+    """What a tip would be off by, rms, that followed f_remain and had no backlash: deg, and the motor's unit."""
+    q, c_deg = evidence.q[evidence.settled], evidence.c_deg[evidence.settled]
+    off = np.column_stack([model.remaining(q) - c_deg, q - model.remaining_inverse(c_deg)])
+    deg, motor = np.sqrt(np.nanmean(off**2, axis=0))
+    return float(deg), float(motor)
+
+
+def _times(worse: float, better: float) -> str:
+    return _digits(worse / max(better, 1e-12), 2)
+
+
+def _numbers(model: Model, used: Sequence[Any], unused: Sequence[Any], evidence: Evidence | None) -> list[Number]:
+    unit, inside = model.rig.actuator.unit, _inside(model)
+    numbers = []
+    if inside.any():
+        width, at = model.width[inside], model.q[inside]
+        numbers += [
+            Number("widest backlash", _with(width.max(), unit), f"at {_digits(at[width.argmax()], 2)} {unit}"),
+            Number("narrowest", _with(width.min(), unit), f"at {_digits(at[width.argmin()], 2)} {unit}"),
+            Number(
+                "measured", f"{_digits(model.measured[0], 3)} to {_with(model.measured[1], unit)}", "motor position"
+            ),
+        ]
+    numbers.append(Number("reversals used", str(len(used)), f"of {len(used) + len(unused)}"))
+    if model.sensor == MARKER or model.delay_s:
+        sigma = model.extra.get("delay_sigma_s")
+        spread = f"± {_digits(2e3 * sigma, 1)} ms" if sigma else "nominal"
+        what = "image" if model.sensor == MARKER else "sensor"
+        numbers.append(Number(f"delay of the {what}", f"{1e3 * model.delay_s:.1f}\u00a0ms", spread))
+    if evidence is not None and np.isfinite(evidence.rms()[2]):
+        numbers.append(Number("prediction", _with(evidence.rms()[2], evidence.unit, 2), "rms per coordinate"))
+    return numbers
+
+
+def _stages(evidence: Evidence | None) -> list[list[str]]:
+    if evidence is None or not evidence.settled.any():
+        return []
+    rms = evidence.rms()
+    rows = []
+    for name, error, value in zip(STAGES, evidence.error, rms, strict=True):
+        distance = np.linalg.norm(error[evidence.settled], axis=1)
+        rows.append(
+            [
+                name,
+                _digits(value),
+                f"{_digits(float(np.nanmean(distance)))} ± {_digits(float(np.nanstd(distance)), 2)}",
+                _digits(float(np.nanmax(distance))),
+                _times(rms[0], value),
+            ]
+        )
+    return rows
+
+
+def _onset_row(onset: figures.Onset) -> list[str]:
+    def told(value: float, places: int) -> str:
+        return "" if np.isnan(value) else f"{value:.{places}f}"
+
+    return [
+        told(onset["t_s"], 3),
+        "rises" if onset["direction"] > 0 else "falls",
+        told(onset["q1"], 4),
+        told(onset["q2"], 4),
+        told(onset["width"], 4),
+        told(2 * onset["sigma"], 4),
+        "yes" if onset["used"] else onset["reason"] or "no",
+    ]
+
+
+def _run_sentences(runs: Mapping[str, Run]) -> list[str]:
+    off, full = runs.get("off"), runs.get("full")
+    if off is None or full is None:
+        return []
+    return [
+        f"Followed open loop, the tip was off by {_digits(off.rms_deg, 2)} deg without compensation and by "
+        f"{_digits(full.rms_deg, 2)} deg with it: {_times(off.rms_deg, full.rms_deg)} times less."
+    ]
+
+
+def _comparison_sentences(rows: Sequence[Mapping[str, Any]], unit: str) -> list[str]:
+    sentences = []
+    fine, times = figures.finer(unit)
+    for row in rows[1:]:
+        if not np.isfinite(row["width_mean"]):
+            sentences.append(f"{row['model']} has measured no q that {rows[0]['model']} has.")
+            continue
+        certain = "more than its uncertainty" if row["width_change_sigmas"] > 2 else "within the uncertainty"
+        sentences.append(
+            f"{row['model']}: B changed by {_digits(times * row['width_change_mean'], 2, sign=True)} {fine} on average "
+            f"and {_digits(times * row['width_change_max'], 2, sign=True)} {fine} at most, {certain}; "
+            f"f_remain by {_digits(row['remaining_change_rms_deg'], 2)} deg rms."
+        )
+    return sentences
