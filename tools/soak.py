@@ -44,6 +44,9 @@ AHEAD_US = 40_000  # that set-points are sent before they hold: two periods, as 
 DEGREE, COUNT = 65536, 256  # a set-point's value: deg Q16 or counts Q8, by what `follow` said
 SWEEP = 25.0  # deg, and
 REACH = 3000.0  # counts to either side: well within tables and range
+DUTY = 0.8  # the most of the settings, which drives at
+SPEED = 8000.0  # counts/s with all of their acceleration
+MOST_DUTY = int(32768 * DUTY) + 33  # and a thousandth: a bridge's PWM is seen in whole steps
 LATEST_S = 1.15  # after its last word, with the braking: docs/safety.md, the host dies
 LAG_US = 1000  # by which what the board says of its position may be older than where the motor is
 SETTLED = 2.0  # counts that a motor at rest may still be seen to move, by rounding
@@ -110,7 +113,7 @@ class Life:
             off = each["mode"] == OFF
             self.holds(off or fault == "NONE", f"axis {axis} has the fault {fault} and is driven")
             self.holds(not off or each["duty_q15"] == 0, f"axis {axis} is off, at duty {each['duty_q15']}")
-            self.holds(abs(each["duty_q15"]) <= 32768, f"axis {axis} is at duty {each['duty_q15']}")
+            self.holds(abs(each["duty_q15"]) <= MOST_DUTY, f"axis {axis} is at duty {each['duty_q15']}")
             self.holds(fault == "NONE" or fault in self.allowed, f"axis {axis} has the fault {fault} for no reason")
             referenced = bool(each.get("flags", 0) & wire.code("FLAGS", "REFERENCED"))  # the image's are not shown
             if referenced and self.known[axis] and not off:
@@ -144,7 +147,9 @@ class Life:
     def begin(self) -> None:
         self.arrive()
         for axis in range(AXES):
-            self.host.trust_motor(axis)
+            own = dict(self.host.ask("get_settings", axis=axis).values)
+            own |= {"duty": DUTY, "speed_s": SPEED, "commissioned": 1, "key": wire.wire.KEY}
+            self.host.ask("settings", **own, timeout_s=5.0)
             self.host.load_table(axis, self.table[axis])
         self.work()
 

@@ -44,7 +44,7 @@ def test_what_breaks_is_told_with_an_id_that_lives_it_again(monkeypatch: pytest.
         ({"fault": "STALL"}, "has the fault STALL and is driven"),
         ({"fault": "STALL", "mode": soak.OFF}, "has the fault STALL for no reason"),
         ({"mode": soak.OFF, "duty_q15": 3}, "is off, at duty 3"),
-        ({"duty_q15": 40000}, "is at duty 40000"),
+        ({"duty_q15": -30000}, "is at duty -30000"),
         ({"q_q8": 256 * 30, "flags": soak.wire.code("FLAGS", "REFERENCED")}, "is 30.0 counts off"),
     ],
 )
