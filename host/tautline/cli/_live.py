@@ -31,7 +31,9 @@ board_option = click.option(
 )
 axis_option = click.option("--axis", type=click.IntRange(0, 3), default=0, show_default=True, help="Axis of the board.")
 camera_option = click.option(
-    "--camera", metavar="SOURCE", help="Camera: a device number or path, a stream's address, or ros:TOPIC."
+    "--camera",
+    metavar="SOURCE",
+    help="Camera: a device number or path, a stream's address, a GStreamer pipeline (... ! appsink), or ros:TOPIC.",
 )
 colour_option = click.option(
     "--colour",
@@ -186,6 +188,8 @@ def opened(
         at=live.at,
         seed=seed,
     ) as setup:
+        if isinstance(setup.marker_source, CameraSource) and (says := setup.marker_source.says["exposure"]):
+            log(f"taut: the camera's {says}")
         yield setup
         if isinstance(setup.marker_source, CameraSource) and (dropped := setup.marker_source.dropped):
             warn(f"{dropped} frames of the camera never came: ask it for fewer or smaller ones")
