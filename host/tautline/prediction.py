@@ -217,7 +217,7 @@ def times_of(
         (file, model.delay_s),
         (folder / "marker.csv", model.delay_of(MARKER)),
         (folder / "angle.csv", model.delay_of(ANGLE)),
-        (folder / "frames.csv" if rig.has_camera else None, model.delay_of(MARKER)),
+        (folder / "frames.csv" if rig.camera else None, model.delay_of(MARKER if rig.has_camera else ANGLE)),
     ):
         if path is not None and (path == file or path.exists()):
             return Times(*read_times(path, warnings), delay_s)

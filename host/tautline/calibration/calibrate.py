@@ -133,7 +133,9 @@ class Calibration(Value):
             "remaining": {
                 "q": model.q.tolist(),
                 "c_deg": model.c_deg.tolist(),
-                "sigma_deg": None if model.c_sigma is None else [_finite(v) for v in model.c_sigma],
+                "sigma_deg": None
+                if model.c_sigma is None or model.rig.sees_from_tip
+                else [_finite(v) for v in model.c_sigma],
             },
             "delay_s": model.delay_s,
             "offset_s": model.offset_s,
@@ -230,6 +232,7 @@ class _Session:
         self.domain = Domain(min(low, self.reached[0]), max(high, self.reached[1]))
         self.grid = np.linspace(self.domain.low, self.domain.high, NODES)
         self.camera = tracks[0].unit == "px"
+        self.framed = self.camera or rig.sees_from_tip  # a camera's delay: of frames that are still after a turn
         self.nominal_s = rig.nominal_delay_s(tracks[0].sensor)
         self.unit = rig.actuator.unit
 
@@ -259,7 +262,7 @@ class _Session:
         joint, passes = self._smooth(onsets, delay, curve)
         if joint is not None and (joint.fit.fit_delay or joint.curves.delay_s != delay.delay_s):
             before, delay = delay, self._joint_delay(delay, joint)
-            surer = not self.camera and delay.sigma_s < 0.5 * before.sigma_s
+            surer = not self.framed and delay.sigma_s < 0.5 * before.sigma_s
             later = delay.delay_s - before.delay_s
             if surer or abs(later) > _LATER * clock.period_s(self.tracks):
                 onsets = find_onsets(self.tracks, self.rig, delay.delay_s, delay.sigma_s)
@@ -301,7 +304,7 @@ class _Session:
     def _delay(self) -> Delay:
         if self.options.delay_s is not None:
             return Delay(self.options.delay_s, 0.0, 0)
-        if not self.camera:
+        if not self.framed:
             return clock.delay_of_all(self.tracks, self.rig)
         return clock.delay_of_stops(self.tracks, self.rig)
 
@@ -342,7 +345,7 @@ class _Session:
         )  # fmt: skip
         if joint is None:
             return None, None
-        if fit_delay and not self.camera:
+        if fit_delay and not self.framed:
             joint = clock.settled(joint, delay, self.tracks, self.nominal_s)
         elif fit_delay and (jumping(onsets) or not joint.explained):
             # What the model does not know would bend the delay: the image stops tell it alone.
@@ -393,7 +396,7 @@ class _Session:
         """The joint fit as it is; how far the departures would take B from it is its uncertainty. An angle sensor's
         delay that they leave less certain than it is off the nominal one by is that."""
         delay_sigma = max(components.delay_sigma, joint.delay_sigma)
-        if not self.camera and joint.fit.fit_delay and abs(joint.curves.delay_s - self.nominal_s) < delay_sigma:
+        if not self.framed and joint.fit.fit_delay and abs(joint.curves.delay_s - self.nominal_s) < delay_sigma:
             fit = replace(joint.fit, fit_delay=False, delay_sigma_s=delay_sigma, smoothing=dict(joint.fit.smoothing))
             joint = fit.solve(replace(joint.curves, delay_s=self.nominal_s))
         width = joint.fit.width(joint.curves)
@@ -424,6 +427,14 @@ class _Session:
     def _doubt_place(self, remaining: Remaining | None) -> None:
         place = self.rig.place
         if remaining is None:
+            return
+        if self.rig.sees_from_tip:
+            self.findings.doubt(
+                "scene",
+                "f_remain is not known from this, B is: what the tip's own camera sees turns by more than the tip "
+                "does, by the tip's own way over its distance, and the offset is f_coarse's",
+                "measure f_remain with a camera that sees the instrument, or an angle sensor",
+            )
             return
         if place is None:
             if any(track.shown is not None for track in self.tracks):

@@ -176,6 +176,7 @@ def opened(
             f"{rig_path}: its motor is in {rig.actuator.unit}, the model's in {model.rig.actuator.unit}: name the rig "
             "that the model was calibrated with, or leave --rig out"
         )
+    picks = picks or (rig is not None and rig.sees_from_tip)  # there is no marker
     named = live.camera is not None and live.simulate is None and (live.colour.exists() or not picks)
     with open_live(
         board=live.board,
