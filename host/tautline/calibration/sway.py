@@ -24,12 +24,12 @@ from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
 
-# Priors, each flat over its values.
-_SIZES, _MEMORIES_S = 9, np.geomspace(0.04, 20.0, 5)  # from a frame to many breaths
-_LEAST = 0.3  # of the noise: a sway that is none
-_RESTS = 0.25  # of the square's side: a place that goes farther (standard deviation) does not rest
-_WIDTHS = np.array([0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.8])  # of a play, in shares of the motor's way
-_NODES = 12  # places of the path at which it is unknown, straight between them
+# Each prior is flat over its values.
+_SIZES, _MEMORIES_S = 9, np.geomspace(0.04, 20.0, 5)  # prior: from a frame to many breaths
+_LEAST = 0.3  # prior: of the noise: a sway that is none
+_RESTS = 0.25  # prior: of the square's side: a place that goes farther (standard deviation) does not rest
+_WIDTHS = np.array([0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.8])  # prior: of a play, in shares of the motor's way
+_NODES = 12  # prior: places of the path at which it is unknown, straight between them
 _COUNTS = 1e-6  # tolerance: what weighs less changes nothing that is seen
 
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import cv2
 
-_SETTLES = 20  # frames that an automatic exposure is given: most settle within ten
+_SETTLES = 20  # tolerance: frames that an automatic exposure is given: most settle within ten
 _V4L2 = "V4L2"
-_MANUAL = {_V4L2: 1.0}  # formats of OpenCV's backends: the menu entry of V4L2's control, else a quarter
-_MANUAL_ELSE = 0.25
-_ALIKE = 1e-3  # tolerance, share: a driver that rounds has obeyed
-_UNIT_MS = 0.1  # of V4L2's exposure
+_MANUAL = {_V4L2: 1.0}  # format: of OpenCV's backends: the menu entry of V4L2's control, else a quarter
+_MANUAL_ELSE = 0.25  # format: the same
+_ALIKE = 1e-3  # tolerance: share: a driver that rounds has obeyed
+_UNIT_MS = 0.1  # format: of V4L2's exposure
 
 
 @dataclass(frozen=True)

@@ -23,17 +23,19 @@ from tautline.vision.frames import Progress, every_frame, half
 
 Array = npt.NDArray[np.floating[Any]]
 
-_CORNERS, _CORNER_QUALITY, _APART = 250, 0.01, 5.0  # of a keyframe; px between them
-_FEWEST = 20  # corners that go together: eight numbers make a homography, four corners
-_BORDER_PX = 12.0  # nothing is looked for nearer to the picture's edge: a window of Lucas-Kanade is cut there
-_TOGETHER_PX = 0.5  # from the common motion
-_OWN = 0.8  # of the pictures in which a corner of the world that stays goes along
-_STEP = 0.08  # of the field of view, diagonal: from the nearest keyframe, from which a new one is taken
-_REACH = 3.0  # times that, within which a keyframe is tried
-_NEAREST = 2  # keyframes that say together
-_KEYFRAMES = 256
-_FEWEST_TURNS = 20  # of a video
-_HELD = 1e-3  # pictures' worth that a keyframe is where it was taken
+_CORNERS, _CORNER_QUALITY, _APART = 250, 0.01, 5.0  # tolerance: of a keyframe; px between them
+_FEWEST = 20  # tolerance: corners that go together: eight numbers make a homography, four corners
+_BORDER_PX = (
+    12.0  # tolerance: nothing is looked for nearer to the picture's edge: a window of Lucas-Kanade is cut there
+)
+_TOGETHER_PX = 0.5  # tolerance: from the common motion
+_OWN = 0.8  # tolerance: of the pictures in which a corner of the world that stays goes along
+_STEP = 0.08  # tolerance: of the field of view, diagonal: from the nearest keyframe, from which a new one is taken
+_REACH = 3.0  # tolerance: times that, within which a keyframe is tried
+_NEAREST = 2  # tolerance: keyframes that say together
+_KEYFRAMES = 256  # tolerance: memory
+_FEWEST_TURNS = 20  # tolerance: of a video
+_HELD = 1e-3  # prior: pictures' worth that a keyframe is where it was taken
 
 
 @dataclass
