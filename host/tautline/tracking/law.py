@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
 from tautline import _native
-from tautline.model import Model, allowed_width, interpolate, monotone
+from tautline.model import Model, allowed_width, interpolate
 from tautline.tracking.beyond import PLACES, Beyond
 
 Array = npt.NDArray[np.float64]
@@ -161,7 +161,7 @@ class LawFamily:
         basis = np.vstack([model.width * around, theta[SCALE] * model.width * self.waves])
         c_deg = model.c_deg
         if np.any(theta[TIP]):
-            c_deg = monotone(model.c_deg + theta[TIP] @ self.powers(model.q))
+            c_deg = self.beyond.lawful(model.c_deg + theta[TIP] @ self.powers(model.q))
         _, away, weight = self._lots
         if model.elements.single and not theta[SPREAD] and not theta[SKEW]:
             spread, shares, weight = np.zeros((2, 1)), np.ones(1), np.ones(1)
