@@ -17,12 +17,12 @@ from tautline.model import Model, allowed_width
 
 Array = npt.NDArray[np.float64]
 
-CURVES = 4  # of either table: linear and quadratic below what was measured, the same above
-PLACES = 12  # of the measured range, at which its curves bend, and B may have changed by itself
-_NODES = 96  # on either side: what is bent is within a fifth of a camera's noise of lines between so many
+CURVES = 4  # prior: of either table: linear and quadratic below what was measured, the same above
+PLACES = 12  # prior: of the measured range, at which its curves bend, and B may have changed by itself
+_NODES = 96  # tolerance: on either side: what is bent is within a fifth of a camera's noise of lines between so many
 _LEVEL = 1e-6  # tolerance: of the mean slope: f_remain's least, as it is asked for p
-_REACH = 0.5  # of the grid, on either side of it: further than an offset takes the tip
-OUTLYING = 4.0  # standard deviations from which a frame counts as an outlier, and tells less (Huber's cost)
+_REACH = 0.5  # limit: of the grid, on either side of it: further than an offset takes the tip
+OUTLYING = 4.0  # prior: standard deviations from which a frame counts as an outlier, and tells less (Huber's cost)
 
 
 @dataclass(frozen=True)

@@ -19,10 +19,13 @@ Array = npt.NDArray[np.float64]
 OFFSET, SCALE, SHAPE, SPREAD, SKEW = 0, 1, slice(2, 2 + PLACES), 2 + PLACES, 3 + PLACES
 TIP = slice(4 + PLACES, 7 + PLACES)  # deg: constant, slope and bend of the static law's change
 PARAMETERS = 7 + PLACES
-_LOTS = 5  # elements that a single play is split into where its onset has become gradual
-_LEAST_SCALE, _MOST_SCALE = 0.02, 5.0
-_MOST_OWN = 1.5
-_LEAST_SHAPE, _MOST_SHAPE = -0.9, 4.0
+_LOTS = 5  # tolerance: elements that a single play is split into where its onset has become gradual
+_LEAST_SCALE, _MOST_SCALE = 0.02, 5.0  # prior: of B, that use leaves of it or makes it
+_MOST_OWN = 1.5  # prior: of a frame's noise, what of a calibrated law's own sigma is taken for noise
+_LEAST_SHAPE, _MOST_SHAPE = -0.9, 4.0  # prior: the same, in one place
+_LEAST_SPREAD = -0.95  # limit: of the elements' own, at which all of them start together
+_MOST_SKEW = 0.6  # prior: shares of five even lots between 0.8 and 1.2 of B by it
+_LEAST_GRADUAL, _GRADUAL = 0.1, 0.2  # tolerance: of an onset, from which its derivatives are taken
 
 
 def unchanged() -> Array:
@@ -140,9 +143,9 @@ class LawFamily:
         theta = theta.copy()
         theta[SCALE] = min(max(theta[SCALE], _LEAST_SCALE), _MOST_SCALE)
         theta[SHAPE] = np.clip(theta[SHAPE], _LEAST_SHAPE, _MOST_SHAPE)
-        least = 0.0 if self.model.elements.single else -0.95
+        least = 0.0 if self.model.elements.single else _LEAST_SPREAD
         theta[SPREAD] = min(max(theta[SPREAD], least), 1.0)
-        theta[SKEW] = min(max(theta[SKEW], -0.6), 0.6)
+        theta[SKEW] = min(max(theta[SKEW], -_MOST_SKEW), _MOST_SKEW)
         return theta
 
     def law(self, theta: Array) -> Law:
@@ -188,8 +191,8 @@ class LawFamily:
     def gradual_start(self, theta: Array) -> Array:
         """theta with a little spread: derivatives by it exist only where there are several elements."""
         theta = theta.copy()
-        if self.model.elements.single and theta[SPREAD] < 0.1:
-            theta[SPREAD] = 0.2
+        if self.model.elements.single and theta[SPREAD] < _LEAST_GRADUAL:
+            theta[SPREAD] = _GRADUAL
         return theta
 
     def rescaled(self, theta: Array, scale: float) -> Array:

@@ -31,26 +31,26 @@ from tautline.tracking.window import Window
 
 Array = npt.NDArray[np.float64]
 
-_APART, _APART_SIGMAS = 1 / 40, 4.0  # of B, of a frame's noise: frames that are nearer to each other tell the same
-_TURN_COUNTS, _TURN_SHARE = 8.0, 0.02  # of the encoder, of B: a motor that goes back by more has turned
-_PACE = 0.08  # of the running mean of what a model in doubt is off
-_OFF_PACE, _OFF_TRACK = 0.04, 2.0  # of the running mean of squares off the marker's track, where it is disturbed
-_WANDER_PACE, _WANDERS = 0.15, 5.0  # of that of squares of the tip's motion while the motor rests
-_CLIP = 36.0  # of squares of it: a jump is one of them
-_WELL_STROKES = 3  # that a law must foretell until it holds again
-_QUIET_S = 15.0  # without a disturbance, before anything is learnt after one
-_FORETELLS = 2  # strokes that a proposal is tried on before another replaces it
-_STALE_STROKES = 5  # that a change is looked for in by themselves
-_MOVED = 0.25  # of B, by which the offset is another posture's
-_FEW_STROKES = 3  # since a law began to be learnt: the last two may refine it by themselves
-_POSTURE = 1.5  # of the mean B: an offset that one stroke alone may tell at the beginning, more than a width can be
-_ELSEWHERE, _STRANGE_FRAMES = 2.0, 5  # of B, that so many first frames are off: another posture
-_FRAME_WORK = 360  # us, about, of work in one frame; no piece of it costs more
-_NEWS = 10  # frames between two judgements
-_SETTLED_TURNS = 5  # reversals since the change after which the law is settled
-_LEAN_PACE, _LEANS = 0.1, 0.5  # of those means; the mean's share of the squares from which it is expected to go on
-_MOST_LEVEL = 5.0
-_UNKNOWN = 1.0  # of B: what a width's sigma is at most taken for
+_APART, _APART_SIGMAS = 1 / 40, 4.0  # tolerance: of B, of a frame's noise: nearer frames tell the same
+_TURN_COUNTS, _TURN_SHARE = 8.0, 0.02  # prior: of the encoder, of B: a motor that goes back by more has turned
+_PACE = 0.08  # prior: of the running mean of what a model in doubt is off
+_OFF_PACE, _OFF_TRACK = 0.04, 2.0  # prior: of the running mean of squares off the marker's track, where it is disturbed
+_WANDER_PACE, _WANDERS = 0.15, 5.0  # prior: of that of squares of the tip's motion while the motor rests
+_CLIP = 36.0  # prior: of squares of it: a jump is one of them
+_WELL_STROKES = 3  # loss: that a law must foretell until it holds again
+_QUIET_S = 15.0  # loss: without a disturbance, before anything is learnt after one
+_FORETELLS = 2  # loss: strokes that a proposal is tried on before another replaces it
+_STALE_STROKES = 5  # prior: that a change is looked for in by themselves
+_MOVED = 0.25  # prior: of B, by which the offset is another posture's
+_FEW_STROKES = 3  # prior: since a law began to be learnt: the last two may refine it by themselves
+_POSTURE = 1.5  # limit: of B: an offset that one stroke may tell where a recording begins, more than a width can be
+_ELSEWHERE, _STRANGE_FRAMES = 2.0, 5  # limit: of B, that so many first frames are off: another posture
+_FRAME_WORK = 360  # limit: us, about, of work in one frame; no piece of it costs more
+_NEWS = 10  # tolerance: frames between two judgements
+_SETTLED_TURNS = 5  # loss: reversals since the change after which the law is settled
+_LEAN_PACE, _LEANS = 0.1, 0.5  # prior: of those means; the mean's share of squares from which it goes on
+_MOST_LEVEL = 5.0  # loss: of the calibration's residual, that a law may leave and be trusted
+_UNKNOWN = 1.0  # prior: of B: what a width's sigma is at most taken for
 
 
 class State(StrEnum):
