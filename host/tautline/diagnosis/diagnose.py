@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 from tautline.diagnosis import confounded, decide, gap, motion, moved, repeated, resembles, start, tip, tracker, where
 from tautline.diagnosis.candidates import Candidate, applicable
 from tautline.diagnosis.document import Found, written
+from tautline.diagnosis.findings import Finding, Gap
 from tautline.diagnosis.fit import Fit, Fitter
 from tautline.diagnosis.gather import Gathered, gather
 from tautline.diagnosis.hyperparameters import learnt
@@ -43,6 +44,25 @@ class Diagnosis(Value):
     after: list[Array]
     conditions: list[where.Condition]
     evidence: CaseEvidence
+
+    @property
+    def verdict(self) -> Literal["effect", "none", "unknown"]:
+        return cast(Literal["effect", "none", "unknown"], self.document["verdict"])
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What is named, in the order it was added."""
+        return tuple(map(Finding.of, self.document["effects"]))
+
+    @property
+    def gap(self) -> Gap:
+        return Gap.of(self.document)
+
+    @property
+    def probabilities(self) -> dict[str, float]:
+        """Of each effect to be the leading one, the likeliest first, and of "none" and "unknown": they sum to 1."""
+        leading = {each["id"]: float(each["probability"]) for each in self.document["candidates"]}
+        return {**leading, "none": self.document["probability_none"], "unknown": self.document["probability_unknown"]}
 
 
 def diagnose(
