@@ -92,7 +92,7 @@ def _index(free: Sequence[int], parameter: int) -> int:
 def trimmed(z: Array) -> float:
     if len(z) == 0:
         return 0.0
-    squares = np.sort(np.minimum(z * z, 1e12))
+    squares = np.sort(np.minimum(z * z, 1e12))  # tolerance: sums of them are finite
     return float(np.sqrt(np.mean(squares[: max(1, int(np.ceil((1.0 - _WITHOUT) * len(z))))])))
 
 
@@ -215,12 +215,12 @@ def fitted(
         if trial_cost < cost:
             gained = cost - trial_cost
             theta, z, by, cost = trial, trial_z, trial_by, trial_cost
-            damping *= 0.1
+            damping *= 0.1  # tolerance: of Levenberg and Marquardt's steps
             if gained < _DONE:
                 break
         else:
-            damping *= 10.0
-            if damping > 1e4:
+            damping *= 10.0  # tolerance: the same
+            if damping > 1e4:  # tolerance: no step is short enough
                 break
     yield 2 * algebra + 40
     return LawFit(evidence, theta, free, z, cost, _covariance(evidence, z, by[:, picked], information))
