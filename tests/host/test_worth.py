@@ -36,12 +36,13 @@ def turned(degrees: float):
 
 def test_a_right_model_is_measured_against_the_two_simplest(made: Recording) -> None:
     found = calibrate([made], RIG)
-    tracks = observe([made], RIG)
-    right = worth(found.model, tracks, RIG)
-    assert right.model == pytest.approx(0.05, rel=0.1) and not right.doubts
+    right = worth(found.model, observe([made], RIG), None, None)
+    assert right is not None
+    assert right.model == pytest.approx(0.05, rel=0.1) and right.predicts and not right.doubts
     assert right.coarse > 50 * right.model and right.constant > 5 * right.coarse
     worse = replace(found.model, c_deg=found.model.c_deg[::-1].copy())
-    assert worth(worse, tracks, RIG).doubts[0].fatal
+    told = worth(worse, observe([made], RIG), None, None)
+    assert told is not None and not told.predicts and told.doubts[0].fatal
 
 
 def test_a_model_no_better_than_a_constant_is_unusable(made: Recording) -> None:

@@ -18,7 +18,7 @@ from tautline.calibration.beforehand import Beforehand
 from tautline.calibration.choice import JOINT, ONSETS, PASSES, Choice, jumping, measuring
 from tautline.calibration.components import Components, separate
 from tautline.calibration.departures import SPEED
-from tautline.calibration.doubts import PREDICTS, doubts, floor_of
+from tautline.calibration.doubts import KNOWN, doubts, floor_of, goes_on
 from tautline.calibration.findings import Findings
 from tautline.calibration.holding import released
 from tautline.calibration.naming import named
@@ -31,11 +31,11 @@ from tautline.calibration.place import (
     as_smooth_as_independent,
     place_noise,
 )
-from tautline.calibration.playfit import EXPLAINED, NODES, Fitted
+from tautline.calibration.playfit import NODES, Fitted
 from tautline.calibration.remaining import Remaining, fit_remaining, morphological, pose_of, posed
 from tautline.calibration.several import fit_elements, left
 from tautline.calibration.smooth import Domain, fit_jointly, fit_passes, freeze
-from tautline.calibration.worth import worth
+from tautline.calibration.worth import PREDICTS, Worth, worth
 from tautline.core.session import Session
 from tautline.diagnosis import start
 from tautline.elements import SINGLE
@@ -56,8 +56,6 @@ _TOLD_S = 0.001  # standard deviation to which a clock that was off is found
 _LATER = 0.05  # of a frame's period, by which onsets are moved and not looked for again
 _GRADUAL = 0.4  # noise: what a gradual start must leave for several elements to be tried
 _HELD = 0.5  # of the square of what one element leaves beyond noise: several may leave so much
-_HELD_SHARE = 0.1  # of all frames: where more are left out the rest may be wrong too, unless one model explains it
-_ASTRAY = 2.5  # times what B and a path of any shape leave: f_remain in the rig's geometry
 _OF_SENSORS = frozenset({"turn", "tracker"})  # departures that no effect of the library looks like
 _OF_ELEMENTS = frozenset({"phase.even", "image.side"})  # what several elements, or their number, stand for
 _BETWEEN_ELEMENTS = 0.003  # of B: what elements of a few shares leave, alike on every stroke
@@ -283,8 +281,6 @@ class _Session:
         remaining = self._remaining(width, delay.delay_s, settled) if self.choice.moves() else None
         self._comment(onsets, remaining)
         self._doubt_place(remaining)
-        self._hold()
-        self._depart(joint, curve, source, remaining)
         self.say(0.8, "naming what departs")
         return self._result(onsets, delay, curve, joint, passes, width, sigma, source, remaining)
 
@@ -383,7 +379,6 @@ class _Session:
         if self.choice.predicts(alone, joint) or self.choice.nearer(onsets, curve, self.components, apart, joint):
             if self.components.since and apart.fit.tracks[0].track.unit == self.tracks[0].unit:
                 self.ended = [t for t in self.components.at_the_end(self.tracks) if len(t.t_s)]
-                alone = self.choice.ended(self.components, apart)
             self.findings.evidence["residual_alone"] = alone
             return apart
         self.findings.evidence["residual_alone"] = joint.scale
@@ -489,45 +484,49 @@ class _Session:
         self.findings.notes += remaining.notes
         self._sanity(remaining)
 
-    def _hold(self) -> None:
-        frames = sum(len(track.t_s) for track in self.tracks)
-        left = self.findings.evidence.get("residual_alone", np.inf)
+    def _judge(
+        self, told: Worth | None, joint: Fitted | None, width: Array, sigma: Array, inside: npt.NDArray[np.bool_]
+    ) -> None:
+        """The verdict: it is good where blocks that the fit has not seen are foretold to the noise, B is known, and
+        nothing still changes. What departs, scatters or is hidden says why it is not, and else is worth knowing."""
+        found, frames = self.components, sum(len(track.t_s) for track in self.tracks)
+        predicts = told is None or told.predicts
+        unsure = np.inf
+        if inside.any():
+            unsure = float(np.sqrt(np.mean(sigma[inside] ** 2)) / max(float(np.median(width[inside])), 1e-12))
+        good = predicts and unsure <= KNOWN and (found is None or float(np.hypot(1.0, goes_on(found))) <= PREDICTS)
         if self.held > 0:
-            self.findings.doubt(
+            self.findings.notice(
                 "acquisition.held_samples",
                 f"{frames / (1.0 - self.held) * self.held:.0f} frames repeat a place that the tip had left",
                 "let the tracker say when it does not see the marker",
-                mild=self.held < _HELD_SHARE or left < PREDICTS,
             )
+        if not self.elements.single and not predicts:
+            self.findings.notice(
+                "transmission.smooth_onset",
+                "after a reversal the tip starts gradually, and not as several plays do",
+                "its hysteresis is of another kind: expect as much of a prediction",
+            )
+        if found is not None:
+            rough = found.rough or any(track.motor_noise > 0 for track in self.tracks)
+            self.findings.looks += doubts(found, inside, self.unit, rough, good)
+        self.findings.judge(good)
+        if not good and self.camera:
+            self.findings.reasons += clock.jumps(self.tracks, self.rig)
+        if told is not None and not predicts and not any(not reason.mild for reason in self.findings.reasons):
+            self.findings.reasons.append(self._unexplained(told, joint, width))
+        if unsure > KNOWN and not any(not reason.mild for reason in self.findings.reasons):
+            says = f"B(q) is known to {100.0 * unsure:.2g} % only"
+            self.findings.doubt("coverage", says, "move back and forth for longer, and turn at more places")
 
-    def _depart(self, joint: Fitted | None, curve: WidthCurve | None, source: str, remaining: Remaining | None) -> None:
-        if self.components is not None:
-            low, high = self.choice.measured(curve, joint, source)
-            inside = (self.grid > low) & (self.grid < high)
-            if not self.elements.single and self.components.noise > EXPLAINED:
-                rest = f"{self.components.noise:.1f} times the noise"
-                self.findings.doubt(
-                    "transmission.smooth_onset",
-                    f"after a reversal the tip starts gradually, and several plays leave {rest}",
-                    "its hysteresis is of another kind: expect as much of a prediction",
-                )
-            alone = self.findings.evidence["residual_alone"]
-            rough = self.components.rough or any(track.motor_noise > 0 for track in self.tracks)
-            ended = remaining.scale if remaining is not None and self.ended is not None else None
-            reasons = doubts(self.components, inside, self.unit, alone, rough, ended=ended)
-            if self.camera and not self.components.parts and remaining is not None:
-                reasons += self._off_the_path(remaining.residual, alone)
-            if self.camera and any(not reason.mild for reason in reasons):
-                self.findings.reasons += clock.jumps(self.tracks, self.rig)
-            self.findings.reasons += reasons
-
-    def _off_the_path(self, residual: float, alone: float) -> list[Reason]:
-        """Where no component explains that the image leaves the rig's path, and that is not told already."""
-        astray = residual / float(np.median(np.concatenate([track.sigma for track in self.tracks])))
-        if astray <= _ASTRAY * max(alone, 1.0) or self._misplaced(residual):
-            return []
-        says = f"the tip's path in the image is not the rig's: {astray:.1f} times the noise is left"
-        return [Reason("registration.static", says, "check hand_eye, kinematics and the camera's calibration")]
+    def _unexplained(self, told: Worth, joint: Fitted | None, width: Array) -> Reason:
+        """Why a model does not predict beside which nothing departs: the rig's path, or something else."""
+        times = f"{told.over_noise:.1f} times the noise"
+        if self.camera and joint is not None and self.choice.left_at(joint, width) <= PREDICTS:
+            says = f"the tip's path in the image is not the rig's: {times} is left"
+            return Reason("registration.static", says, "check hand_eye, kinematics and the camera's calibration")
+        says = f"what the fit has not seen is foretold to {times}"
+        return Reason("residual", says, "taut diagnose says where it is")
 
     def _sanity(self, remaining: Remaining) -> None:
         """Scale and sign before anything else is blamed."""
@@ -596,10 +595,9 @@ class _Session:
         measured = self.choice.measured(curve, joint, source)
         beyond = np.abs(self.grid - np.clip(self.grid, *measured))
         inside = (self.grid > measured[0]) & (self.grid < measured[1])
-        floor = floor_of(self.tracks, self.grid[inside], width[inside], sigma[inside], self.unit)
-        self.findings.reasons += floor.reasons
+        floor = floor_of(self.tracks, self.grid[inside], width[inside], sigma[inside], self.unit, self.findings)
         known = self.options.beforehand is not None and source in (JOINT, PASSES)  # beyond what reversals reached, too
-        sigma = np.hypot(np.hypot(sigma, floor.sigma), 0.0 if known else 0.5 * beyond)
+        sigma = np.hypot(np.hypot(sigma, floor), 0.0 if known else 0.5 * beyond)
         if source != ONSETS and joint is not None:
             sigma = np.hypot(sigma, self.choice.bridged(joint, width, inside))
         pass_width, pass_sigma = self.choice.second_opinion(onsets, curve, passes)
@@ -630,14 +628,17 @@ class _Session:
         )  # fmt: skip
         gaps = coverage.gaps(model, coverage.one_way(joint, self.grid) if joint is not None else 0.0 * self.grid)
         self.findings.notes += [f"{gap.says(self.unit)}, and is held there" for gap in gaps]
-        told = worth(model, self.ended or self.tracks, self.rig)
+        told = worth(model, self.ended or self.tracks, joint, None if remaining is None else remaining.fitted)
         if told is not None:
             self.findings.reasons += told.doubts
             self.findings.evidence |= {
                 "error": told.model,
+                "foretold_over_noise": told.over_noise,
+                "foretold_blocks": float(told.blocks),
                 "error_coarse": told.coarse,
                 "error_constant": told.constant,
             }
+        self._judge(told, joint, width, sigma, inside)
         notes = tuple(dict.fromkeys(self.findings.notes))
         extra: dict[str, Any] = {
             "source": source,

@@ -152,7 +152,7 @@ def scene_of(fitted: Fitted, curves: Curves, rig: Rig, clock: Array) -> Scene | 
     joined = {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0] if name != "load"}
     norm = np.sqrt(np.mean(joined["rows"] ** 2, axis=1))
     limit = 4.0 * max(1.4826 * float(np.median(norm)), 1e-9)
-    joined["weight"] = np.minimum(joined["weight"], limit / np.maximum(norm, limit))
+    joined["weight"] = np.minimum(joined["weight"], (limit / np.maximum(norm, limit)) ** 2)  # as of a heavy tail
     time_s = joined.pop("time_s")
     return Scene(
         time_s=time_s, t=(time_s - first) / length - 0.5, load=None if load is None else load - load.mean(), **joined

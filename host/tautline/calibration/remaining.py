@@ -37,6 +37,7 @@ class Remaining:
     residual: float  # rms per coordinate of the fit, px or deg; strays count as six medians
     scale: float  # the same over the stated noise
     notes: tuple[str, ...]
+    fitted: Fitted | None = None  # where it was fitted directly
 
 
 def view_of(rig: Rig) -> View:
@@ -116,7 +117,7 @@ def fit_remaining(
     block = fitted.covariance[: basis.size, : basis.size]
     own = np.sqrt(np.maximum(np.sum((design_on_grid @ block) * design_on_grid, axis=1), 0.0))
     sigma = np.hypot(own, tracked_deg(max(track.tracked_px for track in tracks), rig, lawful))
-    return Remaining(lawful, sigma, _rms(fitted, tracks), fitted.scale, tuple(notes))
+    return Remaining(lawful, sigma, _rms(fitted, tracks), fitted.scale, tuple(notes), fitted)
 
 
 def carried_on(curve: Array, grid: Array, low: float, high: float) -> Array:
