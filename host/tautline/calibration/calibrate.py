@@ -16,9 +16,9 @@ from tautline.calibration.acquisition import in_another_unit, mistaken_unit
 from tautline.calibration.backlash import WidthCurve, fit_widths
 from tautline.calibration.beforehand import Beforehand
 from tautline.calibration.choice import JOINT, ONSETS, PASSES, Choice, jumping, measuring
-from tautline.calibration.components import Components, separate
+from tautline.calibration.components import WORSE, Components, separate
 from tautline.calibration.departures import SPEED
-from tautline.calibration.doubts import KNOWN, doubts, floor_of, goes_on
+from tautline.calibration.doubts import KNOWN, NO_WIDTH, doubts, floor_of, goes_on
 from tautline.calibration.findings import Findings
 from tautline.calibration.holding import released
 from tautline.calibration.naming import named
@@ -362,8 +362,10 @@ class _Session:
         self.findings.evidence["residual_before_components"] = joint.scale
         self.components = separate(joint, self.rig)
         if self.components.noise > PREDICTS and not self.components.of_tracker:
-            joint = as_smooth_as_independent(joint, noise)
-            self.components = separate(joint, self.rig)
+            smoother = as_smooth_as_independent(joint, noise)
+            again = separate(smoother, self.rig)
+            if again.noise < WORSE * self.components.noise:  # else B's shape was taken for what departs
+                joint, self.components = smoother, again
         gradual = self.options.elements == "auto" and not jumping(onsets)
         several = self._several(joint, self.components) if gradual else None
         if several is not None:
@@ -394,7 +396,7 @@ class _Session:
         width = joint.fit.width(joint.curves)
         joint.fit.residuals(joint.curves)
         spread = np.hypot(components.sigma, components.width - width)
-        return replace(joint, spread=spread, delay_spread=delay_sigma)
+        return replace(joint, spread=spread, delay_spread=delay_sigma, by_delay=components.by_delay)
 
     def _several(self, joint: Fitted, components: Components) -> Fitted | None:
         """The joint fit with several elements, where the tip starts gradually and they hold most of it."""
@@ -491,10 +493,7 @@ class _Session:
         nothing still changes. What departs, scatters or is hidden says why it is not, and else is worth knowing."""
         found, frames = self.components, sum(len(track.t_s) for track in self.tracks)
         predicts = told is None or told.predicts
-        unsure = np.inf
-        if inside.any():
-            unsure = float(np.sqrt(np.mean(sigma[inside] ** 2)) / max(float(np.median(width[inside])), 1e-12))
-        good = predicts and unsure <= KNOWN and (found is None or float(np.hypot(1.0, goes_on(found))) <= PREDICTS)
+        holds = predicts and (found is None or float(np.hypot(1.0, goes_on(found))) <= PREDICTS)
         if self.held > 0:
             self.findings.notice(
                 "acquisition.held_samples",
@@ -509,15 +508,28 @@ class _Session:
             )
         if found is not None:
             rough = found.rough or any(track.motor_noise > 0 for track in self.tracks)
-            self.findings.looks += doubts(found, inside, self.unit, rough, good)
-        self.findings.judge(good)
-        if not good and self.camera:
+            self.findings.looks += doubts(found, inside, self.unit, rough, holds)
+        self.findings.judge(holds)
+        if not holds and self.camera:
             self.findings.reasons += clock.jumps(self.tracks, self.rig)
         if told is not None and not predicts and not any(not reason.mild for reason in self.findings.reasons):
             self.findings.reasons.append(self._unexplained(told, joint, width))
-        if unsure > KNOWN and not any(not reason.mild for reason in self.findings.reasons):
-            says = f"B(q) is known to {100.0 * unsure:.2g} % only"
-            self.findings.doubt("coverage", says, "move back and forth for longer, and turn at more places")
+        if inside.any():
+            self._doubt_sigma(joint, width[inside], sigma[inside], inside)
+
+    def _doubt_sigma(self, joint: Fitted | None, width: Array, sigma: Array, inside: npt.NDArray[np.bool_]) -> None:
+        """Where B is known no better than a twentieth; all (k,) where it was measured."""
+        rms = float(np.sqrt(np.mean(sigma**2)))
+        unsure = rms / max(float(np.median(width)), NO_WIDTH)
+        if unsure <= KNOWN:
+            return
+        late = 0.0
+        if joint is not None and joint.by_delay is not None:
+            late = joint.delay_sigma * float(np.sqrt(np.mean(joint.by_delay[inside] ** 2)))
+        more = "move back and forth for longer, and turn at more places"
+        if late > np.sqrt(0.5) * rms:
+            more = "move at several speeds: at one a delay and a width look alike"
+        self.findings.doubt("coverage", f"B(q) is known to {100.0 * unsure:.2g} % only", more)
 
     def _unexplained(self, told: Worth, joint: Fitted | None, width: Array) -> Reason:
         """Why a model does not predict beside which nothing departs: the rig's path, or something else."""
@@ -650,6 +662,8 @@ class _Session:
             "options": asdict(replace(self.options, beforehand=None)),
             "tracked_px": max(track.tracked_px for track in self.tracks),
         }
+        if joint is not None and joint.by_delay is not None and source == JOINT:
+            extra["width_by_delay"] = [_finite(v) for v in joint.by_delay]
         if pass_width is not None:
             extra["pass_width"] = [_finite(v) for v in pass_width]
         model = replace(model, quality=Quality.of(self.findings.reasons), extra=extra)

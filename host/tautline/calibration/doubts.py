@@ -25,7 +25,7 @@ _WHITE = 1.5  # prior: frames for each independent one up to which scatter is of
 _SPEEDS = 1.5  # prior: scatter of moving frames over that of resting ones, from which times are unsteady
 
 _CYCLES = 4.0, 40.0  # prior: of a ripple over what was measured
-_NO_WIDTH = 1e-12  # unit of q: B where there is none
+NO_WIDTH = 1e-12  # unit of q: B where there is none
 _PLACES, _RATES = 160, 145  # cost: at which B is looked at; of a ripple that are tried
 _SMOOTHED = 0.4  # prior: of the readings' noise: what smoothing leaves at a turn
 _LEVELS = 0.5  # prior: different values for each frame, below which a sensor rounds
@@ -141,7 +141,7 @@ def doubts(components: Components, counted: npt.NDArray[np.bool_], unit: str, ro
     """Likeliest first. counted: the grid's places at which B was measured; unit: of q; rough: the motor's counts or
     noise show in the image; good: the model predicts and B is known whatever departs: then only what would spoil either
     if it were left out is told, and as no doubt."""
-    usual = max(float(np.median(components.width[counted])) if counted.any() else 0.0, _NO_WIDTH)
+    usual = max(float(np.median(components.width[counted])) if counted.any() else 0.0, NO_WIDTH)
     late = goes_on(components)
     reasons = []
     for part in sorted(components.parts, key=lambda each: -each.chi2):
@@ -248,7 +248,7 @@ def _ripple(grid: Array, width: Array, sigma: Array) -> tuple[float, float]:
     at = np.linspace(grid[0], grid[-1], _PLACES)
     y, weight = np.interp(at, grid, width), np.interp(at, grid, sigma) ** -2
     basis = Basis(float(at[0]), float(at[-1]), _PLACES // 2)
-    design, usual = basis.design(at).toarray(), max(float(np.median(width)), _NO_WIDTH)
+    design, usual = basis.design(at).toarray(), max(float(np.median(width)), NO_WIDTH)
     heavy = design * weight[:, None]
     rates = np.linspace(_CYCLES[0], _CYCLES[1], _RATES) / float(at[-1] - at[0])
     turn = 2.0 * np.pi * np.outer(rates, at)

@@ -406,6 +406,7 @@ class Fitted:
     covariance: Array  # of follow (channel by channel), backlash, delay
     spread: Array | None = None  # of B on fit.grid, and of the delay, where model error is known too
     delay_spread: float = 0.0
+    by_delay: Array | None = None  # on fit.grid, by how much B is another for each second that the delay is
 
     @property
     def frames(self) -> int:
