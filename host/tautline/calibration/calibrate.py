@@ -51,19 +51,19 @@ from tautline.value import Value
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
-_LEAST_FRAMES = 10
-_TOLD_S = 0.001  # standard deviation to which a clock that was off is found
-_LATER = 0.05  # of a frame's period, by which onsets are moved and not looked for again
-_GRADUAL = 0.4  # noise: what a gradual start must leave for several elements to be tried
-_HELD = 0.5  # of the square of what one element leaves beyond noise: several may leave so much
+_LEAST_FRAMES = 10  # tolerance: frames from which anything is said
+_TOLD_S = 0.001  # tolerance: standard deviation to which a clock that was off is found
+_LATER = 0.05  # tolerance: of a frame's period, by which onsets are moved and not looked for again
+_GRADUAL = 0.4  # prior: noise: what a gradual start must leave for several elements to be tried
+_HELD = 0.5  # prior: of the square of what one element leaves beyond noise: several may leave so much
 _OF_SENSORS = frozenset({"turn", "tracker"})  # departures that no effect of the library looks like
 _OF_ELEMENTS = frozenset({"phase.even", "image.side"})  # what several elements, or their number, stand for
-_BETWEEN_ELEMENTS = 0.003  # of B: what elements of a few shares leave, alike on every stroke
-_UNIT_SLACK = 1.6  # by which f_coarse's gain and f_remain's may part beside a unit that is mistaken
-_LIKELY_GAIN = (0.4, 2.5)  # of f_coarse's, between which f_remain's is no wrong scale
-_LIKELY_BEND = 0.5  # of f_coarse's span, by which f_remain may leave it
-_TOLD = 0.1  # of what the tip bends: angles that are known no better are not known
-_LARGE = 0.1  # of the image's motion (rms): a registration that is off by less still tells angles
+_BETWEEN_ELEMENTS = 0.003  # prior: of B: what elements of a few shares leave, alike on every stroke
+_UNIT_SLACK = 1.6  # prior: by which f_coarse's gain and f_remain's may part beside a unit that is mistaken
+_LIKELY_GAIN = (0.4, 2.5)  # prior: of f_coarse's, between which f_remain's is no wrong scale
+_LIKELY_BEND = 0.5  # prior: of f_coarse's span, by which f_remain may leave it
+_TOLD = 0.1  # tolerance: of what the tip bends: angles that are known no better are not known
+_LARGE = 0.1  # tolerance: of the image's motion (rms): a registration that is off by less still tells angles
 
 
 @dataclass(frozen=True)

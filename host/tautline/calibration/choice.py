@@ -22,16 +22,17 @@ from tautline.model import allowed_width
 Array = npt.NDArray[np.float64]
 
 ONSETS, JOINT, PASSES, NOTHING = "onsets", "onsets and passes", "passes", "nothing"
-_AGREE = 3.0  # mean squared z of onsets against the joint fit up to which both are one evidence
-_STANDS_OUT = 10.0  # a motion of so many sigma is one
-_AT_ONCE = 0.75  # of the path's slope: a tip that starts slower starts gradually
-_SURER = 2.0  # times less certain: the joint fit's B beside the onsets'
-_BEARABLE = 3.0  # times what the joint fit's own B leaves: onsets' that leaves more stands for something else
-_LITTLE = 0.03  # of the width: differences below are no contradiction
-_WORSE = 1.25  # times what the best single curve leaves: a B that leaves more is not for predictions
-_FEW_ONSETS, _NEARER = 6, 0.5  # onsets that may say so, and their mean squared z against one B over that to the other
-_ONE_WAY, _OTHER_WAY = 4.0, 0.3  # standard errors by which onsets are late, and of that what the other way's may be
-_BENDS = 2.0  # its own size by which B may change over the range
+_AGREE = 3.0  # prior: mean squared z of onsets against the joint fit up to which both are one evidence
+_STANDS_OUT = 10.0  # tolerance: a motion of so many sigma is one
+_AT_ONCE = 0.75  # prior: of the path's slope: a tip that starts slower starts gradually
+_SURER = 2.0  # prior: times less certain: the joint fit's B beside the onsets'
+_BEARABLE = 3.0  # prior: times what the joint fit's own B leaves: onsets' that leaves more stands for something else
+_LITTLE = 0.03  # tolerance: of the width: differences below are no contradiction
+_WORSE = 1.25  # tolerance: times what the best single curve leaves: a B that leaves more is not for predictions
+_FEW_ONSETS = 6  # tolerance: onsets that may say so
+_NEARER = 0.5  # prior: their mean squared z against one B over that to the other
+_ONE_WAY, _OTHER_WAY = 4.0, 0.3  # prior: standard errors by which onsets are late; of that, the other way's
+_BENDS = 2.0  # prior: its own size by which B may change over the range
 
 
 def jumping(onsets: Sequence[Onset]) -> bool:

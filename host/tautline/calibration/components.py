@@ -39,23 +39,23 @@ from tautline.rig import Rig
 
 Array = npt.NDArray[np.float64]
 
-GAIN = 20.0  # of twice the restricted log likelihood, for a component; noise alone gives 5 to 8
-_ROUNDS = 14  # linearisations at most
-_AT_ONCE = 2  # components that may join at one linearisation
-_STEPS = 6  # of the variances, at one linearisation
-_PENALTIES = np.logspace(-6, 3, 19)  # of a component's own information
-_MOST, _LEAST = 1e12, 1e-12
-_SHARES = (1.0, 0.5, 0.2)  # of a step, tried in turn
-WORSE = 1.02  # of what was left, from which a step leads too far
-_STILL = 0.05  # a change of B, in its sigma, that is none
-_COUNT = 0.29  # of an encoder's step: the standard deviation of a place within it
-_SHOWS = 0.3  # of the noise: an encoder's count that moves the image by more shows
-_FEW = 30  # frames that tell no scatter
-LAW = 0.5  # of what speed adds to B: slower than what was seen it may follow another law
-CORRECTS = 0.3  # of a component's correction of B: what it may be off by
-_SHORT = 0.1  # of a frame's period
-_LAGS = 60  # frames of autocorrelation
-_LATE = 0.25  # of the session, which goes from -1/2 to 1/2: its last quarter
+GAIN = 20.0  # prior: of twice the restricted log likelihood, for a component; noise alone gives 5 to 8
+_ROUNDS = 14  # tolerance: linearisations at most
+_AT_ONCE = 2  # tolerance: components that may join at one linearisation
+_STEPS = 6  # tolerance: of the variances, at one linearisation
+_PENALTIES = np.logspace(-6, 3, 19)  # tolerance: of a component's own information
+_MOST, _LEAST = 1e12, 1e-12  # tolerance: of a penalty
+_SHARES = (1.0, 0.5, 0.2)  # tolerance: of a step, tried in turn
+WORSE = 1.02  # tolerance: of what was left, from which a step leads too far
+_STILL = 0.05  # tolerance: a change of B, in its sigma, that is none
+_COUNT = 0.29  # equation: of an encoder's step: the standard deviation of a place within it
+_SHOWS = 0.3  # tolerance: of the noise: an encoder's count that moves the image by more shows
+_FEW = 30  # tolerance: frames that tell no scatter
+LAW = 0.5  # prior: of what speed adds to B: slower than what was seen it may follow another law
+CORRECTS = 0.3  # prior: of a component's correction of B: what it may be off by
+_SHORT = 0.1  # tolerance: of a frame's period
+_LAGS = 60  # tolerance: frames of autocorrelation
+_LATE = 0.25  # equation: of the session, which goes from -1/2 to 1/2: its last quarter
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,8 @@ _WHITE = 1.5  # prior: frames for each independent one up to which scatter is of
 _SPEEDS = 1.5  # prior: scatter of moving frames over that of resting ones, from which times are unsteady
 
 _CYCLES = 4.0, 40.0  # prior: of a ripple over what was measured
-NO_WIDTH = 1e-12  # unit of q: B where there is none
-_PLACES, _RATES = 160, 145  # cost: at which B is looked at; of a ripple that are tried
+NO_WIDTH = 1e-12  # tolerance: unit of q: B where there is none
+_PLACES, _RATES = 160, 145  # tolerance: at which B is looked at; of a ripple that are tried
 _SMOOTHED = 0.4  # prior: of the readings' noise: what smoothing leaves at a turn
 _LEVELS = 0.5  # prior: different values for each frame, below which a sensor rounds
 _COARSE = 0.015  # tolerance: of B: a motor's path between its samples is known no better
@@ -220,7 +220,7 @@ def floor_of(tracks: Sequence[Track], grid: Array, width: Array, sigma: Array, u
     return float(np.sqrt(between**2 + scatter**2 + rounded**2 + rippled**2))
 
 
-_FINEST = 1e-3  # of what is seen: no rate is told that would mend more
+_FINEST = 1e-3  # tolerance: of what is seen: no rate is told that would mend more
 
 
 def _faster_hz(period_s: float, between: float, allowed: float) -> int:

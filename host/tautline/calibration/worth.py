@@ -29,10 +29,9 @@ Array = npt.NDArray[np.float64]
 Labels = npt.NDArray[np.intp]
 
 PREDICTS = 1.3  # format: of the noise, within which a good model predicts (formats.md)
-HALVES = 2  # definition: half-cycles of a block at least, one of each direction
-FEWEST, _MOST = 8, 16  # tolerance: blocks from which a share left out is small; cost: normal matrices that are solved
-# tolerance: share of a block that stays in: what it alone shows (the ends of a range) no other block can foretell
-STAYS = 0.1
+HALVES = 2  # equation: half-cycles of a block at least, one of each direction
+FEWEST, _MOST = 8, 16  # tolerance: blocks, of which one is a small share of all; those that are solved at most
+STAYS = 0.1  # tolerance: of a block: what it alone shows (the ends of a range) no other one can foretell
 _FEW = 30  # tolerance: frames that tell a scatter
 _RIDGE = 1e-10  # tolerance: of the diagonal, for rounding
 _STRAY = 4.0  # tolerance: usual misses from which a frame counts as a stray, as in every fit (playfit)
@@ -125,7 +124,7 @@ def _over_noise(fit: PlayFit, curves: Curves, missed: Sequence[Array], masks: Se
     as where the tip rests, or as across its path in the image, where nothing moves it. What is more than that along the
     path is an error of times, and so of what is foretold."""
     limit = _STRAY * bounded_rms(_counted(missed, masks))
-    alike, along, noise = [], [], []
+    alike, along, beside, still = [], [], [], []
     for frozen, sim, off, mask in zip(fit.tracks, fit.simulated, missed, masks, strict=True):
         off = np.where(mask[:, None], off, 0.0)
         norm = np.sqrt(np.mean(off**2, axis=1))
@@ -137,14 +136,23 @@ def _over_noise(fit: PlayFit, curves: Curves, missed: Sequence[Array], masks: Se
         forward = np.sum(step * path, axis=1) ** 2
         alike.append(np.mean(near[1:] * near[:-1], axis=1)[pair])
         along.append(forward[pair & moves])
-        noise.append(forward[pair & ~moves])
+        still.append(forward[pair & ~moves])
         if step.shape[1] > 1:
-            noise.append((np.sum(step**2, axis=1) - forward)[pair])
-    still, moving = np.concatenate(noise), np.concatenate(along)
-    noise2 = max(float(still.mean()) if len(still) >= _FEW else 0.0, 1.0)
-    jitter2 = max(float(moving.mean()) - noise2, 0.0) / step.shape[1] if len(moving) >= _FEW else 0.0
+            across = np.sum(step**2, axis=1) - forward
+            beside.append(across[pair & moves])
+            still.append(across[pair & ~moves])
+    at_rest, moving = _mean(still), _mean(along)
+    usual = _mean(beside) if beside else at_rest
+    noise2 = max(at_rest, usual, 1.0)
+    jitter2 = max(moving - max(usual, 1.0), 0.0) / step.shape[1]
     model2 = max(float(np.concatenate(alike).mean()), 0.0)
     return float(np.sqrt(1.0 + (model2 + jitter2) / noise2))
+
+
+def _mean(squares: Sequence[Array]) -> float:
+    """0 of too few to tell a scatter."""
+    every = np.concatenate(squares)
+    return float(every.mean()) if len(every) >= _FEW else 0.0
 
 
 def _counted(off: Sequence[Array], masks: Sequence[npt.NDArray[np.bool_]]) -> Array:
