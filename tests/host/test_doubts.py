@@ -80,7 +80,8 @@ def components(
     part = Component("offset.time", rms, 1e3 * rms**2, 1e-3 * shift_um * one, 0.0, np.ones(3))
     curves = Curves(np.zeros(3), np.zeros((3, 2)), 0.1)
     return Components(
-        curves, curves, flat, 1e-3 * sigma_um * one, 1e-4, 0.0 * flat, 0.0, noise, 1.0, effective, (part,), np.zeros(2), rough=False
+        curves, curves, flat, 1e-3 * sigma_um * one, 1e-4, 0.0 * flat, 0.0, noise, 1.0, effective, (part,),
+        np.zeros(2), rough=False,
     )  # fmt: skip
 
 

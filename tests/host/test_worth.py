@@ -81,7 +81,9 @@ def test_a_block_is_foretold_as_a_fit_without_it_does(made: Recording, monkeypat
     more = [np.mean(missed[labels[0] == k] ** 2) > np.mean(rows[0][labels[0] == k] ** 2) for k in range(blocks)]
     assert blocks >= worths.FEWEST and sum(more) >= blocks - 2
     for block in (0, 5):
-        without = [replace(each, use=each.use & (label != block)) for each, label in zip(fit.tracks, labels)]
+        without = [
+            replace(each, use=each.use & (label != block)) for each, label in zip(fit.tracks, labels, strict=True)
+        ]
         own = replace(fit, tracks=without, smoothing=dict(fit.smoothing))
         again = own.residuals(own.solve(curves, iterations=8, adapt=False).curves)[0][0]
         here = labels[0] == block
