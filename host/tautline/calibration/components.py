@@ -392,9 +392,9 @@ class _Solved:
     def result(self) -> Components:
         left = self._left()
         number = effective(left)
-        plain, own = self._width_sigma(self._alone(1.0)), self._width_sigma()
         # Frames whose residuals go together tell as much as one; what is known beforehand is known all the same.
-        fewer = self._alone(number)
+        alone, fewer = self._alone(1.0), self._alone(number)
+        plain, own = self._width_sigma(alone), self._width_sigma()
         # A linear correction is right to a share of itself.
         parts = sorted((self._component(name, at) for name, at in self._blocks()), key=lambda part: -part.chi2)
         corrected = sum((np.mean(part.shift**2) for part in parts), 0.0)
@@ -407,7 +407,7 @@ class _Solved:
         width = self.fit.width(curves)
         between, slower = self._between_recordings() * width, LAW * self._by_speed(width)
         sigma = np.sqrt(sigma**2 + CORRECTS**2 * changed + between**2 + slower**2)
-        beside = max(self.inverse[self.head - 1, self.head - 1] - self._alone(1.0)[-1, -1], 0.0)
+        beside = max(self.inverse[self.head - 1, self.head - 1] - alone[-1, -1], 0.0)
         own_delay = self.noise * float(np.sqrt(beside + fewer[-1, -1]))
         later = CORRECTS * float(np.sqrt(sum(part.later_s**2 for part in parts)))
         delay = float(np.hypot(own_delay, later))

@@ -30,7 +30,7 @@ Labels = npt.NDArray[np.intp]
 
 PREDICTS = 1.3  # format: of the noise, within which a good model predicts (formats.md)
 HALVES = 2  # equation: half-cycles of a block at least, one of each direction
-FEWEST, _MOST = 8, 16  # tolerance: blocks, of which one is a small share of all; those that are solved at most
+BLOCKS = 8  # tolerance: of which one is a small share of all; with fewer half-cycles nothing is left out
 STAYS = 0.1  # tolerance: of a block: what it alone shows (the ends of a range) no other one can foretell
 _FEW = 30  # tolerance: frames that tell a scatter
 _RIDGE = 1e-10  # tolerance: of the diagonal, for rounding
@@ -80,10 +80,8 @@ def worth(model: Model, tracks: Sequence[Track], joint: Fitted | None, remaining
     if not any(mask.any() for mask in masks):
         return None
     missed, labels = rows, _blocks(fit, masks)
-    blocks = max(int(label.max(initial=-1)) for label in labels) + 1
-    if blocks < FEWEST or joint is None or remaining is None:
-        blocks = 0
-    else:
+    apart = labels is not None and joint is not None and remaining is not None
+    if labels is not None and apart:
         missed = _foretold(fit, curves, rows, masks, labels)
     masks = _of_tip(fit, curves, missed, masks)
     in_unit = [miss * track.sigma[:, None] for miss, track in zip(missed, tracks, strict=True)]
@@ -95,7 +93,7 @@ def worth(model: Model, tracks: Sequence[Track], joint: Fitted | None, remaining
         constant=bounded_rms(seen - seen.mean(axis=0)),
         over_noise=_over_noise(fit, curves, missed, masks),
         unit=tracks[0].unit,
-        blocks=blocks,
+        blocks=BLOCKS if apart else 0,
     )
 
 
@@ -183,19 +181,18 @@ def _fit_of(
     return fit, Curves(width, c[:, None], model.delay_s)
 
 
-def _blocks(fit: PlayFit, masks: Sequence[npt.NDArray[np.bool_]]) -> list[Labels]:
+def _blocks(fit: PlayFit, masks: Sequence[npt.NDArray[np.bool_]]) -> list[Labels] | None:
     """Of every frame of each track the number of its block, of whole half-cycles of the tip that follow each other;
-    -1 where it does not count."""
+    -1 where it does not count. None where there are too few."""
     strokes, before = [], 0
     for sim, mask in zip(fit.simulated, masks, strict=True):
         stroke = before + np.cumsum(np.diff(sim.side, prepend=sim.side[:1]) != 0)
         strokes.append(np.where(mask, stroke, -1))
         before = int(stroke.max(initial=before - 1)) + 1
     counted = np.unique(np.concatenate([each[each >= 0] for each in strokes]))
-    blocks = min(len(counted) // HALVES, _MOST)
-    if blocks == 0:
-        return [np.full(len(each), -1) for each in strokes]
-    number = np.arange(len(counted)) * blocks // len(counted)
+    if len(counted) < BLOCKS * HALVES:
+        return None
+    number = np.arange(len(counted)) * BLOCKS // len(counted)
     return [np.where(each >= 0, number[np.searchsorted(counted, np.maximum(each, 0))], -1) for each in strokes]
 
 
@@ -217,12 +214,11 @@ def _foretold(
             for norm, label in zip(norms, labels, strict=True)
         ]
 
-    numbers = range(max(int(label.max(initial=-1)) for label in labels) + 1)
-    parts = [fit.normal(curves, list(rows), weighed(number)) for number in numbers]
+    parts = [fit.normal(curves, list(rows), weighed(number)) for number in range(BLOCKS)]
     whole = np.sum([matrix for matrix, _ in parts], axis=0) + fit.penalty(curves, 1.0)[0]
     whole[np.diag_indices_from(whole)] += _RIDGE * np.diag(whole)
     missed = [row.copy() for row in rows]
-    for number, (matrix, gradient) in zip(numbers, parts, strict=True):
+    for number, (matrix, gradient) in enumerate(parts):
         share = 1.0 - STAYS
         step = -cho_solve(factor(whole - share * matrix), share * gradient, check_finite=False)
         there = fit.residuals(fit.moved(curves, step))[0]
