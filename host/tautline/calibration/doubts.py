@@ -155,10 +155,7 @@ def doubts(components: Components, counted: npt.NDArray[np.bool_], unit: str, ro
         reasons.append(_reason(kind, part, shift, unit, still, good))
     if components.noise > PREDICTS:
         reasons.append(_scatter(components, good))
-    first: dict[str, Reason] = {}
-    for reason in reasons:
-        first.setdefault(reason.code, reason)
-    return list(first.values())
+    return reasons
 
 
 def _reason(kind: str, part: Component, shift: float, unit: str, still: str, mild: bool) -> Reason:

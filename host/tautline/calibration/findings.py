@@ -21,4 +21,8 @@ class Findings:
         self.looks.append(Reason(code, says, remedy))
 
     def judge(self, good: bool) -> None:
-        self.reasons += [replace(look, mild=good) for look in self.looks]
+        """The looks as reasons, each code once: the first that was noticed."""
+        first: dict[str, Reason] = {}
+        for look in self.looks:
+            first.setdefault(look.code, replace(look, mild=good))
+        self.reasons += first.values()
