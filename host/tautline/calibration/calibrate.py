@@ -506,14 +506,16 @@ class _Session:
                 "after a reversal the tip starts gradually, and not as several plays do",
                 "its hysteresis is of another kind: expect as much of a prediction",
             )
+        departs: list[Reason] = []
         if found is not None:
             rough = found.rough or any(track.motor_noise > 0 for track in self.tracks)
-            self.findings.looks += doubts(found, inside, self.unit, rough, holds)
+            departs = doubts(found, inside, self.unit, rough, holds)
+        if told is not None and not predicts and not departs:
+            self.findings.reasons.append(self._unexplained(told, joint, width))
+        self.findings.looks = [*departs, *self.findings.looks]
         self.findings.judge(holds)
         if not holds and self.camera:
             self.findings.reasons += clock.jumps(self.tracks, self.rig)
-        if told is not None and not predicts and not any(not reason.mild for reason in self.findings.reasons):
-            self.findings.reasons.append(self._unexplained(told, joint, width))
         if inside.any():
             self._doubt_sigma(joint, width[inside], sigma[inside], inside)
 

@@ -148,7 +148,9 @@ def doubts(components: Components, counted: npt.NDArray[np.bool_], unit: str, ro
         shift = float(np.sqrt(np.mean(part.shift[counted] ** 2))) if counted.any() else 0.0
         if part.name.startswith(SPEED):
             shift = abs(float(part.values[0])) * (usual if part.name.endswith(SHARE) else 1.0)
-        if good and np.hypot(1.0, part.rms) <= PREDICTS and shift <= KNOWN * usual:
+        spoils = np.hypot(1.0, part.rms) > PREDICTS or shift > KNOWN * usual
+        expected = part.name == "turn" and part.chi2 < GAIN  # where counts are coarse, there or not
+        if not spoils and (good or expected):
             continue
         kind = "turn.itself" if part.name == "turn" and not rough else part.name
         still = f", {late:.1f} in its last quarter" if part.name in STATES and late > 0.0 else ""
