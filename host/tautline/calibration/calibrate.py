@@ -510,7 +510,8 @@ class _Session:
         if found is not None:
             rough = found.rough or any(track.motor_noise > 0 for track in self.tracks)
             departs = doubts(found, inside, self.unit, rough, holds)
-        if told is not None and not predicts and not departs:
+        doubted = departs or any(not reason.mild for reason in self.findings.reasons)
+        if told is not None and not predicts and not doubted:
             self.findings.reasons.append(self._unexplained(told, joint, width))
         self.findings.looks = [*departs, *self.findings.looks]
         self.findings.judge(holds)
