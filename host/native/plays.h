@@ -9,6 +9,7 @@
 struct Plays {
     std::vector<double> grid, width, warp_q, warp_x, r, w;
     double narrow;
+    struct friction friction;
 
     struct elements view() const {
         return {{grid.data(), width.data(), grid.size()},
@@ -16,7 +17,8 @@ struct Plays {
                 r.data(),
                 w.data(),
                 r.size(),
-                narrow};
+                narrow,
+                friction};
     }
 };
 

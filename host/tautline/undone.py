@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -15,13 +14,12 @@ from tautline import _native
 from tautline.elements import Elements
 from tautline.errors import TautError
 from tautline.model import Model
+from tautline.nearest import fewer
 
 Array = npt.NDArray[np.float64]
 
 _COUNT = float(_native.COUNT_ONE)
 _DEG = float(_native.DEG_ONE)
-_FIRST = 0.05  # share of the first element at least: the inverse is at most 20 times as steep as the motion
-_PLAYS: int = _native.TABLE_PLAYS_MAX
 _LEAD = 2e-3, 0.125  # s, share of a lag's stage: the filter within which it is made up for
 _APART = 1.5  # times: the two stages' filters
 _CREEP_MOST = 0.9  # of the motion: more of it is not made up for at once
@@ -192,37 +190,4 @@ def onset_elements(elements: Elements, v: Mapping[str, float]) -> Elements:
     width = np.outer(elements.width, spread).ravel()
     weight = np.outer(elements.weight, share).ravel()
     order = np.argsort(width, kind="stable")
-    return _fewer(width[order], weight[order])
-
-
-def _fewer(width: Array, weight: Array) -> Elements:
-    """Neighbours together, so that the widths within each lot scatter least; the first moves _FIRST at least."""
-    n = len(width)
-    sums = np.array([np.concatenate([[0.0], np.cumsum(weight * width**k)]) for k in range(3)])
-
-    def scatter(i: int, j: int) -> float:
-        w, first, second = sums[:, j] - sums[:, i]
-        return float(second - first * first / w)
-
-    best: dict[tuple[int, int], tuple[float, tuple[int, ...]]] = {(0, 0): (0.0, (0,))}
-    for lots in range(1, _PLAYS + 1):
-        for end in range(1, n + 1):
-            fewer = [
-                (cost + scatter(begin, end), (*ends, end))
-                for begin in range(lots - 1, end)
-                if (known := best.get((lots - 1, begin))) is not None
-                for cost, ends in (known,)
-                if lots > 1 or sums[0, end] >= _FIRST
-            ]
-            if fewer:
-                best[lots, end] = min(fewer)
-    _, ends = min(best[lots, n] for lots in range(1, _PLAYS + 1) if (lots, n) in best)
-    parts = [(sums[:, j] - sums[:, i])[:2] for i, j in itertools.pairwise(ends)]
-    means = np.array([first / w for w, first in parts])
-    shares = np.array([w for w, _ in parts])
-    keep = np.concatenate([[True], np.diff(means) > 1e-9])
-    shares = np.add.reduceat(shares, np.flatnonzero(keep))
-    means = means[keep]
-    shares /= shares.sum()
-    means /= shares @ means
-    return Elements(tuple(means.tolist()), tuple(shares.tolist()))
+    return fewer(width[order], weight[order])

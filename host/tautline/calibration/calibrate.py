@@ -21,6 +21,7 @@ from tautline.calibration.departures import SPEED
 from tautline.calibration.doubts import PREDICTS, doubts, floor_of
 from tautline.calibration.findings import Findings
 from tautline.calibration.holding import released
+from tautline.calibration.hysteresis import PRIORS, Tried, fit_friction, likeliest
 from tautline.calibration.naming import named
 from tautline.calibration.observations import Track, observe
 from tautline.calibration.on_tip import place_on_tip
@@ -34,14 +35,16 @@ from tautline.calibration.place import (
 from tautline.calibration.playfit import EXPLAINED, NODES, Fitted
 from tautline.calibration.remaining import Remaining, fit_remaining, morphological, pose_of, posed
 from tautline.calibration.several import fit_elements, left
-from tautline.calibration.smooth import Domain, fit_jointly, fit_passes, freeze
+from tautline.calibration.smooth import Domain, fit_jointly, fit_passes, freeze, overlap
 from tautline.calibration.worth import worth
 from tautline.core.session import Session
 from tautline.diagnosis import start
-from tautline.elements import SINGLE
+from tautline.elements import SINGLE, Elements, Hysteresis
 from tautline.errors import TautError
+from tautline.friction import Friction
 from tautline.geometry import coarse_range_deg
 from tautline.model import Model
+from tautline.nearest import nearest_plays
 from tautline.prediction import predict
 from tautline.quality import Quality, Reason
 from tautline.recording import Recording, shifted
@@ -223,7 +226,7 @@ class _Session:
         self.components: Components | None = None
         self.held = 0.0  # share of the frames that repeat a place that the tip had left
         self.ended: Sequence[Track] | None = None  # what was seen, as it is when the session ends
-        self.elements = SINGLE
+        self.elements: Hysteresis = SINGLE
         reached = [(float(t.motor.q.min()), float(t.motor.q.max())) for t in tracks]
         self.reached = min(r[0] for r in reached), max(r[1] for r in reached)
         low, high = self.reached if in_another_unit(self.reached, rig) else rig.actuator.range
@@ -371,11 +374,10 @@ class _Session:
         gradual = self.options.elements == "auto" and not jumping(onsets)
         several = self._several(joint, self.components) if gradual else None
         if several is not None:
-            joint, self.elements = several, several.fit.elements
+            joint, self.elements = several.fitted, several.fitted.fit.elements
             components = separate(joint, self.rig, without=_OF_ELEMENTS)
-            self.components = replace(
-                components, sigma=np.hypot(components.sigma, _BETWEEN_ELEMENTS * components.width)
-            )
+            spread = _BETWEEN_ELEMENTS * components.width if several.spread is None else several.spread
+            self.components = replace(components, sigma=np.hypot(components.sigma, spread))
         for part in self.components.parts:
             self.findings.evidence[f"component_{part.name}"] = part.rms
         apart = self.components.applied(joint)
@@ -401,17 +403,24 @@ class _Session:
         spread = np.hypot(components.sigma, components.width - width)
         return replace(joint, spread=spread, delay_spread=delay_sigma)
 
-    def _several(self, joint: Fitted, components: Components) -> Fitted | None:
-        """The joint fit with several elements, where the tip starts gradually and they hold most of it."""
+    def _several(self, joint: Fitted, components: Components) -> Tried | None:
+        """The joint fit with several elements or with friction, whichever is likelier, where the tip starts gradually
+        and it holds most of that."""
         gradual = next((part for part in components.parts if part.name == "phase.even"), None)
         if gradual is None or gradual.rms < max(_GRADUAL, 0.5 * max(part.rms for part in components.parts)):
             return None
-        several = fit_elements(components.applied(joint), self.rig, fit_delay=self.options.delay_s is None)
+        start, fit_delay = components.applied(joint), self.options.delay_s is None
+        plays = fit_elements(start, self.rig, fit_delay=fit_delay)
+        assert isinstance(plays.fit.elements, Elements)
+        tried = [Tried(plays, len(plays.fit.elements.width) - 1)]
+        tried += [fit_friction([joint, start], self.rig, kind, fit_delay) for kind in PRIORS]
+        best = likeliest(tried, components.effective)
+        several = best.fitted
         # What several leave is no noise: where that is less, it is at most that of a tip at rest.
         noise = components.noise if several.scale > components.noise else min(components.noise, 1.0)
         alike = replace(several, scale=joint.scale)  # strays count as much in both
         before, after = (max(left(fitted) ** 2 - noise**2, 0.0) for fitted in (joint, alike))
-        return several if after < _HELD * before and not several.fit.elements.single else None
+        return best if after < _HELD * before and not several.fit.elements.single else None
 
     # ---- f_remain
 
@@ -500,9 +509,15 @@ class _Session:
                 mild=self.held < _HELD_SHARE or left < PREDICTS,
             )
 
+    def _measured(self, curve: WidthCurve | None, joint: Fitted | None, source: str) -> tuple[float, float]:
+        """With friction a tip starts at every turn: what was passed near both envelopes is measured."""
+        if joint is None or not isinstance(self.elements, Friction):
+            return self.choice.measured(curve, joint, source)
+        return overlap(joint)
+
     def _depart(self, joint: Fitted | None, curve: WidthCurve | None, source: str, remaining: Remaining | None) -> None:
         if self.components is not None:
-            low, high = self.choice.measured(curve, joint, source)
+            low, high = self._measured(curve, joint, source)
             inside = (self.grid > low) & (self.grid < high)
             if not self.elements.single and self.components.noise > EXPLAINED:
                 rest = f"{self.components.noise:.1f} times the noise"
@@ -593,7 +608,7 @@ class _Session:
         passes: Fitted | None, width: Array, sigma: Array, source: str, remaining: Remaining | None,
     ) -> Calibration:  # fmt: skip
         names = tuple(track.name for track in self.tracks)
-        measured = self.choice.measured(curve, joint, source)
+        measured = self._measured(curve, joint, source)
         beyond = np.abs(self.grid - np.clip(self.grid, *measured))
         inside = (self.grid > measured[0]) & (self.grid < measured[1])
         floor = floor_of(self.tracks, self.grid[inside], width[inside], sigma[inside], self.unit)
@@ -625,7 +640,7 @@ class _Session:
         if self.rig.place is not None:
             c_sigma = np.hypot(c_sigma, self.rig.place.sigma_at(c))
         model = Model(
-            self.rig, self.grid, width, sigma, c, delay.delay_s, measured, elements=self.elements, c_sigma=c_sigma,
+            self.rig, self.grid, width, sigma, c, delay.delay_s, measured, c_sigma=c_sigma, **self._hysteresis(width),
             sensor=self.tracks[0].sensor, offset_s=aligned.offset_s,
         )  # fmt: skip
         gaps = coverage.gaps(model, coverage.one_way(joint, self.grid) if joint is not None else 0.0 * self.grid)
@@ -656,6 +671,13 @@ class _Session:
             model, tuple(onsets), delay, source, curve, pass_width, pass_sigma, self.findings.evidence, notes, names,
             aligned.offsets, tuple(_foretold(model, track, delay_s) for track in self.tracks), gaps,
         )  # fmt: skip
+
+    def _hysteresis(self, width: Array) -> dict[str, Any]:
+        """What a model holds of it."""
+        if isinstance(self.elements, Elements):
+            return {"elements": self.elements}
+        near = nearest_plays(self.grid, width, self.elements, self.reached)
+        return {"elements": near.elements, "friction": self.elements}
 
     def _characteristic(self, delay_s: float) -> dict[str, Any]:
         """Some 3000 frames of (q, c) for the report's picture."""

@@ -16,7 +16,7 @@ from tautline.calibration.observations import Track
 from tautline.calibration.place import as_many_as_independent
 from tautline.calibration.playfit import Curves, Fitted, Frozen, PlayFit, View
 from tautline.calibration.smooth import SPANS, Domain
-from tautline.elements import SINGLE, Elements
+from tautline.elements import SINGLE, Hysteresis
 from tautline.geometry import pose, project_with_slope, tracked_deg
 from tautline.rig import Rig
 from tautline.splines import Basis
@@ -77,7 +77,7 @@ def fit_remaining(
     width: Array,
     delay_s: float,
     settled_only: bool,
-    elements: Elements = SINGLE,
+    elements: Hysteresis = SINGLE,
 ) -> Remaining | None:
     """A monotone penalised spline through image residuals (or angles), B and delay fixed. None where nothing tells."""
     view = view_of(rig) if tracks[0].unit == "px" else None
