@@ -56,7 +56,7 @@ void check(const Plays &self) {
     }
     if (self.r.empty() || self.r.size() > ELEMENTS_MAX || self.r.size() != self.w.size() || !rises(self.r) ||
         self.r[0] < 0.0 || !(std::fabs(weight - 1.0) < 1e-9) || !(std::fabs(mean - 0.5) < 1e-9)) {
-        refuse("elements: 1 to 7, 0 <= r rising, w > 0, sum w = 1, sum w r = 1/2");
+        refuse("elements: 1 to 12, 0 <= r rising, w > 0, sum w = 1, sum w r = 1/2");
     }
     if (!(self.narrow >= 0.0)) {
         refuse("elements: narrow is negative");

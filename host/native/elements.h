@@ -20,7 +20,7 @@
 extern "C" {
 #endif
 
-enum { ELEMENTS_MAX = 7 };
+enum { ELEMENTS_MAX = 12 };
 
 /* G: straight between knots, both columns strictly rising; beyond the ends it goes on with the last slopes. */
 struct warp {
