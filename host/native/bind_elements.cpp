@@ -73,7 +73,7 @@ void bind_elements(nb::module_ &m) {
         .def(
             "__init__",
             [](Plays *self, Values grid, Values width) {
-                new (self) Plays{copied(grid), copied(width), {}, {}, {}, {}, 0.0, {}};
+                new (self) Plays{copied(grid), copied(width), {}, {}, {}, {}, 0.0, {}, {}};
                 check(*self);
             },
             "grid"_a, "width"_a, "A single play.")
@@ -81,10 +81,14 @@ void bind_elements(nb::module_ &m) {
             "__init__",
             [](Plays *self, Values grid, Values width, int kind, double length, double share, double exponent,
                double beta) {
-                const struct friction of = {kind, {length, share, exponent, beta}};
-                new (self) Plays{copied(grid), copied(width), {}, {}, {}, {}, 0.0, of};
+                struct friction of = {kind, {length, share, exponent, beta}, 0.0, nullptr};
+                new (self) Plays{copied(grid), copied(width), {}, {}, {}, {}, 0.0, of, {}};
                 check(*self);
                 refuse_friction(of);
+                const struct play_table table = self->view().table;
+                self->friction.least = of.least = friction_least(&of, &table);
+                self->travel.resize(3 * table.n);
+                friction_travel(&of, &table, self->travel.data());
             },
             "grid"_a, "width"_a, "kind"_a, "length"_a, "share"_a, "exponent"_a, "beta"_a, "Friction. See friction.h.")
         .def(
@@ -92,7 +96,7 @@ void bind_elements(nb::module_ &m) {
             [](Plays *self, Values grid, Values width, Values warp_q, Values warp_x, Values r, Values w,
                double narrow) {
                 new (self)
-                    Plays{copied(grid), copied(width), copied(warp_q), copied(warp_x), copied(r), copied(w), narrow, {}};
+                    Plays{copied(grid), copied(width), copied(warp_q), copied(warp_x), copied(r), copied(w), narrow, {}, {}};
                 check(*self);
             },
             "grid"_a, "width"_a, "warp_q"_a, "warp_x"_a, "r"_a, "w"_a, "narrow"_a)

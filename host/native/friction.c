@@ -2,11 +2,12 @@
 
 #include <math.h>
 
-#define STEP     0.125 /* of a length: Runge and Kutta's error is then below 1e-6 of B */
-#define PIECES   4096  /* of one move, at most: a longer one ends on the envelope */
+#define STEP     0.03125 /* of a length: Runge and Kutta's error is then below 1e-8 of B */
+#define PIECES   16384 /* of one move, at most: a longer one ends on the envelope */
 #define HELD     1e-13 /* of 1 - u: nothing is left to rise */
 #define NEAR     0.9   /* of z, from which p counts as on an envelope */
 #define TINY     1e-300
+#define LEAST    1e-6 /* of L where it is longest */
 #define BLUNT    1e-3 /* of u, about 0: an exponent below 1 is infinitely steep there */
 #define SEEK     60
 #define FURTHEST 4.0 /* of the distance of the envelopes: no motor has to go further to bring p to a place */
@@ -121,6 +122,61 @@ static double travelled(const struct friction *f, double u, double x, double by_
     return u;
 }
 
+/* L where B is `width`. */
+static double length_at(const struct friction *f, double width) {
+    return fmax(f->value[FRICTION_LENGTH] + f->value[FRICTION_SHARE] * width, f->least);
+}
+
+double friction_least(const struct friction *f, const struct play_table *table) {
+    double most = TINY;
+    for (size_t i = 0; i < table->n; i++) {
+        most = fmax(most, f->value[FRICTION_LENGTH] + f->value[FRICTION_SHARE] * table->width[i]);
+    }
+    return LEAST * most;
+}
+
+/* The integral of dq / L over h, L going straight from a to b. */
+static double passed(double h, double a, double b) {
+    const double off = b / a - 1.0;
+    return fabs(off) < 1e-4 ? h / a * (1.0 - off * (0.5 - off / 3.0)) : h / a * log1p(off) / off;
+}
+
+void friction_travel(const struct friction *f, const struct play_table *table, double *travel) {
+    const double *width = table->width;
+    const size_t n = table->n;
+    travel[0] = travel[n] = travel[2 * n] = 0.0;
+    for (size_t i = 1; i < n; i++) {
+        const double a = length_at(f, width[i - 1]), b = length_at(f, width[i]);
+        const double h = table->grid[i] - table->grid[i - 1];
+        travel[i] = travel[i - 1] + passed(h, a, b);
+        travel[n + i] = travel[n + i - 1] - h / (a * b);
+        travel[2 * n + i] = travel[2 * n + i - 1] - 0.5 * h * (width[i - 1] / (a * a) + width[i] / (b * b));
+    }
+}
+
+/* The integral and its derivatives up to q. Returns L there. */
+static double find_travel(const struct friction *f, const struct play_table *table, struct friction_state *state,
+                          double q) {
+    const size_t n = table->n, last = n - 1;
+    const double *grid = table->grid, *width = table->width;
+    size_t i = 0;
+    double h = q - grid[0], here = width[0];
+    if (q >= grid[last]) {
+        i = last;
+        h = q - grid[last];
+        here = width[last];
+    } else if (q > grid[0]) {
+        i = state->at = play_span(grid, n, state->at, q);
+        h = q - grid[i];
+        here = width[i] + h * (width[i + 1] - width[i]) / (grid[i + 1] - grid[i]);
+    }
+    const double a = length_at(f, width[i]), b = length_at(f, here);
+    state->travel = f->travel[i] + passed(h, a, b);
+    state->by_travel[0] = f->travel[n + i] - h / (a * b);
+    state->by_travel[1] = f->travel[2 * n + i] - 0.5 * h * (width[i] / (a * a) + here / (b * b));
+    return b;
+}
+
 static void find_ends(const struct play_table *table, struct friction_state *state, double q, double scale,
                       double extra) {
     double half;
@@ -134,9 +190,12 @@ static double centre(const struct friction_state *state) {
 
 void friction_start(const struct friction *f, const struct play_table *table, double q, double p,
                     struct friction_state *state) {
-    (void)f;
     *state = (struct friction_state){.q = q};
+    if (!f->kind) {
+        return;
+    }
     find_ends(table, state, q, 1.0, 0.0);
+    find_travel(f, table, state, q);
     const double apart = state->high - state->low;
     const double z = apart > 0.0 ? (state->low + state->high - 2.0 * p) / apart : 0.0;
     state->z = fmin(fmax(z, -1.0), 1.0);
@@ -144,19 +203,27 @@ void friction_start(const struct friction *f, const struct play_table *table, do
 
 double friction_move(const struct friction *f, const struct play_table *table, struct friction_state *state, double q,
                      double scale, double extra, int slopes) {
-    const double before = state->high - state->low, way = q - state->q;
+    const double way = q - state->q, before = state->travel;
+    const double by_length = state->by_travel[0], by_share = state->by_travel[1];
     find_ends(table, state, q, scale, extra);
-    state->q = q;
     state->by_q = 0.0;
     if (way == 0.0) {
         return centre(state);
     }
-    const double apart = 0.5 * (before + state->high - state->low), s = way > 0.0 ? 1.0 : -1.0;
-    const double length = fmax(f->value[FRICTION_LENGTH] + f->value[FRICTION_SHARE] * apart, 1e-9 * fabs(way));
+    double length = find_travel(f, table, state, q);
+    const double s = way > 0.0 ? 1.0 : -1.0, passes = state->travel - before;
+    double x = fabs(passes);
+    if (scale != 1.0 || extra != 0.0) {
+        const double other = length_at(f, state->high - state->low);
+        x *= length / other;
+        length = other;
+    }
+    state->q = q;
     for (int i = 0; slopes && i < FRICTION_VALUES; i++) {
         state->by[i] *= s;
     }
-    state->z = s * travelled(f, s * state->z, fabs(way) / length, 1.0 / length, apart / length, slopes, state->by);
+    state->z = s * travelled(f, s * state->z, x, (by_length - state->by_travel[0]) / passes,
+                             (by_share - state->by_travel[1]) / passes, slopes, state->by);
     for (int i = 0; slopes && i < FRICTION_VALUES; i++) {
         state->by[i] *= s;
     }

@@ -1,11 +1,12 @@
 /* Hysteresis of presliding friction, float64: one state instead of plays, on the same full-stroke envelopes.
  *
  * p_lo + B(p_lo)/2 = q and p_hi - B(p_hi)/2 = q are the envelopes of play.h. With z between -1 and 1:
- *     p = ((1 + z) p_lo + (1 - z) p_hi) / 2,   dz = dq R(s z) / L,   s = sgn dq,   L = length + share (p_hi - p_lo)
+ *     p = ((1 + z) p_lo + (1 - z) p_hi) / 2,   dz = dq R(s z) / L,   s = sgn dq,   L = length + share B(q)
  *     Bouc-Wen:  R(u) = 1 - (beta sgn u + 1 - beta) |u|^exponent
  *     Dahl:      R(u) = (1 - u)^exponent
  * R(1) = 0: on a long rising stroke z = 1 and p = p_lo, whatever the rest is. The tip never goes back while
- * L >= B R(-1) / 2, R(-1) being 2 beta or 2^exponent.
+ * L >= B R(-1) / 2, R(-1) being 2 beta or 2^exponent. Where a share below 0 would make L nothing it is held at a
+ * millionth of its most.
  */
 #ifndef TAUTLINE_FRICTION_H
 #define TAUTLINE_FRICTION_H
@@ -22,16 +23,26 @@ enum { FRICTION_LENGTH, FRICTION_SHARE, FRICTION_EXPONENT, FRICTION_BETA, FRICTI
 struct friction {
     int kind;                       /* 0: there is none */
     double value[FRICTION_VALUES];  /* length, q's unit; share, of B; exponent > 0; beta, 0 .. 1 (Dahl: not read) */
+    double least;                   /* of L: friction_least's */
+    const double *travel;           /* (3 n): at the table's nodes the integral of dq / L, and its derivatives by length
+                                     * and share: friction_travel's */
 };
 
 struct friction_state {
-    double z, q;
+    double z, q, travel;
     double low, high;            /* the envelopes at q */
     double by[FRICTION_VALUES];  /* dz / dvalue */
     double by_q;                 /* dz / dq of the last step, where it ended */
-    size_t spans[2];
+    double by_travel[2];         /* the integral's derivatives at q, by length and share */
+    size_t spans[2], at;
     signed char side;            /* of the envelope that p last came near to; PLAY_INSIDE until it does */
 };
+
+/* O(n). */
+double friction_least(const struct friction *f, const struct play_table *table);
+
+/* Fills f->travel, (3 n). O(n). */
+void friction_travel(const struct friction *f, const struct play_table *table, double *travel);
 
 /* R(u). */
 double friction_rate(const struct friction *f, double u);

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from tautline.elements import Elements as Elements
     from tautline.errors import TautError as TautError
     from tautline.errors import UnusableError as UnusableError
+    from tautline.friction import Friction as Friction
     from tautline.io.exporting import Exported as Exported
     from tautline.io.importing import Imported as Imported
     from tautline.io.importing import Proposal as Proposal
@@ -65,6 +66,7 @@ _PUBLIC = {
     "Compensator": "compensation",
     "Diagnosis": "diagnosis.diagnose",
     "Elements": "elements",
+    "Friction": "friction",
     "Imported": "io.importing",
     "Exported": "io.exporting",
     "Marker": "recording",

@@ -42,6 +42,10 @@ class Friction:
         if self.kind not in KINDS or not (np.isfinite(values).all() and self.exponent > 0.0 and 0 <= self.beta <= 1):
             raise ValueError("friction: Bouc-Wen's or Dahl's, finite, exponent > 0, beta from 0 to 1")
 
+    def says(self, unit: str) -> str:
+        name, beta = ("Bouc-Wen's", f", beta {self.beta:.2g}") if self.kind == BOUC_WEN else ("Dahl's", "")
+        return f"{name} (exponent {self.exponent:.2g}{beta}, length {self.length:.3g} {unit} + {self.share:.2g} B)"
+
     @property
     def steepest(self) -> float:
         """R(-1): how fast z leaves an envelope after a full reversal."""

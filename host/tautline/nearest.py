@@ -1,4 +1,4 @@
-"""The several plays that come nearest to a friction, on loops of all sizes, and how far off they are."""
+"""The several plays of a board that come nearest to a hysteresis, on loops of all sizes, and how far off they are."""
 
 from __future__ import annotations
 
@@ -11,15 +11,14 @@ from scipy.optimize import least_squares, nnls
 from scipy.special import softmax
 
 from tautline import _native
-from tautline.elements import Elements, Play, warp_of
-from tautline.friction import Friction
+from tautline.elements import Elements, Hysteresis, Play, warp_of
 
 Array = npt.NDArray[np.float64]
 
 _SHARES = np.concatenate([np.linspace(0.1, 2.0, 20), [2.3, 2.7, 3.2]])  # of B, to begin with
 _FIRST = 0.05  # least weight of the first: the inverse is at most 20 times as steep
-_STROKES, _FULL = 100, 0.25  # of the loops; share of them that leads from end to end
-_SMALLEST = 0.2  # of B, a stroke: loops have any size from there to the range, alike in their logarithm
+_STROKES, _FULL, _ANYWHERE = 100, 0.2, 0.4  # of the loops; shares that lead from end to end, and to any place
+_SMALLEST = 0.2  # of B, a stroke: the others have any size from there to the range, alike in its logarithm
 _SAMPLES = 24  # a backlash
 _STRICT = 1e3  # how much more than the data the two sums weigh
 _SLIGHT = 1e-3  # a weight that is none, a tolerance
@@ -34,11 +33,16 @@ class Nearest:
     left: float  # rms of how far they are off on these loops, unit of q
     undoes: float  # rms of what there is to undo: motor less tip
 
+    @property
+    def share(self) -> float:
+        """Of what there is to undo, that they leave."""
+        return self.left / max(self.undoes, 1e-300)
 
-def nearest_plays(grid: Array, width: Array, friction: Friction, reached: tuple[float, float]) -> Nearest:
+
+def nearest_plays(grid: Array, width: Array, hysteresis: Hysteresis, reached: tuple[float, float]) -> Nearest:
     """By least squares, first of weights on fixed shares and then of both."""
     q = _loops(grid, width, reached)
-    p = Play(grid, width, friction).forward(q)
+    p = Play(grid, width, hysteresis).forward(q)
     warp = warp_of(grid, width, Play(grid, width).narrow)
     half = 0.5 * np.interp(p, grid, width)
     y = 0.5 * (np.interp(p + half, warp.q, warp.x) + np.interp(p - half, warp.q, warp.x))
@@ -53,15 +57,18 @@ def _loops(grid: Array, width: Array, reached: tuple[float, float]) -> Array:
     rng = np.random.default_rng(0x100B)
     turns = [low, high, low]
     for _ in range(_STROKES):
-        if rng.uniform() < _FULL:
+        kind = rng.uniform()
+        if kind < _FULL:
             to = high if turns[-1] < 0.5 * (low + high) else low
+        elif kind < _FULL + _ANYWHERE:
+            to = float(rng.uniform(low, high))
         else:
             size = np.exp(rng.uniform(np.log(_SMALLEST * usual), np.log(high - low)))
             to = float(np.clip(turns[-1] + rng.choice([-1.0, 1.0]) * size, low, high))
         turns.append(to)
     pieces = [
         np.linspace(a, b, max(2, int(abs(b - a) / usual * _SAMPLES)), endpoint=False)
-        for a, b in zip(turns[:-1], turns[1:], strict=True)
+        for a, b in itertools.pairwise(turns)
     ]
     return np.concatenate(pieces)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -11,10 +12,10 @@ import numpy.typing as npt
 from scipy.signal import residue
 
 from tautline import _native
-from tautline.elements import Elements
+from tautline.elements import Elements, Hysteresis
 from tautline.errors import TautError
 from tautline.model import Model
-from tautline.nearest import fewer
+from tautline.nearest import Nearest, fewer, nearest_plays
 
 Array = npt.NDArray[np.float64]
 
@@ -59,11 +60,26 @@ def left(model: Model, joints: Mapping[str, Joint] | None = None) -> list[str]:
     return ids
 
 
+def stands_in(model: Model) -> Nearest | None:
+    """The plays that a board has instead of the model's hysteresis; None where its tables hold that itself."""
+    if model.friction is None and len(model.elements.width) <= _native.TABLE_PLAYS_MAX:
+        return None
+    low, high = model.rig.actuator.range
+    return _nearest(model.q.tobytes(), model.width.tobytes(), model.friction or model.elements, low, high)
+
+
+@lru_cache(maxsize=16)
+def _nearest(q: bytes, width: bytes, hysteresis: Hysteresis, low: float, high: float) -> Nearest:
+    return nearest_plays(np.frombuffer(q), np.frombuffer(width), hysteresis, (low, high))
+
+
 def undone(model: Model, joints: Mapping[str, Joint] | None = None) -> tuple[Model, dict[str, Section]]:
     """The model whose own tables hold a gradual onset, and the sections that undo its other effects. What the board
     cannot undo is left out; `joints` says which axes move the columns that couple in."""
     parameters = parameters_of(model)
-    if onset := parameters.get("transmission.smooth_onset"):
+    if (near := stands_in(model)) is not None:
+        model = replace(model, elements=near.elements, friction=None)
+    elif onset := parameters.get("transmission.smooth_onset"):
         model = replace(model, elements=onset_elements(model.elements, onset))
     count = model.rig.actuator.encoder_resolution / _COUNT
     sections: dict[str, Section] = {}

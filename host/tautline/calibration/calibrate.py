@@ -44,11 +44,12 @@ from tautline.errors import TautError
 from tautline.friction import Friction
 from tautline.geometry import coarse_range_deg
 from tautline.model import Model
-from tautline.nearest import nearest_plays
+from tautline.nearest import Nearest
 from tautline.prediction import predict
 from tautline.quality import Quality, Reason
 from tautline.recording import Recording, shifted
 from tautline.rig import Rig
+from tautline.undone import stands_in
 from tautline.value import Value
 
 Array = npt.NDArray[np.float64]
@@ -513,7 +514,8 @@ class _Session:
         """With friction a tip starts at every turn: what was passed near both envelopes is measured."""
         if joint is None or not isinstance(self.elements, Friction):
             return self.choice.measured(curve, joint, source)
-        return overlap(joint)
+        low, high = overlap(joint)
+        return (low, high) if low < high else self.choice.measured(curve, joint, source)
 
     def _depart(self, joint: Fitted | None, curve: WidthCurve | None, source: str, remaining: Remaining | None) -> None:
         if self.components is not None:
@@ -521,9 +523,10 @@ class _Session:
             inside = (self.grid > low) & (self.grid < high)
             if not self.elements.single and self.components.noise > EXPLAINED:
                 rest = f"{self.components.noise:.1f} times the noise"
+                held = "several plays" if isinstance(self.elements, Elements) else "Bouc-Wen's and Dahl's equations"
                 self.findings.doubt(
                     "transmission.smooth_onset",
-                    f"after a reversal the tip starts gradually, and several plays leave {rest}",
+                    f"after a reversal the tip starts gradually, and {held} leave {rest}",
                     "its hysteresis is of another kind: expect as much of a prediction",
                 )
             alone = self.findings.evidence["residual_alone"]
@@ -640,9 +643,14 @@ class _Session:
         if self.rig.place is not None:
             c_sigma = np.hypot(c_sigma, self.rig.place.sigma_at(c))
         model = Model(
-            self.rig, self.grid, width, sigma, c, delay.delay_s, measured, c_sigma=c_sigma, **self._hysteresis(width),
+            self.rig, self.grid, width, sigma, c, delay.delay_s, measured, c_sigma=c_sigma,
             sensor=self.tracks[0].sensor, offset_s=aligned.offset_s,
+            elements=self.elements if isinstance(self.elements, Elements) else SINGLE,
+            friction=self.elements if isinstance(self.elements, Friction) else None,
         )  # fmt: skip
+        if (near := stands_in(model)) is not None:
+            self.findings.notes.append(self._instead(near))
+            model = model if model.friction is None else replace(model, elements=near.elements)
         gaps = coverage.gaps(model, coverage.one_way(joint, self.grid) if joint is not None else 0.0 * self.grid)
         self.findings.notes += [f"{gap.says(self.unit)}, and is held there" for gap in gaps]
         told = worth(model, self.ended or self.tracks, self.rig)
@@ -672,12 +680,12 @@ class _Session:
             aligned.offsets, tuple(_foretold(model, track, delay_s) for track in self.tracks), gaps,
         )  # fmt: skip
 
-    def _hysteresis(self, width: Array) -> dict[str, Any]:
-        """What a model holds of it."""
-        if isinstance(self.elements, Elements):
-            return {"elements": self.elements}
-        near = nearest_plays(self.grid, width, self.elements, self.reached)
-        return {"elements": near.elements, "friction": self.elements}
+    def _instead(self, near: Nearest) -> str:
+        plays = f"{len(near.elements.width)} plays, which leave {100.0 * near.share:.2g} % of what there is to undo"
+        if isinstance(self.elements, Friction):
+            its = self.elements.says(self.unit)
+            return f"its hysteresis is {its}: a board's tables and what follows the tip in use hold {plays}"
+        return f"its hysteresis is {len(self.elements.width)} plays: a board's tables hold {plays}"
 
     def _characteristic(self, delay_s: float) -> dict[str, Any]:
         """Some 3000 frames of (q, c) for the report's picture."""

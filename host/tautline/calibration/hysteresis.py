@@ -53,7 +53,8 @@ class Tried:
         much known before as one independent frame says (the unit information prior)."""
         frames = self.fitted.frames / max(frames_each, 1.0)
         number = frames * self.fitted.rows[0].shape[1]
-        return -number * float(np.log(max(left(self.fitted), 1e-9))) - 0.5 * self.unknowns * float(np.log(number))
+        told = np.log(max(left(self.fitted), 1e-9)), np.log(number)
+        return float(-number * told[0] - 0.5 * self.unknowns * told[1])
 
 
 def likeliest(tried: list[Tried], frames_each: float) -> Tried:
