@@ -95,8 +95,8 @@ void bind_elements(nb::module_ &m) {
             "__init__",
             [](Plays *self, Values grid, Values width, Values warp_q, Values warp_x, Values r, Values w,
                double narrow) {
-                new (self)
-                    Plays{copied(grid), copied(width), copied(warp_q), copied(warp_x), copied(r), copied(w), narrow, {}, {}};
+                new (self) Plays{
+                    copied(grid), copied(width), copied(warp_q), copied(warp_x), copied(r), copied(w), narrow, {}, {}};
                 check(*self);
             },
             "grid"_a, "width"_a, "warp_q"_a, "warp_x"_a, "r"_a, "w"_a, "narrow"_a)
@@ -108,8 +108,7 @@ void bind_elements(nb::module_ &m) {
                 const auto e = self.view();
                 {
                     nb::gil_scoped_release unlocked;
-                    elements_forward(&e, q.data(), q.shape(0), p0, p.data(), side.data(), nullptr, nullptr,
-                                     nullptr);
+                    elements_forward(&e, q.data(), q.shape(0), p0, p.data(), side.data(), nullptr, nullptr, nullptr);
                 }
                 return std::make_pair(p, side);
             },

@@ -33,10 +33,10 @@ struct warp {
 struct elements {
     struct play_table table;
     struct warp warp;
-    const double *r; /* (n) rising from 0 or more; not read without a warp, nor is w */
-    const double *w; /* (n) > 0 */
-    size_t n;        /* 1 .. ELEMENTS_MAX */
-    double narrow;   /* 0: nowhere */
+    const double *r;          /* (n) rising from 0 or more; not read without a warp, nor is w */
+    const double *w;          /* (n) > 0 */
+    size_t n;                 /* 1 .. ELEMENTS_MAX */
+    double narrow;            /* 0: nowhere */
     struct friction friction; /* of kind 0: plays */
 };
 

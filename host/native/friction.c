@@ -3,9 +3,9 @@
 #include <math.h>
 
 #define STEP     0.03125 /* of a length: Runge and Kutta's error is then below 1e-8 of B */
-#define PIECES   16384 /* of one move, at most: a longer one ends on the envelope */
-#define HELD     1e-13 /* of 1 - u: nothing is left to rise */
-#define NEAR     0.9   /* of z, from which p counts as on an envelope */
+#define PIECES   16384   /* of one move, at most: a longer one ends on the envelope */
+#define HELD     1e-13   /* of 1 - u: nothing is left to rise */
+#define NEAR     0.9     /* of z, from which p counts as on an envelope */
 #define TINY     1e-300
 #define LEAST    1e-6 /* of L where it is longest */
 #define BLUNT    1e-3 /* of u, about 0: an exponent below 1 is infinitely steep there */
@@ -66,8 +66,13 @@ static double mean4(double a, double b, double c, double d) {
     return (a + 2.0 * b + 2.0 * c + d) / 6.0;
 }
 
-/* One step of travel h. */
-static struct course stepped(const struct friction *f, double u, double h) {
+/* One step of travel h; slopes: with the derivatives. */
+static struct course stepped(const struct friction *f, double u, double h, int slopes) {
+    if (!slopes) {
+        const double a = friction_rate(f, u), b = friction_rate(f, u + 0.5 * h * a),
+                     c = friction_rate(f, u + 0.5 * h * b), d = friction_rate(f, u + h * c);
+        return (struct course){.u = u + h * mean4(a, b, c, d)};
+    }
     const struct course at = {u, 1.0, 0.0, 0.0}, still = {0.0, 0.0, 0.0, 0.0};
     const struct course a = rise(f, &at, &still, 0.0), b = rise(f, &at, &a, 0.5 * h), c = rise(f, &at, &b, 0.5 * h),
                         d = rise(f, &at, &c, h);
@@ -75,13 +80,6 @@ static struct course stepped(const struct friction *f, double u, double h) {
                            1.0 + h * mean4(a.by_begin, b.by_begin, c.by_begin, d.by_begin),
                            h * mean4(a.by_exponent, b.by_exponent, c.by_exponent, d.by_exponent),
                            h * mean4(a.by_beta, b.by_beta, c.by_beta, d.by_beta)};
-}
-
-/* The same without derivatives. */
-static double only_stepped(const struct friction *f, double u, double h) {
-    const double a = friction_rate(f, u), b = friction_rate(f, u + 0.5 * h * a), c = friction_rate(f, u + 0.5 * h * b),
-                 d = friction_rate(f, u + h * c);
-    return u + h * mean4(a, b, c, d);
 }
 
 /* The travel from u < 0 to 0, where Bouc-Wen's R has a corner: Simpson's rule in u. */
@@ -98,20 +96,21 @@ static double travelled(const struct friction *f, double u, double x, double by_
             u = 1.0;
             break;
         }
-        double h = fmin(x, longest), next = only_stepped(f, u, h);
-        if (u < 0.0 && next > 0.0) {
+        double h = fmin(x, longest);
+        struct course there = stepped(f, u, h, slopes);
+        if (u < 0.0 && there.u > 0.0) {
             h = fmin(fmax(to_corner(f, u), TINY), h);
-            next = only_stepped(f, u, h);
+            there = stepped(f, u, h, slopes);
         }
+        const double next = fmin(there.u, 1.0);
         if (slopes) {
-            const struct course there = stepped(f, u, h);
-            const double r = friction_rate(f, fmin(next, 1.0));
+            const double r = friction_rate(f, next);
             by[FRICTION_LENGTH] = there.by_begin * by[FRICTION_LENGTH] - by_length * h * r;
             by[FRICTION_SHARE] = there.by_begin * by[FRICTION_SHARE] - by_share * h * r;
             by[FRICTION_EXPONENT] = there.by_begin * by[FRICTION_EXPONENT] + there.by_exponent;
             by[FRICTION_BETA] = there.by_begin * by[FRICTION_BETA] + there.by_beta;
         }
-        u = fmin(next, 1.0);
+        u = next;
         x -= h;
     }
     if (slopes && !(1.0 - u > HELD)) {

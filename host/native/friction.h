@@ -21,21 +21,21 @@ enum { FRICTION_BOUC_WEN = 1, FRICTION_DAHL = 2 };
 enum { FRICTION_LENGTH, FRICTION_SHARE, FRICTION_EXPONENT, FRICTION_BETA, FRICTION_VALUES };
 
 struct friction {
-    int kind;                       /* 0: there is none */
-    double value[FRICTION_VALUES];  /* length, q's unit; share, of B; exponent > 0; beta, 0 .. 1 (Dahl: not read) */
-    double least;                   /* of L: friction_least's */
-    const double *travel;           /* (3 n): at the table's nodes the integral of dq / L, and its derivatives by length
-                                     * and share: friction_travel's */
+    int kind;                      /* 0: there is none */
+    double value[FRICTION_VALUES]; /* length, q's unit; share, of B; exponent > 0; beta, 0 .. 1 (Dahl: not read) */
+    double least;                  /* of L: friction_least's */
+    const double *travel;          /* (3 n): at the table's nodes the integral of dq / L, and its derivatives by length
+                                    * and share: friction_travel's */
 };
 
 struct friction_state {
     double z, q, travel;
-    double low, high;            /* the envelopes at q */
-    double by[FRICTION_VALUES];  /* dz / dvalue */
-    double by_q;                 /* dz / dq of the last step, where it ended */
-    double by_travel[2];         /* the integral's derivatives at q, by length and share */
+    double low, high;           /* the envelopes at q */
+    double by[FRICTION_VALUES]; /* dz / dvalue */
+    double by_q;                /* dz / dq of the last step, where it ended */
+    double by_travel[2];        /* the integral's derivatives at q, by length and share */
     size_t spans[2], at;
-    signed char side;            /* of the envelope that p last came near to; PLAY_INSIDE until it does */
+    signed char side; /* of the envelope that p last came near to; PLAY_INSIDE until it does */
 };
 
 /* O(n). */
