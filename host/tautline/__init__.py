@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from tautline.api import export as export
     from tautline.api import import_recording as import_recording
     from tautline.api import load as load
+    from tautline.api import plot as plot
     from tautline.api import predict as predict
     from tautline.api import propose_import as propose_import
     from tautline.api import report as report
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
     from tautline.compensation import SetPoints as SetPoints
     from tautline.core.session import Session as Session
     from tautline.diagnosis.diagnose import Diagnosis as Diagnosis
+    from tautline.diagnosis.findings import Finding as Finding
+    from tautline.diagnosis.findings import Gap as Gap
     from tautline.elements import Elements as Elements
     from tautline.errors import TautError as TautError
     from tautline.errors import UnusableError as UnusableError
@@ -66,7 +69,9 @@ _PUBLIC = {
     "Compensator": "compensation",
     "Diagnosis": "diagnosis.diagnose",
     "Elements": "elements",
+    "Finding": "diagnosis.findings",
     "Friction": "friction",
+    "Gap": "diagnosis.findings",
     "Imported": "io.importing",
     "Exported": "io.exporting",
     "Marker": "recording",
@@ -93,6 +98,7 @@ _PUBLIC = {
     "import_recording": "api",
     "export": "api",
     "load": "api",
+    "plot": "api",
     "predict": "api",
     "propose_import": "api",
     "report": "api",

@@ -1,6 +1,6 @@
 """The package's functions: what the commands do, on arrays and files of your own.
 
-Each of them is one step: load -> calibrate -> predict, encode, compensate, track, diagnose -> report, export. The
+Each of them is one step: load -> calibrate -> predict, encode, compensate, track, diagnose -> plot, report, export. The
 commands take the same steps. `B` is the backlash width, `f_remain` the law behind it (docs/calibration.md); `q` is the
 motor's position in the unit of the rig (mm of cable or deg of a spindle), `c` the bending angle in deg.
 
@@ -10,7 +10,7 @@ Every error that a caller can act on is a TautError whose text says what to do; 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -23,6 +23,8 @@ from tautline.recording import Motor, Recording
 from tautline.rig import Rig
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from tautline.calibration.calibrate import Calibration
     from tautline.compensation import SetPoints
     from tautline.diagnosis.diagnose import Diagnosis
@@ -253,7 +255,8 @@ def diagnose(
         the fit did not see. `.document` is diagnosis.json (docs/files.md).
 
     calibration may be a simulator's recording and tests the robot's: what it says is then what the simulator lacks.
-    `.corrected` is the model with the effects that were named. rig: default the calibration's.
+    `.verdict`, `.findings`, `.gap` and `.probabilities` say what was found, `.document` all of it as diagnosis.json has
+    it; `.corrected` is the model with the effects that were named. rig: default the calibration's.
     """
     from tautline.diagnosis.diagnose import diagnose as diagnosed
     from tautline.diagnosis.recorded import calibrated
@@ -265,8 +268,8 @@ def diagnose(
     found = diagnosed(
         calibrated_on.model, on_one_clock[0], on_one_clock[1:], lambda share, what: progress(0.3 + 0.7 * share, what)
     )
-    named = ", ".join(f"{each['id']} ({each['probability']:.2f})" for each in found.document["effects"])
-    _log.info("%s%s", found.document["verdict"], f": {named}" if named else "")
+    named = ", ".join(f"{each.id} ({each.probability:.2f})" for each in found.findings)
+    _log.info("%s%s", found.verdict, f": {named}" if named else "")
     return found
 
 
@@ -329,6 +332,34 @@ def report(
             raise TautError(f"{folder}: a calibration's report shows its recordings: give them too")
         pages.save_model(result.model, recordings_room.shifted(several, result.offsets), folder)
     return folder / pages.FILE
+
+
+def plot(
+    result: Calibration | Model | Diagnosis | Mapping[str, Model],
+    recordings: Recording | Sequence[Recording] = (),
+) -> Figure:
+    """The picture of a result, as its page shows it first: a matplotlib figure to show, change or save.
+
+    Shapes: none; recordings: those that a calibration was made from, to draw what was seen behind the curves.
+    Units: as in the result.
+    Errors: TautError where a recording cannot be read.
+    Source: B(q), its widths and the characteristic as in the paper's Figs. 7 to 9; of a diagnosis what both models
+        leave over the session's time; of several models by name how they differ.
+    """
+    from tautline.diagnosis.diagnose import Diagnosis
+    from tautline.model import Model
+    from tautline.reports import evidence, figures
+
+    if isinstance(result, Diagnosis):
+        from tautline.diagnosis.page import residuals
+
+        return residuals(result)
+    if isinstance(result, Mapping):
+        return figures.compared(result)
+    model, offsets = (result, {}) if isinstance(result, Model) else (result.model, result.offsets)
+    several = _several(recordings)
+    seen = evidence.collect(model, recordings_room.shifted(several, offsets)) if several else None
+    return figures.hero(model, figures.onsets_of(model), seen, figures.knots_of(model))
 
 
 def export(

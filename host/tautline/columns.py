@@ -16,7 +16,7 @@ from tautline.errors import TautError
 
 Array = np.ndarray
 
-MAX_REPEATED_TIMES = 0.01  # share of rows whose time repeats the row before: beyond it the clock is too coarse
+MAX_REPEATED_TIMES = 0.01  # tolerance: share of rows whose time repeats: beyond it the clock is too coarse
 
 
 @dataclass

@@ -17,6 +17,8 @@ from tautline.folders import write_file
 from tautline.model import Model
 from tautline.value import Value
 
+# format of all: rates and rows of taut compensate
+
 Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 

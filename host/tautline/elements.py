@@ -40,7 +40,7 @@ class Elements:
     width: tuple[float, ...]
     weight: tuple[float, ...]
 
-    forgotten: ClassVar[float] = 1e-9  # of the range, a tolerance: where it started shows by no more than rounding
+    forgotten: ClassVar[float] = 1e-9  # tolerance: of the range, where it started shows by rounding only
 
     def __post_init__(self) -> None:
         width, weight = np.array(self.width, dtype=float), np.array(self.weight, dtype=float)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+# format of all: of a message
+
 
 class TautError(Exception):
     """Its text is printed as it is, without a traceback; the command then exits with `status`."""

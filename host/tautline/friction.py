@@ -34,8 +34,7 @@ class Friction:
     beta: float = 1.0
 
     single: ClassVar[bool] = False  # as of plays: it is not one
-    # Of the range, a tolerance: a tip whose start shows by less has forgotten it. Friction forgets by and by.
-    forgotten: ClassVar[float] = 3e-5
+    forgotten: ClassVar[float] = 3e-5  # tolerance: of the range, what a start shows by; it forgets by and by
 
     def __post_init__(self) -> None:
         values = np.array([getattr(self, name) for name in VALUES])

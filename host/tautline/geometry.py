@@ -12,7 +12,7 @@ from tautline.errors import TautError
 from tautline.rig import PLACES, Camera, HandEye, Kinematics, Rig
 
 Array = npt.NDArray[np.float64]
-_SMALL = 1e-3  # rad: below it the constant-curvature quotients are taken from their series (error < 1e-16)
+_SMALL = 1e-3  # tolerance: rad: below it the constant-curvature quotients are taken from their series (error < 1e-16)
 
 
 def tip_bend(kinematics: Kinematics, c_deg: npt.ArrayLike) -> Array:

@@ -24,9 +24,9 @@ from tautline.value import Value
 Array = np.ndarray
 FORMAT = "model/1"
 MODEL_FILE, RIG_FILE = "model.json", "rig.toml"
-STEEPEST = 1.8  # |B'| that tables may have: p_lo and p_hi are unique while it is below 2
+STEEPEST = 1.8  # limit: |B'| that tables may have: p_lo and p_hi are unique while it is below 2
 SIMULATOR = "simulator"  # of a model's extra: what stands in the motor's place (tautline.simulators)
-_USUAL_NOISE = {MARKER: 0.05, ANGLE: 0.02}  # px, deg
+_USUAL_NOISE = {MARKER: 0.05, ANGLE: 0.02}  # prior: px, deg
 _ARRAYS = ("q", "width", "width_sigma", "c_deg")
 
 

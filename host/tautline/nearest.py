@@ -15,15 +15,15 @@ from tautline.elements import Elements, Hysteresis, Play, warp_of
 
 Array = npt.NDArray[np.float64]
 
-_SHARES = np.concatenate([np.linspace(0.1, 2.0, 20), [2.3, 2.7, 3.2]])  # of B, to begin with
-_FIRST = 0.05  # least weight of the first: the inverse is at most 20 times as steep
-_STROKES, _FULL, _ANYWHERE = 100, 0.2, 0.4  # of the loops; shares that lead from end to end, and to any place
-_SMALLEST = 0.2  # of B, a stroke: the others have any size from there to the range, alike in its logarithm
-_SAMPLES = 24  # a backlash
-_STRICT = 1e3  # how much more than the data the two sums weigh
-_SLIGHT = 1e-3  # a weight that is none, a tolerance
-_STEPS = 15  # of the search for shares and weights, at most
-_GAPS = -9.0, 2.0  # logarithms between which differences of shares are: a tolerance, and a limit
+_SHARES = np.concatenate([np.linspace(0.1, 2.0, 20), [2.3, 2.7, 3.2]])  # tolerance: of B, to begin with
+_FIRST = 0.05  # loss: least weight of the first: the inverse is at most 20 times as steep
+_STROKES, _FULL, _ANYWHERE = 100, 0.2, 0.4  # prior: of use; shares of the strokes from end to end, and to any place
+_SMALLEST = 0.2  # prior: of B, a stroke: the others have any size from there to the range, alike in its logarithm
+_SAMPLES = 24  # tolerance: of the loops, a backlash
+_STRICT = 1e3  # tolerance: how much more than the data the two sums weigh
+_SLIGHT = 1e-3  # tolerance: a weight that is none
+_STEPS = 15  # tolerance: of the search for shares and weights, at most
+_GAPS = -9.0, 2.0  # tolerance: logarithms between which differences of shares are
 _PLAYS: int = _native.TABLE_PLAYS_MAX
 
 

@@ -15,7 +15,7 @@ from tautline.splines import Basis
 
 Array = npt.NDArray[np.float64]
 
-_STEEP = 0.05  # least dq/dp: allowed widths have a slope of at most 1.9
+_STEEP = 0.05  # limit: least dq/dp: allowed widths have a slope of at most 1.9
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from tautline import spread
 from tautline.columns import read_columns, read_times
 from tautline.core.chain import Chain, by_differences
 from tautline.core.motor import MotorPath
@@ -25,11 +26,10 @@ from tautline.value import Value
 
 Array = npt.NDArray[np.float64]
 
-MOST_ROWS = 10_000_000
+MOST_ROWS = 10_000_000  # format: of a prediction's CSV
 TRUTH_FILE = "truth.csv"  # beside a simulated recording
 COLUMNS = "t_s,c_deg,u_px,v_px,c_sigma_deg,u_sigma_px,v_sigma_px"
-_NINE_OF_TEN = 1.645  # sigma, of a normal distribution
-_ANYWHERE = 3.0**-0.5  # standard deviation of what is anywhere from -1 to 1
+_ANYWHERE = 3.0**-0.5  # equation: standard deviation of what is anywhere from -1 to 1
 
 
 @dataclass(frozen=True)
@@ -196,7 +196,7 @@ def score(model: Model, recording: Recording, start_deg: float | None = None) ->
         "px" if by_image else "deg",
         rms([off]),
         float(np.sqrt(np.mean(known**2))) if len(known) else float("nan"),
-        float(np.mean(np.abs(known) < _NINE_OF_TEN)) if len(known) else float("nan"),
+        float(np.mean(np.abs(known) < spread.NINE_OF_TEN)) if len(known) else float("nan"),
     )
 
 

@@ -16,6 +16,8 @@ from tautline.errors import TautError
 from tautline.folders import replaced
 from tautline.rig import Rig
 
+# format of all: what a recording's files may hold
+
 Array = np.ndarray
 
 MAX_MOTOR_STEP_S = 1.0  # beyond it the times are not in seconds

@@ -17,6 +17,8 @@ from tautline.errors import TautError, nearest
 from tautline.folders import write_file
 from tautline.schema import Key, Section
 
+# format of all: rig.toml's examples, counts and units
+
 FORMAT = "rig/1"
 UNITS = ("mm", "deg")
 PLACES: int = _native.projection_places

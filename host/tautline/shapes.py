@@ -34,9 +34,9 @@ SHAPE = Section(
     ),
     "shapes",
 )
-_SIGMAS = 3.0  # within which what is seen is a shape's
-_ALIKE = 1.3  # times the error of the best, up to which another might be it
-_LEAST = 0.1, 0.05, 0.2  # and at least so much of B (offset), of the scale, of the current
+_SIGMAS = 3.0  # loss: within which what is seen is a shape's
+_ALIKE = 1.3  # loss: times the error of the best, up to which another might be it
+_LEAST = 0.1, 0.05, 0.2  # prior: and at least so much of B (offset), of the scale, of the current
 
 
 @dataclass(frozen=True)

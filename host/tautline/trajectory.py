@@ -10,6 +10,8 @@ import numpy as np
 from tautline.errors import TautError
 from tautline.rig import Actuator
 
+# equation of all: shapes of motions, none of which decides
+
 Array = np.ndarray
 
 RATE_HZ = 1000.0

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+# format of all: of a short repr
+
 _SHOWN = 3  # items of a sequence
 
 

@@ -184,3 +184,16 @@ def test_recordings_of_different_rigs_are_refused(recording: tl.Recording, folde
         tl.calibrate([])
     with pytest.raises(tl.TautError, match="no such folder"):
         tl.load(tmp_path / "nowhere")
+
+
+def test_a_plot_is_a_figure_to_show_or_save(recording: tl.Recording, found: tl.Calibration, tmp_path: Path) -> None:
+    seen, alone = tl.plot(found, recording), tl.plot(found.model)
+    points = [sum(len(line.get_xdata()) for line in figure.axes[1].lines) for figure in (seen, alone)]
+    assert points[0] > points[1]  # every frame's place behind the curve
+    labels = [axes.get_ylabel() for axes in seen.axes[:2]]
+    assert "backlash" in labels[0].lower() and "deg" in labels[1]
+    both = tl.plot({"monday": found.model, "friday": found.model})
+    assert {"monday", "friday"} <= {text.get_text() for text in both.axes[0].get_legend().get_texts()}
+    both.savefig(tmp_path / "both.png")
+    with pytest.raises(AttributeError):
+        tl.plot("monday")  # type: ignore[arg-type]

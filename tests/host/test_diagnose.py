@@ -1,6 +1,7 @@
 """taut diagnose: what the recordings say, and nothing that they do not."""
 
 import json
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -97,6 +98,12 @@ def test_a_known_effect_is_named_and_sized(parameters):
     assert document["where"]["stage"] == kind.stage
     assert document["gap"]["closable_shrink"] > 0.9
     assert document["gap"]["shrink_ci"][0] <= document["gap"]["shrink"] <= document["gap"]["shrink_ci"][1]
+    typed, gap = found.findings[0], found.gap
+    assert found.verdict == "effect" and (typed.id, typed.stage, typed.since) == (kind.id, kind.stage, "calibration")
+    assert pickle.loads(pickle.dumps(typed)) == typed != found.findings[1:] and len(repr(typed)) < 400
+    assert gap.after < gap.before and gap.unit == "px" and gap.before_ci[0] <= gap.before <= gap.before_ci[1]
+    likely = found.probabilities
+    assert next(iter(likely)) == kind.id and sum(likely.values()) == pytest.approx(1.0)
     named = document["effects"][0]["parameters"]
     for name, value in parameters.items():
         assert named[name] == pytest.approx(value, rel=0.3, abs=0.01), name

@@ -169,7 +169,7 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_wheel_is_whole(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
-        assert "tautline/py.typed" in names and "tautline/templates/model.html" in names
+        assert "tautline/py.typed" in names and "tautline/reports/templates/model.html" in names
         assert "tautline/bin/tautline-board" in names, "TinyUSB's sources were not there: run 'tools/setup sources'"
         board = archive.getinfo("tautline/bin/tautline-board")
         assert board.external_attr >> 16 & 0o111  # a program

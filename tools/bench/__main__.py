@@ -1,4 +1,4 @@
-"""./run bench [--json], ./run bench videos, ./run bench faults, bench importing, bench bare"""
+"""./run bench [--json], ./run bench videos, ./run bench faults, bench importing, bench bare, bench constants"""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ from tools.bench import (
     tracking,
     videos,
 )
+from tools.constants import command as constants
 
 Rows = list[tuple[str, float, str]]
 
@@ -100,6 +101,7 @@ main.add_command(videos.command)
 main.add_command(faults.command)
 main.add_command(importing.command)
 main.add_command(bare.command)
+main.add_command(constants.command)
 
 if __name__ == "__main__":
     main()

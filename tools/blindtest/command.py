@@ -130,7 +130,7 @@ def command(
     }
     taken, missing_ones = chosen(generators, left_out_generators)
     for name in missing_ones:
-        warn(f"without the generator '{name}', whose package is not there: pip install 'tautline[campaign]'")
+        warn(f"without the generator '{name}', whose package is not there: run ./run setup")
     numbers = {name: value for name, value in given.items() if value is not None}
     order = replace(order, only=only, generators=taken, **numbers)
     if stopped:
@@ -138,7 +138,7 @@ def command(
     wanted = baselines or (("none",) if order.only else _QUICK_BASELINES if quick else None)
     methods = compare.available(wanted if wanted is None else [name for name in wanted if name != "none"])
     for missing in sorted(set(METHODS) - set(methods)) if wanted is None else ():
-        warn(f"without the baseline '{missing}', whose package is not there: pip install 'tautline[campaign]'")
+        warn(f"without the baseline '{missing}', whose package is not there: run ./run setup")
     if not stopped:
         log(f"taut: {len(order.cases())} cases of seed {order.seed}; it may be stopped, and goes on where it was")
     with progress_bar("blind test") as bar, pool(jobs, dask_address) as workers:

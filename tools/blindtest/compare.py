@@ -34,7 +34,7 @@ def available(wanted: Sequence[str] | None) -> list[str]:
     missing = {m for m, package in baselines.NEEDS.items() if find_spec(package) is None}
     for method in wanted or ():
         if method in missing:
-            raise TautError(f"the baseline '{method}' needs more packages: pip install 'tautline[campaign]'")
+            raise TautError(f"the baseline '{method}' needs more packages: run ./run setup")
     return [m for m in baselines.METHODS if (m in wanted if wanted is not None else m not in missing)]
 
 

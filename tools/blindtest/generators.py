@@ -56,8 +56,7 @@ def chosen(wanted: Sequence[str], left_out: Sequence[str]) -> tuple[tuple[str, .
     missing = tuple(name for name in names if not GENERATORS[name].installed)
     if not there:
         raise TautError(
-            f"no generator is left to make cases: {', '.join(missing)} need the package '{PACKAGE}': "
-            "pip install 'tautline[campaign]'"
+            f"no generator is left to make cases: {', '.join(missing)} need the package '{PACKAGE}': run ./run setup"
             if missing
             else "no generator is left to make cases: leave fewer out"
         )

@@ -29,15 +29,15 @@ Array = npt.NDArray[np.float64]
 # start of .05 to .95 within two; both pure cases of the length within one; Bouc-Wen's exponents from .3 to 8 and Dahl's
 # from .45 to 2.2 within two, as the literature has them (n 1 to 5, i 1 in most); beta .2 to .9.
 PRIORS = {
-    BOUC_WEN: (np.array([0.0, 0.5, 0.4, 0.4]), np.array([1.5, 0.5, 0.8, 0.9])),
-    DAHL: (np.array([0.0, 0.5, 0.0]), np.array([1.5, 0.5, 0.4])),
+    BOUC_WEN: (np.array([0.0, 0.5, 0.4, 0.4]), np.array([1.5, 0.5, 0.8, 0.9])),  # prior: above
+    DAHL: (np.array([0.0, 0.5, 0.0]), np.array([1.5, 0.5, 0.4])),  # prior: above
 }
-_STEPS, _SMOOTHED, _AGAIN = 12, 6, 2  # of one descent, of the smoothing at most; how often both follow
-_SHARES = (1.0, 0.5, 0.2)  # of a step, tried in turn
-_ENOUGH = 1e-3  # of the squares, a tolerance: a step that gains less is the last
-_LONGEST = 1.5  # of a step, in the prior's standard deviations: a tolerance of what is straight
-_THIN = 0.1  # of the mean length, the least that is allowed anywhere: a tolerance
-_DIFFERENCE = 1e-5
+_STEPS, _SMOOTHED, _AGAIN = 12, 6, 2  # tolerance: of one descent, of the smoothing at most; how often both follow
+_SHARES = (1.0, 0.5, 0.2)  # tolerance: of a step, tried in turn
+_ENOUGH = 1e-3  # tolerance: of the squares; a step that gains less is the last
+_LONGEST = 1.5  # tolerance: of what is straight; a step at most, in the prior's standard deviations
+_THIN = 0.1  # prior: of the mean length, the least anywhere
+_DIFFERENCE = 1e-5  # tolerance: over which the transform is straight
 
 
 @dataclass(frozen=True)

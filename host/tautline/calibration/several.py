@@ -23,7 +23,8 @@ from tautline.rig import Rig
 
 Array = npt.NDArray[np.float64]
 
-SHARES = np.array([0.07, 0.2, 0.4, 0.6, 0.8, 0.95, 1.1, 1.4, 1.9, 2.6, 3.6, 5.0])  # widths of the elements, of B
+# Widths of the elements, of B: a seventh apart about 1, then by a third.
+SHARES = np.array([0.07, 0.2, 0.4, 0.6, 0.8, 0.95, 1.1, 1.4, 1.9, 2.6, 3.6, 5.0])  # tolerance: what lies between
 _FIRST = 0.05  # least weight of the first element: the inverse's slope is one over it (1 / 0.05 = 20)
 _LEAST = 0.01  # of a weight that is kept
 _STEPS = 12

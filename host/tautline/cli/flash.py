@@ -11,7 +11,7 @@ from tautline.cli._common import emit, json_option, progress_bar, refuse_unusabl
 from tautline.cli._live import axis_option, board_option
 
 _FIXED = (0.0, 1.0, 1.0)  # of --adapt
-_MUCH = 0.1  # of what there is to undo, a loss: plays that leave more are warned of
+_MUCH = 0.1  # loss: of what there is to undo; plays that leave more are warned of
 
 
 @click.command("flash")

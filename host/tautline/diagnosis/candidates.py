@@ -21,10 +21,10 @@ Array = npt.NDArray[np.float64]
 Progress = Callable[[str], None]
 
 
-_CHANGES = 0.15  # share of a change with time that a recording has to show
-_LITTLE = 0.1
-_OF_A_CURVE = 3  # coefficients that count
-_NOISE = 4.0  # floors: what is more is no noise, and a lost marker counts no more than that
+_CHANGES = 0.15  # tolerance: share of a change with time that a recording has to show
+_LITTLE = 0.1  # tolerance: of an event's amount: where a fit with its mean begins
+_OF_A_CURVE = 3  # prior: coefficients that count
+_NOISE = 4.0  # tolerance: floors: what is more is no noise, and a lost marker counts no more than that
 
 
 @dataclass(frozen=True)

@@ -22,10 +22,10 @@ from tautline.effects import Kind
 
 Array = npt.NDArray[np.float64]
 
-_LENS_ORDER = 5  # of polynomials over the image
-_PLANE_ORDER = 5  # and over the bending angle
-_MOST_COLUMNS = 192  # of a fit that is continued: more would take seconds
-_TRAVELS = (0.003, 0.01, 0.03)  # of the motor's range, in which an instrument settles in its channel
+_LENS_ORDER = 5  # prior: of polynomials over the image
+_PLANE_ORDER = 5  # prior: and over the bending angle
+_MOST_COLUMNS = 192  # tolerance: of a fit that is continued: more would take seconds
+_TRAVELS = (0.003, 0.01, 0.03)  # prior: of the motor's range, in which an instrument settles in its channel
 
 
 def residuals(fitter: Fitter, fit: Fit, further: Sequence[Kind] = ()) -> list[Array] | None:

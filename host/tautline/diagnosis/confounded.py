@@ -17,10 +17,10 @@ from tautline.effects import Kind
 
 LOAD, DRIFT = "transmission.load_dependence", "transmission.drift"
 
-_LEVEL = 0.15  # of the loads' span: what lies nearer together is one level, what varies less within a run is held
-_HIDDEN = 0.2  # of a probability that two effects share: that it is the one of which nothing is recorded
-_TOLD = 1.5  # of the loads' scatter within a recording: levels that are farther apart are others
-_PLACES = 12  # over which what a motion does to its own load is averaged
+_LEVEL = 0.15  # tolerance: of the loads' span: what lies nearer together is one level, a load that varies less is held
+_HIDDEN = 0.2  # prior: of a probability that two effects share: that it is the one of which nothing is recorded
+_TOLD = 1.5  # tolerance: of the loads' scatter within a recording: levels that are farther apart are others
+_PLACES = 12  # tolerance: over which what a motion does to its own load is averaged
 
 
 def hidden(kinds: Sequence[Kind], segments: Sequence[Segment]) -> dict[str, str]:

@@ -22,10 +22,10 @@ Array = npt.NDArray[np.float64]
 
 # Of a further effect, given those before: naming a wrong one costs as much as leaving two right ones out.
 FURTHER = 2.0 / 3.0
-_ONE_OF = 3  # effects at most that are named as one of them
-MOVED = 0.2  # share of what a recalibration closes from which on a part of it is named
-CLEARLY = 10.0  # times likelier as a wrong effect's, from which an amplitude is told to be another elsewhere
-HELPS = 0.7  # standard errors of the mean over blocks; one block alone that shows an effect is 1
+_ONE_OF = 3  # format: effects at most that are named as one of them
+MOVED = 0.2  # loss: share of what a recalibration closes from which on a part of it is named
+CLEARLY = 10.0  # loss: times likelier as a wrong effect's, from which an amplitude is told to be another elsewhere
+HELPS = 0.7  # loss: standard errors of the mean over blocks; one block alone that shows an effect is 1
 
 
 @dataclass(frozen=True)

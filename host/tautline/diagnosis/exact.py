@@ -18,8 +18,8 @@ from tautline.independence import frames_each
 
 Array = npt.NDArray[np.float64]
 
-_REMEMBERED = 100  # lags at most
-_ALIKE = 0.05  # a correlation from which there is none
+_REMEMBERED = 100  # tolerance: lags at most
+_ALIKE = 0.05  # tolerance: a correlation from which there is none
 
 
 def is_law(ids: Sequence[str]) -> bool:

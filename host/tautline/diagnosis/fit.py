@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
 
-from tautline import effects
+from tautline import effects, spread
 from tautline.diagnosis.segment import Segment
 from tautline.effects import Kind, Parameter, Path
 from tautline.elements import SINGLE
@@ -31,7 +31,7 @@ Array = npt.NDArray[np.float64]
 WIDTH_PIECES, _REMAINING_PIECES = (
     len(effects.BY_ID[name].curve) - 3 for name in ("transmission.backlash", "configuration.remaining")
 )
-_ROUGH = 0.001  # second difference of a correction's neighbouring coefficients, share of its range
+_ROUGH = 0.001  # prior: second difference of a correction's neighbouring coefficients, share of its range
 STATIC_COLUMNS = slice(2, 8)  # of Seen.columns, with a camera
 _STATIC = tuple(p.name for p in effects.BY_ID["registration.static"].amplitudes)
 WIDTH, REMAINING, STATIC, DELAY = PARTS = (
@@ -40,16 +40,16 @@ WIDTH, REMAINING, STATIC, DELAY = PARTS = (
     "registration.static",
     "acquisition.delay",
 )  # of the nominal model, that a recalibration moves
-_OUTLIER = 6.0  # robust standard deviations: a residual beyond is pulled in, unless it is one of many
-_AHEAD_S = 5e-3  # over which the tip's velocity is taken
-_DIFFERENCE = 0.05  # of a parameter's scale: the step of its difference quotient
-_SMALL_GAIN, _COARSE_GAIN = 1e-4, 5e-4  # of the cost: next to nothing
-_COARSE_FRAMES = 2500  # that a fit begins with
-_ROUGH_STEPS, _COARSE_STEPS, _FULL_STEPS = 3, 12, 8  # of each start, of the best one, of all observations
+_OUTLIER = 6.0  # tolerance: robust standard deviations: a residual beyond is pulled in, unless it is one of many
+_AHEAD_S = 5e-3  # tolerance: over which the tip's velocity is taken
+_DIFFERENCE = 0.05  # tolerance: of a parameter's scale: the step of its difference quotient
+_SMALL_GAIN, _COARSE_GAIN = 1e-4, 5e-4  # tolerance: of the cost: next to nothing
+_COARSE_FRAMES = 2500  # tolerance: that a fit begins with
+_ROUGH_STEPS, _COARSE_STEPS, _FULL_STEPS = 3, 12, 8  # tolerance: of each start, of the best one, of all observations
 _NOMINAL_STEPS = 16
-_FAR, _CURVES_FAR = 30.0, 2.0  # of a parameter's scale: its prior, and that of a curve's coefficients
+_FAR, _CURVES_FAR = 30.0, 2.0  # prior: of a parameter's scale: its prior, and that of a curve's coefficients
 _KNOWN = 1e-6  # of the prior, which is a step's: where a simulator is the nominal it stays
-_RARE = 0.01  # a misfit that lasts longer than this share of a recording is no outlier
+_RARE = 0.01  # tolerance: a misfit that lasts longer than this share of a recording is no outlier
 
 
 class Scope(IntEnum):
@@ -561,8 +561,4 @@ def outlier_limit(residual: Array) -> float:
     """Of one recording: a lost marker must not decide, and what follows every reversal must."""
     if residual.size == 0:
         return 1.0
-    return max(_OUTLIER * robust_deviation(residual), 1.2 * float(np.quantile(np.abs(residual), 1.0 - _RARE)))
-
-
-def robust_deviation(values: Array) -> float:
-    return 1.4826 * float(np.median(np.abs(values))) + 1e-12
+    return max(_OUTLIER * spread.deviation(residual), 1.2 * float(np.quantile(np.abs(residual), 1.0 - _RARE)))

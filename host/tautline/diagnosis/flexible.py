@@ -17,13 +17,13 @@ from tautline.diagnosis.segment import Segment
 
 Array = npt.NDArray[np.float64]
 
-_LENGTHS_FROM, _TRAINED_ON, _SCORED_ON = 200, 700, 3000  # observations: for length scales, of either half, in all
-_RATES = np.arange(0.05, 2.0, 0.003)  # Hz, of a swing: breathing, a heart, a loose mount
-_HARMONICS = 6  # of a motion, in which it may drive the tip
-_SWINGS = 0.25  # share of the residual's power that makes a swing
-_DRIVEN, _DRIVES = 0.05, 0.4  # shares of a motion's power that drive it: at its rate, at the rate it is a harmonic of
-_SHORTEST, _LONGEST = 0.05, 20.0  # length scales, of an input's standard deviation
-_SIZES = 1e-3, 1e2  # of a process, in what it was trained on
+_LENGTHS_FROM, _TRAINED_ON, _SCORED_ON = 200, 700, 3000  # tolerance: observations: for lengths, of either half, all
+_RATES = np.arange(0.05, 2.0, 0.003)  # prior: Hz, of a swing: breathing, a heart, a loose mount
+_HARMONICS = 6  # prior: of a motion, in which it may drive the tip
+_SWINGS = 0.25  # tolerance: share of the residual's power that makes a swing
+_DRIVEN, _DRIVES = 0.05, 0.4  # tolerance: of a motion's power that drive it: at its rate, at one it is a harmonic of
+_SHORTEST, _LONGEST = 0.05, 20.0  # prior: length scales, of an input's standard deviation
+_SIZES = 1e-3, 1e2  # prior: of a process, in what it was trained on
 _JITTER = 1e-10
 
 

@@ -5,27 +5,31 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from functools import cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.signal import lfilter
 
+from tautline import spread
 from tautline.diagnosis.segment import Segment
 from tautline.independence import frames_each
 from tautline.recording import Motor
 
 Array = npt.NDArray[np.float64]
 
-_STILL_S = 0.6  # a motor at rest for so long has left its own transients behind
-_UNLIKE = 4.0  # times the median rest's power: no noise any more
-_OUTLIER, _MEDIAN = 8.0, 0.455  # deviations that a frame counts at most; median square of noise of unit variance
-_SURE = 2.0  # standard errors
-_MEMORIES = np.linspace(0.0, 0.9, 37)  # from one frame to the next
-BLOCK_S = 8.0  # of a manoeuvre: longer than a residual remembers
-_LITTLE = 0.05  # of a gap: what another motion may leave of it however little these leave
-_CUT_INTO = (12, 9)  # blocks, tried in turn where the motor's turns make none
-_REMEMBERED, _ALIKE = 199, 0.02  # lags at most, and a correlation from which there is none
-_EACH_WAY = 0.2  # share of the motion that either way must have
+_STILL_S = 0.6  # limit: a motor at rest for so long has left its own transients behind
+_UNLIKE = 4.0  # tolerance: times the median rest's power: no noise any more
+_OUTLIER = 8.0  # tolerance: deviations that a frame counts at most
+_SURE = 2.0  # loss: standard errors
+_MEMORIES = np.linspace(0.0, 0.9, 37)  # tolerance: from one frame to the next
+BLOCK_S = 8.0  # tolerance: of a manoeuvre: longer than a residual remembers
+_LITTLE = 0.05  # prior: of a gap: what another motion may leave of it however little these leave
+_CUT_INTO = (12, 9)  # tolerance: blocks, tried in turn where the motor's turns make none
+_REMEMBERED, _ALIKE = 199, 0.02  # tolerance: lags at most, and a correlation from which there is none
+_EACH_WAY = 0.2  # tolerance: share of the motion that either way must have
+_OF_A_SIZE, _SHRINKS = 0.95, 0.9  # format: shares of a size's and of a shrinkage's draws that an interval holds
+SURELY = 0.95  # loss: a worse model that is handed out costs as much as 19 better ones that are kept back
 
 
 def rms(residuals: Sequence[Array]) -> float:
@@ -77,7 +81,7 @@ def _rests(segments: Sequence[Segment]) -> list[Array] | None:
     # A rest in which something happened, such as a shift, tells nothing of noise; a frame that is elsewhere is noise.
     power = [float(np.median(np.square(rest))) for rest in rests]
     usual = float(np.median(power))
-    most = _OUTLIER * np.sqrt(usual / _MEDIAN)
+    most = _OUTLIER * spread.deviation_of_squares(np.array(power))
     return [np.clip(rest, -most, most) for rest, p in zip(rests, power, strict=True) if p <= _UNLIKE * usual]
 
 
@@ -114,13 +118,13 @@ def _of_first_order(n: int) -> Array:
 
 def counted(segments: Sequence[Segment]) -> float:
     """What the sensors' own steps scatter, of the coarsest."""
-    return float(max(_step(s.observed) for s in segments) / np.sqrt(12.0))
+    return spread.of_rounding(max(_step(s.observed) for s in segments))
 
 
 def jitters(residuals: Sequence[Array]) -> float:
     """The scatter from one observation to the next, by second differences: of white noise its deviation."""
     bends = [np.diff(r, n=2, axis=0).ravel() for r in residuals if len(r) > 2]
-    return float(1.4826 * np.median(np.abs(np.concatenate(bends))) / np.sqrt(6.0)) if bends else 0.0
+    return spread.deviation(np.concatenate(bends)) / float(np.sqrt(6.0)) if bends else 0.0  # equation: 1, -2, 1
 
 
 def _step(observed: Array) -> float:
@@ -204,6 +208,37 @@ def memory(residuals: Sequence[Array]) -> float:
         return 1.0
     recording = np.repeat(np.arange(len(long)), [len(r) for r in long])
     return frames_each(np.concatenate(long), _REMEMBERED, least=_ALIKE, group=recording)
+
+
+def told(
+    before: Sequence[Array],
+    after: Sequence[Array],
+    segments: Sequence[Segment],
+    floor: float,
+    apart: tuple[float, float],
+) -> dict[str, Any]:
+    """The gap of diagnosis.json with its intervals. before, after: residuals (scored, k) of each of `segments`. apart:
+    as `elsewhere` takes it: the shrinkage's interval is of blocks like these and of motions that were not recorded."""
+    was, left = rms(before), rms(after)
+    drawn = bootstrap(before, after, [blocks(segment) for segment in segments])
+    own = spread.interval(1.0 - drawn[1] / drawn[0], _SHRINKS)
+    other = elsewhere(left / was, apart) if was > 0.0 else (0.0, 0.0)
+    excess = max(was**2 - floor**2, 1e-12)
+    return {
+        "before": was,
+        "after": left,
+        "before_ci": spread.interval(drawn[0], _OF_A_SIZE),
+        "after_ci": spread.interval(drawn[1], _OF_A_SIZE),
+        "shrink": 1.0 - left / was if was > 0.0 else 0.0,
+        "shrink_ci": [min(own[0], float(other[0])), max(own[1], float(other[1]))],
+        "closable_shrink": float(np.clip(1.0 - (left**2 - floor**2) / excess, 0.0, 1.0)),
+    }
+
+
+def shrinks(before: Sequence[Array], after: Sequence[Array], segments: Sequence[Segment]) -> float:
+    """How surely `after` leaves less than `before` does: the share of draws of the blocks in which it does."""
+    drawn = bootstrap(before, after, [blocks(segment) for segment in segments])
+    return float(np.mean(drawn[1] < drawn[0]))
 
 
 def bootstrap(

@@ -20,9 +20,9 @@ Array = npt.NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 MOST_EFFECTS = 3
-_REFITS, _BOTH_SCOPES = 8, 3  # of single effects
-_FURTHER_REFITS = 3  # of effects on top of others
-_EXTENDED = (2, 1)  # hypotheses of one and of two effects that a further one is put on
+_REFITS, _BOTH_SCOPES = 8, 3  # tolerance: of single effects
+_FURTHER_REFITS = 3  # tolerance: of effects on top of others
+_EXTENDED = (2, 1)  # tolerance: hypotheses of one and of two effects that a further one is put on
 
 
 @dataclass(frozen=True)

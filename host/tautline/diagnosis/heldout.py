@@ -18,7 +18,7 @@ from tautline.diagnosis.fit import Fitter, Hypothesis, ScoredRows
 from tautline.nominal import Normal, Rows
 
 Array = npt.NDArray[np.float64]
-_STAYS = 0.1  # of a block that is left out
+_STAYS = 0.1  # tolerance: of a block that is left out
 _PER_OBSERVATION = ("p", "tip", "by_width", "by_follow", "by_c", "columns", "residual")
 Labels = Sequence[npt.NDArray[np.int64]]  # of each recording's scored observations: the number of their block
 

@@ -18,7 +18,7 @@ from scipy import stats
 Array = npt.NDArray[np.float64]
 
 FILE = "hyperparameters.toml"
-_DRAWS = 8  # of what a new instrument may have
+_DRAWS = 8  # tolerance: of what a new instrument may have
 
 
 @dataclass(frozen=True)

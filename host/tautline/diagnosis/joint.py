@@ -28,13 +28,13 @@ Indices = npt.NDArray[np.int64]
 
 WIDTH, LAW, DELAY = "transmission.backlash", "configuration.remaining", "acquisition.delay"
 _FACTOR = 1.0  # of a positive parameter's logarithm, one standard deviation: published values differ by more than twice
-_SPREADS = 3.0  # of another one's declared spread
-_WIDTH = 0.02  # of the motor's range
-_ORDER, _LAW_DEG = 5, 3.0  # of the law's polynomial, and each coefficient's
-_DELAY_S = 0.05
-_DIFFERENCE = 0.01  # of a standard deviation
-_ROUNDS, _STEPS = 3, 12
-_SMALL_GAIN = 0.02  # of twice a logarithm of a probability
+_SPREADS = 3.0  # prior: of another one's declared spread
+_WIDTH = 0.02  # prior: of the motor's range
+_ORDER, _LAW_DEG = 5, 3.0  # prior: of the law's polynomial, and each coefficient's
+_DELAY_S = 0.05  # prior: what a bus, a filter or a servo takes, beyond the calibration's
+_DIFFERENCE = 0.01  # tolerance: of a standard deviation
+_ROUNDS, _STEPS = 3, 12  # tolerance: at most, of an optimum that is found
+_SMALL_GAIN = 0.02  # tolerance: of twice a logarithm of a probability
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,10 @@ from tautline.diagnosis.stacked import log_sum
 
 Array = npt.NDArray[np.float64]
 
-_SURE = 0.8  # probability from which on a group is named
-_THERE = 0.2  # probability of an unknown to be there before anything is seen
-_MOST = 12  # unknowns of which all sets are weighed, 4096
-_TOGETHER = 3  # in a group at most: of three the prior alone would say 49 %
+_SURE = 0.8  # loss: probability from which on a group is named
+_THERE = 0.2  # prior: probability of an unknown to be there before anything is seen
+_MOST = 12  # tolerance: unknowns of which all sets are weighed, 4096
+_TOGETHER = 3  # format: in a group at most: of three the prior alone would say 49 %
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,6 @@ from tautline.model import Model
 
 Array = npt.NDArray[np.float64]
 
-_BETTER = 0.95  # of draws of the blocks, in which a model has to leave less than another to take its place
-
 
 @dataclass(frozen=True)
 class Answer:
@@ -34,11 +32,6 @@ class Answer:
     @classmethod
     def of(cls, joint: Joint, fitted: Fitted) -> Answer:
         return cls(joint, fitted, Sets.of(joint.unknowns, fitted), left_out(joint, fitted))
-
-    def better_than(self, left: Sequence[Array]) -> float:
-        """Share of draws of the blocks in which it leaves less than this, 0 to 1."""
-        boot = gap.bootstrap(left, self.left, [gap.blocks(segment) for segment in self.joint.segments])
-        return float(np.mean(boot[1] < boot[0]))
 
     def corrected(self) -> Model:
         """With all unknowns, what is known of its law in c_sigma and of single readings in its evidence."""
@@ -95,18 +88,18 @@ def left_out(joint: Joint, fitted: Fitted) -> list[Array]:
 def instead(told: Diagnosis, answer: Answer) -> Diagnosis:
     """The diagnosis with the joint fit's answer, where that leaves less on blocks that neither saw; else as it is."""
     groups = answer.sets.groups
-    sure = answer.better_than(told.after)
-    if sure < _BETTER or not groups:
+    sure = gap.shrinks(told.after, answer.left, answer.joint.segments)
+    if sure < gap.SURELY or not groups:
         return told
     before, after = gap.rms(told.before), gap.rms(answer.left)
     groups = _by_share(groups, answer, before)
     names = [group[0] for group in groups]
     shrink, shares = 1.0 - after / before, answer.shares(names, before)
-    total = max(sum(shares), 1e-12)
+    total, floor = max(sum(shares), 1e-12), told.document["noise_floor"]
     document = {
         **told.document,
         "verdict": "effect",
-        "gap": _gap(told, answer, before, after),
+        "gap": gap.told(told.before, answer.left, answer.joint.segments, floor, learnt().elsewhere),
         "effects": [
             {
                 "id": group[0],
@@ -128,7 +121,6 @@ def instead(told: Diagnosis, answer: Answer) -> Diagnosis:
         "moved": [],
         "resembles": [],
     }
-    floor = document["noise_floor"]
     is_open = decide.is_open(told.evidence, after**2)
     rest = flexible.close(told.segments[1:], answer.left, floor) if is_open else None
     document["flexible"] = rest.to_json() if rest else None
@@ -139,24 +131,6 @@ def _by_share(groups: list[tuple[str, ...]], answer: Answer, before: float) -> l
     """What closes most first."""
     shares = answer.shares([group[0] for group in groups], before)
     return [groups[i] for i in np.argsort(-np.array(shares))]
-
-
-def _gap(told: Diagnosis, answer: Answer, before: float, after: float) -> dict[str, Any]:
-    floor = told.document["noise_floor"]
-    boot = gap.bootstrap(told.before, answer.left, [gap.blocks(segment) for segment in answer.joint.segments])
-    own = np.quantile(1.0 - boot[1] / boot[0], [0.05, 0.95])
-    other = gap.elsewhere(after / before, learnt().elsewhere)
-    excess = max(before**2 - floor**2, 1e-12)
-    return {
-        **told.document["gap"],
-        "before": before,
-        "before_ci": [float(v) for v in np.quantile(boot[0], [0.025, 0.975])],
-        "after": after,
-        "after_ci": [float(v) for v in np.quantile(boot[1], [0.025, 0.975])],
-        "shrink": 1.0 - after / before,
-        "shrink_ci": [float(min(own[0], other[0])), float(max(own[1], other[1]))],
-        "closable_shrink": float(np.clip(1.0 - (after**2 - floor**2) / excess, 0.0, 1.0)),
-    }
 
 
 def _probabilities(

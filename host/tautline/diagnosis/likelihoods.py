@@ -20,9 +20,9 @@ from tautline.effects import EVENTS
 
 Array = npt.NDArray[np.float64]
 
-COINCIDES = 0.1  # probability that an unknown effect goes with a column that was measured beside the motion
-LOG_ODDS_MARGIN = 5.0  # of every rival, as a logarithm: an event beside another effect that is told for sure
-_QUANTILES = -np.log1p(-(np.arange(15) + 0.5) / 15.0)  # of an exponential prior
+COINCIDES = 0.1  # prior: probability that an unknown effect goes with a column that was measured beside the motion
+LOG_ODDS_MARGIN = 5.0  # loss: of every rival, as a logarithm: an event beside another effect that is told for sure
+_QUANTILES = -np.log1p(-(np.arange(15) + 0.5) / 15.0)  # equation: of an exponential prior
 
 
 class Likelihoods:

@@ -18,9 +18,9 @@ from tautline.diagnosis.segment import Segment
 Array = npt.NDArray[np.float64]
 
 _MARGIN_S = 1.0  # before and after a moment that a recording has to show
-_NEAR_S = 1.5  # within which a linear step has found it: of a slip that the play takes up nothing is seen at once
-_BEFORE_S = 1e-3  # a frame that shows it
-_TRIED = 12  # at once
+_NEAR_S = 1.5  # tolerance: within which a linear step has found it: of a slip in the play nothing is seen at once
+_BEFORE_S = 1e-3  # tolerance: a frame that shows it
+_TRIED = 12  # tolerance: at once
 _STEPS = 8
 _ROUNDS = 2  # moments beside each other move each other
 

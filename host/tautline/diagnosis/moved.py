@@ -14,8 +14,8 @@ from tautline.diagnosis.shapley import shares
 
 Array = npt.NDArray[np.float64]
 
-CLOSES = 0.1  # of a gap's power above the floor: what leaves less has closed it
-_COUNTS = 0.05  # a smaller share is not told
+CLOSES = 0.1  # loss: of a gap's power above the floor: what leaves less has closed it
+_COUNTS = 0.05  # format: a smaller share is not told
 
 
 @dataclass(frozen=True)

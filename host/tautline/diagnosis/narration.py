@@ -11,7 +11,7 @@ from tautline.diagnosis.confounded import DRIFT, LOAD
 from tautline.effects import BY_ID, EVENTS
 from tautline.undone import COUPLED
 
-_SMALL = 3.0  # times the noise: a gap below is called small
+_SMALL = 3.0  # format: times the noise: a gap below is called small
 _REMAINS = {  # why
     "transmission.stick_slip": "where the tip sticks next is chance",
     "configuration.contact": "what holds the tip back is not the transmission",
@@ -19,17 +19,17 @@ _REMAINS = {  # why
     "acquisition.jitter": "it is the frames' times",
     "acquisition.held_samples": "it is the sensor's link",
 }
-SHOWN = 0.005  # probability from which on a candidate is shown
+SHOWN = 0.005  # format: probability from which on a candidate is shown
 _NO_PATH = "It has no path that repeats, so no model can predict it away."
 _TOLD = 2  # effects that are told in words
-_NEAR = 0.1  # of a gap that an effect or a refit closes: it is told beside "unknown"
+_NEAR = 0.1  # format: of a gap that an effect or a refit closes: it is told beside "unknown"
 SINCE = {
     "start": " from the start",
     "calibration": " since the calibration",
     "recording": ", another in each recording",
 }
-_LEFT_OUT = 0.02  # share of the frames, from which it is told
-_SHRINKS = 0.02  # of a gap that jumps or unsteady times leave: part of it has a path
+_LEFT_OUT = 0.02  # format: share of the frames, from which it is told
+_SHRINKS = 0.02  # format: of a gap that jumps or unsteady times leave: part of it has a path
 
 
 def digits(value: float) -> str:

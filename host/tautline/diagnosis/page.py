@@ -19,6 +19,8 @@ from tautline.explain import of_effect
 from tautline.model import Model
 from tautline.reports import figures, pages
 
+# format of all: pictures and lists of a page
+
 FILE = "report.html"
 
 _CANDIDATES = 5

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from tautline import spread
 from tautline.diagnosis.fit import Scope
 from tautline.diagnosis.segment import Segment
 from tautline.effects import BY_ID
@@ -17,9 +18,8 @@ from tautline.model import Model
 Array = npt.NDArray[np.float64]
 
 HELD = "acquisition.held_samples"
-_SEEN = 0.1  # of the floor's power, by which repeats raise the gap's
+_SEEN = 0.1  # loss: of the floor's power, by which repeats raise the gap's
 _SURE = 0.98
-_NINE_OF_TEN = 1.645  # standard errors: what happened once or twice by itself is a coincidence and no law
 
 
 def told(document: dict[str, Any], model: Model, segments: Sequence[Segment], load_reference: float) -> None:
@@ -39,8 +39,8 @@ def told(document: dict[str, Any], model: Model, segments: Sequence[Segment], lo
     power, without = squares / frames, fresh / max(sum(int(s.scored.sum()) for s in segments[1:]), 1)
     floor2 = document["noise_floor"] ** 2
     added = np.array([total - count * without for total, count in stalls])
-    # As likely as not there might have been none of a few: by a compound Poisson's standard error.
-    surely = float(np.sum(added)) - _NINE_OF_TEN * float(np.linalg.norm(added))
+    # What happened once or twice by itself is a coincidence and no law: by a compound Poisson's standard error.
+    surely = float(np.sum(added)) - spread.NINE_OF_TEN * float(np.linalg.norm(added))
     if surely < _SEEN * floor2 * frames:
         return
     share = (power - without) / max(power - floor2, 1e-300)  # of the gap

@@ -22,11 +22,11 @@ Array = npt.NDArray[np.float64]
 
 STICK_SLIP, JITTER, HELD = "transmission.stick_slip", "acquisition.jitter", "acquisition.held_samples"
 RIVALS = ("level", "memory", HELD, "pixels")
-_MOVES = 0.02  # of the fastest: slower is at rest
-_REMEMBERED = 3  # frames that the rival with a memory reaches back
-_BROAD = 0.03  # share of frames that follow no model
+_MOVES = 0.02  # tolerance: of the fastest: slower is at rest
+_REMEMBERED = 3  # tolerance: frames that the rival with a memory reaches back
+_BROAD = 0.03  # prior: share of frames that follow no model
 _HAPPENS_S = 0.5  # about a shift: it takes its time, and a model of before and after says nothing of how it moves
-_LONGEST_S = 0.1  # frame times are not less steady than this
+_LONGEST_S = 0.1  # prior: frame times are not less steady than this
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from tautline.simulators.drive import Drive
 
 Array = npt.NDArray[np.float64]
 
-_CONTINUOUS = 0.9  # share of a sensor's fresh values that no other is equal to
+_CONTINUOUS = 0.9  # tolerance: share of a sensor's fresh values that no other is equal to
 
 
 @dataclass(frozen=True)

@@ -20,17 +20,17 @@ CONSTANT = frozenset(kind.id for kind in LIBRARY if kind.nominal)  # parts of th
 LAWS = frozenset(kind.id for kind in LIBRARY if kind.law)
 MEASURED = frozenset(kind.id for kind in LIBRARY if kind.needs == "load")  # effects that follow a measured column
 BROUGHT = {kind.id: frozenset(kind.brings) for kind in LIBRARY if kind.brings}
-INEXACT = 4.0  # times the floor's power that a nominal model may leave of its own calibration
+INEXACT = 4.0  # prior: times the floor's power that a nominal model may leave of its own calibration
 CONFINED = 0.5  # probability that what a wrong effect leaves is confined to its stage as well
-FOLLOWED = 0.02  # share of a power above the floor: what leaves less of unseen blocks has followed a path
+FOLLOWED = 0.02  # prior: share of a power above the floor: what leaves less of unseen blocks has followed a path
 SHARES = np.geomspace(1e-5, 1.0, 41)
-WANDERS = np.geomspace(3e-3, 3.0, 31)  # shares by which an amplitude may be another elsewhere
+WANDERS = np.geomspace(3e-3, 3.0, 31)  # prior: shares by which an amplitude may be another elsewhere
 _A_GAP = 2.0  # times the floor's power: no noise
-_DEGREES = 8.0  # of freedom, of a block's noise
-_WRONG_SHARES = (np.arange(10) + 0.5) / 10.0  # of blocks that a wrong effect disturbs
-_WIDEST = 12.0  # of a disturbed block's logarithm
-_AT_ONCE = 8  # blocks whose product stays within a double
-_REMEMBERED = 4  # settings of a few hyperparameters
+_DEGREES = 8.0  # prior: of freedom, of a block's noise
+_WRONG_SHARES = (np.arange(10) + 0.5) / 10.0  # prior: of blocks that a wrong effect disturbs
+_WIDEST = 12.0  # prior: of a disturbed block's logarithm
+_AT_ONCE = 8  # tolerance: blocks whose product stays within a double
+_REMEMBERED = 4  # tolerance: settings of a few hyperparameters
 
 
 def log_sum(logarithms: Array) -> Array:

@@ -16,11 +16,11 @@ from tautline.rig import Actuator
 
 Array = npt.NDArray[np.float64]
 
-_SPEED = 15.0  # deg/s, as far as the motor's range allows
-_SPAN_S = 0.15  # of the angles a second, at most
+_SPEED = 15.0  # format: deg/s, as far as the motor's range allows
+_SPAN_S = 0.15  # format: of the angles a second, at most
 _SECONDS = 30.0
-_FREE = 0.1  # of the angles that the tables reach, at either end: effects need room
-_SETTLED = 0.3  # share of the trajectory after which the tip has been driven through both ways
+_FREE = 0.1  # format: of the angles that the tables reach, at either end: effects need room
+_SETTLED = 0.3  # format: share of the trajectory after which the tip has been driven through both ways
 
 
 def foretold(nominal: Model, corrected: Model) -> dict[str, Any] | None:

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from scipy.interpolate import make_smoothing_spline
 from scipy.spatial import KDTree
 
+from tautline import spread
 from tautline.diagnosis import gap
 from tautline.diagnosis.segment import Segment
 from tautline.geometry import project
@@ -25,14 +26,13 @@ from tautline.recording import Recording
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-_PLACE_PX, _HOLE_PX = 4.0, 12.0  # along the path: what is told apart at least, and where no frame shows the marker
-_FEWEST, _PLACES = 6, 20  # frames that tell of a place, places that tell of a tracker
-_FAR, _SEVERAL = 6.0, 0.1  # noises: a frame's error, and share of a place's frames, from which the calibration does not
-_WILD = 2.0  # hold there; times the usual scatter
-_PARTS = 8  # of a calibration, by turns
+_PLACE_PX, _HOLE_PX = 4.0, 12.0  # tolerance: along the path: told apart at least; where no frame shows the marker
+_FEWEST, _PLACES = 6, 20  # tolerance: frames that tell of a place, places that tell of a tracker
+# A calibration does not hold where so large a share of frames is so many noises off, or where they scatter so much.
+_FAR, _SEVERAL, _WILD = 6.0, 0.1, 2.0  # tolerance: noises, share of a place's frames, times the usual scatter
+_PARTS = 8  # tolerance: of a calibration, by turns
 _STEP_DEG = 0.05
 _BEYOND_DEG = 5.0
-_TO_SIGMA = 1.4826
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ class _Places:
             here = scored & (place == k)
             across[k], along[k] = np.median(view.across[here]), np.median(view.along[here])
             off = np.abs(view.across[here] - across[k]) + np.abs(view.along[here] - along[k])
-            scatter[k] = 0.5 * _TO_SIGMA * np.median(off)
+            scatter[k] = 0.5 * spread.deviation(off)
         noise = float(np.nanmedian(scatter))
         off = np.hypot(view.across - float(np.nanmedian(across)), view.along)
         far = np.bincount(place[scored & (off > _FAR * noise)], minlength=count)

@@ -20,10 +20,10 @@ from tautline.diagnosis.hypotheses import Wander
 
 Array = npt.NDArray[np.float64]
 
-_ORDERS = {"place": 3, "speed": 2, "time": 2, "side": 1, "load": 1}  # of polynomials over each
-_MOVES = 0.05  # of a fast motor's speed: a slower one rests, and counts as what it did before
-_FAST, _ENDS = 0.95, (0.1, 0.9)  # quantiles: of its speeds; between which an amplitude is told
-_SAME = 1e-6  # variance of a function over an effect's own signal: one that is so constant there tells nothing
+_ORDERS = {"place": 3, "speed": 2, "time": 2, "side": 1, "load": 1}  # prior: of polynomials over each
+_MOVES = 0.05  # tolerance: of a fast motor's speed: a slower one rests, and counts as what it did before
+_FAST, _ENDS = 0.95, (0.1, 0.9)  # tolerance: quantiles: of its speeds; between which an amplitude is told
+_SAME = 1e-6  # tolerance: variance of a function over an effect's own signal: one so constant there tells nothing
 
 
 def of_fit(fitter: Fitter, fit: Fit, rows: Sequence[ScoredRows], limits: Sequence[float]) -> tuple[Wander, ...]:

@@ -16,6 +16,7 @@ from scipy.special import expit, log_expit
 from scipy.stats import norm
 from threadpoolctl import threadpool_limits
 
+from tautline import spread
 from tautline.errors import TautError
 from tautline.fleet.population import log_widths, population
 from tautline.fleet.rows import FAILED, Row
@@ -183,7 +184,7 @@ def _groups(growth: _Growth) -> _Groups | None:
     if len(growth.rate) < _FEWEST:
         return None
     middle = float(np.median(growth.log))
-    apart = max(float(1.4826 * np.median(np.abs(growth.log - middle))), 1e-3)
+    apart = max(spread.deviation(growth.log - middle), 1e-3)
 
     def read(x: Array) -> _Groups:
         spread = apart * np.exp(x[1])

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from tautline import spread
 from tautline.calibration.calibrate import Calibration, Options, calibrate
 from tautline.errors import TautError
 from tautline.live.rounds import CameraView, Standing, in_words
@@ -22,7 +23,6 @@ Array = np.ndarray
 BINS = 48  # of the range
 _FIRST_FIT_S, _BETWEEN_FITS = 2.5, 0.2  # s, or this share of the time so far
 _STILL = 0.02  # of a bin: a motor that moved less from one frame to the next rests
-_MEDIAN = 0.6745  # of the size of what is normally distributed, in standard deviations
 
 
 @dataclass
@@ -182,7 +182,7 @@ class Watch:
     def camera_view(self) -> CameraView:
         """What the camera made of it so far."""
         steps = np.abs(self._steps)
-        noise = float(np.median(steps)) / _MEDIAN / np.sqrt(2.0) if steps.size else float("nan")
+        noise = spread.deviation(steps) / float(np.sqrt(2.0)) if steps.size else float("nan")
         return CameraView(noise, self.view.unseen)
 
     def _idle(self) -> None:

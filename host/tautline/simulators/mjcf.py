@@ -26,12 +26,12 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 
 KIND = "mjcf"
-PER_UNIT = {"mm": 1e-3, "deg": math.radians(1.0)}  # m or rad of a control, per unit of q
+PER_UNIT = {"mm": 1e-3, "deg": math.radians(1.0)}  # equation: m or rad of a control, per unit of q
 _UNITS = {True: ("Nm", "rad"), False: ("N", "m")}  # of a hinge, of a slide or a tendon
 _SETTLE_S = 2.0  # at the first control, before the log begins
-_DELAY_S = 0.02  # a change that a user would notice
-_DAMPED = 0.2  # share of critical damping: the same, where a joint has none
-_STUCK_RAD = 5e-3  # by which the servo is off where friction that the file does not have holds the joint
+_DELAY_S = 0.02  # prior: a change that a user would notice
+_DAMPED = 0.2  # prior: share of critical damping: the same, where a joint has none
+_STUCK_RAD = 5e-3  # prior: by which the servo is off where friction that the file does not have holds the joint
 _DELAY_MOST_S = 0.5
 
 

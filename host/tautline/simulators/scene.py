@@ -15,10 +15,10 @@ from tautline.errors import TautError
 if TYPE_CHECKING:
     import mujoco
 
-_SERVO_HZ = 10.0  # of an arm's usual servo: what it has is told by the robot
-_G = 9.81  # m/s^2
-_NO_LOAD = 1e-3  # of the weight, at the model's size as its arm
-_PARALLEL = 0.999  # cosine between axes that count as one
+_SERVO_HZ = 10.0  # prior: of an arm's usual servo: what it has is told by the robot
+_G = 9.81  # limit: m/s^2, gravity
+_NO_LOAD = 1e-3  # tolerance: of the weight, at the model's size as its arm
+_PARALLEL = 0.999  # tolerance: cosine between axes that count as one
 
 
 def needed() -> None:

@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 
-_STEP_DEG = 0.25  # of the track; straight lines between are 2e-6 of the site's radius off
-_OFF = 0.05  # of the track's extent in the image: a marker farther from it shows another site, or another camera
-_ALIKE_PX, _APART_DEG = 2.0, 20.0  # places so near of angles so far apart cannot be told
-_FAR_DEG = 170.0  # of a hinge without limits, either way
+_STEP_DEG = 0.25  # tolerance: of the track; straight lines between are 2e-6 of the site's radius off
+_OFF = 0.05  # tolerance: of the track's extent in the image: a marker farther off is another site's, or camera's
+_ALIKE_PX, _APART_DEG = 2.0, 20.0  # tolerance: places so near of angles so far apart cannot be told
+_FAR_DEG = 170.0  # tolerance: of a hinge without limits, either way
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,300 @@
+"""What a diagnosis found as diagnosis.json."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tautline import effects
+from tautline.diagnosis import confounded, decide, flexible, gap, motion, moved, shapley, where
+from tautline.diagnosis.candidates import Candidate
+from tautline.diagnosis.fit import Fit, Fitter, Scope, key
+from tautline.diagnosis.gather import Gathered
+from tautline.diagnosis.hyperparameters import learnt
+from tautline.diagnosis.moved import Moved
+from tautline.diagnosis.segment import Segment
+from tautline.diagnosis.tracker import TrackerError
+from tautline.effects import Kind
+from tautline.model import Model
+
+Array = npt.NDArray[np.float64]
+
+FORMAT = "diagnosis/1"
+_STEADY = 0.5  # format: share of a gap's power that does not change within a recording
+_CONDITIONS = 5  # format: at most, the largest first
+
+
+@dataclass(frozen=True)
+class Found:
+    """All that was weighed, and the hypothesis that was chosen of it. Residuals are (scored, k) of each recording, the
+    calibration first."""
+
+    model: Model
+    segments: Sequence[Segment]
+    fitter: Fitter
+    tracked: TrackerError | None
+    frozen: Sequence[Array]  # what the calibrated model leaves as it is
+    recalibrated: float  # rms over the tests
+    kinds: Sequence[Kind]
+    gathered: Gathered
+    verdict: decide.Decision
+    chosen: Candidate
+    parts: Sequence[Moved]  # of the nominal model, where a recalibration closes the gap
+
+    @property
+    def tests(self) -> Sequence[Segment]:
+        return self.segments[1:]
+
+    @property
+    def before(self) -> Sequence[Array]:
+        return self.frozen[1:]
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        return self.verdict.named if self.verdict.name == "effect" else ()
+
+    @property
+    def after(self) -> Sequence[Array]:
+        """Without an effect nothing is added."""
+        return self.chosen.left[1:] if self.named else self.before
+
+    @property
+    def floor(self) -> float:
+        return self.fitter.floor
+
+    @cached_property
+    def conditions(self) -> list[where.Condition]:
+        paths = [s.predict(self.model, {}, self.fitter.load_reference)[0] for s in self.tests]
+        every = where.conditions(self.tests, paths, self.before)
+        if self.verdict.name == "effect" and not _changes(self.chosen.fit, self.named):
+            return [condition for condition in every if condition.axis != "time"]
+        return every
+
+    @cached_property
+    def next_motion(self) -> motion.NextMotion | None:
+        return motion.best(self.fitter, _leading(self.gathered, self.verdict))
+
+    @cached_property
+    def gap(self) -> dict[str, Any]:
+        later = any(effects.BY_ID[name].course for name in self.named)
+        apart = learnt().later if later else learnt().elsewhere
+        told = gap.told(self.before, self.after, self.tests, self.floor, apart)
+        return told if self.named else {**told, "shrink_ci": [0.0, 0.0], "closable_shrink": 0.0}
+
+    @cached_property
+    def rest(self) -> flexible.Flexible | None:
+        """What a Gaussian process closes of what is left."""
+        still = decide.is_open(self.gathered.evidence, self.gap["after"] ** 2)
+        return flexible.close(self.tests, self.after, self.floor) if still else None
+
+
+def written(found: Found, hidden: Mapping[str, str]) -> dict[str, Any]:
+    """diagnosis.json, but for what repeated samples, the tip and a simulator add. hidden: effects that were not tried,
+    with those that stand for them."""
+    told = found.gap
+    shares, parts = _shares(found)
+    document: dict[str, Any] = {
+        "format": FORMAT,
+        "unit": found.segments[0].unit,
+        "verdict": found.verdict.name,
+        "noise_floor": found.floor,
+        "gap": told,
+        "gap_recalibrated": {"before": found.recalibrated},
+        "tracker": found.tracked.to_json() if found.tracked else None,  # of videos: the noise of a moving marker
+        "flexible": found.rest.to_json() if found.rest else None,
+        "effects": _effects(found, shares),
+        "moved": [{"id": part.id, "share": part.share, "since": _since(found, part.id).since} for part in parts],
+        "candidates": _candidates(found),
+        "probability_none": found.verdict.none,
+        "probability_unknown": found.verdict.unknown,
+        "count": list(found.verdict.count),
+        "where": {
+            "stage": _stage(found.verdict),
+            "conditions": [condition.to_json() for condition in found.conditions[:_CONDITIONS]],
+        },
+        "signature": _signature(found),
+        "next_motion": {"why": found.next_motion.why, "file": "next_motion.csv"} if found.next_motion else None,
+    }
+    confounded.told(document, hidden)
+    return document
+
+
+def _shares(found: Found) -> tuple[dict[str, float], Sequence[Moved]]:
+    """Of what is named, of the shrinkage; and the parts of the nominal model that moved, where they are all of it."""
+    told = found.gap
+    if found.parts:
+        return {part.id: part.share * told["shrink"] for part in found.parts}, found.parts
+    named = found.named
+    causes = (*named, *(found.verdict.brought if named else ()))
+    shares = dict(zip(causes, _shapley(found, causes), strict=True))
+    all_of_nominal = bool(named) and all(effects.BY_ID[name].nominal for name in named)
+    if all_of_nominal and moved.closes(told["before"], told["after"], found.floor):
+        return shares, moved.of_named(list(shares.items()))
+    return shares, ()
+
+
+def _effects(found: Found, shares: Mapping[str, float]) -> list[dict[str, Any]]:
+    fit, ambiguous = found.chosen.fit, found.verdict.ambiguous()
+    brought = {
+        name: [part for part in found.verdict.brought if part in effects.BY_ID[name].brings] for name in found.named
+    }
+    return [
+        {
+            "id": name,
+            "probability": probability,
+            "since": _since(found, name).since,
+            "parameters": _reported(fit, name),
+            **_of_each(fit, name, found.segments),
+            **_brings(brought[name], shares),
+            "shrink": shares[name] + sum(shares[part] for part in brought[name]),
+            "swallowed_by_recalibration": moved.closes(found.gap["before"], found.recalibrated, found.floor),
+            "loads_on_board": effects.BY_ID[name].on_board,
+            "ambiguous_with": _instead(found.verdict, name, ambiguous),
+        }
+        for name, probability in zip(found.named, found.verdict.probability, strict=False)
+    ]
+
+
+def _candidates(found: Found) -> list[dict[str, Any]]:
+    verdict, best, before = found.verdict, best_of_each(found.gathered), found.gap["before"]
+    ambiguous = verdict.ambiguous()
+    names = [*verdict.ranked, *(kind.id for kind in found.kinds if kind.id not in verdict.leading)]
+    return [
+        {
+            "id": name,
+            "probability": verdict.leading.get(name, 0.0),
+            "shrink": 1.0 - gap.rms(best[name].left[1:]) / before if name in best else 0.0,
+            "identifiable": name not in ambiguous or len(ambiguous) == 1,
+        }
+        for name in names
+    ]
+
+
+def best_of_each(gathered: Gathered) -> dict[str, Candidate]:
+    """The hypothesis of each effect alone that leaves least."""
+    best: dict[str, Candidate] = {}
+    for candidate in gathered.candidates:
+        if len(candidate.ids) == 1:
+            name = candidate.ids[0]
+            if name not in best or candidate.power.mean() < best[name].power.mean():
+                best[name] = candidate
+    return best
+
+
+def _leading(gathered: Gathered, verdict: decide.Decision) -> list[Fit]:
+    """Of the three likeliest effects that have a path, those that cannot be told apart or else the best two."""
+    best = best_of_each(gathered)
+    names = [name for name in verdict.ranked if name in best and name not in effects.EVENTS]
+    unsure = set(verdict.ambiguous())
+    return [best[name].fit for i, name in enumerate(names[:3]) if i < 2 or name in unsure]
+
+
+def _instead(verdict: decide.Decision, name: str, leads: Sequence[str]) -> list[str]:
+    """What may be there in a named effect's place. leads: those of which one leads."""
+    if name == verdict.named[0]:
+        return [other for other in leads if other != name]
+    return list(verdict.instead) if name == verdict.named[-1] else []
+
+
+def _stage(verdict: decide.Decision) -> str | None:
+    """The likeliest: every effect counts for its own."""
+    if verdict.name == "none" or not verdict.leading:
+        return None
+    stages: dict[str, float] = {}
+    for name, probability in verdict.leading.items():
+        stage = effects.BY_ID[name].stage
+        stages[stage] = stages.get(stage, 0.0) + probability
+    return max(stages, key=lambda stage: stages[stage])
+
+
+def _shapley(found: Found, named: Sequence[str]) -> list[float]:
+    """Each named effect's exact Shapley share of the shrinkage. A set of effects is worth what its own fit shrinks,
+    or, where it was not tried, what the chosen fit does with the others at zero; no effect is worth nothing."""
+    chosen, before = found.chosen, gap.rms(found.before)
+    known: dict[frozenset[str], float] = {frozenset(): 0.0}
+    for candidate in found.gathered.candidates:
+        if candidate.ids:
+            key, value = frozenset(candidate.ids), 1.0 - gap.rms(candidate.left[1:]) / before
+            known[key] = max(known.get(key, -np.inf), value)
+    known[frozenset(named)] = 1.0 - gap.rms(chosen.left[1:]) / before
+
+    def worth(names: frozenset[str]) -> float:
+        if names in known:
+            return known[names]
+        off = {p.name for name in named if name not in names for p in effects.BY_ID[name].amplitudes} | effects.SCATTERS
+        values = {k: (0.0 if k.split("@")[0] in off else v) for k, v in chosen.fit.state.values.items()}
+        residuals = found.fitter.residuals(replace(chosen.fit.state, values=values), chosen.fit.hypothesis)
+        return 1.0 - gap.rms(residuals[1:]) / before
+
+    return shapley.shares(named, worth)
+
+
+def _scope(fit: Fit, name: str) -> Scope:
+    """A part of the nominal that no effect stands for moved in all recordings."""
+    placed = fit.hypothesis.find(name)
+    return placed[1] if placed else Scope.START
+
+
+def _since(found: Found, name: str) -> Scope:
+    """What happens at a moment after the calibration's end was not there before."""
+    fit = found.chosen.fit
+    placed = fit.hypothesis.find(name)
+    happens_s = [fit.state.values[at] for at in placed[0].moments] if placed else []
+    later = bool(happens_s) and min(happens_s) > found.segments[0].end_s
+    return Scope.TESTS if later else _scope(fit, name)
+
+
+def _changes(fit: Fit, named: Sequence[str]) -> bool:
+    """Whether some of what is named goes with the session's time; else it only seems to, because the motions do."""
+    kinds = [effects.BY_ID[name] for name in named]
+    return any(k.course or k.scan == "moment" or _scope(fit, k.id) == Scope.EACH for k in kinds)
+
+
+def _reported(fit: Fit, name: str) -> dict[str, Any]:
+    """Where each recording has its own, those of the last test."""
+    kind, scope = fit.hypothesis.find(name) or (effects.BY_ID[name], Scope.START)
+    values = fit.state.values if fit.hypothesis.find(name) else fit.state.static
+    last = fit.hypothesis.tests
+    keys = {p.name: key(p.name, last) if scope == Scope.EACH and not p.searched else p.name for p in kind.parameters}
+    reported = {parameter: float(values[at]) for parameter, at in keys.items() if at in values}
+    column = {"column": kind.column} if kind.column else {}
+    return {**reported, **column, "since_calibration": float(bool(scope))}
+
+
+def _brings(parts: Sequence[str], shares: Mapping[str, float]) -> dict[str, Any]:
+    """What an effect changed of the nominal model, and what that shrinks; it is in the effect's own share too."""
+    return {"brings": [{"id": part, "shrink": shares[part]} for part in parts]} if parts else {}
+
+
+def _of_each(fit: Fit, name: str, segments: Sequence[Segment]) -> dict[str, Any]:
+    """What each recording has, where they differ."""
+    kind, scope = fit.hypothesis.find(name) or (effects.BY_ID[name], Scope.START)
+    if scope != Scope.EACH:
+        return {}
+    values = fit.state.values
+    return {
+        "recordings": [
+            {"name": s.name, **{p.name: float(values[key(p.name, s.number)]) for p in kind.amplitudes}}
+            for s in segments[1:]
+        ]
+    }
+
+
+def _signature(found: Found) -> str | None:
+    """What a gap without a cause looks like: of an unknown effect, and of a drift, which only says when."""
+    conditions = found.conditions
+    if not conditions or not (found.verdict.name == "unknown" or confounded.DRIFT in found.named):
+        return None
+    top = [c for c in conditions if c.share > 0.5 * conditions[0].share][:3]
+    says = "largest " + ", ".join(c.says for c in top)
+    if where.steady(found.before) > _STEADY:
+        says = (
+            "much the same throughout each recording, as where something changed between them that no column tells: "
+            f"a load, a temperature, the mounting; {says}"
+        )
+    return says

@@ -1,0 +1,32 @@
+"""How far samples scatter, by what outliers do not move; intervals of draws; what rounding leaves."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+NINE_OF_TEN = 1.645  # equation: standard deviations of a normal distribution, either way, that hold 90 %
+_MEDIAN = 0.6745  # equation: of a normal variable's size, in standard deviations
+_MEDIAN2 = 0.4549  # equation: of a chi-squared variable's of one degree of freedom
+
+
+def deviation(values: Array) -> float:
+    """One standard deviation of normal values about 0, (n,) or any shape, by the median of their sizes."""
+    return float(np.median(np.abs(values))) / _MEDIAN
+
+
+def deviation_of_squares(squares: Array) -> float:
+    """The same by squares of single values about 0."""
+    return float(np.sqrt(np.median(squares) / _MEDIAN2))
+
+
+def of_rounding(step: float) -> float:
+    """One standard deviation of what is anywhere within a step of its own width."""
+    return step / float(np.sqrt(12.0))  # equation: of a uniform density
+
+
+def interval(draws: Array, share: float) -> list[float]:
+    """Both ends between which this share of the draws lies, as much below as above."""
+    return [float(end) for end in np.quantile(draws, [0.5 - 0.5 * share, 0.5 + 0.5 * share])]
