@@ -2,10 +2,10 @@
 
 #include <math.h>
 
-#define STEP     0.03125 /* of a length: Runge and Kutta's error is then below 1e-8 of B */
-#define PIECES   16384   /* of one move, at most: a longer one ends on the envelope */
-#define HELD     1e-13   /* of 1 - u: nothing is left to rise */
-#define NEAR     0.9     /* of z, from which p counts as on an envelope */
+#define STEP     0.015625 /* of a length: Runge and Kutta's error is then below 1e-8 of B */
+#define PIECES   32768    /* of one move, at most: a longer one ends on the envelope */
+#define HELD     1e-13    /* of 1 - u: nothing is left to rise */
+#define NEAR     0.9      /* of z, from which p counts as on an envelope */
 #define TINY     1e-300
 #define LEAST    1e-6 /* of L where it is longest */
 #define BLUNT    1e-3 /* of u, about 0: an exponent below 1 is infinitely steep there */
