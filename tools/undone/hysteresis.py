@@ -136,7 +136,7 @@ def one_play(model: Model, recording: Recording) -> Model:
     scene = recording.angle.t_s - model.delay_of("angle")
 
     def with_scale(scale: float) -> Model:
-        return replace(model, elements=SINGLE, width=scale * model.width)
+        return replace(model, elements=SINGLE, friction=None, width=scale * model.width)
 
     def off(scale: float) -> float:
         assert recording.angle is not None
