@@ -8,8 +8,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import tautline as tl
-from tautline import tables
-from tautline.elements import Elements, Play
+from tautline import _native, tables
+from tautline.elements import MOST, Elements, Play
 from tautline.friction import BOUC_WEN, DAHL, VALUES, Friction
 from tautline.model import Model
 from tautline.nearest import nearest_plays
@@ -177,6 +177,14 @@ def test_of_plays_the_nearest_are_themselves():
     elements = Elements((0.3, 0.7, 1.2, 1.8), (0.25,) * 4)
     near = nearest_plays(GRID, BUMP, elements, (-5.0, 5.0))
     assert near.share < 0.004
+
+
+def test_a_tracker_takes_as_many_plays_as_a_model_may_have():
+    share, weight = np.linspace(0.1, 1.9, MOST), np.full(MOST, 1.0 / MOST)
+    none = np.empty((0, len(GRID))), np.empty((0, MOST))
+    _native.TrackModel(GRID, BUMP, share, weight, *none)
+    with pytest.raises(ValueError, match=f"1 to {MOST}"):
+        _native.TrackModel(GRID, BUMP, np.append(share, 2.0), np.append(weight, 0.1), none[0], np.empty((0, MOST + 1)))
 
 
 def test_a_calibration_finds_dahls_predicts_with_it_and_knows_how_well():
