@@ -20,15 +20,15 @@ from tautline.rig import ANGLE, MARKER, Rig, Sensor
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
-_LEAST_PX, _LEAST_DEG = 1e-3, 1e-4  # noise is never taken to be less
-_DOUBTFUL = 3.0  # frames of so many times the usual stated noise do not count
-_STRAY = 12.0  # sigma, beside four usual steps, from which a lone frame is a false sighting
-_RESOLVED = 4.0  # times the least steps that a sensor shows: beyond, repeated values are no matter of resolution
-_HELD, _FEWEST_RUNS = 0.25, 8  # share of values that are repeated then, and how many must be seen
-_STILL_MM, _STILL_DEG = 0.02, 0.05  # other degrees of freedom that stay within this do not move
-# px: prior standard deviation, per coordinate, of what this package's tracker is off by in every frame alike near one
+_LEAST_PX, _LEAST_DEG = 1e-3, 1e-4  # tolerance: noise is never taken to be less
+_DOUBTFUL = 3.0  # prior: frames of so many times the usual stated noise do not count
+_STRAY = 12.0  # prior: sigma, beside four usual steps, from which a lone frame is a false sighting
+_RESOLVED = 4.0  # prior: times the least steps that a sensor shows: beyond, repeated values are no matter of resolution
+_HELD, _FEWEST_RUNS = 0.25, 8  # prior: share of values that are repeated then, and how many must be seen
+_STILL_MM, _STILL_DEG = 0.02, 0.05  # tolerance: other degrees of freedom that stay within this do not move
+# px: standard deviation, per coordinate, of what this package's tracker is off by in every frame alike near one
 # place: the rms of what docs/marker.md has, 0.02 (a flat disc) to 0.17 (a ball lit from one side, in MJPEG).
-TRACKED_PX = 0.1
+TRACKED_PX = 0.1  # prior: by docs/marker.md
 
 
 @dataclass(frozen=True)
